@@ -1,0 +1,40 @@
+"""Errors a user can act on: what was expected, what came, where, and the likely slip."""
+
+from pathlib import Path
+
+
+class InputError(ValueError):
+    """A user's input cannot be used. The message is one line and says what to change.
+
+    **Arguments:**
+
+    - `message`: what was expected, what came, and the likely slip.
+    - `file`, `row`, `column`: where, when the input is a file. `row` counts from 1 as an
+      editor does (a table's header is row 1); `column` is a name or a number.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        file: str | Path | None = None,
+        row: int | None = None,
+        column: str | int | None = None,
+    ) -> None:
+        where = [] if file is None else [str(file)]
+        if row is not None:
+            where.append(f"row {row}")
+        if column is not None:
+            where.append(f"column {column!r}" if isinstance(column, str) else f"column {column}")
+        super().__init__(f"{', '.join(where)}: {message}" if where else message)
+        self.file, self.row, self.column = file, row, column
+
+
+class MissingExtraError(ImportError):
+    """An optional package is absent; the message names the `pip install` line."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        super().__init__(
+            f"This needs the optional package {package!r}. Install it with: "
+            f'pip install "fynjax[{extra}]"'
+        )

@@ -1,0 +1,22 @@
+"""Fixtures shared by all tests: 64-bit JAX and the place of the reference data."""
+
+import os
+from pathlib import Path
+
+import jax
+import pytest
+
+jax.config.update("jax_enable_x64", True)
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder of the reference data (`FYNJAX_SHARED_DATA`, default `../shared/data`)."""
+    default = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("FYNJAX_SHARED_DATA", default))
+    if not folder.is_dir():
+        reason = f"reference data not found at {folder}; set FYNJAX_SHARED_DATA to its folder"
+        if os.environ.get("CI") == "true":
+            pytest.fail(reason)
+        pytest.skip(reason)
+    return folder
