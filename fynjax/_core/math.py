@@ -1,0 +1,30 @@
+"""Guarded functions: right values and right slopes where the plain formula divides by zero."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def mean_transmittance(depth: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Transmittance averaged along a path of optical depth `depth`, (1 - exp(-x)) / x [-].
+
+    Negative depths are allowed: the joint sun and view depth may fall along a camera ray that
+    steps out of a shadow. Differentiable everywhere to any order; value 1 and slope -1/2 at 0.
+    """
+    small = jnp.abs(depth) < 0.05
+    safe = jnp.where(small, 1.0, depth)  # the branch not taken must be finite too
+    series = 1.0 + depth * (-1 / 2 + depth * (1 / 6 + depth * (-1 / 24 + depth / 120)))
+    return jnp.where(small, series, -jnp.expm1(-safe) / safe)
+
+
+def mean_emission(depth: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Share of a path's uniform emission that stays in it, (x - 1 + exp(-x)) / x² [-].
+
+    This is the mean intensity, along a path of optical depth `depth`, of light emitted at unit
+    rate over the whole path. Differentiable on [0, inf); value 1/2 and slope -1/6 at 0.
+    """
+    small = jnp.abs(depth) < 0.2
+    safe = jnp.where(small, 1.0, depth)
+    series = 1 / 2 + depth * (
+        -1 / 6 + depth * (1 / 24 + depth * (-1 / 120 + depth * (1 / 720 - depth / 5040)))
+    )
+    return jnp.where(small, series, (1.0 + jnp.expm1(-safe) / safe) / safe)

@@ -1,0 +1,156 @@
+"""How leaf normals are distributed, and the Ross-Nilson projection function G.
+
+Every distribution is symmetric in azimuth and given by the density g of the inclination of the
+normal from the vertical, with the integral of g over [0, 90°] equal to one.
+"""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax._core.errors import InputError
+
+# Gauss-Legendre nodes of the inclination and the half turn of azimuths. A normal and its
+# opposite are the same leaf, so inclinations up to 90 degrees cover all of them.
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
+_INCLINATION = 0.25 * np.pi * (_NODES + 1.0)
+_INCLINATION_WEIGHT = 0.25 * np.pi * _WEIGHTS
+_AZIMUTHS = 96
+
+
+class AbstractLeafAngle(eqx.Module):
+    """Distribution of leaf normals."""
+
+    @abc.abstractmethod
+    def inclination_density(self, inclination: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """Density g of the inclination [1/rad] at `inclination` [rad, 0 to pi/2]."""
+
+    def projection(self, cos_zenith: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """G: leaf area projected along a direction, per unit of leaf area [-].
+
+        `cos_zenith` in [-1, 1]; a direction and its opposite give the same value.
+        Differentiable in `cos_zenith` and in the parameters of the distribution. Ross (1981),
+        with Nilson's (1971) closed form of the integral over the leaf's azimuth.
+        """
+        mu = jnp.abs(jnp.asarray(cos_zenith))[..., None]
+        leaf = jnp.asarray(_INCLINATION, mu.dtype)
+        density = self.inclination_density(leaf) * jnp.asarray(_INCLINATION_WEIGHT, mu.dtype)
+        density = density / jnp.sum(density)
+        straight = mu * jnp.cos(leaf)
+        # |sin| through a guarded root: its slope is infinite at the zenith.
+        sine = jnp.sqrt(jnp.maximum(1.0 - mu**2, 1e-12)) * jnp.sin(leaf)
+        partly = sine > straight  # the leaf is seen from both sides as its azimuth turns
+        ratio = jnp.where(partly, straight / jnp.where(partly, sine, 1.0), 0.0)
+        root = jnp.sqrt(1.0 - ratio**2)
+        turned = 2.0 / jnp.pi * (sine * root + straight * jnp.arcsin(ratio))
+        return jnp.sum(density * jnp.where(partly, turned, straight), axis=-1)
+
+    def normals(self) -> tuple[Float[Array, "normal 3"], Float[Array, " normal"]]:
+        """Quadrature over the leaf normals of the upper hemisphere: unit vectors, weights.
+
+        The weights sum to one.
+        """
+        leaf = jnp.asarray(_INCLINATION)
+        weight = self.inclination_density(leaf) * jnp.asarray(_INCLINATION_WEIGHT)
+        weight = weight / jnp.sum(weight)
+        azimuth = (np.arange(_AZIMUTHS) + 0.5) * (2 * np.pi / _AZIMUTHS)
+        x = jnp.sin(leaf)[:, None] * np.sin(azimuth)
+        y = jnp.sin(leaf)[:, None] * np.cos(azimuth)
+        z = jnp.broadcast_to(jnp.cos(leaf)[:, None], x.shape)
+        vectors = jnp.stack([x, y, z], axis=-1).reshape(-1, 3)
+        return vectors, jnp.repeat(weight / _AZIMUTHS, _AZIMUTHS)
+
+
+class SphericalLeafAngle(AbstractLeafAngle):
+    """Normals as on a sphere: g = sin(inclination), G = 1/2 in every direction."""
+
+    def inclination_density(self, inclination: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        return jnp.sin(inclination)
+
+    def projection(self, cos_zenith: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        return jnp.full_like(jnp.asarray(cos_zenith), 0.5)
+
+
+class TrigonometricLeafAngle(AbstractLeafAngle):
+    """g = (2/pi) (1 + a cos 2t + b cos 4t), t the inclination (Bunnik 1978).
+
+    (a, b) = (1, 0) is planophile, (-1, 0) erectophile, (0, -1) plagiophile, (0, 1)
+    extremophile and (0, 0) uniform in inclination.
+    """
+
+    second: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    """Coefficient a of cos 2t [-]."""
+    fourth: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    """Coefficient b of cos 4t [-]."""
+
+    def inclination_density(self, inclination: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        second = self.second.astype(inclination.dtype)
+        fourth = self.fourth.astype(inclination.dtype)
+        wave = second * jnp.cos(2 * inclination) + fourth * jnp.cos(4 * inclination)
+        return 2.0 / jnp.pi * (1.0 + wave)
+
+
+class EllipsoidalLeafAngle(AbstractLeafAngle):
+    """Normals as on an ellipsoid of revolution (Campbell 1990, eq. 13, normalised here)."""
+
+    ratio: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    """Horizontal to vertical axis, chi [-], positive; 1 is spherical, large is flat leaves."""
+
+    def inclination_density(self, inclination: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        chi = self.ratio.astype(inclination.dtype)
+        shape = jnp.cos(inclination) ** 2 + chi**2 * jnp.sin(inclination) ** 2
+        density = chi**3 * jnp.sin(inclination) / shape**2
+        nodes = jnp.asarray(_INCLINATION, inclination.dtype)
+        weight = jnp.asarray(_INCLINATION_WEIGHT, inclination.dtype)
+        at_nodes = jnp.cos(nodes) ** 2 + chi**2 * jnp.sin(nodes) ** 2
+        return density / jnp.sum(weight * chi**3 * jnp.sin(nodes) / at_nodes**2)
+
+
+class TabulatedLeafAngle(AbstractLeafAngle):
+    """A histogram of inclinations, for instance of the normals of a plant model."""
+
+    density: Float[Array, " bin"] = eqx.field(converter=jnp.asarray)
+    """Density in equal bins of inclination from 0 to 90 degrees [1/rad]; normalised on use."""
+
+    @classmethod
+    def from_normals(
+        cls, normals: Float[Array, "n 3"], area: Float[Array, " n"], bins: int = 18
+    ) -> "TabulatedLeafAngle":
+        """Area-weighted histogram of the inclinations of unit `normals`. Not differentiable."""
+        inclination = np.arccos(np.clip(np.abs(np.asarray(normals)[:, 2]), 0.0, 1.0))
+        counts, _ = np.histogram(
+            inclination, bins=bins, range=(0.0, 0.5 * np.pi), weights=np.asarray(area)
+        )
+        return cls(counts / counts.sum() / (0.5 * np.pi / bins))
+
+    def inclination_density(self, inclination: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        bins = self.density.shape[0]
+        index = jnp.clip((inclination * (2 * bins / jnp.pi)).astype(int), 0, bins - 1)
+        return self.density.astype(inclination.dtype)[index]
+
+
+_TRIGONOMETRIC = {
+    "uniform": (0.0, 0.0),
+    "planophile": (1.0, 0.0),
+    "erectophile": (-1.0, 0.0),
+    "plagiophile": (0.0, -1.0),
+    "extremophile": (0.0, 1.0),
+}
+
+
+def leaf_angle(name: str) -> AbstractLeafAngle:
+    """The distribution of that name: spherical, uniform (in inclination), planophile,
+    erectophile, plagiophile or extremophile (de Wit 1965; Bunnik 1978).
+
+    RAMI's "uniform" means normals uniform on the sphere: that is `spherical` here.
+    Raises `InputError` for any other name.
+    """
+    if name == "spherical":
+        return SphericalLeafAngle()
+    if name not in _TRIGONOMETRIC:
+        known = ", ".join(["spherical", *_TRIGONOMETRIC])
+        raise InputError(f"`name` of a leaf angle distribution must be one of {known}, but is {name!r}")
+    return TrigonometricLeafAngle(*_TRIGONOMETRIC[name])

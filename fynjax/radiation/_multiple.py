@@ -1,0 +1,173 @@
+"""Light scattered more than once, and all light of the sky: a linear solve per band.
+
+With S the source that the leaves emit along each ordinate, A the sweep and P the scattering,
+S = P (A S + j) + S_sun. The solve of (1 - P A) S = P j + S_sun is by BiCGStab, and its
+derivative is one solve with the transposed operator (implicit differentiation), never a tape
+through the iterations.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax.radiation._ordinates import Coarse, Ordinates, coarse_grid, sweep
+from fynjax.radiation._phase import area_scattering
+from fynjax.radiation._scene import OpticalClasses, VoxelScene
+from fynjax.radiation._sun import SunField
+
+
+class DiffuseField(eqx.Module):
+    """Everything but the direct sun, on the coarse grid."""
+
+    intensity: Float[Array, "band ordinate z y x"]
+    """Mean radiance in each cell along each ordinate."""
+    ground: Float[Array, "band y x"]
+    """Diffuse irradiance on the ground."""
+    top: Float[Array, " band"]
+    """Mean upward flux at the top."""
+    residual: Float[Array, " band"]
+    """What the solve left over, relative to its right-hand side [-]."""
+
+
+def block_mean(field: Float[Array, "*batch z y x"], factor: tuple[int, int]) -> Float[Array, "*batch Z Y X"]:
+    """Average over blocks of `factor` = (layers, columns) voxels."""
+    *batch, nz, ny, nx = field.shape
+    fz, fh = factor
+    blocks = field.reshape(*batch, nz // fz, fz, ny // fh, fh, nx // fh, fh)
+    return blocks.mean(axis=(-5, -3, -1))
+
+
+def scattering_matrices(
+    classes: OpticalClasses, ordinates: Ordinates, incoming: Float[Array, "incoming 3"]
+) -> tuple[Float[Array, "angle incoming ordinate"], Float[Array, "angle incoming ordinate"]]:
+    """Gamma_r and Gamma_t from `incoming` to the ordinates, over pi, normalised.
+
+    Scaled so that the discrete sum over the ordinates is exactly the projection G of the
+    incoming direction: whatever the quadrature, a leaf that absorbs nothing loses nothing.
+    """
+    vectors = jnp.asarray(ordinates.vectors, incoming.dtype)
+    weights = jnp.asarray(ordinates.weights, incoming.dtype)
+    reflected, transmitted = [], []
+    for angle in classes.angles:
+        projection = angle.projection(incoming[:, 2]).astype(incoming.dtype)
+        for kind, into in zip(area_scattering(angle, incoming, vectors), (reflected, transmitted)):
+            scaled = kind / jnp.pi
+            into.append(scaled * (projection / (scaled @ weights))[:, None])
+    return jnp.stack(reflected), jnp.stack(transmitted)
+
+
+def solve_diffuse(
+    scene: VoxelScene,
+    sun: SunField,
+    factor: tuple[int, int],
+    ordinates: Ordinates,
+    tolerance: float,
+    iterations: int,
+) -> DiffuseField:
+    """Solve for the diffuse field in each band, one band after another.
+
+    Memory is that of one band's intensity times the few vectors of BiCGStab.
+    """
+    dtype = scene.area_density.dtype
+    classes = scene.classes
+    density = block_mean(scene.area_density, factor)
+    coarse = coarse_grid(scene, density, factor, ordinates)
+    lit = block_mean(scene.area_density * sun.voxel_transmittance, factor)
+    margin = sun.margin
+    beams = jnp.exp(-sun.depth[0])
+    beams = beams[margin : beams.shape[0] - margin, margin : beams.shape[1] - margin]
+    per_cell = sun.per_voxel * factor[1]
+    reached = block_mean(beams[None], (1, per_cell))[0]
+
+    travel = -jnp.concatenate([sun.slope, jnp.ones(1, dtype)]) * sun.cosine
+    vectors = jnp.asarray(ordinates.vectors, dtype)
+    weights = jnp.asarray(ordinates.weights, dtype)
+    reflect, transmit = scattering_matrices(classes, ordinates, vectors)
+    reflect, transmit = reflect * weights[:, None], transmit * weights[:, None]
+    sun_reflect, sun_transmit = scattering_matrices(classes, ordinates, travel[None])
+    ground = block_mean(scene.ground_map[:, None], (1, factor[1]))[:, 0]
+    shape = (2, len(ordinates.cosine), ordinates.azimuths, *density.shape[1:])
+
+    def band(args: tuple[Array, ...]) -> tuple[Array, ...]:
+        rho, tau, soil, sun_flux, sky_flux = args
+        reflecting = classes.total_by_angle(density * rho[:, None, None, None])
+        transmitting = classes.total_by_angle(density * tau[:, None, None, None])
+        beam = sun_flux / sun.cosine
+        from_sun = jnp.einsum(
+            "ao,azyx->ozyx",
+            sun_reflect[:, 0] * beam,
+            classes.total_by_angle(lit * rho[:, None, None, None]),
+        ) + jnp.einsum(
+            "ao,azyx->ozyx",
+            sun_transmit[:, 0] * beam,
+            classes.total_by_angle(lit * tau[:, None, None, None]),
+        )
+
+        def scatter(intensity: Array) -> Array:
+            flat = intensity.reshape(-1, *density.shape[1:])
+            total = jnp.zeros_like(flat)
+            for a in range(len(classes.angles)):
+                total = total + reflecting[a] * jnp.einsum("io,izyx->ozyx", reflect[a], flat)
+                total = total + transmitting[a] * jnp.einsum("io,izyx->ozyx", transmit[a], flat)
+            return total.reshape(shape)
+
+        nothing, no_sun = jnp.zeros((), dtype), jnp.zeros_like(soil)
+        sky = sky_flux / jnp.pi
+        first, _, _ = sweep(coarse, jnp.zeros(shape, dtype), sky, soil, sun_flux * reached)
+        right = scatter(first) + from_sun.reshape(shape)
+
+        def operator(source: Array) -> Array:
+            intensity, _, _ = sweep(coarse, source, nothing, soil, no_sun)
+            return source - scatter(intensity)
+
+        source = _solve(operator, right, tolerance, iterations)
+        residual = jnp.linalg.norm((operator(source) - right).ravel())
+        scale = jnp.linalg.norm(right.ravel())
+        residual = jnp.where(scale > 0, residual / jnp.where(scale > 0, scale, 1.0), 0.0)
+        intensity, diffuse, top = sweep(coarse, source, sky, soil, sun_flux * reached)
+        flat = intensity.reshape(-1, *density.shape[1:])
+        return flat, diffuse, top.mean(), jax.lax.stop_gradient(residual)
+
+    light = scene.illumination
+    arguments = (
+        classes.reflectance.T, classes.transmittance.T, ground, light.sun.astype(dtype), light.sky.astype(dtype)
+    )
+    return DiffuseField(*jax.lax.map(band, arguments))
+
+
+def _solve(
+    operator: Callable[[Array], Array], right: Array, tolerance: float, iterations: int
+) -> Array:
+    solution, _ = jax.scipy.sparse.linalg.bicgstab(
+        operator, right, x0=right, tol=tolerance, maxiter=iterations
+    )
+    return solution
+
+
+def upsample(
+    field: Float[Array, "*batch Z Y X"], factor: tuple[int, int], boundary: str
+) -> Float[Array, "*batch z y x"]:
+    """Linear interpolation of coarse cell means to the fine voxels' centres."""
+    matrices = [
+        _linear(field.shape[-3], factor[0], "open"),
+        _linear(field.shape[-2], factor[1], boundary),
+        _linear(field.shape[-1], factor[1], boundary),
+    ]
+    z, y, x = (jnp.asarray(m, field.dtype) for m in matrices)
+    return jnp.einsum("aZ,bY,cX,...ZYX->...abc", z, y, x, field, optimize="optimal")
+
+
+def _linear(count: int, factor: int, boundary: str) -> np.ndarray:
+    """Weights [count * factor, count] of linear interpolation between cell centres."""
+    position = (np.arange(count * factor) + 0.5) / factor - 0.5
+    low = np.floor(position).astype(int)
+    share = position - low
+    weights = np.zeros((count * factor, count))
+    for index, weight in ((low, 1 - share), (low + 1, share)):
+        cell = index % count if boundary == "periodic" else np.clip(index, 0, count - 1)
+        np.add.at(weights, (np.arange(count * factor), cell), weight)
+    return weights

@@ -1,0 +1,47 @@
+"""Scattering by flat leaves: the area scattering function of bi-Lambertian leaves.
+
+Gamma(in, out) = rho Gamma_r + tau Gamma_t; leaves reflect from the lit side and transmit to the
+other (Ross 1981, eq. 2.4.3; Shultis and Myneni 1988). It is linear in leaf reflectance and
+transmittance, so the two geometric factors are computed once for all bands.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from fynjax.canopy import AbstractLeafAngle, SphericalLeafAngle
+
+
+def area_scattering(
+    angle: AbstractLeafAngle,
+    incoming: Float[Array, "incoming 3"],
+    outgoing: Float[Array, "outgoing 3"],
+) -> tuple[Float[Array, "incoming outgoing"], Float[Array, "incoming outgoing"]]:
+    """Geometric factors (Gamma_r, Gamma_t) of reflection and transmission [-].
+
+    **Arguments:**
+
+    - `angle`: distribution of leaf normals.
+    - `incoming`, `outgoing`: unit vectors along which the light *travels*.
+
+    (1/pi) times the integral of either over all outgoing directions is G of the incoming one.
+    Differentiable in the directions and in the parameters of `angle`.
+    """
+    if isinstance(angle, SphericalLeafAngle):
+        # Closed form in the scattering angle b (Ross 1981): exact, and cheap per pixel. The
+        # arc tangent keeps the slope finite forward and backward, where arccos has none.
+        cosine = incoming @ outgoing.T
+        cross = jnp.cross(incoming[:, None, :], outgoing[None, :, :])
+        square = jnp.sum(cross**2, axis=-1)
+        sine = jnp.sqrt(jnp.where(square > 0, square, 1.0)) * (square > 0)
+        reflected = (sine - jnp.arctan2(sine, cosine) * cosine) / (3 * jnp.pi)
+        return reflected, reflected + cosine / 3.0
+    normals, weight = angle.normals()
+    normals, weight = normals.astype(incoming.dtype), weight.astype(incoming.dtype)
+    towards, away = incoming @ normals.T, outgoing @ normals.T
+    # |a||b| where a b < 0 is reflection, where a b > 0 transmission; split by sign so that the
+    # sum over normals is a matrix product.
+    plus, minus = jnp.maximum(towards, 0) * weight, jnp.maximum(-towards, 0) * weight
+    out_plus, out_minus = jnp.maximum(away, 0), jnp.maximum(-away, 0)
+    transmitted = plus @ out_plus.T + minus @ out_minus.T
+    reflected = plus @ out_minus.T + minus @ out_plus.T
+    return reflected, transmitted

@@ -1,0 +1,146 @@
+"""What the radiation layer needs to know of a scene: arrays on a voxel grid."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax._core.errors import InputError
+from fynjax.canopy import AbstractLeafAngle
+
+
+class OpticalClasses(eqx.Module):
+    """Optical properties of what fills the voxels: one class for each kind of surface."""
+
+    reflectance: Float[Array, "class band"]
+    """Hemispherical reflectance of one side, rho [-]."""
+    transmittance: Float[Array, "class band"]
+    """Hemispherical transmittance, tau [-]; 0 for wood and other opaque organs."""
+    angles: tuple[AbstractLeafAngle, ...]
+    """The distinct distributions of normals."""
+    angle_of_class: tuple[int, ...] = eqx.field(static=True)
+    """For each class, the place of its distribution in `angles`."""
+
+    def total_by_angle(
+        self, per_class: Float[Array, "class *grid"]
+    ) -> Float[Array, "angle *grid"]:
+        """Sum a quantity over the classes that share a distribution of normals."""
+        return jnp.stack([
+            sum(per_class[c] for c, owner in enumerate(self.angle_of_class) if owner == a)
+            + jnp.zeros_like(per_class[0])
+            for a in range(len(self.angles))
+        ])
+
+
+class Illumination(eqx.Module):
+    """Sun and sky above the canopy."""
+
+    sun_zenith: Float[Array, ""]
+    """Zenith angle of the sun [degrees], 0 up to less than 90."""
+    sun_azimuth: Float[Array, ""]
+    """Azimuth of the sun, clockwise from north [degrees]."""
+    sun: Float[Array, " band"]
+    """Direct irradiance on the horizontal plane [any unit, per band]."""
+    sky: Float[Array, " band"]
+    """Diffuse irradiance on the horizontal plane, isotropic [same unit]."""
+
+
+class VoxelScene(eqx.Module):
+    """A canopy as a turbid medium on a voxel grid, over a flat Lambertian ground."""
+
+    area_density: Float[Array, "class z y x"]
+    """One-sided area per volume [m2 m-3], layers from the ground up."""
+    classes: OpticalClasses
+    ground: Float[Array, "band *yx"]
+    """Reflectance of the ground [-], one value a band or one a band and voxel column."""
+    illumination: Illumination
+    horizontal: float = eqx.field(static=True)
+    """Edge of a voxel in x and y [m]."""
+    vertical: float = eqx.field(static=True)
+    """Height of a voxel [m]."""
+    boundary: str = eqx.field(static=True, default="periodic")
+    """"periodic": the scene repeats itself without end; "open": nothing stands outside it."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Voxels along z, y, x."""
+        z, y, x = self.area_density.shape[1:]
+        return z, y, x
+
+    @property
+    def height(self) -> float:
+        """Top of the grid above the ground [m]."""
+        return self.shape[0] * self.vertical
+
+    @property
+    def ground_map(self) -> Float[Array, "band y x"]:
+        """Ground reflectance per voxel column."""
+        ground = self.ground if self.ground.ndim == 3 else self.ground[:, None, None]
+        return jnp.broadcast_to(ground, (ground.shape[0], *self.shape[1:]))
+
+
+def check_scene(scene: VoxelScene) -> None:
+    """Raise `InputError` for what cannot be rendered: shapes always, values where known."""
+    density, classes, sun = scene.area_density, scene.classes, scene.illumination
+    if density.ndim != 4 or 0 in density.shape:
+        raise InputError(
+            "`area_density` must have the axes [class, z, y, x], none of them empty, but has "
+            f"shape {density.shape}"
+        )
+    n_class, n_band = density.shape[0], classes.reflectance.shape[-1]
+    for name in ("reflectance", "transmittance"):
+        shape = getattr(classes, name).shape
+        if shape != (n_class, n_band):
+            raise InputError(
+                f"`classes.{name}` must have shape (class, band) = {(n_class, n_band)} to go with "
+                f"`area_density`, but has {shape}"
+            )
+    if len(classes.angle_of_class) != n_class:
+        raise InputError(
+            f"`classes.angle_of_class` must name a distribution for each of the {n_class} classes, "
+            f"but has {len(classes.angle_of_class)} entries"
+        )
+    if max(classes.angle_of_class) >= len(classes.angles):
+        raise InputError("`classes.angle_of_class` points beyond the end of `classes.angles`")
+    if scene.ground.shape not in {(n_band,), (n_band, *density.shape[2:])}:
+        raise InputError(
+            f"`ground` must have shape (band,) or (band, y, x) = {(n_band, *density.shape[2:])}, "
+            f"but has {scene.ground.shape}"
+        )
+    if scene.boundary not in {"periodic", "open"}:
+        raise InputError(f"`boundary` must be 'periodic' or 'open', but is {scene.boundary!r}")
+    for name in ("horizontal", "vertical"):
+        if not getattr(scene, name) > 0:
+            raise InputError(f"`{name}` must be a positive length in m, but is {getattr(scene, name)}")
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(scene)):
+        return
+    _check_range("area_density [m2 m-3]", density, 0.0, math.inf)
+    _check_range("ground", scene.ground, 0.0, 1.0)
+    for name in ("reflectance", "transmittance"):
+        _check_range(f"classes.{name}", getattr(classes, name), 0.0, 1.0)
+    total = float(jnp.max(classes.reflectance + classes.transmittance))
+    if total > 1 + 1e-5:
+        raise InputError(
+            f"reflectance + transmittance of a class must not exceed 1, but reaches {total:.4g}: "
+            "are they in percent, or was absorptance passed?"
+        )
+    zenith = float(sun.sun_zenith)
+    if not 0 <= zenith < 89.5:
+        raise InputError(
+            f"`sun_zenith` must be in [0, 89.5) degrees, but is {zenith:g}: the sun is at or below "
+            "the horizon, or an elevation was passed"
+        )
+
+
+def _check_range(name: str, values: Float[Array, "*any"], low: float, high: float) -> None:
+    array = np.asarray(values)
+    bad = ~((array >= low) & (array <= high))
+    if bad.any():
+        first = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise InputError(
+            f"`{name}` must be finite and in [{low:g}, {high:g}], but {int(bad.sum())} values are "
+            f"not; the first is {array[first]} at index {first}"
+        )
