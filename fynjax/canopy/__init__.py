@@ -1,19 +1,45 @@
-"""Canopy: plants, where they stand, and the voxel grid they fill."""
+"""Plants: how many, where, what shape, and how much area of them in each voxel."""
 
-from fynjax.canopy._angles import (
-    AbstractLeafAngle,
-    EllipsoidalLeafAngle,
-    SphericalLeafAngle,
-    TabulatedLeafAngle,
-    TrigonometricLeafAngle,
-    leaf_angle,
+from fynjax.canopy._counts import (
+    CrownPacking,
+    crown_scale,
+    hard_count,
+    instance_area,
+    modelled_diameter,
+    projected_area,
+    soft_count,
+    target_area,
 )
+from fynjax.canopy._forms import FORM_DEFAULTS, FormDefaults, plant_model
+from fynjax.canopy._grid import VoxelGrid, deposit
+from fynjax.canopy._instances import instantiate, random_orientation
+from fynjax.canopy._mesh import MeshPlant, plant_model_from_mesh
+from fynjax.canopy._plant import Organ, PlantModel
+from fynjax.canopy._sites import assign_sites, poisson_disk, soft_weights
+from fynjax.canopy._table import table1_2006
 
 __all__ = [
-    "AbstractLeafAngle",
-    "EllipsoidalLeafAngle",
-    "SphericalLeafAngle",
-    "TabulatedLeafAngle",
-    "TrigonometricLeafAngle",
-    "leaf_angle",
+    "FORM_DEFAULTS",
+    "CrownPacking",
+    "FormDefaults",
+    "MeshPlant",
+    "Organ",
+    "PlantModel",
+    "VoxelGrid",
+    "assign_sites",
+    "crown_scale",
+    "deposit",
+    "hard_count",
+    "instance_area",
+    "instantiate",
+    "modelled_diameter",
+    "plant_model",
+    "plant_model_from_mesh",
+    "poisson_disk",
+    "projected_area",
+    "random_orientation",
+    "soft_count",
+    "soft_weights",
+    "table1_2006",
+    "target_area",
 ]

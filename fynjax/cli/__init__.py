@@ -1,0 +1,84 @@
+"""The `fynjax` command. Each subcommand is a module that parses and calls one job."""
+
+import logging
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+import fynjax
+from fynjax._core.errors import InputError, MissingExtraError
+from fynjax.cli._calibrate import calibrate
+from fynjax.cli._demo import demo
+from fynjax.cli._fit_leaf import fit_leaf
+from fynjax.cli._init import init
+from fynjax.cli._render import render
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="fynjax",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command()(demo)
+app.command()(render)
+app.command()(calibrate)
+app.command("fit-leaf")(fit_leaf)
+app.command()(init)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"fynjax {fynjax.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """From a species table and leaf spectra to a drone image, and back.
+
+    Start with `fynjax demo`, or with `fynjax init my_plot` for files of your own.
+    """
+
+
+def _fail(message: str, status: int) -> None:
+    print(f"fynjax: {' '.join(message.split())}", file=sys.stderr)
+    sys.exit(status)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit.
+
+    Exit status 0, 2 for wrong arguments or input, 1 for anything else, 130 for Ctrl-C; other than
+    0 comes with one line on stderr. `FYNJAX_DEBUG=1` shows the traceback instead.
+    """
+    # GDAL reports through logging, and a logger without a handler prints to stderr.
+    logging.getLogger("rasterio").addHandler(logging.NullHandler())
+    try:
+        status = app(args=None if arguments is None else list(arguments), standalone_mode=False)
+    except KeyboardInterrupt:
+        _fail("interrupted; nothing was written", 130)
+    except Exception as error:
+        if os.environ.get("FYNJAX_DEBUG") == "1":
+            raise
+        if isinstance(error, InputError):
+            _fail(f"error: {error}", 2)
+        if hasattr(error, "format_message"):  # a usage error; typer brings a click of its own
+            text = error.format_message()
+            _fail(f"error: {text}" if text else "error: no command; see fynjax --help", 2)
+        if isinstance(error, MissingExtraError):
+            _fail(f"error: {error}", 1)
+        if type(error).__name__ == "Abort":
+            _fail("interrupted; nothing was written", 130)
+        _fail(f"error: {type(error).__name__}: {error} (FYNJAX_DEBUG=1 shows where)", 1)
+    sys.exit(status if isinstance(status, int) else 0)

@@ -1,0 +1,50 @@
+"""Files in and out: plot files and their tables, images, runs."""
+
+from fynjax.io._atomic import atomic_path, staged_folder, write_text
+from fynjax.io._models import ParameterSummary, RunSummary, StatisticSummary
+from fynjax.io._netcdf import image_array, provenance, write_run
+from fynjax.io._plot_file import (
+    GROWTH_FORMS,
+    PROSPECT_COLUMNS,
+    Calibration,
+    Ground,
+    LeafSource,
+    Plot,
+    Sensor,
+    Sky,
+    Species,
+    Sun,
+    example_folder,
+    read_plot,
+)
+from fynjax.io._rasters import ImageMeta, read_image, write_geotiff
+from fynjax.io._statistics import TargetStatistics, read_statistics
+
+__all__ = [
+    "GROWTH_FORMS",
+    "PROSPECT_COLUMNS",
+    "Calibration",
+    "Ground",
+    "ImageMeta",
+    "LeafSource",
+    "ParameterSummary",
+    "Plot",
+    "RunSummary",
+    "Sensor",
+    "Sky",
+    "Species",
+    "StatisticSummary",
+    "Sun",
+    "TargetStatistics",
+    "atomic_path",
+    "example_folder",
+    "image_array",
+    "provenance",
+    "read_image",
+    "read_plot",
+    "read_statistics",
+    "staged_folder",
+    "write_geotiff",
+    "write_run",
+    "write_text",
+]

@@ -125,10 +125,10 @@ def solve_diffuse(
             return source - scatter(intensity)
 
         source = _solve(operator, right, tolerance, iterations)
-        residual = jnp.linalg.norm((operator(source) - right).ravel())
-        scale = jnp.linalg.norm(right.ravel())
-        residual = jnp.where(scale > 0, residual / jnp.where(scale > 0, scale, 1.0), 0.0)
         intensity, diffuse, top = sweep(coarse, source, sky, soil, sun_flux * reached)
+        left_over = scatter(intensity) + from_sun.reshape(shape) - source
+        scale = jnp.linalg.norm(right.ravel())
+        residual = jnp.linalg.norm(left_over.ravel()) / jnp.where(scale > 0, scale, 1.0)
         flat = intensity.reshape(-1, *density.shape[1:])
         return flat, diffuse, top.mean(), jax.lax.stop_gradient(residual)
 

@@ -153,11 +153,15 @@ def _level(
     def layer(radiance: Radiance, cell: tuple[Array, ...]) -> tuple[Radiance, Array]:
         emitted, through, mean, emission = cell
         emitted = emitted * length
-        total = jnp.zeros_like(radiance)
-        for _ in range(steps):
+
+        def step(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
+            radiance, total = carry
             radiance = shift(radiance, 1.0)
             total = total + radiance * mean + emitted * emission
-            radiance = radiance * through + emitted * mean
+            return (radiance * through + emitted * mean, total), None
+
+        start = (radiance, jnp.zeros_like(radiance))
+        (radiance, total), _ = jax.lax.scan(step, start, length=steps)
         return radiance, total / steps
 
     cells = (jnp.moveaxis(source, 1, 0), *(a[:, None] for a in coarse.attenuation[level]))

@@ -5,6 +5,7 @@ and the optical depth is a cumulative sum down it, free of step-by-step numerica
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -57,16 +58,19 @@ def trace_sun(scene: VoxelScene, per_voxel: int, sublayers: int, margin: int) ->
     # middle: a slant beam changes voxel within a layer.
     step = scene.vertical / sublayers
     heights = ((jnp.arange(nz * sublayers) + 0.5) * step).astype(dtype).reshape(nz, sublayers)
+
+    def weigh(points: Array, shifts: Array, count: int) -> Array:
+        """[z, point, cell]"""
+        return jax.vmap(
+            lambda shift: axis_weights(
+                points + shift, width, count, scene.horizontal, scene.boundary
+            )
+        )(shifts)
+
     depths, weights = [], []
     for sub in range(sublayers):
-        wx = jnp.stack([
-            axis_weights(columns + z * slope[0], width, nx, scene.horizontal, scene.boundary)
-            for z in heights[:, sub]
-        ])
-        wy = jnp.stack([
-            axis_weights(rows + z * slope[1], width, ny, scene.horizontal, scene.boundary)
-            for z in heights[:, sub]
-        ])
+        wx = weigh(columns, heights[:, sub] * slope[0], nx)
+        wy = weigh(rows, heights[:, sub] * slope[1], ny)
         crossed = jnp.einsum("zry,zyx,zcx->zrc", wy, extinction, wx, optimize="optimal")
         depths.append(crossed * (step / cosine))
         weights.append((wy, wx))
