@@ -1,5 +1,13 @@
 """Plants: how many, where, what shape, and how much area of them in each voxel."""
 
+from fynjax.canopy._angles import (
+    AbstractLeafAngle,
+    EllipsoidalLeafAngle,
+    SphericalLeafAngle,
+    TabulatedLeafAngle,
+    TrigonometricLeafAngle,
+    leaf_angle,
+)
 from fynjax.canopy._counts import (
     CrownPacking,
     crown_scale,
@@ -12,19 +20,24 @@ from fynjax.canopy._counts import (
 )
 from fynjax.canopy._forms import FORM_DEFAULTS, FormDefaults, plant_model
 from fynjax.canopy._grid import VoxelGrid, deposit
-from fynjax.canopy._instances import instantiate, random_orientation
+from fynjax.canopy._instances import instantiate, random_orientation, stack_plants
 from fynjax.canopy._mesh import MeshPlant, plant_model_from_mesh
 from fynjax.canopy._plant import Organ, PlantModel
-from fynjax.canopy._sites import assign_sites, poisson_disk, soft_weights
+from fynjax.canopy._sites import assign_sites, poisson_disk, site_weight, soft_weights
 from fynjax.canopy._table import table1_2006
 
 __all__ = [
     "FORM_DEFAULTS",
+    "AbstractLeafAngle",
     "CrownPacking",
+    "EllipsoidalLeafAngle",
     "FormDefaults",
     "MeshPlant",
     "Organ",
     "PlantModel",
+    "SphericalLeafAngle",
+    "TabulatedLeafAngle",
+    "TrigonometricLeafAngle",
     "VoxelGrid",
     "assign_sites",
     "crown_scale",
@@ -32,14 +45,17 @@ __all__ = [
     "hard_count",
     "instance_area",
     "instantiate",
+    "leaf_angle",
     "modelled_diameter",
     "plant_model",
     "plant_model_from_mesh",
     "poisson_disk",
     "projected_area",
     "random_orientation",
+    "site_weight",
     "soft_count",
     "soft_weights",
+    "stack_plants",
     "table1_2006",
     "target_area",
 ]

@@ -51,6 +51,10 @@ def _root(
     """
 
 
+_INTERRUPTED = 130
+"""Exit status of Ctrl-C, as shells have it."""
+
+
 def _fail(message: str, status: int) -> None:
     print(f"fynjax: {' '.join(message.split())}", file=sys.stderr)
     sys.exit(status)
@@ -64,10 +68,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     # GDAL reports through logging, and a logger without a handler prints to stderr.
     logging.getLogger("rasterio").addHandler(logging.NullHandler())
+    status: object = 0
     try:
         status = app(args=None if arguments is None else list(arguments), standalone_mode=False)
     except KeyboardInterrupt:
-        _fail("interrupted; nothing was written", 130)
+        status = _INTERRUPTED
     except Exception as error:
         if os.environ.get("FYNJAX_DEBUG") == "1":
             raise
@@ -78,7 +83,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             _fail(f"error: {text}" if text else "error: no command; see fynjax --help", 2)
         if isinstance(error, MissingExtraError):
             _fail(f"error: {error}", 1)
-        if type(error).__name__ == "Abort":
-            _fail("interrupted; nothing was written", 130)
-        _fail(f"error: {type(error).__name__}: {error} (FYNJAX_DEBUG=1 shows where)", 1)
+        if type(error).__name__ != "Abort":  # some versions of typer turn Ctrl-C into this
+            _fail(f"error: {type(error).__name__}: {error} (FYNJAX_DEBUG=1 shows where)", 1)
+        status = _INTERRUPTED
+    if status == _INTERRUPTED:  # and others into a status
+        _fail("interrupted; nothing was written", _INTERRUPTED)
     sys.exit(status if isinstance(status, int) else 0)

@@ -3,7 +3,7 @@
 from fynjax.io._atomic import atomic_path, staged_folder, write_text
 from fynjax.io._models import ParameterSummary, RunSummary, StatisticSummary
 from fynjax.io._netcdf import image_array, provenance, write_run
-from fynjax.io._plot_file import (
+from fynjax.io._plot import (
     GROWTH_FORMS,
     PROSPECT_COLUMNS,
     Calibration,
@@ -14,9 +14,8 @@ from fynjax.io._plot_file import (
     Sky,
     Species,
     Sun,
-    example_folder,
-    read_plot,
 )
+from fynjax.io._plot_file import example_folder, read_plot
 from fynjax.io._rasters import ImageMeta, read_image, write_geotiff
 from fynjax.io._statistics import TargetStatistics, read_statistics
 

@@ -1,0 +1,73 @@
+"""Metrics: vegetation indices, distributions, agreement of spectra, published references."""
+
+from fynjax.metrics._distribution import (
+    histogram_intersection,
+    ks_distance,
+    mean,
+    quantiles,
+    smooth_histogram_intersection,
+    smooth_ks_distance,
+    soft_histogram,
+    standard_deviation,
+    wasserstein_distance,
+)
+from fynjax.metrics._indices import (
+    BANDS,
+    VEGETATION_INDICES,
+    VegetationIndex,
+    smooth_vegetation_indices,
+    vegetation_indices,
+)
+from fynjax.metrics._reference import (
+    BandReference,
+    Table4Row,
+    Target,
+    bands_2006,
+    consistent_targets,
+    table4_2006,
+)
+from fynjax.metrics._spectral import (
+    SPECTRAL_REGIONS,
+    WATER_WINDOWS,
+    SpectralAgreement,
+    nrmse,
+    pearson_correlation,
+    relative_mean_difference,
+    rmse,
+    spectral_agreement,
+    spectral_angle,
+    spectral_mask,
+)
+
+__all__ = [
+    "BANDS",
+    "SPECTRAL_REGIONS",
+    "VEGETATION_INDICES",
+    "WATER_WINDOWS",
+    "BandReference",
+    "SpectralAgreement",
+    "Table4Row",
+    "Target",
+    "VegetationIndex",
+    "bands_2006",
+    "consistent_targets",
+    "histogram_intersection",
+    "ks_distance",
+    "mean",
+    "nrmse",
+    "pearson_correlation",
+    "quantiles",
+    "relative_mean_difference",
+    "rmse",
+    "smooth_histogram_intersection",
+    "smooth_ks_distance",
+    "smooth_vegetation_indices",
+    "soft_histogram",
+    "spectral_agreement",
+    "spectral_angle",
+    "spectral_mask",
+    "standard_deviation",
+    "table4_2006",
+    "vegetation_indices",
+    "wasserstein_distance",
+]

@@ -1,0 +1,31 @@
+"""Scene: a plot put together from leaves, plants, light and a sensor."""
+
+from fynjax.scene._model import Camera, PlotModel, Stand, band_wavelengths, build_model
+from fynjax.scene._parameters import (
+    LEAF_FIELDS,
+    GroundParameters,
+    LightParameters,
+    PlotParameters,
+    SpeciesParameters,
+    named_values,
+    parameter_units,
+    with_values,
+)
+from fynjax.scene._spectra import background_spectrum
+
+__all__ = [
+    "LEAF_FIELDS",
+    "Camera",
+    "GroundParameters",
+    "LightParameters",
+    "PlotModel",
+    "PlotParameters",
+    "SpeciesParameters",
+    "Stand",
+    "background_spectrum",
+    "band_wavelengths",
+    "build_model",
+    "named_values",
+    "parameter_units",
+    "with_values",
+]

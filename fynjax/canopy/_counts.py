@@ -1,0 +1,136 @@
+"""How many plants of a species stand on a plot: equations (1)-(10) of the paper.
+
+Axes. The paper takes a plant model's three extents from the bounding box of its mesh: `width`
+(x), `height` (y) and `depth` (z). Eq. (7) averages width and height to a crown diameter and
+eq. (5) lets the depth lean sideways by the rotation spread. Both make sense only if x and y are
+horizontal and z is vertical, so that is the reading here: "height" in eq. (7) is the northward
+extent y, and "depth" in eq. (5) is how tall the plant stands. For a mesh stored with y upwards
+the two equations contradict each other; turn such a mesh (`up="y"` in
+`plant_model_from_mesh`) before its extents are taken.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from fynjax._core.errors import InputError
+
+# A count that is whole but for rounding must not be lifted to the next plant by the ceiling.
+_CEILING_SLACK = 1e-12
+
+
+class CrownPacking(eqx.Module):
+    """How the crowns of one species are counted (the terms of eq. 5, 8, 9 and 10)."""
+
+    packing_percent: Float[Array, ""] | float = 0.0
+    """PE: part of a crown's disc shared with neighbours [%], 0 <= PE < 100."""
+    fill_percent: Float[Array, ""] | float = 100.0
+    """FF: part of a crown's disc that the crown really covers [%], above 0."""
+    branches: Float[Array, ""] | float = 1.0
+    """Number of copies of the model that make one plant [-]; 1 for a full-plant model."""
+    rotation_spread: Float[Array, ""] | float = 0.0
+    """sigma_rot: standard deviation of the tilt of the copies [degrees], 0 to 90."""
+    minimum_object_area: Float[Array, ""] | float = 0.0
+    """Least projected area that one object may count for [m2]; 0 leaves eq. (9) as it is.
+
+    The paper names the term without giving its equation: here it is a lower bound on A.
+    """
+
+
+def modelled_diameter(width: Any, height: Any) -> Any:
+    """Crown diameter of a plant model, eq. (7) [m].
+
+    `width` and `height` are its two horizontal extents (x and y of the bounding box) [m].
+    """
+    return (width + height) / 2.0
+
+
+def crown_scale(crown_diameter: Any, modelled_diameter: Any) -> Any:
+    """Scale s that brings a plant model to the real crown diameter, eq. (6) [-]."""
+    return crown_diameter / modelled_diameter
+
+
+def projected_area(
+    scale: Any,
+    modelled_diameter: Any,
+    depth: Any,
+    rotation_spread: Any = 0.0,
+    packing_percent: Any = 0.0,
+    fill_percent: Any = 100.0,
+) -> Any:
+    """Ground area A that one instance counts for, eq. (5), (8) and (9) [m2].
+
+    **Arguments:**
+
+    - `scale`: s of eq. (6) [-].
+    - `modelled_diameter`: D of eq. (7) [m].
+    - `depth`: vertical extent of the model [m]; see the note on axes of this module.
+    - `rotation_spread`: sigma_rot [degrees], 0 to 90.
+    - `packing_percent`: PE [%], 0 <= PE < 100: crowns that overlap count for less, so there are
+      more of them.
+    - `fill_percent`: FF [%], above 0: crowns with gaps count for less.
+
+    Differentiable in every argument.
+    """
+    lean = scale * depth * jnp.sin(jnp.deg2rad(rotation_spread))
+    disc = jnp.pi * (scale * modelled_diameter / 2.0 + lean) ** 2
+    return disc * (1.0 - packing_percent / 100.0) * (fill_percent / 100.0)
+
+
+def instance_area(diameter: Any, height: Any, packing: CrownPacking = CrownPacking()) -> Any:  # noqa: B008
+    """Ground area A of one instance of a real crown `diameter` and plant `height` [m2].
+
+    Equations (5)-(9) for a model whose proportions are already those of the plant (a parametric
+    form), so that s D = `diameter` [m] and s depth = `height` [m], never less than the species'
+    minimum object area. Differentiable in every argument.
+    """
+    area = projected_area(
+        1.0,
+        diameter,
+        height,
+        packing.rotation_spread,
+        packing.packing_percent,
+        packing.fill_percent,
+    )
+    return jnp.maximum(area, packing.minimum_object_area)
+
+
+def target_area(scene_area: Any, cover_percent: Any) -> Any:
+    """Area that a species is to cover, eq. (1) [m2], of a scene of `scene_area` [m2]."""
+    return scene_area * cover_percent / 100.0
+
+
+def soft_count(
+    target_area: Any, projected_area: Any, branches: Any = 1.0
+) -> Float[Array, "*species"]:
+    """Real number of instances, eq. (10) without its ceiling [-].
+
+    `target_area` and `projected_area` in m2, `projected_area` positive. Zero target gives zero,
+    with a finite slope. Differentiable in every argument.
+    """
+    return jnp.asarray(branches * target_area / projected_area)
+
+
+def hard_count(
+    target_area: Any, projected_area: Any, branches: Any = 1
+) -> Int[np.ndarray, "*species"] | int:
+    """Number of instances, eq. (10) with its ceiling [-]: an int, or an int array.
+
+    For concrete numbers, in float64; not differentiable (see `soft_count`). Zero cover gives
+    zero. Raises `InputError` for an area that is not positive, or a negative target.
+    """
+    target = np.asarray(target_area, float)
+    area = np.asarray(projected_area, float)
+    if not np.all(np.isfinite(area) & (area > 0.0)):
+        raise InputError(
+            f"`projected_area` must be positive [m2], but is {area}; a packing of 100 %, a fill "
+            "of 0 % or a crown without diameter gives zero"
+        )
+    if not np.all(np.isfinite(target) & (target >= 0.0)):
+        raise InputError(f"`target_area` must not be negative [m2], but is {target}")
+    count = np.asarray(branches, float) * target / area
+    whole = np.ceil(count * (1.0 - _CEILING_SLACK)).astype(np.int64)
+    return int(whole) if whole.ndim == 0 else whole

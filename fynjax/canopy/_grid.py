@@ -1,0 +1,197 @@
+"""The voxel grid, and the conservative deposition of area elements on it."""
+
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from fynjax._core.errors import InputError
+
+_LARGEST_INDEX = 2**31 - 1
+
+
+def _floats(values: Any) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)
+
+
+class VoxelGrid(eqx.Module):
+    """A regular grid of boxes, square from above. All of it is static: it has no gradient."""
+
+    shape: tuple[int, int, int] = eqx.field(static=True)
+    """Number of voxels (nx, ny, nz) eastward, northward and upward."""
+    horizontal_size: float = eqx.field(static=True, converter=float)
+    """Side of a voxel along x and along y [m]."""
+    vertical_size: float = eqx.field(static=True, converter=float)
+    """Height of a voxel [m]."""
+    origin: tuple[float, ...] = eqx.field(static=True, converter=_floats, default=(0.0, 0.0, 0.0))
+    """South-west bottom corner (x, y, z) [m]."""
+
+    def __check_init__(self) -> None:
+        if len(self.shape) != 3 or any(int(n) != n or n < 1 for n in self.shape):
+            raise InputError(
+                f"`shape` must be three positive whole numbers (nx, ny, nz), but is {self.shape}"
+            )
+        for name in ("horizontal_size", "vertical_size"):
+            size = getattr(self, name)
+            if not (np.isfinite(size) and size > 0.0):
+                raise InputError(f"`{name}` must be positive [m], but is {size}")
+        if len(self.origin) != 3:
+            raise InputError(f"`origin` must be (x, y, z) [m], but is {self.origin}")
+
+    @classmethod
+    def cover(
+        cls,
+        extent: tuple[float, float],
+        top: float,
+        horizontal_size: float,
+        vertical_size: float | None = None,
+    ) -> "VoxelGrid":
+        """The grid over a plot of `extent` (lx, ly) [m] that reaches at least to `top` [m].
+
+        `vertical_size` is `horizontal_size` unless given. Raises `InputError` where the voxels
+        do not divide the plot's sides.
+        """
+        counts = []
+        for axis, side in zip("xy", extent, strict=True):
+            count = round(side / horizontal_size) if horizontal_size > 0 else 0
+            if count < 1 or abs(count * horizontal_size - side) > 1e-6 * side:
+                raise InputError(
+                    f"`horizontal_size` must be positive and divide the plot's sides, but "
+                    f"{horizontal_size} m does not divide {side} m along {axis}"
+                )
+            counts.append(count)
+        height = horizontal_size if vertical_size is None else vertical_size
+        if not (height > 0.0 and top > 0.0):
+            raise InputError(
+                f"`top` and `vertical_size` must be positive [m], but are {top} and {height}"
+            )
+        layers = max(1, int(np.ceil(top / height - 1e-6)))
+        return cls((counts[0], counts[1], layers), horizontal_size, height)
+
+    @property
+    def extent(self) -> tuple[float, float, float]:
+        """Lengths (lx, ly, lz) [m]."""
+        nx, ny, nz = self.shape
+        return nx * self.horizontal_size, ny * self.horizontal_size, nz * self.vertical_size
+
+    @property
+    def voxel_volume(self) -> float:
+        """Volume of a voxel [m3]."""
+        return self.horizontal_size**2 * self.vertical_size
+
+    @property
+    def centres(
+        self,
+    ) -> tuple[Float[np.ndarray, " x"], Float[np.ndarray, " y"], Float[np.ndarray, " z"]]:
+        """Coordinates of the voxel centres along x, y and z [m]."""
+        sizes = (self.horizontal_size, self.horizontal_size, self.vertical_size)
+        x, y, z = (
+            start + (np.arange(n) + 0.5) * size
+            for start, n, size in zip(self.origin, self.shape, sizes, strict=True)
+        )
+        return x, y, z
+
+
+def deposit(
+    positions: Float[Array, "n 3"],
+    area: Float[Array, " n"],
+    class_index: Int[Array, " n"],
+    grid: VoxelGrid,
+    n_classes: int,
+    *,
+    boundary: Literal["periodic", "open"] = "periodic",
+) -> Float[Array, "class z y x"]:
+    """Area density that area elements give to a grid [m2 m-3].
+
+    Cloud-in-cell: each element is shared among the eight nearest voxels in proportion to their
+    nearness (the overlap of a voxel-sized box around the element with each of them), so that the
+    area on the grid is the area planted, at any resolution, and its centre of mass stays.
+
+    **Arguments:**
+
+    - `positions`: x, y, z of the elements [m].
+    - `area`: their one-sided area [m2].
+    - `class_index`: optical class of each, 0 to n_classes - 1.
+    - `grid`, `n_classes`: the size of the result.
+    - `boundary`: "periodic" wraps sideways. "open" drops what falls outside: an element at the
+      very edge keeps half, as if the grid were a window in a larger one, so that the densities
+      of neighbouring windows add up to the whole.
+
+    Upwards and downwards nothing is lost: elements below the bottom or above the top layer's
+    centre go to that layer.
+
+    Differentiable in `area` (linear) and in `positions` (once, piecewise: the slope jumps where
+    an element crosses a voxel centre). The dtype of the result is that of `positions` and `area`.
+    Raises `InputError` for another `boundary`, a class index out of range (if it is known before
+    tracing), or a grid of more than 2^31 values.
+    """
+    if boundary not in ("periodic", "open"):
+        raise InputError(f"`boundary` must be 'periodic' or 'open', but is {boundary!r}")
+    nx, ny, nz = grid.shape
+    size = n_classes * nx * ny * nz
+    if n_classes < 1 or size > _LARGEST_INDEX:
+        raise InputError(
+            f"{n_classes} classes on {nx} x {ny} x {nz} voxels are {size} values, but a grid "
+            f"must have between 1 and {_LARGEST_INDEX}; take larger voxels or fewer classes"
+        )
+    _check_classes(class_index, n_classes)
+
+    dtype = jnp.result_type(positions, area)
+    low, high, share = [], [], []
+    sizes = (grid.horizontal_size, grid.horizontal_size, grid.vertical_size)
+    for axis in range(3):
+        scaled = (positions[:, axis] - grid.origin[axis]) / sizes[axis] - 0.5
+        floor = jnp.floor(scaled)
+        low.append(floor.astype(jnp.int32))
+        high.append(low[axis] + 1)
+        share.append((scaled - floor).astype(dtype))
+
+    x_index, x_share = _neighbours(low[0], high[0], share[0], nx, boundary)
+    y_index, y_share = _neighbours(low[1], high[1], share[1], ny, boundary)
+    z_index, z_share = _neighbours(low[2], high[2], share[2], nz, "clamp")
+
+    index, part = [], []
+    amount = area.astype(dtype) / jnp.asarray(grid.voxel_volume, dtype)
+    layer_of_class = jnp.asarray(class_index, jnp.int32) * nz
+    for z, z_part in zip(z_index, z_share, strict=True):
+        for y, y_part in zip(y_index, y_share, strict=True):
+            row = ((layer_of_class + z) * ny + y) * nx
+            row_part = amount * z_part * y_part
+            for x, x_part in zip(x_index, x_share, strict=True):
+                index.append(row + x)
+                part.append(row_part * x_part)
+    # One flat scatter with an element's eight shares side by side; see bench_canopy.py.
+    density = jnp.zeros(size, dtype)
+    density = density.at[jnp.stack(index, axis=-1).ravel()].add(
+        jnp.stack(part, axis=-1).ravel(), mode="drop"
+    )
+    return density.reshape(n_classes, nz, ny, nx)
+
+
+def _neighbours(
+    low: Array, high: Array, share: Array, count: int, rule: str
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Indices of the two nearest layers along an axis, and the share of each."""
+    near = 1.0 - share
+    if rule == "periodic":
+        return (jnp.mod(low, count), jnp.mod(high, count)), (near, share)
+    clamped = jnp.clip(low, 0, count - 1), jnp.clip(high, 0, count - 1)
+    if rule == "open":
+        near = jnp.where((low >= 0) & (low < count), near, 0.0)
+        share = jnp.where((high >= 0) & (high < count), share, 0.0)
+    return clamped, (near, share)
+
+
+def _check_classes(class_index: Any, n_classes: int) -> None:
+    """The scatter trusts its indices, so a wrong class must be caught while it is a number."""
+    if isinstance(class_index, jax.core.Tracer) or np.size(class_index) == 0:
+        return
+    known = np.asarray(class_index)
+    if known.min() < 0 or known.max() >= n_classes:
+        raise InputError(
+            f"`class_index` must be in 0..{n_classes - 1}, but ranges from {known.min()} to "
+            f"{known.max()}"
+        )

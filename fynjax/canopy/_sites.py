@@ -1,0 +1,224 @@
+"""Where plants stand: blue noise, shared out among the species, and their soft weights."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax._core.errors import InputError
+
+Probability = np.ndarray | Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def poisson_disk(
+    extent: tuple[float, float],
+    radius: float,
+    *,
+    attempts: int = 30,
+    seed: int,
+    periodic: bool = False,
+) -> Float[np.ndarray, "n 2"]:
+    """Blue-noise points on [0, lx) x [0, ly) [m]: no two closer than `radius`.
+
+    Bridson's (2007) dart throwing: a grid of cells r / sqrt(2), candidates drawn uniformly by
+    area from the annulus r to 2 r around a random active point, which retires after `attempts`
+    failures. With 30 attempts n r^2 / area is about 0.61. The points come in the order in which
+    they were found, neighbours near neighbours: shuffle before taking a part (`assign_sites`
+    does).
+
+    **Arguments:**
+
+    - `extent`: (lx, ly) [m], positive.
+    - `radius`: least distance r [m], positive; at most half of the shorter side if periodic.
+    - `attempts`: k of Bridson, at least 1.
+    - `seed`: the same seed gives the same points.
+    - `periodic`: measure distances on the torus, for a plot that repeats itself.
+
+    Raises `InputError` for a value outside these ranges, and where more than 2e8 points would
+    be needed (a radius in other units than the extent).
+    """
+    lx, ly = (float(side) for side in extent)
+    if not (np.isfinite([lx, ly, radius]).all() and min(lx, ly, radius) > 0.0):
+        raise InputError(
+            f"`extent` and `radius` must be positive [m], but are {(lx, ly)} and {radius}"
+        )
+    if attempts < 1:
+        raise InputError(f"`attempts` must be at least 1, but is {attempts}")
+    if periodic and 2.0 * radius > min(lx, ly):
+        raise InputError(
+            f"`radius` must be at most half of the shorter side of a periodic extent, but "
+            f"{radius} m is over half of {min(lx, ly)} m: a point would meet its own image"
+        )
+    if lx * ly / radius**2 > 3e8:
+        raise InputError(
+            f"a radius of {radius} m on {lx} m x {ly} m asks for about "
+            f"{0.61 * lx * ly / radius**2:.0f} points: are both in metres?"
+        )
+    from fynjax.canopy._bridson import fill
+
+    return fill(np.random.default_rng(seed), lx, ly, float(radius), int(attempts), bool(periodic))
+
+
+def assign_sites(
+    points: Float[np.ndarray, "n 2"],
+    needed: Sequence[int],
+    *,
+    probability: Probability | Sequence[Probability | None] | None = None,
+    extent: tuple[float, float] | None = None,
+    seed: int,
+) -> list[Float[np.ndarray, "site 2"]]:
+    """Share one set of points out among the species: an ordered, disjoint list of sites for each.
+
+    The species take in sequence. Each meets the points still free in a random order of its own
+    and accepts one if a uniform number in [0, 255) is below the probability map's value there;
+    it goes round again, with new numbers, until it has what it needs. So the map sets the
+    pattern and `needed` the abundance, independently. A value of 0 never accepts.
+
+    A species' list begins the same however long it is, and asking more for one species moves
+    another's sites only where both wanted the same point. Where a cover is to be calibrated ask
+    for as many sites as its upper bound could need: then nothing moves at all.
+
+    **Arguments:**
+
+    - `points`: places [m], for instance from `poisson_disk`.
+    - `needed`: sites wanted, for each species.
+    - `probability`: None (everywhere alike), an array [y, x] of 0-255 with row 0 at the southern
+      edge, a function of (x, y) [m] that gives 0-255, or one of these for each species.
+    - `extent`: (lx, ly) [m] that an array covers; required with an array.
+    - `seed`: the same seed gives the same sites.
+
+    Raises `InputError` where a species cannot reach its number, and for a bad map.
+    """
+    points = np.asarray(points, float)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise InputError(f"`points` must have shape [n, 2], but has {points.shape}")
+    wanted = [int(number) for number in needed]
+    if any(number < 0 for number in wanted):
+        raise InputError(f"`needed` must not be negative, but is {wanted}")
+    per_species: list[Probability | None]
+    if isinstance(probability, Sequence):
+        per_species = list(probability)
+        if len(per_species) != len(wanted):
+            raise InputError(
+                f"`probability` must hold one map for each of {len(wanted)} species, but holds "
+                f"{len(per_species)}"
+            )
+    else:
+        per_species = [probability] * len(wanted)
+
+    free = np.ones(len(points), bool)
+    sites: list[np.ndarray] = []
+    for species, (number, chance_map) in enumerate(zip(wanted, per_species, strict=True)):
+        if number == 0:
+            sites.append(np.empty((0, 2)))
+            continue
+        chance = _acceptance(points, chance_map, extent)
+        rng = np.random.default_rng([seed, species])
+        order = rng.permutation(len(points))
+        passes = _rounds_until_accepted(chance[order], rng)
+        usable = free[order] & np.isfinite(passes)
+        order, passes = order[usable], passes[usable]
+        if len(order) < number:
+            raise InputError(
+                f"species {species} (counted from 0) wanted {number} sites but got {len(order)}: "
+                f"of {len(points)} points {np.count_nonzero(chance)} have a probability above "
+                f"zero and {np.count_nonzero(free)} were still free. Use a smaller radius, a "
+                "lower cover, or a probability map with a wider area above zero"
+            )
+        taken = order[np.argsort(passes, kind="stable")[:number]]
+        free[taken] = False
+        sites.append(points[taken])
+    return sites
+
+
+def _rounds_until_accepted(chance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """In which round each point is accepted: geometric in its chance; inf where that is 0.
+
+    Drawing the round at once is the same in law as going round again and again, and lets a list
+    of any length begin the same.
+    """
+    uniform = 1.0 - rng.random(len(chance))  # (0, 1]
+    with np.errstate(divide="ignore"):
+        rounds = np.ceil(np.log(uniform) / np.log1p(-np.minimum(chance, 1.0)))
+    return np.where(chance > 0.0, np.where(chance >= 1.0, 1.0, np.maximum(rounds, 1.0)), np.inf)
+
+
+def _acceptance(
+    points: np.ndarray, chance_map: Probability | None, extent: tuple[float, float] | None
+) -> np.ndarray:
+    """Chance [0, 1] that a point is accepted in one round."""
+    if chance_map is None:
+        return np.ones(len(points))
+    if callable(chance_map):
+        value = np.broadcast_to(np.asarray(chance_map(points[:, 0], points[:, 1])), len(points))
+    else:
+        raster = np.asarray(chance_map)
+        if raster.ndim != 2:
+            raise InputError(f"a probability map must have axes [y, x], but has {raster.shape}")
+        if extent is None:
+            raise InputError("`extent` (lx, ly) in metres must be given with a probability raster")
+        rows, columns = raster.shape
+        column = np.floor(points[:, 0] / extent[0] * columns).astype(int)
+        row = np.floor(points[:, 1] / extent[1] * rows).astype(int)
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        if not inside.all():
+            raise InputError(
+                f"the probability map covers {extent[0]} m x {extent[1]} m, but "
+                f"{np.count_nonzero(~inside)} of {len(points)} points lie outside"
+            )
+        value = raster[row, column]
+    value = value.astype(float)
+    if not np.all((value >= 0.0) & (value <= 255.0)):
+        raise InputError(
+            "a probability map must lie in 0-255 without NaN, but ranges from "
+            f"{np.min(value)} to {np.max(value)}"
+        )
+    if value.size and value.max() <= 1.0 and np.any((value > 0.0) & (value < 1.0)):
+        raise InputError(
+            "a probability map must lie in 0-255, but its largest value is "
+            f"{value.max():.3g}: fractions were probably given; multiply by 255"
+        )
+    return value / 255.0
+
+
+def soft_weights(
+    count: Any, n_sites: int, *, width: Any = 1.0, softness: Any = 0.0
+) -> Float[Array, " site"]:
+    """Weight in [0, 1] of each of a species' ordered sites when `count` plants stand on them.
+
+    See `site_weight`. If `count` exceeds `n_sites` the surplus is lost: provide enough sites.
+    """
+    return site_weight(count, np.arange(n_sites), width=width, softness=softness)
+
+
+def site_weight(
+    count: Any, index: Any, *, width: Any = 1.0, softness: Any = 0.0
+) -> Float[Array, "*site"]:
+    """Weight in [0, 1] of the site at place `index` (from 0) of a list where `count` plants stand.
+
+    The weight is clip((count - index) / W + c, 0, 1) with W = width + softness count and
+    c = max(0, (1 - 1 / W) / 2). At W = 1 whole plants carry 1 and the last one the fraction, so
+    that the weights sum to `count`. A wider step lets more plants carry part of the gradient;
+    the sum is still `count`, exactly for whole W. As W goes to 0 the hard scene returns:
+    ceil(count) whole plants; `width=0` is that limit.
+
+    W is held to at most 2 count + 1: a wider step would spill over the first site, and no plants
+    must mean no weight. `count` and `index` broadcast. Differentiable in `count`, `width` and
+    `softness`; at a kink the slope is the one to the right (at zero plants it is that of the
+    first plant appearing: 1 for W = 1).
+    """
+    count = jnp.asarray(count)
+    dtype = count.dtype if jnp.issubdtype(count.dtype, jnp.floating) else jnp.result_type(float)
+    count = count.astype(dtype)
+    index = jnp.asarray(index, dtype)
+    step = jnp.asarray(width, dtype) + jnp.asarray(softness, dtype) * count
+    step = jnp.minimum(step, 2.0 * count + 1.0)
+    hard = step <= 0.0
+    safe = jnp.where(hard, 1.0, step)
+    shift = jnp.where(safe > 1.0, 0.5 * (1.0 - 1.0 / safe), 0.0)
+    ramp = (count - index) / safe + shift
+    # Not `clip`, whose slope at a kink is the mean of both sides.
+    soft = jnp.where(ramp < 0.0, 0.0, jnp.where(ramp >= 1.0, 1.0, ramp))
+    return jnp.where(hard, (count > index).astype(dtype), soft)

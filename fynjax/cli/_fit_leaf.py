@@ -1,0 +1,67 @@
+"""`fynjax fit-leaf`."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fynjax.cli._runtime import Json, Output, Quiet, Seed, run_job
+
+
+class Version(StrEnum):
+    """PROSPECT versions."""
+
+    D = "D"
+    PRO = "PRO"
+
+
+Spectra = Annotated[
+    list[Path],
+    typer.Argument(metavar="SPECTRUM...", help="Spectrum files: ASD binary, CSV or text."),
+]
+
+
+def fit_leaf(
+    spectra: Spectra,
+    version: Annotated[Version, typer.Option(help="PROSPECT version.")] = Version.D,
+    measurement: Annotated[
+        str, typer.Option(help="How it was measured, such as sphere (PROSPECT as it is).")
+    ] = "sphere",
+    domain: Annotated[
+        str, typer.Option(help="Wavelengths to fit; auto takes what the spectrum has.")
+    ] = "auto",
+    output: Output = Path("output/fit-leaf"),
+    seed: Seed = 0,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Fit PROSPECT to measured leaf spectra.
+
+    Writes traits.csv (one row for each spectrum: parameters, standard deviations, fit error,
+    status) and spectra.nc (measured, fitted reflectance, predicted transmittance).
+
+    Example:  fynjax fit-leaf leaf_1.asd leaf_2.asd --output traits
+    """
+    from fynjax.io._tables import existing_file
+
+    for path in spectra:
+        existing_file(path, "a leaf spectrum")
+    from fynjax.io._fit_leaf import run_fit_leaf
+
+    run_job(
+        "fit-leaf",
+        lambda folder, progress: run_fit_leaf(
+            spectra,
+            folder,
+            version=version.value,
+            measurement=measurement,
+            domain=domain,
+            seed=seed,
+            progress=progress,
+        ),
+        output,
+        seed=seed,
+        as_json=json,
+        quiet=quiet,
+    )

@@ -1,0 +1,42 @@
+"""`fynjax render`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fynjax.cli._runtime import Json, Output, OwnSeed, Quiet, run_job
+
+PlotPath = Annotated[
+    Path, typer.Argument(metavar="PLOT.toml", help="Plot file; `fynjax init` writes one.")
+]
+
+
+def render(
+    plot: PlotPath,
+    output: Output = Path("output/render"),
+    seed: OwnSeed = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Render what the drone sees of a plot.
+
+    Writes the reflectance image (GeoTIFF), the run (NetCDF) and a report page.
+
+    Example:  fynjax render plot.toml --output render
+    """
+    from fynjax.io._plot_file import read_plot
+
+    # Before the heavy imports: a slip in a file shows at once.
+    read = read_plot(plot)
+    number = read.seed if seed is None else seed
+    from fynjax.report._jobs import run_render
+
+    run_job(
+        "render",
+        lambda folder, progress: run_render(plot, folder, seed=number, progress=progress),
+        output,
+        seed=number,
+        as_json=json,
+        quiet=quiet,
+    )

@@ -1,0 +1,130 @@
+"""What every command shares: options, JAX settings, the summary, and one line for an error."""
+
+import json
+import math
+import os
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+import fynjax
+from fynjax._core.progress import Progress
+
+Seed = Annotated[
+    int, typer.Option(min=0, max=2**31 - 1, help="Seed of everything random.", show_default=True)
+]
+OwnSeed = Annotated[
+    int | None,
+    typer.Option(
+        min=0, max=2**31 - 1, help="Seed of everything random; the plot file's if left out."
+    ),
+]
+Output = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
+Json = Annotated[
+    bool, typer.Option("--json", help="Print a summary as JSON on stdout, and nothing else.")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars and no text.")]
+
+
+def cache_folder() -> Path:
+    """Folder of JAX's compiled programs: `XDG_CACHE_HOME/fynjax`, or `~/.cache/fynjax`."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "fynjax"
+
+
+def prepare_jax() -> None:
+    """Switch 64-bit numbers on, and keep compiled programs for the next run."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    folder = cache_folder() / "jax"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return  # a home that cannot be written costs compilation time, nothing else
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def _jsonable(value: Any) -> Any:
+    """Plain JSON: arrays as lists, paths as text, NaN and infinity as null."""
+    if isinstance(value, dict):
+        return {str(k): _jsonable(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_jsonable(v) for v in value]
+    if hasattr(value, "model_dump"):
+        return _jsonable(value.model_dump())
+    if hasattr(value, "tolist"):  # NumPy and JAX arrays and scalars
+        return _jsonable(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)
+
+
+def _message(warning: warnings.WarningMessage) -> str:
+    return " ".join(str(warning.message).split())
+
+
+def run_job(
+    command: str,
+    job: Callable[[Path, Progress], dict[str, Any]],
+    output: Path,
+    *,
+    seed: int,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Run `job(folder, progress)` and tell its result.
+
+    The job writes into a folder beside `output`, whose files are moved to `output` when all of it
+    has succeeded. Warnings wait until then: if the job fails, its error is the only line.
+    """
+    from fynjax.cli._progress import make_progress
+    from fynjax.io._atomic import staged_folder, write_text
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        with staged_folder(output) as folder:
+            prepare_jax()
+            result = job(folder, make_progress(quiet=quiet or as_json))
+            told = list(dict.fromkeys(map(_message, caught)))
+            summary = _jsonable(
+                {
+                    "status": "ok",
+                    "headline": [],
+                    "seed": seed,
+                    **result,
+                    "command": command,
+                    "version": fynjax.__version__,
+                    "output": str(output),
+                    "warnings": [*result.get("warnings", []), *told],
+                }
+            )
+            text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
+            write_text(folder / "summary.json", text + "\n")
+    for line in summary["warnings"]:
+        print(f"fynjax: warning: {line}", file=sys.stderr)
+    if as_json:
+        print(text)
+    elif not quiet:
+        tell(summary)
+
+
+def tell(summary: dict[str, Any]) -> None:
+    """The result in a few lines on stdout."""
+    for line in summary["headline"]:
+        print(line)
+    if summary["status"] != "ok":
+        print(f"Status: {summary['status']}")
+    folder = Path(summary["output"])
+    files = summary.get("files", {})
+    width = max((len(name) for name in files), default=0)
+    print(f"Written to {folder}")
+    for name, what in files.items():
+        print(f"  {name:<{width}}  {what}")

@@ -1,0 +1,115 @@
+"""ASD FieldSpec binary files, versions 6, 7 and 8.
+
+Layout after the maker's "ASD File Format, Version 8" (Analytical Spectral Devices, 2010): a header
+of 484 bytes, the spectrum, the white reference with a header of its own. Target and reference are
+stored as counts whatever the data type says; reflectance is their ratio.
+"""
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fynjax._core.errors import InputError
+from fynjax.io._spectra_record import Spectrum, note
+
+_HEADER = 484
+_TYPES = {
+    0: "raw",
+    1: "reflectance",
+    2: "radiance",
+    3: "no units",
+    4: "irradiance",
+    5: "quality index",
+    6: "transmittance",
+    7: "unknown",
+    8: "absorbance",
+}
+_FORMATS = {0: ("<f4", 4), 1: ("<i4", 4), 2: ("<f8", 8)}
+
+
+def is_asd(data: bytes) -> bool:
+    """Whether the content starts like an ASD binary of any version."""
+    return data[:3] in (b"ASD", b"as2", b"as3", b"as4", b"as5", b"as6", b"as7", b"as8")
+
+
+def read_asd(path: str | Path, data: bytes | None = None) -> Spectrum:
+    """Read one ASD binary file as reflectance (or transmittance, if its type says so).
+
+    **Arguments:** `path`, and the content if it was read already.
+
+    **Returns:** a `Spectrum` with target over white reference, unchecked: outdoor spectra hold any
+    number in the water bands. `meta` has the version, type, instrument, integration time [ms],
+    gains, and the wavelengths of the detector changes, `splices` [nm].
+
+    **Raises:** `InputError` for a version below 6, a file cut short, radiance or irradiance (its
+    reference block need not be a white panel), a missing white reference, or one that is zero.
+    """
+    path = Path(path)
+    data = path.read_bytes() if data is None else data
+    version = data[:3].decode("latin1")
+    if version not in ("as6", "as7", "as8"):
+        raise InputError(
+            f"expected an ASD file of version 6, 7 or 8, but this is {version!r}; "
+            "export it as text with the maker's software",
+            file=path,
+        )
+    if len(data) < _HEADER:
+        raise InputError(
+            f"the file is cut short: {len(data)} bytes, the header alone has {_HEADER}", file=path
+        )
+    start, step = struct.unpack_from("<ff", data, 191)
+    (count,) = struct.unpack_from("<H", data, 204)
+    kind = _TYPES.get(data[186], "unknown")
+    if data[199] not in _FORMATS or count < 2 or not step > 0 or not 0 < start < 30000:
+        raise InputError("the header is damaged: no valid band count or number format", file=path)
+    dtype, size = _FORMATS[data[199]]
+    if len(data) < _HEADER + size * count:
+        raise InputError(
+            f"the file is cut short: {count} bands need {_HEADER + size * count} bytes, "
+            f"but it has {len(data)}",
+            file=path,
+        )
+    if kind in ("radiance", "irradiance", "absorbance", "quality index"):
+        raise InputError(
+            f"the file holds {kind}, not reflectance; convert it with its white reference in the "
+            "maker's software, or save as reflectance",
+            file=path,
+        )
+    target = np.frombuffer(data, dtype, count, _HEADER).astype(float)
+    offset = _HEADER + size * count
+    if len(data) < offset + 20:
+        raise InputError("the file has no white reference, so no reflectance", file=path)
+    (length,) = struct.unpack_from("<H", data, offset + 18)
+    if len(data) < offset + 20 + length + size * count:
+        raise InputError("the file is cut short inside its white reference", file=path)
+    white = np.frombuffer(data, dtype, count, offset + 20 + length).astype(float)
+    dead = ~(np.abs(white) > 0)
+    if dead.mean() > 0.5:
+        raise InputError(
+            "the white reference is zero, so there is no reflectance; was the spectrum saved "
+            "before a white reference was taken?",
+            file=path,
+        )
+    splices = [float(s) for s in struct.unpack_from("<ff", data, 444)]
+    last = start + step * (count - 1)
+    meta: dict[str, Any] = {
+        "format": f"ASD {version}",
+        "type": kind,
+        "instrument": int(data[431]),
+        "integration_ms": int(struct.unpack_from("<I", data, 390)[0]),
+        "gains": list(struct.unpack_from("<HH", data, 436)),
+        "splices": [s for s in splices if start < s < last],
+    }
+    if kind == "raw":
+        note(meta, "reflectance formed as raw target over white reference")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(dead, np.nan, target / white)
+    if dead.any():
+        note(meta, f"{int(dead.sum())} bands with zero white reference set to missing")
+    wavelength = start + step * np.arange(count)
+    through = kind == "transmittance"
+    return Spectrum(
+        path.stem, wavelength, None if through else ratio, ratio if through else None, meta
+    )

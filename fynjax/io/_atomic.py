@@ -1,0 +1,67 @@
+"""Write beside, then rename: a reader finds the old file, the new file, or none."""
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from fynjax._core.errors import InputError
+
+
+def _beside(path: Path) -> Path:
+    # The suffix stays last: GDAL and matplotlib choose the format by it.
+    return path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
+
+
+@contextmanager
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """Give a temporary path beside `path`; rename it to `path` if the block succeeds.
+
+    If the block raises, the temporary file is removed and `path` is left as it was. Missing
+    parent folders are made.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = _beside(path)
+    try:
+        yield partial
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write `text` to `path` in UTF-8, whole or not at all."""
+    with atomic_path(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def staged_folder(folder: str | Path) -> Iterator[Path]:
+    """Give an empty folder beside `folder`; move its files into `folder` if the block succeeds.
+
+    If the block raises or is interrupted nothing reaches `folder`, and `folder` is not made.
+    Files of an earlier run that have the same name are replaced, others are left alone.
+
+    **Raises:** `InputError` if `folder` is a file or cannot be written.
+    """
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise InputError("expected a folder for the output, but this is a file", file=folder)
+    target = folder.resolve()  # `--output .` has no name to put a folder beside
+    partial = target.with_name(f".{target.name}.{secrets.token_hex(4)}.partial")
+    try:
+        partial.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(f"cannot write here: {error.strerror}", file=folder) from error
+    try:
+        yield partial
+        target.mkdir(exist_ok=True)
+        for source in sorted(p for p in partial.rglob("*") if p.is_file()):
+            destination = target / source.relative_to(partial)
+            destination.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(source, destination)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)

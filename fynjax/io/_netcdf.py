@@ -1,0 +1,154 @@
+"""Runs as NetCDF files with CF names, units, and a record of how they came to be."""
+
+import hashlib
+import json
+import shlex
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+import fynjax
+from fynjax._core.errors import InputError
+from fynjax.io._atomic import atomic_path
+
+CONVENTIONS = "CF-1.11"
+
+
+def file_hash(path: str | Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def command_line() -> str:
+    """The command that runs now, as one would type it."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+
+
+def provenance(
+    *,
+    seed: int | None = None,
+    inputs: Iterable[str | Path] = (),
+    command: str | None = None,
+) -> dict[str, str | int]:
+    """What made a file: version, command, seed, date (UTC) and the hashes of its input files.
+
+    **Arguments:**
+
+    - `seed`: seed of the run.
+    - `inputs`: files that were read; each enters as `name: sha256`.
+    - `command`: what was run; the present command line if left out.
+    """
+    record: dict[str, str | int] = {
+        "source": f"fynjax {fynjax.__version__}",
+        "fynjax_version": fynjax.__version__,
+        "jax_version": version("jax"),
+        "command": command if command is not None else command_line(),
+        "date_created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "input_sha256": json.dumps({Path(p).name: file_hash(p) for p in inputs}),
+    }
+    if seed is not None:
+        record["seed"] = seed
+    return record
+
+
+def image_array(
+    image: ArrayLike,
+    band_names: Sequence[str],
+    wavelengths: Sequence[float],
+    *,
+    pixel_m: float,
+    long_name: str,
+    standard_name: str | None = "surface_bidirectional_reflectance",
+    units: str = "1",
+) -> xr.DataArray:
+    """An image [band, y, x], y to the north, with CF coordinates: band, wavelength, y, x.
+
+    **Arguments:** `wavelengths` in nm, `pixel_m` in m. Coordinates are pixel centres.
+    """
+    values = np.asarray(image)
+    attributes = {"long_name": long_name, "units": units}
+    if standard_name:
+        attributes["standard_name"] = standard_name
+
+    def axis(count: int, letter: str, name: str) -> tuple[str, Any, dict[str, str]]:
+        return (
+            letter,
+            (np.arange(count) + 0.5) * pixel_m,
+            {
+                "units": "m",
+                "axis": letter.upper(),
+                "standard_name": f"projection_{letter}_coordinate",
+                "long_name": f"distance {name} of the south-west corner",
+            },
+        )
+
+    return xr.DataArray(
+        values,
+        dims=("band", "y", "x"),
+        coords={
+            "band": ("band", list(band_names), {"long_name": "band name"}),
+            "wavelength": (
+                "band",
+                np.asarray(wavelengths, dtype=float),
+                {
+                    "units": "nm",
+                    "standard_name": "sensor_band_central_radiation_wavelength",
+                    "long_name": "band centre",
+                },
+            ),
+            "y": axis(values.shape[1], "y", "north"),
+            "x": axis(values.shape[2], "x", "east"),
+        },
+        attrs=attributes,
+    )
+
+
+def write_run(
+    path: str | Path, dataset: xr.Dataset, attributes: Mapping[str, str | int] | None = None
+) -> None:
+    """Write a dataset as a compressed NetCDF-4 file, whole or not at all.
+
+    **Arguments:**
+
+    - `dataset`: every numeric variable carries `units` ("1" where it has none) and `long_name`,
+      as CF-1.11 asks.
+    - `attributes`: file attributes, such as those of `provenance`.
+
+    **Raises:** `ValueError` for a variable without units or name; `InputError` if the file cannot
+    be written.
+    """
+    for name, variable in dataset.variables.items():
+        if "long_name" not in variable.attrs:
+            raise ValueError(f"variable {name!r} must have `long_name`, but has none")
+        if variable.dtype.kind in "fiu" and "units" not in variable.attrs:
+            raise ValueError(f"variable {name!r} must have `units`, but has none")
+    record = dict(attributes or {})
+    history = f"{record.get('date_created', '')} {record.get('command', '')}".strip()
+    dataset = dataset.assign_attrs(
+        {
+            "Conventions": CONVENTIONS,
+            **dataset.attrs,
+            **record,
+            **({"history": history} if history else {}),
+        }
+    )
+    encoding: dict[Any, dict[str, Any]] = {
+        name: {"zlib": True, "complevel": 4} if variable.ndim else {}
+        for name, variable in dataset.data_vars.items()
+        if variable.dtype.kind in "fiu"
+    }
+    for name in dataset.coords:  # a coordinate must not have missing values
+        encoding[name] = {"_FillValue": None}
+    with atomic_path(path) as partial:
+        try:
+            dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
+        except OSError as error:
+            raise InputError(f"cannot write here: {error}", file=path) from error

@@ -1,0 +1,190 @@
+"""A plot as its files describe it: plain records, lengths in m, shares as fractions."""
+
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fynjax.io._models import PROSPECT_REQUIRED, GrowthForm
+
+Floats = NDArray[np.float64]
+
+PROSPECT_COLUMNS = (
+    *PROSPECT_REQUIRED[:3],
+    "anthocyanins",
+    "brown_pigments",
+    *PROSPECT_REQUIRED[3:],
+)
+"""PROSPECT-D parameters, in the order of the leaf table's columns."""
+
+
+@dataclass(frozen=True)
+class LeafSource:
+    """Where the optics of a taxon's leaves come from: exactly one of the two is set."""
+
+    parameters: dict[str, float] | None
+    """PROSPECT-D parameters by column name, in PROSPECT's units (`PROSPECT_COLUMNS`)."""
+    spectrum: Path | None
+    """File of a measured reflectance spectrum, to be fitted."""
+
+
+@dataclass(frozen=True)
+class Species:
+    """One taxon of the plot. `None` means: take the default of the growth form."""
+
+    taxon: str
+    diameter_m: float
+    """Mean crown diameter [m]."""
+    cover: float
+    """Share of the ground under the crowns [-], 0 to 1."""
+    height_m: float
+    """Greatest height [m]."""
+    growth_form: str
+    """One of `GROWTH_FORMS`."""
+    leaf: LeafSource | None
+    """Leaf optics; `None` where the plot has no leaf table, and for deadwood."""
+    packing: float | None
+    """Share of a crown over its neighbours, PE/100 of equation (8) [-]."""
+    fill: float | None
+    """Share of the crown circle filled, FF/100 of equation (9) [-]."""
+    branches: int | None
+    """Branch models of one plant [-]."""
+    rotation_spread_deg: float | None
+    """Spread of the branches' tilt, sigma_rot [degree]."""
+    minimum_object_area_m2: float | None
+    """Least ground area that one plant counts for [m2]."""
+    leaf_area_index: float | None
+    """One-sided leaf area over crown area [m2 m-2]."""
+    wood_area_index: float | None
+    """One-sided wood area over crown area [m2 m-2]."""
+
+
+@dataclass(frozen=True)
+class Sun:
+    """Direction to the sun."""
+
+    zenith_deg: float
+    """From straight up [degree]."""
+    azimuth_deg: float
+    """Clockwise from north [degree]."""
+
+
+@dataclass(frozen=True)
+class Sky:
+    """Diffuse light: the table if there is one, else a clear sky with this aerosol."""
+
+    aerosol_optical_depth: float
+    """At 500 nm [-]."""
+    wavelength: Floats | None
+    """Wavelengths of the table [nm], rising."""
+    diffuse_fraction: Floats | None
+    """Diffuse over global irradiance [-]."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Soil and litter."""
+
+    spectrum: Path | None
+    """The user's soil spectrum; `None` takes the shipped dry and wet soil."""
+    brightness: float
+    """Factor on the soil's reflectance [-]."""
+    moisture: float
+    """Share of the shipped wet soil in the mixture [-]; 0 with a spectrum of the user."""
+    litter_fraction: float
+    """Share of the ground under litter [-]."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Which camera looks, and from where."""
+
+    name: str
+    altitude_m: float
+    """Above the ground [m]."""
+    pixel_m: float
+    """Side of a pixel on the ground [m]."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What may move, and how far it is trusted."""
+
+    free: tuple[str, ...]
+    """Patterns of free parameters."""
+    targets: tuple[str, ...]
+    """Patterns of the target's statistics to use."""
+    target_sd: float
+    """Relative standard deviation of a target that states none [-]."""
+    priors: dict[str, float]
+    """Relative prior standard deviation by pattern [-], the user's first, then the defaults."""
+    max_iterations: int
+
+    def is_free(self, name: str) -> bool:
+        """Whether parameter `name` may move."""
+        return any(fnmatchcase(name, pattern) for pattern in self.free)
+
+    def uses_target(self, statistic: str) -> bool:
+        """Whether the target's statistic is to be used."""
+        return any(fnmatchcase(statistic, pattern) for pattern in self.targets)
+
+    def relative_sd(self, name: str) -> float:
+        """Relative prior standard deviation of parameter `name` [-]."""
+        return next(sd for pattern, sd in self.priors.items() if fnmatchcase(name, pattern))
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A plot as its files describe it: lengths in m, shares as fractions, paths absolute."""
+
+    file: Path
+    name: str
+    size_m: tuple[float, float]
+    """East-west and north-south side [m]; a whole number of voxels."""
+    voxel_m: float
+    """Side of a voxel [m]."""
+    boundary: str
+    """'periodic' or 'open'."""
+    species: tuple[Species, ...]
+    """In the order of the species table."""
+    probability_map: Path | None
+    """GeoTIFF, 0 to 255."""
+    sun: Sun
+    sky: Sky
+    ground: Ground
+    sensor: Sensor
+    seed: int
+    softness: float
+    """Width over which a new plant fades in, as a share of the species' plants [-]."""
+    softness_plants: float
+    """The same in plants, added to it [plants]."""
+    calibration: Calibration
+    inputs: tuple[Path, ...]
+    """Every file that was read or is named, for the provenance record."""
+
+    @property
+    def taxa(self) -> tuple[str, ...]:
+        """Names, in the order of the species table."""
+        return tuple(s.taxon for s in self.species)
+
+    @property
+    def cover(self) -> Floats:
+        """Cover of each species [-]."""
+        return np.array([s.cover for s in self.species])
+
+    @property
+    def diameter_m(self) -> Floats:
+        """Mean crown diameter of each species [m]."""
+        return np.array([s.diameter_m for s in self.species])
+
+    @property
+    def height_m(self) -> Floats:
+        """Greatest height of each species [m]."""
+        return np.array([s.height_m for s in self.species])
+
+
+GROWTH_FORMS: tuple[str, ...] = get_args(GrowthForm)
+"""Growth forms a species table may name."""

@@ -1,0 +1,328 @@
+"""`plot.toml` and its tables, read into plain, validated records.
+
+`read_plot` is the only door: whatever it returns is complete, in SI units and within range.
+"""
+
+import re
+import tomllib
+import warnings
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from fynjax._core.errors import InputError
+from fynjax.io._models import (
+    DEFAULT_RELATIVE_SD,
+    LeafRow,
+    PlotFile,
+    SkyRow,
+    SpeciesRow,
+)
+from fynjax.io._plot import (
+    GROWTH_FORMS,
+    PROSPECT_COLUMNS,
+    Calibration,
+    Floats,
+    Ground,
+    LeafSource,
+    Plot,
+    Sensor,
+    Sky,
+    Species,
+    Sun,
+)
+from fynjax.io._tables import existing_file, read_rows, read_text
+from fynjax.io._validate import did_you_mean, first_error, sentence
+
+
+def example_folder() -> Path:
+    """Folder of the shipped example plot: table 1 of the paper, burnt in 2006."""
+    return Path(str(files("fynjax.io") / "data" / "plot_2006"))
+
+
+def shipped_growth_forms() -> dict[str, str]:
+    """Growth form of each taxon of the shipped species table."""
+    rows = read_rows(example_folder() / "species.csv", SpeciesRow, "a species table")
+    return {row.taxon: str(row.growth_form) for _, row in rows}
+
+
+def _line_of(text: str, loc: tuple[str | int, ...]) -> int | None:
+    """Row of `[table]` or `key =` in TOML text; a search, as tomllib keeps no positions."""
+    names = [part for part in loc if isinstance(part, str)]
+    table, found = "", None
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := re.match(r"\s*\[([^\[\]]+)\]", line):
+            table = header[1].strip()
+            if names and table == names[0]:
+                found = number
+        elif (key := re.match(r"\s*[\"']?([^\"'=]+?)[\"']?\s*=", line)) and (
+            [*filter(None, [table]), key[1]] == names[:2]
+        ):
+            return number
+    return found
+
+
+def _parse(path: Path) -> tuple[PlotFile, str]:
+    text = read_text(path)
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        at = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
+        hint = " Write paths with / or in single quotes." if "escape" in str(error) else ""
+        raise InputError(
+            f"expected TOML, but: {str(error).split(' (at')[0]}.{hint}",
+            file=path,
+            row=int(at[1]) if at else None,
+            column=int(at[2]) if at else None,
+        ) from error
+    try:
+        return PlotFile.model_validate(raw), text
+    except ValidationError as error:
+        first = first_error(error)
+        # Unions add the branch's own name to the place; a user knows [table] and key only.
+        loc = first["loc"][:2]
+        model: type[BaseModel] = PlotFile
+        if len(loc) > 1 and (field := PlotFile.model_fields.get(str(loc[0]))):
+            assert isinstance(field.annotation, type)
+            model = field.annotation
+        name = str(loc[-1]) if loc else ""
+        if len(first["loc"]) > 2:  # inside a list: what the user sees is the whole of it
+            first = {**first, "type": "nested", "input": raw[str(loc[0])][str(loc[1])]}
+        if first["type"] == "value_error" and len(loc) == 1:
+            model = PlotFile
+        raise InputError(
+            sentence(first, model, name),
+            file=path,
+            row=_line_of(text, loc),
+            column=".".join(str(part) for part in loc) or None,
+        ) from error
+
+
+def _size(
+    size: float | tuple[float, float], voxel: float, path: Path, text: str
+) -> tuple[float, float]:
+    sides = size if isinstance(size, tuple) else (size, size)
+    for side in sides:
+        count = round(side / voxel)
+        if count < 1 or abs(side / voxel - count) > 1e-6 * max(count, 1):
+            raise InputError(
+                f"expected a whole number of voxels of {voxel:g} m, but got {side:g} m. "
+                f"The nearest is {max(count, 1) * voxel:g} m.",
+                file=path,
+                row=_line_of(text, ("plot", "size_m")),
+                column="plot.size_m",
+            )
+    return (float(sides[0]), float(sides[1]))
+
+
+def _read_species(path: Path) -> list[tuple[int, SpeciesRow]]:
+    rows = read_rows(path, SpeciesRow, "a species table")
+    seen: dict[str, int] = {}
+    for number, row in rows:
+        if row.taxon in seen:
+            raise InputError(
+                f"{row.taxon!r} is in row {seen[row.taxon]} already. Add the covers up, or give "
+                "the two layers different names.",
+                file=path,
+                row=number,
+                column="taxon",
+            )
+        seen[row.taxon] = number
+    total = sum(row.cover_percent for _, row in rows)
+    if total > 300:
+        raise InputError(
+            f"expected covers that sum to at most 300 % (layers may overlap), but they sum to "
+            f"{total:g} %. Are these counts?",
+            file=path,
+            column="cover_percent",
+        )
+    largest = max(row.cover_percent for _, row in rows)
+    if 0 < largest <= 1 and total <= 1.5:
+        warnings.warn(
+            f"{path}: the largest cover is {largest:g} %. Are these fractions? Percent is "
+            f"expected: {largest:g} would be {largest * 100:g}.",
+            stacklevel=3,
+        )
+    return rows
+
+
+def _growth_form(row: SpeciesRow, shipped: dict[str, str], path: Path, number: int) -> str:
+    form = row.growth_form or shipped.get(row.taxon)
+    if form is None:
+        raise InputError(
+            f"expected a growth form for {row.taxon!r}, which is not in the shipped table."
+            f"{did_you_mean(row.taxon, shipped)} Add a column growth_form with one of "
+            f"{', '.join(GROWTH_FORMS)}.",
+            file=path,
+            row=number,
+            column="growth_form",
+        )
+    return form
+
+
+def _read_leaves(path: Path, taxa: list[str]) -> dict[str, LeafSource]:
+    sources: dict[str, LeafSource] = {}
+    for number, row in read_rows(path, LeafRow, "a leaf table"):
+        if row.taxon != "*" and row.taxon not in taxa:
+            raise InputError(
+                f"unknown taxon {row.taxon!r}: it is not in the species table."
+                f"{did_you_mean(row.taxon, taxa)}",
+                file=path,
+                row=number,
+                column="taxon",
+            )
+        if row.taxon in sources:
+            raise InputError(f"{row.taxon!r} is there twice", file=path, row=number, column="taxon")
+        if row.spectrum is not None:
+            spectrum = _beside(path, row.spectrum, "a leaf spectrum", number, "spectrum")
+            sources[row.taxon] = LeafSource(None, spectrum)
+        else:
+            values = {name: float(getattr(row, name) or 0.0) for name in PROSPECT_COLUMNS}
+            sources[row.taxon] = LeafSource(values, None)
+    return sources
+
+
+def _beside(owner: Path, name: str, what: str, row: int | None, column: str) -> Path:
+    """The file `name` as seen from the folder of `owner`, which must exist."""
+    try:
+        return existing_file((owner.parent / name).resolve(), what)
+    except InputError as error:
+        raise InputError(
+            f"{name!r}: {str(error).removeprefix(f'{error.file}: ')}",
+            file=owner,
+            row=row,
+            column=column,
+        ) from error
+
+
+def _read_sky(path: Path) -> tuple[Floats, Floats]:
+    rows = read_rows(path, SkyRow, "a sky table")
+    wavelength = np.array([row.wavelength_nm for _, row in rows])
+    if (falls := np.flatnonzero(np.diff(wavelength) <= 0)).size:
+        raise InputError(
+            f"expected rising wavelengths, but {wavelength[falls[0] + 1]:g} follows "
+            f"{wavelength[falls[0]]:g}",
+            file=path,
+            row=rows[falls[0] + 1][0],
+            column="wavelength_nm",
+        )
+    return wavelength, np.array([row.diffuse_fraction for _, row in rows])
+
+
+def read_plot(path: str | Path) -> Plot:
+    """Read and check a plot file and every table it names.
+
+    **Arguments:**
+
+    - `path`: a plot file, `plot.toml`. Paths in it start from its own folder, paths in a table
+      from the table's folder.
+
+    **Returns:** a `Plot`. Spectra and rasters are named in it, not yet read.
+
+    **Raises:** `InputError` with file, row (as an editor counts), column, the value, what was
+    expected and the likely slip. Warns where covers look like fractions.
+    """
+    path = existing_file(path, "a plot file").resolve()
+    parsed, text = _parse(path)
+    size = _size(parsed.plot.size_m, parsed.plot.voxel_m, path, text)
+
+    def named(table: str, key: str, name: str | None, what: str) -> Path | None:
+        if name is None:
+            return None
+        return _beside(path, name, what, _line_of(text, (table, key)), f"{table}.{key}")
+
+    species_path = named("plot", "species_table", parsed.plot.species_table, "a species table")
+    assert species_path is not None
+    leaf_path = named("plot", "leaf_table", parsed.plot.leaf_table, "a leaf table")
+    map_path = named("plot", "probability_map", parsed.plot.probability_map, "a GeoTIFF")
+    sky_path = named("sky", "table", parsed.sky.table, "a sky table")
+    own_soil = None if parsed.ground.soil in ("dry", "wet") else parsed.ground.soil
+    soil_path = named("ground", "soil", own_soil, "'dry', 'wet' or a soil spectrum")
+
+    rows = _read_species(species_path)
+    shipped = shipped_growth_forms()
+    leaves = {} if leaf_path is None else _read_leaves(leaf_path, [r.taxon for _, r in rows])
+    species = []
+    for number, row in rows:
+        form = _growth_form(row, shipped, species_path, number)
+        if row.mean_diameter_cm / 100 > min(size):
+            raise InputError(
+                f"expected a crown smaller than the plot ({min(size):g} m), but got "
+                f"{row.mean_diameter_cm:g} cm",
+                file=species_path,
+                row=number,
+                column="mean_diameter_cm",
+            )
+        leaf = leaves.get(row.taxon, leaves.get("*"))
+        if leaf_path is not None and leaf is None and form != "deadwood":
+            raise InputError(
+                f"expected leaf optics for {row.taxon!r}, but it has no row. Add one, or a row "
+                "'*' for all that have none.",
+                file=leaf_path,
+                column="taxon",
+            )
+        species.append(
+            Species(
+                taxon=row.taxon,
+                diameter_m=row.mean_diameter_cm / 100,
+                cover=row.cover_percent / 100,
+                height_m=row.height_max_m,
+                growth_form=form,
+                leaf=None if form == "deadwood" else leaf,
+                packing=None if row.packing_percent is None else row.packing_percent / 100,
+                fill=None if row.fill_percent is None else row.fill_percent / 100,
+                branches=row.branches,
+                rotation_spread_deg=row.rotation_spread_deg,
+                minimum_object_area_m2=row.minimum_object_area_m2,
+                leaf_area_index=row.leaf_area_index,
+                wood_area_index=row.wood_area_index,
+            )
+        )
+    tallest = max(s.height_m for s in species)
+    if parsed.sensor.altitude_m <= tallest:
+        raise InputError(
+            f"expected a sensor above the plants ({tallest:g} m), but got "
+            f"{parsed.sensor.altitude_m:g} m",
+            file=path,
+            row=_line_of(text, ("sensor", "altitude_m")),
+            column="sensor.altitude_m",
+        )
+    wavelength, diffuse = (None, None) if sky_path is None else _read_sky(sky_path)
+    spectra = [leaf.spectrum for leaf in leaves.values()]
+    inputs = (path, species_path, leaf_path, map_path, sky_path, soil_path, *spectra)
+    wet = 1.0 if parsed.ground.soil == "wet" else 0.0
+    calibration = parsed.calibration
+    return Plot(
+        file=path,
+        name=parsed.plot.name,
+        size_m=size,
+        voxel_m=parsed.plot.voxel_m,
+        boundary=parsed.plot.boundary,
+        species=tuple(species),
+        probability_map=map_path,
+        sun=Sun(parsed.sun.zenith_deg, parsed.sun.azimuth_deg),
+        sky=Sky(parsed.sky.aerosol_optical_depth, wavelength, diffuse),
+        ground=Ground(
+            soil_path,
+            parsed.ground.brightness,
+            wet if parsed.ground.moisture is None else parsed.ground.moisture,
+            parsed.ground.litter_fraction,
+        ),
+        sensor=Sensor(parsed.sensor.name, parsed.sensor.altitude_m, parsed.sensor.pixel_m),
+        seed=parsed.scene.seed,
+        softness=parsed.scene.softness,
+        softness_plants=parsed.scene.softness_plants,
+        calibration=Calibration(
+            free=tuple(calibration.free),
+            targets=tuple(calibration.targets),
+            target_sd=calibration.target_sd,
+            priors={
+                **calibration.priors,
+                **{k: v for k, v in DEFAULT_RELATIVE_SD.items() if k not in calibration.priors},
+            },
+            max_iterations=calibration.max_iterations,
+        ),
+        inputs=tuple(p for p in inputs if p is not None),
+    )

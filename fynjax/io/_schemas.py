@@ -1,0 +1,46 @@
+"""JSON Schemas of the files a user meets, made from the models.
+
+`python -m fynjax.io._schemas` writes them to `data_schemas/` of the checkout.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from fynjax.io._atomic import write_text
+from fynjax.io._models import LeafRow, PlotFile, RunSummary, SkyRow, SpeciesRow, StatisticRow
+
+SCHEMAS: dict[str, type[BaseModel]] = {
+    "plot": PlotFile,
+    "species_table_row": SpeciesRow,
+    "leaf_table_row": LeafRow,
+    "sky_table_row": SkyRow,
+    "statistics_row": StatisticRow,
+    "fit_result": RunSummary,
+}
+"""Model behind each `data_schemas/<name>.schema.json`."""
+
+
+def json_schema(name: str) -> dict[str, Any]:
+    """Schema `name` of `SCHEMAS`, JSON Schema Draft 2020-12."""
+    schema = SCHEMAS[name].model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def write_schemas(folder: str | Path) -> list[Path]:
+    """Write every schema into `folder`; returns the files."""
+    paths = []
+    for name in SCHEMAS:
+        path = Path(folder) / f"{name}.schema.json"
+        write_text(path, json.dumps(json_schema(name), indent=2, ensure_ascii=False) + "\n")
+        paths.append(path)
+    return paths
+
+
+if __name__ == "__main__":
+    default = Path(__file__).resolve().parents[2] / "data_schemas"
+    for written in write_schemas(sys.argv[1] if len(sys.argv) > 1 else default):
+        print(written)

@@ -1,0 +1,70 @@
+"""Leaf spectra from files: one entry point, `read_spectra`, that recognises the format by content."""
+
+from pathlib import Path
+
+import numpy as np
+
+from fynjax._core.errors import InputError
+from fynjax.io._asd import is_asd, read_asd
+from fynjax.io._spectra_envi import read_envi_library
+from fynjax.io._spectra_record import Spectrum, check_spectrum
+from fynjax.io._spectra_text import read_text_spectra
+
+
+def read_spectra(path: str | Path) -> list[Spectrum]:
+    """Read every spectrum of a file.
+
+    Recognised by content, not by name: ASD binary (versions 6, 7, 8); ASD's ASCII export; ECOSTRESS
+    and older ASTER library text; CSV and TSV with a wavelength column and one column a spectrum, or
+    wide with one row a spectrum and wavelengths as column names (EcoSIS, SPECCHIO); ENVI spectral
+    libraries (give the `.sli` or its `.hdr`). A `.gz` ending is unpacked.
+
+    **Returns:** a list of `Spectrum`, wavelengths in nm and ascending, fractions 0 to 1. What was
+    repaired on the way (unit conversion, sorting, single impossible values set to NaN) is written
+    in `meta["repairs"]`.
+
+    **Raises:** `InputError` naming the file, for an unknown format, a file cut short, an ASD file
+    that holds radiance or has no usable white reference, reflectance that must be percent, is
+    negative or above one, wavelengths in µm under a nm header, or a spectrum of NaN only.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError("expected a file of spectra, but there is none", file=path)
+    data = path.read_bytes()
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    if data[:2] == b"\x1f\x8b":
+        import gzip
+        import zlib
+
+        try:
+            data = gzip.decompress(data)
+        except (EOFError, OSError, zlib.error) as error:
+            raise InputError("the compressed file is cut short or damaged", file=path) from error
+        suffixes = suffixes[:-1] if suffixes[-1:] == [".gz"] else suffixes
+    if not data.strip():
+        raise InputError("the file is empty", file=path)
+    if is_asd(data):
+        spectra = [read_asd(path, data)]
+    elif suffixes[-1:] == [".asd"]:
+        kind = "text" if _is_text(data) else "no ASD file"
+        raise InputError(
+            f"expected an ASD binary of version 6, 7 or 8, but the content is {kind}; "
+            "an ASCII export must end in .txt or .csv",
+            file=path,
+        )
+    elif suffixes[-1:] in ([".hdr"], [".sli"], [".slb"]):
+        spectra = read_envi_library(path)
+    elif _is_text(data):
+        text = data.decode("utf-8-sig", errors="replace")
+        spectra = read_text_spectra(text, path)
+    else:
+        raise InputError(
+            "unknown format: neither ASD binary (as6, as7, as8), ENVI spectral library, nor text",
+            file=path,
+        )
+    return [check_spectrum(spectrum, path) for spectrum in spectra]
+
+
+def _is_text(data: bytes) -> bool:
+    sample = np.frombuffer(data[:4096], np.uint8)
+    return not bool(np.any((sample < 9) | ((sample > 13) & (sample < 32))))

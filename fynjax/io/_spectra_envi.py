@@ -1,0 +1,91 @@
+"""ENVI spectral libraries: a binary block of spectra with a text header."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from fynjax._core.errors import InputError
+from fynjax.io._spectra_record import Spectrum, note
+
+_DTYPES = {"1": "u1", "2": "i2", "3": "i4", "4": "f4", "5": "f8", "12": "u2", "13": "u4"}
+
+
+def _header(path: Path) -> dict[str, str]:
+    text = path.read_text(encoding="utf-8", errors="replace")
+    if not text.lstrip().upper().startswith("ENVI"):
+        raise InputError("expected an ENVI header, which starts with the word ENVI", file=path)
+    pairs = re.findall(r"^\s*([^=\n{}]+?)\s*=\s*(\{.*?\}|[^\n]*)", text, re.M | re.S)
+    return {key.strip().lower(): value.strip().strip("{}").strip() for key, value in pairs}
+
+
+def read_envi_library(path: str | Path) -> list[Spectrum]:
+    """Read an ENVI spectral library, given its data file or its header.
+
+    **Raises:** `InputError` if one of the two files is missing, the header lacks a needed field, or
+    the data are cut short.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".hdr":
+        header_path = path
+        stems = [path.with_suffix(""), *(path.with_suffix(s) for s in (".sli", ".slb"))]
+        stems += [path.with_suffix("").with_suffix(s) for s in (".sli", ".slb")]
+    else:
+        options = [path.with_suffix(".hdr"), path.with_name(path.name + ".hdr")]
+        found = [p for p in options if p.is_file()]
+        if not found:
+            raise InputError("the ENVI header (.hdr) is missing beside this library", file=path)
+        header_path, stems = found[0], [path]
+    data_path = next((p for p in stems if p.is_file()), None)
+    if data_path is None:
+        raise InputError("the data file (.sli) is missing beside this header", file=path)
+    header = _header(header_path)
+    try:
+        bands, lines = int(header["samples"]), int(header["lines"])
+        dtype = np.dtype(_DTYPES[header["data type"]])
+        centres = [float(x) for x in header["wavelength"].split(",")]
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            f"the header of a spectral library needs samples, lines, data type and wavelength: {error}",
+            file=header_path,
+        ) from error
+    if "librar" not in header.get("file type", "librar").lower():
+        raise InputError(
+            f"expected an ENVI spectral library, but this is {header['file type']!r}",
+            file=header_path,
+        )
+    dtype = dtype.newbyteorder(">" if header.get("byte order", "0") == "1" else "<")
+    raw = data_path.read_bytes()[int(header.get("header offset", "0")) :]
+    if len(raw) < bands * lines * dtype.itemsize:
+        raise InputError(
+            f"the file is cut short: {lines} spectra of {bands} bands need "
+            f"{bands * lines * dtype.itemsize} bytes, but it has {len(raw)}",
+            file=data_path,
+        )
+    if len(centres) != bands:
+        raise InputError(f"{len(centres)} wavelengths for {bands} bands", file=header_path)
+    values = np.frombuffer(raw, dtype, bands * lines).reshape(lines, bands).astype(float)
+    meta: dict = {"format": "ENVI spectral library"}
+    scale = float(header.get("reflectance scale factor", "1") or 1)
+    if scale != 1:
+        values = values / scale
+        note(meta, f"divided by the header's reflectance scale factor {scale:g}")
+    wavelength = np.array(centres)
+    unit = header.get("wavelength units", "").lower()
+    if unit.startswith(("micro", "um", "µm")) or (not unit and wavelength.max() < 100):
+        wavelength = wavelength * 1000.0
+        note(meta, "wavelengths converted from µm to nm")
+    elif wavelength.max() < 100:
+        raise InputError(
+            f"the header says {unit!r}, but the wavelengths end at {wavelength.max():g}; are they in µm?",
+            file=header_path,
+        )
+    names = [n.strip() for n in header.get("spectra names", "").split(",") if n.strip()]
+    names = names if len(names) == lines else [f"{data_path.stem}_{i + 1}" for i in range(lines)]
+    ignore = header.get("data ignore value")
+    if ignore is not None:
+        values = np.where(values * scale == float(ignore), np.nan, values)
+    return [
+        Spectrum(name, wavelength, row, None, {**meta, "repairs": list(meta.get("repairs", []))})
+        for name, row in zip(names, values)
+    ]

@@ -1,0 +1,118 @@
+"""A spectrum as a file holds it, and the checks every reader shares."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fynjax._core.errors import InputError
+
+# Bands where an outdoor spectrum is noise: no check looks there, and the fit can leave them out.
+WATER_WINDOWS = ((1340.0, 1420.0), (1790.0, 1970.0), (2400.0, 2600.0))
+_LOWEST, _HIGHEST = -0.02, 1.05
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """One measured spectrum."""
+
+    name: str
+    """Name in the file, or the file's name."""
+    wavelength: np.ndarray
+    """Band centres [nm], ascending."""
+    reflectance: np.ndarray | None
+    """Reflectance [-], NaN where missing; `None` if only transmittance was measured."""
+    transmittance: np.ndarray | None = None
+    """Transmittance [-], NaN where missing; `None` if not measured."""
+    meta: dict[str, Any] = field(default_factory=dict)
+    """What else the file says; `format` and `repairs` (sentences) are always there."""
+
+
+def note(meta: dict[str, Any], sentence: str) -> None:
+    """Add a sentence to the repairs of a spectrum under construction."""
+    meta.setdefault("repairs", []).append(sentence)
+
+
+def in_windows(wavelength: np.ndarray, windows: tuple[tuple[float, float], ...]) -> np.ndarray:
+    """Which bands lie in one of the windows [nm], ends included."""
+    inside = np.zeros(wavelength.shape, bool)
+    for low, high in windows:
+        inside |= (wavelength >= low) & (wavelength <= high)
+    return inside
+
+
+def _checked(
+    values: np.ndarray, looked_at: np.ndarray, what: str, name: str, meta: dict, file: Path
+):
+    finite = np.isfinite(values)
+    if not finite.any():
+        raise InputError(f"the {what} of spectrum {name!r} has no value, only NaN", file=file)
+    shown = values[finite & looked_at]
+    if shown.size == 0:
+        return values
+    if np.median(shown) > 1.5:
+        raise InputError(
+            f"the {what} of spectrum {name!r} must be a fraction of 0 to 1, but its median is "
+            f"{np.median(shown):.4g}; is it in percent, or digital numbers? Divide first, or write "
+            "the unit '%' in the header",
+            file=file,
+        )
+    wrong = finite & looked_at & ((values < _LOWEST) | (values > _HIGHEST))
+    if wrong.sum() > 0.05 * shown.size:
+        low, high = float(shown.min()), float(shown.max())
+        hint = "negative" if low < _LOWEST else "above one"
+        raise InputError(
+            f"the {what} of spectrum {name!r} must lie within 0 to 1, but runs from {low:.4g} to "
+            f"{high:.4g} and is {hint} in {wrong.sum()} bands; was the white reference right?",
+            file=file,
+        )
+    if wrong.any():
+        values = np.where(wrong, np.nan, values)
+        note(meta, f"{wrong.sum()} impossible values of {what} set to missing")
+    return values
+
+
+def check_spectrum(spectrum: Spectrum, file: Path) -> Spectrum:
+    """Sort the bands and refuse what cannot be a reflectance or transmittance."""
+    meta = {**spectrum.meta, "repairs": list(spectrum.meta.get("repairs", []))}
+    wavelength = np.asarray(spectrum.wavelength, float)
+    if not np.all(np.isfinite(wavelength)):
+        raise InputError(f"spectrum {spectrum.name!r} has a band without wavelength", file=file)
+    if wavelength.size < 2 or wavelength.min() < 100.0 or wavelength.max() > 50000.0:
+        raise InputError(
+            f"the wavelengths of spectrum {spectrum.name!r} must be in nm, 100 to 50000, but run from "
+            f"{wavelength.min():g} to {wavelength.max():g}; are they in µm or wave numbers?",
+            file=file,
+        )
+    order = np.argsort(wavelength, kind="stable")
+    if not np.all(np.diff(wavelength) > 0):
+        if np.any(np.diff(wavelength[order]) == 0):
+            twice = wavelength[order][:-1][np.diff(wavelength[order]) == 0][0]
+            raise InputError(
+                f"the wavelength {twice:g} nm occurs twice in spectrum {spectrum.name!r}; "
+                "average or remove the overlap of the detectors first",
+                file=file,
+            )
+        note(meta, "bands sorted by wavelength")
+    wavelength = wavelength[order]
+    looked_at = (
+        ~in_windows(wavelength, WATER_WINDOWS) & (wavelength >= 400.0) & (wavelength <= 2600.0)
+    )
+    parts = {}
+    for what in ("reflectance", "transmittance"):
+        values = getattr(spectrum, what)
+        if values is None:
+            parts[what] = None
+            continue
+        values = np.asarray(values, float)
+        if values.shape != wavelength.shape:
+            raise InputError(
+                f"spectrum {spectrum.name!r} has {wavelength.size} wavelengths but {values.size} "
+                f"values of {what}; is the file cut short?",
+                file=file,
+            )
+        parts[what] = _checked(values[order], looked_at, what, spectrum.name, meta, file)
+    if parts["reflectance"] is None and parts["transmittance"] is None:
+        raise InputError(f"spectrum {spectrum.name!r} has neither R nor T", file=file)
+    return replace(spectrum, wavelength=wavelength, meta=meta, **parts)

@@ -1,0 +1,83 @@
+"""Targets of a calibration given as numbers: means and spreads of bands and indices."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fynjax._core.errors import InputError
+from fynjax.io._models import StatisticRow
+from fynjax.io._tables import read_rows
+from fynjax.io._validate import did_you_mean
+
+BANDS = ("green", "red", "red_edge", "nir")
+"""Bands of the shipped camera, as statistics name them."""
+
+
+@dataclass(frozen=True)
+class TargetStatistics:
+    """Statistics of a real image, in the order of the file."""
+
+    file: Path
+    names: tuple[str, ...]
+    """'<band or index>.<mean|std|qNN>'."""
+    value: NDArray[np.float64]
+    """One for each name [-]."""
+    sd: NDArray[np.float64]
+    """Standard deviation of each value [-]; NaN where the file states none."""
+
+
+def read_statistics(path: str | Path, known: Collection[str] | None = None) -> TargetStatistics:
+    """Read a table of statistics with the columns statistic, value, sd.
+
+    **Arguments:**
+
+    - `path`: a CSV file.
+    - `known`: names of bands and indices that can be computed; `None` takes any.
+
+    **Raises:** `InputError` for an unknown name, a statistic given twice, a standard deviation
+    that is not above 0, or a band's reflectance above 1.5 (percent, not a fraction).
+    """
+    path = Path(path)
+    rows = read_rows(path, StatisticRow, "a table of statistics")
+    seen: dict[str, int] = {}
+    for number, row in rows:
+        subject, kind = row.statistic.rsplit(".", 1)
+        if row.statistic in seen:
+            raise InputError(
+                f"{row.statistic!r} is in row {seen[row.statistic]} already",
+                file=path,
+                row=number,
+                column="statistic",
+            )
+        seen[row.statistic] = number
+        if known is not None and subject not in known:
+            raise InputError(
+                f"unknown band or index {subject!r}.{did_you_mean(subject, known)}",
+                file=path,
+                row=number,
+                column="statistic",
+            )
+        if subject in BANDS and not 0 <= row.value <= 1.5:
+            hint = f" Percent? This is {row.value / 100:g}." if row.value > 1.5 else ""
+            raise InputError(
+                f"expected a reflectance as a fraction from 0 to 1.5, but got {row.value:g}.{hint}",
+                file=path,
+                row=number,
+                column="value",
+            )
+        if kind == "std" and row.value < 0:
+            raise InputError(
+                f"expected a standard deviation of at least 0, but got {row.value:g}",
+                file=path,
+                row=number,
+                column="value",
+            )
+    return TargetStatistics(
+        file=path,
+        names=tuple(row.statistic for _, row in rows),
+        value=np.array([row.value for _, row in rows]),
+        sd=np.array([np.nan if row.sd is None else row.sd for _, row in rows]),
+    )

@@ -1,0 +1,144 @@
+"""CSV tables, row by row, with errors that point at the cell."""
+
+import csv
+import io
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from fynjax._core.errors import InputError
+from fynjax.io._validate import did_you_mean, first_error, sentence
+
+Row = TypeVar("Row", bound=BaseModel)
+
+_DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
+
+
+def existing_file(path: str | Path, what: str) -> Path:
+    """`path` if it is a file that exists, or an `InputError` with the nearest name beside it."""
+    path = Path(path)
+    if path.is_file():
+        return path
+    if path.is_dir():
+        raise InputError(f"expected {what}, but this is a folder", file=path)
+    beside = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
+    raise InputError(
+        f"expected {what}, but there is no such file.{did_you_mean(path.name, beside)}", file=path
+    )
+
+
+def read_text(path: Path) -> str:
+    """The text of a UTF-8 or UTF-16 file, without its byte-order mark."""
+    raw = path.read_bytes()
+    if raw[:4] == b"PK\x03\x04":
+        raise InputError(
+            "expected text, but this is a zip or Excel file. Save the sheet as CSV UTF-8.",
+            file=path,
+        )
+    encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    try:
+        text = raw.decode(encoding)
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"expected UTF-8 text, but byte 0x{raw[error.start]:02x} is none. "
+            "Save the file again as UTF-8.",
+            file=path,
+            row=raw[: error.start].count(b"\n") + 1,
+        ) from error
+    if "\0" in text:
+        raise InputError("expected text, but this is a binary file", file=path)
+    return text
+
+
+def _check_header(header: Sequence[str], model: type[BaseModel], path: Path, row: int) -> None:
+    if len(header) == 1:
+        for mark, word in _DELIMITERS.items():
+            if mark in header[0]:
+                raise InputError(
+                    f"expected columns separated by commas, but this header has {word}. "
+                    "Save as CSV with commas, and with points in numbers.",
+                    file=path,
+                    row=row,
+                )
+    known = list(model.model_fields)
+    required = [name for name, field in model.model_fields.items() if field.is_required()]
+    missing = [name for name in required if name not in header]
+    strange = [name for name in header if name not in known]
+    if missing:
+        near = did_you_mean(missing[0], strange)
+        near = near.replace("Did you mean", "Is it").replace("?", " in this file?")
+        raise InputError(
+            f"expected a column {missing[0]!r}, but the header has {', '.join(header)}.{near}",
+            file=path,
+            row=row,
+            column=missing[0],
+        )
+    if strange:
+        what = repr(strange[0]) if strange[0] else "a column without a name"
+        raise InputError(
+            f"unknown column {what}.{did_you_mean(strange[0], known)} Known: {', '.join(known)}.",
+            file=path,
+            row=row,
+            column=strange[0],
+        )
+    twice = [name for k, name in enumerate(header) if name in header[:k]]
+    if twice:
+        raise InputError("this column is there twice", file=path, row=row, column=twice[0])
+
+
+def _check_cells(cells: Sequence[str], header: Sequence[str], path: Path, row: int) -> None:
+    if len(cells) == len(header):
+        return
+    hint = ""
+    if len(cells) > len(header):
+        pairs = itertools.pairwise(cells)
+        if any(a.strip().lstrip("-").isdigit() and b.strip().isdigit() for a, b in pairs):
+            hint = " A decimal comma? Write numbers with a point."
+        else:
+            hint = " A comma inside a name? Put the name in double quotes."
+    raise InputError(
+        f"expected {len(header)} cells as in the header, but this row has {len(cells)}.{hint}",
+        file=path,
+        row=row,
+    )
+
+
+def read_rows(path: str | Path, model: type[Row], what: str) -> list[tuple[int, Row]]:
+    """Read a CSV file as rows of `model`, each with its row number.
+
+    Commas separate, points are decimal, UTF-8 (with or without byte-order mark) or UTF-16.
+    Empty lines and lines that start with `#` are skipped but counted.
+
+    **Arguments:** `what` names the file in errors, such as "a species table".
+
+    **Raises:** `InputError` with file, row, column, value and what was expected.
+    """
+    path = existing_file(path, what)
+    header: list[str] | None = None
+    rows: list[tuple[int, Row]] = []
+    for number, line in enumerate(io.StringIO(read_text(path)), start=1):
+        if not line.strip(" ,\r\n") or line.lstrip().startswith("#"):
+            continue
+        cells = [cell.strip() for cell in next(csv.reader([line], skipinitialspace=True))]
+        if header is None:
+            header = cells
+            _check_header(header, model, path, number)
+            continue
+        _check_cells(cells, header, path, number)
+        given = {name: cell for name, cell in zip(header, cells, strict=True) if cell}
+        try:
+            rows.append((number, model.model_validate(given)))
+        except ValidationError as error:
+            first = first_error(error)
+            name = str(first["loc"][0]) if first["loc"] else None
+            raise InputError(
+                sentence(first, model, name or ""), file=path, row=number, column=name
+            ) from error
+    if header is None:
+        raise InputError(f"expected {what}, but the file is empty", file=path)
+    if not rows:
+        raise InputError(f"expected {what}, but there is only a header", file=path)
+    return rows

@@ -1,0 +1,117 @@
+"""From a pydantic complaint to one sentence: what was expected, what came, the likely slip."""
+
+import difflib
+import types
+import typing
+from collections.abc import Iterable
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from fynjax.io._models import Strict
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """' Did you mean ...?' for the nearest of `known`, or nothing if none is near."""
+    known = list(known)
+    lower = {k.lower(): k for k in known}
+    near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
+    return f" Did you mean {lower[near[0]]!r}?" if near else ""
+
+
+def _bounds(field: FieldInfo) -> str:
+    limit: dict[str, Any] = {}
+    for entry in field.metadata:
+        for name in ("gt", "ge", "lt", "le"):
+            if (value := getattr(entry, name, None)) is not None:
+                limit[name] = value
+    low = limit.get("ge", limit.get("gt"))
+    high = limit.get("le", limit.get("lt"))
+    if low is None and high is None:
+        return ""
+    if high is None:
+        return f" {'above' if 'gt' in limit else 'of at least'} {low:g}"
+    if low is None:
+        return f" {'below' if 'lt' in limit else 'of at most'} {high:g}"
+    start = f"above {low:g}" if "gt" in limit else f"from {low:g}"
+    return f" {start} to {'below ' if 'lt' in limit else ''}{high:g}"
+
+
+def expected(field: FieldInfo) -> str:
+    """What a field takes, in words: kind, range, unit or choices."""
+    kinds = [field.annotation]
+    if isinstance(field.annotation, types.UnionType) or typing.get_origin(field.annotation) in (
+        typing.Union,
+        types.UnionType,
+    ):
+        kinds = [k for k in typing.get_args(field.annotation) if k is not type(None)]
+    if typing.get_origin(kinds[0]) is typing.Literal:
+        return "one of " + ", ".join(repr(v) for v in typing.get_args(kinds[0]))
+    extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
+    unit = str(extra.get("unit", "-"))
+    if kinds[0] in (int, float) and len(kinds) == 1:
+        kind = "a whole number" if kinds[0] is int else "a number"
+        return kind + _bounds(field) + ("" if unit == "-" else f" {unit}")
+    text = (field.description or "a value").rstrip(".")
+    return text[0].lower() + text[1:]
+
+
+def _number(value: Any) -> float | None:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return None
+
+
+def shown(value: Any) -> str:
+    """A value as the user wrote it, cut short."""
+    text = repr(value) if isinstance(value, str) else str(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _text_slip(value: str) -> str:
+    text = value.strip()
+    if "," in text and _number(text.replace(",", ".")) is not None:
+        return f" A decimal comma? Write {text.replace(',', '.')}."
+    head = text.rstrip("%abcdefghijklmnopqrstuvwxyzµ²/ ")
+    if head and head != text and _number(head) is not None:
+        return f" Leave out the unit: write {head}."
+    return ""
+
+
+def _field(model: type[BaseModel], name: str) -> FieldInfo | None:
+    return model.model_fields.get(name)
+
+
+def sentence(error: ErrorDetails, model: type[BaseModel], name: str) -> str:
+    """The first complaint about field `name` of `model` in one line."""
+    kind, value = error["type"], error["input"]
+    known = list(model.model_fields)
+    if kind == "extra_forbidden":
+        return f"unknown name {name!r}.{did_you_mean(name, known)} Known: {', '.join(known)}."
+    field = _field(model, name)
+    if kind == "missing":
+        return f"expected {name!r} ({expected(field) if field else 'a value'}), but it is missing"
+    if kind == "value_error":
+        return str(error["ctx"]["error"])
+    if field is None:
+        return f"{error['msg']}, but got {shown(value)}"
+    hint = ""
+    if isinstance(value, str):
+        hint = _text_slip(value)
+        options = expected(field)
+        if options.startswith("one of"):
+            hint = did_you_mean(value, [o.strip().strip("'") for o in options[7:].split(",")])
+    if (n := _number(value)) is not None and issubclass(model, Strict):
+        slip = model.slips.get(name)
+        hint = f" {s}" if slip is not None and (s := slip(n)) else hint
+    as_written = f"{n:g}" if (n is not None and n == n) else shown(value)
+    return f"expected {expected(field)}, but got {as_written}.{hint}"
+
+
+def first_error(error: ValidationError) -> ErrorDetails:
+    """The complaint to show first: unknown names explain the missing ones that follow."""
+    errors = error.errors(include_url=False)
+    return min(errors, key=lambda e: (e["type"] != "extra_forbidden", e["type"] != "missing"))

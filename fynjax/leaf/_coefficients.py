@@ -1,0 +1,99 @@
+"""Absorption and refraction tables of PROSPECT, on any grid inside 400-2500 nm."""
+
+from functools import lru_cache
+from importlib import resources
+from typing import Literal, get_args
+
+import numpy as np
+import pandas as pd
+
+ProspectVersion = Literal["5", "D", "PRO"]
+
+FIRST_WAVELENGTH, LAST_WAVELENGTH = 400.0, 2500.0
+
+# Field of `LeafParameters` to column of the table, in the order of the kernel's vector.
+CONSTITUENTS: dict[str, dict[str, str]] = {
+    "5": {
+        "chlorophyll": "cab",
+        "carotenoids": "car",
+        "brown_pigments": "brown",
+        "water": "ewt",
+        "dry_matter": "lma",
+    },
+    "D": {
+        "chlorophyll": "cab",
+        "carotenoids": "car",
+        "anthocyanins": "ant",
+        "brown_pigments": "brown",
+        "water": "ewt",
+        "dry_matter": "lma",
+    },
+    "PRO": {
+        "chlorophyll": "cab",
+        "carotenoids": "car",
+        "anthocyanins": "ant",
+        "brown_pigments": "brown",
+        "water": "ewt",
+        "proteins": "prot",
+        "carbon_constituents": "cbc",
+    },
+}
+
+
+def check_version(version: str) -> None:
+    """Raise `ValueError` unless `version` is one of "5", "D", "PRO"."""
+    if version not in get_args(ProspectVersion):
+        raise ValueError(f'`version` must be "5", "D" or "PRO", but is {version!r}')
+
+
+@lru_cache
+def _table(version: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Wavelength [band], refractive index [band], specific absorption [constituent, band]."""
+    name = "prospect_5.csv.gz" if version == "5" else "prospect_pro.csv.gz"
+    path = resources.files("fynjax.leaf") / "data" / name
+    with resources.as_file(path) as file:
+        table = pd.read_csv(file)
+    columns = list(CONSTITUENTS[version].values())
+    return (
+        table["wl"].to_numpy(np.float64),
+        table["nr"].to_numpy(np.float64),
+        np.ascontiguousarray(table[columns].to_numpy(np.float64).T),
+    )
+
+
+def native_wavelength() -> np.ndarray:
+    """The tables' own grid, 400 to 2500 nm in steps of 1 nm."""
+    return _table("D")[0]
+
+
+def check_wavelength(wavelength: np.ndarray) -> None:
+    """Raise `ValueError` unless every band centre lies inside the tables."""
+    if wavelength.ndim != 1 or wavelength.size == 0:
+        raise ValueError(
+            f"`wavelength` must be a vector of at least one band, but has shape {wavelength.shape}"
+        )
+    low, high = float(np.min(wavelength)), float(np.max(wavelength))
+    if not (low >= FIRST_WAVELENGTH and high <= LAST_WAVELENGTH):
+        hint = (
+            "are they in µm? Multiply by 1000"
+            if high < 100.0
+            else "PROSPECT has no absorption data outside, so leave such bands out"
+        )
+        raise ValueError(
+            "`wavelength` must lie within 400 to 2500 nm, but runs from "
+            f"{low:g} to {high:g}; {hint}"
+        )
+
+
+def coefficients_at(version: str, wavelength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Refractive index [band] and specific absorption [constituent, band] at `wavelength` [nm].
+
+    Linear between the 1 nm steps of the tables, whose own resolution is coarser than that.
+    """
+    own, index, absorption = _table(version)
+    if wavelength.shape == own.shape and np.array_equal(wavelength, own):
+        return index, absorption
+    return (
+        np.interp(wavelength, own, index),
+        np.stack([np.interp(wavelength, own, row) for row in absorption]),
+    )

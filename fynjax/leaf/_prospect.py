@@ -1,0 +1,214 @@
+"""PROSPECT: reflectance and transmittance of a leaf from its structure and chemistry.
+
+Equations after Jacquemoud & Baret 1990 (Remote Sensing of Environment 34, 75-91; JB below) with the
+absorption tables of Féret et al. 2008, 2017 and 2021, rearranged so that no step cancels or
+divides by zero: see `_stack`.
+"""
+
+from functools import lru_cache
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax.leaf._coefficients import (
+    CONSTITUENTS,
+    ProspectVersion,
+    check_version,
+    check_wavelength,
+    coefficients_at,
+    native_wavelength,
+)
+from fynjax.leaf._parameters import LeafParameters
+from fynjax.leaf._transmissivity import layer_absorptance
+
+
+class LeafOptics(eqx.Module):
+    """Leaf reflectance and transmittance, on the bands they were computed for."""
+
+    reflectance: Float[Array, " band"]
+    """Directional-hemispherical reflectance [-]."""
+    transmittance: Float[Array, " band"]
+    """Directional-hemispherical transmittance [-]."""
+    wavelength: Float[Array, " band"]
+    """Band centres [nm]."""
+
+
+def interface_transmissivity(
+    incidence_half_angle: float | Float[Array, ""], refractive_index: Float[Any, " band"]
+) -> Float[Any, " band"]:
+    """Transmissivity of a smooth surface, averaged over a cone of unpolarised light [-].
+
+    Closed form of Stern 1964 (Applied Optics 3, 111) as used by Allen 1973 (Applied Optics 12,
+    664), with the square root written as cos(a) sqrt(n^2 - sin^2(a)), which keeps its derivative
+    finite at 90 degrees.
+
+    **Arguments:**
+
+    - `incidence_half_angle`: largest angle of incidence [degrees], within (0, 90].
+    - `refractive_index`: index of the material below the surface [-], above 1.
+
+    **Returns:** transmissivity, the shape of `refractive_index`. Computed in NumPy if both inputs
+    are plain numbers or NumPy arrays. Differentiable in both. The closed form cancels: in float32
+    its error is about 1e-5, in float64 1e-13.
+    """
+    traced = isinstance(incidence_half_angle, jax.Array) or isinstance(refractive_index, jax.Array)
+    xp: Any = jnp if traced else np
+    n = refractive_index
+    angle = xp.deg2rad(incidence_half_angle)
+    sin2, cos = xp.sin(angle) ** 2, xp.cos(angle)
+    n2 = n * n
+    plus, minus = n2 + 1.0, n2 - 1.0
+    a = (n + 1.0) ** 2 / 2.0
+    b = cos * xp.sqrt(n2 - sin2) + plus / 2.0 - sin2
+    k = -(minus**2) / 4.0
+    a_star, b_star = 2.0 * plus * a - minus**2, 2.0 * plus * b - minus**2
+    perpendicular = (k**2 / (6.0 * b**3) + k / b - b / 2.0) - (
+        k**2 / (6.0 * a**3) + k / a - a / 2.0
+    )
+    parallel = (
+        -2.0 * n2 * (b - a) / plus**2
+        - 2.0 * n2 * plus * xp.log(b / a) / minus**2
+        + n2 * (1.0 / b - 1.0 / a) / 2.0
+        + 16.0 * n2**2 * (n2**2 + 1.0) * xp.log(b_star / a_star) / (plus**3 * minus**2)
+        + 16.0 * n2**3 * (1.0 / b_star - 1.0 / a_star) / plus**3
+    )
+    return (perpendicular + parallel) / (2.0 * sin2)
+
+
+def _layer_count_series(m: Array, z2: Array) -> tuple[Array, Array]:
+    """sinh(m asinh z) / z and cosh(m asinh z) as polynomials in z^2, for z^2 below 0.01."""
+    m2 = m * m
+    sinh_terms, cosh_terms = jnp.ones_like(z2), jnp.ones_like(z2)
+    for i in (4, 3, 2, 1):
+        odd, even = 2 * i - 1, 2 * i - 2
+        sinh_terms = 1.0 + z2 * (m2 - odd**2) / (2 * i * (2 * i + 1)) * sinh_terms
+        cosh_terms = 1.0 + z2 * (m2 - even**2) / (2 * i * (2 * i - 1)) * cosh_terms
+    return m * sinh_terms, cosh_terms
+
+
+def _stack(
+    absorbed: Array, structure: Array, first: Array, diffuse: Array, index: Array
+) -> tuple[Array, Array]:
+    """Reflectance and transmittance of N layers from what one layer absorbs, 1 - theta.
+
+    JB eq. 12-14 for the layers, Stokes 1862 for N - 1 of them. With D the usual square root and
+    b = exp(B), sinh B = D / (2 t), the Stokes solution for m = N - 1 reads
+    R = 2 r s / (C + (1 + r^2 - t^2) s), T = 1 / (C + (1 + r^2 - t^2) s), where C = cosh(m B) and
+    s = sinh(m B) / D are even in D: analytic in D^2, which is proportional to the absorptance. They
+    are polynomials in D^2 near zero absorption (the limit is s = m / (2 t)), and are written with
+    b^-m, which does not overflow, elsewhere. 1 - r - t is formed without a difference, as
+    t12 (1 - theta) / (1 - r21 theta).
+    """
+    dtype = absorbed.dtype
+    theta = jnp.maximum(1.0 - absorbed, 0.0)
+    back = diffuse / (index * index)  # transmissivity from inside, t21
+    mirror = 1.0 - back
+    trapped = mirror * theta
+    inverse = 1.0 / ((1.0 - trapped) * (1.0 + trapped))
+    through = theta * back * inverse
+    first_t = first * through
+    first_r = 1.0 - first + trapped * first_t
+    t = diffuse * through
+    r = 1.0 - diffuse + trapped * t
+    lost = diffuse * absorbed * (1.0 + trapped) * inverse
+    d2 = (1.0 + r + t) * (1.0 + r - t) * (1.0 - r + t) * lost
+
+    m = structure - 1.0
+    # An opaque layer has no logarithm; the square of the floor must not underflow.
+    floor, limit = (1e-30, 1e-3) if dtype == jnp.float64 else (1e-15, 1e-2)
+    t_floor = jnp.maximum(t, jnp.asarray(floor, dtype))
+    thin = d2 < limit * 4.0 * t_floor * t_floor
+    t_thin = jnp.where(thin, t_floor, 1.0)
+    series_s, series_c = _layer_count_series(m, jnp.where(thin, d2, 0.0) / (4.0 * t_thin * t_thin))
+
+    d = jnp.sqrt(jnp.where(thin, 1.0, d2))
+    y = jnp.exp(m * jnp.log(2.0 * t_floor / (1.0 - r * r + t * t + d)))
+    s = jnp.where(thin, series_s / (2.0 * t_thin), (1.0 - y * y) / 2.0)
+    c = jnp.where(thin, series_c, d * (1.0 + y * y) / 2.0)
+    top = jnp.where(thin, 1.0, d * y)
+    weight = first_t / (c + (1.0 - r * r - t * t) * s)
+    return first_r + 2.0 * r * t * s * weight, top * weight
+
+
+@jax.jit
+def _kernel(
+    structure: Array,
+    contents: Float[Array, " constituent"],
+    absorption: Float[Array, "constituent band"],
+    first: Float[Array, " band"],
+    diffuse: Float[Array, " band"],
+    index: Float[Array, " band"],
+) -> tuple[Float[Array, " band"], Float[Array, " band"]]:
+    k = jnp.dot(contents, absorption, precision=jax.lax.Precision.HIGHEST) / structure
+    return _stack(layer_absorptance(k), structure, first, diffuse, index)
+
+
+@lru_cache(maxsize=64)
+def _constants(
+    version: str, grid: bytes | None, angle: float, dtype: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    wavelength = native_wavelength() if grid is None else np.frombuffer(grid, np.float64)
+    index, absorption = coefficients_at(version, wavelength)
+    first = interface_transmissivity(angle, index)
+    diffuse = interface_transmissivity(90.0, index)
+    return (
+        absorption.astype(dtype),
+        np.asarray(first, dtype),
+        np.asarray(diffuse, dtype),
+        index.astype(dtype),
+    )
+
+
+def prospect(
+    parameters: LeafParameters,
+    wavelength: Float[Any, " band"] | None = None,
+    version: ProspectVersion = "D",
+    incidence_half_angle: float | Float[Array, ""] = 40.0,
+) -> LeafOptics:
+    """Reflectance and transmittance of one leaf, by PROSPECT-5, -D or -PRO.
+
+    **Arguments:**
+
+    - `parameters`: the leaf. For many leaves map with `jax.vmap`.
+    - `wavelength`: band centres [nm], any grid inside 400-2500 nm, known outside `jit`; by default
+      400 to 2500 in steps of 1 nm. The tables are interpolated linearly; bands below 400 nm, as a
+      field spectrometer gives them from 350 nm on, are outside the model and refused, never
+      extrapolated (the fit of this package masks them).
+    - `version`: "5", "D" or "PRO".
+    - `incidence_half_angle`: half angle of the cone of light on the leaf's rough surface [degrees],
+      within (0, 90]; 40 is the authors' value, 59 that of the fluorescence models. A plain number
+      is turned into constants in float64; a traced array is differentiable, but in float32 costs
+      an error of about 1e-5.
+
+    **Returns:** `LeafOptics` of the dtype of `parameters`.
+
+    **Raises:** `ValueError` for an unknown version, wavelengths outside 400-2500 nm, or an angle
+    outside (0, 90].
+
+    Differentiable in `parameters` to any order with finite derivatives, also at zero absorption
+    (where the derivatives equal their limits; the second derivative diverges logarithmically in
+    theory and is cut off, see `layer_absorptance`), at N = 1 and for an opaque leaf. Agrees with
+    the authors' R package to 1e-13 in float64.
+    """
+    check_version(version)
+    grid = native_wavelength() if wavelength is None else np.asarray(wavelength, np.float64)
+    check_wavelength(grid)
+    fields = [getattr(parameters, name) for name in CONSTITUENTS[version]]
+    dtype = jnp.result_type(parameters.structure, *fields)
+    key = None if wavelength is None else grid.tobytes()
+    if isinstance(incidence_half_angle, jax.Array):
+        absorption, _, diffuse, index = _constants(version, key, 40.0, dtype.name)
+        first = interface_transmissivity(incidence_half_angle, jnp.asarray(index)).astype(dtype)
+    else:
+        angle = float(incidence_half_angle)
+        if not 0.0 < angle <= 90.0:
+            raise ValueError(f"`incidence_half_angle` must be in (0, 90] degrees, but is {angle:g}")
+        absorption, first, diffuse, index = _constants(version, key, angle, dtype.name)
+    contents = jnp.stack([jnp.asarray(field, dtype) for field in fields])
+    structure = jnp.asarray(parameters.structure, dtype)
+    reflectance, transmittance = _kernel(structure, contents, absorption, first, diffuse, index)
+    return LeafOptics(reflectance, transmittance, jnp.asarray(grid, dtype))

@@ -1,0 +1,314 @@
+"""Statistics and distances of pixel distributions: exact, and smooth for inversion.
+
+Every function reduces all elements of its arrays to one distribution; for several indices at once
+use `jax.vmap`. `valid` is a boolean mask of the pixels that count. A masked pixel may hold NaN and
+gets the gradient zero; a NaN that is not masked makes the result NaN, so that it cannot pass
+unseen. With no valid pixel at all the result is NaN.
+
+The two-sample functions call the samples `real` and `simulated`, as a comparison does; all are
+symmetric but the histograms' range, which pools both.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from fynjax._core.errors import InputError
+
+Sample = Float[Array, "*pixel"]
+Mask = Bool[Array, "*pixel"]
+Scalar = Float[Array, ""]
+
+
+def mean(values: Sample, valid: Mask | None = None) -> Scalar:
+    """Mean of the valid pixels, in their unit. Linear, hence differentiable to any order."""
+    x, weight = _flat(values, valid)
+    return jnp.sum(x) / jnp.sum(weight)
+
+
+def standard_deviation(values: Sample, valid: Mask | None = None) -> Scalar:
+    """Population standard deviation of the valid pixels (divided by n), in their unit.
+
+    Differentiable; where all pixels are equal it is 0 with the gradient 0.
+    """
+    x, weight = _flat(values, valid)
+    count = jnp.sum(weight)
+    deviation = jnp.where(weight > 0, x - jnp.sum(x) / count, 0.0)
+    variance = jnp.sum(deviation**2) / count
+    spread = ~(variance == 0.0)  # true for NaN, which must show
+    return jnp.where(spread, jnp.sqrt(jnp.where(spread, variance, 1.0)), 0.0)
+
+
+def quantiles(
+    values: Sample, probabilities: Float[Array, " q"], valid: Mask | None = None
+) -> Float[Array, " q"]:
+    """Quantiles of the valid pixels by linear interpolation, in their unit (NumPy's default).
+
+    Differentiable almost everywhere, by sorting: each quantile moves with the one or two pixels
+    that it lies on, so no smoothed version is needed. Probabilities are in [0, 1].
+    """
+    x, weight = _flat(values, valid)
+    count = jnp.sum(weight > 0)
+    ordered = jnp.sort(jnp.where(weight > 0, x, jnp.inf))
+    place = jnp.atleast_1d(jnp.asarray(probabilities, x.dtype)) * (count - 1)
+    below = jnp.clip(jnp.floor(place).astype(int), 0, jnp.maximum(count - 1, 0))
+    above = jnp.minimum(below + 1, jnp.maximum(count - 1, 0))
+    share = place - below
+    result = ordered[below] * (1.0 - share) + ordered[above] * share
+    return jnp.where((count > 0) & _sound(x), result, jnp.nan)
+
+
+def histogram_intersection(
+    real: Sample,
+    simulated: Sample,
+    *,
+    bins: int = 256,
+    real_valid: Mask | None = None,
+    simulated_valid: Mask | None = None,
+) -> Scalar:
+    """Overlap of two normalised histograms, the sum over bins of the smaller share, in [0, 1].
+
+    Bins are equal and span the pooled range of the valid pixels, as in `numpy.histogram` (the last
+    one closed); 256 of them reproduce the equal values that the paper prints for indices that are
+    monotone functions of each other. One minus it is the total variation distance of the
+    histograms. Piecewise constant, so its gradient is zero: see `smooth_histogram_intersection`.
+    Swain and Ballard (1991).
+    """
+    x, wx = _flat(real, real_valid)
+    y, wy = _flat(simulated, simulated_valid)
+    low, high = _pooled_range(x, wx, y, wy)
+    edges = jnp.arange(bins + 1, dtype=low.dtype) * ((high - low) / bins) + low
+    edges = edges.at[-1].set(high)
+
+    def shares(values: Sample, weight: Sample) -> Float[Array, " bin"]:
+        index = jnp.clip(jnp.searchsorted(edges, values, side="right") - 1, 0, bins - 1)
+        count = jnp.zeros(bins, dtype=int).at[index].add(weight > 0)
+        return count / jnp.sum(weight)
+
+    overlap = jnp.sum(jnp.minimum(shares(x, wx), shares(y, wy)))
+    return jnp.where(_usable(x, wx, y, wy), overlap, jnp.nan)
+
+
+def ks_distance(
+    real: Sample,
+    simulated: Sample,
+    *,
+    real_valid: Mask | None = None,
+    simulated_valid: Mask | None = None,
+) -> Scalar:
+    """Two-sample Kolmogorov-Smirnov distance, the largest gap of the two distributions [-].
+
+    Equal to the statistic of `scipy.stats.ks_2samp`. It depends on ranks only, so its gradient is
+    zero: see `smooth_ks_distance`.
+    """
+    x, wx = _flat(real, real_valid)
+    y, wy = _flat(simulated, simulated_valid)
+    ordered, gap, _ = _distribution_gap(x, wx, y, wy)
+    last_of_ties = jnp.append(ordered[1:] != ordered[:-1], True)
+    distance = jnp.max(jnp.where(last_of_ties, jnp.abs(gap), 0.0))
+    return jnp.where(_usable(x, wx, y, wy), distance, jnp.nan)
+
+
+def wasserstein_distance(
+    real: Sample,
+    simulated: Sample,
+    *,
+    real_valid: Mask | None = None,
+    simulated_valid: Mask | None = None,
+) -> Scalar:
+    """First Wasserstein (earth mover's) distance, in the values' unit.
+
+    The integral of the gap between the two distributions, equal to
+    `scipy.stats.wasserstein_distance`. Differentiable almost everywhere as it stands.
+    """
+    x, wx = _flat(real, real_valid)
+    y, wy = _flat(simulated, simulated_valid)
+    ordered, gap, counted = _distribution_gap(x, wx, y, wy)
+    # Steps that touch a masked pixel (sorted last, as infinity) carry nothing.
+    finite = jnp.where(counted, ordered, 0.0)
+    step = jnp.where(counted[1:], finite[1:] - finite[:-1], 0.0)
+    distance = jnp.sum(jnp.abs(gap[:-1]) * step)
+    return jnp.where(_usable(x, wx, y, wy), distance, jnp.nan)
+
+
+def soft_histogram(
+    values: Sample,
+    limits: tuple[Any, Any],
+    *,
+    bins: int = 256,
+    smoothing: float = 0.0,
+    valid: Mask | None = None,
+) -> Float[Array, " bin"]:
+    """Share of pixels near each bin's centre [-], summing to one, continuous in the values.
+
+    Every pixel is divided between the two bin centres it lies between, in proportion to nearness
+    (linear binning), and each bin may then be spread by a Gaussian.
+
+    **Arguments:** `limits`, the lower and upper edge of the histogram, in the values' unit: pixels
+    beyond them count in the edge bin, without gradient; `smoothing`, the standard deviation of
+    the Gaussian, in bins (0: none).
+
+    Continuous and piecewise linear in `values`, differentiable but where a pixel crosses a bin
+    centre; with `smoothing` of 1 or more the jumps of the slope there are small. Memory is a few
+    numbers for each pixel, never pixels times bins. Raises `InputError` for `bins` < 2 or a
+    negative `smoothing`.
+    """
+    if bins < 2 or smoothing < 0.0:
+        raise InputError(
+            f"a histogram needs at least 2 bins and smoothing of at least 0, but has {bins} bins "
+            f"and smoothing {smoothing:g}."
+        )
+    x, weight = _flat(values, valid)
+    low, high = (jnp.asarray(limit, x.dtype) for limit in limits)
+    width = (high - low) / bins
+    flat_range = width <= 0.0
+    place = (x - low) / jnp.where(flat_range, 1.0, width) - 0.5
+    place = jnp.clip(place, 0.0, bins - 1.0)
+    below = jnp.clip(jnp.floor(place).astype(int), 0, bins - 2)
+    share = (place - below) * weight
+    counts = jnp.zeros(bins, x.dtype).at[below].add(weight - share).at[below + 1].add(share)
+    histogram = counts / jnp.sum(weight)
+    if smoothing > 0.0:
+        histogram = jnp.matmul(_spreading(bins, smoothing, x.dtype), histogram, precision="highest")
+    return jnp.where(_sound(x), histogram, jnp.nan)
+
+
+def smooth_histogram_intersection(
+    real: Sample,
+    simulated: Sample,
+    *,
+    bins: int = 256,
+    smoothing: float = 2.0,
+    limits: tuple[Any, Any] | None = None,
+    real_valid: Mask | None = None,
+    simulated_valid: Mask | None = None,
+) -> Scalar:
+    """Differentiable counterpart of `histogram_intersection`, in [0, 1] to 0.001.
+
+    Soft histograms instead of hard ones, and a smallest value rounded off where the two are
+    within 1e-3 of a bin's mean share. Within 0.02 of the exact one for samples of 10 000 pixels or
+    more whose distributions are wide against a bin; the smoothing also removes sampling noise of
+    the bin counts, so it lies above the exact one, the more so the fewer the pixels.
+
+    **Arguments:** `limits`, the fixed range of the histograms. If not given it is the pooled range
+    of the valid pixels and is held constant in the derivative; an inversion should fix it.
+    """
+    both = _soft_pair(real, simulated, bins, smoothing, limits, real_valid, simulated_valid)
+    overlap = 1.0 - 0.5 * jnp.sum(_rounded_abs(both[0] - both[1], 1e-3 / bins))
+    return overlap
+
+
+def smooth_ks_distance(
+    real: Sample,
+    simulated: Sample,
+    *,
+    bins: int = 256,
+    smoothing: float = 0.0,
+    sharpness: float = 500.0,
+    limits: tuple[Any, Any] | None = None,
+    real_valid: Mask | None = None,
+    simulated_valid: Mask | None = None,
+) -> Scalar:
+    """Differentiable counterpart of `ks_distance` [-].
+
+    The gap of two soft distributions at the bin centres, its largest value replaced by a mean
+    weighted with exp(sharpness * gap). Within 0.01 of the exact one for samples whose
+    distributions are wide against a bin, and mostly below it.
+
+    **Arguments:** `sharpness` of the maximum, in units of one over the distance: the value is low
+    by a few times its inverse at most; `limits` as in `smooth_histogram_intersection`.
+    """
+    both = _soft_pair(real, simulated, bins, smoothing, limits, real_valid, simulated_valid)
+    gap = _rounded_abs(jnp.cumsum(both[0] - both[1]), 1e-4)
+    return jnp.sum(gap * jax.nn.softmax(sharpness * gap))
+
+
+def _soft_pair(
+    real: Sample,
+    simulated: Sample,
+    bins: int,
+    smoothing: float,
+    limits: tuple[Any, Any] | None,
+    real_valid: Mask | None,
+    simulated_valid: Mask | None,
+) -> tuple[Float[Array, " bin"], Float[Array, " bin"]]:
+    if limits is None:
+        pooled = _pooled_range(*_flat(real, real_valid), *_flat(simulated, simulated_valid))
+        limits = jax.lax.stop_gradient(pooled)
+    return (
+        soft_histogram(real, limits, bins=bins, smoothing=smoothing, valid=real_valid),
+        soft_histogram(simulated, limits, bins=bins, smoothing=smoothing, valid=simulated_valid),
+    )
+
+
+def _flat(
+    values: Sample, valid: Mask | None
+) -> tuple[Float[Array, " pixel"], Float[Array, " pixel"]]:
+    """Values with masked pixels set to 0, and their weights 1 or 0."""
+    x = jnp.asarray(values)
+    x = x.astype(jnp.result_type(x.dtype, jnp.float32)).ravel()
+    if x.size == 0:
+        raise InputError("a distribution needs at least one pixel, but the array is empty.")
+    if valid is None:
+        return x, jnp.ones_like(x)
+    mask = jnp.asarray(valid, dtype=bool)
+    if mask.shape != jnp.shape(values):
+        raise InputError(
+            f"the mask must have the values' shape {jnp.shape(values)}, but has {mask.shape}."
+        )
+    mask = mask.ravel()
+    return jnp.where(mask, x, 0.0), mask.astype(x.dtype)
+
+
+def _sound(x: Float[Array, " pixel"]) -> Bool[Array, ""]:
+    return jnp.all(jnp.isfinite(x))
+
+
+def _usable(
+    x: Float[Array, " a"], wx: Float[Array, " a"], y: Float[Array, " b"], wy: Float[Array, " b"]
+) -> Bool[Array, ""]:
+    return _sound(x) & _sound(y) & jnp.any(wx > 0) & jnp.any(wy > 0)
+
+
+def _pooled_range(
+    x: Float[Array, " a"], wx: Float[Array, " a"], y: Float[Array, " b"], wy: Float[Array, " b"]
+) -> tuple[Scalar, Scalar]:
+    low = jnp.minimum(
+        jnp.min(jnp.where(wx > 0, x, jnp.inf)), jnp.min(jnp.where(wy > 0, y, jnp.inf))
+    )
+    high = jnp.maximum(
+        jnp.max(jnp.where(wx > 0, x, -jnp.inf)), jnp.max(jnp.where(wy > 0, y, -jnp.inf))
+    )
+    return low, high
+
+
+def _distribution_gap(
+    x: Float[Array, " a"], wx: Float[Array, " a"], y: Float[Array, " b"], wy: Float[Array, " b"]
+) -> tuple[Float[Array, " pooled"], Float[Array, " pooled"], Bool[Array, " pooled"]]:
+    """Pooled values in order (masked ones last, as infinity), F_x - F_y just after each, and
+    which of them are not masked. Counts are integers, so the gap is exact."""
+    pooled = jnp.concatenate([x, y])
+    counted = jnp.concatenate([wx, wy]) > 0
+    order = jnp.argsort(jax.lax.stop_gradient(jnp.where(counted, pooled, jnp.inf)))
+    from_x = (jnp.arange(pooled.size) < x.size)[order] & counted[order]
+    from_y = counted[order] & ~from_x
+
+    def distribution(member: Bool[Array, " pooled"]) -> Float[Array, " pooled"]:
+        rank: Int[Array, " pooled"] = jnp.cumsum(member)
+        return rank.astype(pooled.dtype) / rank[-1].astype(pooled.dtype)
+
+    ordered = jnp.where(counted, pooled, jnp.inf)[order]
+    return ordered, distribution(from_x) - distribution(from_y), counted[order]
+
+
+def _rounded_abs(x: Float[Array, " n"], radius: float) -> Float[Array, " n"]:
+    """|x| with its corner rounded over `radius`; between |x| - radius and |x|, 0 at 0."""
+    return jnp.sqrt(x**2 + radius**2) - radius
+
+
+def _spreading(bins: int, smoothing: float, dtype: Any) -> Float[Array, "bin bin"]:
+    centre = jnp.arange(bins, dtype=dtype)
+    kernel = jnp.exp(-0.5 * ((centre[:, None] - centre[None, :]) / smoothing) ** 2)
+    return kernel / jnp.sum(kernel, axis=0)  # each bin keeps its share, also at the edges

@@ -1,0 +1,171 @@
+"""Agreement of spectra: spectral angle, errors, correlation, by spectral region."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from numpy.typing import ArrayLike
+
+from fynjax._core.errors import InputError
+from fynjax._core.spectral import check_wavelength
+
+Spectrum = Float[Array, " wavelength"]
+Mask = Bool[Array, " wavelength"] | Bool[np.ndarray, " wavelength"]
+Scalar = Float[Array, ""]
+
+WATER_WINDOWS: tuple[tuple[float, float], ...] = ((1340.0, 1460.0), (1790.0, 2100.0))
+"""Wavelengths [nm] lost to atmospheric water vapour, left out of a comparison."""
+
+SPECTRAL_REGIONS: dict[str, tuple[float, float]] = {
+    "full": (400.0, 2450.0),
+    "vnir": (400.0, 1000.0),
+    "swir1": (1000.0, 1790.0),
+    "swir2": (2100.0, 2450.0),
+}
+"""Regions of the paper's table 5, lower and upper wavelength [nm]."""
+
+
+class SpectralAgreement(eqx.Module):
+    """How well a simulated spectrum agrees with a real one over one region."""
+
+    spectral_angle: Scalar
+    """Angle between the two as vectors [degrees]; blind to a common factor."""
+    rmse: Scalar
+    """Root mean square error, in the spectra's unit."""
+    nrmse: Scalar
+    """`rmse` over the range of the real spectrum [-]."""
+    correlation: Scalar
+    """Pearson correlation [-]; blind to gain and offset."""
+    relative_mean_difference: Scalar
+    """(simulated - real) / real of the means [-]."""
+
+
+def spectral_mask(
+    wavelength: ArrayLike,
+    region: str | tuple[float, float] = "full",
+    exclude: Sequence[tuple[float, float]] = WATER_WINDOWS,
+) -> Bool[np.ndarray, " wavelength"]:
+    """Wavelengths [nm] inside a region and outside all excluded windows; both ends included.
+
+    `region` is a name in `SPECTRAL_REGIONS` or its lower and upper end [nm]. Raises `InputError`
+    for an unknown region, a window that is no (lower, upper) in nm, or if fewer than two
+    wavelengths are left.
+    """
+    grid = check_wavelength(wavelength)
+    if isinstance(region, str):
+        if region not in SPECTRAL_REGIONS:
+            raise InputError(
+                f"a spectral region must be one of {', '.join(SPECTRAL_REGIONS)} or (lower, upper) "
+                f"in nm, but is {region!r}."
+            )
+        region = SPECTRAL_REGIONS[region]
+    for low, high in (region, *exclude):
+        if not 100.0 <= low < high:
+            raise InputError(
+                f"a spectral window must be (lower, upper) in nm, but is ({low:g}, {high:g})."
+            )
+    mask = (grid >= region[0]) & (grid <= region[1])
+    for low, high in exclude:
+        mask &= ~((grid >= low) & (grid <= high))
+    if np.count_nonzero(mask) < 2:
+        raise InputError(
+            f"a comparison needs at least two wavelengths, but {np.count_nonzero(mask)} of the "
+            f"grid {grid[0]:g} to {grid[-1]:g} nm lie in {region[0]:g} to {region[1]:g} nm outside "
+            "the excluded windows."
+        )
+    return mask
+
+
+def spectral_angle(real: Spectrum, simulated: Spectrum, valid: Mask | None = None) -> Scalar:
+    """Angle between two spectra as vectors [degrees], in [0, 180] (Kruse et al. 1993).
+
+    Computed from the half angle's tangent (Kahan), so it is accurate and has bounded slopes at
+    small angles, where the arc cosine has neither. Differentiable; where the two are exactly
+    proportional it is 0 with the gradient 0. NaN if a spectrum is all zero.
+    """
+    x, y, _ = _pair(real, simulated, valid)
+    x, y = x / _norm(x), y / _norm(y)
+    return jnp.rad2deg(2.0 * jnp.arctan2(_norm(x - y), _norm(x + y)))
+
+
+def rmse(real: Spectrum, simulated: Spectrum, valid: Mask | None = None) -> Scalar:
+    """Root mean square error, in the spectra's unit.
+
+    Differentiable; where the two are equal it is 0 with the gradient 0.
+    """
+    x, y, count = _pair(real, simulated, valid)
+    return _norm(y - x) / jnp.sqrt(count)
+
+
+def nrmse(real: Spectrum, simulated: Spectrum, valid: Mask | None = None) -> Scalar:
+    """RMSE over the range (largest less smallest value) of the real spectrum [-], a fraction.
+
+    Differentiable; the range is that of the valid wavelengths. NaN or infinite if it is zero.
+    """
+    values = jnp.asarray(real)
+    keep = jnp.ones(values.shape, bool) if valid is None else jnp.asarray(valid)
+    span = jnp.max(values, where=keep, initial=-jnp.inf) - jnp.min(
+        values, where=keep, initial=jnp.inf
+    )
+    return rmse(real, simulated, valid) / span
+
+
+def pearson_correlation(real: Spectrum, simulated: Spectrum, valid: Mask | None = None) -> Scalar:
+    """Pearson correlation of two spectra [-], in [-1, 1].
+
+    Differentiable. NaN if a spectrum is constant, for which it is not defined.
+    """
+    x, y, count = _pair(real, simulated, valid)
+    keep = jnp.ones(x.shape, bool) if valid is None else jnp.asarray(valid)
+    x = jnp.where(keep, x - jnp.sum(x) / count, 0.0)
+    y = jnp.where(keep, y - jnp.sum(y) / count, 0.0)
+    return jnp.sum(x * y) / (_norm(x) * _norm(y))
+
+
+def relative_mean_difference(
+    real: Spectrum, simulated: Spectrum, valid: Mask | None = None
+) -> Scalar:
+    """Difference of the means over the real mean, (simulated - real) / real [-]. Differentiable."""
+    x, y, _ = _pair(real, simulated, valid)
+    return (jnp.sum(y) - jnp.sum(x)) / jnp.sum(x)
+
+
+def spectral_agreement(
+    real: Spectrum, simulated: Spectrum, valid: Mask | None = None
+) -> SpectralAgreement:
+    """All measures of agreement over the valid wavelengths (see `spectral_mask`).
+
+    Both spectra are on one grid; `valid` is a mask on it. A masked value may be NaN. Differentiable
+    in both spectra. Raises `InputError` if the shapes differ.
+    """
+    return SpectralAgreement(
+        spectral_angle=spectral_angle(real, simulated, valid),
+        rmse=rmse(real, simulated, valid),
+        nrmse=nrmse(real, simulated, valid),
+        correlation=pearson_correlation(real, simulated, valid),
+        relative_mean_difference=relative_mean_difference(real, simulated, valid),
+    )
+
+
+def _pair(
+    real: Spectrum, simulated: Spectrum, valid: Mask | None
+) -> tuple[Spectrum, Spectrum, Scalar]:
+    """Both spectra with masked values set to 0, and the number of valid wavelengths."""
+    x, y = jnp.asarray(real), jnp.asarray(simulated)
+    keep = jnp.ones(x.shape, bool) if valid is None else jnp.asarray(valid, dtype=bool)
+    if not x.shape == y.shape == keep.shape:
+        raise InputError(
+            f"spectra and mask must be on one grid, but have the shapes {x.shape} (real), "
+            f"{y.shape} (simulated) and {keep.shape} (mask)."
+        )
+    dtype = jnp.result_type(x.dtype, y.dtype, jnp.float32)
+    x, y = x.astype(dtype), y.astype(dtype)
+    return jnp.where(keep, x, 0.0), jnp.where(keep, y, 0.0), jnp.sum(keep).astype(dtype)
+
+
+def _norm(x: Spectrum) -> Scalar:
+    square = jnp.sum(x**2)
+    nonzero = ~(square == 0.0)  # true for NaN, which must show
+    return jnp.where(nonzero, jnp.sqrt(jnp.where(nonzero, square, 1.0)), 0.0)

@@ -1,0 +1,110 @@
+"""The spectral bands of a sensor."""
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from fynjax._core.errors import InputError
+from fynjax._core.spectral import box_matrix, check_wavelength, gaussian_matrix, tabulated_matrix
+
+
+def _floats(values: Any) -> tuple[float, ...]:
+    return tuple(float(v) for v in np.atleast_1d(np.asarray(values, dtype=np.float64)))
+
+
+def _curves(curves: Any) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] | None:
+    return None if curves is None else tuple((_floats(u), _floats(r)) for u, r in curves)
+
+
+class BandSet(eqx.Module):
+    """Names and spectral responses of a sensor's bands.
+
+    All of it is static (plain numbers, hashable): a band set adds no leaves to a pytree, and
+    `average` may be called inside `jax.jit`. Raises `InputError` when the fields do not match.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True, converter=tuple)
+    """Name of each band, in the order of the image's band axis."""
+    centre: tuple[float, ...] = eqx.field(static=True, converter=_floats)
+    """Centre wavelength [nm]."""
+    fwhm: tuple[float, ...] = eqx.field(static=True, converter=_floats)
+    """Full width at half maximum [nm]; twice the half width that some makers state."""
+    response: Literal["gaussian", "box"] = eqx.field(static=True, default="gaussian")
+    """Form of the response where no curves are given."""
+    curves: tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] | None = eqx.field(
+        static=True, default=None, converter=_curves
+    )
+    """Tabulated response of each band, as (wavelengths [nm], relative response [-])."""
+
+    def __check_init__(self) -> None:
+        count = len(self.names)
+        if count == 0 or len(set(self.names)) != count:
+            raise InputError(f"band names must be given and differ, but are {self.names}.")
+        for what in ("centre", "fwhm", "curves"):
+            values: Sequence[object] | None = getattr(self, what)
+            if values is not None and len(values) != count:
+                raise InputError(f"{count} bands are named, but `{what}` has {len(values)} values.")
+        if self.response not in ("gaussian", "box"):
+            raise InputError(f"`response` must be 'gaussian' or 'box', but is {self.response!r}.")
+        check_wavelength(np.unique(self.centre), "band centres")
+        if min(self.fwhm) <= 0.0:
+            raise InputError(f"`fwhm` must be positive, in nm, but is {self.fwhm}.")
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def weights(
+        self, wavelength: ArrayLike, *, max_loss: float = 1e-3
+    ) -> Float[np.ndarray, "band wavelength"]:
+        """Weights of a spectrum on `wavelength` [nm] in each band [-]; rows sum to one.
+
+        Raises `InputError` if more than the fraction `max_loss` of a response lies outside
+        `wavelength`, or if that is no increasing grid in nm.
+        """
+        if self.curves is not None:
+            return tabulated_matrix(wavelength, self.curves, names=self.names, max_loss=max_loss)
+        matrix = gaussian_matrix if self.response == "gaussian" else box_matrix
+        return matrix(wavelength, self.centre, self.fwhm, names=self.names, max_loss=max_loss)
+
+    def average(
+        self,
+        wavelength: ArrayLike,
+        spectrum: Float[Array, "*batch wavelength"],
+        *,
+        max_loss: float = 1e-3,
+    ) -> Float[Array, "*batch band"]:
+        """Average spectra over the bands, in the spectra's unit.
+
+        **Arguments:** `wavelength` grid [nm], increasing and concrete (not traced); `spectrum`
+        with the wavelengths on its last axis. Linear, hence differentiable to any order, in
+        `spectrum`. Raises `InputError` as `weights`, and if the lengths differ.
+        """
+        spectrum = jnp.asarray(spectrum)
+        weights = self.weights(wavelength, max_loss=max_loss)
+        if spectrum.shape[-1:] != weights.shape[1:]:
+            raise InputError(
+                f"the spectrum's last axis must have {weights.shape[1]} wavelengths, but its shape "
+                f"is {spectrum.shape}."
+            )
+        dtype = jnp.result_type(spectrum.dtype, jnp.float32)
+        matrix = jnp.asarray(weights.T, dtype=dtype)
+        return jnp.matmul(spectrum.astype(dtype), matrix, precision="highest")
+
+
+def mavic_3m() -> BandSet:
+    """Bands of the DJI Mavic 3 Multispectral: green, red, red edge, near infrared.
+
+    The maker states half widths of 16, 16, 16 and 26 nm about the centre (DJI, Mavic 3M Image
+    Processing Guide v1.0, 2023); they are read as half widths at half maximum of a Gaussian,
+    since no curves are published.
+    """
+    return BandSet(
+        names=("green", "red", "red_edge", "nir"),
+        centre=(560.0, 650.0, 730.0, 860.0),
+        fwhm=(32.0, 32.0, 32.0, 52.0),
+    )

@@ -1,0 +1,252 @@
+"""Cameras: which line of sight every pixel looks along.
+
+A camera knows its geometry only. For each pixel it gives the point where the line of sight through
+the pixel's centre meets a horizontal plane, and the unit vector from there to the camera. The
+radiation road renders along these lines.
+
+Pixel arrays are [y, x]: columns run to the right of the image, rows upward. With the heading at
+north, column index grows eastward and row index northward, as everywhere in fynjax; a raster
+file's top-down row order is the business of its writer.
+"""
+
+import abc
+import warnings
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from fynjax._core.errors import InputError
+from fynjax._core.geometry import direction
+
+
+def _real(value: Any) -> Array:
+    """As a real array: floating arrays keep their precision, all else takes the default."""
+    array = jnp.asarray(value)
+    return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
+
+
+def _concrete(*values: Any) -> bool:
+    return not any(isinstance(v, jax.core.Tracer) for v in values)
+
+
+class AbstractCamera(eqx.Module):
+    """What the renderer asks of a camera. Differentiable in every continuous field."""
+
+    @property
+    @abc.abstractmethod
+    def shape(self) -> tuple[int, int]:
+        """Rows (y) and columns (x) of the image."""
+
+    @abc.abstractmethod
+    def ground_coordinates(self, height: float | Float[Array, ""] = 0.0) -> Float[Array, "2 y x"]:
+        """x and y [m] where the line of sight of each pixel meets the plane at `height` [m]."""
+
+    @abc.abstractmethod
+    def view_directions(self) -> Float[Array, "3 y x"]:
+        """Unit vectors (east, north, up) from the ground to the camera [-]."""
+
+    def tangents(self) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
+        """Horizontal shift east (tx) and north (ty) of each line of sight per metre of rise [-].
+
+        The line through ground point (x, y) passes (x + tx z, y + ty z) at height z.
+        """
+        east, north, up = self.view_directions()
+        return east / up, north / up
+
+
+class FrameCamera(AbstractCamera):
+    """Pinhole camera with a flat array of square pixels and no lens distortion.
+
+    Raises `InputError` for a size that is not positive or a line of sight at or above the horizon
+    (where the values are known, that is outside a transformation).
+    """
+
+    position: Float[Array, " 3"] = eqx.field(converter=_real)
+    """East, north and altitude above the plot's zero level [m]."""
+    focal_length_mm: Float[Array, ""] = eqx.field(converter=_real)
+    """Focal length [mm]."""
+    pixel_pitch_um: Float[Array, ""] = eqx.field(converter=_real)
+    """Distance between pixel centres on the array [µm]."""
+    array: tuple[int, int] = eqx.field(static=True, converter=tuple)
+    """Columns and rows of the array."""
+    tilt: Float[Array, ""] = eqx.field(converter=_real, default=0.0)
+    """Angle of the optical axis from nadir, toward the heading [degrees]; 0 looks straight down."""
+    heading: Float[Array, ""] = eqx.field(converter=_real, default=0.0)
+    """Azimuth that the upper edge of the image points to, clockwise from north [degrees]."""
+
+    def __check_init__(self) -> None:
+        if self.position.shape != (3,):
+            raise InputError(
+                f"camera position must be (x, y, altitude) in m, but has shape "
+                f"{self.position.shape}."
+            )
+        if len(self.array) != 2 or any(n != int(n) or n < 1 for n in self.array):
+            raise InputError(f"`array` must be (columns, rows) of at least 1, but is {self.array}.")
+        optics = (self.position, self.focal_length_mm, self.pixel_pitch_um, self.tilt)
+        if not _concrete(*optics):
+            return
+        for what, value in (
+            ("altitude (m)", self.position[2]),
+            ("focal_length_mm", self.focal_length_mm),
+            ("pixel_pitch_um", self.pixel_pitch_um),
+        ):
+            if not float(value) > 0.0:
+                raise InputError(f"camera {what} must be positive, but is {float(value):g}.")
+        half_field = np.degrees(np.arctan(0.5 * self.array[1] * float(self._pitch_per_focal())))
+        if not abs(float(self.tilt)) + half_field < 90.0:
+            raise InputError(
+                f"camera tilt must leave every pixel below the horizon, but {float(self.tilt):g} "
+                f"degrees plus a half field of view of {half_field:.3g} degrees reaches it. "
+                "Tilt is counted from nadir: was a gimbal pitch passed instead?"
+            )
+
+    def _pitch_per_focal(self) -> Float[Array, ""]:
+        dtype = self.position.dtype
+        pitch, focal = self.pixel_pitch_um.astype(dtype), self.focal_length_mm.astype(dtype)
+        return pitch * 1e-3 / focal
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return int(self.array[1]), int(self.array[0])
+
+    @property
+    def ground_sample_distance(self) -> Float[Array, ""]:
+        """Pixel spacing on the zero level straight below the camera, from the optics [m]."""
+        return self._pitch_per_focal() * self.position[2]
+
+    def view_directions(self) -> Float[Array, "3 y x"]:
+        # Float32 needs the angles, not the positions: no large coordinates are subtracted here.
+        dtype = self.position.dtype
+        rows, columns = self.shape
+        ratio = self._pitch_per_focal()
+        right = (jnp.arange(columns, dtype=dtype) - 0.5 * (columns - 1)) * ratio
+        above = (jnp.arange(rows, dtype=dtype)[:, None] - 0.5 * (rows - 1)) * ratio
+        tilt = jnp.deg2rad(self.tilt.astype(dtype))
+        heading = jnp.deg2rad(self.heading.astype(dtype))
+        ahead = jnp.sin(tilt) + above * jnp.cos(tilt)
+        down = jnp.cos(tilt) - above * jnp.sin(tilt)
+        east = right * jnp.cos(heading) + ahead * jnp.sin(heading)
+        north = -right * jnp.sin(heading) + ahead * jnp.cos(heading)
+        seen = jnp.stack(jnp.broadcast_arrays(-east, -north, down))
+        return seen / jnp.sqrt(jnp.sum(seen**2, axis=0))
+
+    def ground_coordinates(self, height: float | Float[Array, ""] = 0.0) -> Float[Array, "2 y x"]:
+        """x and y [m] where the line of sight of each pixel meets the plane at `height` [m].
+
+        Raises `InputError` if the camera is not above that plane (where the values are known).
+        """
+        if _concrete(height, self.position) and not float(self.position[2]) > float(height):
+            raise InputError(
+                f"the camera must be above the plane it looks at ({float(height):g} m), but its "
+                f"altitude is {float(self.position[2]):g} m."
+            )
+        drop = self.position[2] - jnp.asarray(height, dtype=self.position.dtype)
+        tx, ty = self.tangents()
+        return jnp.stack([self.position[0] - tx * drop, self.position[1] - ty * drop])
+
+
+class OrthographicCamera(AbstractCamera):
+    """Camera at infinity: all lines of sight are parallel and pixels are equal on the ground."""
+
+    extent: tuple[float, float, float, float] = eqx.field(
+        static=True, converter=lambda v: tuple(float(x) for x in v)
+    )
+    """West, south, east and north edge of the image on the zero level [m]."""
+    pixel_size: float = eqx.field(static=True, converter=float)
+    """Side of a pixel on the ground [m]."""
+    view_zenith: Float[Array, ""] = eqx.field(converter=_real, default=0.0)
+    """Angle between the vertical and the direction to the camera [degrees], in [0, 90)."""
+    view_azimuth: Float[Array, ""] = eqx.field(converter=_real, default=0.0)
+    """Azimuth of the direction from the ground to the camera, clockwise from north [degrees]."""
+
+    def __check_init__(self) -> None:
+        if len(self.extent) != 4 or not self.pixel_size > 0.0:
+            raise InputError(
+                "an orthographic camera needs an extent (west, south, east, north) and a positive "
+                f"pixel size in m, but has {self.extent} and {self.pixel_size:g}."
+            )
+        west, south, east, north = self.extent
+        for low, high, what in ((west, east, "east-west"), (south, north, "north-south")):
+            count = (high - low) / self.pixel_size
+            if not count > 0.5 or abs(count - round(count)) > 1e-6 * count:
+                raise InputError(
+                    f"the {what} extent must be a positive multiple of the pixel size "
+                    f"{self.pixel_size:g} m, but is {high - low:g} m."
+                )
+        if _concrete(self.view_zenith) and not 0.0 <= float(self.view_zenith) < 90.0:
+            raise InputError(
+                f"`view_zenith` must be in [0, 90) degrees, but is {float(self.view_zenith):g}."
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        west, south, east, north = self.extent
+        return round((north - south) / self.pixel_size), round((east - west) / self.pixel_size)
+
+    def view_directions(self) -> Float[Array, "3 y x"]:
+        toward = direction(self.view_zenith, self.view_azimuth)
+        return jnp.broadcast_to(toward[:, None, None], (3, *self.shape))
+
+    def ground_coordinates(self, height: float | Float[Array, ""] = 0.0) -> Float[Array, "2 y x"]:
+        rows, columns = self.shape
+        dtype = self.view_zenith.dtype
+        x = self.extent[0] + (jnp.arange(columns, dtype=dtype) + 0.5) * self.pixel_size
+        y = self.extent[1] + (jnp.arange(rows, dtype=dtype) + 0.5) * self.pixel_size
+        tx, ty = self.tangents()
+        rise = jnp.asarray(height, dtype=dtype)
+        return jnp.stack([x + tx * rise, y[:, None] + ty * rise])
+
+
+def check_ground_sample_distance(
+    camera: FrameCamera, stated: float, *, tolerance: float = 0.02
+) -> float:
+    """Compare a stated ground sample distance [m] with the optics, and return the optics' own.
+
+    Warns (`UserWarning`) when they differ by more than the fraction `tolerance`; the optics are
+    what fynjax renders with. Not differentiable. Raises `InputError` if `stated` is not positive.
+    """
+    if not stated > 0.0:
+        raise InputError(f"a ground sample distance must be positive, in m, but is {stated:g}.")
+    optics = float(camera.ground_sample_distance)
+    if abs(stated / optics - 1.0) > tolerance:
+        fitting = float(camera.position[2]) * stated / optics
+        warnings.warn(
+            f"The stated ground sample distance of {stated:g} m disagrees with the optics, which "
+            f"give {optics:.4g} m at {float(camera.position[2]):g} m. The optics are used; the "
+            f"stated value would need an altitude of {fitting:.4g} m.",
+            UserWarning,
+            stacklevel=2,
+        )
+    return optics
+
+
+def mavic_3m_paper_camera(position: ArrayLike = (5.0, 5.0, 50.0)) -> FrameCamera:
+    """Mavic 3M camera as the fynbos scene paper models it: 4 mm, 2 µm, 640 x 480 pixels.
+
+    `position` is (x, y, altitude) [m]. At 50 m: 2.5 cm pixels, 16 m x 12 m on the ground.
+    """
+    return FrameCamera(
+        position=_real(position),
+        focal_length_mm=jnp.asarray(4.0),
+        pixel_pitch_um=jnp.asarray(2.0),
+        array=(640, 480),
+    )
+
+
+def mavic_3m_camera(position: ArrayLike = (5.0, 5.0, 50.0)) -> FrameCamera:
+    """Mavic 3M camera by its maker: 4.34 mm, 2 µm, 2592 x 1944 pixels.
+
+    `position` is (x, y, altitude) [m]. At 50 m: 2.30 cm pixels, 59.7 m x 44.8 m on the ground.
+    Source: DJI, Mavic 3M Image Processing Guide v1.0 (2023).
+    """
+    return FrameCamera(
+        position=_real(position),
+        focal_length_mm=jnp.asarray(4.34),
+        pixel_pitch_um=jnp.asarray(2.0),
+        array=(2592, 1944),
+    )

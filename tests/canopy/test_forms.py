@@ -1,0 +1,120 @@
+"""Plant models: what they promise of shape, area and normals."""
+
+import math
+
+import numpy as np
+import pytest
+
+from fynjax._core.errors import InputError
+from fynjax.canopy import FORM_DEFAULTS, Organ, PlantModel, leaf_angle, plant_model
+
+FORMS = list(FORM_DEFAULTS)
+
+
+def arrays(plant: PlantModel, organ: Organ) -> tuple[np.ndarray, np.ndarray]:
+    chosen = np.asarray(plant.organ) == organ
+    return np.asarray(plant.position)[chosen], np.asarray(plant.normal)[chosen]
+
+
+@pytest.mark.parametrize("n_elements", [3, 40, 501])
+@pytest.mark.parametrize("form", FORMS)
+def test_what_every_form_promises(form: str, n_elements: int) -> None:
+    plant = plant_model(form, n_elements, seed=4)
+    position, organ = np.asarray(plant.position), np.asarray(plant.organ)
+    assert position.shape == (n_elements, 3)
+    assert np.hypot(position[:, 0], position[:, 1]).max() <= 0.5 + 1e-12
+    assert position[:, 2].min() >= 0.0
+    assert position[:, 2].max() <= 1.0
+    np.testing.assert_allclose(np.linalg.norm(plant.normal, axis=1), 1.0, atol=1e-12)
+    assert np.asarray(plant.normal)[:, 2].min() >= -1e-12
+    defaults = FORM_DEFAULTS[form]
+    bears = (defaults.leaf_area_index, defaults.wood_area_index, defaults.flower_fraction)
+    for kind, amount in zip(Organ, bears, strict=True):
+        total = np.asarray(plant.area_fraction)[organ == kind].sum()
+        assert total == pytest.approx(1.0 if amount > 0 else 0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_seed_fixes_the_plant(form: str) -> None:
+    same = plant_model(form, 50, seed=1), plant_model(form, 50, seed=1)
+    np.testing.assert_array_equal(same[0].position, same[1].position)
+    assert not np.array_equal(same[0].position, plant_model(form, 50, seed=2).position)
+
+
+@pytest.mark.parametrize("form", ["upright_ericoid", "rounded_shrub", "broad_leaved", "climber"])
+def test_leaf_normals_project_as_their_distribution(form: str) -> None:
+    """G of the elements, with every azimuth, against the Ross-Nilson integral."""
+    _, normal = arrays(plant_model(form, 4000, seed=0), Organ.LEAF)
+    angle = leaf_angle(FORM_DEFAULTS[form].leaf_angle)
+    level, upright = np.hypot(normal[:, 0], normal[:, 1])[:, None], normal[:, 2:]
+    turn = np.cos(np.linspace(0, 2 * np.pi, 180, endpoint=False))
+    for zenith in (0.0, 25.0, 57.5, 80.0):
+        view = math.radians(zenith)
+        g = np.mean(np.abs(level * turn * math.sin(view) + upright * math.cos(view)))
+        expected = float(angle.projection(np.array(math.cos(view))))
+        assert g == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize("form", ["upright_ericoid", "rounded_shrub", "broad_leaved", "climber"])
+def test_few_elements_cover_the_crown_evenly(form: str) -> None:
+    """Counts in 12 sectors scatter less than those of random points (variance = mean)."""
+    counts = []
+    for seed in range(20):
+        position, _ = arrays(plant_model(form, 48, seed=seed), Organ.LEAF)
+        turn = np.arctan2(position[:, 1], position[:, 0]) / (2 * np.pi) + 0.5
+        counts.append(np.histogram(turn, 12, (0.0, 1.0))[0])
+    assert np.var(counts) < 0.5 * np.mean(counts)
+
+
+def test_crowns_fill_their_disc() -> None:
+    """Some leaf near the rim on all sides, so that the crown is as wide as the table says."""
+    for form in FORMS[:5]:
+        position, _ = arrays(plant_model(form, 2000, seed=0), Organ.LEAF)
+        reach = np.hypot(position[:, 0], position[:, 1])
+        sector = ((np.arctan2(position[:, 1], position[:, 0]) + np.pi) / (np.pi / 4)).astype(int)
+        widest = [reach[sector == s].max() for s in range(8)]
+        assert max(widest) > 0.45
+        assert min(widest) > (0.3 if form == "tussock" else 0.42)
+        assert position[:, 2].max() > 0.9
+
+
+def test_forms_differ_as_described() -> None:
+    leaf = {
+        form: arrays(plant_model(form, 1500, seed=0), Organ.LEAF)
+        for form in FORMS
+        if form != "deadwood"
+    }
+    height = {form: position[:, 2] for form, (position, _) in leaf.items()}
+    assert height["upright_ericoid"].mean() > height["rounded_shrub"].mean() + 0.1
+    assert height["climber"].min() > 0.35
+    assert height["tussock"].min() < 0.05
+    steepness = {form: np.abs(normal[:, 2]).mean() for form, (_, normal) in leaf.items()}
+    assert steepness["tussock"] < steepness["upright_ericoid"] < steepness["broad_leaved"]
+    assert steepness["climber"] > 0.8
+
+
+def test_wood_stays_inside_and_flowers_stand_on_top() -> None:
+    for form in ("upright_ericoid", "rounded_shrub", "broad_leaved"):
+        plant = plant_model(form, 2000, seed=1)
+        wood, _ = arrays(plant, Organ.WOOD)
+        flower, _ = arrays(plant, Organ.FLOWER)
+        assert flower[:, 2].min() >= 0.75
+        low = wood[:, 2] < 0.1
+        assert np.hypot(*wood[low, :2].T).max() < 0.1
+    dead = plant_model("deadwood", 300, seed=1)
+    assert set(np.asarray(dead.organ)) == {Organ.WOOD}
+
+
+def test_culms_look_like_thin_cylinders() -> None:
+    """Half the surface, with normals all round: from the side pi / 2 times less than flat."""
+    position, normal = arrays(plant_model("tussock", 8000, seed=3), Organ.LEAF)
+    low = position[:, 2] < 0.15  # nearly upright there
+    seen = np.abs(normal[low, 0]).mean()
+    assert seen == pytest.approx(2 / np.pi, rel=0.06)
+
+
+def test_bad_forms() -> None:
+    with pytest.raises(InputError, match="must be one of upright_ericoid"):
+        plant_model("tree", 10, seed=0)
+    with pytest.raises(InputError, match="at least 3"):
+        plant_model("tussock", 2, seed=0)

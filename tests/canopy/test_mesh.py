@@ -1,0 +1,125 @@
+"""Meshes to plant models: areas kept, frames and units right, errors that help."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from fynjax._core.errors import InputError
+from fynjax.canopy import Organ, instantiate, plant_model_from_mesh
+
+
+def bush() -> trimesh.Trimesh:
+    """An ellipsoid 0.4 m x 0.6 m x 1 m, standing on the ground at (3, 4)."""
+    mesh = trimesh.creation.icosphere(subdivisions=3)
+    mesh.apply_scale([0.2, 0.3, 0.5])
+    mesh.apply_translation([3.0, 4.0, 0.5])
+    return mesh
+
+
+@pytest.mark.parametrize("n_elements", [5, 500])
+def test_area_and_extents_are_kept(n_elements: int) -> None:
+    mesh = bush()
+    result = plant_model_from_mesh(mesh, n_elements, seed=1)
+    np.testing.assert_allclose(result.organ_area, [mesh.area, 0, 0], rtol=1e-12)
+    assert (result.width, result.height, result.depth) == pytest.approx((0.4, 0.6, 1.0), rel=0.01)
+    assert result.modelled_diameter == pytest.approx(0.5, rel=0.01)
+    position = np.asarray(result.plant.position)
+    assert position.shape == (n_elements, 3)
+    np.testing.assert_allclose(np.abs(position[:, :2]).max(0) <= [0.4001, 0.6001], True)
+    assert 0 <= position[:, 2].min() < position[:, 2].max() <= 1
+    area = instantiate(
+        result.plant, np.zeros((1, 2)), np.zeros(1), np.ones(1), 1, 1, *result.organ_area
+    )[1]
+    assert float(area.sum()) == pytest.approx(mesh.area, rel=1e-12)
+
+
+def test_elements_lie_on_the_surface_and_project_as_the_facets() -> None:
+    mesh = bush()
+    result = plant_model_from_mesh(mesh, 3000, seed=0)
+    d = result.modelled_diameter
+    metres = np.asarray(result.plant.position) * [d, d, result.depth] + [3.0, 4.0, 0.0]
+    metres[:, 2] += mesh.bounds[0, 2]
+    level = (metres - [3, 4, 0.5]) / [0.2, 0.3, 0.5]
+    np.testing.assert_allclose((level**2).sum(1), 1.0, atol=0.03)
+    fraction = np.asarray(result.plant.area_fraction)
+    for direction in [*np.eye(3).tolist(), [0.6, 0.0, 0.8], [0.48, 0.64, 0.6]]:
+        facets = np.abs(mesh.face_normals @ direction) @ mesh.area_faces / mesh.area
+        sampled = np.abs(np.asarray(result.plant.normal) @ direction) @ fraction
+        assert sampled == pytest.approx(facets, rel=0.01)
+
+
+def test_materials_become_organs(tmp_path: Path) -> None:
+    scene = trimesh.Scene()
+    parts = (("leaves", 0.4, 0.8), ("bark", 0.1, 0.3), ("petals", 0.05, 1.2))
+    for grey, (name, side, at) in enumerate(parts):
+        box = trimesh.creation.box([side, side, side])
+        box.apply_translation([0, 0, at])
+        material = trimesh.visual.material.SimpleMaterial(name=name, diffuse=[grey, 9, 9])
+        box.visual = trimesh.visual.TextureVisuals(material=material)
+        scene.add_geometry(box, node_name=name, geom_name=name)
+    organs = {"leaves": "leaf", "bark": Organ.WOOD, "petals": "flower"}
+    direct = plant_model_from_mesh(scene, 100, organs, solid_materials=("bark",))
+    np.testing.assert_allclose(direct.organ_area, [6 * 0.16, 0.5 * 6 * 0.01, 6 * 0.0025])
+    z = np.asarray(direct.plant.position)[:, 2] * direct.depth + 0.25
+    assert z[np.asarray(direct.plant.organ) == Organ.FLOWER].min() > 1.17
+    assert z[np.asarray(direct.plant.organ) == Organ.WOOD].max() < 0.36
+
+    path = tmp_path / "plant.obj"
+    scene.export(path)
+    read = plant_model_from_mesh(path, 100, organs, solid_materials=("bark",))
+    np.testing.assert_allclose(read.organ_area, direct.organ_area, rtol=1e-6)
+    with pytest.raises(InputError, match=r"plant.obj: material 'petals' must have an organ"):
+        plant_model_from_mesh(path, 100, {"leaves": "leaf", "bark": "wood"})
+    (tmp_path / "material.mtl").unlink()
+    with pytest.raises(InputError, match="material file"):
+        plant_model_from_mesh(path, 100, organs)
+    with pytest.raises(InputError, match="must be leaf, wood or flower"):
+        plant_model_from_mesh(scene, 100, organs | {"bark": "stem"})
+
+
+def test_a_mesh_with_y_upwards() -> None:
+    mesh = bush()
+    upright = plant_model_from_mesh(mesh, 200)
+    turned = mesh.copy()
+    turned.vertices = np.stack(
+        [mesh.vertices[:, 0], mesh.vertices[:, 2], -mesh.vertices[:, 1]], axis=1
+    )
+    same = plant_model_from_mesh(turned, 200, up="y")
+    assert (same.width, same.height, same.depth) == pytest.approx(
+        (upright.width, upright.height, upright.depth)
+    )
+    np.testing.assert_allclose(same.plant.position, upright.plant.position, atol=1e-12)
+
+
+def test_bad_meshes(tmp_path: Path) -> None:
+    big = bush()
+    big.apply_scale(100.0)
+    flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    lines = trimesh.Trimesh(
+        [[0, 0, 0], [1, 1, 1], [2, 2, 2]], [[0, 1, 2]], process=False, validate=False
+    )
+    broken = bush()
+    broken.vertices[0] = np.nan
+    for mesh, word in (
+        (trimesh.Trimesh(), "must have faces"),
+        (trimesh.Scene(), "must have faces"),
+        (trimesh.PointCloud(np.eye(3)), "point cloud"),
+        (big, "centimetres"),
+        (flat, "flat"),
+        (lines, "degenerate"),
+        (broken, "finite"),
+    ):
+        with pytest.raises(InputError, match=word):
+            plant_model_from_mesh(mesh, 10)
+    with pytest.raises(InputError, match="`up`"):
+        plant_model_from_mesh(bush(), 10, up="x")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="n_elements"):
+        plant_model_from_mesh(bush(), 0)
+    path = tmp_path / "cut.ply"
+    path.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 9\n")
+    with pytest.raises(InputError, match=r"cut.ply.*cannot be read"):
+        plant_model_from_mesh(path, 10)
+    with pytest.raises(InputError, match="cannot be read"):
+        plant_model_from_mesh(tmp_path / "none.obj", 10)

@@ -1,0 +1,251 @@
+"""Blue noise against scipy's sampler; sharing of sites; soft weights and their hard limit."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from scipy.stats import qmc
+
+from fynjax._core.errors import InputError
+from fynjax.canopy import assign_sites, poisson_disk, site_weight, soft_weights
+from tests.helpers import assert_gradients
+
+SIDE, RADIUS, SEEDS = 6.0, 0.2, 5
+
+
+def nearest(points: np.ndarray, box: float | None = None) -> np.ndarray:
+    return cKDTree(points, boxsize=box).query(points, k=2)[0][:, 1]
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize("extent", [(5.0, 3.0), (1.0, 1.0), (0.9, 7.3)])
+def test_the_least_distance_is_exact(extent: tuple[float, float], periodic: bool) -> None:
+    points = poisson_disk(extent, 0.1, seed=3, periodic=periodic)
+    assert points.dtype == np.float64
+    assert points.min() >= 0.0
+    assert np.all(points < np.array(extent))
+    box = np.array(extent) if periodic else None
+    assert cKDTree(points, boxsize=box).query(points, k=2)[0][:, 1].min() >= 0.1
+
+
+def test_the_plot_is_full() -> None:
+    """Few gaps are left: no place much farther than r from a point (a maximal packing has r)."""
+    points = poisson_disk((5.0, 5.0), 0.1, seed=0, periodic=True)
+    probe = np.random.default_rng(0).uniform(0, 5.0, (20000, 2))
+    distance = cKDTree(points, boxsize=5.0).query(probe)[0]
+    assert distance.max() < 0.2
+    assert np.mean(distance > 0.1) < 0.01
+
+
+def test_seed_and_attempts() -> None:
+    first = poisson_disk((2.0, 2.0), 0.1, seed=1)
+    np.testing.assert_array_equal(first, poisson_disk((2.0, 2.0), 0.1, seed=1))
+    assert not np.array_equal(first, poisson_disk((2.0, 2.0), 0.1, seed=2))
+    counts = [len(poisson_disk((5.0, 5.0), 0.1, seed=1, attempts=k)) for k in (2, 10, 60)]
+    assert counts == sorted(counts)
+    assert counts[0] < 0.9 * counts[2]
+
+
+def radial_spectrum(points: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Periodogram of the points at the plot's own frequencies, averaged in rings."""
+    order = np.arange(-30, 31)
+    wave_x, wave_y = np.meshgrid(order, order)
+    vectors = np.stack([wave_x.ravel(), wave_y.ravel()], -1) / SIDE
+    size = np.hypot(*vectors.T) * RADIUS
+    power = np.abs(np.exp(-2j * np.pi * vectors @ points.T).sum(1)) ** 2 / len(points)
+    ring = np.digitize(size, edges) - 1
+    inside = (ring >= 0) & (ring < len(edges) - 1) & (size > 0)
+    total = np.bincount(ring[inside], power[inside], len(edges) - 1)
+    return total / np.bincount(ring[inside], minlength=len(edges) - 1)
+
+
+def test_blue_noise_like_scipy() -> None:
+    edges = np.linspace(0.05, 0.95, 10)
+    own, peer, own_n, peer_n = [], [], [], []
+    for seed in range(SEEDS):
+        points = poisson_disk((SIDE, SIDE), RADIUS, seed=seed)
+        engine = qmc.PoissonDisk(
+            2,
+            radius=RADIUS,
+            l_bounds=[0, 0],
+            u_bounds=[SIDE, SIDE],
+            rng=np.random.default_rng(seed),
+        )
+        reference = engine.fill_space()
+        own.append(radial_spectrum(points, edges))
+        peer.append(radial_spectrum(reference, edges))
+        own_n.append(len(points))
+        peer_n.append(len(reference))
+    packing = np.mean(own_n) * RADIUS**2 / SIDE**2
+    # 30 rings of border on 6 m: edges hold more points than the 0.60-0.62 of a large plot.
+    assert 0.60 < packing < 0.66
+    assert np.mean(own_n) == pytest.approx(np.mean(peer_n), rel=0.04)
+    ours, theirs = np.mean(own, 0), np.mean(peer, 0)
+    # A ring of m independent frequencies has a relative scatter of 1 / sqrt(m seeds) (times
+    # sqrt 2 for the difference): 40 frequencies at least beyond the first ring.
+    np.testing.assert_allclose(ours[1:], theirs[1:], rtol=3 * np.sqrt(2 / (40 * SEEDS)), atol=0.02)
+    assert ours[:3].max() < 0.2  # no large clumps; white noise has 1
+    assert ours.max() > 1.2  # the ring at 1 / r
+    near = np.concatenate([nearest(poisson_disk((SIDE, SIDE), RADIUS, seed=s)) for s in range(3)])
+    assert near.mean() / RADIUS == pytest.approx(1.1, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("extent", "radius", "options", "word"),
+    [
+        ((0.0, 1.0), 0.1, {}, "positive"),
+        ((1.0, 1.0), float("nan"), {}, "positive"),
+        ((1.0, 1.0), 0.1, {"attempts": 0}, "attempts"),
+        ((1.0, 1.0), 0.6, {"periodic": True}, "own image"),
+        ((1e4, 1e4), 0.1, {}, "metres"),
+    ],
+)
+def test_bad_discs(extent: tuple[float, float], radius: float, options: dict, word: str) -> None:
+    with pytest.raises(InputError, match=word):
+        poisson_disk(extent, radius, seed=0, **options)
+
+
+POINTS = poisson_disk((10.0, 10.0), 0.1, seed=7)
+
+
+def as_set(sites: np.ndarray) -> set[tuple[float, float]]:
+    return {tuple(site) for site in sites.tolist()}
+
+
+def test_sites_are_disjoint_and_drawn_from_the_points() -> None:
+    sites = assign_sites(POINTS, [500, 0, 1500, 300], seed=1)
+    assert [len(s) for s in sites] == [500, 0, 1500, 300]
+    together = as_set(np.concatenate(sites))
+    assert len(together) == 2300
+    assert together <= as_set(POINTS)
+
+
+def test_sites_of_a_species_are_spread_evenly() -> None:
+    (sites,) = assign_sites(POINTS, [1000], seed=2)
+    quadrant, *_ = np.histogram2d(*sites.T, bins=2, range=[[0, 10], [0, 10]])
+    # Binomial scatter 14 of 250; the blue noise only makes it smaller.
+    assert np.all(np.abs(quadrant - 250) < 4 * 14)
+
+
+def test_a_longer_list_begins_the_same_and_hardly_moves_the_others() -> None:
+    grey = np.full((4, 4), 100, np.uint8)
+    short = assign_sites(POINTS, [400, 500, 600], seed=3, probability=grey, extent=(10, 10))
+    longer = assign_sites(POINTS, [440, 500, 600], seed=3, probability=grey, extent=(10, 10))
+    np.testing.assert_array_equal(longer[0][:400], short[0])
+    for before, after in zip(short[1:], longer[1:], strict=True):
+        # Only sites that the 40 new plants took: about 40 * 500 / 6000 of them.
+        assert len(as_set(before) - as_set(after)) < 20
+
+
+def test_the_map_sets_the_pattern_and_not_the_abundance() -> None:
+    grey = np.array([[255, 85], [0, 85]], np.uint8)  # row 0 is the south
+    (sites,) = assign_sites(POINTS, [600], seed=5, probability=grey, extent=(10.0, 10.0))
+    assert len(sites) == 600
+    east, north = sites.T
+    assert not np.any((east < 5) & (north > 5))
+    strong = np.mean((east < 5) & (north < 5))
+    # 255 : 85 : 85 among equal areas: 3/5 of few plants; a little less as the best places go.
+    assert 0.5 < strong < 0.64
+    (by_function,) = assign_sites(
+        POINTS, [600], seed=5, probability=lambda x, y: np.where(x < 5, 255.0 * (y < 5), 85.0)
+    )
+    np.testing.assert_array_equal(by_function, sites)
+
+
+def test_one_map_a_species() -> None:
+    south, north = np.array([[255], [0]]), np.array([[0], [255]])
+    sites = assign_sites(
+        POINTS, [300, 300, 300], seed=5, probability=[south, north, None], extent=(10, 10)
+    )
+    assert sites[0][:, 1].max() < 5 < sites[1][:, 1].min()
+    assert np.ptp(sites[2][:, 1]) > 9
+
+
+def test_a_target_out_of_reach_is_said_with_numbers() -> None:
+    few = POINTS[:50]
+    with pytest.raises(InputError, match=r"species 1 .* wanted 30 sites but got 20"):
+        assign_sites(few, [30, 30], seed=0)
+    with pytest.raises(InputError, match="wanted 1 sites but got 0"):
+        assign_sites(few, [1], seed=0, probability=np.zeros((3, 3)), extent=(10, 10))
+
+
+@pytest.mark.parametrize(
+    ("grey", "extent", "word"),
+    [
+        (np.full((2, 2), 300.0), (10, 10), "0-255"),
+        (np.full((2, 2), np.nan), (10, 10), "NaN"),
+        (np.full((2, 2), 0.5), (10, 10), "fractions"),
+        (np.full((2, 2), 9), None, "extent"),
+        (np.full((2, 2), 9), (5, 5), "outside"),
+        (np.full((3, 2, 2), 9), (10, 10), "axes"),
+    ],
+)
+def test_bad_maps(grey: np.ndarray, extent: tuple[float, float] | None, word: str) -> None:
+    with pytest.raises(InputError, match=word):
+        assign_sites(POINTS, [5], seed=0, probability=grey, extent=extent)
+
+
+@pytest.mark.parametrize("count", [0.0, 0.3, 1.0, 4.7, 12.0])
+@pytest.mark.parametrize("width", [1.0, 2.0, 5.0])
+def test_weights_sum_to_the_count(count: float, width: float) -> None:
+    weight = soft_weights(count, 20, width=width)
+    assert weight.min() >= 0.0
+    assert weight.max() <= 1.0
+    assert np.all(np.diff(weight) <= 0.0)
+    whole = width <= 2 * count + 1 or count == 0.0
+    assert float(weight.sum()) == pytest.approx(count, abs=1e-12 if whole else 0.2)
+
+
+def test_weights_of_a_wide_step_sum_nearly_to_the_count() -> None:
+    for softness in (0.05, 0.3, 0.77):
+        weight = soft_weights(20.4, 80, softness=softness)
+        assert float(weight.sum()) == pytest.approx(20.4, abs=0.13)
+
+
+@pytest.mark.parametrize("count", [0.0, 0.4, 3.0, 3.2, 7.99])
+def test_the_hard_scene_is_the_limit(count: float) -> None:
+    hard = np.arange(12) < np.ceil(count)
+    np.testing.assert_array_equal(soft_weights(count, 12, width=0.0), hard)
+    last = np.inf
+    for width in (1.0, 0.3, 0.1, 0.009):
+        error = float(np.abs(soft_weights(count, 12, width=width) - hard).sum())
+        assert error <= last
+        last = error
+    assert last == 0.0
+
+
+def test_no_plants_have_no_weight_and_a_finite_slope() -> None:
+    width = jnp.array([1.0, 0.25, 4.0, 1.0, 0.0])
+    softness = jnp.array([0.0, 0.0, 0.0, 0.5, 0.0])
+
+    def soft(x: tuple[jax.Array, ...]) -> jax.Array:
+        count, w, s = (part[:, None] for part in x)
+        return site_weight(count, np.arange(4), width=w, softness=s)
+
+    none = jnp.zeros(5)
+    np.testing.assert_array_equal(soft((none, width, softness)), np.zeros((5, 4)))
+    for slopes in (jax.jacfwd, jax.jacrev):
+        by_input = jax.jit(slopes(soft))((none, width, softness))
+        assert all(np.all(np.isfinite(slope)) for slope in by_input)
+    assert float(jax.grad(lambda n: soft_weights(n, 5).sum())(0.0)) == 1.0
+
+
+def test_the_sum_of_weights_has_slope_one_everywhere() -> None:
+    counts = jnp.array([0.0, 0.5, 1.0, 2.0, 3.25])
+    slopes = jax.vmap(jax.grad(lambda n: soft_weights(n, 6).sum()))(counts)
+    np.testing.assert_array_equal(slopes, 1.0)
+
+
+def test_weights_are_differentiable() -> None:
+    assert_gradients(
+        jax.jit(lambda x: soft_weights(x[0], 30, width=x[1], softness=x[2])),
+        jnp.array([11.3, 1.7, 0.21]),
+    )
+
+
+def test_weights_keep_single_precision_and_broadcast() -> None:
+    count = jnp.asarray([3.5, 0.2], jnp.float32)
+    weight = site_weight(count[:, None], np.arange(5), softness=0.1)
+    assert weight.dtype == jnp.float32
+    np.testing.assert_array_equal(weight[0], soft_weights(count[0], 5, softness=0.1))

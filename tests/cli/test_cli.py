@@ -1,0 +1,313 @@
+"""The commands parse, call their job, tell the result, and fail in one line.
+
+The jobs themselves are stood in for: what is tested is the door, not the house.
+"""
+
+import io
+import json
+import os
+import subprocess
+import sys
+import time
+import types
+import warnings
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import fynjax
+from fynjax._core.errors import InputError, MissingExtraError
+from fynjax._core.progress import NullProgress, Progress
+from fynjax.cli import app, main
+from fynjax.io import read_plot
+
+COMMANDS = ["demo", "render", "calibrate", "fit-leaf", "init"]
+
+
+def call(capsys, *arguments):
+    """Exit status, stdout, stderr of `fynjax ...`."""
+    with pytest.raises(SystemExit) as caught:
+        main([str(a) for a in arguments])
+    out, err = capsys.readouterr()
+    return caught.value.code, out, err
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """Stand-ins for the jobs; the list of what they were called with."""
+    made = []
+
+    def job(name):
+        def run(*positional, progress=None, **keywords):
+            made.append((name, positional, keywords))
+            assert isinstance(progress, Progress)
+            output = next(p for p in reversed(positional) if hasattr(p, "is_dir") and p.is_dir())
+            (output / "image.tif").write_text(name)
+            return {
+                "headline": [f"{name} is done."],
+                "files": {"image.tif": "the image"},
+                "array": np.array([1.0, np.nan]),
+            }
+
+        return run
+
+    jobs = types.ModuleType("fynjax.report._jobs")
+    for name in ("run_demo", "run_render", "run_calibrate"):
+        setattr(jobs, name, job(name))
+    leaf = types.ModuleType("fynjax.io._fit_leaf")
+    leaf.run_fit_leaf = job("run_fit_leaf")
+    monkeypatch.setitem(sys.modules, "fynjax.report._jobs", jobs)
+    monkeypatch.setitem(sys.modules, "fynjax.io._fit_leaf", leaf)
+    monkeypatch.setattr("fynjax.cli._runtime.prepare_jax", lambda: None)
+    return made
+
+
+@pytest.fixture
+def plot(tmp_path, capsys):
+    assert call(capsys, "init", tmp_path / "plot")[0] == 0
+    return tmp_path / "plot" / "plot.toml"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_an_example(command):
+    result = CliRunner().invoke(app, [command, "--help"])
+    assert result.exit_code == 0
+    assert f"Example:  fynjax {command}" in result.output
+    for option in ("--output", "--seed", "--json", "--quiet"):
+        assert option in result.output
+
+
+def test_help_and_version_are_fast_and_load_no_jax():
+    code = (
+        "import sys\nfrom fynjax.cli import main\n"
+        "try: main(['calibrate', '--help'])\nexcept SystemExit: pass\n"
+        "heavy = {'jax', 'numpy', 'rasterio', 'xarray', 'matplotlib', 'pandas', 'scipy'}\n"
+        "print('LOADED', sorted(heavy & set(sys.modules)))"
+    )
+    start = time.perf_counter()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "LOADED []" in done.stdout
+    # The goal is 1 s on an idle machine; a busy one must not make the test fail.
+    assert time.perf_counter() - start < 5
+
+
+def test_version(capsys):
+    assert call(capsys, "--version") == (0, f"fynjax {fynjax.__version__}\n", "")
+
+
+def test_demo_writes_moves_and_tells(capsys, calls, tmp_path):
+    output = tmp_path / "a" / "b"
+    status, out, err = call(capsys, "demo", "--output", output, "--seed", 5)
+    assert (status, err) == (0, "")
+    assert calls[0][2] == {"seed": 5}
+    assert sorted(p.name for p in output.iterdir()) == ["image.tif", "summary.json"]
+    assert [p.name for p in output.parent.iterdir()] == ["b"]
+    assert "run_demo is done." in out
+    assert str(output) in out
+    assert "image.tif  the image" in out
+
+
+def test_json_is_all_that_stdout_has(capsys, calls, tmp_path):
+    status, out, err = call(capsys, "demo", "--output", tmp_path / "o", "--json")
+    assert (status, err) == (0, "")
+    summary = json.loads(out)
+    assert summary["command"] == "demo"
+    assert summary["version"] == fynjax.__version__
+    assert summary["output"] == str(tmp_path / "o")
+    assert summary["seed"] == 0
+    assert summary["array"] == [1.0, None]  # JSON has no NaN
+    assert json.loads((tmp_path / "o" / "summary.json").read_text("utf-8")) == summary
+
+
+def test_quiet_says_nothing(capsys, calls, tmp_path):
+    assert call(capsys, "demo", "--output", tmp_path / "o", "--quiet") == (0, "", "")
+
+
+def test_render_takes_the_seed_of_the_plot_unless_told(capsys, calls, plot, tmp_path):
+    text = plot.read_text("utf-8")
+    plot.write_text(text.replace("seed = 0", "seed = 11"), "utf-8")
+    assert call(capsys, "render", plot, "--output", tmp_path / "o")[0] == 0
+    assert call(capsys, "render", plot, "--output", tmp_path / "o", "--seed", 3)[0] == 0
+    assert [c[2]["seed"] for c in calls] == [11, 3]
+    assert calls[0][1][0] == plot
+
+
+def test_calibrate_and_fit_leaf_pass_their_files(capsys, calls, plot, tmp_path):
+    target = plot.parent / "statistics.csv"
+    done = call(capsys, "calibrate", plot, "--target", target, "--output", tmp_path / "o")
+    assert done[0] == 0
+    assert calls[0][0] == "run_calibrate"
+    assert calls[0][1][:2] == (plot, target)
+    spectra = [tmp_path / "a.csv", tmp_path / "b.asd"]
+    for path in spectra:
+        path.write_text("x")
+    arguments = ["fit-leaf", *spectra, "--output", tmp_path / "t", "--version", "PRO"]
+    assert call(capsys, *arguments)[0] == 0
+    assert calls[1][1][0] == spectra
+    assert calls[1][2] == {"version": "PRO", "measurement": "sphere", "domain": "auto", "seed": 0}
+
+
+def one_line(status, out, err):
+    assert status in (1, 2)
+    assert out == ""
+    assert err.startswith("fynjax: error: ")
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+    return err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["render"], "PLOT.toml"),
+        (["renderr"], "render"),
+        (["render", "nothing.toml"], "nothing.toml"),
+        (["demo", "--seed", "x"], "--seed"),
+        (["demo", "--seed", "-1"], "--seed"),
+        (["demo", "--frob"], "--frob"),
+        (["fit-leaf"], "SPECTRUM"),
+        (["fit-leaf", "nothing.asd"], "nothing.asd"),
+        (["calibrate", "plot.toml"], "--target"),
+    ],
+)
+def test_wrong_arguments_are_one_line(capsys, calls, tmp_path, monkeypatch, arguments, word):
+    monkeypatch.chdir(tmp_path)
+    status, out, err = call(capsys, *arguments)
+    assert status == 2
+    assert word in one_line(status, out, err)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bad_table_is_one_line_and_no_output(capsys, calls, plot, tmp_path):
+    species = plot.parent / "species.csv"
+    text = species.read_text("utf-8")
+    species.write_text(text.replace("irregularis,40,20", "irregularis,-40,20"))
+    err = one_line(*call(capsys, "render", plot, "--output", tmp_path / "o"))
+    row = text.splitlines().index("Erica irregularis,40,20,0.67,rounded_shrub") + 1
+    assert f"species.csv, row {row}, column 'mean_diameter_cm'" in err
+    assert "-40" in err
+    assert not (tmp_path / "o").exists()
+    assert calls == []
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "words"),
+    [
+        (InputError("two\nlines", file="a.csv", row=3), 2, "a.csv, row 3: two lines"),
+        (MissingExtraError("blackjax", "nuts"), 1, 'pip install "fynjax[nuts]"'),
+        (ZeroDivisionError("oh"), 1, "ZeroDivisionError: oh"),
+    ],
+)
+def test_a_failing_job_leaves_nothing(capsys, calls, monkeypatch, tmp_path, error, status, words):
+    def run_demo(output, *, seed, progress):
+        (output / "half.tif").write_text("half")
+        warnings.warn("lost with the run", stacklevel=1)
+        raise error
+
+    monkeypatch.setattr(sys.modules["fynjax.report._jobs"], "run_demo", run_demo)
+    monkeypatch.delenv("FYNJAX_DEBUG", raising=False)
+    done = call(capsys, "demo", "--output", tmp_path / "o")
+    assert done[0] == status
+    assert words in one_line(*done)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_debug_shows_the_traceback(calls, monkeypatch, tmp_path):
+    def run_demo(output, *, seed, progress):
+        raise InputError("bad")
+
+    monkeypatch.setattr(sys.modules["fynjax.report._jobs"], "run_demo", run_demo)
+    monkeypatch.setenv("FYNJAX_DEBUG", "1")
+    with pytest.raises(InputError):
+        main(["demo", "--output", str(tmp_path / "o")])
+
+
+def test_ctrl_c_is_130_and_leaves_nothing(capsys, calls, monkeypatch, tmp_path):
+    def run_demo(output, *, seed, progress):
+        (output / "half.tif").write_text("half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys.modules["fynjax.report._jobs"], "run_demo", run_demo)
+    status, out, err = call(capsys, "demo", "--output", tmp_path / "o")
+    assert (status, out) == (130, "")
+    assert err == "fynjax: interrupted; nothing was written\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_warnings_of_a_run_are_told_once_and_kept(capsys, calls, monkeypatch, tmp_path):
+    def run_demo(output, *, seed, progress):
+        for _ in range(2):
+            warnings.warn("3 of 600 pixels are masked", stacklevel=1)
+        warnings.warn("not for users", DeprecationWarning, stacklevel=1)
+        return {}
+
+    monkeypatch.setattr(sys.modules["fynjax.report._jobs"], "run_demo", run_demo)
+    status, out, err = call(capsys, "demo", "--output", tmp_path / "o", "--json")
+    assert status == 0
+    assert err == "fynjax: warning: 3 of 600 pixels are masked\n"
+    assert json.loads(out)["warnings"] == ["3 of 600 pixels are masked"]
+
+
+def test_output_that_is_a_file_is_refused(capsys, calls, tmp_path):
+    (tmp_path / "o").write_text("mine")
+    err = one_line(*call(capsys, "demo", "--output", tmp_path / "o"))
+    assert "this is a file" in err
+    assert (tmp_path / "o").read_text() == "mine"
+
+
+def test_init_writes_a_plot_that_reads_and_overwrites_nothing(capsys, tmp_path):
+    target = tmp_path / "plot"
+    status, out, err = call(capsys, "init", target, "--seed", 9)
+    assert (status, err) == (0, "")
+    assert f"fynjax render {target / 'plot.toml'}" in out
+    read = read_plot(target / "plot.toml")
+    assert read.seed == 9
+    assert len(read.species) == 13
+    (target / "species.csv").write_text("mine")
+    assert "overwrites nothing" in one_line(*call(capsys, "init", target))
+    assert (target / "species.csv").read_text() == "mine"
+    status, out, _ = call(capsys, "init", "--output", tmp_path / "other", "--json")
+    assert status == 0
+    assert sorted(json.loads(out)["files"]) == sorted(os.listdir(tmp_path / "other"))
+    assert "one folder" in one_line(*call(capsys, "init", "a", "--output", "b"))
+
+
+def test_jax_is_prepared_and_the_cache_folder_follows_xdg(tmp_path):
+    code = (
+        "from fynjax.cli._runtime import prepare_jax\nprepare_jax()\nimport jax\n"
+        "print(jax.config.jax_enable_x64, jax.config.jax_compilation_cache_dir)"
+    )
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+    )
+    assert done.stdout.split() == ["True", str(tmp_path / "fynjax" / "jax")]
+    assert (tmp_path / "fynjax" / "jax").is_dir()
+
+
+def test_bars_show_stages_counts_and_what_the_job_tells():
+    from rich.console import Console
+
+    from fynjax.cli._progress import TerminalProgress
+
+    console = Console(force_terminal=True, width=120, record=True, file=io.StringIO())
+    progress = TerminalProgress(console)
+    progress.advance()  # outside a stage: nothing to move
+    with progress.stage("Calibrate", total=10):
+        progress.advance(4, loss=0.5)
+        with progress.stage("Render"):
+            progress.advance()
+        progress.advance(1, loss=0.25)
+    text = console.export_text()
+    assert "Calibrate" in text
+    assert "Render" in text
+    assert "loss 0.25" in text
+    assert "10/10" in text
+
+
+def test_null_progress_is_a_progress():
+    progress = NullProgress()
+    assert isinstance(progress, Progress)
+    with progress.stage("anything", total=3):
+        progress.advance(2, loss=0.1)

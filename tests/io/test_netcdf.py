@@ -1,0 +1,104 @@
+"""Runs open in xarray with CF names and units; a failed write leaves nothing behind."""
+
+import hashlib
+import json
+from datetime import UTC, datetime
+
+import netCDF4
+import numpy as np
+import pytest
+import xarray as xr
+
+from fynjax.io import image_array, provenance, staged_folder, write_run
+
+BANDS = ("green", "nir")
+
+
+@pytest.fixture
+def dataset():
+    image = np.random.default_rng(0).uniform(size=(2, 6, 4)).astype(np.float32)
+    return xr.Dataset(
+        {
+            "reflectance": image_array(
+                image, BANDS, (560, 860), pixel_m=0.5, long_name="simulated reflectance"
+            ),
+            "cover": (
+                "species",
+                np.array([0.1, 0.2]),
+                {"units": "1", "long_name": "cover", "standard_name": "area_fraction"},
+            ),
+        },
+        coords={"species": ("species", ["a", "b"], {"long_name": "taxon"})},
+    )
+
+
+def test_xarray_reads_it_with_names_units_and_record(tmp_path, dataset):
+    source = tmp_path / "plot.toml"
+    source.write_text("[plot]")
+    record = provenance(seed=4, inputs=[source], command="fynjax render plot.toml")
+    write_run(tmp_path / "run.nc", dataset, record)
+    with xr.open_dataset(tmp_path / "run.nc") as back:
+        np.testing.assert_array_equal(back["reflectance"], dataset["reflectance"])
+        assert back["reflectance"].attrs["units"] == "1"
+        assert back["wavelength"].attrs["units"] == "nm"
+        np.testing.assert_array_equal(back["y"], 0.25 + 0.5 * np.arange(6))
+        assert back["y"].attrs["standard_name"] == "projection_y_coordinate"
+        assert list(back["band"].values) == list(BANDS)
+        assert back.attrs["Conventions"] == "CF-1.11"
+        assert back.attrs["seed"] == 4
+        assert back.attrs["command"] == "fynjax render plot.toml"
+        assert back.attrs["history"].endswith("fynjax render plot.toml")
+        hashes = json.loads(back.attrs["input_sha256"])
+        assert hashes == {"plot.toml": hashlib.sha256(b"[plot]").hexdigest()}
+        made = datetime.strptime(back.attrs["date_created"], "%Y-%m-%dT%H:%M:%SZ")
+        age = datetime.now(UTC) - made.replace(tzinfo=UTC)
+        assert abs(age.total_seconds()) < 60
+    with netCDF4.Dataset(tmp_path / "run.nc") as file:
+        assert file["reflectance"].filters()["zlib"]
+        assert "_FillValue" not in file["x"].ncattrs()  # CF forbids it on coordinates
+
+
+def test_variables_without_units_or_names_are_refused(tmp_path, dataset):
+    del dataset["cover"].attrs["units"]
+    with pytest.raises(ValueError, match="'cover' must have `units`"):
+        write_run(tmp_path / "run.nc", dataset)
+    dataset["cover"].attrs = {"units": "1"}
+    with pytest.raises(ValueError, match="'cover' must have `long_name`"):
+        write_run(tmp_path / "run.nc", dataset)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, dataset):
+    path = tmp_path / "run.nc"
+    write_run(path, dataset)
+    before = path.read_bytes()
+    dataset["bad"] = ("z", np.array([object()]), {"long_name": "no number"})
+    with pytest.raises((ValueError, TypeError)):
+        write_run(path, dataset)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["run.nc"]
+
+
+def test_a_staged_folder_arrives_whole_or_not_at_all(tmp_path):
+    target = tmp_path / "out" / "run"
+
+    def interrupted():
+        with staged_folder(target) as folder:
+            (folder / "half.txt").write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert not target.exists()
+    assert list(target.parent.iterdir()) == []
+    target.mkdir()
+    (target / "mine.txt").write_text("kept")
+    (target / "a.txt").write_text("old")
+    with staged_folder(target) as folder:
+        (folder / "deep").mkdir()
+        (folder / "deep" / "b.txt").write_text("b")
+        (folder / "a.txt").write_text("new")
+    assert (target / "a.txt").read_text() == "new"
+    assert (target / "mine.txt").read_text() == "kept"
+    assert (target / "deep" / "b.txt").read_text() == "b"
+    assert [p.name for p in target.parent.iterdir()] == ["run"]

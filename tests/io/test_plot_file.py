@@ -1,0 +1,345 @@
+"""A good plot file gives SI records; every slip is told with file, row, column and value."""
+
+import json
+import shutil
+import warnings
+
+import numpy as np
+import pytest
+
+from fynjax._core.errors import InputError
+from fynjax.canopy import FORM_DEFAULTS, table1_2006
+from fynjax.io import GROWTH_FORMS, PROSPECT_COLUMNS, example_folder, read_plot, read_statistics
+from fynjax.io._plot_file import shipped_growth_forms
+
+
+@pytest.fixture
+def folder(tmp_path):
+    target = tmp_path / "plot"
+    shutil.copytree(example_folder(), target)
+    return target
+
+
+def edit(path, old, new):
+    text = path.read_text(encoding="utf-8")
+    assert text.count(old) >= 1, f"{old!r} is not in {path.name}"
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+def row_of(path, start):
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return next(n for n, line in enumerate(lines, start=1) if line.startswith(start))
+
+
+def test_example_is_table_1_of_the_paper(folder, shared_data):
+
+    paper = json.loads((shared_data / "paper" / "reference_values.json").read_text("utf-8"))
+    table = paper["table1_species_2006"]
+    plot = read_plot(folder / "plot.toml")
+    assert list(plot.taxa) == [row["taxon"] for row in table]
+    np.testing.assert_allclose(plot.diameter_m, [r["mean_diameter_cm"] / 100 for r in table])
+    np.testing.assert_allclose(plot.cover, [r["cover_percent"] / 100 for r in table])
+    np.testing.assert_allclose(plot.height_m, [r["height_max_m"] for r in table])
+    assert plot.size_m == (10.0, 10.0)
+    assert {s.growth_form for s in plot.species} == set(GROWTH_FORMS)
+
+
+def test_example_is_the_table_that_the_canopy_ships():
+    shipped = table1_2006().set_index("taxon")["growth_form"].to_dict()
+    assert shipped_growth_forms() == shipped
+    assert set(GROWTH_FORMS) == set(FORM_DEFAULTS)
+
+
+def test_example_statistics_are_table_4_of_the_paper(folder, shared_data):
+
+    paper = json.loads((shared_data / "paper" / "reference_values.json").read_text("utf-8"))
+    read = read_statistics(folder / "statistics.csv")
+    values = dict(zip(read.names, read.value, strict=True))
+    bands = paper["table4_implied_real_band_means_derived"]
+    for name, key in (("green", "G"), ("red", "R"), ("red_edge", "RE"), ("nir", "N")):
+        assert values[f"{name}.mean"] == bands[key]
+    for name in ("NDVI", "GNDVI"):
+        assert values[f"{name}.mean"] == paper["table4_vegetation_indices"][name]["real_mean"]
+        assert values[f"{name}.std"] == paper["table4_vegetation_indices"][name]["real_std"]
+    assert np.isnan(read.sd[0])
+
+
+def test_leaf_rows_fall_back_to_the_star_row(folder):
+    plot = read_plot(folder / "plot.toml")
+    by_taxon = {s.taxon: s for s in plot.species}
+    assert by_taxon["Deadwood"].leaf is None
+    assert by_taxon["Restio eleocharis"].leaf.parameters["dry_matter"] == 0.05
+    default = by_taxon["Erica irregularis"].leaf.parameters
+    assert tuple(default) == PROSPECT_COLUMNS
+    assert default["chlorophyll"] == 40.0
+
+
+def test_paths_start_from_the_file_not_from_the_working_folder(folder, monkeypatch, tmp_path):
+    edit(folder / "leaves.csv", "*,1.8,40,9,1.5,0.1,0.02,0.02,", "*,,,,,,,,spectra/leaf.csv")
+    (folder / "spectra").mkdir()
+    (folder / "spectra" / "leaf.csv").write_text("wavelength_nm,reflectance\n400,0.1\n")
+    monkeypatch.chdir(tmp_path)
+    plot = read_plot("plot/plot.toml")
+    spectrum = plot.species[0].leaf.spectrum
+    assert spectrum == (folder / "spectra" / "leaf.csv").resolve()
+    assert spectrum in plot.inputs
+    assert plot.species[0].leaf.parameters is None
+
+
+def test_priors_of_the_user_win_over_defaults(folder):
+    edit(folder / "plot.toml", '"*.cover" = 0.25', '"species.Erica*.cover" = 0.1')
+    calibration = read_plot(folder / "plot.toml").calibration
+    assert calibration.relative_sd("species.Erica irregularis.cover") == 0.1
+    assert calibration.relative_sd("species.Deadwood.cover") == 0.25
+    assert calibration.relative_sd("ground.brightness") == 0.3
+    assert calibration.is_free("species.Deadwood.cover")
+    assert not calibration.is_free("species.Deadwood.height")
+
+
+def test_everything_but_plot_may_be_left_out(folder):
+    (folder / "small.toml").write_text('[plot]\nsize_m = [5, 10]\nspecies_table = "species.csv"\n')
+    plot = read_plot(folder / "small.toml")
+    assert plot.size_m == (5.0, 10.0)
+    assert plot.species[0].leaf is None
+    assert plot.sun.zenith_deg == 30.0
+
+
+def test_growth_form_of_a_shipped_taxon_may_be_left_out(folder):
+    (folder / "species.csv").write_text(
+        "taxon,mean_diameter_cm,cover_percent,height_max_m\nDeadwood,10,10,0.5\n"
+    )
+    (folder / "leaves.csv").write_text(
+        "taxon,structure,chlorophyll,carotenoids,water,dry_matter\n*,1.5,30,8,0.01,0.01\n"
+    )
+    assert read_plot(folder / "plot.toml").species[0].growth_form == "deadwood"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_byte_order_marks_are_no_slip(folder, encoding):
+    text = (folder / "species.csv").read_text(encoding="utf-8")
+    (folder / "species.csv").write_bytes(text.encode(encoding))
+    assert read_plot(folder / "plot.toml").taxa[0] == "Metalasia muricata"
+
+
+E40 = "Erica irregularis,40,"
+SPECIES_SLIPS = [
+    (E40, "Erica irregularis,-40,", "mean_diameter_cm", ["-40", "1 to 1000"]),
+    (E40, "Erica irregularis,0.40,", "mean_diameter_cm", ["0.4", "Metres", "40"]),
+    (E40, "Erica irregularis,nan,", "mean_diameter_cm", ["nan", "number"]),
+    (E40, "Erica irregularis,40 cm,", "mean_diameter_cm", ["Leave out the unit"]),
+    (E40, 'Erica irregularis,"40,5",', "mean_diameter_cm", ["decimal comma", "40.5"]),
+    (E40, "Erica irregularis,,", "mean_diameter_cm", ["missing"]),
+    (E40 + "20,", "Erica irregularis,40,120,", "cover_percent", ["120", "0 to 100"]),
+    (E40 + "20,0.67", E40 + "20,67", "height_max_m", ["67", "Centimetres", "0.67"]),
+    (
+        "0.67,rounded_shrub",
+        "0.67,round_shrub",
+        "growth_form",
+        ["round_shrub", "Did you mean 'rounded_shrub'"],
+    ),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "column", "words"), SPECIES_SLIPS)
+def test_a_wrong_cell_is_named_with_its_row(folder, old, new, column, words):
+    path = folder / "species.csv"
+    edit(path, old, new)
+    with pytest.raises(InputError) as caught:
+        read_plot(folder / "plot.toml")
+    assert caught.value.file == path
+    assert caught.value.row == row_of(path, "Erica")
+    assert caught.value.column == column
+    for word in words:
+        assert word in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_decimal_comma_without_quotes_is_named(folder):
+    edit(folder / "species.csv", "Chironia baccifera,15,0.5,", "Chironia baccifera,15,0,5,")
+    with pytest.raises(InputError, match="decimal comma") as caught:
+        read_plot(folder / "plot.toml")
+    assert caught.value.row == row_of(folder / "species.csv", "Chironia")
+
+
+def test_wrong_delimiter_is_named(folder):
+    text = (folder / "species.csv").read_text(encoding="utf-8")
+    (folder / "species.csv").write_text(text.replace(",", ";"), encoding="utf-8")
+    with pytest.raises(InputError, match="semicolons") as caught:
+        read_plot(folder / "plot.toml")
+    assert caught.value.row == row_of(folder / "species.csv", "taxon")
+
+
+def test_missing_and_misspelt_columns_are_named_with_the_nearest(folder):
+    edit(folder / "species.csv", "mean_diameter_cm", "diameter_cm")
+    with pytest.raises(InputError, match=r"'mean_diameter_cm'.*'diameter_cm' in this file"):
+        read_plot(folder / "plot.toml")
+    edit(folder / "species.csv", "diameter_cm", "mean_diameter_cm")
+    edit(folder / "species.csv", "growth_form\n", "growthform\n")
+    with pytest.raises(InputError, match=r"'growthform'. Did you mean 'growth_form'"):
+        read_plot(folder / "plot.toml")
+
+
+def test_absurd_total_cover_and_double_taxa_are_refused(folder):
+    path = folder / "species.csv"
+    header = "taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form\n"
+    path.write_text(header + "".join(f"T{k},20,90,1,tussock\n" for k in range(4)))
+    with pytest.raises(InputError, match="360 %"):
+        read_plot(folder / "plot.toml")
+    path.write_text(header + "A b,20,9,1,tussock\nA b,20,9,1,tussock\n")
+    with pytest.raises(InputError, match="row 2 already") as caught:
+        read_plot(folder / "plot.toml")
+    assert caught.value.row == 3
+
+
+def test_fractions_for_covers_are_a_warning_only(folder):
+    (folder / "species.csv").write_text(
+        "taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form\n"
+        "A,20,0.12,1,tussock\nB,20,0.4,1,tussock\n"
+    )
+    edit(folder / "plot.toml", 'leaf_table = "leaves.csv"', "")
+    with pytest.warns(UserWarning, match="0.4 would be 40"):
+        plot = read_plot(folder / "plot.toml")
+    assert plot.cover[1] == 0.004
+
+
+def test_small_covers_in_a_usual_table_are_no_warning(folder):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read_plot(folder / "plot.toml")  # Chironia baccifera covers 0.5 %
+
+
+def test_unknown_taxon_in_the_leaf_table_names_the_nearest(folder):
+    edit(folder / "leaves.csv", "Restio eleocharis", "Restio eleochoris")
+    with pytest.raises(InputError, match="Did you mean 'Restio eleocharis'") as caught:
+        read_plot(folder / "plot.toml")
+    assert caught.value.row == row_of(folder / "leaves.csv", "Restio")
+    assert caught.value.column == "taxon"
+
+
+LEAF_SLIPS = [
+    ("0.05,0.05,", "0.05,500,", "dry_matter", r"g m-2\? In g cm-2 .* 0.05"),
+    ("0.05,0.05,", "50,0.05,", "water", "g m-2"),
+    ("2.2,35,", "0.5,35,", "structure", "from 1 to 5"),
+    ("0.05,0.05,", "0.05,0.05,leaf.asd", None, "got both"),
+    ("0.05,0.05,", "0.05,,", None, "dry_matter is empty"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "column", "words"), LEAF_SLIPS)
+def test_a_wrong_leaf_row_is_named(folder, old, new, column, words):
+    path = folder / "leaves.csv"
+    edit(path, old, new)
+    with pytest.raises(InputError, match=words) as caught:
+        read_plot(folder / "plot.toml")
+    assert caught.value.row == row_of(path, "Restio")
+    assert caught.value.column == column
+
+
+def test_a_missing_spectrum_names_table_row_and_neighbour(folder):
+    (folder / "leaf_1.csv").write_text("x")
+    edit(folder / "leaves.csv", "2.2,35,8,1.5,0.3,0.05,0.05,", ",,,,,,,leaf_2.csv")
+    with pytest.raises(InputError, match=r"'leaf_2.csv'.*Did you mean 'leaf_1.csv'") as caught:
+        read_plot(folder / "plot.toml")
+    assert caught.value.row == row_of(folder / "leaves.csv", "Restio")
+
+
+def test_a_species_without_leaf_optics_is_refused(folder):
+    edit(folder / "leaves.csv", "*,", "Clutia alaternoides,")
+    with pytest.raises(InputError, match=r"'Metalasia muricata'.*row '\*'"):
+        read_plot(folder / "plot.toml")
+
+
+PLOT_SLIPS = [
+    ("zenith_deg = 30.0", "zenith_deg = 95", "sun.zenith_deg", "below the horizon"),
+    ("azimuth_deg = 0.0", 'azimuth_deg = "north"', "sun.azimuth_deg", "'north'"),
+    ("size_m = 10.0", "size_m = 10.05", "plot.size_m", "nearest is 10 m"),
+    ("size_m = 10.0", "size_m = [10]", "plot.size_m", r"\[east-west, north-south\].* got \[10\]"),
+    ("size_m = 10.0", "size_m = -10", "plot.size_m", "0.5 to 1000"),
+    ("voxel_m = 0.1", "voxel = 0.1", "plot.voxel", "Did you mean 'voxel_m'"),
+    ('boundary = "periodic"', 'boundary = "period"', "plot.boundary", "Did you mean 'periodic'"),
+    ('"species.csv"', '"specie.csv"', "plot.species_table", "Did you mean 'species.csv'"),
+    ("brightness = 1.0", "brightness = 20", "ground.brightness", "from 0.2 to 2"),
+    (
+        "aerosol_optical_depth = 0.1",
+        "aerosol_optical_depth = 5",
+        "sky.aerosol_optical_depth",
+        "0 to 2",
+    ),
+    ('soil = "dry"', 'soil = "sand.csv"', None, "moisture"),
+    ("altitude_m = 50.0", "altitude_m = 1", "sensor.altitude_m", "from 5 to 500"),
+    ('name = "mavic_3m"', 'name = "mavic3m"', "sensor.name", "Did you mean 'mavic_3m'"),
+    ("seed = 0", "seed = 0.5", "scene.seed", "whole number"),
+    ('"*.diameter" = 0.25', '"*.diameter" = -1', None, "-1"),
+    ("[sun]", "[sunn]", "sunn", "Did you mean 'sun'"),
+    ("zenith_deg = 30.0", "zenith_deg = ", 14, "TOML"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "column", "words"), PLOT_SLIPS)
+def test_a_wrong_plot_file_names_the_line(folder, old, new, column, words):
+    path = folder / "plot.toml"
+    edit(path, old, new)
+    with pytest.raises(InputError, match=words) as caught:
+        read_plot(path)
+    assert caught.value.file == path
+    if isinstance(column, str):
+        assert caught.value.column == column
+    lines = path.read_text(encoding="utf-8").splitlines()
+    if column is not None:
+        assert new.split("=")[0].strip() in lines[caught.value.row - 1]
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_plot_table_is_named(tmp_path):
+    (tmp_path / "plot.toml").write_text("[sun]\nzenith_deg = 10\n")
+    with pytest.raises(InputError, match="'plot'"):
+        read_plot(tmp_path / "plot.toml")
+
+
+def test_sky_table_rises_in_nm(folder):
+    edit(folder / "plot.toml", "# table =", "table =")
+    sky = folder / "sky.csv"
+    sky.write_text("wavelength_nm,diffuse_fraction\n400,0.4\n900,0.1\n")
+    plot = read_plot(folder / "plot.toml")
+    np.testing.assert_array_equal(plot.sky.wavelength, [400, 900])
+    np.testing.assert_array_equal(plot.sky.diffuse_fraction, [0.4, 0.1])
+    sky.write_text("wavelength_nm,diffuse_fraction\n0.4,0.4\n")
+    with pytest.raises(InputError, match="Micrometres\\? In nm this is 400"):
+        read_plot(folder / "plot.toml")
+    sky.write_text("wavelength_nm,diffuse_fraction\n900,0.4\n400,0.4\n")
+    with pytest.raises(InputError, match="400 follows 900") as caught:
+        read_plot(folder / "plot.toml")
+    assert caught.value.row == 3
+    sky.write_text("wavelength_nm,diffuse_fraction\n400,40\n")
+    with pytest.raises(InputError, match="Percent"):
+        read_plot(folder / "plot.toml")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"PK\x03\x04abc", "Excel"),
+        (b"", "empty"),
+        (b"statistic,value,sd\n", "only a header"),
+        (b"statistic,value\nnir.mean,\xe9\n", "UTF-8"),
+        (b"statistic,value\nnir.mean,22.6\n", "Percent\\? This is 0.226"),
+        (b"statistic,value\nnir,0.226\n", "nir.mean"),
+        (b"statistic,value\nnir.mean,0.2\nnir.mean,0.2\n", "row 2 already"),
+        (b"statistic,value,sd\nnir.mean,0.2,0\n", "above 0"),
+        (b"statistic,value\nNDVI.std,-0.1\n", "at least 0"),
+        (b"statistic,value\nNDVII.mean,0.7\n", "Did you mean 'NDVI'"),
+        (b"statistic,value\nNDVI.mean,n/a\n", "'n/a'"),
+    ],
+)
+def test_wrong_statistics_are_named(tmp_path, content, words):
+    path = tmp_path / "stats.csv"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=words):
+        read_statistics(path, known=("nir", "NDVI"))
+
+
+def test_missing_files_and_folders_are_named(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        read_plot(tmp_path / "nothing" / "plot.toml")
+    with pytest.raises(InputError, match="folder"):
+        read_plot(tmp_path)

@@ -1,0 +1,201 @@
+"""GeoTIFFs, checked by rasterio alone; what comes back is what went in."""
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio import Affine
+
+from fynjax._core.errors import InputError
+from fynjax.io import read_image, write_geotiff
+
+BANDS = ("green", "red", "red_edge", "nir")
+CENTRES = (560.0, 650.0, 730.0, 860.0)
+
+
+@pytest.fixture
+def image():
+    """4 bands, 30 x 20 pixels; brighter to the north, one bright pixel in the south-west corner."""
+    values = np.full((4, 30, 20), 0.1) + np.linspace(0, 0.1, 30)[None, :, None]
+    values[:, 0, 0] = 0.6
+    return values.astype(np.float32)
+
+
+def write(path, image, **options):
+    write_geotiff(path, image, BANDS, pixel_m=0.5, wavelengths=CENTRES, **options)
+
+
+def test_rasterio_sees_north_up_places_names_and_tags(tmp_path, image):
+    path = tmp_path / "out" / "image.tif"
+    write(path, image, origin_m=(100.0, 200.0), tags={"seed": 3, "command": "fynjax render"})
+    assert [p.name for p in path.parent.iterdir()] == ["image.tif"]  # no temporary, no sidecar
+    with rasterio.open(path) as file:
+        assert file.count == 4
+        assert file.dtypes[0] == "float32"
+        assert file.compression.name == "deflate"
+        assert file.transform == Affine(0.5, 0, 100.0, 0, -0.5, 215.0)
+        assert tuple(file.bounds) == (100.0, 200.0, 110.0, 215.0)
+        disk = file.read()
+        np.testing.assert_array_equal(disk, image[:, ::-1, :])
+        # The south-west corner, asked for by its place on the ground.
+        assert next(file.sample([(100.1, 200.1)]))[0] == np.float32(0.6)
+        assert next(file.sample([(100.1, 214.9)]))[0] == image[0, -1, 0]
+        assert file.descriptions == BANDS
+        assert file.tags(4)["wavelength"] == "860"
+        assert file.tags(4)["wavelength_units"] == "Nanometers"
+        assert file.tags(4, ns="IMAGERY")["CENTRAL_WAVELENGTH_UM"] == "0.86"
+        assert file.tags()["seed"] == "3"
+        assert file.tags()["command"] == "fynjax render"
+        assert np.isnan(file.nodata)
+        assert not file.crs.is_geographic
+        assert "metre" in file.crs.to_wkt()
+
+
+def test_a_real_crs_is_kept(tmp_path, image):
+    write(tmp_path / "i.tif", image, crs="EPSG:32734", origin_m=(6e5, 6.2e6))
+    with rasterio.open(tmp_path / "i.tif") as file:
+        assert file.crs.to_epsg() == 32734
+
+
+def test_round_trip(tmp_path, image):
+    write(tmp_path / "i.tif", image, origin_m=(3.0, 4.0))
+    back, mask, meta = read_image(tmp_path / "i.tif", BANDS)
+    np.testing.assert_array_equal(back, image.astype(float))
+    assert mask.all()
+    assert mask.shape == (30, 20)
+    assert meta.bands == BANDS
+    assert meta.pixel_m == 0.5
+    assert meta.origin_m == (3.0, 4.0)
+    assert meta.masked == 0
+
+
+def test_bands_are_taken_by_name(tmp_path, image):
+    shuffled = [3, 0, 2, 1]
+    names = ["NIR", "Green", "Red edge", "Red"]
+    scaled = image * np.array([1.0, 1.1, 1.2, 1.3])[:, None, None]
+    write_geotiff(tmp_path / "i.tif", scaled[shuffled], names, pixel_m=0.5)
+    back, _, _ = read_image(tmp_path / "i.tif", BANDS)
+    np.testing.assert_allclose(back, scaled, rtol=1e-6)
+
+
+def test_masked_pixels_are_counted_and_told(tmp_path, image):
+    image[2, 5, 7] = np.nan  # one band is enough
+    image[:, 6, 7] = 0.0  # undeclared border of a mosaic
+    image[0, 8, 9] = np.inf
+    write(tmp_path / "i.tif", image)
+    with pytest.warns(UserWarning, match="3 of 600 pixels are masked"):
+        back, mask, meta = read_image(tmp_path / "i.tif", BANDS)
+    assert meta.masked == 3
+    assert sorted(zip(*np.nonzero(~mask), strict=True)) == [(5, 7), (6, 7), (8, 9)]
+    assert np.isnan(back[:, 5, 7]).all()
+    assert np.isfinite(back[:, mask]).all()
+
+
+def test_declared_nodata_is_masked(tmp_path, image):
+    image[:, 1, 2] = -10000
+    write(tmp_path / "i.tif", image, nodata=-10000.0)
+    with pytest.warns(UserWarning, match="1 of 600"):
+        _, mask, _ = read_image(tmp_path / "i.tif", BANDS)
+    assert not mask[1, 2]
+
+
+NORTH_UP = Affine(0.5, 0, 0, 0, -0.5, 10)
+
+
+def raw(path, values, dtype, *, scale=None, transform=NORTH_UP, **options):
+    with rasterio.open(
+        path, "w", driver="GTiff", dtype=dtype, count=len(values), height=values.shape[1],
+        width=values.shape[2], transform=transform, **options,
+    ) as file:  # fmt: skip
+        file.write(values.astype(dtype))
+        if scale is not None:
+            file.scales = [scale] * len(values)
+
+
+def test_south_up_files_are_not_flipped_twice(tmp_path, image):
+    raw(tmp_path / "i.tif", image, "float32", transform=Affine(0.5, 0, 0, 0, 0.5, 20.0))
+    back, _, meta = read_image(tmp_path / "i.tif", BANDS)
+    np.testing.assert_array_equal(back, image.astype(float))
+    assert meta.origin_m == (0.0, 20.0)
+
+
+def test_a_stated_scale_is_applied_and_an_unstated_one_refused(tmp_path, image):
+    stored = np.round(image[:, ::-1] * 1e4)
+    raw(tmp_path / "stated.tif", stored, "uint16", scale=1e-4)
+    back, _, meta = read_image(tmp_path / "stated.tif", BANDS)
+    np.testing.assert_allclose(back, image, atol=1e-4)
+    assert meta.scale == 1e-4
+    raw(tmp_path / "unstated.tif", stored, "uint16")
+    with pytest.raises(InputError, match=r"0 to 10000.*-scale 0.0001"):
+        read_image(tmp_path / "unstated.tif", BANDS)
+    raw(tmp_path / "percent.tif", image * 100, "float32")
+    with pytest.raises(InputError, match=r"percent.*-scale 0.01"):
+        read_image(tmp_path / "percent.tif", BANDS)
+
+
+def test_undeclared_nodata_is_named(tmp_path, image):
+    image[:, 3, 3] = -10000
+    raw(tmp_path / "i.tif", image, "float32")
+    with pytest.raises(InputError, match=r"-10000 \(in 1 pixels\).*-a_nodata -10000"):
+        read_image(tmp_path / "i.tif", BANDS)
+
+
+@pytest.mark.parametrize("keep", [0.9, 0.5, 0.1, 0.01])
+def test_a_truncated_file_is_named(tmp_path, keep):
+    noise = np.random.default_rng(0).uniform(0.05, 0.3, (4, 300, 300))
+    write(tmp_path / "i.tif", noise)
+    whole = (tmp_path / "i.tif").read_bytes()
+    (tmp_path / "i.tif").write_bytes(whole[: int(len(whole) * keep)])
+    with pytest.raises(InputError, match="cut short") as caught:
+        read_image(tmp_path / "i.tif", BANDS)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("keep", [0.9, 0.3])
+def test_a_truncated_file_with_its_directory_first_is_named(tmp_path, keep):
+    # Uncompressed files begin with the directory: they open, and fail only on reading.
+    raw(tmp_path / "i.tif", np.full((4, 300, 300), 0.2), "float32")
+    whole = (tmp_path / "i.tif").read_bytes()
+    (tmp_path / "i.tif").write_bytes(whole[: int(len(whole) * keep)])
+    with pytest.raises(InputError, match="cut short"):
+        read_image(tmp_path / "i.tif", BANDS)
+
+
+def test_other_slips_are_named(tmp_path, image):
+    raw(tmp_path / "rgb.tif", image[:3], "float32")
+    with pytest.raises(InputError, match=r"expected 4 bands .* but got 3"):
+        read_image(tmp_path / "rgb.tif", BANDS)
+    names = ("green", "red", "rededge", "nir")
+    write_geotiff(tmp_path / "names.tif", image, names, pixel_m=0.5)
+    with pytest.raises(InputError, match=r"'red_edge'.*Did you mean 'rededge'"):
+        read_image(tmp_path / "names.tif", BANDS)
+    write(tmp_path / "empty.tif", np.full_like(image, np.nan))
+    with pytest.raises(InputError, match="all 600 pixels are masked"):
+        read_image(tmp_path / "empty.tif", BANDS)
+    (tmp_path / "text.tif").write_text("not an image")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_image(tmp_path / "text.tif", BANDS)
+    with pytest.raises(InputError, match=r"Did you mean 'names.tif'"):
+        read_image(tmp_path / "name.tif", BANDS)
+    turned = NORTH_UP @ Affine.rotation(20)
+    raw(tmp_path / "turned.tif", image, "float32", transform=turned)
+    with pytest.raises(InputError, match="rotated"):
+        read_image(tmp_path / "turned.tif", BANDS)
+
+
+def test_a_file_without_georeference_has_no_pixel_size(tmp_path, image):
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+        raw(tmp_path / "i.tif", image, "float32", transform=Affine.identity())
+    _, _, meta = read_image(tmp_path / "i.tif", BANDS)
+    assert meta.pixel_m is None
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, image):
+    path = tmp_path / "i.tif"
+    write(path, image)
+    before = path.read_bytes()
+    with pytest.raises(TypeError):
+        write(path, image, tags={"bad": object()})  # fails after the pixels are written
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["i.tif"]
+    with pytest.raises(ValueError, match="4 bands"):
+        write(path, image[:3])

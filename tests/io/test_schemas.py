@@ -1,0 +1,85 @@
+"""The schemas on disk are those of the models, valid, and agree with them on real files."""
+
+import csv
+import json
+import tomllib
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from fynjax.io import RunSummary, example_folder
+from fynjax.io._schemas import SCHEMAS, json_schema, write_schemas
+
+FOLDER = Path(__file__).resolve().parents[2] / "data_schemas"
+
+
+def test_files_are_those_of_the_models(tmp_path):
+    written = write_schemas(tmp_path)
+    assert sorted(p.name for p in written) == sorted(p.name for p in FOLDER.glob("*.json"))
+    for path in written:
+        assert path.read_text("utf-8") == (FOLDER / path.name).read_text("utf-8"), (
+            f"{path.name} is out of date: run python -m fynjax.io._schemas"
+        )
+
+
+@pytest.mark.parametrize("name", sorted(SCHEMAS))
+def test_schema_is_valid_draft_2020_12(name):
+    jsonschema.Draft202012Validator.check_schema(json_schema(name))
+
+
+@pytest.mark.parametrize("name", ["plot", "species_table_row", "leaf_table_row", "statistics_row"])
+def test_every_field_is_described(name):
+    schema = json_schema(name)
+    for part in (schema, *schema.get("$defs", {}).values()):
+        for field, entry in part["properties"].items():
+            assert "description" in entry or "$ref" in entry, field
+
+
+def is_valid(name, instance):
+    return jsonschema.Draft202012Validator(json_schema(name)).is_valid(instance)
+
+
+def test_example_plot_is_valid_and_slips_are_not():
+    plot = tomllib.loads((example_folder() / "plot.toml").read_text("utf-8"))
+    assert is_valid("plot", plot)
+    assert not is_valid("plot", {**plot, "sun": {"zenith_deg": 90}})
+    assert not is_valid("plot", {**plot, "moon": {}})
+    assert not is_valid("plot", {})
+
+
+def typed(cell):
+    try:
+        return float(cell)
+    except ValueError:
+        return cell
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("species.csv", "species_table_row"),
+        ("leaves.csv", "leaf_table_row"),
+        ("statistics.csv", "statistics_row"),
+    ],
+)
+def test_rows_of_the_example_are_valid(file, name):
+    lines = (example_folder() / file).read_text("utf-8").splitlines()
+    for row in csv.DictReader(line for line in lines if not line.startswith("#")):
+        assert is_valid(name, {k: typed(v) for k, v in row.items() if v != ""}), row
+
+
+def test_schema_and_model_refuse_the_same_leaf_rows():
+    values = {"structure": 1.5, "chlorophyll": 40, "carotenoids": 8, "water": 0.01}
+    good = {"taxon": "A", **values, "dry_matter": 0.01}
+    assert is_valid("leaf_table_row", good)
+    assert is_valid("leaf_table_row", {"taxon": "A", "spectrum": "a.csv"})
+    assert not is_valid("leaf_table_row", {"taxon": "A"})
+    assert not is_valid("leaf_table_row", {**good, "spectrum": "a.csv"})
+    assert not is_valid("leaf_table_row", {**good, "water": 10})
+
+
+def test_a_summary_is_valid():
+    summary = RunSummary(command="demo", version="0", output="o", seed=0, status="ok")
+    assert is_valid("fit_result", json.loads(summary.model_dump_json()))
+    assert not is_valid("fit_result", {"command": "demo"})

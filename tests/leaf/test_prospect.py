@@ -1,0 +1,336 @@
+"""PROSPECT against the authors' output, exact limits, energy and finite differences."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import exp1
+
+from fynjax.leaf import (
+    LeafParameters,
+    exponential_integral,
+    interface_transmissivity,
+    layer_absorptance,
+    prospect,
+)
+from fynjax.leaf._prospect import _stack
+from tests.helpers import assert_gradients
+
+COLUMNS = {
+    "structure": "n",
+    "chlorophyll": "cab",
+    "carotenoids": "car",
+    "anthocyanins": "ant",
+    "brown_pigments": "brown",
+    "water": "ewt",
+    "dry_matter": "lma",
+    "proteins": "prot",
+    "carbon_constituents": "cbc",
+}
+BANDS = np.array([400.0, 445.0, 550.0, 670.0, 705.5, 850.0, 1131.0, 1450.0, 1940.0, 2500.0])
+CLEAR = {
+    "chlorophyll": 0.0,
+    "carotenoids": 0.0,
+    "water": 0.0,
+    "dry_matter": 0.0,
+    "proteins": 0.0,
+    "carbon_constituents": 0.0,
+}
+
+
+def both(parameters, wavelength=BANDS, **options):
+    optics = prospect(parameters, wavelength, **options)
+    return jnp.stack([optics.reflectance, optics.transmittance])
+
+
+@pytest.mark.parametrize("version", ["D", "PRO"])
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-12), (np.float32, 2e-6)])
+def test_agrees_with_the_authors_own_package(shared_data, version, dtype, tolerance):
+    with np.load(shared_data / "leaf" / "reference_prospect_R.npz") as stored:
+        reference = dict(stored)
+    leaves = LeafParameters.many(
+        **{name: reference[f"par_{key}"].astype(dtype) for name, key in COLUMNS.items()}
+    )
+    optics = jax.jit(jax.vmap(lambda leaf: prospect(leaf, version=version)))(leaves)
+    assert optics.reflectance.dtype == optics.wavelength.dtype == dtype
+    np.testing.assert_allclose(
+        optics.reflectance, reference[f"refl_{version}"], rtol=0, atol=tolerance
+    )
+    np.testing.assert_allclose(
+        optics.transmittance, reference[f"tran_{version}"], rtol=0, atol=tolerance
+    )
+
+
+def test_version_5_is_the_published_model_written_naively(shared_data):
+    """The textbook formulas with SciPy's E1, straight from Jacquemoud & Baret 1990."""
+    table = np.genfromtxt(
+        shared_data / "leaf" / "prospect5_coefficients.csv.gz", delimiter=",", names=True
+    )
+    structure, index = 1.7, table["nr"]
+    contents = {"cab": 35.0, "car": 9.0, "brown": 0.1, "ewt": 0.012, "lma": 0.007}
+    k = sum(amount * table[name] for name, amount in contents.items()) / structure
+    theta = (1 - k) * np.exp(-k) + k**2 * exp1(k)
+    first, t12 = cone_average(40.0, index), cone_average(90.0, index)
+    t21 = t12 / index**2
+    r12, r21 = 1 - t12, 1 - t21
+    bounce = 1 - (r21 * theta) ** 2
+    layer = [(x * theta * t21 / bounce) for x in (first, t12)]
+    r_first, r = 1 - first + r21 * theta * layer[0], r12 + r21 * theta * layer[1]
+    t = layer[1]
+    d = np.sqrt((1 + r + t) * (1 + r - t) * (1 - r + t) * (1 - r - t))
+    a, b = (1 + r**2 - t**2 + d) / (2 * r), (1 - r**2 + t**2 + d) / (2 * t)
+    power = b ** (structure - 1)
+    r_sub = a * (power**2 - 1) / (a**2 * power**2 - 1)
+    t_sub = power * (a**2 - 1) / (a**2 * power**2 - 1)
+    optics = prospect(
+        LeafParameters(
+            structure=structure, chlorophyll=35.0, carotenoids=9.0, brown_pigments=0.1,
+            water=0.012, dry_matter=0.007, anthocyanins=5.0,
+        ),
+        version="5",
+    )  # fmt: skip
+    expected_r = r_first + layer[0] * r_sub * t / (1 - r_sub * r)
+    np.testing.assert_allclose(optics.reflectance, expected_r, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        optics.transmittance, layer[0] * t_sub / (1 - r_sub * r), rtol=0, atol=1e-8
+    )
+
+
+def cone_average(angle, index):
+    """Fresnel's equations integrated over the cone with the weight sin(2 a), by quadrature."""
+
+    def transmissivity(a, n):
+        s, c = np.sin(a), np.cos(a)
+        inside = np.sqrt(n**2 - s**2)
+        perpendicular = ((c - inside) / (c + inside)) ** 2
+        parallel = ((n**2 * c - inside) / (n**2 * c + inside)) ** 2
+        return (1 - (perpendicular + parallel) / 2) * np.sin(2 * a)
+
+    top = np.deg2rad(angle)
+    nodes = np.linspace(index.min(), index.max(), 9)
+    values = [
+        quad(transmissivity, 0, top, args=(n,), epsabs=1e-13)[0] / np.sin(top) ** 2 for n in nodes
+    ]
+    return np.polynomial.Polynomial.fit(nodes, values, 8)(index)
+
+
+@pytest.mark.parametrize("angle", [5.0, 40.0, 59.0, 89.9, 90.0])
+def test_surface_transmissivity_is_the_average_of_fresnel(angle):
+    index = np.array([1.25, 1.33, 1.4, 1.45, 1.52])
+    np.testing.assert_allclose(
+        interface_transmissivity(angle, index), cone_average(angle, index), rtol=0, atol=2e-10
+    )
+    slope = jax.grad(lambda a: interface_transmissivity(a, 1.4))(jnp.asarray(angle))
+    h = 1e-4
+    one_sided = angle == 90.0
+    upper = angle if one_sided else angle + h
+    difference = (
+        interface_transmissivity(upper, 1.4) - interface_transmissivity(angle - h, 1.4)
+    ) / (h if one_sided else 2 * h)
+    assert abs(slope - difference) < 1e-4 * abs(difference) + 1e-7
+
+
+def test_layer_absorptance_and_its_derivatives_are_exact():
+    k = np.concatenate([np.logspace(-14, 2.8, 20001), np.linspace(0.01, 3, 5001)])
+    exact = -np.expm1(-k) + k * np.exp(-k) - k**2 * exp1(k)
+    np.testing.assert_allclose(layer_absorptance(jnp.asarray(k)), exact, rtol=1e-9, atol=1e-12)
+    assert np.abs(np.asarray(layer_absorptance(jnp.asarray(k))) - exact).max() < 2e-13
+    slope = jax.vmap(jax.grad(layer_absorptance))(jnp.asarray(k))
+    np.testing.assert_allclose(slope, 2 * np.exp(-k) - 2 * k * exp1(k), rtol=1e-9, atol=2e-11)
+    curvature = jax.vmap(jax.grad(jax.grad(layer_absorptance)))(jnp.asarray(k))
+    np.testing.assert_allclose(curvature, -2 * exp1(k), rtol=1e-7, atol=1e-10)
+    third = jax.grad(jax.grad(jax.grad(layer_absorptance)))(0.3)
+    assert third == pytest.approx(2 * np.exp(-0.3) / 0.3, rel=1e-7)
+    np.testing.assert_allclose(exponential_integral(jnp.asarray(k)), exp1(k), rtol=1e-7, atol=1e-12)
+    assert layer_absorptance(jnp.float32(0.5)).dtype == np.float32
+
+
+def test_layer_absorptance_at_its_edges():
+    edges = jnp.array([-1.0, 0.0, 1e-300, 700.0, 1e4, jnp.inf])
+    assert np.array_equal(layer_absorptance(edges)[:2], [0.0, 0.0])
+    np.testing.assert_allclose(layer_absorptance(edges)[3:], 1.0)
+    assert jax.grad(layer_absorptance)(0.0) == 2.0
+    for order_two in (0.0, 1e-300, 700.0, 1e5):
+        assert np.isfinite(jax.grad(jax.grad(layer_absorptance))(order_two))
+
+
+@pytest.mark.parametrize("version", ["5", "D", "PRO"])
+def test_gradients_equal_differences(version):
+    leaf = LeafParameters(
+        structure=1.8, chlorophyll=30.0, carotenoids=7.0, anthocyanins=2.0, brown_pigments=0.2,
+        water=0.012, dry_matter=0.008, proteins=0.001, carbon_constituents=0.006,
+    )  # fmt: skip
+    leaf = jax.tree.map(lambda x: jnp.asarray(x, float), leaf)
+    assert_gradients(lambda p: both(p, version=version), leaf, rtol=2e-6)
+    angle = jnp.asarray(40.0)
+    assert_gradients(lambda a: both(leaf, version=version, incidence_half_angle=a), angle)
+
+
+def test_incidence_angle_as_a_traced_array_gives_the_same_leaf():
+    leaf = LeafParameters()
+    np.testing.assert_allclose(
+        both(leaf, incidence_half_angle=jnp.asarray(59.0)), both(leaf, incidence_half_angle=59.0),
+        rtol=0, atol=1e-12,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("structure", [1.0, 1.4, 2.0, 3.7])
+def test_a_leaf_that_absorbs_nothing_is_a_pile_of_plates(structure):
+    """Without absorption R + T = 1, and T of N - 1 equal plates is t / (t + (1 - t)(N - 1))."""
+    index = 1.45
+    first, t12 = (
+        cone_average(40.0, np.array([index, 1.5]))[0],
+        cone_average(90.0, np.array([index, 1.5]))[0],
+    )
+    t21 = t12 / index**2
+    layer = [x * t21 / (1 - (1 - t21) ** 2) for x in (first, t12)]
+    t, m = layer[1], structure - 1.0
+    rest = t / (t + (1 - t) * m)
+    expected = layer[0] * rest / (1 - (1 - rest) * (1 - t))
+
+    def at(absorbed, n):
+        return jnp.stack(
+            _stack(absorbed, n, jnp.asarray(first), jnp.asarray(t12), jnp.asarray(index))
+        )
+
+    reflectance, transmittance = at(jnp.asarray(0.0), jnp.asarray(structure))
+    assert transmittance == pytest.approx(expected, abs=1e-14)
+    assert reflectance + transmittance == pytest.approx(1.0, abs=1e-14)
+    # The derivative at zero is the limit of the derivatives beside it, not just finite.
+    for argument in (0, 1):
+        edge = jax.jacfwd(at, argument)(jnp.asarray(0.0), jnp.asarray(structure))
+        beside = jax.jacfwd(at, argument)(jnp.asarray(1e-9), jnp.asarray(structure))
+        np.testing.assert_allclose(edge, beside, rtol=1e-6, atol=1e-9)
+        slope = (
+            at(jnp.asarray(1e-6), jnp.asarray(structure))
+            - at(jnp.asarray(0.0), jnp.asarray(structure))
+        ) / 1e-6
+        if argument == 0:
+            np.testing.assert_allclose(edge, slope, rtol=1e-4)
+    reverse = jax.jacrev(at)(jnp.asarray(0.0), jnp.asarray(structure))
+    np.testing.assert_allclose(reverse, jax.jacfwd(at)(jnp.asarray(0.0), jnp.asarray(structure)))
+
+
+@pytest.mark.parametrize("structure", [1.0, 1.3, 2.5, 4.0])
+def test_series_and_closed_form_are_stokes_in_extended_precision(structure):
+    """Both branches of `_stack` against the textbook form in 64-bit-mantissa arithmetic."""
+    absorbed = np.logspace(-7, -1, 2001)
+    first, t12, index = 0.95, 0.9, 1.4
+    layers = jnp.asarray(structure)
+    reflectance, transmittance = _stack(jnp.asarray(absorbed), layers, first, t12, index)
+    theta = 1 - absorbed.astype(np.longdouble)
+    t21 = np.longdouble(t12) / np.longdouble(index) ** 2
+    bounce = 1 - ((1 - t21) * theta) ** 2
+    t_first, t = first * theta * t21 / bounce, np.longdouble(t12) * theta * t21 / bounce
+    r = 1 - np.longdouble(t12) + (1 - t21) * theta * t
+    d = np.sqrt((1 + r + t) * (1 + r - t) * (1 - r + t) * (1 - r - t))
+    a, b = (1 + r**2 - t**2 + d) / (2 * r), (1 - r**2 + t**2 + d) / (2 * t)
+    power = b ** (structure - 1)
+    bottom = a**2 * power**2 - 1
+    r_sub, t_sub = a * (power**2 - 1) / bottom, power * (a**2 - 1) / bottom
+    expected_r = (
+        1
+        - np.longdouble(first)
+        + (1 - t21) * theta * t_first
+        + t_first * r_sub * t / (1 - r_sub * r)
+    )
+    np.testing.assert_allclose(transmittance, t_first * t_sub / (1 - r_sub * r), rtol=0, atol=2e-14)
+    np.testing.assert_allclose(reflectance, expected_r, rtol=0, atol=2e-14)
+
+
+EDGES = {
+    "N = 1": {"structure": 1.0},
+    "no absorber": CLEAR,
+    "no absorber, N = 1": CLEAR | {"structure": 1.0},
+    "pigments only": {"water": 0.0, "dry_matter": 0.0, "proteins": 0.0, "carbon_constituents": 0.0},
+    "tiny absorber": CLEAR | {"water": 1e-9, "chlorophyll": 1e-6},
+    "opaque": {"structure": 3.5, "brown_pigments": 4.0, "water": 0.2, "dry_matter": 0.08},
+    "very opaque": {"structure": 3.5, "brown_pigments": 90.0, "water": 1.0, "dry_matter": 0.9},
+    "very opaque, N = 1": {"structure": 1.0, "brown_pigments": 90.0, "water": 1.0},
+    "N = 0.5": {"structure": 0.5},
+}  # fmt: skip
+
+
+def spectra_of(vector):
+    return both(jax.tree.unflatten(jax.tree.structure(LeafParameters()), list(vector)))
+
+
+DERIVATIVES = [
+    jax.jit(jax.grad(lambda v: spectra_of(v).sum())),
+    jax.jit(jax.jacfwd(spectra_of)),
+    jax.jit(jax.hessian(lambda v: spectra_of(v).sum())),
+]
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("name", EDGES)
+def test_edges_are_finite_to_second_order(name, dtype):
+    leaf = jax.tree.map(lambda x: jnp.asarray(x, dtype), LeafParameters(**EDGES[name]))
+    flat = jnp.stack(jax.tree.leaves(leaf))
+
+    values = both(leaf)
+    assert np.isfinite(values).all()
+    assert values.min() >= 0
+    if EDGES[name].get("structure", 1.5) >= 1.0:
+        assert (values.sum(0) <= 1 + 5e-7).all()
+    for derivative in DERIVATIVES:
+        assert np.isfinite(derivative(flat)).all()
+
+
+def test_gradient_without_absorber_equals_the_one_sided_difference():
+    clear = jax.tree.map(lambda x: jnp.asarray(x, float), LeafParameters(**CLEAR))
+    h = 1e-9
+    for name, scale in (("water", 1.0), ("dry_matter", 1.0), ("chlorophyll", 1.0)):
+        move = lambda x, name=name: eqx.tree_at(lambda p: getattr(p, name), clear, x)  # noqa: E731
+        slope = jax.jacfwd(lambda x, move=move: both(move(x)))(jnp.asarray(0.0))
+        difference = (both(move(jnp.asarray(h * scale))) - both(clear)) / (h * scale)
+        np.testing.assert_allclose(
+            slope, difference, rtol=2e-4, atol=1e-5 * np.abs(difference).max()
+        )
+
+
+def test_any_grid_inside_the_tables():
+    leaf = LeafParameters()
+    full, coarse = prospect(leaf), prospect(leaf, np.array([2400.0, 550.5, 700.0]))
+    assert abs(coarse.reflectance[2] - full.reflectance[300]) < 1e-14
+    low, high = full.reflectance[150], full.reflectance[151]
+    assert min(low, high) <= coarse.reflectance[1] <= max(low, high)
+    assert np.array_equal(coarse.wavelength, [2400.0, 550.5, 700.0])
+
+
+@pytest.mark.parametrize(
+    ("wavelength", "message"),
+    [([350.0, 500.0], "400 to 2500"), ([0.4, 2.5], "µm"), ([np.nan, 500.0], "400 to 2500")],
+)
+def test_grids_outside_are_refused(wavelength, message):
+    with pytest.raises(ValueError, match=message):
+        prospect(LeafParameters(), np.array(wavelength))
+
+
+def test_bad_arguments_are_named():
+    with pytest.raises(ValueError, match="mg/cm2"):
+        LeafParameters(water=10.0)
+    with pytest.raises(ValueError, match=r"dry_matter.*g/m2"):
+        LeafParameters(dry_matter=90.0)
+    with pytest.raises(ValueError, match="chlorophyll"):
+        LeafParameters(chlorophyll=-1.0)
+    with pytest.raises(ValueError, match="structure"):
+        LeafParameters(structure=float("nan"))
+    with pytest.raises(ValueError, match="many"):
+        LeafParameters(chlorophyll=jnp.ones(3))
+    with pytest.raises(ValueError, match="version"):
+        prospect(LeafParameters(), version="4")
+    with pytest.raises(ValueError, match="incidence"):
+        prospect(LeafParameters(), incidence_half_angle=0.0)
+    with pytest.raises(TypeError, match="Cab"):
+        LeafParameters.many(Cab=3.0)
+
+
+def test_many_leaves_are_the_loop_over_one():
+    leaves = LeafParameters.many(chlorophyll=[10.0, 50.0], water=0.02)
+    stacked = jax.vmap(lambda p: both(p))(leaves)
+    for i, chlorophyll in enumerate((10.0, 50.0)):
+        one = both(LeafParameters(chlorophyll=chlorophyll, water=0.02))
+        np.testing.assert_allclose(stacked[i], one, rtol=0, atol=1e-14)

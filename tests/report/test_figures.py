@@ -1,0 +1,137 @@
+"""Figures show what they are given: right way up, sorted, labelled, and never failing on gaps."""
+
+import itertools
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fynjax.report import (
+    composites,
+    constraint_plot,
+    convergence_plot,
+    error_bars,
+    index_histograms,
+    parameter_plot,
+    save_figure,
+)
+
+BANDS = ("green", "red", "red_edge", "nir")
+
+
+@pytest.fixture
+def image():
+    values = np.random.default_rng(0).uniform(0.02, 0.1, (4, 12, 12))
+    values[3, 0, 0] = 0.9  # south-west: bright in the NIR
+    return values
+
+
+@pytest.fixture
+def table():
+    rng = np.random.default_rng(1)
+    kinds = [("cover", "%"), ("diameter", "cm"), ("chlorophyll", "ug cm-2"), ("height", "m")]
+    rows = [
+        {"name": f"species.Genus epithet{k}.{kind}", "kind": kind, "unit": unit}
+        for kind, unit in kinds
+        for k in range(16)
+    ]
+    frame = pd.DataFrame(rows)
+    frame["prior"] = rng.uniform(1, 10, len(frame))
+    frame["prior_sd"] = 0.25 * frame["prior"]
+    frame["estimate"] = frame["prior"] * rng.uniform(0.8, 1.2, len(frame))
+    frame["constrained"] = rng.uniform(0, 1, len(frame))
+    frame["sd"] = frame["prior_sd"] * np.sqrt(1 - frame["constrained"])
+    return frame
+
+
+def text_of(figure):
+    figure.canvas.draw()
+    return [t.get_text() for t in figure.findobj(lambda a: hasattr(a, "get_text")) if t.get_text()]
+
+
+def test_composite_is_north_up_and_shares_its_stretch(image):
+    figure = composites({"Before": image, "After": 0.5 * image}, BANDS, pixel_m=0.5)
+    left, right = (axes.images[0] for axes in figure.axes)
+    assert left.origin == "lower"
+    assert list(left.get_extent()) == [0, 6, 0, 6]
+    assert left.get_array()[0, 0, 0] == 1.0  # NIR shown as red, brightest in the south-west
+    assert right.get_array()[..., 1].mean() < left.get_array()[..., 1].mean()
+    said = " ".join(text_of(figure))
+    assert "NIR, red, green" in said
+    assert "percentile" in said
+    assert "1 m" in said
+    true_like = composites({"Image": image}, BANDS, pixel_m=0.5, kind="true_like")
+    assert "blue, which the camera lacks" in " ".join(text_of(true_like))
+
+
+def test_parameters_are_sorted_in_panels_with_units(table):
+    figure = parameter_plot(table)
+    assert len(figure.axes) == 4
+    by_title = {axes.get_title(loc="left"): axes for axes in figure.axes}
+    assert "Chlorophyll [µg cm⁻²]" in by_title
+    axes = by_title["Cover [%]"]
+    labels = [label.get_text() for label in axes.get_yticklabels()]
+    cover = table[table["kind"] == "cover"].sort_values("prior", ascending=False)
+    assert labels == [name.split(".")[1] for name in cover["name"]]
+    assert axes.get_ylim()[0] > axes.get_ylim()[1]  # largest on top
+
+
+def test_constraint_bars_are_percent(table):
+    table.loc[0, "constrained"] = 0.004
+    figure = constraint_plot(table[table["kind"] == "cover"])
+    bars = [
+        p.get_width() for p in figure.axes[0].patches if p.get_facecolor()[:3] < (0.9, 0.9, 0.9)
+    ]
+    expected = 100 * table[table["kind"] == "cover"]["constrained"]
+    np.testing.assert_allclose(bars, sorted(expected, reverse=True))
+    assert "<1" in text_of(figure)
+
+
+def test_no_labels_overlap_with_64_parameters(table):
+    figure = parameter_plot(table)
+    figure.canvas.draw()
+    for axes in figure.axes:
+        boxes = [label.get_window_extent() for label in axes.get_yticklabels()]
+        assert not any(a.overlaps(b) for a, b in itertools.pairwise(boxes))
+        assert all(box.x0 >= 0 for box in boxes)
+
+
+def test_errors_are_absolute_cut_and_may_be_missing():
+    errors = {
+        "before": {"nir": -30.0, "NDVI": 250.0},
+        "after": {"nir": 1.0, "NDVI": float("nan")},
+        "DIRSIG (paper)": {"nir": 22.19},
+    }
+    figure = error_bars(errors, goal_percent={"nir": 3.0})
+    axes = figure.axes[0]
+    widths = [bar.get_width() for container in axes.containers for bar in container]
+    np.testing.assert_allclose(widths, [30, 100, 1, np.nan, 22.19, np.nan])
+    assert axes.get_xlim()[1] == pytest.approx(110)
+    assert "→ 250" in text_of(figure)
+
+
+def test_gaps_and_edges_do_not_break_a_figure(tmp_path, image):
+    image[:, 3, 3] = np.nan
+    flat = np.full((4, 5, 5), 0.1)
+    save_figure(composites({"a": image}, BANDS, pixel_m=0.025), tmp_path / "a.png")
+    save_figure(composites({"a": flat}, BANDS, pixel_m=0.025), tmp_path / "b.png")
+    nothing = np.array([np.nan, np.inf])
+    figure = index_histograms(
+        {"NDVI": nothing, "SR": np.ones(5)}, target={"NDVI": (0.7, np.nan), "SR": (7.6, 3.0)}
+    )
+    save_figure(figure, tmp_path / "c.png")
+    save_figure(convergence_plot([3.0]), tmp_path / "d.png")
+    save_figure(convergence_plot([3.0, np.nan, -1.0], [1.0, 0.0, 0.0]), tmp_path / "e.png")
+    assert sorted(p.name for p in tmp_path.iterdir()) == [f"{c}.png" for c in "abcde"]
+
+
+def test_histogram_is_a_density_with_the_target_inside():
+    rng = np.random.default_rng(0)
+    values = rng.normal(0.5, 0.1, 20000)
+    figure = index_histograms({"NDVI": values}, {"NDVI": values + 0.1}, {"NDVI": (0.95, 0.05)})
+    axes = figure.axes[0]
+    low, high = axes.get_xlim()
+    assert low < 0.3
+    assert high > 1.0
+    heights, edges, _ = axes.patches[0].get_data()
+    assert heights @ np.diff(edges) == pytest.approx(1, abs=0.01)

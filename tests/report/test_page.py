@@ -1,0 +1,107 @@
+"""The page stands alone, escapes what users write, and shows numbers as a reader wants them."""
+
+import base64
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+
+from fynjax.report import Page, format_number
+
+
+class Checker(HTMLParser):
+    """Tags that open and close in order, and everything that points outside."""
+
+    VOID = frozenset({"meta", "img", "br"})
+
+    def __init__(self, text):
+        super().__init__()
+        self.stack, self.tags, self.sources, self.text = [], [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.sources += [value for name, value in attrs if name in ("src", "href", "srcset")]
+        if tag not in self.VOID:
+            self.stack.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.stack.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+@pytest.fixture
+def page():
+    figure = Figure(figsize=(2, 1))
+    figure.subplots().plot([1, 2])
+    table = pd.DataFrame(
+        {"name": ["<b>x</b>", "y"], "cover": [0.123456, np.nan], "n": [3, -4], "ok": [True, False]}
+    )
+    return (
+        Page("Plot <1>", "A & B")
+        .section("Images <i>")
+        .paragraph("see http://nowhere.example & <script>alert(1)</script>")
+        .key_figures({"NDVI": "0.746", "renders": "41"})
+        .figure(figure, 'Caption "quoted"')
+        .table(table, caption="All", units={"cover": "m2 m-2"}, headers={"n": "Count"})
+        .table(table, caption="Folded", folded=True)
+        .footer({"command": "fynjax demo"})
+    )
+
+
+def test_page_is_well_formed_and_needs_no_network(page, tmp_path):
+    page.write(tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text("utf-8")
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+    seen = Checker(text)
+    assert seen.stack == []
+    assert seen.sources
+    assert all(source.startswith("data:image/png;base64,") for source in seen.sources)
+    assert not {"script", "link", "iframe", "object", "b" * 2} & set(seen.tags)
+    style = re.search(r"<style>(.*?)</style>", text, re.S)[1]
+    assert "url(" not in style
+    assert "@import" not in style
+    assert base64.b64decode(seen.sources[0].split(",")[1])[:4] == b"\x89PNG"
+
+
+def test_what_users_write_is_text(page):
+    seen = Checker(page.html())
+    text = "".join(seen.text)
+    assert "<script>alert(1)</script>" in text
+    assert "<b>x</b>" in text
+    assert "Plot <1>" in text
+    assert "A & B" in text
+
+
+def test_table_has_units_headers_and_readable_numbers(page):
+    text = page.html()
+    assert "cover<small>[m2 m-2]</small>" in text
+    assert ">Count</th>" in text
+    for cell in ("0.1235", "–", "−4", "yes", "no"):
+        assert f">{cell}</td>" in text
+    assert "<details><summary>Folded</summary>" in text
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (0.0, "0"),
+        (12.0, "12"),
+        (0.74623, "0.7462"),
+        (-0.5, "−0.5"),
+        (1234.56, "1235"),
+        (999.96, "1000"),
+        (0.00001234, "1.234e−05"),
+        (2.5e7, "2.500e+07"),
+        (float("nan"), "–"),
+        (float("inf"), "–"),
+    ],
+)
+def test_numbers(value, shown):
+    assert format_number(value) == shown
