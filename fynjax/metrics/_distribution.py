@@ -35,7 +35,10 @@ def standard_deviation(values: Sample, valid: Mask | None = None) -> Scalar:
     """
     x, weight = _flat(values, valid)
     count = jnp.sum(weight)
-    deviation = jnp.where(weight > 0, x - jnp.sum(x) / count, 0.0)
+    # Counted from one of the pixels, equal ones deviate by exactly nothing.
+    origin = jax.lax.stop_gradient(jnp.max(jnp.where(weight > 0, x, -jnp.inf)))
+    shifted = jnp.where(weight > 0, x - origin, 0.0)
+    deviation = jnp.where(weight > 0, shifted - jnp.sum(shifted) / count, 0.0)
     variance = jnp.sum(deviation**2) / count
     spread = ~(variance == 0.0)  # true for NaN, which must show
     return jnp.where(spread, jnp.sqrt(jnp.where(spread, variance, 1.0)), 0.0)

@@ -199,7 +199,7 @@ def smooth_vegetation_indices(
             masks.append(known)
         else:
             square = index.root_of(*safe)
-            positive = known & (square > 0.0)
+            positive = known & (square >= 0.0)
             values.append(jnp.sqrt(_lift(jnp.where(positive, square, 0.5), 1e-3)))
             masks.append(positive)
     return jnp.stack(values), jnp.stack(masks)

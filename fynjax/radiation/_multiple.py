@@ -92,27 +92,30 @@ def solve_diffuse(
     ground = block_mean(scene.ground_map[:, None], (1, factor[1]))[:, 0]
     shape = (2, len(ordinates.cosine), ordinates.azimuths, *density.shape[1:])
 
+    # Matrix products on flat cells: [ordinate, ordinate] x [ordinate, cell].
+    cells = density[0].size
+    per_angle = [(reflect[a].T, transmit[a].T) for a in range(len(classes.angles))]
+
     def band(args: tuple[Array, ...]) -> tuple[Array, ...]:
         rho, tau, soil, sun_flux, sky_flux = args
-        reflecting = classes.total_by_angle(density * rho[:, None, None, None])
-        transmitting = classes.total_by_angle(density * tau[:, None, None, None])
+
+        def weighted(field: Array, optics: Array) -> Array:
+            """Area times optics, summed over the classes of each distribution: [angle, cell]."""
+            total = classes.total_by_angle(field * optics[:, None, None, None])
+            return total.reshape(-1, cells)
+
+        reflecting, transmitting = weighted(density, rho), weighted(density, tau)
         beam = sun_flux / sun.cosine
-        from_sun = jnp.einsum(
-            "ao,azyx->ozyx",
-            sun_reflect[:, 0] * beam,
-            classes.total_by_angle(lit * rho[:, None, None, None]),
-        ) + jnp.einsum(
-            "ao,azyx->ozyx",
-            sun_transmit[:, 0] * beam,
-            classes.total_by_angle(lit * tau[:, None, None, None]),
+        from_sun = beam * (
+            sun_reflect[:, 0].T @ weighted(lit, rho) + sun_transmit[:, 0].T @ weighted(lit, tau)
         )
 
         def scatter(intensity: Array) -> Array:
-            flat = intensity.reshape(-1, *density.shape[1:])
+            flat = intensity.reshape(-1, cells)
             total = jnp.zeros_like(flat)
-            for a in range(len(classes.angles)):
-                total = total + reflecting[a] * jnp.einsum("io,izyx->ozyx", reflect[a], flat)
-                total = total + transmitting[a] * jnp.einsum("io,izyx->ozyx", transmit[a], flat)
+            for index, (mirror, pass_on) in enumerate(per_angle):
+                total = total + reflecting[index] * (mirror @ flat)
+                total = total + transmitting[index] * (pass_on @ flat)
             return total.reshape(shape)
 
         nothing, no_sun = jnp.zeros((), dtype), jnp.zeros_like(soil)

@@ -105,6 +105,21 @@ def test_wood_stays_inside_and_flowers_stand_on_top() -> None:
     assert set(np.asarray(dead.organ)) == {Organ.WOOD}
 
 
+def test_spikelets_and_sheaths_sit_on_the_culms() -> None:
+    """Each shoot keeps one direction from the axis; the seed says which."""
+    turns = {}
+    for seed in (1, 2):
+        plant = plant_model("tussock", 3000, seed=seed)
+        for organ in Organ:
+            position, _ = arrays(plant, organ)
+            turn = np.degrees(np.arctan2(position[:, 1], position[:, 0]))
+            turns[seed, organ] = set(np.round(turn, 6))
+    assert len(turns[1, Organ.LEAF]) == 48
+    assert turns[1, Organ.WOOD] <= turns[1, Organ.LEAF]
+    assert turns[1, Organ.FLOWER] <= turns[1, Organ.LEAF]
+    assert not turns[1, Organ.LEAF] & turns[2, Organ.LEAF]
+
+
 def test_culms_look_like_thin_cylinders() -> None:
     """Half the surface, with normals all round: from the side pi / 2 times less than flat."""
     position, normal = arrays(plant_model("tussock", 8000, seed=3), Organ.LEAF)

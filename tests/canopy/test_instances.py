@@ -50,6 +50,17 @@ def test_azimuth_turns_clockwise_from_north_and_tilt_leans_there() -> None:
     assert float(at[1, 0] - 10.0) == pytest.approx(reach)
 
 
+def test_turning_and_leaning_keep_distances() -> None:
+    plant, one = plant_model("broad_leaved", 20, seed=0), np.ones(1)
+    at, *_ = instantiate(
+        plant, np.array([[5.0, 7.0]]), 77.0 * one, one, 1.0, 1.0, 1.0, tilt=25 * one
+    )
+    distance = lambda p: np.linalg.norm(p[:, None] - p[None], axis=-1)  # noqa: E731
+    np.testing.assert_allclose(
+        distance(np.asarray(at)), distance(np.asarray(plant.position)), atol=1e-12
+    )
+
+
 def test_sizes_and_areas_one_for_all_or_one_for_each() -> None:
     plant = plant_model("rounded_shrub", 30, seed=0)
     sites, turn = np.zeros((2, 2)), np.zeros(2)

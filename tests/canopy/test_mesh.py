@@ -50,6 +50,26 @@ def test_elements_lie_on_the_surface_and_project_as_the_facets() -> None:
         assert sampled == pytest.approx(facets, rel=0.01)
 
 
+def test_points_are_uniform_in_a_facet_and_parts_stand_in_their_frame() -> None:
+    """First and second moments of two unit boxes, one lifted and shifted by the scene graph."""
+    scene = trimesh.Scene()
+    box = trimesh.creation.box([1.0, 1.0, 1.0])
+    scene.add_geometry(box, geom_name="a")
+    scene.add_geometry(
+        box, geom_name="b", transform=trimesh.transformations.translation_matrix([4, 0, 2])
+    )
+    result = plant_model_from_mesh(scene, 6000, seed=0)
+    assert (result.width, result.height, result.depth) == pytest.approx((5.0, 1.0, 3.0))
+    d = result.modelled_diameter
+    metres = np.asarray(result.plant.position) * [d, d, 3.0] + [2.0, 0.0, -0.5]
+    upper = metres[:, 2] > 1.0
+    assert np.mean(upper) == pytest.approx(0.5, abs=0.01)
+    for part, centre in ((metres[~upper], [0, 0, 0]), (metres[upper], [4, 0, 2])):
+        np.testing.assert_allclose(part.mean(0), centre, atol=0.02)
+        # Two faces at +-1/2, four with the variance 1/12: (2 / 4 + 4 / 12) / 6.
+        np.testing.assert_allclose(part.var(0), 5 / 36, rtol=0.03)
+
+
 def test_materials_become_organs(tmp_path: Path) -> None:
     scene = trimesh.Scene()
     parts = (("leaves", 0.4, 0.8), ("bark", 0.1, 0.3), ("petals", 0.05, 1.2))

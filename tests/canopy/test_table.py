@@ -73,4 +73,4 @@ def test_cover_of_the_hard_scene() -> None:
     # Blue noise keeps the closest crowns apart, so a little more is covered than at random; the
     # 1 cm raster adds its own rounding for the 10 cm discs.
     np.testing.assert_allclose(mean, boolean, rtol=0.02, atol=4 * spread.max() / np.sqrt(10))
-    assert np.mean(totals) == np.clip(np.mean(totals), 0.62, 0.68)
+    assert 0.62 < np.mean(totals) < 0.68  # all species together
