@@ -1,16 +1,44 @@
 """Leaf optics: PROSPECT, forward and backward."""
 
 from fynjax.leaf._coefficients import ProspectVersion
+from fynjax.leaf._error_model import (
+    ErrorModel,
+    default_error_model,
+    estimate_error_model,
+    independent_error_model,
+)
+from fynjax.leaf._fit import FitDomain, LeafFit, fit_leaf
+from fynjax.leaf._measurement import (
+    AbstractMeasurement,
+    IntegratingSphere,
+    LeafClip,
+    LeafOverBackground,
+    LeafStack,
+    transmittance_from_two_readings,
+)
 from fynjax.leaf._parameters import LeafParameters
 from fynjax.leaf._prospect import LeafOptics, interface_transmissivity, prospect
 from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
 
 __all__ = [
+    "AbstractMeasurement",
+    "ErrorModel",
+    "FitDomain",
+    "IntegratingSphere",
+    "LeafClip",
+    "LeafFit",
     "LeafOptics",
+    "LeafOverBackground",
     "LeafParameters",
+    "LeafStack",
     "ProspectVersion",
+    "default_error_model",
+    "estimate_error_model",
     "exponential_integral",
+    "fit_leaf",
+    "independent_error_model",
     "interface_transmissivity",
     "layer_absorptance",
     "prospect",
+    "transmittance_from_two_readings",
 ]

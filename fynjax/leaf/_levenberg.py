@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from fynjax.leaf._measurement import AbstractMeasurement
 from fynjax.leaf._prospect import _stack
 from fynjax.leaf._transmissivity import layer_absorptance
 
@@ -27,6 +28,7 @@ class Optics(eqx.Module):
     index: Float[Array, " bin"]
     lower: Float[Array, " parameter"]
     upper: Float[Array, " parameter"]
+    measurement: AbstractMeasurement
 
 
 class Problem(NamedTuple):
@@ -37,7 +39,7 @@ class Problem(NamedTuple):
     factors: Float[Array, "factor 2 bin"]
     prior_mean: Float[Array, " parameter"]
     prior_precision: Float[Array, "parameter parameter"]
-    line: Float[Array, " 3"]
+    line: Float[Array, " 2"]
     start: Float[Array, " parameter"]
 
 
@@ -84,6 +86,18 @@ def spectra_and_slopes(x: Array, optics: Optics) -> tuple[Array, Array]:
     return value, jnp.concatenate([(by_n - by_k * k / x[0])[None], contents])
 
 
+def observed_and_slopes(x: Array, optics: Optics) -> tuple[Array, Array]:
+    """What the instrument reads [2, bin] and its derivatives [parameter, 2, bin]."""
+    value, jacobian = spectra_and_slopes(x, optics)
+    r, t = value
+    one, none = jnp.ones_like(r), jnp.zeros_like(r)
+    read = optics.measurement.observe
+    seen, by_r = jax.jvp(read, (r, t), (one, none))
+    _, by_t = jax.jvp(read, (r, t), (none, one))
+    slopes = jnp.stack(by_r) * jacobian[:, :1] + jnp.stack(by_t) * jacobian[:, 1:]
+    return jnp.stack(seen), slopes
+
+
 def factor_system(problem: Problem) -> Float[Array, "factor factor"]:
     """Cholesky factor of I + F D^-1 F^T."""
     flat = problem.factors.reshape(problem.factors.shape[0], -1)
@@ -102,7 +116,7 @@ def _weigh(problem: Problem, system: Array, residual: Array, jacobian: Array) ->
 
 
 def _line_terms(problem: Problem, x: Array, slope: Array) -> tuple[Array, Array]:
-    """Whitened residual and gradient of the prior N = line[0] +- line[1]^-1/2 (line[1]: precision)."""
+    """Whitened residual and slope of the prior on N: mean line[0], precision line[1]."""
     root = jnp.sqrt(problem.line[1])
     return root * (x[0] - problem.line[0]), jnp.zeros_like(x).at[0].set(root * slope[0])
 
@@ -111,7 +125,7 @@ def _evaluate(problem: Problem, optics: Optics, system: Array, z: Array) -> tupl
     x = to_physical(z, optics)
     unit = jax.nn.sigmoid(z)
     slope = (optics.upper - optics.lower) * unit * (1.0 - unit)
-    value, jacobian = spectra_and_slopes(x, optics)
+    value, jacobian = observed_and_slopes(x, optics)
     residual = jnp.where(problem.precision > 0, value - problem.data, 0.0)
     square, gradient, hessian = _weigh(problem, system, residual, jacobian * slope[:, None, None])
     offset = z - problem.prior_mean
@@ -124,7 +138,9 @@ def _evaluate(problem: Problem, optics: Optics, system: Array, z: Array) -> tupl
     )
 
 
-def solve(problem: Problem, optics: Optics, max_steps: int = 60, tolerance: float = 1e-4) -> Solution:
+def solve(
+    problem: Problem, optics: Optics, max_steps: int = 60, tolerance: float = 1e-2
+) -> Solution:
     """Minimise half the squared misfit plus prior; stop when a full step gains below `tolerance`^2.
 
     The gain predicted by the quadratic model is in units of the log-posterior, so the tolerance is

@@ -129,10 +129,9 @@ def wasserstein_distance(
     x, wx = _flat(real, real_valid)
     y, wy = _flat(simulated, simulated_valid)
     ordered, gap, counted = _distribution_gap(x, wx, y, wy)
-    # Steps that touch a masked pixel (sorted last, as infinity) carry nothing.
+    # Masked pixels come last, where the gap is exactly 0: any finite value will do for them.
     finite = jnp.where(counted, ordered, 0.0)
-    step = jnp.where(counted[1:], finite[1:] - finite[:-1], 0.0)
-    distance = jnp.sum(jnp.abs(gap[:-1]) * step)
+    distance = jnp.sum(jnp.abs(gap[:-1]) * (finite[1:] - finite[:-1]))
     return jnp.where(_usable(x, wx, y, wy), distance, jnp.nan)
 
 
@@ -191,9 +190,10 @@ def smooth_histogram_intersection(
     """Differentiable counterpart of `histogram_intersection`, in [0, 1] to 0.001.
 
     Soft histograms instead of hard ones, and a smallest value rounded off where the two are
-    within 1e-3 of a bin's mean share. Within 0.02 of the exact one for samples of 10 000 pixels or
-    more whose distributions are wide against a bin; the smoothing also removes sampling noise of
-    the bin counts, so it lies above the exact one, the more so the fewer the pixels.
+    within 1e-3 of a bin's mean share. For distributions that are wide against a bin it lies within
+    -0.005 and +0.01 of the exact one, plus the counting noise of the exact one's bins that the
+    smoothing removes: at most sqrt(bins / (pi n)) for n pixels (0.09 for 10 000 and 0.02 for
+    160 000; up to 0.046 and 0.012 measured on NDVI-like samples).
 
     **Arguments:** `limits`, the fixed range of the histograms. If not given it is the pooled range
     of the valid pixels and is held constant in the derivative; an inversion should fix it.

@@ -82,8 +82,9 @@ def spectral_angle(real: Spectrum, simulated: Spectrum, valid: Mask | None = Non
     """Angle between two spectra as vectors [degrees], in [0, 180] (Kruse et al. 1993).
 
     Computed from the half angle's tangent (Kahan), so it is accurate and has bounded slopes at
-    small angles, where the arc cosine has neither. Differentiable; where the two are exactly
-    proportional it is 0 with the gradient 0. NaN if a spectrum is all zero.
+    small angles, where the arc cosine has neither. Differentiable but where the two are
+    proportional, a corner: there it is 0 to rounding and its gradient finite. NaN if a spectrum
+    is all zero.
     """
     x, y, _ = _pair(real, simulated, valid)
     x, y = x / _norm(x), y / _norm(y)

@@ -1,7 +1,7 @@
 """Light scattered more than once, and all light of the sky: a linear solve per band.
 
 With S the source that the leaves emit along each ordinate, A the sweep and P the scattering,
-S = P (A S + j) + S_sun. The solve of (1 - P A) S = P j + S_sun is by BiCGStab, and its
+S = P (A S + j) + S_sun. The solve of (1 - P A) S = P j + S_sun is by conjugate residuals, and its
 derivative is one solve with the transposed operator (implicit differentiation), never a tape
 through the iterations.
 """
@@ -70,7 +70,7 @@ def solve_diffuse(
 ) -> DiffuseField:
     """Solve for the diffuse field in each band, one band after another.
 
-    Memory is that of one band's intensity times the few vectors of BiCGStab.
+    Memory is that of one band's intensity times the few directions that the solver keeps.
     """
     dtype = scene.area_density.dtype
     classes = scene.classes
@@ -90,7 +90,7 @@ def solve_diffuse(
     reflect, transmit = reflect * weights[:, None], transmit * weights[:, None]
     sun_reflect, sun_transmit = scattering_matrices(classes, ordinates, travel[None])
     ground = block_mean(scene.ground_map[:, None], (1, factor[1]))[:, 0]
-    shape = (2, len(ordinates.cosine), ordinates.azimuths, *density.shape[1:])
+    shape = (len(ordinates.weights), *density.shape[1:])
 
     # Matrix products on flat cells: [ordinate, ordinate] x [ordinate, cell].
     cells = density[0].size
@@ -132,8 +132,7 @@ def solve_diffuse(
         left_over = scatter(intensity) + from_sun.reshape(shape) - source
         scale = jnp.linalg.norm(right.ravel())
         residual = jnp.linalg.norm(left_over.ravel()) / jnp.where(scale > 0, scale, 1.0)
-        flat = intensity.reshape(-1, *density.shape[1:])
-        return flat, diffuse, top.mean(), jax.lax.stop_gradient(residual)
+        return intensity, diffuse, top.mean(), jax.lax.stop_gradient(residual)
 
     light = scene.illumination
     arguments = (
@@ -145,10 +144,57 @@ def solve_diffuse(
 def _solve(
     operator: Callable[[Array], Array], right: Array, tolerance: float, iterations: int
 ) -> Array:
-    solution, _ = jax.scipy.sparse.linalg.bicgstab(
-        operator, right, x0=right, tol=tolerance, maxiter=iterations
-    )
-    return solution
+    """Solve operator(x) = right, differentiably."""
+
+    def solve(matvec: Callable[[Array], Array], right: Array) -> Array:
+        return _gcr(matvec, right, tolerance, iterations)
+
+    return jax.lax.custom_linear_solve(operator, right, solve, transpose_solve=solve)
+
+
+_KEPT = 6
+
+
+def _gcr(
+    matvec: Callable[[Array], Array], right: Array, tolerance: float, iterations: int
+) -> Array:
+    """Generalised conjugate residuals (Eisenstat, Elman and Schultz 1983), last few directions.
+
+    One product an iteration, and the residual never grows; the operator's symmetric part is
+    positive definite here, because scattering loses light.
+    """
+
+    def dot(a: Array, b: Array) -> Array:
+        return jnp.vdot(a, b)
+
+    def going(state: tuple[Array, ...]) -> Array:
+        _, residual, _, _, count = state
+        return (dot(residual, residual) > goal) & (count < iterations)
+
+    def iterate(state: tuple[Array, ...]) -> tuple[Array, ...]:
+        solution, residual, directions, images, count = state
+        image = matvec(residual)
+        # Make the new image orthogonal to the kept ones, which have unit length.
+        share = jnp.tensordot(images, image, axes=image.ndim)
+        image = image - jnp.tensordot(share, images, axes=1)
+        direction = residual - jnp.tensordot(share, directions, axes=1)
+        length = jnp.sqrt(dot(image, image))
+        scale = jnp.where(length > 0, 1.0 / jnp.where(length > 0, length, 1.0), 0.0)
+        image, direction = image * scale, direction * scale
+        step = dot(image, residual)
+        slot = count % _KEPT
+        return (
+            solution + step * direction,
+            residual - step * image,
+            directions.at[slot].set(direction),
+            images.at[slot].set(image),
+            count + 1,
+        )
+
+    goal = tolerance**2 * dot(right, right)
+    none = jnp.zeros((_KEPT, *right.shape), right.dtype)
+    start = (jnp.zeros_like(right), right, none, none, jnp.zeros((), jnp.int32))
+    return jax.lax.while_loop(going, iterate, start)[0]
 
 
 def upsample(

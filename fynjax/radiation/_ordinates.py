@@ -14,8 +14,6 @@ from jaxtyping import Array, Float
 from fynjax._core.math import mean_emission, mean_transmittance
 from fynjax.radiation._scene import VoxelScene
 
-Radiance = Float[Array, "azimuth y x"]
-
 
 class Ordinates(eqx.Module):
     """Directions of light travel: Gauss-Legendre levels in the cosine, even azimuths.
@@ -37,6 +35,12 @@ class Ordinates(eqx.Module):
         return cls(tuple(float(0.5 * (n + 1)) for n in node), tuple(map(float, solid)), azimuths)
 
     @property
+    def slopes(self) -> np.ndarray:
+        """Horizontal distance per height, per level [-]."""
+        cosine = np.asarray(self.cosine)
+        return np.sqrt(1 - cosine**2) / cosine
+
+    @property
     def vectors(self) -> np.ndarray:
         """Unit vectors of travel, [ordinate, 3]."""
         azimuth = (np.arange(self.azimuths) + 0.5) * (2 * np.pi / self.azimuths)
@@ -56,43 +60,68 @@ class Ordinates(eqx.Module):
 class Coarse(eqx.Module):
     """The coarse grid as the sweeps need it; the same for all bands."""
 
-    attenuation: tuple[tuple[Float[Array, "z y x"], ...], ...]
-    """Per level: exp(-x), its mean along the step and the mean emission, x the depth of a step."""
-    steps: tuple[int, ...] = eqx.field(static=True)
-    """Per level: steps a layer is crossed in, so that none shifts by more than a cell."""
+    attenuation: tuple[Float[Array, "z level one y x"], ...]
+    """exp(-x), its mean along a step and the mean emission, x the depth of a step."""
     ordinates: Ordinates = eqx.field(static=True)
+    steps: int = eqx.field(static=True)
+    """Steps in which a layer is crossed."""
     horizontal: float = eqx.field(static=True)
     vertical: float = eqx.field(static=True)
     boundary: str = eqx.field(static=True)
 
+    @property
+    def lengths(self) -> np.ndarray:
+        """Length of a step along the ordinates of each level [m]."""
+        return self.vertical / (self.steps * np.asarray(self.ordinates.cosine))
+
+    @property
+    def moves(self) -> np.ndarray:
+        """Sideways shift before each step [cells], [step, xy, level, azimuth]; at most one.
+
+        A level moves only as often as it must, since each linear shift blurs a little. Between
+        two moves it stands where it is half-way.
+        """
+        ordinates = self.ordinates
+        azimuth = (np.arange(ordinates.azimuths) + 0.5) * (2 * np.pi / ordinates.azimuths)
+        reach = self.vertical * ordinates.slopes / self.horizontal
+        moves = np.zeros((self.steps, 2, len(reach), ordinates.azimuths))
+        for level, cells in enumerate(reach):
+            count = _moves_needed(cells)
+            at = np.round(np.arange(count) * self.steps / count).astype(int)
+            moves[at, :, level] = np.stack([np.sin(azimuth), np.cos(azimuth)]) * cells / count
+        return moves
+
+
+def _moves_needed(cells: float) -> int:
+    return max(1, int(np.ceil(cells - 1e-9)))
+
 
 def coarse_grid(
-    scene: VoxelScene, density: Float[Array, "class z y x"], factor: tuple[int, int], ordinates: Ordinates
+    scene: VoxelScene,
+    density: Float[Array, "class z y x"],
+    factor: tuple[int, int],
+    ordinates: Ordinates,
 ) -> Coarse:
     """Prepare the sweeps over the block-averaged `density`."""
     dx, dz = scene.horizontal * factor[1], scene.vertical * factor[0]
-    by_angle = scene.classes.total_by_angle(density)
-    attenuation, steps = [], []
-    for cosine in ordinates.cosine:
-        slope = np.sqrt(1 - cosine**2) / cosine
-        count = max(1, int(np.ceil(dz * slope / dx - 1e-9)))
-        projection = jnp.stack([
-            angle.projection(jnp.asarray(cosine, density.dtype)) for angle in scene.classes.angles
-        ])
-        depth = jnp.einsum("a,azyx->zyx", projection.astype(density.dtype), by_angle)
-        depth = depth * (dz / (count * cosine))
-        attenuation.append((jnp.exp(-depth), mean_transmittance(depth), mean_emission(depth)))
-        steps.append(count)
-    return Coarse(tuple(attenuation), tuple(steps), ordinates, dx, dz, scene.boundary)
+    steps = max(_moves_needed(dz * slope / dx) for slope in ordinates.slopes)
+    cosine = jnp.asarray(ordinates.cosine, density.dtype)
+    projection = jnp.stack([a.projection(cosine) for a in scene.classes.angles])
+    extinction = jnp.einsum(
+        "al,azyx->zlyx", projection.astype(density.dtype), scene.classes.total_by_angle(density)
+    )
+    depth = (extinction * (dz / (steps * cosine))[:, None, None])[:, :, None]
+    attenuation = (jnp.exp(-depth), mean_transmittance(depth), mean_emission(depth))
+    return Coarse(attenuation, ordinates, steps, dx, dz, scene.boundary)
 
 
 def sweep(
     coarse: Coarse,
-    source: Float[Array, "hemisphere level azimuth z y x"],
+    source: Float[Array, "ordinate z y x"],
     sky: Float[Array, ""],
     ground: Float[Array, "y x"],
     sunlit: Float[Array, "y x"],
-) -> tuple[Float[Array, "hemisphere level azimuth z y x"], Float[Array, "y x"], Float[Array, "y x"]]:
+) -> tuple[Float[Array, "ordinate z y x"], Float[Array, "y x"], Float[Array, "y x"]]:
     """Mean intensity in each cell from a given source, sky and sunlit ground (one band).
 
     **Arguments:**
@@ -105,89 +134,80 @@ def sweep(
     **Returns:** mean intensity per ordinate and cell, diffuse irradiance on the ground, and the
     upward flux at the top. Linear in (`source`, `sky`, `sunlit`).
     """
-    levels = len(coarse.ordinates.cosine)
-    down = [
-        _level(coarse, level, source[0, level], jnp.broadcast_to(sky, source.shape[2:3] + ground.shape),
-               sky, downward=True)
-        for level in range(levels)
-    ]
-    flux = [
-        weight * cosine
-        for weight, cosine in zip(coarse.ordinates.level_weight, coarse.ordinates.cosine)
-    ]
-    diffuse = sum(f * jnp.sum(leaving, axis=0) for f, (leaving, _) in zip(flux, down))
-    exitance = ground * (diffuse + sunlit) / jnp.pi
-    up = [
-        _level(coarse, level, source[1, level], jnp.broadcast_to(exitance, source.shape[2:3] + ground.shape),
-               jnp.zeros_like(sky), downward=False)
-        for level in range(levels)
-    ]
-    top = sum(f * jnp.sum(leaving, axis=0) for f, (leaving, _) in zip(flux, up))
-    mean = jnp.stack([jnp.stack([m for _, m in down]), jnp.stack([m for _, m in up])])
-    return mean, diffuse, top
+    ordinates = coarse.ordinates
+    levels, azimuths = len(ordinates.cosine), ordinates.azimuths
+    dtype = source.dtype
+    moves = jnp.asarray(coarse.moves, dtype)
+    half = jnp.asarray(0.5 * coarse.moves[0], dtype)
+    lengths = jnp.asarray(coarse.lengths, dtype)[:, None, None, None]
+    flux = jnp.asarray(np.multiply(ordinates.level_weight, ordinates.cosine), dtype)
 
+    def pass_layers(
+        entering: Array, hemisphere: tuple[Array, tuple[Array, ...]]
+    ) -> tuple[Array, tuple[Array, Array]]:
+        """Down through all layers, or up; the ground's light enters the way up."""
+        outside, cells = hemisphere
 
-def _level(
-    coarse: Coarse,
-    level: int,
-    source: Float[Array, "azimuth z y x"],
-    entering: Radiance,
-    outside: Float[Array, ""],
-    *,
-    downward: bool,
-) -> tuple[Radiance, Float[Array, "azimuth z y x"]]:
-    """Carry the ordinates of one level through all layers; leaving radiance, mean intensity."""
-    ordinates, steps = coarse.ordinates, coarse.steps[level]
-    cosine = ordinates.cosine[level]
-    length = coarse.vertical / (steps * cosine)
-    slope = np.sqrt(1 - cosine**2) / cosine
-    azimuth = (np.arange(ordinates.azimuths) + 0.5) * (2 * np.pi / ordinates.azimuths)
-    reach = coarse.vertical / steps * slope / coarse.horizontal  # cells per step
-    moves = np.stack([np.sin(azimuth), np.cos(azimuth)]) * reach
+        def layer(radiance: Array, cell: tuple[Array, ...]) -> tuple[Array, Array]:
+            emitted, through, mean, emission = cell
+            emitted = emitted * lengths
 
-    def shift(radiance: Radiance, share: float) -> Radiance:
-        for axis, move in ((2, moves[0]), (1, moves[1])):
-            radiance = _shift(radiance, move * share, axis, outside, coarse.boundary)
-        return radiance
+            def step(carry: tuple[Array, Array], move: Array) -> tuple[tuple[Array, Array], None]:
+                radiance, total = carry
+                radiance = _shift(radiance, move, outside, coarse.boundary)
+                total = total + radiance * mean + emitted * emission
+                return (radiance * through + emitted * mean, total), None
 
-    def layer(radiance: Radiance, cell: tuple[Array, ...]) -> tuple[Radiance, Array]:
-        emitted, through, mean, emission = cell
-        emitted = emitted * length
+            start = (radiance, jnp.zeros_like(radiance))
+            (radiance, total), _ = jax.lax.scan(step, start, moves)
+            return radiance, total / coarse.steps
 
-        def step(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
-            radiance, total = carry
-            radiance = shift(radiance, 1.0)
-            total = total + radiance * mean + emitted * emission
-            return (radiance * through + emitted * mean, total), None
+        start = _shift(entering, -half, outside, coarse.boundary)
+        leaving, mean = jax.lax.scan(layer, start, cells)
+        leaving = _shift(leaving, half, outside, coarse.boundary)
+        irradiance = jnp.einsum("l,layx->yx", flux, leaving)
+        exitance = ground * (irradiance + sunlit) / jnp.pi
+        return jnp.broadcast_to(exitance, leaving.shape), (mean, irradiance)
 
-        start = (radiance, jnp.zeros_like(radiance))
-        (radiance, total), _ = jax.lax.scan(step, start, length=steps)
-        return radiance, total / steps
-
-    cells = (jnp.moveaxis(source, 1, 0), *(a[:, None] for a in coarse.attenuation[level]))
-    # Steps are crossed at their middles: half a shift back before, half a shift on after.
-    leaving, mean = jax.lax.scan(layer, shift(entering, -0.5), cells, reverse=downward)
-    return shift(leaving, 0.5), jnp.moveaxis(mean, 0, 1)
+    shape = (2, levels, azimuths, *source.shape[1:])
+    by_layer = jnp.moveaxis(source.reshape(shape), 3, 1)
+    cells = tuple(
+        jnp.stack([down[::-1], up])
+        for down, up in (tuple(by_layer), *((a, a) for a in coarse.attenuation))
+    )
+    outside = jnp.stack([sky, jnp.zeros_like(sky)])
+    entering = jnp.broadcast_to(sky, (levels, azimuths, *ground.shape))
+    _, (mean, irradiance) = jax.lax.scan(pass_layers, entering, (outside, cells))
+    mean = jnp.stack([mean[0, ::-1], mean[1]])
+    mean = jnp.moveaxis(mean, 1, 3).reshape(source.shape)
+    return mean, irradiance[0], irradiance[1]
 
 
 def _shift(
-    radiance: Radiance, move: np.ndarray, axis: int, outside: Float[Array, ""], boundary: str
-) -> Radiance:
-    """Move each ordinate's layer by `move` (at most one) cells along `axis`, linearly."""
-    widths = [(1, 1) if a == axis else (0, 0) for a in range(3)]
-    if boundary == "periodic":
-        padded = jnp.pad(radiance, widths, mode="wrap")
-    else:
-        # `outside` is linear data (the sky), which pad's constant cannot be.
-        edge = jnp.broadcast_to(outside, jax.lax.slice_in_dim(radiance, 0, 1, axis=axis).shape)
-        padded = jnp.concatenate([edge, radiance, edge], axis=axis)
-    size = radiance.shape[axis]
-    before, here, after = (
-        jax.lax.slice_in_dim(padded, start, start + size, axis=axis) for start in range(3)
-    )
-    share = jnp.asarray(move, radiance.dtype)[:, None, None]
-    return (
-        before * jnp.maximum(share, 0)
-        + here * (1 - jnp.abs(share))
-        + after * jnp.maximum(-share, 0)
-    )
+    radiance: Float[Array, "level azimuth y x"],
+    move: Float[Array, "xy level azimuth"],
+    outside: Float[Array, ""],
+    boundary: str,
+) -> Float[Array, "level azimuth y x"]:
+    """Move each ordinate's layer by `move` (at most one cell) along x and y, linearly."""
+    for axis, share in ((3, move[0]), (2, move[1])):
+        first, last = (
+            jax.lax.slice_in_dim(radiance, at, at + 1, axis=axis)
+            for at in (0, radiance.shape[axis] - 1)
+        )
+        if boundary == "periodic":
+            ends = (last, first)
+        else:
+            ends = (jnp.broadcast_to(outside, first.shape),) * 2
+        padded = jnp.concatenate([ends[0], radiance, ends[1]], axis=axis)
+        size = radiance.shape[axis]
+        before, after = (
+            jax.lax.slice_in_dim(padded, start, start + size, axis=axis) for start in (0, 2)
+        )
+        share = share[:, :, None, None]
+        radiance = (
+            before * jnp.maximum(share, 0)
+            + radiance * (1 - jnp.abs(share))
+            + after * jnp.maximum(-share, 0)
+        )
+    return radiance

@@ -1,6 +1,6 @@
 """Scene: a plot put together from leaves, plants, light and a sensor."""
 
-from fynjax.scene._model import Camera, PlotModel, Stand, band_wavelengths, build_model
+from fynjax.scene._model import Camera, PlotModel, band_wavelengths, build_model
 from fynjax.scene._parameters import (
     LEAF_FIELDS,
     GroundParameters,
@@ -11,6 +11,7 @@ from fynjax.scene._parameters import (
     parameter_units,
     with_values,
 )
+from fynjax.scene._planting import Planting, draw_planting
 from fynjax.scene._spectra import background_spectrum
 
 __all__ = [
@@ -18,13 +19,14 @@ __all__ = [
     "Camera",
     "GroundParameters",
     "LightParameters",
+    "Planting",
     "PlotModel",
     "PlotParameters",
     "SpeciesParameters",
-    "Stand",
     "background_spectrum",
     "band_wavelengths",
     "build_model",
+    "draw_planting",
     "named_values",
     "parameter_units",
     "with_values",

@@ -7,6 +7,7 @@ that an image is a smooth, repeatable function of the parameters.
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -18,19 +19,12 @@ from fynjax._core.errors import InputError
 from fynjax.canopy import (
     FORM_DEFAULTS,
     CrownPacking,
-    Organ,
-    PlantModel,
     VoxelGrid,
-    assign_sites,
     deposit,
     instance_area,
-    instantiate,
     leaf_angle,
-    plant_model,
-    poisson_disk,
-    random_orientation,
+    site_weight,
     soft_count,
-    soft_weights,
     target_area,
 )
 from fynjax.leaf import LeafParameters, prospect
@@ -44,6 +38,7 @@ from fynjax.radiation import (
     solve_light,
 )
 from fynjax.scene._parameters import PlotParameters
+from fynjax.scene._planting import Planting, no_plants, draw_planting, leafy_species
 from fynjax.scene._spectra import background_spectrum
 from fynjax.sensors import BandSet
 from fynjax.sensors._sky import clear_sky_diffuse_fraction
@@ -52,25 +47,6 @@ from fynjax.sensors._sky import clear_sky_diffuse_fraction
 _PETAL = LeafParameters(
     structure=2.0, chlorophyll=0.0, carotenoids=0.5, anthocyanins=1.0, water=0.008, dry_matter=0.003
 )
-
-
-class Stand(eqx.Module):
-    """The plants of one species: their shape, and where each may stand."""
-
-    plant: PlantModel
-    sites: Float[Array, "plant 2"]
-    """Ordered places; the first n of them are taken [m]."""
-    azimuth: Float[Array, " plant"]
-    """[degrees]"""
-    tilt: Float[Array, " plant"]
-    """[degrees]"""
-    size: Float[Array, " plant"]
-    """Crown diameter relative to the species' mean; the mean of its square is 1 [-]."""
-    stature: Float[Array, " plant"]
-    """Height relative to the species' greatest [-]."""
-    branches: float = eqx.field(static=True)
-    rotation_spread: float = eqx.field(static=True)
-    form: str = eqx.field(static=True)
 
 
 class Camera(eqx.Module):
@@ -86,13 +62,20 @@ class Camera(eqx.Module):
 class PlotModel(eqx.Module):
     """A plot: its fixed part. Call `image` with parameters to render it."""
 
-    stands: tuple[Stand, ...]
+    planting: Planting
     camera: Camera
     grid: VoxelGrid
     taxa: tuple[str, ...] = eqx.field(static=True)
-    boundary: str = eqx.field(static=True)
+    forms: tuple[str, ...] = eqx.field(static=True)
+    branches: tuple[float, ...] = eqx.field(static=True)
+    """Copies of the plant model that make one plant [-]."""
+    rotation_spread: tuple[float, ...] = eqx.field(static=True)
+    """Standard deviation of the plants' lean [degrees]."""
+    minimum_area: tuple[float, ...] = eqx.field(static=True)
+    """Least ground area that a plant may count for [m2]."""
+    boundary: Literal["periodic", "open"] = eqx.field(static=True)
     softness: float = eqx.field(static=True)
-    """Share of a species' plants over which the last ones fade in [-]; see `soft_weights`."""
+    """Share of a species' plants over which the last ones fade in [-]; see `site_weight`."""
     width: float = eqx.field(static=True)
     """The same in plants, added to it; 0 with `softness` 0 is the hard scene of eq. (10)."""
     flowering: float = eqx.field(static=True)
@@ -109,76 +92,58 @@ class PlotModel(eqx.Module):
         """Grid of the spectra behind the bands [nm]."""
         return band_wavelengths(self.camera.bands)
 
-    @property
-    def leafy(self) -> tuple[int, ...]:
-        """Species that have leaves."""
-        return tuple(
-            i for i, stand in enumerate(self.stands) if bool(FORM_DEFAULTS[stand.form].leaf_area_index)
-        )
-
     def counts(self, parameters: PlotParameters) -> Float[Array, " species"]:
         """Real number of plants of each species, eq. (10) without its ceiling [-]."""
-        area = float(np.prod(self.grid.extent[:2]))
         species = parameters.species
-        numbers = []
-        for i, stand in enumerate(self.stands):
-            packing = CrownPacking(
-                100.0 * species.packing[i],
-                100.0 * species.fill[i],
-                stand.branches,
-                stand.rotation_spread,
-            )
-            each = instance_area(species.diameter[i], species.height[i], packing)
-            numbers.append(
-                soft_count(target_area(area, 100.0 * species.cover[i]), each, stand.branches)
-            )
-        return jnp.stack(numbers)
+        packing = CrownPacking(
+            100.0 * species.packing,
+            100.0 * species.fill,
+            np.asarray(self.branches),
+            np.asarray(self.rotation_spread),
+            np.asarray(self.minimum_area),
+        )
+        each = instance_area(species.diameter, species.height, packing)
+        plot = float(np.prod(self.grid.extent[:2]))
+        return soft_count(
+            target_area(plot, 100.0 * species.cover), each, np.asarray(self.branches)
+        )
 
     def area_density(self, parameters: PlotParameters) -> Float[Array, "class z y x"]:
         """Area per volume of each optical class: the species' leaves, then wood, then flowers."""
-        species = parameters.species
-        counts = self.counts(parameters)
-        leaf_class = {s: c for c, s in enumerate(self.leafy)}
-        wood = len(leaf_class)
-        positions, areas, classes = [], [], []
-        for i, stand in enumerate(self.stands):
-            weight = soft_weights(
-                counts[i], len(stand.sites), width=self.width, softness=self.softness
-            )
-            diameter = species.diameter[i] * stand.size
-            crown = jnp.pi / 4.0 * diameter**2 / stand.branches
-            leaf_area = species.leaf_area_index[i] * crown
-            bloom = self.flowering * FORM_DEFAULTS[stand.form].flower_fraction
-            place, area, organ = instantiate(
-                stand.plant,
-                stand.sites,
-                stand.azimuth,
-                weight.astype(self.dtype),
-                diameter,
-                species.height[i] * stand.stature,
-                leaf_area,
-                species.wood_area_index[i] * crown,
-                bloom * leaf_area,
-                stand.tilt,
-            )
-            of_organ = jnp.array([leaf_class.get(i, 0), wood, wood + 1])
-            positions.append(place)
-            areas.append(area)
-            classes.append(of_organ[organ])
+        parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
+        species, planting = parameters.species, self.planting
+        owner = planting.species
+        weight = site_weight(
+            self.counts(parameters).astype(self.dtype)[owner],
+            planting.place,
+            width=self.width,
+            softness=self.softness,
+        )
+        diameter = species.diameter[owner] * planting.size
+        height = species.height[owner] * planting.stature
+        crown = weight * jnp.pi / 4.0 * diameter**2
+        crown = crown / jnp.asarray(self.branches, self.dtype)[owner]
+        leaf = crown * species.leaf_area_index[owner]
+        bloom = np.array([FORM_DEFAULTS[form].flower_fraction for form in self.forms])
+        flower = leaf * jnp.asarray(self.flowering * bloom, self.dtype)[owner]
+        area = jnp.stack([leaf, crown * species.wood_area_index[owner], flower], axis=-1)
+        plant = planting.plant
         return deposit(
-            jnp.concatenate(positions),
-            jnp.concatenate(areas),
-            jnp.concatenate(classes),
+            planting.site
+            + diameter[plant][:, None] * planting.per_diameter
+            + height[plant][:, None] * planting.per_height,
+            area[plant, planting.organ] * planting.fraction,
+            planting.optical_class,
             self.grid,
-            wood + 2,
-            boundary=self.boundary,  # type: ignore[arg-type]
+            len(leafy_species(self.forms)) + 2,
+            boundary=self.boundary,
         )
 
     def scene(self, parameters: PlotParameters) -> VoxelScene:
         """The voxel scene of `parameters`: what the radiation layer renders."""
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
         average = jnp.asarray(self.camera.bands.weights(self.wavelength), self.dtype)
-        leafy = np.array(self.leafy, int)
+        leafy = np.array(list(leafy_species(self.forms)), int)
         leaves = jax.tree.map(lambda x: x[leafy], parameters.leaf)
         petal = jax.tree.map(lambda x: jnp.asarray(x, self.dtype)[None], _PETAL)
         leaves = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), leaves, petal)
@@ -193,7 +158,7 @@ class PlotModel(eqx.Module):
         transmittance = jnp.concatenate(
             [transmittance[:-1], jnp.zeros_like(bark)[None], transmittance[-1:]]
         )
-        names = [FORM_DEFAULTS[self.stands[i].form].leaf_angle for i in self.leafy]
+        names = [FORM_DEFAULTS[self.forms[i]].leaf_angle for i in leafy]
         names += ["spherical", "spherical"]
         distinct = tuple(dict.fromkeys(names))
         classes = OpticalClasses(
@@ -267,9 +232,10 @@ def build_model(
     voxel: float,
     camera: Camera,
     seed: int,
-    boundary: str = "periodic",
+    boundary: Literal["periodic", "open"] = "periodic",
     branches: Sequence[float] | None = None,
     rotation_spread: Sequence[float] | None = None,
+    minimum_area: Sequence[float] | None = None,
     probability: Float[np.ndarray, "y x"] | None = None,
     room: float = 2.5,
     size_variation: float = 0.2,
@@ -298,58 +264,46 @@ def build_model(
 
     Raises `InputError` where the plants do not fit.
     """
-    lx, ly = extent
     count = len(taxa)
-    branches = [1.0] * count if branches is None else branches
-    spread = [0.0] * count if rotation_spread is None else rotation_spread
-    top = 1.1 * float(np.max(np.asarray(parameters.species.height)))
-    accuracy = Accuracy() if accuracy is None else accuracy
+    species = parameters.species
+    top = 1.1 * float(np.max(np.asarray(species.height)))
     grid = VoxelGrid.cover(extent, top, voxel)
-    accuracy, layers = _fitting(accuracy, grid)
-    grid = VoxelGrid((grid.shape[0], grid.shape[1], layers), voxel, voxel)
-    bare = [
-        Stand(_EMPTY, jnp.zeros((0, 2)), *[jnp.zeros(0)] * 4, float(b), float(s), form)
-        for b, s, form in zip(branches, spread, forms)
-    ]
+    accuracy, layers = _fitting(Accuracy() if accuracy is None else accuracy, grid)
+    spread = tuple(rotation_spread or [0.0] * count)
     model = PlotModel(
-        tuple(bare), camera, grid, tuple(taxa), boundary, softness, width, flowering, accuracy,
-        soil, diffuse, dtype,
+        planting=no_plants(dtype),
+        camera=camera,
+        grid=VoxelGrid((*grid.shape[:2], layers), voxel, voxel),
+        taxa=tuple(taxa),
+        forms=tuple(forms),
+        branches=tuple(branches or [1.0] * count),
+        rotation_spread=spread,
+        minimum_area=tuple(minimum_area or [0.0] * count),
+        boundary=boundary,
+        softness=softness,
+        width=width,
+        flowering=flowering,
+        accuracy=accuracy,
+        soil=soil,
+        diffuse=diffuse,
+        dtype=dtype,
     )
-    wanted = np.asarray(model.counts(parameters))
-    needed = np.ceil(room * wanted).astype(int) + np.where(wanted > 0, 4, 0)
-    # A disk radius that leaves a tenth more points than plants; Bridson packs 0.6 / r2 of them.
-    radius = min(0.1, np.sqrt(0.55 * lx * ly / max(1.1 * needed.sum(), 1)))
-    points = poisson_disk((lx, ly), radius, seed=seed, periodic=boundary == "periodic")
-    sites = assign_sites(points, needed.tolist(), probability=probability, extent=extent, seed=seed)
-    stands = []
-    for i, (stand, places) in enumerate(zip(bare, sites)):
-        rng = np.random.default_rng([seed, 101, i])
-        n = len(places)
-        azimuth, tilt = random_orientation(n, seed=seed + 1000 * (i + 1), rotation_spread=spread[i])
-        size = np.exp(np.sqrt(np.log1p(size_variation**2)) * rng.standard_normal(n))
-        size = size / np.sqrt(np.mean(size**2)) if n else size
-        stature = 0.6 + 0.4 * rng.random(n)
-        form = stand.form
-        elements = _elements(
-            float(parameters.species.diameter[i]), float(parameters.species.height[i]), voxel
-        )
-        plant = plant_model(form, elements, seed=seed + i)
-        arrays = (jnp.asarray(a, dtype) for a in (places, azimuth, tilt, size, stature))
-        plant = jax.tree.map(
-            lambda a: a.astype(dtype) if jnp.issubdtype(a.dtype, jnp.floating) else a, plant
-        )
-        stands.append(Stand(plant, *arrays, stand.branches, stand.rotation_spread, form))
-    return eqx.tree_at(lambda m: m.stands, model, tuple(stands))
-
-
-_EMPTY = PlantModel(jnp.zeros((0, 3)), jnp.zeros(0), jnp.zeros((0, 3)), jnp.zeros(0, int))
-
-
-def _elements(diameter: float, height: float, voxel: float) -> int:
-    """Area elements of a plant: a few for each voxel that its crown touches."""
-    across = diameter / voxel + 0.5
-    touched = across**2 * (height / voxel + 0.5)
-    return int(np.clip(np.ceil(2.0 * touched), 24, 3000))
+    planting = draw_planting(
+        forms,
+        np.asarray(model.counts(parameters)),
+        np.asarray(species.diameter),
+        np.asarray(species.height),
+        spread,
+        extent=extent,
+        voxel=voxel,
+        periodic=boundary == "periodic",
+        probability=probability,
+        room=room,
+        size_variation=size_variation,
+        seed=seed,
+        dtype=dtype,
+    )
+    return eqx.tree_at(lambda m: m.planting, model, planting)
 
 
 def _fitting(accuracy: Accuracy, grid: VoxelGrid) -> tuple[Accuracy, int]:

@@ -1,5 +1,6 @@
 """Reflectance of soil, litter and bark."""
 
+from functools import lru_cache
 from importlib import resources
 
 import numpy as np
@@ -14,6 +15,11 @@ def background_spectrum(
 
     `name` is dry_soil, wet_soil, bark, litter or char; sources in `data/README.md`.
     """
-    with (resources.files("fynjax.scene") / "data" / "background.csv").open() as table:
-        frame = pd.read_csv(table)
+    frame = _table()
     return np.interp(wavelength, frame["wavelength_nm"], frame[name])
+
+
+@lru_cache(maxsize=1)
+def _table() -> pd.DataFrame:
+    with (resources.files("fynjax.scene") / "data" / "background.csv").open() as table:
+        return pd.read_csv(table)

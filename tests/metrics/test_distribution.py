@@ -71,13 +71,19 @@ def pair(shift: float = -0.03, spread: float = 1.3) -> tuple[np.ndarray, np.ndar
 
 
 @pytest.mark.parametrize("kept", [(900, 600), (400, 99), (1, 3)])
-@pytest.mark.parametrize("decimals", [None, 2])
-def test_exact_distances(kept: tuple[int, int], decimals: int | None) -> None:
+@pytest.mark.parametrize("decimals", [None, 2, "edges"])
+def test_exact_distances(kept: tuple[int, int], decimals: int | str | None) -> None:
     x, y = pair()
+    if decimals == "edges":  # 256 bins of width one from 0 to 256: every value is an edge
+        x, y = np.rint(150.0 * x), np.rint(150.0 * y)
+        x[:], y[:] = np.clip(x, 0, 256), np.clip(y, 0, 256)
+        decimals = 0
     if decimals is not None:  # ties, within and between the samples
         x, y = x.round(decimals), y.round(decimals)
     rng = np.random.default_rng(4)
     wx, wy = (rng.permutation(size) < keep for size, keep in zip(SIZES, kept))
+    if decimals == 0:
+        x[np.flatnonzero(wx)[0]], y[np.flatnonzero(wy)[0]] = 0.0, 256.0
     got = compiled(np.where(wx, x, np.nan), np.where(wy, y, -99.0), wx, wy)
     x, y = x[wx], y[wy]
     assert float(got["ks"]) == pytest.approx(stats.ks_2samp(x, y).statistic, abs=1e-14)

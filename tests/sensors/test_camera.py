@@ -96,6 +96,14 @@ def test_orthographic_views() -> None:
     np.testing.assert_allclose(tx, 1.0, rtol=1e-12)
     np.testing.assert_allclose(ty, 0.0, atol=1e-12)
     np.testing.assert_allclose(east.ground_coordinates(2.0)[0, 0], [2.25, 2.75], rtol=1e-12)
+    # A camera in the north-north-west: lines of sight climb 1 m while going tan(40°) toward it.
+    view = OrthographicCamera((0.0, 0.0, 1.0, 1.0), 0.5, 40.0, 330.0)
+    moved = view.ground_coordinates(1.0) - view.ground_coordinates()
+    expected = np.tan(np.radians(40.0)) * np.array([-0.5, np.sqrt(0.75)])
+    np.testing.assert_allclose(moved, np.broadcast_to(expected[:, None, None], (2, 2, 2)))
+    direction = view.view_directions()[:, 0, 0]
+    np.testing.assert_allclose(np.linalg.norm(direction), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(direction[:2] / direction[2], expected, rtol=1e-12)
 
 
 def test_a_distant_camera_is_orthographic() -> None:

@@ -53,6 +53,16 @@ def test_half_maximum_lies_half_the_width_away() -> None:
     assert row[150 + 26] / row[150] == pytest.approx(0.5, abs=2e-4)
 
 
+def test_mavic_bands_fall_to_half_at_the_stated_half_widths() -> None:
+    bands = mavic_3m()
+    assert bands.names == ("green", "red", "red_edge", "nir")
+    weights = bands.weights(np.arange(400.0, 1001.0))
+    for row, centre, half_width in zip(weights, (560, 650, 730, 860), (16, 16, 16, 26)):
+        assert int(np.argmax(row)) == centre - 400
+        for side in (-half_width, half_width):
+            assert row[centre - 400 + side] / row.max() == pytest.approx(0.5, abs=2e-3)
+
+
 def test_asymmetric_curve_equals_quadrature() -> None:
     grid = np.sort(np.random.default_rng(1).uniform(500.0, 700.0, 41))
     values = np.random.default_rng(2).uniform(size=41)

@@ -1,0 +1,104 @@
+"""Traits and spectra of fitted leaves, as CSV and NetCDF."""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+import fynjax
+from fynjax.io._atomic import atomic_path
+from fynjax.leaf import LeafFit
+
+# Column of traits.csv, unit.
+_UNITS = {
+    "structure": "1",
+    "chlorophyll": "ug cm-2",
+    "carotenoids": "ug cm-2",
+    "anthocyanins": "ug cm-2",
+    "brown_pigments": "1",
+    "water": "cm",
+    "dry_matter": "g cm-2",
+    "proteins": "g cm-2",
+    "carbon_constituents": "g cm-2",
+}
+
+
+def traits_table(fit: LeafFit, files: Sequence[str], names: Sequence[str]) -> pd.DataFrame:
+    """One row a spectrum: file, name, parameters, their deviations and 90 % ends, rmse, status."""
+    columns: dict[str, Any] = {"file": list(files), "name": list(names)}
+    for i, name in enumerate(fit.names):
+        columns[name] = np.asarray(getattr(fit.parameters, name))
+        columns[f"{name}_sd"] = fit.standard_deviation[:, i]
+        columns[f"{name}_lower90"] = fit.lower[:, i]
+        columns[f"{name}_upper90"] = fit.upper[:, i]
+    columns |= {"rmse": fit.rmse, "error_inflation": fit.inflation, "status": list(fit.status)}
+    return pd.DataFrame(columns)
+
+
+def write_traits_csv(table: pd.DataFrame, path: str | Path) -> None:
+    """Write a table of traits; units are those of `LeafParameters`."""
+    with atomic_path(path) as partial:
+        table.to_csv(partial, index=False, float_format="%.6g")
+
+
+def spectra_dataset(
+    fit: LeafFit, files: Sequence[str], names: Sequence[str], settings: dict[str, str]
+) -> xr.Dataset:
+    """Measured, fitted and predicted spectra with the 90 % band of T, and the traits."""
+    wide = 1.6448536269514722 * fit.transmittance_deviation
+    tables: dict[str, tuple[np.ndarray, str]] = {
+        "measured_reflectance": (fit.measured[:, 0], "recorded reflectance used by the fit"),
+        "measured_transmittance": (fit.measured[:, 1], "recorded transmittance used by the fit"),
+        "fitted_reflectance": (fit.fitted[:, 0], "reflectance of the fitted measurement model"),
+        "fitted_transmittance": (fit.fitted[:, 1], "transmittance of the fitted measurement model"),
+        "reflectance": (fit.reflectance, "leaf reflectance"),
+        "transmittance": (fit.transmittance, "leaf transmittance, predicted if not measured"),
+        "transmittance_lower90": (
+            np.clip(fit.transmittance - wide, 0, 1),
+            "lower end of the 90 % interval of leaf transmittance",
+        ),
+        "transmittance_upper90": (
+            np.clip(fit.transmittance + wide, 0, 1),
+            "upper end of the 90 % interval of leaf transmittance",
+        ),
+    }
+    variables: dict[str, Any] = {
+        key: (("leaf", "wavelength"), values.astype(np.float32), {"units": "1", "long_name": text})
+        for key, (values, text) in tables.items()
+    }
+    for i, name in enumerate(fit.names):
+        values = np.asarray(getattr(fit.parameters, name))
+        attributes = {"units": _UNITS[name], "long_name": name.replace("_", " ")}
+        variables[name] = ("leaf", values, attributes)
+        deviation = fit.standard_deviation[:, i]
+        text = f"standard deviation of {name.replace('_', ' ')}"
+        variables[f"{name}_sd"] = ("leaf", deviation, attributes | {"long_name": text})
+    variables["status"] = ("leaf", np.array(fit.status, dtype=object))
+    variables["file"] = ("leaf", np.array(list(files), dtype=object))
+    wavelength = (
+        "wavelength",
+        fit.wavelength,
+        {"units": "nm", "standard_name": "radiation_wavelength", "long_name": "bin centre"},
+    )
+    return xr.Dataset(
+        variables,
+        coords={"wavelength": wavelength, "leaf": ("leaf", np.array(list(names), dtype=object))},
+        attrs={
+            "Conventions": "CF-1.11",
+            "title": "Leaf spectra and traits fitted with PROSPECT",
+            "source": f"fynjax {fynjax.__version__}, fit-leaf",
+            "history": f"{datetime.now(UTC).isoformat(timespec='seconds')} fynjax fit-leaf",
+            **settings,
+        },
+    )
+
+
+def write_leaf_netcdf(dataset: xr.Dataset, path: str | Path) -> None:
+    """Write the spectra as compressed NetCDF-4."""
+    floats = [key for key, v in dataset.data_vars.items() if v.dtype.kind == "f"]
+    with atomic_path(path) as partial:
+        dataset.to_netcdf(partial, engine="netcdf4", encoding={k: {"zlib": True} for k in floats})

@@ -1,0 +1,111 @@
+"""What an instrument reads of a leaf: PROSPECT's R and T turned into the recorded signal."""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+class AbstractMeasurement(eqx.Module):
+    """How the recorded reflectance and transmittance follow from those of one leaf."""
+
+    offset_deviation: eqx.AbstractVar[float]
+    """Prior standard deviation of an additive offset of R, the same at all bands [-]."""
+
+    @abc.abstractmethod
+    def observe(
+        self, reflectance: Float[Array, " band"], transmittance: Float[Array, " band"]
+    ) -> tuple[Float[Array, " band"], Float[Array, " band"]]:
+        """Recorded R and T [-] of a leaf with these optics; differentiable."""
+
+
+class IntegratingSphere(AbstractMeasurement):
+    """Directional-hemispherical R and T of a single leaf: what PROSPECT computes.
+
+    R and T together identify all parameters. R alone leaves N and the absorbers exchangeable in
+    part; the fit then adds a prior for N from R at 1131 nm (Spafford et al. 2021, Remote Sensing of
+    Environment 252, 112176).
+    """
+
+    offset_deviation: float = 0.02
+    """Prior standard deviation of a calibration offset of R [-]."""
+
+    def observe(self, reflectance: Array, transmittance: Array) -> tuple[Array, Array]:
+        """R and T unchanged."""
+        return reflectance, transmittance
+
+
+class LeafClip(AbstractMeasurement):
+    """A leaf clip or contact probe over a black face: R + b, with b from specular reflection.
+
+    COSINE with equal angles of light and view (Jay et al. 2016, Remote Sensing of Environment 177,
+    220-236). The offset b is marginalised under its prior: as a free parameter it lowers the misfit
+    and doubles the error of the water content, because the data do not identify it apart from N.
+    """
+
+    offset_deviation: float = 0.04
+    """Prior standard deviation of b [-]."""
+
+    def observe(self, reflectance: Array, transmittance: Array) -> tuple[Array, Array]:
+        """R and T unchanged; b enters as a Gaussian nuisance with mean 0."""
+        return reflectance, transmittance
+
+
+class LeafOverBackground(AbstractMeasurement):
+    """Leaves with gaps over a Lambertian background of reflectance B.
+
+    R_obs = (1 - g) (R + T^2 B / (1 - R B)) + g B and T_obs = (1 - g) T + g: the light that crosses
+    the leaf, meets the background and returns (a geometric series), and the part g of the field of
+    view without leaf. g and B must be known: from one spectrum neither is identified.
+    """
+
+    background: Float[Any, " band"]
+    """Reflectance of the background [-], a number or one value per bin of the fit."""
+    gap_fraction: float = 0.0
+    """Part of the field of view without leaf, 0 to 1 [-]."""
+    offset_deviation: float = 0.02
+    """Prior standard deviation of an offset of R [-]."""
+
+    def observe(self, reflectance: Array, transmittance: Array) -> tuple[Array, Array]:
+        """Signal of leaf and background."""
+        b, g = jnp.asarray(self.background), self.gap_fraction
+        through = transmittance**2 * b / (1.0 - reflectance * b)
+        return (1.0 - g) * (reflectance + through) + g * b, (1.0 - g) * transmittance + g
+
+
+class LeafStack(AbstractMeasurement):
+    """An optically thick pile of leaves, as a contact probe sees a mat of needles.
+
+    R of infinitely many leaves, Stokes 1862: ((1 + R^2 - T^2) - D) / (2 R), written as
+    2 R / (1 + R^2 - T^2 + D) with D^2 = (1 + R + T)(1 + R - T)(1 - R + T)(1 - R - T). The pile
+    transmits nothing. N is hardly identified; its prior decides.
+    """
+
+    offset_deviation: float = 0.02
+    """Prior standard deviation of an offset of R [-]."""
+
+    def observe(self, reflectance: Array, transmittance: Array) -> tuple[Array, Array]:
+        """R of the pile; T is zero."""
+        r, t = reflectance, transmittance
+        d2 = (1.0 + r + t) * (1.0 + r - t) * (1.0 - r + t) * (1.0 - r - t)
+        # Where nothing is absorbed D has no slope; a leaf absorbs at least this much.
+        d = jnp.sqrt(jnp.maximum(d2, 1e-12))
+        return 2.0 * r / (1.0 + r**2 - t**2 + d), jnp.zeros_like(t)
+
+
+def transmittance_from_two_readings(
+    over_black: Float[Any, " band"],
+    over_white: Float[Any, " band"],
+    white: Float[Any, " band"],
+) -> Float[Array, " band"]:
+    """Leaf transmittance from a clip's readings over its black and its white face [-].
+
+    T^2 = (R_w - R)(1 / B - R), from R_w = R + T^2 B / (1 - R B) for a Lambertian leaf over a black
+    face that reflects nothing and a white face of reflectance B. A negative product, which noise
+    makes where the leaf is opaque, counts as T = 0. Differentiable where T > 0.
+    """
+    r, w, b = jnp.asarray(over_black), jnp.asarray(over_white), jnp.asarray(white)
+    square = (w - r) * (1.0 / b - r)
+    return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)

@@ -1,0 +1,74 @@
+"""Recipe of `error_model.csv.gz`: residuals of PROSPECT-D on ANGERS and LOPEX.
+
+Run `python estimate_error_model.py FOLDER [OUTPUT [SET ...]]` with the folder that holds
+`angers_spectra.npz`, `angers_chemistry.csv.gz` and the same of LOPEX. For each leaf the measured
+pigments, water and dry matter are put into PROSPECT-D, only N and the anthocyanins are fitted to R
+and T, and what remains is the model's error. LOPEX enters with the mean of its five spectra a
+sample.
+"""
+
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+
+from fynjax.leaf import _fit
+from fynjax.leaf import _levenberg as lm
+from fynjax.leaf._error_model import ErrorModel, bin_centres, estimate_error_model, to_bins
+from fynjax.leaf._measurement import IntegratingSphere
+
+NAMES = ("structure", "chlorophyll", "carotenoids", "anthocyanins", "brown_pigments", "water", "dry_matter")  # fmt: skip
+MEASURED = {1: "cab", 2: "car", 5: "ewt", 6: "lma"}
+
+
+def residuals(folder: Path, name: str) -> np.ndarray:
+    """Measured minus modelled R and T [leaf, 2, bin] at the measured chemistry."""
+    with np.load(folder / f"{name}_spectra.npz") as stored:
+        ids, wavelength = stored["id"], stored["wl"].astype(float)
+        spectra = [stored["refl"].astype(float), stored["tran"].astype(float)]
+    spectra = [s.mean(1) if s.ndim == 3 else s for s in spectra]
+    data = np.stack([to_bins(wavelength, s) for s in spectra], axis=1)
+    chemistry = pd.read_csv(folder / f"{name}_chemistry.csv.gz").set_index("id").loc[ids]
+    optics = _fit._optics(NAMES, "D", IntegratingSphere())
+    known = np.tile([1.5, 40.0, 8.0, 1.0, 1e-3, 0.01, 0.009], (len(ids), 1))
+    precision = np.tile([0.1, 0.1, 0.1, 0.5, 1e3, 0.1, 0.1], (len(ids), 1))
+    for column, key in MEASURED.items():
+        values = chemistry[key].to_numpy(float)
+        have = np.isfinite(values)
+        known[have, column] = np.maximum(values[have], 1e-4 if column > 4 else 0.05)
+        precision[have, column] = 1e6
+    z = lm.to_unconstrained(jnp.asarray(known), optics)
+    use = np.isfinite(data) & (bin_centres() >= 445) & (bin_centres() <= 2405)
+    problems = lm.Problem(
+        jnp.asarray(np.where(use, data, 0.0)),
+        jnp.asarray(np.where(use, 0.015**-2.0, 0.0)),
+        jnp.zeros((len(ids), 1, 2, bin_centres().size)),
+        z,
+        jnp.asarray(precision)[:, :, None] * jnp.eye(len(NAMES)),
+        jnp.zeros((len(ids), 2)),
+        z,
+    )
+    solution = _fit._solve_many(problems, optics)
+    fitted = jax.vmap(lambda one: lm.spectra(lm.to_physical(one, optics), optics))(solution.z)
+    return data - np.asarray(fitted)
+
+
+def write(model: ErrorModel, output: Path) -> None:
+    """Write the table, one row a bin."""
+    columns = {"wavelength_nm": bin_centres()}
+    columns |= {"r_noise": model.reflectance_noise, "t_noise": model.transmittance_noise}
+    for i, (r, t) in enumerate(zip(model.reflectance_factors, model.transmittance_factors)):
+        columns |= {f"r_factor{i}": r, f"t_factor{i}": t}
+    table = pd.DataFrame(columns)
+    table.to_csv(output, index=False, float_format="%.5g", compression={"method": "gzip", "mtime": 1})
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    place = Path(sys.argv[1])
+    target = Path(sys.argv[2] if len(sys.argv) > 2 else Path(__file__).with_name("error_model.csv.gz"))
+    sets = sys.argv[3:] or ["angers", "lopex"]
+    write(estimate_error_model([residuals(place, name) for name in sets]), target)
