@@ -1,0 +1,20 @@
+"""Inversion: from measured statistics back to the parameters of a plot."""
+
+from fynjax.inversion._calibrate import COARSE, Calibration, calibrate_plot, free_space
+from fynjax.inversion._fit import Data, FitResult, Pullback, fit
+from fynjax.inversion._space import PLAUSIBLE, ParameterSpace, make_space, match_names
+
+__all__ = [
+    "COARSE",
+    "PLAUSIBLE",
+    "Calibration",
+    "Data",
+    "FitResult",
+    "ParameterSpace",
+    "Pullback",
+    "calibrate_plot",
+    "fit",
+    "free_space",
+    "make_space",
+    "match_names",
+]

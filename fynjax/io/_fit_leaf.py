@@ -17,8 +17,15 @@ from fynjax.io._leaf_results import (
 )
 from fynjax.io._spectra import read_spectra
 from fynjax.io._spectra_record import Spectrum
-from fynjax.leaf import AbstractMeasurement, FitDomain, IntegratingSphere, LeafClip, LeafStack
-from fynjax.leaf import ProspectVersion, fit_leaf
+from fynjax.leaf import (
+    AbstractMeasurement,
+    FitDomain,
+    IntegratingSphere,
+    LeafClip,
+    LeafStack,
+    ProspectVersion,
+    fit_leaf,
+)
 
 MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
     "sphere": IntegratingSphere,

@@ -1,4 +1,4 @@
-"""Leaf spectra from files: one entry point, `read_spectra`, that recognises the format by content."""
+"""Spectra from files: `read_spectra` recognises the format by the content."""
 
 from pathlib import Path
 

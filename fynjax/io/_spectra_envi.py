@@ -46,7 +46,7 @@ def read_envi_library(path: str | Path) -> list[Spectrum]:
         centres = [float(x) for x in header["wavelength"].split(",")]
     except (KeyError, ValueError) as error:
         raise InputError(
-            f"the header of a spectral library needs samples, lines, data type and wavelength: {error}",
+            f"the header needs samples, lines, data type and wavelength; wrong: {error}",
             file=header_path,
         ) from error
     if "librar" not in header.get("file type", "librar").lower():
@@ -77,7 +77,7 @@ def read_envi_library(path: str | Path) -> list[Spectrum]:
         note(meta, "wavelengths converted from µm to nm")
     elif wavelength.max() < 100:
         raise InputError(
-            f"the header says {unit!r}, but the wavelengths end at {wavelength.max():g}; are they in µm?",
+            f"the header says {unit!r}, but wavelengths end at {wavelength.max():g}; are they µm?",
             file=header_path,
         )
     names = [n.strip() for n in header.get("spectra names", "").split(",") if n.strip()]

@@ -1,6 +1,6 @@
 """A spectrum as a file holds it, and the checks every reader shares."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,7 @@ def in_windows(wavelength: np.ndarray, windows: tuple[tuple[float, float], ...])
 
 def _checked(
     values: np.ndarray, looked_at: np.ndarray, what: str, name: str, meta: dict, file: Path
-):
+) -> np.ndarray:
     finite = np.isfinite(values)
     if not finite.any():
         raise InputError(f"the {what} of spectrum {name!r} has no value, only NaN", file=file)
@@ -81,7 +81,7 @@ def check_spectrum(spectrum: Spectrum, file: Path) -> Spectrum:
         raise InputError(f"spectrum {spectrum.name!r} has a band without wavelength", file=file)
     if wavelength.size < 2 or wavelength.min() < 100.0 or wavelength.max() > 50000.0:
         raise InputError(
-            f"the wavelengths of spectrum {spectrum.name!r} must be in nm, 100 to 50000, but run from "
+            f"wavelengths of spectrum {spectrum.name!r} must be in nm, 100 to 50000, but run from "
             f"{wavelength.min():g} to {wavelength.max():g}; are they in µm or wave numbers?",
             file=file,
         )
@@ -99,7 +99,7 @@ def check_spectrum(spectrum: Spectrum, file: Path) -> Spectrum:
     looked_at = (
         ~in_windows(wavelength, WATER_WINDOWS) & (wavelength >= 400.0) & (wavelength <= 2600.0)
     )
-    parts = {}
+    parts: dict[str, np.ndarray | None] = {}
     for what in ("reflectance", "transmittance"):
         values = getattr(spectrum, what)
         if values is None:
@@ -115,4 +115,4 @@ def check_spectrum(spectrum: Spectrum, file: Path) -> Spectrum:
         parts[what] = _checked(values[order], looked_at, what, spectrum.name, meta, file)
     if parts["reflectance"] is None and parts["transmittance"] is None:
         raise InputError(f"spectrum {spectrum.name!r} has neither R nor T", file=file)
-    return replace(spectrum, wavelength=wavelength, meta=meta, **parts)
+    return Spectrum(spectrum.name, wavelength, parts["reflectance"], parts["transmittance"], meta)

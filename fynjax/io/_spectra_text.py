@@ -60,7 +60,7 @@ def _to_nm(wavelength: np.ndarray, label: str, meta: dict[str, Any], file: Path)
     if highest < 100.0:
         if says_nm:
             raise InputError(
-                f"the header {label!r} says nm, but wavelengths end at {highest:g}; are they in µm? "
+                f"the header {label!r} says nm, but wavelengths end at {highest:g}; are they µm? "
                 "Name the column wavelength_um",
                 file=file,
             )
@@ -95,7 +95,8 @@ def _ecostress(text: str, file: Path) -> list[Spectrum] | None:
     stated = re.match(r"\d+", keys.get("number of x values", ""))
     if stated and int(stated[0]) != len(table):
         raise InputError(
-            f"the header promises {stated[0]} values, but {len(table)} follow; is the file cut short?",
+            f"expected {stated[0]} values as the header says, but found {len(table)}; "
+            "is the file cut short?",
             file=file,
         )
     wavelength = _to_nm(table[:, 0], keys.get("x units", keys.get("first column", "")), meta, file)
@@ -111,7 +112,9 @@ def _ecostress(text: str, file: Path) -> list[Spectrum] | None:
     ]
 
 
-def _paired(columns: dict[str, np.ndarray], wavelength: np.ndarray, meta: dict, stem: str):
+def _paired(
+    columns: dict[str, np.ndarray], wavelength: np.ndarray, meta: dict, stem: str
+) -> list[Spectrum]:
     """Spectra from named columns; a transmittance column joins the reflectance of its name."""
     records: dict[str, dict[str, Any]] = {}
     for label, values in columns.items():
@@ -196,7 +199,7 @@ def read_text_spectra(text: str, file: Path) -> list[Spectrum]:
     first = next((i for i, row in enumerate(rows) if len(row) > 1 and _NUMBER.match(row[0])), None)
     if first is None:
         raise InputError(
-            "unknown format: no column of wavelengths and no wavelengths as column names were found",
+            "unknown format: neither a column of wavelengths nor wavelengths as column names",
             file=file,
         )
     above, body = rows[:first], rows[first:]

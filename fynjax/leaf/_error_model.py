@@ -88,7 +88,7 @@ def estimate_error_model(
 
 @cache
 def default_error_model() -> ErrorModel:
-    """The error model shipped with the package, estimated on ANGERS and LOPEX (see `data/README`)."""
+    """The error model of the package, estimated on ANGERS and LOPEX (see `data/README.md`)."""
     path = resources.files("fynjax.leaf") / "data" / "error_model.csv.gz"
     with resources.as_file(path) as file:
         table = pd.read_csv(file)

@@ -145,36 +145,48 @@ def _solve_many(problems: lm.Problem, optics: lm.Optics) -> lm.Solution:
 
 
 @eqx.filter_jit
-def _describe(problems: lm.Problem, optics: lm.Optics, z: Array, inflation: Array) -> tuple:
-    """Spectra, errors seen, misfit and the spread of T of each leaf at `z`."""
+def _spectra_many(optics: lm.Optics, z: Array) -> tuple:
+    """Parameters, their slope by z, and spectra with slopes: of the leaf, and as recorded."""
 
-    def one(problem: lm.Problem, z: Array, inflation: Array) -> tuple:
-        x = lm.to_physical(z, optics)
+    def one(z: Array) -> tuple:
+        x, unit = lm.to_physical(z, optics), jax.nn.sigmoid(z)
+        scale = (optics.upper - optics.lower) * unit * (1.0 - unit)
         model, slopes = lm.spectra_and_slopes(x, optics)
         seen, seen_slopes = lm.observed_and_slopes(x, optics)
-        unit = jax.nn.sigmoid(z)
-        scale = ((optics.upper - optics.lower) * unit * (1.0 - unit))[:, None, None]
-        system = lm.factor_system(problem)
-        flat = problem.factors.reshape(problem.factors.shape[0], -1)
-        weight = problem.precision.reshape(-1)
-        residual = jnp.where(problem.precision > 0, problem.data - seen, 0.0).reshape(-1)
-        pulled = flat @ (weight * residual)
-        scores = jax.scipy.linalg.cho_solve((system, True), pulled)
-        misfit = residual @ (weight * residual) - pulled @ scores
-        leaf_factors = problem.factors[:-1]  # the offset belongs to the instrument
-        _, _, hessian = lm._evaluate(problem, optics, system, z)[0:3]
-        covariance = jnp.linalg.inv(hessian)
-        seen_flat = (seen_slopes * scale).reshape(z.shape[0], -1)
-        answer = jax.scipy.linalg.cho_solve((system, True), flat @ (weight * seen_flat).T)
-        through = problem.factors[:, 1]
-        effective = slopes[:, 1] * scale[:, 0] - answer.T @ through
-        spread = jax.scipy.linalg.solve_triangular(system, through, lower=True)
-        variance = jnp.einsum("pb,pq,qb->b", effective, covariance, effective)
-        variance = variance + (spread**2).sum(0)
-        corrected = model + jnp.einsum("f,fcb->cb", scores[:-1], leaf_factors)
-        return x, scale[:, 0, 0], seen, corrected, misfit, covariance, variance
+        wide = scale[:, None, None]
+        return x, scale, model, slopes[:, 1] * wide[:, 0], seen, seen_slopes * wide
 
-    return jax.vmap(one)(problems, z, inflation)
+    return jax.vmap(one)(z)
+
+
+def _describe(problems: lm.Problem, optics: lm.Optics, solution: lm.Solution) -> tuple:
+    """Spectra, the errors the data show, misfit, and the spread of T of each leaf.
+
+    In NumPy: these few small systems are solved once, and compiling them costs more.
+    """
+    x, scale, model, t_slopes, seen, seen_slopes = map(
+        np.asarray, _spectra_many(optics, solution.z)
+    )
+    leaves, parameters = x.shape
+    factors = np.asarray(problems.factors)
+    flat = factors.reshape(leaves, factors.shape[1], -1)
+    weight = np.asarray(problems.precision).reshape(leaves, -1)
+    residual = np.where(weight > 0, (np.asarray(problems.data) - seen).reshape(leaves, -1), 0.0)
+    weighted = flat * weight[:, None, :]
+    system = np.eye(flat.shape[1]) + weighted @ flat.transpose(0, 2, 1)
+    pulled = weighted @ residual[:, :, None]
+    answers = weighted @ seen_slopes.reshape(leaves, parameters, -1).transpose(0, 2, 1)
+    through = factors[:, :, 1]
+    solved = np.linalg.solve(system, np.concatenate([pulled, answers, through], axis=2))
+    scores, gain = solved[:, :, 0], solved[:, :, 1 : 1 + parameters]
+    misfit = (weight * residual**2).sum(1) - (pulled[:, :, 0] * scores).sum(1)
+    covariance = np.linalg.inv(np.asarray(solution.hessian))
+    effective = t_slopes - gain.transpose(0, 2, 1) @ through
+    variance = (effective * (covariance @ effective)).sum(1)
+    variance = variance + (through * solved[:, :, 1 + parameters :]).sum(1)
+    # The last factor is the instrument's offset, which is no property of the leaf.
+    shown = np.einsum("nf,nfcb->ncb", scores[:, :-1], factors[:, :-1], optimize=True)
+    return x, scale, seen, model + shown, misfit, covariance, variance
 
 
 def fit_leaf(
@@ -247,12 +259,15 @@ def fit_leaf(
     with jax.enable_x64(True):
         use = usable_bins(data, domain, outdoor)
         optics = _optics(names, version, measurement)
+        # Few sizes of batch, so that few programs are compiled.
+        size = next((s for s in (1, 16, 64, 256) if s >= min(chunk, len(data))), chunk)
+        size = min(size, chunk)
         parts = []
         with progress.stage("fitting leaves", len(data)):
             for at in range(0, len(data), chunk):
                 stop = min(at + chunk, len(data))
                 parts.append(_fit_chunk(data[at:stop], use[at:stop], optics, names, free,
-                                        error_model, min(chunk, len(data))))  # fmt: skip
+                                        error_model, size))  # fmt: skip
                 progress.advance(stop - at)
     return _assemble(parts, data, use, names, free)
 
@@ -298,15 +313,17 @@ def _fit_chunk(
         )
         solution = _solve_many(problems, optics)
         start = np.asarray(solution.z)
-        described = _describe(problems, optics, solution.z, jnp.asarray(inflation))
-        x, scale, seen, corrected, misfit, covariance, variance = map(np.asarray, described)
+        x, scale, seen, corrected, misfit, covariance, variance = _describe(
+            problems, optics, solution
+        )
         chi2 = misfit * inflation / np.maximum(bands, 1)
         last, inflation = inflation, np.maximum(1.0, (50.0 + 10.0 * chi2 * bands) / (50.0 + bands))
     variance = variance + last[:, None] * model.transmittance_noise**2
-    out = dict(
-        z=start, x=x, scale=scale, seen=seen, corrected=corrected, chi2=chi2, covariance=covariance,
-        variance=variance, converged=np.asarray(solution.converged), inflation=last,
-    )  # fmt: skip
+    out = {
+        "z": start, "x": x, "scale": scale, "seen": seen, "corrected": corrected,
+        "chi2": chi2, "covariance": covariance,
+        "variance": variance, "converged": np.asarray(solution.converged), "inflation": last,
+    }  # fmt: skip
     return {key: value[:count] for key, value in out.items()}
 
 
@@ -347,13 +364,14 @@ def _assemble(
             status.append("converged")
     for key in ("x", "seen", "corrected", "variance"):
         got[key][few] = np.nan
+    spread = np.sqrt(np.einsum("npp->np", covariance))
     values = dict(zip(names, got["x"].T))
     zeros = {name: 0.0 for name in PRIORS if name not in names}
     chosen = [names.index(name) for name in free]
     return LeafFit(
         parameters=LeafParameters.many(**zeros, **values),
         names=free,
-        standard_deviation=np.where(few[:, None], np.nan, np.sqrt(np.einsum("npp->np", covariance)))[:, chosen],
+        standard_deviation=np.where(few[:, None], np.nan, spread)[:, chosen],
         covariance=covariance[:, chosen][:, :, chosen],
         lower=np.where(few[:, None], np.nan, ends[0])[:, chosen],
         upper=np.where(few[:, None], np.nan, ends[1])[:, chosen],

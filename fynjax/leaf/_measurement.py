@@ -61,7 +61,7 @@ class LeafOverBackground(AbstractMeasurement):
     view without leaf. g and B must be known: from one spectrum neither is identified.
     """
 
-    background: Float[Any, " band"]
+    background: Float[Any, " band"] = 0.0
     """Reflectance of the background [-], a number or one value per bin of the fit."""
     gap_fraction: float = 0.0
     """Part of the field of view without leaf, 0 to 1 [-]."""

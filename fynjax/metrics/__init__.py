@@ -38,6 +38,7 @@ from fynjax.metrics._spectral import (
     spectral_angle,
     spectral_mask,
 )
+from fynjax.metrics._statistics import check_statistics, image_statistics
 
 __all__ = [
     "BANDS",
@@ -50,8 +51,10 @@ __all__ = [
     "Target",
     "VegetationIndex",
     "bands_2006",
+    "check_statistics",
     "consistent_targets",
     "histogram_intersection",
+    "image_statistics",
     "ks_distance",
     "mean",
     "nrmse",

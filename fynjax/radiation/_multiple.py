@@ -164,24 +164,21 @@ def _gcr(
     positive definite here, because scattering loses light.
     """
 
-    def dot(a: Array, b: Array) -> Array:
-        return jnp.vdot(a, b)
-
     def going(state: tuple[Array, ...]) -> Array:
         _, residual, _, _, count = state
-        return (dot(residual, residual) > goal) & (count < iterations)
+        return (residual @ residual > goal) & (count < iterations)
 
     def iterate(state: tuple[Array, ...]) -> tuple[Array, ...]:
         solution, residual, directions, images, count = state
-        image = matvec(residual)
+        image = matvec(residual.reshape(right.shape)).ravel()
         # Make the new image orthogonal to the kept ones, which have unit length.
-        share = jnp.tensordot(images, image, axes=image.ndim)
-        image = image - jnp.tensordot(share, images, axes=1)
-        direction = residual - jnp.tensordot(share, directions, axes=1)
-        length = jnp.sqrt(dot(image, image))
+        share = images @ image
+        image = image - share @ images
+        direction = residual - share @ directions
+        length = jnp.sqrt(image @ image)
         scale = jnp.where(length > 0, 1.0 / jnp.where(length > 0, length, 1.0), 0.0)
         image, direction = image * scale, direction * scale
-        step = dot(image, residual)
+        step = image @ residual
         slot = count % _KEPT
         return (
             solution + step * direction,
@@ -191,10 +188,11 @@ def _gcr(
             count + 1,
         )
 
-    goal = tolerance**2 * dot(right, right)
-    none = jnp.zeros((_KEPT, *right.shape), right.dtype)
-    start = (jnp.zeros_like(right), right, none, none, jnp.zeros((), jnp.int32))
-    return jax.lax.while_loop(going, iterate, start)[0]
+    flat = right.ravel()
+    goal = tolerance**2 * (flat @ flat)
+    none = jnp.zeros((_KEPT, flat.size), flat.dtype)
+    start = (jnp.zeros_like(flat), flat, none, none, jnp.zeros((), jnp.int32))
+    return jax.lax.while_loop(going, iterate, start)[0].reshape(right.shape)
 
 
 def upsample(

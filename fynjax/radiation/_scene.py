@@ -28,11 +28,9 @@ class OpticalClasses(eqx.Module):
         self, per_class: Float[Array, "class *grid"]
     ) -> Float[Array, "angle *grid"]:
         """Sum a quantity over the classes that share a distribution of normals."""
-        return jnp.stack([
-            sum(per_class[c] for c, owner in enumerate(self.angle_of_class) if owner == a)
-            + jnp.zeros_like(per_class[0])
-            for a in range(len(self.angles))
-        ])
+        members = np.zeros((len(self.angles), len(self.angle_of_class)))
+        members[list(self.angle_of_class), range(len(self.angle_of_class))] = 1.0
+        return jnp.tensordot(jnp.asarray(members, per_class.dtype), per_class, axes=1)
 
 
 class Illumination(eqx.Module):

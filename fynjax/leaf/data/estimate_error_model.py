@@ -17,10 +17,11 @@ import pandas as pd
 
 from fynjax.leaf import _fit
 from fynjax.leaf import _levenberg as lm
+from fynjax.leaf._coefficients import CONSTITUENTS
 from fynjax.leaf._error_model import ErrorModel, bin_centres, estimate_error_model, to_bins
 from fynjax.leaf._measurement import IntegratingSphere
 
-NAMES = ("structure", "chlorophyll", "carotenoids", "anthocyanins", "brown_pigments", "water", "dry_matter")  # fmt: skip
+NAMES = ("structure", *CONSTITUENTS["D"])
 MEASURED = {1: "cab", 2: "car", 5: "ewt", 6: "lma"}
 
 
@@ -63,12 +64,16 @@ def write(model: ErrorModel, output: Path) -> None:
     for i, (r, t) in enumerate(zip(model.reflectance_factors, model.transmittance_factors)):
         columns |= {f"r_factor{i}": r, f"t_factor{i}": t}
     table = pd.DataFrame(columns)
-    table.to_csv(output, index=False, float_format="%.5g", compression={"method": "gzip", "mtime": 1})
+    table.to_csv(
+        output, index=False, float_format="%.5g", compression={"method": "gzip", "mtime": 1}
+    )
 
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     place = Path(sys.argv[1])
-    target = Path(sys.argv[2] if len(sys.argv) > 2 else Path(__file__).with_name("error_model.csv.gz"))
+    target = Path(
+        sys.argv[2] if len(sys.argv) > 2 else Path(__file__).with_name("error_model.csv.gz")
+    )
     sets = sys.argv[3:] or ["angers", "lopex"]
     write(estimate_error_model([residuals(place, name) for name in sets]), target)

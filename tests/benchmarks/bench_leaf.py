@@ -1,0 +1,153 @@
+"""Figures of the leaf layer beside its peers: `python -m tests.benchmarks.bench_leaf [FOLDER]`.
+
+FOLDER holds the leaf data (default: `FYNJAX_SHARED_DATA`/leaf). Peers that are not installed are
+named and skipped. Times are CPU time, the least of several calls, all threads added up.
+"""
+
+import importlib
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pandas as pd
+
+from fynjax.io._asd import read_asd
+from fynjax.leaf import ErrorModel, LeafFit, LeafParameters, fit_leaf, prospect
+from fynjax.leaf._error_model import to_bins
+
+TRAITS = {
+    "chlorophyll": ("cab", 1.0),
+    "carotenoids": ("car", 1.0),
+    "water": ("ewt", 1e3),
+    "dry_matter": ("lma", 1e3),
+}
+COLUMNS = {
+    "structure": "n", "chlorophyll": "cab", "carotenoids": "car", "anthocyanins": "ant",
+    "brown_pigments": "brown", "water": "ewt", "dry_matter": "lma", "proteins": "prot",
+    "carbon_constituents": "cbc",
+}  # fmt: skip
+
+
+def cpu_ms(call: Callable[[], Any], repeats: int = 20) -> float:
+    """Least CPU time of a call [ms], after one to compile."""
+    call()
+    best = float("inf")
+    for _ in range(repeats):
+        start = time.process_time()
+        call()
+        best = min(best, time.process_time() - start)
+    return best * 1e3
+
+
+def agreement(folder: Path) -> None:
+    """Largest difference to the authors' R package."""
+    with np.load(folder / "reference_prospect_R.npz") as stored:
+        reference = dict(stored)
+    for dtype in (np.float64, np.float32):
+        leaves = LeafParameters.many(
+            **{name: reference[f"par_{key}"].astype(dtype) for name, key in COLUMNS.items()}
+        )
+        for version in ("D", "PRO"):
+            optics = jax.vmap(lambda p, v=version: prospect(p, version=v))(leaves)
+            worst = max(
+                np.abs(np.asarray(optics.reflectance) - reference[f"refl_{version}"]).max(),
+                np.abs(np.asarray(optics.transmittance) - reference[f"tran_{version}"]).max(),
+            )
+            print(f"agreement with R, {version}, {np.dtype(dtype).name}: {worst:.1e}")
+
+
+def speed(batch: int = 100) -> None:
+    """CPU time a spectrum, ours and PyPI `prosail`."""
+    draw = np.random.default_rng(0)
+    ranges = {
+        "structure": (1, 3), "chlorophyll": (0.5, 100), "carotenoids": (0, 25),
+        "anthocyanins": (0, 10), "water": (0.001, 0.06), "dry_matter": (0.001, 0.04),
+    }  # fmt: skip
+    values = {name: draw.uniform(*limits, batch) for name, limits in ranges.items()}
+    forward = jax.jit(jax.vmap(lambda p: jax.tree.leaves(prospect(p))[:2]))
+    for dtype in (np.float64, np.float32):
+        leaves = LeafParameters.many(**{k: v.astype(dtype) for k, v in values.items()})
+        leaves = jax.tree.map(lambda x, d=dtype: x.astype(d), leaves)
+        took = cpu_ms(lambda leaves=leaves: jax.block_until_ready(forward(leaves)))
+        print(f"forward, {np.dtype(dtype).name}: {took / batch:.4f} ms a spectrum")
+    try:
+        peer = importlib.import_module("prosail")
+    except ImportError:
+        print("prosail is not installed: skipped")
+        return
+    rows = list(zip(*values.values()))
+    took = cpu_ms(
+        lambda: [peer.run_prospect(n, c, k, 0.0, w, m, ant=a) for n, c, k, a, w, m in rows], 5
+    )
+    print(f"forward, prosail {getattr(peer, '__version__', '')}: {took / batch:.4f} ms a spectrum")
+
+
+def accuracy(folder: Path, name: str, use: str, **options: Any) -> LeafFit:
+    """Print errors and coverage of one data set; `use` is R, T or RT."""
+    with np.load(folder / f"{name}_spectra.npz") as stored:
+        grid, ids = stored["wl"].astype(float), stored["id"]
+        r = stored["refl"].astype(float)
+        t = stored["tran"].astype(float) if "tran" in stored else np.full_like(r, np.nan)
+    if r.ndim == 3:
+        r, t = r.mean(1), t.mean(1)
+    chemistry = pd.read_csv(folder / f"{name}_chemistry.csv.gz").set_index("id").loc[ids]
+    given = (r if "R" in use else None, t if "T" in use else None)
+    took = cpu_ms(lambda: fit_leaf(grid, *given, **options), 2) / len(r)
+    fit = fit_leaf(grid, *given, **options)
+    line = f"{name:15s} {use:2s} {options.get('domain', 'full'):8s}"
+    if "T" not in use and np.isfinite(t).any():
+        inner = (fit.wavelength >= 450) & (fit.wavelength <= 2400)
+        error = (to_bins(grid, t) - fit.transmittance)[:, inner]
+        width = 1.645 * fit.transmittance_deviation[:, inner]
+        known = np.isfinite(error)
+        covered = (np.abs(error) < width)[known].mean()
+        line += f" | T {np.sqrt(np.nanmean(error**2)):.4f} covered {covered:.2f}"
+    for trait, (key, unit) in TRAITS.items():
+        if key not in chemistry:
+            continue
+        truth = chemistry[key].to_numpy(float)
+        known, i = np.isfinite(truth), fit.names.index(trait)
+        found = np.asarray(getattr(fit.parameters, trait))
+        inside = (truth >= fit.lower[:, i]) & (truth <= fit.upper[:, i])
+        rmse = np.sqrt(np.mean((found - truth)[known] ** 2)) * unit
+        line += f" | {key} {rmse:.2f} covered {inside[known].mean():.2f}"
+    print(f"{line} | {took:.1f} ms a leaf")
+    return fit
+
+
+def asd_files(folder: Path) -> None:
+    """How many real ASD files give reflectance, and why the others do not."""
+    files = sorted((folder / "asd").glob("*.asd"))
+    good = 0
+    for file in files:
+        try:
+            read_asd(file)
+            good += 1
+        except ValueError as error:
+            print(f"  {error}")
+    print(f"ASD files: reflectance from {good} of {len(files)}")
+
+
+def main(folder: Path, error_model: ErrorModel | None = None) -> None:
+    """Print every figure."""
+    agreement(folder)
+    speed()
+    asd_files(folder)
+    for name, use, domain in (
+        ("angers", "RT", "full"), ("angers", "RT", "optimal"), ("angers", "R", "full"),
+        ("lopex", "RT", "full"), ("lopex", "R", "full"), ("nasa_fft", "R", "full"),
+        ("nasa_fft", "RT", "full"), ("california_asd", "R", "full"),
+        ("california_asd", "R", "optimal"),
+    ):  # fmt: skip
+        accuracy(folder, name, use, domain=domain, error_model=error_model)
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    default = Path(os.environ.get("FYNJAX_SHARED_DATA", "../shared/data")) / "leaf"
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else default)

@@ -1,0 +1,210 @@
+"""Readers of spectra: real files, each stated layout, and each kind of bad input."""
+
+import shutil
+import struct
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from fynjax._core.errors import InputError
+from fynjax.io._fit_leaf import run_fit_leaf
+from fynjax.io._spectra import read_spectra
+from fynjax.leaf import LeafParameters, prospect
+
+WAVELENGTH = np.arange(400.0, 2501.0)
+LEAF = prospect(LeafParameters())
+R, T = np.asarray(LEAF.reflectance), np.asarray(LEAF.transmittance)
+
+
+def table(path, columns, sep=","):
+    pd.DataFrame(columns).to_csv(path, index=False, sep=sep)
+    return path
+
+
+def asd(count=2151, kind=1, version=b"as7", white=1000.0, start=350.0):
+    header = bytearray(484)
+    header[:3], header[186], header[199] = version, kind, 2
+    struct.pack_into("<ff", header, 191, start, 1.0)
+    struct.pack_into("<H", header, 204, count)
+    target = np.linspace(100.0, 500.0, count)
+    return (
+        bytes(header) + target.tobytes() + bytes(18) + struct.pack("<H", 3) + b"abc"
+        + np.full(count, white).tobytes()
+    )  # fmt: skip
+
+
+def test_binary_asd_equals_the_makers_own_export(shared_data):
+    exports = sorted((shared_data / "leaf" / "asd").glob("*.asd.txt.gz"))
+    assert len(exports) >= 8
+    for export in exports:
+        binary, text = (
+            read_spectra(export.with_suffix("").with_suffix(""))[0],
+            read_spectra(export)[0],
+        )
+        np.testing.assert_array_equal(binary.wavelength, text.wavelength)
+        np.testing.assert_allclose(binary.reflectance, text.reflectance, rtol=1e-11, atol=1e-9)
+        assert binary.meta["splices"] == [1000.0, 1830.0]
+
+
+def test_every_real_asd_file_with_a_white_reference_gives_reflectance(shared_data):
+    files = sorted((shared_data / "leaf" / "asd").glob("*.asd"))
+    refused = []
+    for file in files:
+        try:
+            (spectrum,) = read_spectra(file)
+            assert spectrum.reflectance.size in (751, 2151)
+        except InputError as error:
+            refused.append((file.name, str(error)))
+    assert [name for name, _ in refused] == ["kai_v7sample__v7sample00000.asd"]
+    assert "radiance" in refused[0][1]
+    assert len(files) == 20
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (asd(kind=2), "radiance"),
+        (asd(white=0.0), "white reference is zero"),
+        (asd()[:9000], "cut short"),
+        (asd()[:300], "cut short"),
+        (asd()[: 484 + 2151 * 8 + 2000], "cut short inside its white"),
+        (asd()[: 484 + 2151 * 8], "no white reference"),
+        (asd(version=b"as3"), "version 6, 7 or 8"),
+        (b"Wavelength;a\n350;0.1\n351;0.2\n", "content is text"),
+        (b"", "empty"),
+    ],
+)
+def test_bad_asd_files_say_what_is_wrong(tmp_path, content, message):
+    path = tmp_path / "leaf.asd"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=message) as caught:
+        read_spectra(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_short_detector_and_raw_counts(tmp_path):
+    path = tmp_path / "hand.asd"
+    path.write_bytes(asd(count=751, kind=0, version=b"as8", start=325.0))
+    (spectrum,) = read_spectra(path)
+    np.testing.assert_allclose(spectrum.reflectance, np.linspace(0.1, 0.5, 751))
+    assert spectrum.wavelength[[0, -1]].tolist() == [325.0, 1075.0]
+    assert "raw" in spectrum.meta["repairs"][0]
+
+
+@pytest.mark.parametrize("sep", [",", "\t", ";"])
+def test_columns_pair_reflectance_with_transmittance(tmp_path, sep):
+    columns = {"wavelength_nm": WAVELENGTH, "oak_R": R, "oak_T": T, "pine": R / 2}
+    oak, pine = read_spectra(table(tmp_path / "a.csv", columns, sep))
+    assert (oak.name, pine.name) == ("oak", "pine")
+    np.testing.assert_allclose(oak.reflectance, R)
+    np.testing.assert_allclose(oak.transmittance, T)
+    assert pine.transmittance is None
+
+
+def test_micrometres_percent_and_descending_order_are_repaired_and_said(tmp_path):
+    columns = {"wavelength_um": WAVELENGTH[::-1] / 1000, "leaf reflectance (%)": 100 * R[::-1]}
+    (spectrum,) = read_spectra(table(tmp_path / "a.csv", columns))
+    np.testing.assert_allclose(spectrum.wavelength, WAVELENGTH)
+    np.testing.assert_allclose(spectrum.reflectance, R)
+    said = " ".join(spectrum.meta["repairs"])
+    assert "µm" in said
+    assert "percent" in said
+    assert "sorted" in said
+
+
+def test_wide_table_with_wavelengths_as_names(tmp_path):
+    wide = pd.DataFrame([R, R / 2], columns=[f"{w:.0f}" for w in WAVELENGTH])
+    wide.insert(0, "Sample_ID", ["a", "b"])
+    wide.insert(1, "species", ["x", "y"])
+    wide.to_csv(tmp_path / "wide.csv", index=False)
+    first, second = read_spectra(tmp_path / "wide.csv")
+    assert (first.name, second.name) == ("a", "b")
+    np.testing.assert_allclose(second.reflectance, R / 2)
+    assert first.meta["columns"]["species"] == "x"
+
+
+def test_ecostress_text(tmp_path):
+    head = "Name: Oak\nType: vegetation\nFirst Column: X\nX Units: Wavelength (micrometers)\n"
+    head += f"Y Units: Reflectance (percent)\nNumber of X Values: {WAVELENGTH.size}\n\n"
+    body = "\n".join(f"{w / 1000:.4f}\t{100 * r:.6f}" for w, r in zip(WAVELENGTH[::-1], R[::-1]))
+    path = tmp_path / "oak.spectrum.txt"
+    path.write_text(head + body)
+    (spectrum,) = read_spectra(path)
+    assert spectrum.name == "Oak"
+    np.testing.assert_allclose(spectrum.reflectance, R, atol=1e-7)
+    path.write_text(head + body[: len(body) // 2].rsplit("\n", 1)[0])
+    with pytest.raises(InputError, match="cut short"):
+        read_spectra(path)
+
+
+def test_envi_library(tmp_path):
+    np.stack([R, R / 2]).astype(">f4").tofile(tmp_path / "lib.sli")
+    wavelengths = ", ".join(str(w / 1000) for w in WAVELENGTH)
+    header = (
+        f"ENVI\nsamples = {R.size}\nlines = 2\nbands = 1\nheader offset = 0\ndata type = 4\n"
+        "file type = ENVI Spectral Library\nbyte order = 1\nwavelength units = Micrometers\n"
+        f"spectra names = {{ oak, pine }}\nwavelength = {{ {wavelengths} }}\n"
+    )
+    (tmp_path / "lib.hdr").write_text(header)
+    for name in ("lib.sli", "lib.hdr"):
+        oak, pine = read_spectra(tmp_path / name)
+        assert pine.name == "pine"
+        np.testing.assert_allclose(oak.wavelength, WAVELENGTH)
+        np.testing.assert_allclose(pine.reflectance, R / 2, rtol=1e-6)
+    (tmp_path / "lib.sli").write_bytes(b"1234")
+    with pytest.raises(InputError, match="cut short"):
+        read_spectra(tmp_path / "lib.sli")
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"wavelength": WAVELENGTH, "r": 100 * R}, "percent"),
+        ({"wavelength_nm": WAVELENGTH / 1000, "r": R}, "µm"),
+        ({"wavelength": WAVELENGTH, "r": np.nan * R}, "only NaN"),
+        ({"wavelength": WAVELENGTH, "r": R - 0.3}, "negative"),
+        ({"wavelength": WAVELENGTH, "r": R + 0.9}, "above one"),
+        ({"wavelength": np.round(WAVELENGTH / 2), "r": R}, "twice"),
+        ({"wavelength": WAVELENGTH, "r": ["x"] * R.size}, "expected a number"),
+    ],
+)
+def test_impossible_tables_are_refused_with_the_files_name(tmp_path, columns, message):
+    path = table(tmp_path / "bad.csv", columns)
+    with pytest.raises(InputError, match=message) as caught:
+        read_spectra(path)
+    assert "bad.csv" in str(caught.value)
+
+
+def test_unknown_and_missing_files(tmp_path):
+    (tmp_path / "a.bin").write_bytes(bytes(range(32)) * 10)
+    with pytest.raises(InputError, match="unknown format"):
+        read_spectra(tmp_path / "a.bin")
+    (tmp_path / "a.txt").write_text("hello world\nnothing here\n")
+    with pytest.raises(InputError, match="unknown format"):
+        read_spectra(tmp_path / "a.txt")
+    with pytest.raises(InputError, match="there is none"):
+        read_spectra(tmp_path / "gone.csv")
+
+
+def test_run_writes_traits_and_spectra_and_keeps_going_past_a_bad_file(tmp_path):
+    good = table(tmp_path / "good.csv", {"wavelength": WAVELENGTH, "a_R": R, "a_T": T, "b": R})
+    bad = table(tmp_path / "bad.csv", {"wavelength": WAVELENGTH, "r": 100 * R})
+    summary = run_fit_leaf([good, bad], tmp_path / "out")
+    assert (summary["spectra"], len(summary["refused"])) == (2, 1)
+    traits = pd.read_csv(tmp_path / "out" / "traits.csv")
+    assert traits["name"].tolist()[:2] == ["a", "b"]
+    assert "percent" in traits["status"][2]
+    assert traits["chlorophyll_lower90"][0] < 40.0 < traits["chlorophyll_upper90"][0]
+    with xr.open_dataset(tmp_path / "out" / "spectra.nc") as data:
+        assert data["wavelength"].attrs["units"] == "nm"
+        inside = slice(450, 2400)
+        error = data["transmittance"].sel(wavelength=inside)[1].values
+        at = np.interp(data["wavelength"].sel(wavelength=inside), WAVELENGTH, T)
+        assert np.abs(error - at).max() < 0.05
+        assert np.isnan(data["measured_transmittance"][1]).all()
+    shutil.rmtree(tmp_path / "out")
+    with pytest.raises(InputError, match=r"bad\.csv"):
+        run_fit_leaf([bad], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
