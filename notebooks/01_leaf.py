@@ -40,8 +40,12 @@ jax.config.update("jax_enable_x64", True)  # differences at the end need all dig
 # %%
 wavelength = np.arange(400.0, 2501.0)
 leaves = {
-    "soft": LeafParameters(structure=1.5, chlorophyll=45, carotenoids=9, water=0.012, dry_matter=0.006),
-    "tough": LeafParameters(structure=2.2, chlorophyll=30, carotenoids=8, water=0.016, dry_matter=0.02),
+    "soft": LeafParameters(
+        structure=1.5, chlorophyll=45, carotenoids=9, water=0.012, dry_matter=0.006
+    ),
+    "tough": LeafParameters(
+        structure=2.2, chlorophyll=30, carotenoids=8, water=0.016, dry_matter=0.02
+    ),
 }
 
 fig, ax = plt.subplots(figsize=(8, 4.2), layout="constrained")
@@ -80,12 +84,8 @@ fig, ax = plt.subplots(figsize=(8, 4.2), layout="constrained")
 for field, label in shown.items():
     ax.plot(wavelength, 0.1 * getattr(leaf, field) * getattr(jacobian, field), label=label)
 ax.axhline(0, color="0.7", lw=0.8, zorder=0)
-for name, low, high in zip(
-    mavic_3m().names,
-    np.subtract(mavic_3m().centre, np.divide(mavic_3m().fwhm, 2)),
-    np.add(mavic_3m().centre, np.divide(mavic_3m().fwhm, 2)),
-):
-    ax.axvspan(low, high, color="0.85", zorder=0)
+for centre, width in zip(mavic_3m().centre, mavic_3m().fwhm):
+    ax.axvspan(centre - width / 2, centre + width / 2, color="0.85", zorder=0)
 ax.set(
     xlabel="wavelength [nm]",
     ylabel="change of reflectance for 10 % more",
@@ -95,9 +95,9 @@ ax.legend(frameon=False, ncol=2)
 plt.show()
 
 # %% [markdown]
-# The drone's four bands (grey) see the pigments and the structure. Water shows beyond 900 nm, so
-# this camera cannot tell a wet leaf from a dry one: whatever a calibration says about
-# water, it repeats what it was told before.
+# The drone's four bands (grey) see chlorophyll, structure and dry matter, and in the near infrared
+# the last two pull against each other. Water shows beyond 900 nm, so this camera cannot tell a wet
+# leaf from a dry one: whatever a calibration says about water, it repeats what it was told before.
 
 # %% [markdown]
 # ## The same in the four bands

@@ -13,14 +13,14 @@
 #
 # In the field one writes down which plants stand on a plot: how much ground each species covers,
 # how wide its crowns are, how tall it grows. Here such a table, 13 taxa of a fynbos plot that burnt
-# in 2006, becomes a three-dimensional scene and then the image a drone camera would take of it. And
-# since every step can be differentiated, we can ask which species an index such as NDVI responds to.
+# in 2006, becomes a three-dimensional scene and then the image a drone camera would take of it.
+# Every step can be differentiated, so we can ask which species an index such as NDVI responds to.
 
 # %%
 import os
+from functools import partial
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
@@ -137,7 +137,9 @@ profile = {
     "leaves": density[:-2].sum(0).mean(axis=(1, 2)),
     "wood": density[-2].mean(axis=(1, 2)),
 }
-fig, (left, right) = plt.subplots(1, 2, figsize=(9, 4.2), layout="constrained", width_ratios=(1.2, 1))
+fig, (left, right) = plt.subplots(
+    1, 2, figsize=(9, 4.2), layout="constrained", width_ratios=(1.2, 1)
+)
 shown = left.imshow(plan, origin="lower", extent=(0, SIDE, 0, SIDE), cmap="YlGn")
 fig.colorbar(shown, ax=left, label="plant area per ground area [m²/m²]")
 left.set(xlabel="east [m]", ylabel="north [m]", title="Plan view")
@@ -145,7 +147,11 @@ middle = (np.arange(density.shape[1]) + 0.5) * model.grid.vertical_size
 for (name, values), colour in zip(profile.items(), ("tab:green", "tab:brown")):
     right.plot(values, middle, color=colour, label=name)
 right.set(
-    xlabel="area density [m²/m³]", ylabel="height [m]", title="Profile", ylim=(0, None), xlim=(0, None)
+    xlabel="area density [m²/m³]",
+    ylabel="height [m]",
+    title="Profile",
+    ylim=(0, None),
+    xlim=(0, None),
 )
 right.legend(frameon=False)
 plt.show()
@@ -154,9 +160,21 @@ plt.show()
 # ## What the drone sees
 #
 # Green, red, red edge and near infrared from 50 m above the middle of the plot, as reflectance.
+# One call gives the image, its mean NDVI, and, for later, the derivative of that mean with respect
+# to every parameter. The first call takes a minute or so: JAX compiles the program.
+
 
 # %%
-image = np.asarray(eqx.filter_jit(model.image)(parameters))  # [band, y, x], north up the y axis
+@eqx.filter_jit
+@partial(eqx.filter_value_and_grad, has_aux=True)
+def mean_ndvi(parameters):
+    image = model.image(parameters)  # [band, y, x], y to the north
+    _, red, _, nir = image
+    return jnp.mean((nir - red) / (nir + red)), image
+
+
+(value, image), slope = mean_ndvi(parameters)
+image = np.asarray(image)
 for name, band in zip(mavic_3m().names, image):
     print(f"{name:<10} mean {band.mean():.3f}   standard deviation {band.std():.3f}")
 
@@ -166,7 +184,9 @@ false_colour = np.stack([nir / 0.5, red / 0.15, green / 0.15], axis=-1).clip(0, 
 axes[0].imshow(false_colour, origin="lower", extent=(0, SIDE, 0, SIDE))
 axes[0].set(title="Near infrared, red, green as R, G, B", xlabel="east [m]", ylabel="north [m]")
 ndvi = (nir - red) / (nir + red)
-shown = axes[1].imshow(ndvi, origin="lower", extent=(0, SIDE, 0, SIDE), cmap="RdYlGn", vmin=0, vmax=1)
+shown = axes[1].imshow(
+    ndvi, origin="lower", extent=(0, SIDE, 0, SIDE), cmap="RdYlGn", vmin=0, vmax=1
+)
 fig.colorbar(shown, ax=axes[1])
 axes[1].set(title="NDVI", xlabel="east [m]")
 plt.show()
@@ -175,20 +195,11 @@ plt.show()
 # ## Which species does NDVI respond to?
 #
 # One gradient answers for all species, ground and leaves together: how the plot's mean NDVI changes
-# when one species covers 1 % more of the ground and all else stays. A species that raises NDVI
-# little may be rare, low, or hidden under others; deadwood lowers it. Every fourth pixel is
-# enough for the mean.
-
+# when one species covers 1 % more of the ground and all else stays. Where the next plants of a
+# species find bare ground, or stand above their neighbours, they count for much; under others, or
+# without leaves as deadwood, for little.
 
 # %%
-@eqx.filter_jit
-@eqx.filter_value_and_grad
-def mean_ndvi(parameters):
-    _, red, _, nir = model.image(parameters, 4)
-    return jnp.mean((nir - red) / (nir + red))
-
-
-value, slope = mean_ndvi(parameters)
 per_percent = 0.01 * np.asarray(slope.species.cover)
 order = np.argsort(per_percent)
 fig, ax = plt.subplots(figsize=(8, 4.2), layout="constrained")
@@ -213,12 +224,14 @@ for factor in factors:
     moved = eqx.tree_at(
         lambda p: p.species.cover, parameters, jnp.asarray(np.where(living, factor * cover, cover))
     )
-    values.append(float(mean_ndvi(moved)[0]))
+    values.append(float(mean_ndvi(moved)[0][0]))
 along = float(jnp.sum(slope.species.cover * jnp.where(living, jnp.asarray(cover), 0.0)))
 fig, ax = plt.subplots(figsize=(6, 4), layout="constrained")
 total = 100 * factors * cover[living].sum()
 ax.plot(total, values, "o-", color="tab:green", label="rendered")
-ax.plot(total, float(value) + along * (factors - 1), "--", color="0.4", label="gradient at the table")
+ax.plot(
+    total, float(value) + along * (factors - 1), "--", color="0.4", label="gradient at the table"
+)
 ax.set(xlabel="cover of all living species, overlaps counted twice [%]", ylabel="mean NDVI")
 ax.legend(frameon=False)
 plt.show()

@@ -226,7 +226,7 @@ def _quasi_newton(
         jit=False,
         maxiter=max_steps,
         tol=tolerance,
-        options={"maxcor": 20, "maxfun": 2 * max_steps},
+        options={"maxcor": 20, "maxfun": 2 * max_steps, "gtol": tolerance, "ftol": 1e-5},
     )
     parameters, state = solver.run(start, (-reach, reach))
     loss, gradient = pull.misfit(jnp.asarray(parameters), data, offset)

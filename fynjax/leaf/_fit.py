@@ -209,7 +209,9 @@ def fit_leaf(
     (`ErrorModel`), the measurement's offset, and wide priors on leaves at large; if T is missing,
     N also has the prior 1.745 R / (1 - R) + 0.133 at 1131 nm (after Spafford et al. 2021), with a
     standard deviation of 0.3. A leaf that fits worse than the leaves of the error model has its
-    covariance scaled up (one step of a Student likelihood) and is fitted again.
+    covariance scaled up (one step of a Student likelihood) and is fitted again. The fit stands on
+    bins of 10 nm with mean absorption, which alone lowers chlorophyll by about 3 % and carotenoids
+    by about 5 %; the error model, estimated on the same bins, contains this.
 
     **Arguments:**
 

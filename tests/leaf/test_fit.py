@@ -41,11 +41,14 @@ def test_parameters_are_recovered_from_perfect_spectra():
     assert fit.converged.all()
     for name, values in truth.items():
         found = np.asarray(getattr(fit.parameters, name))
-        # Averaging over bins of 10 nm flattens the red edge: 3 % of chlorophyll.
-        tolerance = 0.15 if name == "anthocyanins" else 0.05
-        np.testing.assert_allclose(found, values, rtol=tolerance)
+        # Bins of 10 nm average absorption before, not after, it acts: pigments come out low by
+        # some per cent where it changes steeply, water and dry matter hardly.
+        tolerance = {"carotenoids": 0.1, "chlorophyll": 0.05}.get(name, 0.03)
+        least = 0.5 if name == "anthocyanins" else 0.0  # µg/cm2, taken from the carotenoids
+        np.testing.assert_allclose(found, values, rtol=tolerance, atol=least)
 
 
+@pytest.mark.slow
 def test_intervals_cover_leaves_drawn_from_the_error_model():
     """Leaves with the model's full error, larger than that of most real ones: no overconfidence."""
     truth, r, t = leaves(200, seed=1)

@@ -1,0 +1,180 @@
+"""From a plot's files to a plot that can be rendered."""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from fynjax._core.errors import InputError
+from fynjax.canopy import FORM_DEFAULTS
+from fynjax.io._plot import Plot, Species
+from fynjax.io._spectra import read_spectra
+from fynjax.leaf import LeafParameters, fit_leaf
+from fynjax.scene import (
+    LEAF_FIELDS,
+    Camera,
+    GroundParameters,
+    LightParameters,
+    PlotModel,
+    PlotParameters,
+    SpeciesParameters,
+    band_wavelengths,
+    build_model,
+)
+from fynjax.sensors import BandSet, mavic_3m
+
+SENSORS = {"mavic_3m": mavic_3m}
+"""Band sets by the name a plot file gives."""
+
+USUAL_LEAF = {
+    "structure": 1.8,
+    "chlorophyll": 40.0,
+    "carotenoids": 9.0,
+    "anthocyanins": 1.5,
+    "brown_pigments": 0.1,
+    "water": 0.02,
+    "dry_matter": 0.02,
+}
+"""Leaves of a species for which nothing is given: an evergreen, sclerophyllous leaf."""
+
+
+def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[PlotModel, PlotParameters]:
+    """The model of a plot and its parameters as the files state them.
+
+    Fits PROSPECT to the measured spectra that the leaf table names. `seed` replaces the plot
+    file's. Raises `InputError` for a spectrum or map that cannot be used, and where the plants
+    find no room.
+    """
+    parameters = plot_parameters(plot)
+    species = plot.species
+    bands = SENSORS[plot.sensor.name]()
+    wavelength = band_wavelengths(bands)
+    model = build_model(
+        plot.taxa,
+        [s.growth_form for s in species],
+        parameters,
+        extent=plot.size_m,
+        voxel=plot.voxel_m,
+        camera=Camera(bands, plot.sensor.altitude_m, plot.sensor.pixel_m),
+        seed=plot.seed if seed is None else seed,
+        boundary=plot.boundary,  # type: ignore[arg-type]
+        branches=[float(s.branches or 1) for s in species],
+        rotation_spread=[s.rotation_spread_deg or 0.0 for s in species],
+        minimum_area=[s.minimum_object_area_m2 or 0.0 for s in species],
+        probability=_probability(plot.probability_map),
+        softness=plot.softness,
+        width=plot.softness_plants,
+        soil=_soil(plot, wavelength),
+        diffuse=_diffuse(plot, bands, wavelength),
+    )
+    return model, parameters
+
+
+def plot_parameters(plot: Plot) -> PlotParameters:
+    """The parameters that a plot's files state, defaults of the growth forms filled in."""
+
+    def column(name: str, default: float | None = None) -> jnp.ndarray:
+        values = []
+        for s in plot.species:
+            value = getattr(s, name)
+            if value is None:
+                value = getattr(FORM_DEFAULTS[s.growth_form], name) if default is None else default
+            values.append(float(value))
+        return jnp.asarray(values)
+
+    leaves = [_leaf(s) for s in plot.species]
+    return PlotParameters(
+        SpeciesParameters(
+            cover=column("cover"),
+            diameter=column("diameter_m"),
+            height=column("height_m"),
+            packing=column("packing", 0.0),
+            fill=column("fill", 1.0),
+            leaf_area_index=column("leaf_area_index"),
+            wood_area_index=column("wood_area_index"),
+        ),
+        LeafParameters.many(
+            **{name: np.array([leaf[name] for leaf in leaves]) for name in LEAF_FIELDS}
+        ),
+        GroundParameters(
+            brightness=jnp.asarray(plot.ground.brightness),
+            moisture=jnp.asarray(plot.ground.moisture),
+            litter_fraction=jnp.asarray(plot.ground.litter_fraction),
+            wood_brightness=jnp.asarray(1.0),
+        ),
+        LightParameters(
+            sun_zenith=jnp.asarray(plot.sun.zenith_deg),
+            sun_azimuth=jnp.asarray(plot.sun.azimuth_deg),
+            aerosol=jnp.asarray(plot.sky.aerosol_optical_depth),
+        ),
+    )
+
+
+def _leaf(species: Species) -> dict[str, float]:
+    source = species.leaf
+    if source is None:
+        return USUAL_LEAF
+    if source.parameters is not None:
+        return source.parameters
+    assert source.spectrum is not None  # the plot's reader leaves exactly one of the two
+    spectra = read_spectra(source.spectrum)
+    grid = np.arange(400.0, 2501.0)
+    many = np.stack([
+        np.interp(grid, s.wavelength, s.reflectance, left=np.nan, right=np.nan) for s in spectra
+    ])
+    if not np.isfinite(many).any():
+        raise InputError(
+            "a leaf spectrum must have reflectance within 400-2500 nm, but has none",
+            file=source.spectrum,
+        )
+    fit = fit_leaf(grid, many)
+    return {name: float(np.mean(getattr(fit.parameters, name))) for name in LEAF_FIELDS}
+
+
+def _soil(plot: Plot, wavelength: np.ndarray) -> np.ndarray | None:
+    if plot.ground.spectrum is None:
+        return None
+    path = plot.ground.spectrum
+    spectrum = read_spectra(path)[0]
+    if spectrum.wavelength[0] > wavelength[0] or spectrum.wavelength[-1] < wavelength[-1]:
+        raise InputError(
+            f"a soil spectrum must cover {wavelength[0]:g}-{wavelength[-1]:g} nm for this sensor, "
+            f"but covers {spectrum.wavelength[0]:g}-{spectrum.wavelength[-1]:g} nm",
+            file=path,
+        )
+    known = np.isfinite(spectrum.reflectance)
+    values = np.interp(wavelength, spectrum.wavelength[known], spectrum.reflectance[known])
+    return np.stack([values, values])
+
+
+def _diffuse(plot: Plot, bands: BandSet, wavelength: np.ndarray) -> np.ndarray | None:
+    sky = plot.sky
+    if sky.wavelength is None or sky.diffuse_fraction is None:
+        return None
+    centre = np.asarray(bands.centre)
+    if sky.wavelength[0] > centre.min() or sky.wavelength[-1] < centre.max():
+        raise InputError(
+            f"the sky table must cover the bands, {centre.min():g}-{centre.max():g} nm, but covers "
+            f"{sky.wavelength[0]:g}-{sky.wavelength[-1]:g} nm",
+            file=plot.file,
+        )
+    return np.interp(wavelength, sky.wavelength, sky.diffuse_fraction)
+
+
+def _probability(path: Path | None) -> np.ndarray | None:
+    if path is None:
+        return None
+    import rasterio
+
+    try:
+        with rasterio.open(path) as source:
+            values, mask = source.read(1), source.read_masks(1)
+    except rasterio.errors.RasterioIOError as error:
+        raise InputError(f"a GeoTIFF of 0-255 was expected, but: {error}", file=path) from error
+    if not mask.all():
+        raise InputError(
+            f"the probability map must have no gaps, but {int((mask == 0).sum())} cells have no "
+            "data; fill them with 0",
+            file=path,
+        )
+    return np.asarray(values, float)[::-1]  # row 0 is the southern edge here

@@ -1,0 +1,236 @@
+"""The jobs behind the commands: read, compute, write."""
+
+import resource
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from fynjax._core.errors import InputError
+from fynjax._core.progress import NullProgress, Progress
+from fynjax.inversion import Data, calibrate_plot, free_space
+from fynjax.io import Plot, example_folder, provenance, read_image, read_plot, read_statistics
+from fynjax.io._build import build_plot
+from fynjax.metrics import (
+    BANDS,
+    VEGETATION_INDICES,
+    bands_2006,
+    consistent_targets,
+    image_statistics,
+    table4_2006,
+)
+from fynjax.report._run_files import calibration_files, render_files
+
+IMAGE_STATISTICS = tuple(
+    f"{layer}.{kind}"
+    for layer in (*BANDS, "NDVI", "GNDVI", "GSAVI", "NormR")
+    for kind in ("mean", "std", "q10", "q50", "q90")
+)
+"""What is compared with a whole image: centre, spread and tails of bands and some indices."""
+
+
+def run_render(
+    plot: Path, output: Path, *, seed: int, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Render a plot file's image into `output`: GeoTIFF, NetCDF, figures and a page."""
+    progress = NullProgress() if progress is None else progress
+    read = read_plot(plot)
+    seconds: dict[str, float] = {}
+    with progress.stage("Build the plot"), _Clock(seconds, "build"):
+        model, parameters = build_plot(read, seed=seed)
+    render = eqx.filter_jit(lambda m, p: (m.image(p), m.counts(p)))
+    with progress.stage("Render"):
+        with _Clock(seconds, "first_render_with_compilation"):
+            jax.block_until_ready(render(model, parameters))
+        with _Clock(seconds, "render"):
+            image, counts = jax.block_until_ready(render(model, parameters))
+    with progress.stage("Write"):
+        record = provenance(seed=seed, inputs=read.inputs)
+        files = render_files(output, read, model, np.asarray(image), np.asarray(counts), record)
+    means = ", ".join(f"{b} {float(v):.4f}" for b, v in zip(BANDS, jnp.mean(image, axis=(1, 2))))
+    return {
+        "headline": [f"{read.name}: mean reflectance {means}."],
+        "files": files,
+        "timings_s": seconds,
+        "statistics": [
+            {"statistic": f"{b}.mean", "target": None, "before": float(v), "after": None}
+            for b, v in zip(BANDS, jnp.mean(image, axis=(1, 2)))
+        ],
+        "peak_memory_mib": peak_memory_mib(),
+    }
+
+
+def run_calibrate(
+    plot: Path, target: Path, output: Path, *, seed: int, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Calibrate a plot file to an image (GeoTIFF) or to a table of statistics (CSV)."""
+    read = read_plot(plot)
+    data, found = _target(read, target)
+    return _calibrate(
+        read, data, output, seed=seed, progress=progress, inputs=(*read.inputs, target), extra=found
+    )
+
+
+def run_demo(output: Path, *, seed: int, progress: Progress | None = None) -> dict[str, Any]:
+    """Calibrate the shipped 2006 plot to the published statistics of its real drone image."""
+    read = read_plot(example_folder() / "plot.toml")
+    targets = consistent_targets(independent=True)
+    names = tuple(t.key for t in targets)
+    data = weigh(
+        names, np.array([t.value for t in targets]), np.full(len(targets), np.nan), 0.02
+    )
+    return _calibrate(
+        read, data, output, seed=seed, progress=progress, inputs=read.inputs,
+        reference=paper_simulation(), goals={"mean of a band": 3.0, "mean of an index": 5.0},
+    )
+
+
+def weigh(
+    names: Sequence[str], value: np.ndarray, sd: np.ndarray, relative_sd: float
+) -> Data:
+    """Targets with the errors that a calibration gives them.
+
+    A stated `sd` is kept. Where it is NaN a mean or quantile gets the share `relative_sd` of its
+    value (half of it a band, which is measured directly), and a standard deviation ten times
+    that, because sensor noise and blur, which the model leaves out, change spreads first. Indices
+    that are functions of the same two bands repeat one measurement: a group of n has its errors
+    widened by sqrt(n).
+    """
+    groups: dict[tuple[str, str], int] = {}
+    keys = []
+    for name in names:
+        layer, kind = name.split(".")
+        group = next((g for g, members in _SAME_BANDS.items() if layer in members), layer)
+        keys.append((group, kind))
+        groups[keys[-1]] = groups.get(keys[-1], 0) + 1
+    spread = np.array(sd, float)
+    for i, (name, key) in enumerate(zip(names, keys)):
+        if np.isfinite(spread[i]):
+            continue
+        layer, kind = name.split(".")
+        share = relative_sd * (10.0 if kind == "std" else 0.5 if layer in BANDS else 1.0)
+        spread[i] = max(share * abs(value[i]), 1e-4) * np.sqrt(groups[key])
+    return Data(tuple(names), jnp.asarray(value), jnp.asarray(spread))
+
+
+_SAME_BANDS = {
+    "N/R": {"NDVI", "SR", "MSR", "WDRVI", "GDVI", "TVI", "RDVI", "IPVI"},
+    "N/G": {"GNDVI", "GCI", "RVI", "NDWI"},
+    "N, R, G": {"NormNIR", "NormR", "NormG", "GRNDVI"},
+}
+
+
+def paper_simulation() -> dict[str, float]:
+    """The paper's own DIRSIG simulation of the 2006 plot, by statistic, where it is printed."""
+    found: dict[str, float] = {}
+    for name, row in table4_2006().items():
+        found[f"{name}.mean"], found[f"{name}.std"] = row.sim_mean, row.sim_std
+    return found
+
+
+def _target(plot: Plot, target: Path) -> tuple[Data, dict[str, Any]]:
+    """The targets of a file: its statistics, or those of an image."""
+    if target.suffix.lower() in (".tif", ".tiff"):
+        image, mask, _ = read_image(target, BANDS)
+        names = [n for n in IMAGE_STATISTICS if plot.calibration.uses_target(n)]
+        if not names:
+            raise InputError("`calibration.targets` fits none of the statistics", file=plot.file)
+        clean = np.where(mask, image, 0.0)
+        value = np.asarray(image_statistics(jnp.asarray(clean), names, jnp.asarray(mask)))
+        share = float(mask.mean())
+        data = weigh(names, value, np.full(len(names), np.nan), plot.calibration.target_sd)
+        return data, {"target_valid_share": share}
+    known = {f"{layer}.{kind}" for layer in (*BANDS, *VEGETATION_INDICES) for kind in ("mean", "std")}
+    known |= {f"{layer}.q{q:02d}" for layer in (*BANDS, *VEGETATION_INDICES) for q in range(100)}
+    known |= {f"{layer}.q{q}" for layer in (*BANDS, *VEGETATION_INDICES) for q in range(10)}
+    read = read_statistics(target, known)
+    keep = [i for i, n in enumerate(read.names) if plot.calibration.uses_target(n)]
+    if not keep:
+        raise InputError("`calibration.targets` fits none of the target's rows", file=plot.file)
+    names = [read.names[i] for i in keep]
+    return weigh(names, read.value[keep], read.sd[keep], plot.calibration.target_sd), {}
+
+
+def _calibrate(
+    plot: Plot,
+    data: Data,
+    output: Path,
+    *,
+    seed: int,
+    progress: Progress | None,
+    inputs: Sequence[Path],
+    reference: dict[str, float] | None = None,
+    goals: dict[str, float] | None = None,
+    extra: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    progress = NullProgress() if progress is None else progress
+    seconds: dict[str, float] = {}
+    began = time.perf_counter()
+    with progress.stage("Build the plot"), _Clock(seconds, "build"):
+        model, parameters = build_plot(plot, seed=seed)
+        space = free_space(
+            model, parameters, plot.calibration.free, plot.calibration.relative_sd
+        )
+    steps = plot.calibration.max_iterations
+    with progress.stage("Calibrate", total=steps), _Clock(seconds, "calibrate"):
+        result = calibrate_plot(
+            model,
+            parameters,
+            data,
+            space,
+            max_steps=steps,
+            report=lambda stage, loss, norm: progress.advance(
+                1, stage=stage, loss=f"{loss:.1f}", gradient=f"{norm:.1f}"
+            ),
+        )
+    seconds |= {
+        "render": result.seconds["render_s"],
+        "search_value": result.seconds["search_render_s"],
+        "search_value_and_gradient": result.seconds["value_and_gradient_s"],
+        "search": result.seconds["search_s"],
+    }
+    with progress.stage("Write"):
+        seconds["total"] = time.perf_counter() - began
+        record = provenance(seed=seed, inputs=inputs)
+        summary = calibration_files(
+            output, plot, model, result, reference or {}, goals or {}, record, seconds,
+            peak_memory_mib(),
+        )
+    return {
+        **summary,
+        **(extra or {}),
+        "timings_s": seconds,
+        "peak_memory_mib": peak_memory_mib(),
+        "converged": result.fit.converged,
+        "status": "ok" if result.fit.converged else result.fit.status,
+    }
+
+
+def paper_band_differences() -> dict[str, float]:
+    """Fig. 9: difference of the paper's simulated from the real band means [%], no sign."""
+    return {f"{b}.mean": 100.0 * r.sim_abs_difference for b, r in bands_2006().items()}
+
+
+def peak_memory_mib() -> float:
+    """Largest resident memory of the process so far [MiB]."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)
+
+
+class _Clock:
+    """Adds the wall time of a block to a table, under a name."""
+
+    def __init__(self, table: dict[str, float], name: str) -> None:
+        self._table, self._name = table, name
+
+    def __enter__(self) -> None:
+        self._began = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self._table[self._name] = time.perf_counter() - self._began

@@ -1,0 +1,362 @@
+"""What a run leaves in its folder: image, run file, tables, figures, page."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from fynjax.inversion import Calibration
+from fynjax.io import Plot, image_array, write_geotiff, write_run, write_text
+from fynjax.metrics import BANDS, VEGETATION_INDICES, vegetation_indices
+from fynjax.report._figures import (
+    composites,
+    constraint_plot,
+    convergence_plot,
+    error_bars,
+    index_histograms,
+    parameter_plot,
+    save_figure,
+)
+from fynjax.report._page import Page
+from fynjax.scene import PlotModel, named_values, parameter_units
+
+Record = Mapping[str, str | int]
+
+_SHOWN = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR")
+# Shown as fields crews write them: unit in the table -> factor.
+_SHOWN_UNITS = {"cover": ("%", 100.0), "diameter": ("cm", 100.0)}
+_TABLE_UNITS = {"image": "-"}
+
+
+def _indices(image: np.ndarray, names: tuple[str, ...] = _SHOWN) -> dict[str, np.ndarray]:
+    return dict(zip(names, np.asarray(vegetation_indices(image, names))))
+
+
+def _write_image(
+    folder: Path, name: str, image: np.ndarray, plot: Plot, model: PlotModel, record: Record
+) -> None:
+    write_geotiff(
+        folder / name,
+        image,
+        list(BANDS),
+        pixel_m=plot.sensor.pixel_m,
+        wavelengths=list(model.camera.bands.centre),
+        tags={k: str(v) for k, v in record.items()},
+    )
+
+
+def render_files(
+    folder: Path,
+    plot: Plot,
+    model: PlotModel,
+    image: np.ndarray,
+    counts: np.ndarray,
+    record: Record,
+) -> dict[str, str]:
+    """Write what a render makes; file names with what they hold."""
+    _write_image(folder, "image.tif", image, plot, model, record)
+    reflectance = image_array(
+        image, list(BANDS), list(model.camera.bands.centre), pixel_m=plot.sensor.pixel_m,
+        long_name="simulated reflectance factor",
+    )
+    write_run(
+        folder / "run.nc",
+        xr.Dataset({"reflectance": reflectance, "plants": _counts(model, counts)}),
+        record,
+    )
+    figures = {
+        kind: composites({plot.name: image}, BANDS, pixel_m=plot.sensor.pixel_m, kind=kind)  # type: ignore[arg-type]
+        for kind in ("true_like", "false_colour")
+    }
+    page = Page(plot.name, "The drone image that the plot file describes.")
+    page.key_figures({f"mean {b.replace('_', ' ')}": f"{v:.3f}" for b, v in zip(BANDS, image.mean((1, 2)))})
+    for kind, figure in figures.items():
+        save_figure(figure, folder / f"{kind}.png")
+        page.figure(figure, f"Simulated image, {kind.replace('_', ' ')}.")
+    histogram = index_histograms(_indices(image))
+    save_figure(histogram, folder / "indices.png")
+    page.figure(histogram, "Vegetation indices over the pixels.")
+    page.table(
+        pd.DataFrame({"taxon": model.taxa, "plants": counts}), caption="Plants, equation (10)."
+    )
+    page.footer(record)
+    page.write(folder / "report.html")
+    return {
+        "image.tif": "simulated reflectance, GeoTIFF",
+        "run.nc": "image and plant counts, NetCDF",
+        "true_like.png": "image, nearly natural colours",
+        "false_colour.png": "image, near infrared as red",
+        "indices.png": "histograms of vegetation indices",
+        "report.html": "all of it on one page",
+    }
+
+
+def _counts(model: PlotModel, counts: np.ndarray) -> xr.DataArray:
+    return xr.DataArray(
+        np.asarray(counts, float),
+        dims="species",
+        coords={"species": ("species", list(model.taxa), {"long_name": "taxon"})},
+        attrs={"long_name": "plants on the plot, eq. (10) without its ceiling", "units": "1"},
+    )
+
+
+def parameter_table(calibration: Calibration) -> pd.DataFrame:
+    """Every free parameter: prior, estimate, and how far the data pinned it down."""
+    fit = calibration.fit
+    units = parameter_units()
+    rows = []
+    for i, name in enumerate(fit.names):
+        kind = name.rsplit(".", 1)[-1]
+        unit, factor = _SHOWN_UNITS.get(kind, (units[kind], 1.0))
+        rows.append({
+            "name": name,
+            "kind": kind,
+            "unit": unit,
+            "prior": factor * float(fit.space.prior[i]),
+            "prior_sd": factor * float(fit.space.prior_sd[i]),
+            "estimate": factor * float(fit.estimate[i]),
+            "sd": factor * float(fit.sd[i]),
+            "lower": factor * float(fit.space.lower[i]),
+            "upper": factor * float(fit.space.upper[i]),
+            "constrained": float(fit.constrained[i]),
+        })
+    return pd.DataFrame(rows)
+
+
+def statistic_table(calibration: Calibration, reference: Mapping[str, float]) -> pd.DataFrame:
+    """Every target: real, simulated before and after, and another simulation's value."""
+    data = calibration.fit.data
+    real = np.asarray(data.value)
+    table = pd.DataFrame({
+        "statistic": data.names,
+        "real": real,
+        "target_sd": np.asarray(data.sd),
+        "before": np.asarray(calibration.statistics_before),
+        "after": np.asarray(calibration.statistics_after),
+        "reference": [reference.get(n, np.nan) for n in data.names],
+    })
+    for column in ("before", "after", "reference"):
+        table[f"{column}_error_percent"] = 100.0 * (table[column] - real) / np.abs(real)
+    return table
+
+
+def calibration_files(
+    folder: Path,
+    plot: Plot,
+    model: PlotModel,
+    result: Calibration,
+    reference: Mapping[str, float],
+    goals: Mapping[str, float],
+    record: Record,
+    seconds: Mapping[str, float],
+    memory_mib: float,
+) -> dict[str, Any]:
+    """Write what a calibration makes; the summary for the command line."""
+    before, after = np.asarray(result.image_before), np.asarray(result.image_after)
+    parameters, statistics = parameter_table(result), statistic_table(result, reference)
+    write_text(folder / "parameters.csv", parameters.to_csv(index=False, float_format="%.6g"))
+    write_text(folder / "statistics.csv", statistics.to_csv(index=False, float_format="%.6g"))
+    _write_image(folder, "image_before.tif", before, plot, model, record)
+    _write_image(folder, "image_after.tif", after, plot, model, record)
+    write_run(folder / "run.nc", _dataset(plot, model, result), record)
+
+    figures = _figures(plot, result, parameters, statistics, reference)
+    for name, (figure, _) in figures.items():
+        save_figure(figure, folder / f"{name}.png")
+    bands, indices = _worst(statistics)
+    seen = result.fit.seen()
+    headline = [
+        f"{plot.name}: largest error of a band mean {bands['before']:.1f} % before, "
+        f"{bands['after']:.1f} % after" + (
+            f" (the paper's own simulation: 11.7 to 24.5 %)." if reference else "."
+        ),
+        f"Largest error of an index mean {indices['before']:.1f} % before, "
+        f"{indices['after']:.1f} % after.",
+        f"The data pin down {len(seen)} of {len(result.fit.names)} parameters"
+        + (f": {', '.join(seen)}." if seen else "; the others rest on the prior."),
+        result.fit.status,
+    ]
+    _page(
+        folder, plot, result, parameters, statistics, figures, headline, goals, record, seconds,
+        memory_mib,
+    )
+    rows = statistics.to_dict("records")
+    return {
+        "headline": headline,
+        "files": {
+            "report.html": "all of it on one page",
+            "parameters.csv": "prior, estimate, sd of every parameter",
+            "statistics.csv": "every band and index, real and simulated",
+            "image_before.tif": "image of the field table, GeoTIFF",
+            "image_after.tif": "image after calibration, GeoTIFF",
+            "run.nc": "the whole run, NetCDF",
+            **{f"{name}.png": caption for name, (_, caption) in figures.items()},
+        },
+        "parameters": [
+            {k: row[k] for k in
+             ("name", "kind", "unit", "prior", "prior_sd", "estimate", "sd", "constrained")}
+            for row in parameters.to_dict("records")
+        ],
+        "statistics": [
+            {"statistic": r["statistic"], "target": r["real"], "target_sd": r["target_sd"],
+             "before": r["before"], "after": r["after"], "reference": r["reference"]}
+            for r in rows
+        ],
+        "unseen_directions": result.fit.unseen_directions(),
+    }
+
+
+def _worst(statistics: pd.DataFrame) -> tuple[dict[str, float], dict[str, float]]:
+    means = statistics[statistics["statistic"].str.endswith(".mean")]
+    band = means["statistic"].str.split(".").str[0].isin(BANDS)
+    return tuple(  # type: ignore[return-value]
+        {c: float(part[f"{c}_error_percent"].abs().max()) if len(part) else float("nan")
+         for c in ("before", "after")}
+        for part in (means[band], means[~band])
+    )
+
+
+def _figures(
+    plot: Plot,
+    result: Calibration,
+    parameters: pd.DataFrame,
+    statistics: pd.DataFrame,
+    reference: Mapping[str, float],
+) -> dict[str, tuple[Any, str]]:
+    before, after = np.asarray(result.image_before), np.asarray(result.image_after)
+    pair = {"Before": before, "After": after}
+    value = dict(zip(statistics["statistic"], statistics["real"]))
+    target = {
+        name: (value[f"{name}.mean"], value.get(f"{name}.std", float("nan")))
+        for name in VEGETATION_INDICES
+        if f"{name}.mean" in value
+    }
+    shown = tuple(n for n in _SHOWN if n in target) or _SHOWN
+    means = statistics[statistics["statistic"].str.endswith(".mean")]
+    errors = {
+        label: dict(zip(means["statistic"].str.removesuffix(".mean"), means[f"{c}_error_percent"]))
+        for label, c in (("before", "before"), ("after", "after"))
+    }
+    if reference:
+        errors["DIRSIG (paper)"] = dict(
+            zip(means["statistic"].str.removesuffix(".mean"), means["reference_error_percent"])
+        )
+    pixel = plot.sensor.pixel_m
+    return {
+        "true_like": (composites(pair, BANDS, pixel_m=pixel, kind="true_like"), "image before and after, nearly natural colours"),
+        "false_colour": (composites(pair, BANDS, pixel_m=pixel), "image before and after, near infrared as red"),
+        "errors": (error_bars(errors), "error of each mean"),
+        "indices": (
+            index_histograms(
+                _indices(before, shown), _indices(after, shown), {k: target[k] for k in shown if k in target}
+            ),
+            "histograms of indices",
+        ),
+        "parameters": (parameter_plot(parameters), "prior and estimate of every parameter"),
+        "constraint": (constraint_plot(parameters), "how far the data pinned each parameter down"),
+        "convergence": (
+            convergence_plot(result.fit.loss, result.fit.gradient_norm), "objective at each evaluation"
+        ),
+    }
+
+
+def _dataset(plot: Plot, model: PlotModel, result: Calibration) -> xr.Dataset:
+    bands = list(model.camera.bands.centre)
+
+    def image(values: Any, what: str) -> xr.DataArray:
+        return image_array(
+            np.asarray(values), list(BANDS), bands, pixel_m=plot.sensor.pixel_m,
+            long_name=f"simulated reflectance factor {what} calibration",
+        )
+
+    fit = result.fit
+    units = parameter_units()
+    kinds = [name.rsplit(".", 1)[-1] for name in fit.names]
+    free = {
+        "parameter": ("parameter", list(fit.names), {"long_name": "free parameter"}),
+        "parameter_unit": ("parameter", [units[k] for k in kinds], {"long_name": "its unit"}),
+    }
+    statistic = {"statistic": ("statistic", list(fit.data.names), {"long_name": "statistic"})}
+
+    def over(axis: str, coords: dict[str, Any], values: Any, name: str) -> xr.DataArray:
+        return xr.DataArray(
+            np.asarray(values, float), dims=axis, coords=coords,
+            attrs={"long_name": name, "units": "1"},
+        )
+
+    every = named_values(result.after, model.taxa)
+    return xr.Dataset({
+        "reflectance_before": image(result.image_before, "before"),
+        "reflectance_after": image(result.image_after, "after"),
+        "prior": over("parameter", free, fit.space.prior, "prior, in parameter_unit"),
+        "prior_sd": over("parameter", free, fit.space.prior_sd, "prior sd, in parameter_unit"),
+        "estimate": over("parameter", free, fit.estimate, "estimate, in parameter_unit"),
+        "estimate_sd": over("parameter", free, fit.sd, "posterior sd, in parameter_unit"),
+        "constrained": over("parameter", free, fit.constrained, "1 - posterior/prior variance"),
+        "target": over("statistic", statistic, fit.data.value, "statistic of the real image"),
+        "target_sd": over("statistic", statistic, fit.data.sd, "its standard deviation"),
+        "simulated_before": over(
+            "statistic", statistic, result.statistics_before, "before calibration"
+        ),
+        "simulated_after": over("statistic", statistic, result.statistics_after, "after calibration"),
+        "all_parameters": xr.DataArray(
+            np.array([float(v) for v in every.values()]),
+            dims="any_parameter",
+            coords={"any_parameter": ("any_parameter", list(every), {"long_name": "parameter"})},
+            attrs={"long_name": "all parameters after calibration, own units", "units": "1"},
+        ),
+        "plants": _counts(model, np.asarray(model.counts(result.after))),
+    })
+
+
+def _page(
+    folder: Path,
+    plot: Plot,
+    result: Calibration,
+    parameters: pd.DataFrame,
+    statistics: pd.DataFrame,
+    figures: Mapping[str, tuple[Any, str]],
+    headline: list[str],
+    goals: Mapping[str, float],
+    record: Record,
+    seconds: Mapping[str, float],
+    memory_mib: float,
+) -> None:
+    bands, indices = _worst(statistics)
+    page = Page(f"Calibration: {plot.name}", " ".join(headline[:2]))
+    page.key_figures({
+        "largest error of a band mean": f"{bands['after']:.1f} %",
+        "largest error of an index mean": f"{indices['after']:.1f} %",
+        "evaluations": str(len(result.fit.loss)),
+        "wall time": f"{seconds['total']:.0f} s",
+        "peak memory": f"{memory_mib / 1024:.1f} GiB",
+    })
+    if goals:
+        page.paragraph("Aimed at: " + ", ".join(f"{k} within {v:g} %" for k, v in goals.items()) + ".")
+    page.section("The image").figure(figures["true_like"][0], "Nearly natural colours.")
+    page.figure(figures["false_colour"][0], "False colour.")
+    page.section("Against the real image").figure(
+        figures["errors"][0], "Relative error of each mean, before and after."
+    )
+    page.figure(figures["indices"][0], "Indices over the pixels; the real mean and spread marked.")
+    page.table(statistics, caption="Every statistic.", folded=True)
+    page.section("The parameters").paragraph(" ".join(headline[2:]))
+    page.figure(figures["parameters"][0], "Prior and estimate, one standard deviation.")
+    page.figure(figures["constraint"][0], "Share of the prior variance that the data removed.")
+    unseen = result.fit.unseen_directions()
+    page.paragraph(
+        "Combinations that the data cannot tell (largest members): "
+        + "; ".join(", ".join(f"{n} {w:+.2f}" for n, w in d.items()) for d in unseen)
+        + "."
+    )
+    page.table(parameters, caption="Every parameter.", folded=True)
+    page.section("The search").figure(figures["convergence"][0], "Objective at each evaluation.")
+    page.table(
+        pd.DataFrame({"what": list(seconds), "seconds": list(seconds.values())}),
+        caption=f"Wall time; peak memory {memory_mib:.0f} MiB.",
+    )
+    page.footer(record)
+    page.write(folder / "report.html")

@@ -1,0 +1,122 @@
+"""Derivatives of images and fluxes against central differences, in double precision.
+
+All outputs are contracted to one number with fixed weights. The solve is tightened until its own
+error is far below that of the differences.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax.radiation import (
+    Accuracy,
+    directional_reflectance,
+    fluxes,
+    nadir_rays,
+    reflectance_factor,
+    solve_light,
+)
+from tests.radiation.scenes import patchy
+
+ACCURACY = Accuracy(margin=6, tolerance=1e-12, iterations=400)
+RAYS = nadir_rays(jnp.linspace(0.05, 0.75, 7), jnp.linspace(0.05, 0.55, 5), 0.05, (0.4, 0.3, 5.0))
+IMAGE_WEIGHTS = np.random.default_rng(1).normal(size=(2, 5, 7))
+
+
+def outcome(scene):
+    """An image, the fluxes and a distant view, as one number."""
+    light = solve_light(scene, ACCURACY)
+    flux = fluxes(light)
+    view = directional_reflectance(light, jnp.array([40.0]), jnp.array([100.0]))
+    return (
+        jnp.sum(IMAGE_WEIGHTS * reflectance_factor(light, RAYS))
+        + flux.albedo @ jnp.array([1.0, -2.0])
+        + jnp.sum(flux.absorbed * jnp.arange(6.0).reshape(2, 3))
+        + flux.transmitted @ jnp.array([0.3, 0.7])
+        + jnp.sum(view)
+    )
+
+
+value = jax.jit(outcome)
+slope = jax.jit(jax.grad(outcome))
+push = jax.jit(lambda at, along: jax.jvp(outcome, (at,), (along,))[1])
+
+
+@pytest.fixture(scope="module", params=["periodic", "open"])
+def scene(request):
+    return patchy(request.param)
+
+
+@pytest.fixture(scope="module")
+def gradient(scene):
+    return slope(scene)
+
+
+def directions(scene):
+    rng = np.random.default_rng(2)
+
+    def noise(shape):
+        return jnp.asarray(rng.normal(size=shape))
+
+    return {
+        # Proportional to the density: a step must not make an empty voxel negative.
+        "density": (lambda s: s.area_density, noise(scene.area_density.shape) * scene.area_density),
+        "reflectance": (lambda s: s.classes.reflectance, noise((3, 2))),
+        "transmittance": (lambda s: s.classes.transmittance, noise((3, 2))),
+        "soil map": (lambda s: s.ground, noise((2, 6, 8))),
+        "sun zenith": (lambda s: s.illumination.sun_zenith, jnp.array(1.0)),
+        "sun azimuth": (lambda s: s.illumination.sun_azimuth, jnp.array(1.0)),
+        "sun": (lambda s: s.illumination.sun, jnp.array([0.3, -0.5])),
+        "sky": (lambda s: s.illumination.sky, jnp.array([0.3, -0.5])),
+        "leaf angles": (lambda s: s.classes.angles[0].second, jnp.array(1.0)),
+    }
+
+
+@pytest.mark.parametrize("what", directions(patchy()))
+def test_derivative_along(what, scene, gradient):
+    select, step = directions(scene)[what]
+    along = eqx.tree_at(select, jax.tree.map(jnp.zeros_like, scene), step)
+    h = 1e-5
+    forth, back = (jax.tree.map(lambda a, d: a + s * d, scene, along) for s in (h, -h))
+    difference = float(value(forth) - value(back)) / (2 * h)
+    backward = float(jnp.sum(select(gradient) * step))
+    assert backward == pytest.approx(difference, rel=1e-6)
+    assert float(push(scene, along)) == pytest.approx(backward, rel=1e-8)
+
+
+def test_derivative_where_nothing_grows(scene, gradient):
+    """The slope at density zero is the one-sided difference, not zero and not undefined."""
+    rng = np.random.default_rng(4)
+    empty = np.asarray(scene.area_density) == 0
+    step = jnp.asarray(rng.normal(size=empty.shape) ** 2 * empty)
+    assert empty.mean() > 0.3
+    h = 1e-4
+    values = [float(value(eqx.tree_at(lambda s: s.area_density, scene, scene.area_density + k * h * step))) for k in range(4)]
+    difference = (-11 * values[0] + 18 * values[1] - 9 * values[2] + 2 * values[3]) / (6 * h)
+    assert float(jnp.sum(gradient.area_density * step)) == pytest.approx(difference, rel=1e-6)
+
+
+EDGES = {
+    "an empty scene": (lambda s: s.area_density, lambda a: 0 * a),
+    "black leaves": (lambda s: (s.classes.reflectance, s.classes.transmittance), lambda a: 0 * a),
+    "leaves that lose nothing": (
+        lambda s: (s.classes.reflectance, s.classes.transmittance),
+        lambda a: 0 * a + 0.5,
+    ),
+    "black ground": (lambda s: s.ground, lambda a: 0 * a),
+    "black sky": (lambda s: s.illumination.sky, lambda a: 0 * a),
+    "no sun": (lambda s: s.illumination.sun, lambda a: 0 * a),
+    "sun overhead": (lambda s: s.illumination.sun_zenith, lambda a: 0 * a),
+    "an impenetrable thicket": (lambda s: s.area_density, lambda a: 1e4 * a),
+}
+
+
+@pytest.mark.parametrize("what", EDGES)
+def test_finite_at_the_edge(what, scene):
+    select, edge = EDGES[what]
+    at = eqx.tree_at(select, scene, jax.tree.map(edge, select(scene)))
+    assert np.isfinite(value(at))
+    for leaf in jax.tree.leaves(slope(at)):
+        assert np.all(np.isfinite(leaf))

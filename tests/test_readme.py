@@ -1,0 +1,95 @@
+"""What the README says can be run, runs, and what it names is there."""
+
+import re
+import runpy
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fynjax.cli import app
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text("utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    """Code blocks of the README in one language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.slow
+def test_python_example_runs_and_closes_the_energy(tmp_path: Path) -> None:
+    (source,) = blocks("python")
+    script = tmp_path / "example.py"
+    script.write_text(source, "utf-8")
+    names = runpy.run_path(str(script))
+    nadir, share, gradient = names["nadir"], names["share"], names["gradient"]
+    closed = share.albedo + share.absorbed.sum(axis=1) + share.ground_absorbed
+    np.testing.assert_allclose(closed, 1.0, atol=1e-4)
+    # Leaves darken the red of this ground and brighten its near infrared.
+    ground = np.array([0.15, 0.25])
+    assert nadir[0] < ground[0]
+    assert nadir[1] > ground[1]
+    assert gradient.shape == names["density"].shape
+    assert np.all(np.isfinite(gradient))
+
+
+def test_commands_and_their_options_exist() -> None:
+    shown = CliRunner().invoke(app, ["--help"]).output
+    named = set(re.findall(r"^\| `([a-z-]+)` \|", README, re.MULTILINE))
+    assert named == {"demo", "init", "render", "calibrate", "fit-leaf"}
+    for name in named:
+        assert name in shown
+        text = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "200"}).output
+        for option in ("--output", "--seed", "--json", "--quiet"):
+            assert option in text, f"{name} {option}"
+    used = {
+        line.split()[1]
+        for text in blocks("sh")
+        for line in text.splitlines()
+        if line[:6] == "fynjax"
+    }
+    assert used <= named
+
+
+def test_layers_named_are_those_of_the_package() -> None:
+    named = set(re.findall(r"`fynjax\.(\w+)`", README))
+    assert named == {p.parent.name for p in (ROOT / "fynjax").glob("*/__init__.py")} - {"_core"}
+
+
+def test_files_and_modules_named_are_there() -> None:
+    for path in re.findall(r"`((?:notebooks|\.ci|data_schemas)/[\w./]*)`", README):
+        assert (ROOT / path).exists(), path
+    for path in ("constraints.txt", "LICENSE"):
+        assert path in README
+        assert (ROOT / path).is_file()
+    modules = re.findall(r"python -m ([\w.]+)", README)
+    for module in modules:
+        if module != "venv":
+            assert (ROOT / module.replace(".", "/")).with_suffix(".py").is_file(), module
+
+
+def test_constraints_are_plain_and_cover_the_dependencies() -> None:
+    lines = (ROOT / "constraints.txt").read_text("utf-8").splitlines()
+    assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[A-Za-z0-9._]+", line) for line in lines)
+    pinned = {re.sub(r"[-_.]+", "-", line.split("==")[0]).lower() for line in lines}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    groups = project["dependency-groups"]
+    wanted = [*project["project"]["dependencies"], *groups["test"], *groups["lint"]]
+    for requirement in wanted:
+        name = re.match(r"[A-Za-z0-9._-]+", requirement)
+        assert name
+        assert re.sub(r"[-_.]+", "-", name.group()).lower() in pinned, requirement
+
+
+def test_commands_are_those_of_ci() -> None:
+    ci = (ROOT / ".ci" / "run").read_text("utf-8")
+    (tests,) = [line for text in blocks("sh") for line in text.splitlines() if "pytest" in line]
+    assert "pytest -n 2" in tests
+    assert '"$bin/pytest" -n 2' in ci
+    for step in ("install -c constraints.txt pip", "install -c constraints.txt -e . --group dev"):
+        assert step in tests
+        assert step.replace("install ", "install --quiet ") in ci
