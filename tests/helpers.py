@@ -10,7 +10,12 @@ from jax.flatten_util import ravel_pytree
 
 
 def assert_gradients(
-    function: Callable[[Any], Any], at: Any, *, step: float = 1e-6, rtol: float = 1e-6, seed: int = 0
+    function: Callable[[Any], Any],
+    at: Any,
+    *,
+    step: float = 1e-6,
+    rtol: float = 1e-6,
+    seed: int = 0,
 ) -> None:
     """Compare reverse- and forward-mode AD of `function` with central differences.
 
@@ -38,5 +43,7 @@ def assert_gradients(
         differences[index] = (scalar(up) - scalar(down)) / (2 * h)
     scale = np.abs(differences) + 1e-9 * np.abs(differences).max()
     worst = np.abs(reverse - differences) / scale
-    assert worst.max() < rtol, f"AD and differences disagree by {worst.max():.2e} at {worst.argmax()}"
+    assert worst.max() < rtol, (
+        f"AD and differences disagree by {worst.max():.2e} at {worst.argmax()}"
+    )
     np.testing.assert_allclose(forward, reverse, rtol=1e-8, atol=1e-12 * np.abs(reverse).max())

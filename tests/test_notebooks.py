@@ -26,7 +26,6 @@ def test_notebook_tells_a_story_in_the_public_interface(path: Path) -> None:
     notebook = jupytext.read(path, fmt="py:percent")
     assert notebook.cells[0].cell_type == "markdown"
     assert notebook.cells[0].source.startswith("# ")
-    assert jupytext.reads(jupytext.writes(notebook, "py:percent"), "py:percent") == notebook
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fynjax"):
             assert "._" not in (node.module or ""), f"{node.module} is private"

@@ -1,7 +1,7 @@
 """Inversion: from measured statistics back to the parameters of a plot."""
 
 from fynjax.inversion._calibrate import COARSE, Calibration, calibrate_plot, free_space
-from fynjax.inversion._fit import Data, FitResult, Pullback, fit
+from fynjax.inversion._fit import Data, FitResult, Forward, fit
 from fynjax.inversion._space import PLAUSIBLE, ParameterSpace, make_space, match_names
 
 __all__ = [
@@ -10,8 +10,8 @@ __all__ = [
     "Calibration",
     "Data",
     "FitResult",
+    "Forward",
     "ParameterSpace",
-    "Pullback",
     "calibrate_plot",
     "fit",
     "free_space",

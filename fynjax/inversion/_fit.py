@@ -86,14 +86,13 @@ def fit(
     data: Data,
     space: ParameterSpace,
     *,
-    method: str = "lbfgsb",
-    max_steps: int = 60,
+    method: str = "least_squares",
+    max_steps: int = 30,
     tolerance: float = 1e-3,
     start: Float[Array, " free"] | None = None,
     offset: Float[Array, " statistic"] | None = None,
     report: Callable[[float, float], None] | None = None,
-    pull: "Pullback | None" = None,
-    uncertainty: bool = True,
+    forward: "Forward | None" = None,
 ) -> FitResult:
     """Find the most probable parameters.
 
@@ -101,49 +100,46 @@ def fit(
 
     - `predict`: the forward model.
     - `data`, `space`: statistics with their errors; free parameters with their priors.
-    - `method`: "lbfgsb", quasi-Newton by jaxopt, one gradient a step: for a forward model that
-      takes seconds; or "least_squares", Levenberg-Marquardt by optimistix, which needs the
-      Jacobian at each step and fewer steps: for a cheap one.
-    - `max_steps`, `tolerance`: most steps, and the gradient norm (in whitened coordinates) or,
-      for least squares, the relative step, at which it has converged.
+    - `method`: "least_squares", Levenberg-Marquardt by optimistix, which takes the Jacobian at
+      each of a few steps; or "lbfgsb", quasi-Newton by jaxopt, which takes one gradient at each
+      of many: for more statistics than a Jacobian should have rows.
+    - `max_steps`, `tolerance`: most steps, and the relative change of the coordinates and of the
+      misfit or, for "lbfgsb", the largest slope in whitened coordinates, at which it ends.
     - `start`: whitened coordinates to start from; the prior's centre by default.
     - `offset`: added to the predicted statistics: what a cheap forward model lacks.
     - `report`: called with the objective and the norm of its gradient at each evaluation.
-    - `pull`: the compiled forward and reverse model of an earlier call, to be used again.
-    - `uncertainty`: whether to compute the Jacobian at the estimate; without it the standard
-      deviations and modes are NaN.
+    - `forward`: the compiled forward model of an earlier call, to be used again.
 
     A stop without convergence, and a loss that is not finite, are stated in the result, not
     raised.
     """
-    pull = Pullback(predict, space) if pull is None else pull
+    forward = Forward(predict, space) if forward is None else forward
     shift = jnp.zeros_like(data.value) if offset is None else offset
     u = jnp.zeros(len(space.names)) if start is None else jnp.asarray(start, float)
     history: list[tuple[float, float]] = []
 
-    def note(loss: float, norm: float) -> None:
-        history.append((loss, norm))
+    def note(loss: Array, norm: Array) -> None:
+        history.append((float(loss), float(norm)))
         if report is not None:
-            report(loss, norm)
+            report(*history[-1])
 
-    if method == "lbfgsb":
-        u, status, converged = _quasi_newton(pull, data, shift, u, max_steps, tolerance, note)
-    elif method == "least_squares":
-        u, status, converged = _least_squares(
-            predict, data, space, shift, u, max_steps, tolerance, note
+    if method == "least_squares":
+        u, predicted, jacobian, success, steps = jax.block_until_ready(
+            forward.search(u, data, shift, tolerance, max_steps=max_steps, note=_Relay(note))
         )
+        jax.effects_barrier()  # all notes have arrived
+        converged = bool(success)
+        status = f"{'Converged' if converged else 'Stopped'} after {int(steps)} steps."
+    elif method == "lbfgsb":
+        u, status, converged = _quasi_newton(forward, data, shift, u, max_steps, tolerance, note)
+        predicted, jacobian = forward.jacobian(u)
     else:
         raise InputError(f"`method` must be 'lbfgsb' or 'least_squares', but is {method!r}")
-    predicted = pull.forward(u) + shift
-    size = len(space.names)
-    if uncertainty:
-        jacobian = pull.jacobian(u) / data.sd[:, None]
-        information, vectors = jnp.linalg.eigh(jacobian.T @ jacobian)
-        information, vectors = information[::-1], vectors[:, ::-1]
-        covariance = (vectors / (1.0 + jnp.maximum(information, 0.0))) @ vectors.T
-    else:
-        information, vectors = jnp.full(size, jnp.nan), jnp.full((size, size), jnp.nan)
-        covariance = jnp.full((size, size), jnp.nan)
+    predicted = predicted + shift
+    scaled = jacobian / data.sd[:, None]
+    information, vectors = jnp.linalg.eigh(scaled.T @ scaled)
+    information, vectors = information[::-1], vectors[:, ::-1]
+    covariance = (vectors / (1.0 + jnp.maximum(information, 0.0))) @ vectors.T
     variance = jnp.diagonal(covariance)
     losses, norms = np.asarray(history, float).reshape(-1, 2).T
     if not np.all(np.isfinite(np.asarray(predicted))):
@@ -166,56 +162,116 @@ def fit(
     )
 
 
-class Pullback:
-    """A forward model compiled once for values, gradients and rows of the Jacobian.
+class _Relay:
+    """A callback that compiled code can keep: equal to every other, it calls the latest."""
 
-    The cotangent is (statistics - target) * weight + extra: with the errors as weight it gives
-    the gradient of the misfit, with no weight and a unit vector a row of the Jacobian. So one
-    compiled program, whose memory is that of one reverse pass, serves for both.
+    _latest: Callable[[Array, Array], None]
+
+    def __init__(self, call: Callable[[Array, Array], None]) -> None:
+        type(self)._latest = staticmethod(call)  # type: ignore[assignment]
+
+    def __call__(self, loss: Array, norm: Array) -> None:
+        type(self)._latest(loss, norm)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Relay)
+
+    def __hash__(self) -> int:
+        return hash(_Relay)
+
+
+class Forward:
+    """A forward model in whitened coordinates, each way of running it compiled once.
+
+    Derivatives are by reverse mode: a plot has more free parameters than statistics.
     """
 
-    def __init__(self, predict: Predict, space: ParameterSpace) -> None:
-        def run(u: Array, target: Array, weight: Array, extra: Array) -> tuple[Array, Array]:
-            value, backward = jax.vjp(lambda v: predict(space.physical(v)), u)
-            (gradient,) = backward(((value - target) * weight + extra).astype(value.dtype))
-            return value.astype(u.dtype), gradient
+    def __init__(self, predict: Predict, space: ParameterSpace, rows_at_once: int = 8) -> None:
+        def values(u: Array) -> Array:
+            return predict(space.physical(u)).astype(u.dtype)
 
-        self._run = jax.jit(run)
-        self._forward = jax.jit(lambda u: predict(space.physical(u)).astype(u.dtype))
+        def with_jacobian(u: Array) -> tuple[Array, Array]:
+            value, backward = jax.vjp(values, u)
+            rows = jax.lax.map(
+                lambda row: backward(row)[0],
+                jnp.eye(value.size, dtype=value.dtype),
+                batch_size=min(rows_at_once, value.size),
+            )
+            return value, rows
 
-    def forward(self, u: Float[Array, " free"]) -> Float[Array, " statistic"]:
-        return self._forward(u)
+        def misfit(u: Array, data: Data, offset: Array) -> tuple[Array, Array]:
+            def objective(u: Array) -> Array:
+                rest = (values(u) + offset - data.value) / data.sd
+                return 0.5 * (rest @ rest + u @ u)
 
-    def misfit(self, u: Array, data: Data, offset: Array) -> tuple[float, Array]:
-        """The objective and its gradient."""
-        weight = data.sd**-2
-        value, gradient = self._run(u, data.value - offset, weight, jnp.zeros_like(data.value))
-        rest = (value + offset - data.value) / data.sd
-        return float(0.5 * (rest @ rest + u @ u)), gradient + u
+            return jax.value_and_grad(objective)(u)
 
-    def jacobian(self, u: Float[Array, " free"]) -> Float[Array, "statistic free"]:
-        """Rows by reverse mode, one after another."""
-        size = self.forward(u).shape[0]
-        none = jnp.zeros(size)
-        rows = [self._run(u, none, none, none.at[i].set(1.0))[1] for i in range(size)]
-        return jnp.stack(rows)
+        self.traced_jacobian = with_jacobian
+        self.values = jax.jit(values)
+        """Statistics at whitened coordinates."""
+        self.jacobian = jax.jit(with_jacobian)
+        """Statistics and their derivatives, [statistic] and [statistic, free]."""
+        self.misfit = jax.jit(misfit)
+        """Objective and gradient, from coordinates, data and offset."""
+        self.search = jax.jit(self._search, static_argnames=("max_steps", "note"))
+
+    def _search(
+        self,
+        start: Array,
+        data: Data,
+        offset: Array,
+        tolerance: Array,
+        *,
+        max_steps: int,
+        note: Callable[[Array, Array], None],
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Levenberg-Marquardt; estimate, statistics, Jacobian, result number, steps."""
+
+        def residual(u: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
+            here = jax.lax.stop_gradient(u)
+            value, jacobian = self.traced_jacobian(here)
+            # The value with its slope attached: the solver's own differentiation is then a
+            # product with the Jacobian, which it also hands back for the uncertainty.
+            linear = value + jacobian @ (u - here)
+            rest = jnp.concatenate([(linear + offset - data.value) / data.sd, u])
+            still = jax.lax.stop_gradient(rest)
+            slope = (jacobian / data.sd[:, None]).T @ still[: value.size] + here
+            jax.debug.callback(note, 0.5 * still @ still, jnp.linalg.norm(slope))
+            return rest, (value, jacobian)
+
+        solution = optx.least_squares(
+            residual,
+            optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance),
+            start,
+            has_aux=True,
+            max_steps=max_steps,
+            throw=False,
+        )
+        value, jacobian = solution.aux
+        return (
+            solution.value,
+            value,
+            jacobian,
+            solution.result == optx.RESULTS.successful,
+            solution.stats["num_steps"],
+        )
 
 
 def _quasi_newton(
-    pull: Pullback,
+    forward: Forward,
     data: Data,
     offset: Array,
     start: Array,
     max_steps: int,
     tolerance: float,
-    note: Callable[[float, float], None],
+    note: Callable[[Array, Array], None],
 ) -> tuple[Array, str, bool]:
     import jaxopt  # late: it warns on import that it is no longer maintained
 
     def objective(u: Array) -> tuple[float, Array]:
-        loss, gradient = pull.misfit(jnp.asarray(u), data, offset)
-        note(loss, float(jnp.linalg.norm(gradient)))
-        return loss, gradient
+        loss, gradient = forward.misfit(jnp.asarray(u), data, offset)
+        note(loss, jnp.linalg.norm(gradient))
+        return float(loss), gradient
 
     # Four prior widths either way: beyond, the bounded transform is flat.
     reach = jnp.full_like(start, 4.0)
@@ -226,39 +282,14 @@ def _quasi_newton(
         jit=False,
         maxiter=max_steps,
         tol=tolerance,
-        options={"maxcor": 20, "maxfun": 2 * max_steps, "gtol": tolerance, "ftol": 1e-5},
+        options={"maxcor": 20, "maxfun": 2 * max_steps, "gtol": tolerance, "ftol": 1e-9},
     )
     parameters, state = solver.run(start, (-reach, reach))
-    loss, gradient = pull.misfit(jnp.asarray(parameters), data, offset)
+    loss, gradient = forward.misfit(jnp.asarray(parameters), data, offset)
     norm = float(jnp.linalg.norm(gradient))
-    if not np.isfinite(loss):
+    if not np.isfinite(float(loss)):
         return start, "The objective is not finite; the estimate is the start.", False
-    if bool(state.success):
+    if bool(state.success) and norm <= 10 * tolerance * np.sqrt(start.size):
         return jnp.asarray(parameters), f"Converged: gradient norm {norm:.2g}.", True
     status = f"Stopped after {int(state.iter_num)} steps, gradient norm {norm:.2g}."
     return jnp.asarray(parameters), status, False
-
-
-def _least_squares(
-    predict: Predict,
-    data: Data,
-    space: ParameterSpace,
-    offset: Array,
-    start: Array,
-    max_steps: int,
-    tolerance: float,
-    note: Callable[[float, float], None],
-) -> tuple[Array, str, bool]:
-    def residual(u: Array, _: None) -> Array:
-        rest = (predict(space.physical(u)) + offset - data.value) / data.sd
-        return jnp.concatenate([rest, u])
-
-    solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance)
-    solution = optx.least_squares(residual, solver, start, max_steps=max_steps, throw=False)
-    rest = residual(solution.value, None)
-    gradient = jax.grad(lambda u: 0.5 * jnp.sum(residual(u, None) ** 2))(solution.value)
-    note(float(0.5 * rest @ rest), float(jnp.linalg.norm(gradient)))
-    converged = bool(solution.result == optx.RESULTS.successful)
-    steps = int(solution.stats["num_steps"])
-    status = f"Converged in {steps} steps." if converged else str(optx.RESULTS[solution.result])
-    return solution.value, status, converged

@@ -80,7 +80,7 @@ def run_calibrate(
 def run_demo(output: Path, *, seed: int, progress: Progress | None = None) -> dict[str, Any]:
     """Calibrate the shipped 2006 plot to the published statistics of its real drone image."""
     read = read_plot(example_folder() / "plot.toml")
-    targets = consistent_targets(independent=True)
+    targets = [t for t in consistent_targets(independent=True) if t.name in _DEMO_LAYERS]
     names = tuple(t.key for t in targets)
     data = weigh(
         names, np.array([t.value for t in targets]), np.full(len(targets), np.nan), 0.02
@@ -89,6 +89,10 @@ def run_demo(output: Path, *, seed: int, progress: Progress | None = None) -> di
         read, data, output, seed=seed, progress=progress, inputs=read.inputs,
         reference=paper_simulation(), goals={"mean of a band": 3.0, "mean of an index": 5.0},
     )
+
+
+_DEMO_LAYERS = (*BANDS, "NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR")
+"""Fitted in the demo; the other consistent indices are functions of these."""
 
 
 def weigh(
