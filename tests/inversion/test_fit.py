@@ -1,0 +1,85 @@
+"""The fit against a closed form: a linear model with a normal prior has a normal posterior."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax._core.errors import InputError
+from fynjax.inversion import Data, ParameterSpace, fit
+
+# Bounds so wide that the transform is linear within the prior.
+SPACE = ParameterSpace(
+    ("a.cover", "b.cover", "c.cover"),
+    jnp.full(3, -1e4), jnp.full(3, 1e4), jnp.array([1.0, 2.0, 3.0]), jnp.array([0.5, 1.0, 2.0]),
+)
+MATRIX = jnp.array([[1.0, 1.0, 0.0], [0.0, 2.0, 0.0], [1.0, -1.0, 0.0], [3.0, 0.0, 0.0]])
+DATA = Data(tuple("stuv"), jnp.array([3.5, 5.0, -1.2, 3.6]), jnp.array([0.1, 0.3, 0.2, 0.5]))
+
+
+def predict(x):
+    return MATRIX @ x
+
+
+def posterior():
+    """Mean and covariance by the normal equations."""
+    prior = np.diag(1.0 / np.asarray(SPACE.prior_sd) ** 2)
+    weight = np.diag(1.0 / np.asarray(DATA.sd) ** 2)
+    a = np.asarray(MATRIX)
+    covariance = np.linalg.inv(prior + a.T @ weight @ a)
+    right = prior @ np.asarray(SPACE.prior) + a.T @ weight @ np.asarray(DATA.value)
+    return covariance @ right, covariance
+
+
+@pytest.mark.parametrize(("method", "tolerance"), [("least_squares", 1e-8), ("lbfgsb", 1e-6)])
+def test_estimate_and_uncertainty_are_the_normal_posterior(method, tolerance):
+    result = fit(predict, DATA, SPACE, method=method, tolerance=tolerance, max_steps=100)
+    mean, covariance = posterior()
+    np.testing.assert_allclose(result.estimate, mean, rtol=2e-4)
+    np.testing.assert_allclose(result.sd, np.sqrt(np.diag(covariance)), rtol=1e-3)
+    share = 1 - np.diag(covariance) / np.asarray(SPACE.prior_sd) ** 2
+    np.testing.assert_allclose(result.constrained, share, atol=1e-3)
+    np.testing.assert_allclose(result.predicted, predict(result.estimate), rtol=1e-6)
+    assert result.converged
+    assert result.seen() == ("a.cover", "b.cover")
+
+
+def test_what_the_data_cannot_see_stays_at_its_prior_and_is_named():
+    result = fit(predict, DATA, SPACE, tolerance=1e-8)
+    assert float(result.estimate[2]) == pytest.approx(3.0)
+    assert float(result.constrained[2]) == pytest.approx(0.0, abs=1e-9)
+    (direction,) = result.unseen_directions(1)
+    assert abs(direction["c.cover"]) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_an_offset_is_part_of_the_prediction():
+    shift = jnp.array([0.2, -0.1, 0.0, 0.3])
+    moved = Data(DATA.names, DATA.value + shift, DATA.sd)
+    plain = fit(predict, DATA, SPACE, tolerance=1e-8)
+    shifted = fit(predict, moved, SPACE, tolerance=1e-8, offset=shift)
+    np.testing.assert_allclose(shifted.estimate, plain.estimate, rtol=1e-6)
+
+
+def test_progress_is_told_and_falls():
+    told = []
+    result = fit(predict, DATA, SPACE, report=lambda loss, norm: told.append((loss, norm)))
+    assert len(told) == len(result.loss) > 1
+    assert told[-1][0] <= told[0][0]
+
+
+def test_too_few_steps_are_not_called_converged():
+    result = fit(lambda x: jnp.exp(predict(x) / 4), DATA, SPACE, max_steps=1)
+    assert not result.converged
+    assert "1 steps" in result.status
+
+
+def test_a_model_that_is_not_finite_ends_in_a_status():
+    result = fit(lambda x: predict(x) * jnp.nan, DATA, SPACE, max_steps=3)
+    assert not result.converged
+    assert "not finite" in result.status
+
+
+def test_bad_targets_and_methods_are_refused():
+    with pytest.raises(InputError, match="target b must be finite"):
+        Data(("a", "b"), jnp.array([1.0, jnp.nan]), jnp.ones(2))
+    with pytest.raises(InputError, match="'newton'"):
+        fit(predict, DATA, SPACE, method="newton")

@@ -1,0 +1,86 @@
+"""From a plot's parameters to the final metrics: derivatives against central differences."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax.metrics import image_statistics
+from fynjax.scene import named_values, with_values
+from tests.scene.plots import TAXA, small_parameters, small_plot
+
+STATISTICS = (
+    "green.mean", "red.mean", "red_edge.mean", "nir.mean", "NDVI.mean", "NDVI.std", "GNDVI.mean",
+    "SR.mean", "GCI.std", "ARI2.mean", "OSAVI.std", "NormR.mean", "nir.q50",
+)
+WEIGHTS = np.random.default_rng(5).normal(size=len(STATISTICS))
+
+
+@pytest.fixture(scope="module")
+def metric():
+    model, parameters = small_plot(), small_parameters()
+    names = tuple(named_values(parameters, TAXA))
+    start = jnp.stack(list(named_values(parameters, TAXA).values()))
+
+    def scalar(values, model):
+        plot = with_values(parameters, TAXA, dict(zip(names, values)))
+        statistics = image_statistics(model.image(plot), STATISTICS)
+        return jnp.asarray(WEIGHTS) @ statistics
+
+    compiled = eqx.filter_jit(scalar)
+    gradient = eqx.filter_jit(eqx.filter_grad(scalar))(start, model)
+    return lambda values: float(compiled(values, model)), names, start, np.asarray(gradient)
+
+
+def test_every_derivative_is_finite(metric):
+    _, names, _, gradient = metric
+    assert dict(zip(names, np.isfinite(gradient))) == dict.fromkeys(names, True)
+
+
+def test_gradient_of_final_metrics_against_central_differences(metric):
+    """Cover, diameter, height, packing, fill, leaf areas, chemistry, ground, sun and sky.
+
+    Differences of two step sizes are extrapolated, and the better of a few steps is taken: a
+    wide one rides over kinks of the cloud-in-cell weights, a narrow one over curvature.
+    """
+    value, names, start, gradient = metric
+    scale = np.abs(gradient * np.asarray(start)).max()
+    wrong = {}
+    for i, name in enumerate(names):
+        if name.startswith("species.Deadwood.leaf"):
+            assert gradient[i] == 0.0  # it has no leaves
+            continue
+        errors = []
+        for step in (3e-6, 1e-5, 1e-4):
+            h = step * max(abs(float(start[i])), 1e-2)
+            slope = (value(start.at[i].add(h)) - value(start.at[i].add(-h))) / (2 * h)
+            errors.append(abs(gradient[i] - slope) / (abs(slope) + 1e-7 * scale / abs(start[i])))
+            if errors[-1] < 1e-4:
+                break
+        if min(errors) > 1e-4:
+            wrong[name] = min(errors)
+    assert wrong == {}
+
+
+def test_forward_and_reverse_mode_agree():
+    model, parameters = small_plot(), small_parameters()
+
+    def ndvi(cover):
+        plot = eqx.tree_at(lambda p: p.species.cover, parameters, cover)
+        return image_statistics(model.image(plot), ("NDVI.mean",))[0]
+
+    cover = parameters.species.cover
+    tangent = jnp.array([1.0, -0.5, 0.3])
+    _, forward = jax.jvp(ndvi, (cover,), (tangent,))
+    assert float(forward) == pytest.approx(float(jax.grad(ndvi)(cover) @ tangent), rel=1e-8)
+
+
+def test_no_plants_at_all_give_finite_derivatives():
+    """Zero cover of every species: bare ground, and the slope towards the first plants."""
+    model, parameters = small_plot(), small_parameters()
+    bare = eqx.tree_at(lambda p: p.species.cover, parameters, jnp.zeros(3))
+    gradient = eqx.filter_grad(lambda p: image_statistics(model.image(p), ("nir.mean",))[0])(bare)
+    for leaf in jax.tree.leaves(gradient):
+        assert np.all(np.isfinite(np.asarray(leaf)))
+    assert np.abs(np.asarray(gradient.species.cover)).max() > 0

@@ -1,0 +1,138 @@
+"""The scene model: hard and soft plants, common random numbers, conservation, bare ground."""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+
+from fynjax._core.errors import InputError
+from fynjax.canopy import hard_count
+from fynjax.scene import background_spectrum, named_values, with_values
+from fynjax.sensors._sky import clear_sky_diffuse_fraction
+from tests.scene.plots import TAXA, small_parameters, small_plot
+
+
+def leaf_area(model, parameters):
+    """Area on the grid of each class [m2]."""
+    return np.asarray(model.area_density(parameters)).sum(axis=(1, 2, 3)) * 1e-3
+
+
+def test_hard_scene_plants_whole_plants_of_equation_10():
+    """With no softness the wood of deadwood is that of ceil(n) plants of their drawn sizes."""
+    parameters = small_parameters()
+    model = small_plot(softness=0.0, width=0.0)
+    species = parameters.species
+    radius = np.asarray(species.diameter) / 2
+    share = (1 - np.asarray(species.packing)) * np.asarray(species.fill)
+    area = np.pi * radius**2 * share
+    count = hard_count(1.6**2 * np.asarray(species.cover), area)
+    planting = model.planting
+    for i in (0, 2):
+        mine = np.asarray(planting.species) == i
+        size = np.asarray(planting.size)[mine][: count[i]]
+        crowns = np.pi * radius[i] ** 2 * (size**2).sum()
+        found = leaf_area(model, parameters)
+        if i == 0:
+            assert found[0] == pytest.approx(3.0 * crowns, rel=1e-9)
+    total = sum(
+        float(species.wood_area_index[i])
+        * np.pi
+        * radius[i] ** 2
+        * (np.asarray(planting.size)[np.asarray(planting.species) == i][: count[i]] ** 2).sum()
+        for i in range(3)
+    )
+    assert leaf_area(model, parameters)[-2] == pytest.approx(total, rel=1e-9)
+
+
+def test_soft_scene_tends_to_the_hard_one():
+    parameters = small_parameters()
+    hard = small_plot(softness=0.0, width=0.0)
+    image = np.asarray(hard.image(parameters))
+    away = []
+    for width in (1.0, 0.3, 1e-3):
+        soft = dataclasses.replace(hard, width=width)
+        away.append(np.abs(np.asarray(soft.image(parameters)) - image).max())
+    assert away[0] > 1e-4  # the soft scene is another one
+    assert away[2] < 1e-12
+    assert away[0] >= away[1] >= away[2]
+
+
+def test_moving_one_cover_leaves_the_other_plants_alone():
+    model, parameters = small_plot(), small_parameters()
+    more = eqx.tree_at(lambda p: p.species.cover, parameters, jnp.array([0.35, 0.15, 0.06]))
+    before, after = (np.asarray(model.area_density(p)) for p in (parameters, more))
+    assert np.array_equal(before[1], after[1])  # the restio's culms
+    assert after[0].sum() > 1.3 * before[0].sum()
+    assert np.all(after[0] >= before[0] - 1e-12)  # the old plants still stand there
+
+
+def test_area_follows_the_parameters_at_any_resolution():
+    parameters = small_parameters()
+    areas = [leaf_area(small_plot(voxel=v), parameters) * (v / 0.1) ** 3 for v in (0.05, 0.1, 0.2)]
+    crowns = 1.6**2 * 0.25 / (0.9 * 0.9)  # cover over packing and fill
+    for area in areas:
+        assert area[0] == pytest.approx(3.0 * crowns, rel=0.06)  # sizes vary among plants
+        assert area == pytest.approx(areas[0], rel=1e-5)
+
+
+def test_a_plot_without_plants_is_the_bare_ground():
+    model, parameters = small_plot(), small_parameters()
+    bare = eqx.tree_at(lambda p: p.species.cover, parameters, jnp.zeros(3))
+    ground = np.asarray(model.camera.bands.weights(model.wavelength)) @ np.asarray(
+        model.ground_spectrum(bare)
+    )
+    image = np.asarray(model.image(bare))
+    np.testing.assert_allclose(image, np.broadcast_to(ground[:, None, None], image.shape), rtol=1e-9)
+
+
+def test_names_and_values_are_inverse():
+    parameters = small_parameters()
+    named = named_values(parameters, TAXA)
+    assert "species.Restio eleocharis.leaf.chlorophyll" in named
+    changed = with_values(parameters, TAXA, {"species.Restio eleocharis.leaf.chlorophyll": 22.0})
+    assert np.asarray(changed.leaf.chlorophyll).tolist() == [55.0, 22.0, 30.0]
+    again = named_values(with_values(parameters, TAXA, {}), TAXA)
+    assert {k: float(v) for k, v in again.items()} == {k: float(v) for k, v in named.items()}
+
+
+def test_the_same_seed_draws_the_same_plot():
+    first, second, other = small_plot(), small_plot(), small_plot(seed=4)
+    assert np.array_equal(first.planting.site, second.planting.site)
+    assert not np.array_equal(first.planting.site[:50], other.planting.site[:50])
+
+
+def test_a_stride_samples_the_same_image():
+    model, parameters = small_plot(), small_parameters()
+    whole, part = (np.asarray(model.image(parameters, s)) for s in (1, 4))
+    np.testing.assert_allclose(part, whole[:, ::4, ::4], rtol=1e-6)
+
+
+def test_voxels_that_do_not_divide_the_plot_are_refused():
+    with pytest.raises(InputError, match="divide"):
+        small_plot(voxel=0.3)
+
+
+def test_background_spectra_are_reflectances():
+    for name in ("dry_soil", "wet_soil", "bark", "litter", "char"):
+        values = background_spectrum(name, np.arange(400.0, 2501.0, 10.0))
+        assert np.all((values > 0.005) & (values < 0.7))
+
+
+def test_diffuse_fraction_against_6s(shared_data):
+    """Outside gas bands, within 0.03 of the 6S radiative transfer code (AOT 0.1, sun 30 deg)."""
+    table = pd.read_csv(
+        shared_data / "eco" / "atmosphere" / "sixs_v11_wv2.0_aot0.10_sza30_H3km.csv", comment="#"
+    )
+    columns = {c.lower(): c for c in table.columns}
+    wave = table[next(c for k, c in columns.items() if "wav" in k or k.startswith("wl"))].to_numpy()
+    wave = wave * (1000.0 if wave.max() < 100 else 1.0)
+    direct = table[next(c for k, c in columns.items() if "dir" in k)].to_numpy()
+    diffuse = table[next(c for k, c in columns.items() if "dif" in k)].to_numpy()
+    ours = np.asarray(clear_sky_diffuse_fraction(jnp.asarray(wave), jnp.asarray(30.0), jnp.asarray(0.1)))
+    for band in (450, 500, 560, 650, 780, 860, 1020, 1240, 1640):
+        near = np.abs(wave - band) < 12
+        real = diffuse[near].sum() / (direct[near] + diffuse[near]).sum()
+        assert abs(ours[near].mean() - real) < 0.03, band
