@@ -152,5 +152,8 @@ def leaf_angle(name: str) -> AbstractLeafAngle:
         return SphericalLeafAngle()
     if name not in _TRIGONOMETRIC:
         known = ", ".join(["spherical", *_TRIGONOMETRIC])
-        raise InputError(f"`name` of a leaf angle distribution must be one of {known}, but is {name!r}")
-    return TrigonometricLeafAngle(*_TRIGONOMETRIC[name])
+        raise InputError(
+            f"`name` of a leaf angle distribution must be one of {known}, but is {name!r}"
+        )
+    second, fourth = (jnp.asarray(value) for value in _TRIGONOMETRIC[name])
+    return TrigonometricLeafAngle(second, fourth)

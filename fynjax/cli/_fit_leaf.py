@@ -16,6 +16,13 @@ class Version(StrEnum):
     PRO = "PRO"
 
 
+class Domain(StrEnum):
+    """Wavelengths that enter the fit."""
+
+    full = "full"
+    optimal = "optimal"
+
+
 Spectra = Annotated[
     list[Path],
     typer.Argument(metavar="SPECTRUM...", help="Spectrum files: ASD binary, CSV or text."),
@@ -29,8 +36,8 @@ def fit_leaf(
         str, typer.Option(help="How it was measured, such as sphere (PROSPECT as it is).")
     ] = "sphere",
     domain: Annotated[
-        str, typer.Option(help="Wavelengths to fit; auto takes what the spectrum has.")
-    ] = "auto",
+        Domain, typer.Option(help="Wavelengths to fit: all, or the published sub-domains.")
+    ] = Domain.full,
     output: Output = Path("output/fit-leaf"),
     seed: Seed = 0,
     json: Json = False,
@@ -56,7 +63,7 @@ def fit_leaf(
             folder,
             version=version.value,
             measurement=measurement,
-            domain=domain,
+            domain=domain.value,
             seed=seed,
             progress=progress,
         ),

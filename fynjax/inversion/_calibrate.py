@@ -3,6 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -113,9 +114,16 @@ def calibrate_plot(
     for turn in range(rounds):
         offset = statistics - forward.values(u)
         result = fit(
-            predict, data, space, method=method, max_steps=max_steps, tolerance=tolerance,
-            start=u, offset=offset, forward=forward,
-            report=None if report is None else lambda a, b, t=turn: report(f"round {t + 1}", a, b),
+            predict,
+            data,
+            space,
+            method=method,
+            max_steps=max_steps,
+            tolerance=tolerance,
+            start=u,
+            offset=offset,
+            forward=forward,
+            report=None if report is None else partial(report, f"round {turn + 1}"),
         )
         u = result.whitened
         after = with_values(parameters, model.taxa, space.named(u))
@@ -129,7 +137,9 @@ def calibrate_plot(
     )
     seconds["render_s"] = _seconds(lambda: full(after))
     jax.block_until_ready(forward.misfit(u, data, offset))  # compiled, before it is timed
-    seconds["value_and_gradient_s"] = _seconds(lambda: jax.block_until_ready(forward.misfit(u, data, offset)))
+    seconds["value_and_gradient_s"] = _seconds(
+        lambda: jax.block_until_ready(forward.misfit(u, data, offset))
+    )
     seconds["search_render_s"] = _seconds(lambda: jax.block_until_ready(forward.values(u)))
     return Calibration(
         result, before, after, image_before, image_after, statistics_before, statistics, seconds

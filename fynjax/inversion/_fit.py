@@ -5,6 +5,7 @@ distance from the prior, also whitened: the negative log posterior, but for a co
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -168,7 +169,7 @@ class _Relay:
     _latest: Callable[[Array, Array], None]
 
     def __init__(self, call: Callable[[Array, Array], None]) -> None:
-        type(self)._latest = staticmethod(call)  # type: ignore[assignment]
+        type(self)._latest = staticmethod(call)
 
     def __call__(self, loss: Array, norm: Array) -> None:
         type(self)._latest(loss, norm)
@@ -186,7 +187,7 @@ class Forward:
     Derivatives are by reverse mode: a plot has more free parameters than statistics.
     """
 
-    def __init__(self, predict: Predict, space: ParameterSpace, rows_at_once: int = 8) -> None:
+    def __init__(self, predict: Predict, space: ParameterSpace, rows_at_once: int = 4) -> None:
         def values(u: Array) -> Array:
             return predict(space.physical(u)).astype(u.dtype)
 
@@ -213,18 +214,18 @@ class Forward:
         """Statistics and their derivatives, [statistic] and [statistic, free]."""
         self.misfit = jax.jit(misfit)
         """Objective and gradient, from coordinates, data and offset."""
-        self.search = jax.jit(self._search, static_argnames=("max_steps", "note"))
+        self.search = jax.jit(self._search, static_argnames=("tolerance", "max_steps", "note"))
 
     def _search(
         self,
         start: Array,
         data: Data,
         offset: Array,
-        tolerance: Array,
+        tolerance: float,
         *,
         max_steps: int,
         note: Callable[[Array, Array], None],
-    ) -> tuple[Array, Array, Array, Array, Array]:
+    ) -> tuple[Any, ...]:
         """Levenberg-Marquardt; estimate, statistics, Jacobian, result number, steps."""
 
         def residual(u: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
@@ -239,8 +240,8 @@ class Forward:
             jax.debug.callback(note, 0.5 * still @ still, jnp.linalg.norm(slope))
             return rest, (value, jacobian)
 
-        solution = optx.least_squares(
-            residual,
+        solution: Any = optx.least_squares(
+            residual,  # type: ignore[arg-type]
             optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance),
             start,
             has_aux=True,

@@ -80,8 +80,6 @@ class ParameterSpace(eqx.Module):
         return {name: values[i] for i, name in enumerate(self.names)}
 
 
-# Plausible range of each kind of parameter, by the last word of its name: hard limits of what
-# fynbos plants, soils and skies are. A quantity bounded relative to its own prior is below.
 PLAUSIBLE: dict[str, tuple[float, float]] = {
     "cover": (0.0, 1.0),
     "diameter": (0.01, 10.0),
@@ -104,8 +102,10 @@ PLAUSIBLE: dict[str, tuple[float, float]] = {
     "sun_zenith": (0.0, 85.0),
     "aerosol": (0.0, 1.0),
 }
+"""Plausible range of each kind of parameter, by the last word of its name: what fynbos plants,
+soils and skies can be, in the parameter's own unit. Assumptions, meant wide."""
 # Cover and diameter stay where the sites held ready suffice.
-RELATIVE: dict[str, tuple[float, float]] = {"cover": (0.3, 1.8), "diameter": (0.65, 1.6)}
+_RELATIVE: dict[str, tuple[float, float]] = {"cover": (0.3, 1.8), "diameter": (0.65, 1.6)}
 
 
 def make_space(values: dict[str, float], relative_sd: dict[str, float]) -> ParameterSpace:
@@ -122,16 +122,23 @@ def make_space(values: dict[str, float], relative_sd: dict[str, float]) -> Param
         if kind not in PLAUSIBLE:
             raise InputError(f"{name} cannot be free: only {', '.join(PLAUSIBLE)} can")
         low, high = PLAUSIBLE[kind]
-        if kind in RELATIVE and value > 0:
-            low, high = (max(low, RELATIVE[kind][0] * value), min(high, RELATIVE[kind][1] * value))
+        if kind in _RELATIVE and value > 0:
+            low, high = (
+                max(low, _RELATIVE[kind][0] * value),
+                min(high, _RELATIVE[kind][1] * value),
+            )
         inside = float(np.clip(value, low + 0.02 * (high - low), high - 0.02 * (high - low)))
         sd = relative_sd[name] * abs(value)
         bounds.append((low, high))
         priors.append(inside)
         widths.append(sd if sd > 0 else 0.1 * (high - low))
-    low, high = np.asarray(bounds, float).T if bounds else np.zeros((2, 0))
+    limits = np.asarray(bounds, float).reshape(-1, 2)
     return ParameterSpace(
-        names, jnp.asarray(low), jnp.asarray(high), jnp.asarray(priors), jnp.asarray(widths)
+        names,
+        jnp.asarray(limits[:, 0]),
+        jnp.asarray(limits[:, 1]),
+        jnp.asarray(priors),
+        jnp.asarray(widths),
     )
 
 

@@ -117,11 +117,11 @@ def _leaf(species: Species) -> dict[str, float]:
     if source.parameters is not None:
         return source.parameters
     assert source.spectrum is not None  # the plot's reader leaves exactly one of the two
-    spectra = read_spectra(source.spectrum)
+    spectra = _reflectances(source.spectrum)
     grid = np.arange(400.0, 2501.0)
-    many = np.stack([
-        np.interp(grid, s.wavelength, s.reflectance, left=np.nan, right=np.nan) for s in spectra
-    ])
+    many = np.stack(
+        [np.interp(grid, wave, values, left=np.nan, right=np.nan) for wave, values in spectra]
+    )
     if not np.isfinite(many).any():
         raise InputError(
             "a leaf spectrum must have reflectance within 400-2500 nm, but has none",
@@ -135,16 +135,24 @@ def _soil(plot: Plot, wavelength: np.ndarray) -> np.ndarray | None:
     if plot.ground.spectrum is None:
         return None
     path = plot.ground.spectrum
-    spectrum = read_spectra(path)[0]
-    if spectrum.wavelength[0] > wavelength[0] or spectrum.wavelength[-1] < wavelength[-1]:
+    wave, values = _reflectances(path)[0]
+    if wave[0] > wavelength[0] or wave[-1] < wavelength[-1]:
         raise InputError(
             f"a soil spectrum must cover {wavelength[0]:g}-{wavelength[-1]:g} nm for this sensor, "
-            f"but covers {spectrum.wavelength[0]:g}-{spectrum.wavelength[-1]:g} nm",
+            f"but covers {wave[0]:g}-{wave[-1]:g} nm",
             file=path,
         )
-    known = np.isfinite(spectrum.reflectance)
-    values = np.interp(wavelength, spectrum.wavelength[known], spectrum.reflectance[known])
-    return np.stack([values, values])
+    known = np.isfinite(values)
+    soil = np.interp(wavelength, wave[known], values[known])
+    return np.stack([soil, soil])
+
+
+def _reflectances(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Wavelengths [nm] and reflectance of the spectra of a file."""
+    found = [(s.wavelength, s.reflectance) for s in read_spectra(path) if s.reflectance is not None]
+    if not found:
+        raise InputError("a reflectance spectrum was expected, but the file has none", file=path)
+    return found
 
 
 def _diffuse(plot: Plot, bands: BandSet, wavelength: np.ndarray) -> np.ndarray | None:

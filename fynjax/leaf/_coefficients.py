@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 ProspectVersion = Literal["5", "D", "PRO"]
+"""Versions of PROSPECT: 5 (2008), D (2017), PRO (2021)."""
 
 FIRST_WAVELENGTH, LAST_WAVELENGTH = 400.0, 2500.0
 

@@ -24,6 +24,7 @@ from fynjax.leaf._parameters import LeafParameters
 from fynjax.leaf._prospect import interface_transmissivity
 
 FitDomain = Literal["full", "optimal"]
+"""Wavelengths that a fit uses: all of 450-2400 nm, or the published sub-domains."""
 
 NINETY_PERCENT = 1.6448536269514722
 _WATER = ((1340.0, 1430.0), (1780.0, 1980.0), (2390.0, 2510.0))

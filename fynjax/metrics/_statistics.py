@@ -39,9 +39,11 @@ def image_statistics(
     an unknown name.
     """
     check_statistics(names)
-    indices = list(dict.fromkeys(
-        layer for layer in (name.split(".")[0] for name in names) if layer not in BANDS
-    ))
+    indices = list(
+        dict.fromkeys(
+            layer for layer in (name.split(".")[0] for name in names) if layer not in BANDS
+        )
+    )
     every = jnp.ones(image.shape[1:], bool) if valid is None else valid
     layers = {band: (image[i], every) for i, band in enumerate(BANDS)}
     if indices:

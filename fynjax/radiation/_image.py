@@ -98,7 +98,9 @@ def see(
         jnp.zeros((n_band, *shape), dtype),
     )
     # Recomputing a layer in the backward pass keeps memory to one layer's arrays.
-    (depth, at_ground, seen, glow), _ = jax.lax.scan(jax.checkpoint(piece), start, layers, reverse=True)
+    (depth, at_ground, seen, glow), _ = jax.lax.scan(
+        jax.checkpoint(piece), start, layers, reverse=True
+    )
 
     travel = -jnp.concatenate([sun.slope, jnp.ones(1, dtype)]) * sun.cosine
 
@@ -118,12 +120,16 @@ def see(
     gap = jnp.exp(-depth)
     soil = scene.ground_map
     shaded = upsample(diffuse.ground[:, None], (1, factor[1]), scene.boundary)[:, 0] * soil
-    direct = light.sun.astype(dtype)[:, None, None] * jnp.exp(-at_ground) * sample(soil, rows, columns)
+    direct = (
+        light.sun.astype(dtype)[:, None, None] * jnp.exp(-at_ground) * sample(soil, rows, columns)
+    )
     ground = gap / jnp.pi * (direct + sample(shaded, rows, columns))
     return Radiance(first, glow, ground, gap)
 
 
-def _planes(depth: Float[Array, "interface row column"], sublayers: int) -> Float[Array, "plane row column"]:
+def _planes(
+    depth: Float[Array, "interface row column"], sublayers: int
+) -> Float[Array, "plane row column"]:
     """Depth on the planes between pieces, linear between the layers' interfaces."""
     if sublayers == 1:
         return depth

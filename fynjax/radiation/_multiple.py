@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax.radiation._ordinates import Coarse, Ordinates, coarse_grid, sweep
+from fynjax.radiation._ordinates import Ordinates, coarse_grid, sweep
 from fynjax.radiation._phase import area_scattering
 from fynjax.radiation._scene import OpticalClasses, VoxelScene
 from fynjax.radiation._sun import SunField
@@ -33,7 +33,9 @@ class DiffuseField(eqx.Module):
     """What the solve left over, relative to its right-hand side [-]."""
 
 
-def block_mean(field: Float[Array, "*batch z y x"], factor: tuple[int, int]) -> Float[Array, "*batch Z Y X"]:
+def block_mean(
+    field: Float[Array, "*batch z y x"], factor: tuple[int, int]
+) -> Float[Array, "*batch Z Y X"]:
     """Average over blocks of `factor` = (layers, columns) voxels."""
     *batch, nz, ny, nx = field.shape
     fz, fh = factor
@@ -51,7 +53,8 @@ def scattering_matrices(
     """
     vectors = jnp.asarray(ordinates.vectors, incoming.dtype)
     weights = jnp.asarray(ordinates.weights, incoming.dtype)
-    reflected, transmitted = [], []
+    reflected: list[Array] = []
+    transmitted: list[Array] = []
     for angle in classes.angles:
         projection = angle.projection(incoming[:, 2]).astype(incoming.dtype)
         for kind, into in zip(area_scattering(angle, incoming, vectors), (reflected, transmitted)):
@@ -136,7 +139,11 @@ def solve_diffuse(
 
     light = scene.illumination
     arguments = (
-        classes.reflectance.T, classes.transmittance.T, ground, light.sun.astype(dtype), light.sky.astype(dtype)
+        classes.reflectance.T,
+        classes.transmittance.T,
+        ground,
+        light.sun.astype(dtype),
+        light.sky.astype(dtype),
     )
     return DiffuseField(*jax.lax.map(band, arguments))
 
@@ -164,11 +171,13 @@ def _gcr(
     positive definite here, because scattering loses light.
     """
 
-    def going(state: tuple[Array, ...]) -> Array:
+    State = tuple[Array, Array, Array, Array, Array]
+
+    def going(state: State) -> Array:
         _, residual, _, _, count = state
         return (residual @ residual > goal) & (count < iterations)
 
-    def iterate(state: tuple[Array, ...]) -> tuple[Array, ...]:
+    def iterate(state: State) -> State:
         solution, residual, directions, images, count = state
         image = matvec(residual.reshape(right.shape)).ravel()
         # Make the new image orthogonal to the kept ones, which have unit length.

@@ -53,11 +53,13 @@ class RayLattice(eqx.Module):
     @property
     def central(self) -> Float[Array, " 3"]:
         """Unit vector towards the sensor from the middle of the field of view."""
-        middle = jnp.stack([
-            0.5 * (self.slope_x[0] + self.slope_x[-1]),
-            0.5 * (self.slope_y[0] + self.slope_y[-1]),
-            jnp.ones((), self.slope_x.dtype),
-        ])
+        middle = jnp.stack(
+            [
+                0.5 * (self.slope_x[0] + self.slope_x[-1]),
+                0.5 * (self.slope_y[0] + self.slope_y[-1]),
+                jnp.ones((), self.slope_x.dtype),
+            ]
+        )
         return middle / jnp.linalg.norm(middle)
 
 
@@ -117,4 +119,6 @@ def pixel_projection(
     angles: tuple[AbstractLeafAngle, ...], rays: RayLattice
 ) -> Float[Array, "angle row column"]:
     """G of each distribution towards each pixel."""
-    return rays.angular(lambda v: jnp.stack([a.projection(v[:, 2]).astype(v.dtype) for a in angles]))
+    return rays.angular(
+        lambda v: jnp.stack([a.projection(v[:, 2]).astype(v.dtype) for a in angles])
+    )

@@ -85,8 +85,8 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
     ):
         if size % block:
             raise InputError(
-                f"`accuracy.coarsening` must divide the grid, but {block} does not divide the {size} "
-                f"voxels along {axis}; pad the scene with empty voxels or choose another factor"
+                f"`accuracy.coarsening` must divide the grid, but {block} does not divide the "
+                f"{size} voxels along {axis}; pad the scene or choose another factor"
             )
     sun = trace_sun(scene, accuracy.lattice, accuracy.sublayers, _margin(scene, accuracy))
     diffuse = solve_diffuse(
@@ -117,7 +117,12 @@ def render(light: Light, rays: RayLattice) -> Radiance:
     """
     accuracy = light.accuracy
     return see(
-        light.scene, light.sun, light.diffuse, rays, accuracy.coarsening, accuracy.ordinates,
+        light.scene,
+        light.sun,
+        light.diffuse,
+        rays,
+        accuracy.coarsening,
+        accuracy.ordinates,
         accuracy.sublayers,
     )
 
@@ -148,7 +153,8 @@ def directional_reflectance(
         return reflectance_factor(light, rays).mean(axis=(1, 2))
 
     zenith, azimuth = jnp.broadcast_arrays(
-        jnp.atleast_1d(jnp.asarray(view_zenith, dtype)), jnp.atleast_1d(jnp.asarray(view_azimuth, dtype))
+        jnp.atleast_1d(jnp.asarray(view_zenith, dtype)),
+        jnp.atleast_1d(jnp.asarray(view_azimuth, dtype)),
     )
     return jax.lax.map(one, (zenith, azimuth))
 
@@ -169,7 +175,9 @@ def fluxes(light: Light) -> Fluxes:
     projection = jnp.stack([a.projection(cosines) for a in classes.angles]).astype(dtype)
     owner = jnp.asarray(classes.angle_of_class)
     hit_by_sun = jnp.mean(scene.area_density * sun.voxel_transmittance, axis=(1, 2, 3))
-    direct = (hit_by_sun * sun_projection[owner])[None] * (scene.illumination.sun / sun.cosine)[:, None]
+    direct = (hit_by_sun * sun_projection[owner])[None] * (scene.illumination.sun / sun.cosine)[
+        :, None
+    ]
     seen = jnp.einsum("cw,w,bwzyx,czyx->bc", projection[owner], weights, diffuse.intensity, density)
     scattered = seen / (density[0].size)
     absorbed = (direct + scattered) * lost.T * column

@@ -38,7 +38,9 @@ def axis_weights(
 
 
 def sample(
-    field: Float[Array, "*batch y x"], rows: Float[Array, "row y"], columns: Float[Array, "column x"]
+    field: Float[Array, "*batch y x"],
+    rows: Float[Array, "row y"],
+    columns: Float[Array, "column x"],
 ) -> Float[Array, "*batch row column"]:
     """Sample the last two axes of `field` with one weight matrix each."""
     return jnp.einsum("ry,...yx,cx->...rc", rows, field, columns, optimize="optimal")

@@ -26,7 +26,7 @@ class OpticalClasses(eqx.Module):
 
     def total_by_angle(
         self, per_class: Float[Array, "class *grid"]
-    ) -> Float[Array, "angle *grid"]:
+    ) -> Float[Array, " angle *grid"]:
         """Sum a quantity over the classes that share a distribution of normals."""
         members = np.zeros((len(self.angles), len(self.angle_of_class)))
         members[list(self.angle_of_class), range(len(self.angle_of_class))] = 1.0
@@ -52,7 +52,7 @@ class VoxelScene(eqx.Module):
     area_density: Float[Array, "class z y x"]
     """One-sided area per volume [m2 m-3], layers from the ground up."""
     classes: OpticalClasses
-    ground: Float[Array, "band *yx"]
+    ground: Float[Array, " band *yx"]
     """Reflectance of the ground [-], one value a band or one a band and voxel column."""
     illumination: Illumination
     horizontal: float = eqx.field(static=True)
@@ -112,7 +112,9 @@ def check_scene(scene: VoxelScene) -> None:
         raise InputError(f"`boundary` must be 'periodic' or 'open', but is {scene.boundary!r}")
     for name in ("horizontal", "vertical"):
         if not getattr(scene, name) > 0:
-            raise InputError(f"`{name}` must be a positive length in m, but is {getattr(scene, name)}")
+            raise InputError(
+                f"`{name}` must be a positive length in m, but is {getattr(scene, name)}"
+            )
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(scene)):
         return
     _check_range("area_density [m2 m-3]", density, 0.0, math.inf)

@@ -81,9 +81,11 @@ def trace_sun(scene: VoxelScene, per_voxel: int, sublayers: int, margin: int) ->
     mean = mean.reshape(nz, sublayers, *mean.shape[1:])
     # The transpose of the sampling: light found on the beams goes back to the voxels that the
     # beams crossed, so that what the voxels take is what the beams lose.
-    voxel = sum(
-        jnp.einsum("zry,zrc,zcx->zyx", wy, mean[:, sub], wx, optimize="optimal")
-        for sub, (wy, wx) in enumerate(weights)
+    voxel = jnp.asarray(
+        sum(
+            jnp.einsum("zry,zrc,zcx->zyx", wy, mean[:, sub], wx, optimize="optimal")
+            for sub, (wy, wx) in enumerate(weights)
+        )
     ) / (sublayers * per_voxel**2)
     interfaces = jnp.concatenate([below[::sublayers], jnp.zeros_like(below[:1])])
     return SunField(interfaces, voxel, cosine, slope, pad, per_voxel)

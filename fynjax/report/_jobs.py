@@ -82,12 +82,16 @@ def run_demo(output: Path, *, seed: int, progress: Progress | None = None) -> di
     read = read_plot(example_folder() / "plot.toml")
     targets = [t for t in consistent_targets(independent=True) if t.name in _DEMO_LAYERS]
     names = tuple(t.key for t in targets)
-    data = weigh(
-        names, np.array([t.value for t in targets]), np.full(len(targets), np.nan), 0.02
-    )
+    data = weigh(names, np.array([t.value for t in targets]), np.full(len(targets), np.nan), 0.02)
     return _calibrate(
-        read, data, output, seed=seed, progress=progress, inputs=read.inputs,
-        reference=paper_simulation(), goals={"mean of a band": 3.0, "mean of an index": 5.0},
+        read,
+        data,
+        output,
+        seed=seed,
+        progress=progress,
+        inputs=read.inputs,
+        reference=paper_simulation(),
+        goals={"mean of a band": 3.0, "mean of an index": 5.0},
     )
 
 
@@ -95,9 +99,7 @@ _DEMO_LAYERS = (*BANDS, "NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", 
 """Fitted in the demo; the other consistent indices are functions of these."""
 
 
-def weigh(
-    names: Sequence[str], value: np.ndarray, sd: np.ndarray, relative_sd: float
-) -> Data:
+def weigh(names: Sequence[str], value: np.ndarray, sd: np.ndarray, relative_sd: float) -> Data:
     """Targets with the errors that a calibration gives them.
 
     A stated `sd` is kept. Where it is NaN a mean or quantile gets the share `relative_sd` of its
@@ -150,7 +152,9 @@ def _target(plot: Plot, target: Path) -> tuple[Data, dict[str, Any]]:
         share = float(mask.mean())
         data = weigh(names, value, np.full(len(names), np.nan), plot.calibration.target_sd)
         return data, {"target_valid_share": share}
-    known = {f"{layer}.{kind}" for layer in (*BANDS, *VEGETATION_INDICES) for kind in ("mean", "std")}
+    known = {
+        f"{layer}.{kind}" for layer in (*BANDS, *VEGETATION_INDICES) for kind in ("mean", "std")
+    }
     known |= {f"{layer}.q{q:02d}" for layer in (*BANDS, *VEGETATION_INDICES) for q in range(100)}
     known |= {f"{layer}.q{q}" for layer in (*BANDS, *VEGETATION_INDICES) for q in range(10)}
     read = read_statistics(target, known)
@@ -178,9 +182,7 @@ def _calibrate(
     began = time.perf_counter()
     with progress.stage("Build the plot"), _Clock(seconds, "build"):
         model, parameters = build_plot(plot, seed=seed)
-        space = free_space(
-            model, parameters, plot.calibration.free, plot.calibration.relative_sd
-        )
+        space = free_space(model, parameters, plot.calibration.free, plot.calibration.relative_sd)
     steps = plot.calibration.max_iterations
     with progress.stage("Calibrate", total=steps), _Clock(seconds, "calibrate"):
         result = calibrate_plot(
@@ -203,7 +205,14 @@ def _calibrate(
         seconds["total"] = time.perf_counter() - began
         record = provenance(seed=seed, inputs=inputs)
         summary = calibration_files(
-            output, plot, model, result, reference or {}, goals or {}, record, seconds,
+            output,
+            plot,
+            model,
+            result,
+            reference or {},
+            goals or {},
+            record,
+            seconds,
             peak_memory_mib(),
         )
     return {

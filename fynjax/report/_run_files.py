@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import xarray as xr
@@ -32,7 +33,7 @@ _TABLE_UNITS = {"image": "-"}
 
 
 def _indices(image: np.ndarray, names: tuple[str, ...] = _SHOWN) -> dict[str, np.ndarray]:
-    return dict(zip(names, np.asarray(vegetation_indices(image, names))))
+    return dict(zip(names, np.asarray(vegetation_indices(jnp.asarray(image), names))))
 
 
 def _write_image(
@@ -59,7 +60,10 @@ def render_files(
     """Write what a render makes; file names with what they hold."""
     _write_image(folder, "image.tif", image, plot, model, record)
     reflectance = image_array(
-        image, list(BANDS), list(model.camera.bands.centre), pixel_m=plot.sensor.pixel_m,
+        image,
+        list(BANDS),
+        list(model.camera.bands.centre),
+        pixel_m=plot.sensor.pixel_m,
         long_name="simulated reflectance factor",
     )
     write_run(
@@ -68,11 +72,13 @@ def render_files(
         record,
     )
     figures = {
-        kind: composites({plot.name: image}, BANDS, pixel_m=plot.sensor.pixel_m, kind=kind)  # type: ignore[arg-type]
+        kind: composites({plot.name: image}, BANDS, pixel_m=plot.sensor.pixel_m, kind=kind)
         for kind in ("true_like", "false_colour")
     }
     page = Page(plot.name, "The drone image that the plot file describes.")
-    page.key_figures({f"mean {b.replace('_', ' ')}": f"{v:.3f}" for b, v in zip(BANDS, image.mean((1, 2)))})
+    page.key_figures(
+        {f"mean {b.replace('_', ' ')}": f"{v:.3f}" for b, v in zip(BANDS, image.mean((1, 2)))}
+    )
     for kind, figure in figures.items():
         save_figure(figure, folder / f"{kind}.png")
         page.figure(figure, f"Simulated image, {kind.replace('_', ' ')}.")
@@ -111,18 +117,20 @@ def parameter_table(calibration: Calibration) -> pd.DataFrame:
     for i, name in enumerate(fit.names):
         kind = name.rsplit(".", 1)[-1]
         unit, factor = _SHOWN_UNITS.get(kind, (units[kind], 1.0))
-        rows.append({
-            "name": name,
-            "kind": kind,
-            "unit": unit,
-            "prior": factor * float(fit.space.prior[i]),
-            "prior_sd": factor * float(fit.space.prior_sd[i]),
-            "estimate": factor * float(fit.estimate[i]),
-            "sd": factor * float(fit.sd[i]),
-            "lower": factor * float(fit.space.lower[i]),
-            "upper": factor * float(fit.space.upper[i]),
-            "constrained": float(fit.constrained[i]),
-        })
+        rows.append(
+            {
+                "name": name,
+                "kind": kind,
+                "unit": unit,
+                "prior": factor * float(fit.space.prior[i]),
+                "prior_sd": factor * float(fit.space.prior_sd[i]),
+                "estimate": factor * float(fit.estimate[i]),
+                "sd": factor * float(fit.sd[i]),
+                "lower": factor * float(fit.space.lower[i]),
+                "upper": factor * float(fit.space.upper[i]),
+                "constrained": float(fit.constrained[i]),
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -130,14 +138,16 @@ def statistic_table(calibration: Calibration, reference: Mapping[str, float]) ->
     """Every target: real, simulated before and after, and another simulation's value."""
     data = calibration.fit.data
     real = np.asarray(data.value)
-    table = pd.DataFrame({
-        "statistic": data.names,
-        "real": real,
-        "target_sd": np.asarray(data.sd),
-        "before": np.asarray(calibration.statistics_before),
-        "after": np.asarray(calibration.statistics_after),
-        "reference": [reference.get(n, np.nan) for n in data.names],
-    })
+    table = pd.DataFrame(
+        {
+            "statistic": data.names,
+            "real": real,
+            "target_sd": np.asarray(data.sd),
+            "before": np.asarray(calibration.statistics_before),
+            "after": np.asarray(calibration.statistics_after),
+            "reference": [reference.get(n, np.nan) for n in data.names],
+        }
+    )
     for column in ("before", "after", "reference"):
         table[f"{column}_error_percent"] = 100.0 * (table[column] - real) / np.abs(real)
     return table
@@ -170,9 +180,8 @@ def calibration_files(
     seen = result.fit.seen()
     headline = [
         f"{plot.name}: largest error of a band mean {bands['before']:.1f} % before, "
-        f"{bands['after']:.1f} % after" + (
-            f" (the paper's own simulation: 11.7 to 24.5 %)." if reference else "."
-        ),
+        f"{bands['after']:.1f} % after"
+        + (" (the paper's own simulation: 11.7 to 24.5 %)." if reference else "."),
         f"Largest error of an index mean {indices['before']:.1f} % before, "
         f"{indices['after']:.1f} % after.",
         f"The data pin down {len(seen)} of {len(result.fit.names)} parameters"
@@ -180,7 +189,16 @@ def calibration_files(
         result.fit.status,
     ]
     _page(
-        folder, plot, result, parameters, statistics, figures, headline, goals, record, seconds,
+        folder,
+        plot,
+        result,
+        parameters,
+        statistics,
+        figures,
+        headline,
+        goals,
+        record,
+        seconds,
         memory_mib,
     )
     rows = statistics.to_dict("records")
@@ -196,13 +214,30 @@ def calibration_files(
             **{f"{name}.png": caption for name, (_, caption) in figures.items()},
         },
         "parameters": [
-            {k: row[k] for k in
-             ("name", "kind", "unit", "prior", "prior_sd", "estimate", "sd", "constrained")}
+            {
+                k: row[k]
+                for k in (
+                    "name",
+                    "kind",
+                    "unit",
+                    "prior",
+                    "prior_sd",
+                    "estimate",
+                    "sd",
+                    "constrained",
+                )
+            }
             for row in parameters.to_dict("records")
         ],
         "statistics": [
-            {"statistic": r["statistic"], "target": r["real"], "target_sd": r["target_sd"],
-             "before": r["before"], "after": r["after"], "reference": r["reference"]}
+            {
+                "statistic": r["statistic"],
+                "target": r["real"],
+                "target_sd": r["target_sd"],
+                "before": r["before"],
+                "after": r["after"],
+                "reference": r["reference"],
+            }
             for r in rows
         ],
         "unseen_directions": result.fit.unseen_directions(),
@@ -213,8 +248,10 @@ def _worst(statistics: pd.DataFrame) -> tuple[dict[str, float], dict[str, float]
     means = statistics[statistics["statistic"].str.endswith(".mean")]
     band = means["statistic"].str.split(".").str[0].isin(BANDS)
     return tuple(  # type: ignore[return-value]
-        {c: float(part[f"{c}_error_percent"].abs().max()) if len(part) else float("nan")
-         for c in ("before", "after")}
+        {
+            c: float(part[f"{c}_error_percent"].abs().max()) if len(part) else float("nan")
+            for c in ("before", "after")
+        }
         for part in (means[band], means[~band])
     )
 
@@ -246,19 +283,28 @@ def _figures(
         )
     pixel = plot.sensor.pixel_m
     return {
-        "true_like": (composites(pair, BANDS, pixel_m=pixel, kind="true_like"), "image before and after, nearly natural colours"),
-        "false_colour": (composites(pair, BANDS, pixel_m=pixel), "image before and after, near infrared as red"),
+        "true_like": (
+            composites(pair, BANDS, pixel_m=pixel, kind="true_like"),
+            "image before and after, nearly natural colours",
+        ),
+        "false_colour": (
+            composites(pair, BANDS, pixel_m=pixel),
+            "image before and after, near infrared as red",
+        ),
         "errors": (error_bars(errors), "error of each mean"),
         "indices": (
             index_histograms(
-                _indices(before, shown), _indices(after, shown), {k: target[k] for k in shown if k in target}
+                _indices(before, shown),
+                _indices(after, shown),
+                {k: target[k] for k in shown if k in target},
             ),
             "histograms of indices",
         ),
         "parameters": (parameter_plot(parameters), "prior and estimate of every parameter"),
         "constraint": (constraint_plot(parameters), "how far the data pinned each parameter down"),
         "convergence": (
-            convergence_plot(result.fit.loss, result.fit.gradient_norm), "objective at each evaluation"
+            convergence_plot(result.fit.loss, result.fit.gradient_norm),
+            "objective at each evaluation",
         ),
     }
 
@@ -268,7 +314,10 @@ def _dataset(plot: Plot, model: PlotModel, result: Calibration) -> xr.Dataset:
 
     def image(values: Any, what: str) -> xr.DataArray:
         return image_array(
-            np.asarray(values), list(BANDS), bands, pixel_m=plot.sensor.pixel_m,
+            np.asarray(values),
+            list(BANDS),
+            bands,
+            pixel_m=plot.sensor.pixel_m,
             long_name=f"simulated reflectance factor {what} calibration",
         )
 
@@ -283,33 +332,41 @@ def _dataset(plot: Plot, model: PlotModel, result: Calibration) -> xr.Dataset:
 
     def over(axis: str, coords: dict[str, Any], values: Any, name: str) -> xr.DataArray:
         return xr.DataArray(
-            np.asarray(values, float), dims=axis, coords=coords,
+            np.asarray(values, float),
+            dims=axis,
+            coords=coords,
             attrs={"long_name": name, "units": "1"},
         )
 
     every = named_values(result.after, model.taxa)
-    return xr.Dataset({
-        "reflectance_before": image(result.image_before, "before"),
-        "reflectance_after": image(result.image_after, "after"),
-        "prior": over("parameter", free, fit.space.prior, "prior, in parameter_unit"),
-        "prior_sd": over("parameter", free, fit.space.prior_sd, "prior sd, in parameter_unit"),
-        "estimate": over("parameter", free, fit.estimate, "estimate, in parameter_unit"),
-        "estimate_sd": over("parameter", free, fit.sd, "posterior sd, in parameter_unit"),
-        "constrained": over("parameter", free, fit.constrained, "1 - posterior/prior variance"),
-        "target": over("statistic", statistic, fit.data.value, "statistic of the real image"),
-        "target_sd": over("statistic", statistic, fit.data.sd, "its standard deviation"),
-        "simulated_before": over(
-            "statistic", statistic, result.statistics_before, "before calibration"
-        ),
-        "simulated_after": over("statistic", statistic, result.statistics_after, "after calibration"),
-        "all_parameters": xr.DataArray(
-            np.array([float(v) for v in every.values()]),
-            dims="any_parameter",
-            coords={"any_parameter": ("any_parameter", list(every), {"long_name": "parameter"})},
-            attrs={"long_name": "all parameters after calibration, own units", "units": "1"},
-        ),
-        "plants": _counts(model, np.asarray(model.counts(result.after))),
-    })
+    return xr.Dataset(
+        {
+            "reflectance_before": image(result.image_before, "before"),
+            "reflectance_after": image(result.image_after, "after"),
+            "prior": over("parameter", free, fit.space.prior, "prior, in parameter_unit"),
+            "prior_sd": over("parameter", free, fit.space.prior_sd, "prior sd, in parameter_unit"),
+            "estimate": over("parameter", free, fit.estimate, "estimate, in parameter_unit"),
+            "estimate_sd": over("parameter", free, fit.sd, "posterior sd, in parameter_unit"),
+            "constrained": over("parameter", free, fit.constrained, "1 - posterior/prior variance"),
+            "target": over("statistic", statistic, fit.data.value, "statistic of the real image"),
+            "target_sd": over("statistic", statistic, fit.data.sd, "its standard deviation"),
+            "simulated_before": over(
+                "statistic", statistic, result.statistics_before, "before calibration"
+            ),
+            "simulated_after": over(
+                "statistic", statistic, result.statistics_after, "after calibration"
+            ),
+            "all_parameters": xr.DataArray(
+                np.array([float(v) for v in every.values()]),
+                dims="any_parameter",
+                coords={
+                    "any_parameter": ("any_parameter", list(every), {"long_name": "parameter"})
+                },
+                attrs={"long_name": "all parameters after calibration, own units", "units": "1"},
+            ),
+            "plants": _counts(model, np.asarray(model.counts(result.after))),
+        }
+    )
 
 
 def _page(
@@ -327,15 +384,19 @@ def _page(
 ) -> None:
     bands, indices = _worst(statistics)
     page = Page(f"Calibration: {plot.name}", " ".join(headline[:2]))
-    page.key_figures({
-        "largest error of a band mean": f"{bands['after']:.1f} %",
-        "largest error of an index mean": f"{indices['after']:.1f} %",
-        "evaluations": str(len(result.fit.loss)),
-        "wall time": f"{seconds['total']:.0f} s",
-        "peak memory": f"{memory_mib / 1024:.1f} GiB",
-    })
+    page.key_figures(
+        {
+            "largest error of a band mean": f"{bands['after']:.1f} %",
+            "largest error of an index mean": f"{indices['after']:.1f} %",
+            "evaluations": str(len(result.fit.loss)),
+            "wall time": f"{seconds['total']:.0f} s",
+            "peak memory": f"{memory_mib / 1024:.1f} GiB",
+        }
+    )
     if goals:
-        page.paragraph("Aimed at: " + ", ".join(f"{k} within {v:g} %" for k, v in goals.items()) + ".")
+        page.paragraph(
+            "Aimed at: " + ", ".join(f"{k} within {v:g} %" for k, v in goals.items()) + "."
+        )
     page.section("The image").figure(figures["true_like"][0], "Nearly natural colours.")
     page.figure(figures["false_colour"][0], "False colour.")
     page.section("Against the real image").figure(

@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax._core.errors import InputError
 from fynjax.canopy import (
     FORM_DEFAULTS,
     CrownPacking,
@@ -38,13 +37,13 @@ from fynjax.radiation import (
     solve_light,
 )
 from fynjax.scene._parameters import PlotParameters
-from fynjax.scene._planting import Planting, no_plants, draw_planting, leafy_species
+from fynjax.scene._planting import Planting, draw_planting, leafy_species, no_plants
 from fynjax.scene._spectra import background_spectrum
 from fynjax.sensors import BandSet
 from fynjax.sensors._sky import clear_sky_diffuse_fraction
 
 # Petals as leaves without chlorophyll: an assumption, for want of measured fynbos petals.
-_PETAL = LeafParameters(
+_PETAL = LeafParameters.many(
     structure=2.0, chlorophyll=0.0, carotenoids=0.5, anthocyanins=1.0, water=0.008, dry_matter=0.003
 )
 
@@ -98,15 +97,13 @@ class PlotModel(eqx.Module):
         packing = CrownPacking(
             100.0 * species.packing,
             100.0 * species.fill,
-            np.asarray(self.branches),
-            np.asarray(self.rotation_spread),
-            np.asarray(self.minimum_area),
+            jnp.asarray(self.branches),
+            jnp.asarray(self.rotation_spread),
+            jnp.asarray(self.minimum_area),
         )
         each = instance_area(species.diameter, species.height, packing)
         plot = float(np.prod(self.grid.extent[:2]))
-        return soft_count(
-            target_area(plot, 100.0 * species.cover), each, np.asarray(self.branches)
-        )
+        return soft_count(target_area(plot, 100.0 * species.cover), each, np.asarray(self.branches))
 
     def area_density(self, parameters: PlotParameters) -> Float[Array, "class z y x"]:
         """Area per volume of each optical class: the species' leaves, then wood, then flowers."""
@@ -145,7 +142,7 @@ class PlotModel(eqx.Module):
         average = jnp.asarray(self.camera.bands.weights(self.wavelength), self.dtype)
         leafy = np.array(list(leafy_species(self.forms)), int)
         leaves = jax.tree.map(lambda x: x[leafy], parameters.leaf)
-        petal = jax.tree.map(lambda x: jnp.asarray(x, self.dtype)[None], _PETAL)
+        petal = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), _PETAL)
         leaves = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), leaves, petal)
         optics = jax.vmap(lambda leaf: prospect(leaf, self.wavelength))(leaves)
         reflectance = optics.reflectance @ average.T
@@ -207,8 +204,9 @@ class PlotModel(eqx.Module):
         light = solve_light(self.scene(parameters), self.accuracy)
         lx, ly, _ = self.grid.extent
         x, y = (
-            ((jnp.arange(0, round(length / self.camera.pixel), stride) + 0.5) * self.camera.pixel)
-            .astype(self.dtype)
+            (
+                (jnp.arange(0, round(length / self.camera.pixel), stride) + 0.5) * self.camera.pixel
+            ).astype(self.dtype)
             for length in (lx, ly)
         )
         rays = nadir_rays(x, y, self.camera.pixel, (lx / 2, ly / 2, self.camera.altitude))

@@ -120,23 +120,25 @@ def with_values(
     named = named_values(parameters, taxa) | values
 
     def vector(prefix: str, field: str, like: Array) -> Array:
-        return jnp.stack([
-            jnp.asarray(named[f"species.{taxon}.{prefix}{field}"], like.dtype) for taxon in taxa
-        ])
+        return jnp.stack(
+            [jnp.asarray(named[f"species.{taxon}.{prefix}{field}"], like.dtype) for taxon in taxa]
+        )
 
-    species = SpeciesParameters(**{
-        f.name: vector("", f.name, getattr(parameters.species, f.name))
-        for f in dataclasses.fields(SpeciesParameters)
-    })
+    species = SpeciesParameters(
+        **{
+            f.name: vector("", f.name, getattr(parameters.species, f.name))
+            for f in dataclasses.fields(SpeciesParameters)
+        }
+    )
     leaf = eqx.tree_at(
         lambda l: [getattr(l, name) for name in LEAF_FIELDS],
         parameters.leaf,
         [vector("leaf.", name, getattr(parameters.leaf, name)) for name in LEAF_FIELDS],
     )
-    ground = GroundParameters(**{
-        f.name: named[f"ground.{f.name}"] for f in dataclasses.fields(GroundParameters)
-    })
-    light = LightParameters(**{
-        f.name: named[f"light.{f.name}"] for f in dataclasses.fields(LightParameters)
-    })
+    ground = GroundParameters(
+        **{f.name: named[f"ground.{f.name}"] for f in dataclasses.fields(GroundParameters)}
+    )
+    light = LightParameters(
+        **{f.name: named[f"light.{f.name}"] for f in dataclasses.fields(LightParameters)}
+    )
     return PlotParameters(species, leaf, ground, light)

@@ -25,7 +25,7 @@ from fynjax.canopy import (
 class Planting(eqx.Module):
     """All plants that may stand on a plot and their area elements."""
 
-    species: Int[np.ndarray, " plant"]
+    species: Int[Array, " plant"]
     """Which species each plant belongs to."""
     place: Float[Array, " plant"]
     """Its place in the order in which its species fills the sites, from 0."""
@@ -87,29 +87,34 @@ def draw_planting(
             n, seed=seed + 1000 * (i + 1), rotation_spread=rotation_spread[i]
         )
         size = np.exp(np.sqrt(np.log1p(size_variation**2)) * rng.standard_normal(n))
-        plants.append({
-            "species": np.full(n, i),
-            "place": np.arange(n),
-            "size": size / np.sqrt(np.mean(size**2)),
-            "stature": 0.6 + 0.4 * rng.random(n),
-        })
+        plants.append(
+            {
+                "species": np.full(n, i),
+                "place": np.arange(n),
+                "size": size / np.sqrt(np.mean(size**2)),
+                "stature": 0.6 + 0.4 * rng.random(n),
+            }
+        )
         plant = plant_model(form, _elements(diameter[i], height[i], voxel), seed=seed + i)
         k = len(plant.organ)
+        turn, lean, one = jnp.asarray(azimuth), jnp.asarray(tilt), jnp.ones(n)
         shape = [
-            np.asarray(instantiate(plant, np.zeros((n, 2)), azimuth, 1.0, d, h, 1.0, tilt=tilt)[0])
+            np.asarray(instantiate(plant, jnp.zeros((n, 2)), turn, one, d, h, 1.0, tilt=lean)[0])
             for d, h in ((1.0, 0.0), (0.0, 1.0))
         ]
         organ = np.tile(np.asarray(plant.organ), n)
         of_organ = np.array([leafy.get(i, 0), wood, wood + 1])
-        elements.append({
-            "plant": first + np.repeat(np.arange(n), k),
-            "site": np.repeat(np.pad(places, ((0, 0), (0, 1))), k, axis=0),
-            "per_diameter": shape[0],
-            "per_height": shape[1],
-            "fraction": np.tile(np.asarray(plant.area_fraction), n),
-            "organ": organ,
-            "optical_class": of_organ[organ],
-        })
+        elements.append(
+            {
+                "plant": first + np.repeat(np.arange(n), k),
+                "site": np.repeat(np.pad(places, ((0, 0), (0, 1))), k, axis=0),
+                "per_diameter": shape[0],
+                "per_height": shape[1],
+                "fraction": np.tile(np.asarray(plant.area_fraction), n),
+                "organ": organ,
+                "optical_class": of_organ[organ],
+            }
+        )
         first += n
     whole = {"species", "plant", "organ", "optical_class"}
 
@@ -117,7 +122,8 @@ def draw_planting(
         names = parts[0] if parts else {}
         return {
             name: jnp.asarray(
-                np.concatenate([part[name] for part in parts]), jnp.int32 if name in whole else dtype
+                np.concatenate([part[name] for part in parts]),
+                jnp.int32 if name in whole else dtype,
             )
             for name in names
         }

@@ -61,7 +61,9 @@ def shrubs(side: float, seed: int = 7) -> VoxelScene:
         density[rng.integers(4), :, rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += (
             inside * rng.uniform(1.0, 4.0)
         )
-    albedo = np.array([[0.22, 0.10, 0.90], [0.16, 0.08, 0.82], [0.28, 0.16, 0.93], [0.19, 0.13, 0.72]])
+    albedo = np.array(
+        [[0.22, 0.10, 0.90], [0.16, 0.08, 0.82], [0.28, 0.16, 0.93], [0.19, 0.13, 0.72]]
+    )
     half = jnp.asarray(albedo / 2, jnp.float32)
     sky = jnp.array([0.22, 0.17, 0.10], jnp.float32)
     return VoxelScene(
@@ -75,13 +77,17 @@ def shrubs(side: float, seed: int = 7) -> VoxelScene:
     )
 
 
-def clock(function: Callable[..., Any], *arguments: Any, repeats: int = 3) -> tuple[float, float, float]:
+def clock(
+    function: Callable[..., Any], *arguments: Any, repeats: int = 3
+) -> tuple[float, float, float]:
     """Compile time [s], best time [s] and planned memory [MiB] of a jitted function."""
     start = time.perf_counter()
     compiled = jax.jit(function).lower(*arguments).compile()
     compiling = time.perf_counter() - start
     plan = compiled.memory_analysis()
-    memory = (plan.argument_size_in_bytes + plan.output_size_in_bytes + plan.temp_size_in_bytes) / 2**20
+    memory = (
+        plan.argument_size_in_bytes + plan.output_size_in_bytes + plan.temp_size_in_bytes
+    ) / 2**20
     times = []
     for _ in range(repeats):
         start = time.perf_counter()
@@ -115,7 +121,8 @@ def compare_with_path_tracer() -> None:
     if not REFERENCE.is_file():
         print(f"no reference image at {REFERENCE}: comparison left out")
         return
-    from tests.radiation.test_reference_scenes import comparison, shrubs as reference_shrubs
+    from tests.radiation.test_reference_scenes import comparison
+    from tests.radiation.test_reference_scenes import shrubs as reference_shrubs
 
     def even(angle: Any, incoming: jax.Array, outgoing: jax.Array) -> tuple[jax.Array, jax.Array]:
         value = jnp.full((incoming.shape[0], outgoing.shape[0]), 0.125, incoming.dtype)
@@ -131,7 +138,9 @@ def compare_with_path_tracer() -> None:
         for pixels in (200, 400):
             x = (jnp.arange(pixels, dtype=jnp.float32) + 0.5) * (10 / pixels)
             rays = parallel_rays(x, x, 10 / pixels, 0.0, 0.0)
-            image = jax.jit(lambda s, r=rays: reflectance_factor(solve_light(s, ACCURACY), r))(scene)
+            image = jax.jit(lambda s, r=rays: reflectance_factor(solve_light(s, ACCURACY), r))(
+                scene
+            )
             parts = pixels // 100
             means = np.asarray(image).reshape(BANDS, 100, parts, 100, parts).mean(axis=(2, 4))
             error = (means - want.transpose(2, 0, 1)) / mean[:, None, None]
@@ -157,7 +166,10 @@ def main() -> None:
         time_image(small, 10.0, pixels, 3)
     print("\ncost against area, two rays a voxel edge")
     forward = [time_image(shrubs(side), side, round(20 * side), 1) for side in (5.0, 10.0, 20.0)]
-    print("seconds a square metre:", [f"{t / s**2:.4f}" for t, s in zip(forward, (5, 10, 20), strict=True)])
+    print(
+        "seconds a square metre:",
+        [f"{t / s**2:.4f}" for t, s in zip(forward, (5, 10, 20), strict=True)],
+    )
     compare_with_path_tracer()
 
 

@@ -71,7 +71,7 @@ def test_leaf_rows_fall_back_to_the_star_row(folder):
     assert by_taxon["Restio eleocharis"].leaf.parameters["dry_matter"] == 0.05
     default = by_taxon["Erica irregularis"].leaf.parameters
     assert tuple(default) == PROSPECT_COLUMNS
-    assert default["chlorophyll"] == 40.0
+    assert default["chlorophyll"] == 60.0
 
 
 def test_paths_start_from_the_file_not_from_the_working_folder(folder, monkeypatch, tmp_path):

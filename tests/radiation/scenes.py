@@ -19,9 +19,7 @@ from fynjax.radiation import (
     solve_light,
 )
 
-FINE = Accuracy(
-    lattice=1, coarsening=(1, 1), levels=6, azimuths=8, tolerance=1e-9, iterations=200
-)
+FINE = Accuracy(lattice=1, coarsening=(1, 1), levels=6, azimuths=8, tolerance=1e-9, iterations=200)
 """For a laterally uniform slab of thin layers: only the quadrature of directions is left."""
 
 
@@ -87,9 +85,7 @@ def patchy(
             (0, 1, 1),
         ),
         jnp.asarray(rng.uniform(0.05, 0.3, (2, *shape[1:]))),
-        Illumination(
-            jnp.array(sun[0]), jnp.array(sun[1]), 1 - jnp.asarray(sky), jnp.asarray(sky)
-        ),
+        Illumination(jnp.array(sun[0]), jnp.array(sun[1]), 1 - jnp.asarray(sky), jnp.asarray(sky)),
         size,
         size,
         boundary,

@@ -6,13 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fynjax.radiation import Accuracy, nadir_rays, reflectance_factor, render
+from fynjax.radiation import Accuracy, nadir_rays, parallel_rays, reflectance_factor, render
 from tests.radiation.scenes import closure, fluxes_of, patchy, reflectance_of, solver
 
 CELLS = Accuracy(coarsening=(1, 1), tolerance=1e-7, margin=6)
-MANY = Accuracy(
-    lattice=4, sublayers=6, coarsening=(1, 1), levels=6, azimuths=12, tolerance=1e-7
-)
+MANY = Accuracy(lattice=4, sublayers=6, coarsening=(1, 1), levels=6, azimuths=12, tolerance=1e-7)
 BLOCKS = Accuracy(coarsening=(2, 2), tolerance=1e-7, margin=6)
 X, Y = jnp.linspace(0.02, 0.78, 9), jnp.linspace(0.03, 0.57, 7)
 
@@ -74,7 +72,6 @@ def test_uniform_light_stays_uniform():
     """Under an even sky over white soil a white canopy cannot be told from its surroundings."""
     light = solver(MANY)(white(patchy(), 0.0))
     np.testing.assert_allclose(light.diffuse.intensity, 1 / np.pi, rtol=1e-4)
-    np.testing.assert_allclose(camera_factor(light), 1.0, rtol=1e-4)
     aslant = reflectance_of(light, np.array([50.0]), np.array([123.0]))
     np.testing.assert_allclose(aslant, 1.0, rtol=1e-4)
 
@@ -84,18 +81,31 @@ def test_uniform_light_stays_uniform_in_few_directions():
     as well as they integrate the scattering function: within 0.1 %."""
     light = solver(CELLS)(white(patchy(), 0.0))
     np.testing.assert_allclose(light.diffuse.intensity, 1 / np.pi, rtol=1e-3)
-    np.testing.assert_allclose(camera_factor(light), 1.0, rtol=1e-3)
+    downwards = parallel_rays(X, Y, 0.05, 0.0, 0.0)
+    np.testing.assert_allclose(photograph(light, downwards), 1.0, rtol=1e-3)
+
+
+def test_uniform_light_stays_uniform_across_a_wide_field_of_view():
+    """Leaves that lie flat show a frame camera less of themselves towards its edge; what they
+    send there must shrink as what they hide does."""
+    wide = nadir_rays(X, Y, 0.05, (0.4, 0.3, 0.6))
+    image = photograph(solver(MANY)(white(patchy(), 0.0)), wide)
+    np.testing.assert_allclose(image, 1.0, rtol=5e-3)
 
 
 @pytest.mark.parametrize("boundary", ["periodic", "open"])
 def test_an_empty_grid_shows_bare_soil(boundary):
     scene = patchy(boundary)
     scene = eqx.tree_at(lambda s: s.area_density, scene, jnp.zeros_like(scene.area_density))
-    scene = eqx.tree_at(lambda s: s.ground, scene, jnp.array([[[0.25]], [[0.1]]]) * jnp.ones((2, 6, 8)))
+    scene = eqx.tree_at(
+        lambda s: s.ground, scene, jnp.array([[[0.25]], [[0.1]]]) * jnp.ones((2, 6, 8))
+    )
     light = solver(CELLS)(scene)
     got = camera_factor(light)
     inside = got[:, 1:-1, 1:-1]  # the outer pixels reach over the edge of the scene
-    np.testing.assert_allclose(inside, np.broadcast_to([[[0.25]], [[0.1]]], inside.shape), rtol=1e-12)
+    np.testing.assert_allclose(
+        inside, np.broadcast_to([[[0.25]], [[0.1]]], inside.shape), rtol=1e-12
+    )
     flux = fluxes_of(light)
     np.testing.assert_allclose(flux.transmitted, 1.0, rtol=1e-12)
     np.testing.assert_array_equal(flux.absorbed, 0.0)
@@ -147,7 +157,9 @@ def test_reciprocity_of_the_scene_mean():
         got = []
         for sun, view in ((one, other), (other, one)):
             light = solver(MANY)(patchy(sun=sun, sky=(0.0, 0.0)))
-            got.append(np.asarray(reflectance_of(light, np.array([view[0]]), np.array([view[1]])))[0])
+            got.append(
+                np.asarray(reflectance_of(light, np.array([view[0]]), np.array([view[1]])))[0]
+            )
         np.testing.assert_allclose(got[0], got[1], rtol=3e-3)
 
 

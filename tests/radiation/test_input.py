@@ -17,10 +17,7 @@ def change(select, value, boundary="periodic"):
 def with_static(**fields):
     scene = patchy()
     return type(scene)(
-        **{
-            name: fields.get(name, getattr(scene, name))
-            for name in scene.__dataclass_fields__
-        }
+        **{name: fields.get(name, getattr(scene, name)) for name in scene.__dataclass_fields__}
     )
 
 
@@ -142,7 +139,10 @@ def test_a_good_scene_passes():
 
 @pytest.mark.parametrize(
     ("coarsening", "message"),
-    [((3, 2), "3 does not divide the 4 voxels along z"), ((2, 4), "4 does not divide the 6 voxels along y")],
+    [
+        ((3, 2), "3 does not divide the 4 voxels along z"),
+        ((2, 4), "4 does not divide the 6 voxels along y"),
+    ],
 )
 def test_a_coarsening_that_does_not_divide_the_grid(coarsening, message):
     with pytest.raises(InputError, match=message + ".*pad the scene"):

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from fynjax.leaf import LeafParameters
@@ -56,3 +57,7 @@ def small_plot(**changes: Any) -> PlotModel:
         "dtype": "float64",
     } | changes
     return build_model(TAXA, FORMS, small_parameters(), **options)
+
+
+render = eqx.filter_jit(lambda model, parameters, stride=1: model.image(parameters, stride))
+densities = eqx.filter_jit(lambda model, parameters: model.area_density(parameters))
