@@ -75,7 +75,7 @@ def test_leaf_rows_fall_back_to_the_star_row(folder):
 
 
 def test_paths_start_from_the_file_not_from_the_working_folder(folder, monkeypatch, tmp_path):
-    edit(folder / "leaves.csv", "*,1.8,40,9,1.5,0.1,0.02,0.02,", "*,,,,,,,,spectra/leaf.csv")
+    edit(folder / "leaves.csv", "*,1.8,60,12,1.5,0.1,0.02,0.02,", "*,,,,,,,,spectra/leaf.csv")
     (folder / "spectra").mkdir()
     (folder / "spectra" / "leaf.csv").write_text("wavelength_nm,reflectance\n400,0.1\n")
     monkeypatch.chdir(tmp_path)
@@ -91,7 +91,7 @@ def test_priors_of_the_user_win_over_defaults(folder):
     calibration = read_plot(folder / "plot.toml").calibration
     assert calibration.relative_sd("species.Erica irregularis.cover") == 0.1
     assert calibration.relative_sd("species.Deadwood.cover") == 0.25
-    assert calibration.relative_sd("ground.brightness") == 0.3
+    assert calibration.relative_sd("ground.brightness") == 0.5
     assert calibration.is_free("species.Deadwood.cover")
     assert not calibration.is_free("species.Deadwood.height")
 
@@ -219,7 +219,7 @@ def test_unknown_taxon_in_the_leaf_table_names_the_nearest(folder):
 LEAF_SLIPS = [
     ("0.05,0.05,", "0.05,500,", "dry_matter", r"g m-2\? In g cm-2 .* 0.05"),
     ("0.05,0.05,", "50,0.05,", "water", "g m-2"),
-    ("2.2,35,", "0.5,35,", "structure", "from 1 to 5"),
+    ("2.2,50,", "0.5,50,", "structure", "from 1 to 5"),
     ("0.05,0.05,", "0.05,0.05,leaf.asd", None, "got both"),
     ("0.05,0.05,", "0.05,,", None, "dry_matter is empty"),
 ]
@@ -237,7 +237,7 @@ def test_a_wrong_leaf_row_is_named(folder, old, new, column, words):
 
 def test_a_missing_spectrum_names_table_row_and_neighbour(folder):
     (folder / "leaf_1.csv").write_text("x")
-    edit(folder / "leaves.csv", "2.2,35,8,1.5,0.3,0.05,0.05,", ",,,,,,,leaf_2.csv")
+    edit(folder / "leaves.csv", "2.2,50,10,1.5,0.3,0.05,0.05,", ",,,,,,,leaf_2.csv")
     with pytest.raises(InputError, match=r"'leaf_2.csv'.*Did you mean 'leaf_1.csv'") as caught:
         read_plot(folder / "plot.toml")
     assert caught.value.row == row_of(folder / "leaves.csv", "Restio")
@@ -250,7 +250,7 @@ def test_a_species_without_leaf_optics_is_refused(folder):
 
 
 PLOT_SLIPS = [
-    ("zenith_deg = 30.0", "zenith_deg = 95", "sun.zenith_deg", "below the horizon"),
+    ("zenith_deg = 27.0", "zenith_deg = 95", "sun.zenith_deg", "below the horizon"),
     ("azimuth_deg = 0.0", 'azimuth_deg = "north"', "sun.azimuth_deg", "'north'"),
     ("size_m = 10.0", "size_m = 10.05", "plot.size_m", "nearest is 10 m"),
     ("size_m = 10.0", "size_m = [10]", "plot.size_m", r"\[east-west, north-south\].* got \[10\]"),
@@ -258,7 +258,7 @@ PLOT_SLIPS = [
     ("voxel_m = 0.1", "voxel = 0.1", "plot.voxel", "Did you mean 'voxel_m'"),
     ('boundary = "periodic"', 'boundary = "period"', "plot.boundary", "Did you mean 'periodic'"),
     ('"species.csv"', '"specie.csv"', "plot.species_table", "Did you mean 'species.csv'"),
-    ("brightness = 1.0", "brightness = 20", "ground.brightness", "from 0.2 to 2"),
+    ("brightness = 0.8", "brightness = 20", "ground.brightness", "from 0.2 to 2"),
     (
         "aerosol_optical_depth = 0.1",
         "aerosol_optical_depth = 5",
@@ -271,7 +271,7 @@ PLOT_SLIPS = [
     ("seed = 0", "seed = 0.5", "scene.seed", "whole number"),
     ('"*.diameter" = 0.25', '"*.diameter" = -1', None, "-1"),
     ("[sun]", "[sunn]", "sunn", "Did you mean 'sun'"),
-    ("zenith_deg = 30.0", "zenith_deg = ", 14, "TOML"),
+    ("zenith_deg = 27.0", "zenith_deg = ", 14, "TOML"),
 ]
 
 

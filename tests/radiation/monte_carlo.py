@@ -23,10 +23,8 @@ def _inclination(second: float, spherical: bool) -> float:
     """Draw the inclination of a normal by rejection [rad]."""
     while True:
         angle = 0.5 * np.pi * np.random.random()
-        if spherical:
-            keep = np.sin(angle)
-        else:
-            keep = (1 + second * np.cos(2 * angle)) / (1 + abs(second))
+        wave = (1 + second * np.cos(2 * angle)) / (1 + abs(second))
+        keep = np.sin(angle) if spherical else wave
         if np.random.random() < keep:
             return angle
 
@@ -173,7 +171,8 @@ def simulate(scene: Any, band: int, photons: int, batches: int = 20) -> dict[str
             _batch(
                 seed, photons // batches, np.asarray(scene.area_density),
                 np.array([scene.horizontal, scene.vertical]), projections, second, spherical,
-                np.asarray(classes.reflectance)[:, band], np.asarray(classes.transmittance)[:, band],
+                np.asarray(classes.reflectance)[:, band],
+                np.asarray(classes.transmittance)[:, band],
                 np.asarray(scene.ground_map)[band], sunward, sky,
             )
             for seed in range(batches)

@@ -163,6 +163,26 @@ def test_light_of_one_cell_travels_along_its_ordinate(ordinate):
     np.testing.assert_allclose(centre, vector[:2] * height / abs(vector[2]), atol=1e-12)
 
 
+def test_light_of_one_spot_of_ground_travels_along_each_ordinate():
+    """It starts at the ground, half a layer below the middle of the first."""
+    n, layers = 41, 4
+    scene = single(np.zeros((layers, n, n)), "periodic", (10.0, 0.0))
+    ordinates = Ordinates.create(2, 6)
+    coarse = coarse_grid(scene, scene.area_density, (1, 1), ordinates)
+    spot = jnp.zeros((n, n)).at[n // 2, n // 2].set(1.0)
+    dark = jnp.zeros((24, layers, n, n))
+    mean, _, _ = sweep(coarse, dark, jnp.zeros(()), jnp.ones((n, n)), spot)
+    cell = (np.arange(n) - n // 2) * 0.1
+    for ordinate in range(12, 24):
+        vector = ordinates.vectors[ordinate]
+        for layer in range(layers):
+            light = np.asarray(mean)[ordinate, layer]
+            assert light.sum() == pytest.approx(1 / np.pi)
+            centre = np.array([(light.sum(0) @ cell), (light.sum(1) @ cell)]) / light.sum()
+            height = 0.1 * (layer + 0.5)
+            np.testing.assert_allclose(centre, vector[:2] / vector[2] * height, atol=1e-9)
+
+
 def test_ordinates_integrate_the_sphere():
     ordinates = Ordinates.create(3, 6)
     vectors, weights = ordinates.vectors, ordinates.weights

@@ -25,7 +25,8 @@ DENSITY = patchy().area_density
 CASES = {
     "negative density": (
         lambda: change(lambda s: s.area_density, DENSITY.at[1, 2, 3, 4].set(-0.5)),
-        r"area_density \[m2 m-3\]` must be finite and in \[0, inf\], but 1 values .* -0.5 at index \(1, 2, 3, 4\)",
+        r"area_density \[m2 m-3\]` must be finite and in \[0, inf\], but 1 values are not; "
+        r"the first is -0.5 at index \(1, 2, 3, 4\)",
     ),
     "density not a number": (
         lambda: change(lambda s: s.area_density, DENSITY.at[0, 0, 0, 1].set(jnp.nan)),
@@ -150,10 +151,10 @@ def test_a_coarsening_that_does_not_divide_the_grid(coarsening, message):
 
 
 def test_an_open_scene_with_a_traced_sun_needs_a_margin():
-    with pytest.raises(InputError, match="`accuracy.margin` must be given"):
+    with pytest.raises(InputError, match=r"`accuracy.margin` must be given"):
         jax.eval_shape(solve_light, patchy("open"))
 
 
 def test_shapes_are_checked_under_jit_too():
-    with pytest.raises(InputError, match="`classes.reflectance` must have shape"):
+    with pytest.raises(InputError, match=r"`classes.reflectance` must have shape"):
         jax.eval_shape(solve_light, change(lambda s: s.area_density, DENSITY[:2]))

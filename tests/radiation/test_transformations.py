@@ -41,11 +41,3 @@ def test_scenes_of_equal_shape_share_one_compilation():
     assert traces == ["periodic"]
     counted(patchy("open"))
     assert traces == ["periodic", "open"]
-
-
-def test_compiled_and_plain_agree():
-    accuracy = Accuracy(levels=1, margin=4)
-    plain = solve_light(patchy("open"), accuracy)
-    compiled = jax.jit(lambda scene: solve_light(scene, accuracy))(patchy("open"))
-    for one, other in zip(jax.tree.leaves(plain), jax.tree.leaves(compiled), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
