@@ -76,7 +76,7 @@ def calibrate_plot(
     stride: int = 4,
     coarse: Accuracy = COARSE,
     rounds: int = 2,
-    max_steps: int = 8,
+    max_steps: int = 5,
     tolerance: float = 0.02,
     method: str = "least_squares",
     start: Float[Array, " free"] | None = None,
@@ -86,9 +86,9 @@ def calibrate_plot(
 
     The search renders every `stride`-th pixel with `coarse` light. What that lacks against the
     full image at the model's own accuracy is measured at the start of each of the `rounds` and
-    added to its statistics, so that the estimate is one of the full model. `method`, `max_steps`,
-    `tolerance` and `start` are those of `fit`; `report` is called with the stage, the objective
-    and its gradient's norm.
+    added to its statistics, so that the estimate is one of the full model; rounds after the first
+    only correct, in two steps. `method`, `max_steps`, `tolerance` and `start` are those of
+    `fit`; `report` is called with the stage, the objective and its gradient's norm.
     """
     names = data.names
     quick = dataclasses.replace(model, accuracy=_dividing(coarse, model))
@@ -118,7 +118,7 @@ def calibrate_plot(
             data,
             space,
             method=method,
-            max_steps=max_steps,
+            max_steps=max_steps if turn == 0 else 2,
             tolerance=tolerance,
             start=u,
             offset=offset,

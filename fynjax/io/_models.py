@@ -360,7 +360,7 @@ class CalibrationTable(Strict):
         description="Relative standard deviation of the prior, by pattern [-].",
     )
     max_iterations: int = Field(
-        default=8, description="Most steps of the optimiser in a round [-].", ge=1, le=10000
+        default=5, description="Most steps of the optimiser in a round [-].", ge=1, le=10000
     )
 
 
