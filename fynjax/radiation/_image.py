@@ -53,6 +53,7 @@ def see(
     dtype = scene.area_density.dtype
     source = _diffuse_source(scene, diffuse, rays.central, factor, ordinates)
     projection = pixel_projection(classes.angles, rays)
+    in_middle = jnp.stack([a.projection(rays.central[2]) for a in classes.angles]).astype(dtype)
     owner = jnp.asarray(classes.angle_of_class)
     cosine = rays.cosine
     step = scene.vertical / sublayers
@@ -70,7 +71,8 @@ def see(
         columns = axis_weights(x, rays.footprint, nx, scene.horizontal, scene.boundary)
         rows = axis_weights(y, rays.footprint, ny, scene.horizontal, scene.boundary)
         area = sample(density, rows, columns)
-        along = jnp.sum(area * projection[owner], axis=0) * (step / cosine)
+        turned = jnp.sum(area * projection[owner], axis=0)
+        along = turned * (step / cosine)
         low = bottom + share * step
         x, y = axes(low)
         below = interface_depth(sun, top_depth, low, x, y, scene)
@@ -78,6 +80,12 @@ def see(
         weight = jnp.exp(-depth - above) * mean_transmittance(crossed) * (step / cosine)
         seen = seen + weight * area
         weight = jnp.exp(-depth) * mean_transmittance(along) * (step / cosine)
+        if rays.nodes > 1:
+            # The source is that towards the middle of the view. Elsewhere the pixel sees another
+            # area of the same leaves, and what they send shrinks or grows with it.
+            hidden = jnp.tensordot(in_middle[owner], area, axes=1)
+            some = hidden > 0
+            weight = weight * jnp.where(some, turned, 1.0) / jnp.where(some, hidden, 1.0)
         glow = glow + weight * sample(emitted, rows, columns)
         return (depth + along, below, seen, glow), None
 

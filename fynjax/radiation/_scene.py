@@ -137,7 +137,7 @@ def check_scene(scene: VoxelScene) -> None:
 
 def _check_range(name: str, values: Float[Array, "*any"], low: float, high: float) -> None:
     array = np.asarray(values)
-    bad = ~((array >= low) & (array <= high))
+    bad = ~(np.isfinite(array) & (array >= low) & (array <= high))
     if bad.any():
         first = tuple(int(i) for i in np.argwhere(bad)[0])
         raise InputError(
