@@ -1,13 +1,14 @@
 """Leaf optics: PROSPECT, forward and backward."""
 
 from fynjax.leaf._coefficients import ProspectVersion
+from fynjax.leaf._detectors import correct_detector_jumps
 from fynjax.leaf._error_model import (
     ErrorModel,
     default_error_model,
     estimate_error_model,
     independent_error_model,
 )
-from fynjax.leaf._fit import FitDomain, LeafFit, fit_leaf
+from fynjax.leaf._fit import TRAIT_DISCREPANCY, LeafFit, fit_leaf
 from fynjax.leaf._measurement import (
     AbstractMeasurement,
     IntegratingSphere,
@@ -17,10 +18,12 @@ from fynjax.leaf._measurement import (
     transmittance_from_two_readings,
 )
 from fynjax.leaf._parameters import LeafParameters
+from fynjax.leaf._problem import FitDomain
 from fynjax.leaf._prospect import LeafOptics, interface_transmissivity, prospect
 from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
 
 __all__ = [
+    "TRAIT_DISCREPANCY",
     "AbstractMeasurement",
     "ErrorModel",
     "FitDomain",
@@ -32,6 +35,7 @@ __all__ = [
     "LeafParameters",
     "LeafStack",
     "ProspectVersion",
+    "correct_detector_jumps",
     "default_error_model",
     "estimate_error_model",
     "exponential_integral",

@@ -4,8 +4,8 @@ A leaf's reflectance and transmittance differ from PROSPECT at its measured chem
 hundredths, and the difference at one band says nearly all about the next. Taken as independent
 noise, a thousand bands then promise a thousandfold certainty that is not there. Here the
 discrepancy of R and T together is Gaussian with the covariance F^T F + diag(noise^2): a few smooth
-factors F shared by R and T, and a small rest. It is kept on bins of 10 nm, wide enough to average
-the instrument's noise and narrow enough for PROSPECT's bands.
+factors F shared by R and T, and a small rest. It is kept on bins of 5 nm (pigments) and 10 nm, wide
+enough to average the instrument's noise and narrow enough for PROSPECT's bands.
 """
 
 from collections.abc import Sequence
@@ -17,12 +17,21 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-BIN_WIDTH = 10.0
-
 
 def bin_centres() -> np.ndarray:
-    """Centres of the bins on which spectra are fitted [nm]: 400, 410, ... 2500."""
-    return np.arange(400.0, 2500.0 + BIN_WIDTH / 2, BIN_WIDTH)
+    """Centres of the bins on which spectra are fitted [nm]: every 5 to 780, every 10 to 2500.
+
+    Absorption is averaged over a bin before, not after, it acts. With bins of 10 nm that lowers
+    fitted chlorophyll by 2.6 % and carotenoids by 5 %, with 5 nm by 0.5 % and 1 %; water and dry
+    matter, whose bands are wider, change by 0.4 % with 10 nm.
+    """
+    return np.concatenate([np.arange(400.0, 781.0, 5.0), np.arange(790.0, 2501.0, 10.0)])
+
+
+def _bin_edges() -> np.ndarray:
+    centres = bin_centres()
+    between = (centres[1:] + centres[:-1]) / 2
+    return np.concatenate([[centres[0] - 2.5], between, [centres[-1] + 5.0]])
 
 
 class ErrorModel(eqx.Module):
@@ -46,7 +55,8 @@ def estimate_error_model(
     """Factors of the discrepancy between PROSPECT and measured leaves of several data sets.
 
     Half of the covariance is the mean second moment of the residuals (each set counts the same, and
-    about zero: a mean misfit of one set is an error another set need not share). The other half is
+    about zero: a mean misfit of one set is an error another set need not share; a leaf counts as
+    no more than 2.5 times the median size, so that a few do not make the model). The other half is
     a Gaussian process of the same variance with correlation lengths of 15, 60 and 300 nm (weights
     0.2, 0.4, 0.4), which covers errors that leaves not yet seen may show; without it the intervals
     are too narrow on every other set. Variances outside 450-2400 nm are those of the nearest band.
@@ -64,6 +74,8 @@ def estimate_error_model(
         flat = np.where(used, residuals, np.nan).reshape(len(residuals), -1)
         known = np.isfinite(flat)
         filled = np.where(known, flat, 0.0)
+        size = np.sqrt((filled**2).sum(1) / np.maximum(known.sum(1), 1))
+        filled *= np.minimum(1.0, 2.5 * np.median(size) / np.maximum(size, 1e-9))[:, None]
         moments.append(filled.T @ filled / np.maximum(known.T.astype(float) @ known, 1.0))
     own = np.mean(moments, axis=0)
     inner = (centres >= 450.0) & (centres <= 2400.0)
@@ -76,7 +88,8 @@ def estimate_error_model(
         block = slice(part * bins, (part + 1) * bins)
         variance = np.maximum(np.diag(own)[block], 1e-5)
         variance = np.interp(centres, centres[inner], variance[inner])
-        variance = np.convolve(np.pad(variance, 10, "edge"), np.full(21, 1 / 21), "valid")
+        near = np.exp(-distance2 / (2.0 * 60.0**2))
+        variance = near @ variance / near.sum(1)
         smooth[block, block] = correlation * np.sqrt(np.outer(variance, variance))
     total = own_share * own + (1.0 - own_share) * smooth
     sizes, directions = np.linalg.eigh(total)
@@ -120,15 +133,21 @@ def to_bins(wavelength: np.ndarray, spectra: np.ndarray) -> np.ndarray:
     centres = bin_centres()
     spectra = np.asarray(spectra, float)
     lead = spectra.reshape(-1, spectra.shape[-1])
-    edges = np.append(centres - BIN_WIDTH / 2, centres[-1] + BIN_WIDTH / 2)
-    place = np.digitize(wavelength, edges) - 1
-    inside = (place >= 0) & (place < centres.size)
-    select = np.zeros((wavelength.size, centres.size))
-    select[np.flatnonzero(inside), place[inside]] = 1.0
+    place = np.digitize(wavelength, _bin_edges()) - 1
+    inside = np.flatnonzero((place >= 0) & (place < centres.size))
     finite = np.isfinite(lead)
-    count = finite @ select
-    total = np.where(finite, lead, 0.0) @ select
-    shift = (finite * wavelength) @ select
+
+    def per_bin(values: np.ndarray) -> np.ndarray:
+        # Not a matrix product: threaded BLAS spends ten times the CPU time on these shapes.
+        bins, first = np.unique(place[inside], return_index=True)
+        total = np.zeros((len(values), centres.size))
+        if inside.size:
+            total[:, bins] = np.add.reduceat(values[:, inside], first, axis=1)
+        return total
+
+    count = per_bin(finite.astype(float))
+    total = per_bin(np.where(finite, lead, 0.0))
+    shift = per_bin(finite * wavelength)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean, where = total / count, shift / count
     out = np.full(mean.shape, np.nan)

@@ -1,7 +1,7 @@
 """From spectra to leaf chemistry, transmittance and their uncertainty."""
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,49 +11,35 @@ from jaxtyping import Array, Bool, Float
 
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.leaf import _levenberg as lm
-from fynjax.leaf._coefficients import (
-    CONSTITUENTS,
-    ProspectVersion,
-    check_version,
-    coefficients_at,
-    native_wavelength,
-)
-from fynjax.leaf._error_model import ErrorModel, bin_centres, default_error_model, to_bins
-from fynjax.leaf._measurement import AbstractMeasurement, IntegratingSphere
+from fynjax.leaf._coefficients import ProspectVersion
+from fynjax.leaf._error_model import ErrorModel, bin_centres
+from fynjax.leaf._measurement import AbstractMeasurement
 from fynjax.leaf._parameters import LeafParameters
-from fynjax.leaf._prospect import interface_transmissivity
-
-FitDomain = Literal["full", "optimal"]
-"""Wavelengths that a fit uses: all of 450-2400 nm, or the published sub-domains."""
+from fynjax.leaf._problem import (
+    PRIORS,
+    FitDomain,
+    Setup,
+    binned_data,
+    leaf_priors,
+    leaf_problems,
+    make_setup,
+    usable_bins,
+)
 
 NINETY_PERCENT = 1.6448536269514722
-_WATER = ((1340.0, 1430.0), (1780.0, 1980.0), (2390.0, 2510.0))
-# Published optimal sub-domains: Féret et al. 2019 (RSE 231, 110959), Spafford et al. 2021.
-_OPTIMAL = ((520.0, 560.0), (700.0, 720.0), (1700.0, 2400.0))
-_LINE_BAND, _LINE = 1130.0, (1.745, 0.133, 0.3)
 
-
-class Prior(NamedTuple):
-    """Bounds, middle and spread of a parameter, the spread in its logit coordinate."""
-
-    lower: float
-    upper: float
-    middle: float
-    spread: float
-
-
-# Bounds after the R package `prospect`; middles and spreads are those of leaves at large: LMA
-# after Wright et al. 2004 (Nature 428, 821; median 88 g/m2), the rest wide enough not to bind.
-PRIORS: dict[str, Prior] = {
-    "structure": Prior(0.8, 4.0, 1.5, 1.2),
-    "chlorophyll": Prior(0.0, 150.0, 35.0, 0.8),
-    "carotenoids": Prior(0.0, 40.0, 8.0, 0.8),
-    "anthocyanins": Prior(0.0, 50.0, 0.5, 1.5),
-    "brown_pigments": Prior(0.0, 4.0, 0.02, 1.5),
-    "water": Prior(0.0, 0.1, 0.01, 0.6),
-    "dry_matter": Prior(0.0, 0.06, 0.008, 0.8),
-    "proteins": Prior(0.0, 0.006, 0.0008, 0.6),
-    "carbon_constituents": Prior(0.0, 0.054, 0.007, 0.8),
+# What a measured trait and the one that explains the spectrum differ by besides the errors of the
+# spectrum (specific absorption that varies between species, laboratory errors): standard deviation
+# in the logit coordinate, where it is nearly the relative one, for a leaf of inflation 1. Maximum
+# of a robust likelihood over ANGERS, LOPEX, NASA FFT and California, each set counting the same;
+# with one set left out the values move by 0.03 or less. Traits without data carry a round 0.2.
+TRAIT_DISCREPANCY: dict[str, float] = {
+    "chlorophyll": 0.14,
+    "carotenoids": 0.15,
+    "water": 0.09,
+    "dry_matter": 0.09,
+    "proteins": 0.2,
+    "carbon_constituents": 0.2,
 }
 
 
@@ -96,98 +82,100 @@ class LeafFit(eqx.Module):
     """`converged`, or the reason to doubt the result, for each leaf."""
 
 
-def _inside(centres: np.ndarray, windows: Sequence[tuple[float, float]]) -> np.ndarray:
-    return np.any([(centres >= low) & (centres <= high) for low, high in windows], axis=0)
+def _forward_substitution(system: Array, right: Array) -> Array:
+    """Solution of L y = b for many columns.
 
-
-def _optics(names: Sequence[str], version: str, measurement: AbstractMeasurement) -> lm.Optics:
-    index, absorption = coefficients_at(version, native_wavelength())
-    binned = to_bins(native_wavelength(), np.vstack([index, absorption]))
-    bounds = np.array([PRIORS[name][:2] for name in names])
-    return lm.Optics(
-        jnp.asarray(binned[1:]),
-        jnp.asarray(interface_transmissivity(40.0, binned[0])),
-        jnp.asarray(interface_transmissivity(90.0, binned[0])),
-        jnp.asarray(binned[0]),
-        jnp.asarray(bounds[:, 0]),
-        jnp.asarray(bounds[:, 1]),
-        measurement,
-    )
-
-
-def _factors(model: ErrorModel, measurement: AbstractMeasurement) -> np.ndarray:
-    offset = np.zeros((1, 2, bin_centres().size))
-    offset[0, 0] = measurement.offset_deviation
-    shared = np.stack([model.reflectance_factors, model.transmittance_factors], axis=1)
-    return np.concatenate([shared, offset])
-
-
-def usable_bins(data: np.ndarray, domain: str, outdoor: bool | None) -> np.ndarray:
-    """Which bins [leaf, 2, bin] enter the fit: measured, possible, 450-2400 nm, in the domain.
-
-    With `outdoor` `None` the water bands of a spectrum are left out if they hold impossible values.
+    Not LAPACK: its threads spend ten times the CPU time on small systems with wide right sides.
     """
-    centres = bin_centres()
-    with np.errstate(invalid="ignore"):
-        possible = np.isfinite(data) & (data > -0.02) & (data < 1.05)
-    use = possible & (centres >= 445.0) & (centres <= 2405.0)
-    water = _inside(centres, _WATER)
-    spoilt = (np.isfinite(data) & ~possible & water).any((1, 2))
-    noisy = spoilt if outdoor is None else np.full(len(data), outdoor)
-    use &= ~(noisy[:, None, None] & water)
-    if domain == "optimal":
-        use &= _inside(centres, _OPTIMAL)
-    return use
+
+    def row(i: Array, y: Array) -> Array:
+        return y.at[i].set((right[i] - system[i] @ y) / system[i, i])
+
+    return jax.lax.fori_loop(0, len(system), row, jnp.zeros_like(right))
 
 
 @eqx.filter_jit
-def _solve_many(problems: lm.Problem, optics: lm.Optics) -> lm.Solution:
-    return jax.vmap(lm.solve, in_axes=(0, None))(problems, optics)
+def _describe_many(tree: tuple, factors: Any, noise: Any, optics: lm.Optics) -> dict[str, Array]:
+    z, problems, covariance = tree
+    flat = factors.reshape(factors.shape[0], -1)
+    through = factors[:, 1]
 
-
-@eqx.filter_jit
-def _spectra_many(optics: lm.Optics, z: Array) -> tuple:
-    """Parameters, their slope by z, and spectra with slopes: of the leaf, and as recorded."""
-
-    def one(z: Array) -> tuple:
+    def one(z: Array, problem: lm.Problem, covariance: Array) -> dict[str, Array]:
         x, unit = lm.to_physical(z, optics), jax.nn.sigmoid(z)
         scale = (optics.upper - optics.lower) * unit * (1.0 - unit)
         model, slopes = lm.spectra_and_slopes(x, optics)
         seen, seen_slopes = lm.observed_and_slopes(x, optics)
-        wide = scale[:, None, None]
-        return x, scale, model, slopes[:, 1] * wide[:, 0], seen, seen_slopes * wide
+        weight = problem.precision.reshape(-1)
+        residual = jnp.where(weight > 0, (problem.data - seen).reshape(-1), 0.0)
+        jacobian = (seen_slopes * scale[:, None, None]).reshape(scale.size, -1)
+        weighted = flat * weight
+        right = jnp.concatenate(
+            [(weighted @ residual)[:, None], weighted @ jacobian.T, through], axis=1
+        )
+        system = lm.factor_system(factors, problem.precision)
+        half = _forward_substitution(system, right)
+        pulled, answers, kept = jnp.split(half, [1, 1 + scale.size], axis=1)
+        scores = jax.scipy.linalg.solve_triangular(system, pulled, lower=True, trans=1)
+        effective = slopes[:, 1] * scale[:, None] - answers.T @ kept
+        remaining = (kept**2).sum(0) + noise[1] ** 2
+        # The last factor is the instrument's offset, which is no property of the leaf.
+        shown = jnp.tensordot(scores[:-1, 0], factors[:-1], axes=1)
+        return {
+            "x": x,
+            "scale": scale,
+            "seen": seen,
+            "corrected": model + shown,
+            "variance": (effective * (covariance @ effective)).sum(0)
+            + problem.inflation * remaining,
+        }
 
-    return jax.vmap(one)(z)
+    return jax.vmap(one)(z, problems, covariance)
 
 
-def _describe(problems: lm.Problem, optics: lm.Optics, solution: lm.Solution) -> tuple:
-    """Spectra, the errors the data show, misfit, and the spread of T of each leaf.
+def solve_leaves(
+    setup: Setup, data: np.ndarray, use: np.ndarray, prior: tuple[np.ndarray, np.ndarray]
+) -> tuple[lm.State, lm.Problem, np.ndarray]:
+    """Most probable z of each leaf, its problem, and its misfit without inflation.
 
-    In NumPy: these few small systems are solved once, and compiling them costs more.
+    A leaf that fits worse than the leaves of the error model has its covariance scaled up, one step
+    of a Student likelihood with 50 degrees of freedom, and is solved again.
     """
-    x, scale, model, t_slopes, seen, seen_slopes = map(
-        np.asarray, _spectra_many(optics, solution.z)
-    )
-    leaves, parameters = x.shape
-    factors = np.asarray(problems.factors)
-    flat = factors.reshape(leaves, factors.shape[1], -1)
-    weight = np.asarray(problems.precision).reshape(leaves, -1)
-    residual = np.where(weight > 0, (np.asarray(problems.data) - seen).reshape(leaves, -1), 0.0)
-    weighted = flat * weight[:, None, :]
-    system = np.eye(flat.shape[1]) + weighted @ flat.transpose(0, 2, 1)
-    pulled = weighted @ residual[:, :, None]
-    answers = weighted @ seen_slopes.reshape(leaves, parameters, -1).transpose(0, 2, 1)
-    through = factors[:, :, 1]
-    solved = np.linalg.solve(system, np.concatenate([pulled, answers, through], axis=2))
-    scores, gain = solved[:, :, 0], solved[:, :, 1 : 1 + parameters]
-    misfit = (weight * residual**2).sum(1) - (pulled[:, :, 0] * scores).sum(1)
-    covariance = np.linalg.inv(np.asarray(solution.hessian))
-    effective = t_slopes - gain.transpose(0, 2, 1) @ through
-    variance = (effective * (covariance @ effective)).sum(1)
-    variance = variance + (through * solved[:, :, 1 + parameters :]).sum(1)
-    # The last factor is the instrument's offset, which is no property of the leaf.
-    shown = np.einsum("nf,nfcb->ncb", scores[:, :-1], factors[:, :-1], optimize=True)
-    return x, scale, seen, model + shown, misfit, covariance, variance
+    problems = leaf_problems(setup, data, use, prior, np.ones(len(data)))
+    state = lm.solve(prior[0], problems, setup.factors, setup.optics)
+    misfit = _misfit(state, problems)
+    inflation = np.maximum(1.0, (50.0 + 10.0 * misfit) / (50.0 + use.sum((1, 2))))
+    again = np.flatnonzero(inflation > 1.01)
+    problems = problems._replace(inflation=np.where(inflation > 1.01, inflation, 1.0))
+    if again.size:
+        part = lm.Problem(*(a[again] for a in problems))
+        moved = lm.solve(state.z[again], part, setup.factors, setup.optics)
+        for whole, new in zip(state, moved):
+            whole[again] = new
+        misfit[again] = _misfit(moved, part)
+    return state, problems, misfit
+
+
+def _misfit(state: lm.State, problems: lm.Problem) -> Float[np.ndarray, " leaf"]:
+    """Squared misfit in units of the error model's covariance, without inflation."""
+    offset = state.z - problems.prior_mean
+    pull = np.einsum("np,npq,nq->n", offset, problems.prior_precision, offset)
+    return (2.0 * state.cost - pull) * problems.inflation
+
+
+def describe(
+    setup: Setup, problems: lm.Problem, z: np.ndarray, covariance: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Parameters and spectra at z, the errors the data show, and the spread of T."""
+    rows = np.arange(len(z))
+    leaves = lm.padded((z, problems, covariance), rows)
+    found = _describe_many(leaves, setup.factors, setup.noise, setup.optics)
+    return {key: np.array(value)[: len(z)] for key, value in found.items()}
+
+
+def trait_variance(setup: Setup, inflation: np.ndarray) -> Float[np.ndarray, "leaf parameter"]:
+    """Variance of z that the measured traits add to the spectrum's, see `TRAIT_DISCREPANCY`."""
+    own = [TRAIT_DISCREPANCY.get(n, 0.0) if n in setup.free else 0.0 for n in setup.names]
+    return (np.asarray(inflation)[:, None] * np.array(own)) ** 2
 
 
 def fit_leaf(
@@ -200,19 +188,20 @@ def fit_leaf(
     domain: FitDomain = "full",
     free: Sequence[str] | None = None,
     outdoor: bool | None = None,
+    detector_changes: Sequence[float] = (),
     error_model: ErrorModel | None = None,
-    chunk: int = 256,
+    chunk: int = 128,
     progress: Progress | None = None,
 ) -> LeafFit:
     """Fit PROSPECT to measured reflectance, transmittance, or both, of any number of leaves.
 
     The most probable parameters under a Gaussian error with covariance along the wavelength
     (`ErrorModel`), the measurement's offset, and wide priors on leaves at large; if T is missing,
-    N also has the prior 1.745 R / (1 - R) + 0.133 at 1131 nm (after Spafford et al. 2021), with a
-    standard deviation of 0.3. A leaf that fits worse than the leaves of the error model has its
-    covariance scaled up (one step of a Student likelihood) and is fitted again. The fit stands on
-    bins of 10 nm with mean absorption, which alone lowers chlorophyll by about 3 % and carotenoids
-    by about 5 %; the error model, estimated on the same bins, contains this.
+    N also has the prior 1.745 R / (1 - R) + 0.133 at 1130 nm (after Spafford et al. 2021), with a
+    standard deviation of 0.3, and if R is missing the like in (1 - T) / T. A leaf that fits worse
+    than the leaves of the error model has its covariance scaled up (one step of a Student
+    likelihood) and is fitted again. Standard deviations and intervals are those of the trait a
+    laboratory would measure: they hold what spectra do not explain of it (`TRAIT_DISCREPANCY`).
 
     **Arguments:**
 
@@ -221,122 +210,56 @@ def fit_leaf(
     - `reflectance`, `transmittance`: [leaf, band], fractions, NaN where missing; one may be `None`.
     - `version`: "5", "D" or "PRO".
     - `measurement`: what the instrument records; an integrating sphere by default.
-    - `domain`: "full", or "optimal" for the published sub-domains 520-560, 700-720, 1700-2400 nm.
+    - `domain`: "full", or "optimal" for the published sub-domains 520-560, 700-720, 1130 (for N)
+      and 1700-2400 nm.
     - `free`: parameters to fit; by default all of the version but `brown_pigments`.
     - `outdoor`: leave out the water bands; `None` decides by impossible values there.
+    - `detector_changes`: wavelengths where detectors change [nm]; jumps there are taken out, see
+      `correct_detector_jumps`. Of an ASD 1000 and 1830, of LOPEX 860.
     - `error_model`: covariance of the model's error; the one shipped by default.
-    - `chunk`: leaves computed at once; memory is about 1.5 MB a leaf of a chunk.
+    - `chunk`: leaves computed at once; memory is about 1 MB a leaf of a chunk.
 
     **Returns:** `LeafFit`. A leaf with less than ten usable bins has NaN and says so in `status`.
 
     **Raises:** `ValueError` for arrays that do not match, an unknown version, domain or parameter.
     """
-    check_version(version)
-    if domain not in ("full", "optimal"):
-        raise ValueError(f'`domain` must be "full" or "optimal", but is {domain!r}')
-    if reflectance is None and transmittance is None:
-        raise ValueError("`fit_leaf` needs reflectance, transmittance, or both")
-    measurement = IntegratingSphere() if measurement is None else measurement
-    error_model = default_error_model() if error_model is None else error_model
     progress = NullProgress() if progress is None else progress
-    grid = np.asarray(wavelength, float)
-    if grid.ndim != 1 or np.any(np.diff(grid) <= 0):
-        raise ValueError("`wavelength` must be an ascending vector [nm]")
-    given = [np.atleast_2d(a) for a in (reflectance, transmittance) if a is not None]
-    for array in given:
-        if array.shape != (len(given[0]), grid.size):
-            raise ValueError(f"spectra must have the shape (leaf, {grid.size}), but {array.shape}")
-    missing = np.full((len(given[0]), grid.size), np.nan)
-    data = np.stack(
-        [
-            to_bins(grid, missing if part is None else np.atleast_2d(part))
-            for part in (reflectance, transmittance)
-        ],
-        axis=1,
-    )
-    names = ("structure", *CONSTITUENTS[version])
-    free = tuple(n for n in names if n != "brown_pigments") if free is None else tuple(free)
-    for name in free:
-        if name not in names:
-            raise ValueError(f"`free` names {name!r}, which PROSPECT-{version} does not have")
+    data = binned_data(wavelength, reflectance, transmittance, detector_changes)
+    use = usable_bins(data, domain, outdoor)
     with jax.enable_x64(True):
-        use = usable_bins(data, domain, outdoor)
-        optics = _optics(names, version, measurement)
-        # Few sizes of batch, so that few programs are compiled.
-        size = next((s for s in (1, 16, 64, 256) if s >= min(chunk, len(data))), chunk)
-        size = min(size, chunk)
+        setup = make_setup(version, measurement, free, error_model)
+        prior = leaf_priors(setup, data, use)
         parts = []
         with progress.stage("fitting leaves", len(data)):
             for at in range(0, len(data), chunk):
-                stop = min(at + chunk, len(data))
-                parts.append(_fit_chunk(data[at:stop], use[at:stop], optics, names, free,
-                                        error_model, size))  # fmt: skip
-                progress.advance(stop - at)
-    return _assemble(parts, data, use, names, free)
+                rows = slice(at, at + chunk)
+                own = (prior[0][rows], prior[1][rows])
+                parts.append(fit_chunk(setup, data[rows], use[rows], own))
+                progress.advance(len(data[rows]))
+    return assemble(setup, parts, data, use)
 
 
-def _fit_chunk(
-    data: np.ndarray,
-    use: np.ndarray,
-    optics: lm.Optics,
-    names: tuple[str, ...],
-    free: tuple[str, ...],
-    model: ErrorModel,
-    size: int,
+def fit_chunk(
+    setup: Setup, data: np.ndarray, use: np.ndarray, prior: tuple[np.ndarray, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    count = len(data)
-    if count < size:  # one compiled shape serves the last chunk too
-        data = np.concatenate([data, np.repeat(data[:1], size - count, 0)])
-        use = np.concatenate([use, np.repeat(use[:1], size - count, 0)])
-    factors = _factors(model, optics.measurement)
-    noise = np.stack([model.reflectance_noise, model.transmittance_noise])
-    middle = np.array([PRIORS[n].middle if n in free else 1e-4 * PRIORS[n].upper for n in names])
-    spread = np.array([PRIORS[n].spread if n in free else 1e-3 for n in names])
-    mean = np.asarray(lm.to_unconstrained(jnp.asarray(middle), optics))
-    band = int(np.argmin(np.abs(bin_centres() - _LINE_BAND)))
-    plateau = data[:, 0, band]
-    alone = np.isfinite(plateau) & ~use[:, 1].any(1) & (plateau > 0.05) & (plateau < 0.9)
-    safe = np.where(alone, plateau, 0.4)
-    line = np.stack(
-        [_LINE[0] * safe / (1 - safe) + _LINE[1], np.where(alone, _LINE[2] ** -2, 0.0)], axis=1
-    )
-    bands = use.sum((1, 2))
-    inflation = np.ones(size)
-    precision = np.where(use, noise**-2.0, 0.0)
-    start = np.tile(mean, (size, 1))
-    for _ in range(2):
-        problems = lm.Problem(
-            jnp.asarray(np.where(use, data, 0.0)),
-            jnp.asarray(precision / inflation[:, None, None]),
-            jnp.asarray(factors * np.sqrt(inflation)[:, None, None, None]),
-            jnp.asarray(np.tile(mean, (size, 1))),
-            jnp.asarray(np.tile(np.diag(spread**-2.0), (size, 1, 1))),
-            jnp.asarray(line),
-            jnp.asarray(start),
-        )
-        solution = _solve_many(problems, optics)
-        start = np.asarray(solution.z)
-        x, scale, seen, corrected, misfit, covariance, variance = _describe(
-            problems, optics, solution
-        )
-        chi2 = misfit * inflation / np.maximum(bands, 1)
-        last, inflation = inflation, np.maximum(1.0, (50.0 + 10.0 * chi2 * bands) / (50.0 + bands))
-    variance = variance + last[:, None] * model.transmittance_noise**2
-    out = {
-        "z": start, "x": x, "scale": scale, "seen": seen, "corrected": corrected,
-        "chi2": chi2, "covariance": covariance,
-        "variance": variance, "converged": np.asarray(solution.converged), "inflation": last,
+    """Everything `assemble` needs of some leaves."""
+    state, problems, misfit = solve_leaves(setup, data, use, prior)
+    covariance = np.linalg.inv(state.hessian)
+    found: dict[str, Any] = describe(setup, problems, state.z, covariance)
+    inflation = np.asarray(problems.inflation)
+    covariance = covariance + np.eye(len(setup.names)) * trait_variance(setup, inflation)[:, None]
+    chi2 = misfit / np.maximum(use.sum((1, 2)), 1)
+    return found | {
+        "z": state.z, "covariance": covariance, "chi2": chi2, "inflation": inflation,
+        "converged": state.converged,
     }  # fmt: skip
-    return {key: value[:count] for key, value in out.items()}
 
 
-def _assemble(
-    parts: list[dict[str, np.ndarray]],
-    data: np.ndarray,
-    use: np.ndarray,
-    names: tuple[str, ...],
-    free: tuple[str, ...],
+def assemble(
+    setup: Setup, parts: list[dict[str, np.ndarray]], data: np.ndarray, use: np.ndarray
 ) -> LeafFit:
+    """The result in the parameters' own units, and a status for each leaf."""
+    names, free = setup.names, setup.free
     got = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     bounds = np.array([PRIORS[name][:2] for name in names])
     width = bounds[:, 1] - bounds[:, 0]

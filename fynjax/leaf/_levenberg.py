@@ -7,16 +7,24 @@ parameters), and the covariance F^T F + D of the errors is inverted through its 
 interface without forming the dense whitened Jacobian of each leaf.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from fynjax.leaf._measurement import AbstractMeasurement
 from fynjax.leaf._prospect import _stack
 from fynjax.leaf._transmissivity import layer_absorptance
+
+# Sizes of batch that are compiled; steps between two looks at who has converged; how many looks.
+_SIZES = (1, 16, 128)
+_STEPS, _ROUNDS = 4, 20
+# Longest step of a parameter in its logit; the gain of the log posterior (a fraction of the
+# posterior's standard deviation, squared) below which a full step ends the iteration.
+_LONGEST_STEP, _TOLERANCE = 2.0, 1e-2
 
 
 class Optics(eqx.Module):
@@ -34,23 +42,22 @@ class Optics(eqx.Module):
 class Problem(NamedTuple):
     """One leaf: data, weights, prior. Bands without data have precision 0."""
 
-    data: Float[Array, "2 bin"]
-    precision: Float[Array, "2 bin"]
-    factors: Float[Array, "factor 2 bin"]
-    prior_mean: Float[Array, " parameter"]
-    prior_precision: Float[Array, "parameter parameter"]
-    line: Float[Array, " 2"]
-    start: Float[Array, " parameter"]
+    data: Float[Any, "2 bin"]
+    precision: Float[Any, "2 bin"]
+    inflation: Float[Any, ""]
+    prior_mean: Float[Any, " parameter"]
+    prior_precision: Float[Any, "parameter parameter"]
 
 
-class Solution(NamedTuple):
-    """Where the iteration ended, in the unconstrained coordinates."""
+class State(NamedTuple):
+    """Where the iteration of a leaf stands, in the unconstrained coordinates."""
 
-    z: Float[Array, " parameter"]
-    cost: Float[Array, ""]
-    hessian: Float[Array, "parameter parameter"]
-    steps: Int[Array, ""]
-    converged: Bool[Array, ""]
+    z: Float[Any, " parameter"]
+    cost: Float[Any, ""]
+    gradient: Float[Any, " parameter"]
+    hessian: Float[Any, "parameter parameter"]
+    damping: Float[Any, ""]
+    converged: Bool[Any, ""]
 
 
 def to_physical(z: Array, optics: Optics) -> Array:
@@ -68,6 +75,12 @@ def spectra(x: Array, optics: Optics) -> Array:
     """R and T [2, bin] at physical parameters, structure first."""
     k = (x[1:] @ optics.absorption) / x[0]
     return jnp.stack(_stack(layer_absorptance(k), x[0], optics.first, optics.diffuse, optics.index))
+
+
+def observed(x: Array, optics: Optics) -> Array:
+    """What the instrument reads [2, bin] at physical parameters."""
+    r, t = spectra(x, optics)
+    return jnp.stack(optics.measurement.observe(r, t))
 
 
 def spectra_and_slopes(x: Array, optics: Optics) -> tuple[Array, Array]:
@@ -98,85 +111,114 @@ def observed_and_slopes(x: Array, optics: Optics) -> tuple[Array, Array]:
     return jnp.stack(seen), slopes
 
 
-def factor_system(problem: Problem) -> Float[Array, "factor factor"]:
+def factor_system(factors: Array, precision: Array) -> Float[Array, "factor factor"]:
     """Cholesky factor of I + F D^-1 F^T."""
-    flat = problem.factors.reshape(problem.factors.shape[0], -1)
-    weighted = flat * problem.precision.reshape(-1)
+    flat = factors.reshape(factors.shape[0], -1)
+    weighted = flat * precision.reshape(-1)
     return jnp.linalg.cholesky(jnp.eye(flat.shape[0], dtype=flat.dtype) + weighted @ flat.T)
 
 
-def _weigh(problem: Problem, system: Array, residual: Array, jacobian: Array) -> tuple:
-    """r' S^-1 r, J' S^-1 r and J' S^-1 J for the covariance S = F^T F + D."""
-    flat = problem.factors.reshape(problem.factors.shape[0], -1)
-    stacked = jnp.concatenate([residual.reshape(1, -1), jacobian.reshape(jacobian.shape[0], -1)])
-    weighted = stacked * problem.precision.reshape(-1)
-    inner = jax.scipy.linalg.solve_triangular(system, flat @ weighted.T, lower=True)
-    gram = weighted @ stacked.T - inner.T @ inner
-    return gram[0, 0], gram[1:, 0], gram[1:, 1:]
+def _weigh(problem: Problem, factors: Array, system: Array, rows: Array) -> Array:
+    """Gram matrix of rows [row, 2 bin] under the inverse of S = inflation (F^T F + D)."""
+    weighted = rows * problem.precision.reshape(-1)
+    projected = factors.reshape(factors.shape[0], -1) @ weighted.T
+    inner = jax.scipy.linalg.solve_triangular(system, projected, lower=True)
+    return (weighted @ rows.T - inner.T @ inner) / problem.inflation
 
 
-def _line_terms(problem: Problem, x: Array, slope: Array) -> tuple[Array, Array]:
-    """Whitened residual and slope of the prior on N: mean line[0], precision line[1]."""
-    root = jnp.sqrt(problem.line[1])
-    return root * (x[0] - problem.line[0]), jnp.zeros_like(x).at[0].set(root * slope[0])
+def cost(z: Array, problem: Problem, factors: Array, system: Array, optics: Optics) -> Array:
+    """Minus the logarithm of the posterior density of z, up to a constant."""
+    seen = observed(to_physical(z, optics), optics)
+    residual = jnp.where(problem.precision > 0, seen - problem.data, 0.0).reshape(1, -1)
+    offset = z - problem.prior_mean
+    pull = offset @ problem.prior_precision @ offset
+    return 0.5 * (_weigh(problem, factors, system, residual)[0, 0] + pull)
 
 
-def _evaluate(problem: Problem, optics: Optics, system: Array, z: Array) -> tuple:
-    x = to_physical(z, optics)
+def _evaluate(
+    z: Array, problem: Problem, factors: Array, system: Array, optics: Optics
+) -> tuple[Array, Array, Array]:
+    """Cost, gradient, and Gauss-Newton Hessian."""
     unit = jax.nn.sigmoid(z)
     slope = (optics.upper - optics.lower) * unit * (1.0 - unit)
-    value, jacobian = observed_and_slopes(x, optics)
+    value, jacobian = observed_and_slopes(to_physical(z, optics), optics)
     residual = jnp.where(problem.precision > 0, value - problem.data, 0.0)
-    square, gradient, hessian = _weigh(problem, system, residual, jacobian * slope[:, None, None])
+    rows = jnp.concatenate([residual[None], jacobian * slope[:, None, None]])
+    gram = _weigh(problem, factors, system, rows.reshape(rows.shape[0], -1))
     offset = z - problem.prior_mean
     pulled = problem.prior_precision @ offset
-    line, line_slope = _line_terms(problem, x, slope)
     return (
-        0.5 * (square + offset @ pulled + line**2),
-        gradient + pulled + line_slope * line,
-        hessian + problem.prior_precision + jnp.outer(line_slope, line_slope),
+        0.5 * (gram[0, 0] + offset @ pulled),
+        gram[1:, 0] + pulled,
+        gram[1:, 1:] + problem.prior_precision,
     )
 
 
-def solve(
-    problem: Problem, optics: Optics, max_steps: int = 60, tolerance: float = 1e-2
-) -> Solution:
-    """Minimise half the squared misfit plus prior; stop when a full step gains below `tolerance`^2.
+@eqx.filter_jit
+def begin(leaves: tuple, factors: Any, optics: Optics) -> tuple[State, Array]:
+    """State of each leaf at its z, and its factor system; `leaves` is z and the problems."""
+    z, problems = leaves
 
-    The gain predicted by the quadratic model is in units of the log-posterior, so the tolerance is
-    a fraction of the standard deviation of the answer.
+    def one(z: Array, problem: Problem) -> tuple[State, Array]:
+        system = factor_system(factors, problem.precision)
+        values = _evaluate(z, problem, factors, system, optics)
+        return State(z, *values, jnp.asarray(1e-2), jnp.asarray(False)), system
+
+    return jax.vmap(one)(z, problems)
+
+
+@eqx.filter_jit
+def advance(leaves: tuple, factors: Any, optics: Optics) -> State:
+    """A few Levenberg-Marquardt steps of each leaf; a converged one stays where it is.
+
+    `leaves` is the states, the problems, and the factor systems.
     """
-    system = factor_system(problem)
-    cost, gradient, hessian = _evaluate(problem, optics, system, problem.start)
+    states, problems, systems = leaves
 
-    def step(state: tuple) -> tuple:
-        z, cost, gradient, hessian, damping, count, _ = state
-        damped = hessian + damping * jnp.diag(jnp.diag(hessian))
-        change = -jax.scipy.linalg.solve(damped, gradient, assume_a="pos")
-        change = change / jnp.maximum(1.0, jnp.max(jnp.abs(change)) / 3.0)
-        trial = z + change
-        new_cost, new_gradient, new_hessian = _evaluate(problem, optics, system, trial)
-        better = new_cost < cost
-        promised = -(gradient @ change + 0.5 * change @ hessian @ change)
-        done = (promised < tolerance**2) & (damping < 1.0)
+    def step(problem: Problem, system: Array, s: State) -> State:
+        damped = s.hessian + s.damping * jnp.diag(jnp.diag(s.hessian))
+        change = -jax.scipy.linalg.solve(damped, s.gradient, assume_a="pos")
+        change = change / jnp.maximum(1.0, jnp.max(jnp.abs(change)) / _LONGEST_STEP)
+        cost, gradient, hessian = _evaluate(s.z + change, problem, factors, system, optics)
+        better = (cost < s.cost) & ~s.converged
+        promised = -(s.gradient @ change + 0.5 * change @ s.hessian @ change)
+        done = s.converged | ((promised < _TOLERANCE**2) & (s.damping < 1.0))
         # A step that rounding alone keeps from gaining ends the iteration too.
-        stuck = ~better & (promised < 1e-9 * jnp.abs(cost))
-        keep = lambda new, old: jnp.where(better, new, old)  # noqa: E731
-        return (
-            keep(trial, z),
-            keep(new_cost, cost),
-            keep(new_gradient, gradient),
-            keep(new_hessian, hessian),
-            jnp.clip(jnp.where(better, damping * 0.2, damping * 6.0), 1e-8, 1e8),
-            count + 1,
-            done | stuck,
-        )
+        done = done | (~better & (promised < 1e-9 * jnp.abs(s.cost)))
+        old = (s.z, s.cost, s.gradient, s.hessian)
+        new = (s.z + change, cost, gradient, hessian)
+        kept = [jnp.where(better, n, o) for n, o in zip(new, old)]
+        damping = jnp.clip(jnp.where(better, s.damping * 0.2, s.damping * 6.0), 1e-8, 1e8)
+        return State(kept[0], kept[1], kept[2], kept[3], damping, done)
 
-    def go_on(state: tuple) -> Array:
-        return ~state[-1] & (state[-2] < max_steps)
+    def several(state: State, problem: Problem, system: Array) -> State:
+        return jax.lax.fori_loop(0, _STEPS, lambda _, s: step(problem, system, s), state)
 
-    first = (
-        problem.start, cost, gradient, hessian, jnp.asarray(1e-2, cost.dtype), 0, jnp.asarray(False)
-    )  # fmt: skip
-    z, cost, _, hessian, _, count, done = jax.lax.while_loop(go_on, step, first)
-    return Solution(z, cost, hessian, jnp.asarray(count), done)
+    return jax.vmap(several)(states, problems, systems)
+
+
+def solve(start: np.ndarray, problems: Problem, factors: Any, optics: Optics) -> State:
+    """Minimise the cost of every leaf from `start` [leaf, parameter].
+
+    Leaves that have converged leave the batch, which shrinks through few fixed sizes: a few slow
+    leaves then cost no more than themselves, and few programs are compiled.
+    """
+    count = len(start)
+    first, systems = begin(padded((start, problems), np.arange(count)), factors, optics)
+    state = State(*(np.array(part)[:count] for part in first))
+    kept = np.asarray(systems)[:count]
+    for _ in range(_ROUNDS):
+        left = np.flatnonzero(~state.converged)
+        if left.size == 0:
+            break
+        moved = advance(padded((state, problems, kept), left), factors, optics)
+        for whole, part in zip(state, moved):
+            whole[left] = np.asarray(part)[: left.size]
+    return state
+
+
+def padded(tree: Any, rows: np.ndarray) -> Any:
+    """Rows of every array, repeated up to the next of the fixed batch sizes."""
+    size = next((s for s in _SIZES if s >= rows.size), rows.size)
+    index = np.concatenate([rows, np.repeat(rows[:1], size - rows.size)])
+    return jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[index]), tree)

@@ -15,11 +15,17 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-from fynjax.leaf import _fit
 from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._coefficients import CONSTITUENTS
-from fynjax.leaf._error_model import ErrorModel, bin_centres, estimate_error_model, to_bins
+from fynjax.leaf._error_model import (
+    ErrorModel,
+    bin_centres,
+    estimate_error_model,
+    independent_error_model,
+    to_bins,
+)
 from fynjax.leaf._measurement import IntegratingSphere
+from fynjax.leaf._problem import leaf_problems, make_setup
 
 NAMES = ("structure", *CONSTITUENTS["D"])
 MEASURED = {1: "cab", 2: "car", 5: "ewt", 6: "lma"}
@@ -33,7 +39,7 @@ def residuals(folder: Path, name: str) -> np.ndarray:
     spectra = [s.mean(1) if s.ndim == 3 else s for s in spectra]
     data = np.stack([to_bins(wavelength, s) for s in spectra], axis=1)
     chemistry = pd.read_csv(folder / f"{name}_chemistry.csv.gz").set_index("id").loc[ids]
-    optics = _fit._optics(NAMES, "D", IntegratingSphere())
+    setup = make_setup("D", IntegratingSphere(), NAMES, independent_error_model(0.015))
     known = np.tile([1.5, 40.0, 8.0, 1.0, 1e-3, 0.01, 0.009], (len(ids), 1))
     precision = np.tile([0.1, 0.1, 0.1, 0.5, 1e3, 0.1, 0.1], (len(ids), 1))
     for column, key in MEASURED.items():
@@ -41,19 +47,14 @@ def residuals(folder: Path, name: str) -> np.ndarray:
         have = np.isfinite(values)
         known[have, column] = np.maximum(values[have], 1e-4 if column > 4 else 0.05)
         precision[have, column] = 1e6
-    z = lm.to_unconstrained(jnp.asarray(known), optics)
+    optics = setup.optics
+    z = np.asarray(lm.to_unconstrained(jnp.asarray(known), optics))
     use = np.isfinite(data) & (bin_centres() >= 445) & (bin_centres() <= 2405)
-    problems = lm.Problem(
-        jnp.asarray(np.where(use, data, 0.0)),
-        jnp.asarray(np.where(use, 0.015**-2.0, 0.0)),
-        jnp.zeros((len(ids), 1, 2, bin_centres().size)),
-        z,
-        jnp.asarray(precision)[:, :, None] * jnp.eye(len(NAMES)),
-        jnp.zeros((len(ids), 2)),
-        z,
-    )
-    solution = _fit._solve_many(problems, optics)
-    fitted = jax.vmap(lambda one: lm.spectra(lm.to_physical(one, optics), optics))(solution.z)
+    prior = (z, precision[:, :, None] * np.eye(len(NAMES)))
+    problems = leaf_problems(setup, data, use, prior, np.ones(len(ids)))
+    none = np.zeros((1, 2, bin_centres().size))
+    found = lm.solve(z, problems, none, optics).z
+    fitted = jax.vmap(lambda one: lm.spectra(lm.to_physical(one, optics), optics))(found)
     return data - np.asarray(fitted)
 
 

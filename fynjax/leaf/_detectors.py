@@ -1,0 +1,83 @@
+"""Jumps where one detector of a spectrometer hands over to the next."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+_REACH = 12.0
+_LARGEST = 0.15
+
+
+def correct_detector_jumps(
+    wavelength: Float[np.ndarray, " band"],
+    spectra: Float[np.ndarray, "*leaf band"],
+    changes: Sequence[float],
+) -> tuple[Float[np.ndarray, "*leaf band"], Float[np.ndarray, "*leaf change"]]:
+    """Scale the detectors of each spectrum so that it runs smoothly across their changes.
+
+    On either side of a change a straight line through the bands of 12 nm is drawn to the middle of
+    the step; the ratio of the two is the jump. The detector with most bands is the reference (the
+    first SWIR detector of an ASD, the one that does not drift while the instrument warms up) and
+    the others are multiplied. A ratio further than 15 % from one is no drift but another fault, and
+    is left alone, as is a change without three good bands on each side.
+
+    **Arguments:**
+
+    - `wavelength`: band centres [nm], ascending.
+    - `spectra`: reflectance or transmittance [-], NaN where missing.
+    - `changes`: last wavelength of each detector but the last [nm], such as 1000 and 1830.
+
+    **Returns:** corrected spectra, and the jump right over left found at each change minus one, NaN
+    where none could be measured.
+
+    **Raises:** `ValueError` for changes that do not ascend.
+    """
+    changes = [float(c) for c in changes]
+    if any(b <= a for a, b in pairwise(changes)):
+        raise ValueError(f"`changes` must ascend, but are {changes}")
+    grid = np.asarray(wavelength, float)
+    spectra = np.asarray(spectra, float)
+    rows = np.atleast_2d(spectra).reshape(-1, grid.size)
+    place = np.searchsorted(np.array(changes), grid, side="left")
+    members = np.bincount(place, minlength=len(changes) + 1)
+    reference = int(np.argmax(members))
+    jumps = np.full((len(rows), len(changes)), np.nan)
+    for number in range(len(changes)):
+        left, right = grid[place <= number], grid[place > number]
+        if left.size == 0 or right.size == 0:
+            continue
+        middle = (left[-1] + right[0]) / 2
+        ends = [
+            _extrapolated(grid, rows, (place == side) & (np.abs(grid - middle) <= _REACH), middle)
+            for side in (number, number + 1)
+        ]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            jump = ends[1] / ends[0] - 1.0
+            jumps[:, number] = np.where((ends[0] > 0) & (ends[1] > 0), jump, np.nan)
+    usable = np.isfinite(jumps) & (np.abs(np.nan_to_num(jumps)) <= _LARGEST)
+    ratio = np.where(usable, 1.0 + np.nan_to_num(jumps), 1.0)
+    gains = np.ones((len(rows), len(changes) + 1))
+    for side in range(reference - 1, -1, -1):
+        gains[:, side] = gains[:, side + 1] * ratio[:, side]
+    for side in range(reference + 1, len(changes) + 1):
+        gains[:, side] = gains[:, side - 1] / ratio[:, side - 1]
+    lead = spectra.shape[:-1]
+    return (rows * gains[:, place]).reshape(spectra.shape), jumps.reshape(*lead, len(changes))
+
+
+def _extrapolated(
+    grid: np.ndarray, rows: np.ndarray, near: np.ndarray, at: float
+) -> Float[np.ndarray, " leaf"]:
+    """Value at `at` of the line through the bands `near`; NaN with less than three of them."""
+    x, y = grid[near] - at, rows[:, near]
+    good = np.isfinite(y)
+    count = good.sum(1)
+    y = np.where(good, y, 0.0)
+    sx, sy = (good * x).sum(1), y.sum(1)
+    sxx, sxy = (good * x**2).sum(1), (y * x).sum(1)
+    spread = count * sxx - sx**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        value = (sxx * sy - sx * sxy) / spread
+    return np.where((count >= 3) & (spread > 0), value, np.nan)

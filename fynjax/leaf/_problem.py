@@ -1,0 +1,208 @@
+"""What a leaf fit is made of: bins that count, priors, and the problem of each leaf."""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from fynjax.leaf import _levenberg as lm
+from fynjax.leaf._coefficients import (
+    CONSTITUENTS,
+    check_version,
+    coefficients_at,
+    native_wavelength,
+)
+from fynjax.leaf._detectors import correct_detector_jumps
+from fynjax.leaf._error_model import ErrorModel, bin_centres, default_error_model, to_bins
+from fynjax.leaf._measurement import AbstractMeasurement, IntegratingSphere
+from fynjax.leaf._prospect import interface_transmissivity
+
+FitDomain = Literal["full", "optimal"]
+"""Wavelengths that a fit uses: all of 450-2400 nm, or the published sub-domains."""
+
+_WATER = ((1340.0, 1430.0), (1780.0, 1980.0), (2390.0, 2510.0))
+# Published sub-domains for Car, Chl, N, and EWT with LMA: Féret et al. 2019 (RSE 231, 110959),
+# Spafford et al. 2021 (RSE 252, 112176).
+_OPTIMAL = ((520.0, 560.0), (700.0, 720.0), (1120.0, 1140.0), (1700.0, 2400.0))
+_LINE_BAND = 1130.0
+# N from R / (1 - R) (Spafford et al. 2021) and from (1 - T) / T at that band: slope, offset (fitted
+# to 1000 simulated leaves of N 1 to 2.5), and what real leaves scatter about the first.
+_REFLECTANCE_LINE, _TRANSMITTANCE_LINE, _LINE_DEVIATION = (1.745, 0.133), (1.330, 0.120), 0.3
+
+
+class Prior(NamedTuple):
+    """Bounds, middle and spread of a parameter, the spread in its logit coordinate."""
+
+    lower: float
+    upper: float
+    middle: float
+    spread: float
+
+
+# Bounds after the R package `prospect`; middles and spreads are those of leaves at large: LMA
+# after Wright et al. 2004 (Nature 428, 821; median 88 g/m2), the rest wide enough not to bind.
+PRIORS: dict[str, Prior] = {
+    "structure": Prior(0.8, 4.0, 1.5, 1.2),
+    "chlorophyll": Prior(0.0, 150.0, 35.0, 0.8),
+    "carotenoids": Prior(0.0, 40.0, 8.0, 0.8),
+    "anthocyanins": Prior(0.0, 50.0, 0.5, 1.5),
+    "brown_pigments": Prior(0.0, 4.0, 0.02, 1.5),
+    "water": Prior(0.0, 0.1, 0.01, 0.6),
+    "dry_matter": Prior(0.0, 0.06, 0.008, 0.8),
+    "proteins": Prior(0.0, 0.006, 0.0008, 0.6),
+    "carbon_constituents": Prior(0.0, 0.054, 0.007, 0.8),
+}
+
+
+class Setup(NamedTuple):
+    """What all leaves of a fit share."""
+
+    names: tuple[str, ...]
+    free: tuple[str, ...]
+    optics: lm.Optics
+    factors: Float[np.ndarray, "factor 2 bin"]
+    """Factors of the error model, and last the instrument's offset, no property of the leaf."""
+    noise: Float[np.ndarray, "2 bin"]
+    prior_mean: Float[np.ndarray, " parameter"]
+    prior_precision: Float[np.ndarray, "parameter parameter"]
+
+
+def make_setup(
+    version: str,
+    measurement: AbstractMeasurement | None,
+    free: Sequence[str] | None,
+    model: ErrorModel | None,
+) -> Setup:
+    """Constants of a fit. Must run with 64-bit numbers on."""
+    check_version(version)
+    measurement = IntegratingSphere() if measurement is None else measurement
+    model = default_error_model() if model is None else model
+    names = ("structure", *CONSTITUENTS[version])
+    free = tuple(n for n in names if n != "brown_pigments") if free is None else tuple(free)
+    for name in free:
+        if name not in names:
+            raise ValueError(f"`free` names {name!r}, which PROSPECT-{version} does not have")
+    index, absorption = coefficients_at(version, native_wavelength())
+    binned = to_bins(native_wavelength(), np.vstack([index, absorption]))
+    bounds = np.array([PRIORS[name][:2] for name in names])
+    optics = lm.Optics(
+        jnp.asarray(binned[1:]),
+        jnp.asarray(interface_transmissivity(40.0, binned[0])),
+        jnp.asarray(interface_transmissivity(90.0, binned[0])),
+        jnp.asarray(binned[0]),
+        jnp.asarray(bounds[:, 0]),
+        jnp.asarray(bounds[:, 1]),
+        measurement,
+    )
+    offset = np.zeros((1, 2, bin_centres().size))
+    offset[0, 0] = measurement.offset_deviation
+    shared = np.stack([model.reflectance_factors, model.transmittance_factors], axis=1)
+    middle = np.array([PRIORS[n].middle if n in free else 1e-4 * PRIORS[n].upper for n in names])
+    spread = np.array([PRIORS[n].spread if n in free else 1e-3 for n in names])
+    return Setup(
+        names,
+        free,
+        optics,
+        np.concatenate([shared, offset]),
+        np.stack([model.reflectance_noise, model.transmittance_noise]),
+        np.asarray(lm.to_unconstrained(jnp.asarray(middle), optics)),
+        np.diag(spread**-2.0),
+    )
+
+
+def binned_data(
+    wavelength: np.ndarray,
+    reflectance: np.ndarray | None,
+    transmittance: np.ndarray | None,
+    detector_changes: Sequence[float] = (),
+) -> Float[np.ndarray, "leaf 2 bin"]:
+    """R and T on the fit's bins; raises `ValueError` for arrays that do not match."""
+    if reflectance is None and transmittance is None:
+        raise ValueError("a fit needs reflectance, transmittance, or both")
+    grid = np.asarray(wavelength, float)
+    if grid.ndim != 1 or np.any(np.diff(grid) <= 0):
+        raise ValueError("`wavelength` must be an ascending vector [nm]")
+    given = [np.atleast_2d(a) for a in (reflectance, transmittance) if a is not None]
+    for array in given:
+        if array.shape != (len(given[0]), grid.size):
+            raise ValueError(f"spectra must have the shape (leaf, {grid.size}), but {array.shape}")
+    missing = np.full((len(given[0]), grid.size), np.nan)
+    parts = []
+    for part in (reflectance, transmittance):
+        values = missing if part is None else np.atleast_2d(np.asarray(part, float))
+        if detector_changes:
+            values, _ = correct_detector_jumps(grid, values, detector_changes)
+        parts.append(to_bins(grid, values))
+    return np.stack(parts, axis=1)
+
+
+def _inside(centres: np.ndarray, windows: Sequence[tuple[float, float]]) -> np.ndarray:
+    return np.any([(centres >= low) & (centres <= high) for low, high in windows], axis=0)
+
+
+def usable_bins(
+    data: Float[np.ndarray, "leaf 2 bin"], domain: str, outdoor: bool | None
+) -> Bool[np.ndarray, "leaf 2 bin"]:
+    """Which bins enter the fit: measured, possible, 450-2400 nm, in the domain.
+
+    With `outdoor` `None` the water bands of a spectrum are left out if they hold impossible values.
+    """
+    if domain not in ("full", "optimal"):
+        raise ValueError(f'`domain` must be "full" or "optimal", but is {domain!r}')
+    centres = bin_centres()
+    with np.errstate(invalid="ignore"):
+        possible = np.isfinite(data) & (data > -0.02) & (data < 1.05)
+    use = possible & (centres >= 445.0) & (centres <= 2405.0)
+    water = _inside(centres, _WATER)
+    spoilt = (np.isfinite(data) & ~possible & water).any((1, 2))
+    noisy = spoilt if outdoor is None else np.full(len(data), outdoor)
+    use &= ~(noisy[:, None, None] & water)
+    if domain == "optimal":
+        use &= _inside(centres, _OPTIMAL)
+    return use
+
+
+def leaf_priors(
+    setup: Setup, data: np.ndarray, use: np.ndarray
+) -> tuple[Float[np.ndarray, "leaf parameter"], Float[np.ndarray, "leaf parameter parameter"]]:
+    """Prior mean and precision of each leaf.
+
+    With R or T missing, N and the absorbers are exchangeable in part, and the plateau of the near
+    infrared tells N.
+    """
+    count, size = len(data), len(setup.names)
+    band = int(np.argmin(np.abs(bin_centres() - _LINE_BAND)))
+    back, through = data[:, 0, band], data[:, 1, band]
+    has_r, has_t = use[:, 0].any(1), use[:, 1].any(1)
+    with np.errstate(invalid="ignore"):
+        by_r = has_r & ~has_t & (back > 0.05) & (back < 0.9)
+        by_t = has_t & ~has_r & (through > 0.1) & (through < 0.95)
+    r, t = np.where(by_r, back, 0.4), np.where(by_t, through, 0.5)
+    ratio = np.where(by_t, (1.0 - t) / t, r / (1.0 - r))
+    slope, offset = np.where(by_t, np.array(_TRANSMITTANCE_LINE)[:, None],
+                             np.array(_REFLECTANCE_LINE)[:, None])  # fmt: skip
+    low, high = PRIORS["structure"][:2]
+    unit = np.clip((slope * ratio + offset - low) / (high - low), 0.02, 0.98)
+    deviation = _LINE_DEVIATION / ((high - low) * unit * (1.0 - unit))
+    known = "structure" in setup.free
+    weight = np.where((by_r | by_t) & known, deviation**-2.0, 0.0)
+    precision = np.tile(setup.prior_precision, (count, 1, 1))
+    pull = np.tile(setup.prior_precision @ setup.prior_mean, (count, 1))
+    precision[:, 0, 0] += weight
+    pull[:, 0] += weight * np.log(unit / (1.0 - unit))
+    mean = np.linalg.solve(precision, pull[:, :, None])[:, :, 0]
+    return mean.reshape(count, size), precision
+
+
+def leaf_problems(
+    setup: Setup,
+    data: np.ndarray,
+    use: np.ndarray,
+    prior: tuple[np.ndarray, np.ndarray],
+    inflation: np.ndarray,
+) -> lm.Problem:
+    """The problems of leaves as NumPy arrays with the leaf as first axis."""
+    precision = np.where(use, setup.noise**-2.0, 0.0)
+    return lm.Problem(np.where(use, data, 0.0), precision, inflation, *prior)
