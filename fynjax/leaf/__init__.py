@@ -18,6 +18,7 @@ from fynjax.leaf._measurement import (
     transmittance_from_two_readings,
 )
 from fynjax.leaf._parameters import LeafParameters
+from fynjax.leaf._posterior import LeafPosterior, sample_leaf_posterior
 from fynjax.leaf._problem import FitDomain
 from fynjax.leaf._prospect import LeafOptics, interface_transmissivity, prospect
 from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
@@ -33,6 +34,7 @@ __all__ = [
     "LeafOptics",
     "LeafOverBackground",
     "LeafParameters",
+    "LeafPosterior",
     "LeafStack",
     "ProspectVersion",
     "correct_detector_jumps",
@@ -44,5 +46,6 @@ __all__ = [
     "interface_transmissivity",
     "layer_absorptance",
     "prospect",
+    "sample_leaf_posterior",
     "transmittance_from_two_readings",
 ]

@@ -1,0 +1,77 @@
+"""The sampler against the closed form, the Laplace fit, and simulated truth."""
+
+import builtins
+import time
+
+import jax
+import numpy as np
+import pytest
+
+from fynjax._core.errors import MissingExtraError
+from fynjax.leaf import LeafParameters, fit_leaf, prospect, sample_leaf_posterior
+from fynjax.leaf._posterior import _emcee
+
+GRID = np.arange(400.0, 2501.0)
+LEAF = prospect(LeafParameters())
+R, T = np.asarray(LEAF.reflectance)[None], np.asarray(LEAF.transmittance)[None]
+
+
+def test_the_ensemble_samples_a_known_gaussian():
+    mean, covariance = np.array([1.0, -2.0, 0.5]), np.array([[1, 0.8, 0], [0.8, 1, 0], [0, 0, 4.0]])
+    inverse = np.linalg.inv(covariance)
+
+    def density(z):
+        return -0.5 * np.einsum("wi,ij,wj->w", z - mean, inverse, z - mean)
+
+    start = np.random.default_rng(0).normal(size=(32, 3))
+    chain, size, status = _emcee(density, start, 2000.0, 20_000, 1)
+    flat = chain.reshape(-1, 3)
+    assert status == "converged"
+    assert size >= 2000
+    np.testing.assert_allclose(flat.mean(0), mean, atol=5 * 2 / np.sqrt(size))
+    np.testing.assert_allclose(np.cov(flat.T), covariance, atol=0.5)
+    _, _, short = _emcee(density, start, 2000.0, 200, 1)
+    assert short.startswith("not converged")
+
+
+def test_posterior_agrees_with_the_gaussian_of_the_fit_where_that_holds():
+    start = time.process_time()
+    posterior = sample_leaf_posterior(GRID, R, T, draws=2000, target=1000.0)
+    assert time.process_time() - start < 120
+    fit = fit_leaf(GRID, R, T)
+    assert posterior.names == fit.names
+    assert posterior.status == ("converged",)
+    for i, name in enumerate(fit.names):
+        if name in ("structure", "chlorophyll", "water", "dry_matter"):
+            draws, spread = posterior.samples[0, :, i], fit.standard_deviation[0, i]
+            centre = float(np.asarray(getattr(fit.parameters, name))[0])
+            assert abs(np.median(draws) - centre) < 0.3 * spread, name
+            assert 0.75 < draws.std() / spread < 1.3, name
+    deviation = posterior.transmittance[0, :, 10:-10].std(0)
+    np.testing.assert_allclose(deviation, fit.transmittance_deviation[0, 10:-10], rtol=0.35)
+    again = sample_leaf_posterior(GRID, R, T, draws=2000, target=1000.0)
+    np.testing.assert_array_equal(again.samples, posterior.samples)
+
+
+def test_a_missing_extra_names_the_line_to_type(monkeypatch):
+    real = builtins.__import__
+
+    def absent(name, *arguments, **keywords):
+        if name == "blackjax":
+            raise ImportError(name)
+        return real(name, *arguments, **keywords)
+
+    monkeypatch.setattr(builtins, "__import__", absent)
+    with pytest.raises(MissingExtraError, match=r'pip install "fynjax\[nuts\]"'):
+        sample_leaf_posterior(GRID, R, sampler="nuts")
+    with pytest.raises(ValueError, match="sampler"):
+        sample_leaf_posterior(GRID, R, sampler="gibbs")
+
+
+def test_an_empty_leaf_fails_alone():
+    both = np.concatenate([R, np.full_like(R, np.nan)])
+    posterior = sample_leaf_posterior(GRID, both, draws=50, target=50.0)
+    assert posterior.status[1].startswith("failed")
+    assert np.isnan(posterior.samples[1]).all()
+    assert np.isfinite(posterior.samples[0]).all()
+    assert jax.config.jax_enable_x64
