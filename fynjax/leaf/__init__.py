@@ -9,6 +9,7 @@ from fynjax.leaf._error_model import (
     independent_error_model,
 )
 from fynjax.leaf._fit import TRAIT_DISCREPANCY, LeafFit, fit_leaf
+from fynjax.leaf._groups import LeafGroups, fit_leaf_groups
 from fynjax.leaf._measurement import (
     AbstractMeasurement,
     IntegratingSphere,
@@ -31,6 +32,7 @@ __all__ = [
     "IntegratingSphere",
     "LeafClip",
     "LeafFit",
+    "LeafGroups",
     "LeafOptics",
     "LeafOverBackground",
     "LeafParameters",
@@ -42,6 +44,7 @@ __all__ = [
     "estimate_error_model",
     "exponential_integral",
     "fit_leaf",
+    "fit_leaf_groups",
     "independent_error_model",
     "interface_transmissivity",
     "layer_absorptance",

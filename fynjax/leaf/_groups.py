@@ -1,0 +1,152 @@
+"""Several leaves of a species fitted together: what they share, and how they vary."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from fynjax.leaf import _levenberg as lm
+from fynjax.leaf._coefficients import ProspectVersion
+from fynjax.leaf._error_model import ErrorModel
+from fynjax.leaf._fit import LeafFit, assemble, fit_chunk, solve_leaves
+from fynjax.leaf._measurement import AbstractMeasurement
+from fynjax.leaf._parameters import LeafParameters
+from fynjax.leaf._problem import (
+    PRIORS,
+    FitDomain,
+    binned_data,
+    leaf_priors,
+    make_setup,
+    usable_bins,
+)
+
+# Before any leaf is seen, leaves of a species differ by this in each parameter's logit (about the
+# relative standard deviation), and that guess counts as much as this many leaves.
+_WITHIN, _GUESS_COUNTS = 0.2, 5.0
+_ROUNDS = 4
+
+
+class LeafGroups(eqx.Module):
+    """Species means, variation within a species, and the leaves fitted under them."""
+
+    groups: tuple[str, ...] = eqx.field(static=True)
+    """Names of the groups, in order of first appearance."""
+    mean: LeafParameters
+    """Typical leaf of each group, each field a vector [group]."""
+    logit_mean: Float[np.ndarray, "group parameter"]
+    """The same in the unconstrained coordinates of the fit."""
+    logit_covariance: Float[np.ndarray, "parameter parameter"]
+    """Covariance of leaves within a species, shared by all, in those coordinates."""
+    names: tuple[str, ...] = eqx.field(static=True)
+    """Parameters, in the order of the arrays above."""
+    leaves: LeafFit
+    """Every leaf, fitted with its species as the prior."""
+
+    def variants(self, count: int, seed: int = 0) -> LeafParameters:
+        """Leaves drawn from each species: `count` materials for each, fields [group, variant].
+
+        The departures from the mean are the same for all species, and repeatable by `seed`.
+        """
+        root = np.linalg.cholesky(self.logit_covariance + 1e-12 * np.eye(len(self.names)))
+        steps = np.random.default_rng(seed).normal(size=(count, len(self.names))) @ root.T
+        return _parameters(self.logit_mean[:, None] + steps, self.names)
+
+
+def _parameters(z: np.ndarray, names: Sequence[str]) -> LeafParameters:
+    bounds = np.array([PRIORS[name][:2] for name in names])
+    x = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) / (1.0 + np.exp(-z))
+    values = dict(zip(names, np.moveaxis(x, -1, 0)))
+    filled: dict[str, Any] = {n: values.get(n, np.zeros(z.shape[:-1])) for n in PRIORS}
+    make = LeafParameters
+    for _ in range(z.ndim - 1):
+        make = jax.vmap(make)
+    return make(*(jnp.asarray(filled[name]) for name in PRIORS))
+
+
+def fit_leaf_groups(
+    wavelength: Float[np.ndarray, " band"],
+    reflectance: Float[np.ndarray, "leaf band"] | None = None,
+    transmittance: Float[np.ndarray, "leaf band"] | None = None,
+    *,
+    groups: Sequence[str],
+    version: ProspectVersion = "D",
+    measurement: AbstractMeasurement | None = None,
+    domain: FitDomain = "full",
+    free: Sequence[str] | None = None,
+    outdoor: bool | None = None,
+    detector_changes: Sequence[float] = (),
+    error_model: ErrorModel | None = None,
+) -> LeafGroups:
+    """Fit leaves of several species, each leaf informed by the others of its species.
+
+    A hierarchical model: leaves of a species are Gaussian about its mean in the logit of each
+    parameter, with a covariance that all species share; means have the wide priors of `fit_leaf`.
+    Mean and covariance are found by expectation-maximisation over the Gaussian approximations of
+    the leaves, each leaf then being fitted with its species as prior (Gelman et al. 2013, Bayesian
+    Data Analysis, chapters 5 and 13).
+
+    **Arguments:** those of `fit_leaf`, and `groups`: the species of each leaf.
+
+    **Returns:** `LeafGroups`.
+
+    **Raises:** `ValueError` as `fit_leaf`, or if `groups` has not one name for each leaf.
+    """
+    data = binned_data(wavelength, reflectance, transmittance, detector_changes)
+    if len(groups) != len(data):
+        raise ValueError(f"`groups` must name {len(data)} leaves, but has {len(groups)} names")
+    labels = tuple(dict.fromkeys(str(g) for g in groups))
+    member = np.array([labels.index(str(g)) for g in groups])
+    use = usable_bins(data, domain, outdoor)
+    with jax.enable_x64(True):
+        setup = make_setup(version, measurement, free, error_model)
+        alone = leaf_priors(setup, data, use)
+        # What the plateau tells of N is evidence about the leaf and stays beside its species.
+        line = alone[1] - setup.prior_precision
+        pull = (alone[1] @ alone[0][:, :, None])[:, :, 0] - setup.prior_precision @ setup.prior_mean
+        loose = np.isin(setup.names, setup.free)
+        guess = np.diag(np.where(loose, _WITHIN**2, 1e-6))
+        within, prior = guess, alone
+        means = np.tile(setup.prior_mean, (len(labels), 1))
+        good = use.sum((1, 2)) >= 10
+        for _ in range(_ROUNDS):
+            state, _, _ = solve_leaves(setup, data, use, prior)
+            means, within = _update(state, member, good, means, within, guess, setup.prior_mean,
+                                    setup.prior_precision)  # fmt: skip
+            inverse = np.linalg.inv(within)
+            precision = inverse + line
+            mean = np.linalg.solve(precision, ((means @ inverse)[member] + pull)[:, :, None])
+            prior = (mean[:, :, 0], precision)
+        leaves = assemble(setup, [fit_chunk(setup, data, use, prior)], data, use)
+    return LeafGroups(labels, _parameters(means, setup.names), means, within, setup.names, leaves)
+
+
+def _update(
+    state: lm.State,
+    member: np.ndarray,
+    good: np.ndarray,
+    means: np.ndarray,
+    within: np.ndarray,
+    guess: np.ndarray,
+    prior_mean: np.ndarray,
+    prior_precision: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means of the groups and the covariance within them, given where the leaves are."""
+    inverse = np.linalg.inv(within)
+    means = means.copy()
+    scatter, count = _GUESS_COUNTS * guess, _GUESS_COUNTS
+    for group in range(len(means)):
+        own = np.flatnonzero((member == group) & good)
+        precision = own.size * inverse + prior_precision
+        right = inverse @ state.z[own].sum(0) + prior_precision @ prior_mean
+        means[group] = np.linalg.solve(precision, right)
+        if own.size < 2:
+            continue
+        offset = state.z[own] - means[group]
+        spread = np.linalg.inv(state.hessian[own]).sum(0)
+        scatter = scatter + offset.T @ offset + spread + own.size * np.linalg.inv(precision)
+        count += own.size
+    return means, scatter / count
