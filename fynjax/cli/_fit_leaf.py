@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -23,6 +23,14 @@ class Domain(StrEnum):
     optimal = "optimal"
 
 
+class Posterior(StrEnum):
+    """How the posterior is sampled."""
+
+    none = "none"
+    emcee = "emcee"
+    nuts = "nuts"
+
+
 Spectra = Annotated[
     list[Path],
     typer.Argument(metavar="SPECTRUM...", help="Spectrum files: ASD binary, CSV or text."),
@@ -33,11 +41,18 @@ def fit_leaf(
     spectra: Spectra,
     version: Annotated[Version, typer.Option(help="PROSPECT version.")] = Version.D,
     measurement: Annotated[
-        str, typer.Option(help="How it was measured, such as sphere (PROSPECT as it is).")
+        str, typer.Option(help="How it was measured: sphere, leaf-clip, or stack (needle mats).")
     ] = "sphere",
     domain: Annotated[
         Domain, typer.Option(help="Wavelengths to fit: all, or the published sub-domains.")
     ] = Domain.full,
+    groups: Annotated[
+        Path | None,
+        typer.Option(help="CSV with columns name and species: fit leaves of a species together."),
+    ] = None,
+    posterior: Annotated[
+        Posterior, typer.Option(help="Sample the posterior of each leaf as well.")
+    ] = Posterior.none,
     output: Output = Path("output/fit-leaf"),
     seed: Seed = 0,
     json: Json = False,
@@ -46,7 +61,8 @@ def fit_leaf(
     """Fit PROSPECT to measured leaf spectra.
 
     Writes traits.csv (one row for each spectrum: parameters, standard deviations, fit error,
-    status) and spectra.nc (measured, fitted reflectance, predicted transmittance).
+    status), spectra.nc (measured, fitted reflectance, predicted transmittance) and a figure.
+    A table with reflectance and transmittance has a column of each, such as oak_R and oak_T.
 
     Example:  fynjax fit-leaf leaf_1.asd leaf_2.asd --output traits
     """
@@ -54,6 +70,12 @@ def fit_leaf(
 
     for path in spectra:
         existing_file(path, "a leaf spectrum")
+    further: dict[str, Any] = {}
+    if groups is not None:
+        existing_file(groups, "a table of species")
+        further["groups"] = groups
+    if posterior is not Posterior.none:
+        further["posterior"] = posterior.value
     from fynjax.io._fit_leaf import run_fit_leaf
 
     run_job(
@@ -66,6 +88,7 @@ def fit_leaf(
             domain=domain.value,
             seed=seed,
             progress=progress,
+            **further,
         ),
         output,
         seed=seed,

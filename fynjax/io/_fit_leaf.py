@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -10,21 +10,28 @@ import pandas as pd
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.io._leaf_results import (
+    draw_fit,
+    posterior_dataset,
+    species_table,
     spectra_dataset,
     traits_table,
     write_leaf_netcdf,
     write_traits_csv,
 )
 from fynjax.io._spectra import read_spectra
-from fynjax.io._spectra_record import Spectrum
+from fynjax.io._spectra_record import Spectrum, note
 from fynjax.leaf import (
+    LARGEST_JUMP,
     AbstractMeasurement,
     FitDomain,
     IntegratingSphere,
     LeafClip,
     LeafStack,
     ProspectVersion,
+    correct_detector_jumps,
     fit_leaf,
+    fit_leaf_groups,
+    sample_leaf_posterior,
 )
 
 MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
@@ -32,7 +39,59 @@ MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
     "leaf-clip": LeafClip,
     "stack": LeafStack,
 }
+Sampling = Literal["none", "emcee", "nuts"]
+"""How the posterior is sampled, if at all."""
 _GRID = np.arange(350.0, 2501.0)
+_TOLD_JUMP = 0.005
+
+
+def _without_jumps(spectrum: Spectrum) -> Spectrum:
+    """The spectrum with the jumps of its detectors taken out, if the file says where they are."""
+    changes = spectrum.meta.get("splices", [])
+    if not changes:
+        return spectrum
+    meta = {**spectrum.meta, "repairs": list(spectrum.meta["repairs"])}
+    parts = []
+    for values in (spectrum.reflectance, spectrum.transmittance):
+        if values is not None:
+            values, jumps = correct_detector_jumps(spectrum.wavelength, values, changes)
+            for at, jump in zip(changes, jumps):
+                if np.isfinite(jump) and abs(jump) > _TOLD_JUMP:
+                    what = "taken out" if abs(jump) <= LARGEST_JUMP else "too large, left alone"
+                    note(meta, f"detectors change at {at:g} nm: {100 * jump:+.1f} %, {what}")
+        parts.append(values)
+    return Spectrum(spectrum.name, spectrum.wavelength, parts[0], parts[1], meta)
+
+
+def _read_groups(path: str | Path, names: Sequence[str]) -> list[str]:
+    """The species of each spectrum from a table with the columns `name` and `species`."""
+    try:
+        table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+        raise InputError(f"expected a table of names and species: {error}", file=path) from error
+    for column in ("name", "species"):
+        if column not in table:
+            raise InputError(
+                f"expected the columns name and species, but found {', '.join(table.columns)}",
+                file=path,
+            )
+    twice = table["name"][table["name"].duplicated()]
+    if len(twice):
+        raise InputError(
+            f"the spectrum {twice.iloc[0]!r} is named twice",
+            file=path,
+            row=int(twice.index[0]) + 2,
+            column="name",
+        )
+    species = dict(zip(table["name"], table["species"]))
+    missing = [name for name in names if not species.get(name)]
+    if missing:
+        raise InputError(
+            f"no species for {len(missing)} spectra, the first is {missing[0]!r}; "
+            "the column name holds names of spectra, as in traits.csv",
+            file=path, column="name",
+        )  # fmt: skip
+    return [species[name] for name in names]
 
 
 def _on_grid(spectrum: Spectrum, values: np.ndarray | None) -> np.ndarray:
@@ -56,10 +115,12 @@ def run_fit_leaf(
     version: ProspectVersion = "D",
     measurement: str = "sphere",
     domain: FitDomain = "full",
+    groups: str | Path | None = None,
+    posterior: Sampling = "none",
     seed: int = 0,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Fit every spectrum of every file; write `traits.csv` and `spectra.nc` into `output`.
+    """Fit every spectrum of every file; write traits, spectra and a figure into `output`.
 
     A file that cannot be read does not stop the others: it becomes a row of `traits.csv` with the
     reason as status. If none can be read the first reason is raised.
@@ -71,14 +132,17 @@ def run_fit_leaf(
     - `version`: "5", "D" or "PRO".
     - `measurement`: "sphere", "leaf-clip" or "stack".
     - `domain`: "full" or "optimal".
-    - `seed`: recorded for provenance; the fit draws no random numbers.
+    - `groups`: a CSV with the columns `name` (of a spectrum) and `species`: leaves of a species are
+      fitted together, and `species.csv` holds the mean leaf and five material variants of each.
+    - `posterior`: "none", or sample it by "emcee" or "nuts" into `posterior.nc`.
+    - `seed`: seed of the posterior's random numbers; the fit itself draws none.
     - `progress`: told of every chunk of leaves.
 
-    **Returns:** a summary: `spectra`, `converged`, `doubtful`, `refused` (file and reason),
-    `repairs` (file, spectrum and sentence), `files` written.
+    **Returns:** a summary: `headline` (sentences), `spectra`, `converged`, `doubtful`, `refused`
+    (file and reason), `repairs` (file, spectrum and sentence), `files` (name and what it holds).
 
-    **Raises:** `InputError` if no file holds a usable spectrum; `ValueError` for an unknown
-    measurement.
+    **Raises:** `InputError` if no file holds a usable spectrum, or the table of groups is wrong;
+    `ValueError` for an unknown measurement; `MissingExtraError` for a sampler not installed.
     """
     if measurement not in MEASUREMENTS:
         raise ValueError(
@@ -88,33 +152,58 @@ def run_fit_leaf(
     spectra: list[tuple[str, Spectrum]] = []
     for path in paths:
         try:
-            spectra += [(str(path), spectrum) for spectrum in read_spectra(path)]
+            spectra += [(str(path), _without_jumps(one)) for one in read_spectra(path)]
         except InputError as error:
             refused.append((str(path), error))
     if not spectra:
         raise refused[0][1] if refused else InputError("no file of spectra was given")
     r = np.stack([_on_grid(s, s.reflectance) for _, s in spectra])
     t = np.stack([_on_grid(s, s.transmittance) for _, s in spectra])
-    fit = fit_leaf(
-        _GRID, r, t, version=version, measurement=MEASUREMENTS[measurement](), domain=domain,
-        progress=progress,
-    )  # fmt: skip
     files, names = [f for f, _ in spectra], [s.name for _, s in spectra]
+    folder = Path(output)
+    options: dict[str, Any] = {
+        "version": version, "measurement": MEASUREMENTS[measurement](), "domain": domain
+    }  # fmt: skip
+    written = {
+        "traits.csv": "parameters, deviations, 90 % intervals and status of each spectrum",
+        "spectra.nc": "measured, fitted and predicted R and T on the fit's bins",
+        "spectra.png": "measured and fitted spectra",
+    }
+    together = None
+    if groups is not None:
+        together = fit_leaf_groups(_GRID, r, t, groups=_read_groups(groups, names), **options)
+        written["species.csv"] = "mean leaf and material variants of each species"
+    fit = fit_leaf(_GRID, r, t, progress=progress, **options) if together is None else (
+        together.leaves)  # fmt: skip
     settings = {
         "prospect_version": version,
         "measurement": measurement,
         "domain": domain,
         "seed": str(seed),
     }
-    folder = Path(output)
+    if posterior != "none":
+        drawn = sample_leaf_posterior(
+            _GRID, r, t, sampler=posterior, seed=seed, progress=progress, **options
+        )
+        write_leaf_netcdf(posterior_dataset(drawn, fit, files, names, settings),
+                          folder / "posterior.nc")  # fmt: skip
+        written["posterior.nc"] = "draws of the parameters and of T from the posterior"
     table = traits_table(fit, files, names)
     if refused:
         rows = [{"file": f, "name": "", "status": f"refused: {e}"} for f, e in refused]
         table = pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
     write_leaf_netcdf(spectra_dataset(fit, files, names, settings), folder / "spectra.nc")
     write_traits_csv(table, folder / "traits.csv")
+    if together is not None:
+        write_traits_csv(species_table(together, seed), folder / "species.csv")
+    draw_fit(fit, names, folder / "spectra.png")
     good = sum(status == "converged" for status in fit.status)
+    headline = [f"{good} of {len(spectra)} spectra fitted without doubt."]
+    if good < len(spectra):
+        headline.append("The others say why in the column status of traits.csv.")
+    headline += [f"Refused: {error}" for _, error in refused]
     return {
+        "headline": headline,
         "spectra": len(spectra),
         "converged": good,
         "doubtful": len(spectra) - good,
@@ -124,5 +213,5 @@ def run_fit_leaf(
             for f, s in spectra
             for sentence in s.meta["repairs"]
         ],
-        "files": [str(folder / "traits.csv"), str(folder / "spectra.nc")],
+        "files": written,
     }

@@ -1,7 +1,7 @@
 """Leaf optics: PROSPECT, forward and backward."""
 
 from fynjax.leaf._coefficients import ProspectVersion
-from fynjax.leaf._detectors import correct_detector_jumps
+from fynjax.leaf._detectors import LARGEST_JUMP, correct_detector_jumps
 from fynjax.leaf._error_model import (
     ErrorModel,
     default_error_model,
@@ -25,6 +25,7 @@ from fynjax.leaf._prospect import LeafOptics, interface_transmissivity, prospect
 from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
 
 __all__ = [
+    "LARGEST_JUMP",
     "TRAIT_DISCREPANCY",
     "AbstractMeasurement",
     "ErrorModel",

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 _REACH = 12.0
-_LARGEST = 0.15
+LARGEST_JUMP = 0.15
+"""Largest jump that counts as drift of a detector, relative [-]."""
 
 
 def correct_detector_jumps(
@@ -56,7 +57,7 @@ def correct_detector_jumps(
         with np.errstate(invalid="ignore", divide="ignore"):
             jump = ends[1] / ends[0] - 1.0
             jumps[:, number] = np.where((ends[0] > 0) & (ends[1] > 0), jump, np.nan)
-    usable = np.isfinite(jumps) & (np.abs(np.nan_to_num(jumps)) <= _LARGEST)
+    usable = np.isfinite(jumps) & (np.abs(np.nan_to_num(jumps)) <= LARGEST_JUMP)
     ratio = np.where(usable, 1.0 + np.nan_to_num(jumps), 1.0)
     gains = np.ones((len(rows), len(changes) + 1))
     for side in range(reference - 1, -1, -1):

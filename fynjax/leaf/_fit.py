@@ -28,11 +28,6 @@ from fynjax.leaf._problem import (
 
 NINETY_PERCENT = 1.6448536269514722
 
-# What a measured trait and the one that explains the spectrum differ by besides the errors of the
-# spectrum (specific absorption that varies between species, laboratory errors): standard deviation
-# in the logit coordinate, where it is nearly the relative one, for a leaf of inflation 1. Maximum
-# of a robust likelihood over ANGERS, LOPEX, NASA FFT and California, each set counting the same;
-# with one set left out the values move by 0.03 or less. Traits without data carry a round 0.2.
 TRAIT_DISCREPANCY: dict[str, float] = {
     "chlorophyll": 0.14,
     "carotenoids": 0.15,
@@ -41,6 +36,13 @@ TRAIT_DISCREPANCY: dict[str, float] = {
     "proteins": 0.2,
     "carbon_constituents": 0.2,
 }
+"""What a measured trait and the one that explains the spectrum differ by, besides the errors of the
+spectrum (specific absorption that varies between species, laboratory errors): standard deviation in
+the logit coordinate, where it is nearly the relative one, for a leaf of inflation 1 [-].
+
+Rounded from the maximum of a robust likelihood over ANGERS, LOPEX, NASA FFT and California, each
+set counting the same. Protein and CBC were not estimated: theirs is an assumption.
+"""
 
 
 class LeafFit(eqx.Module):
@@ -175,7 +177,9 @@ def describe(
 def trait_variance(setup: Setup, inflation: np.ndarray) -> Float[np.ndarray, "leaf parameter"]:
     """Variance of z that the measured traits add to the spectrum's, see `TRAIT_DISCREPANCY`."""
     own = [TRAIT_DISCREPANCY.get(n, 0.0) if n in setup.free else 0.0 for n in setup.names]
-    return (np.asarray(inflation)[:, None] * np.array(own)) ** 2
+    # Beyond tenfold it is no leaf; the status says so, and the interval is the prior's range.
+    grown = np.minimum(np.asarray(inflation), 10.0)
+    return (grown[:, None] * np.array(own)) ** 2
 
 
 def fit_leaf(
@@ -284,7 +288,7 @@ def assemble(
             status.append("not converged: iteration limit reached")
         elif at_bound[i].any():
             status.append(f"at bound: {', '.join(np.array(names)[at_bound[i]])}")
-        elif got["inflation"][i] > 8.0:
+        elif got["inflation"][i] > 5.0:
             status.append("converged, poor fit: unlike any leaf of the error model")
         else:
             status.append("converged")

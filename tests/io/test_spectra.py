@@ -3,12 +3,14 @@
 import shutil
 import struct
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
 
 from fynjax._core.errors import InputError
+from fynjax.cli import main
 from fynjax.io._fit_leaf import run_fit_leaf
 from fynjax.io._spectra import read_spectra
 from fynjax.leaf import LeafParameters, prospect
@@ -204,7 +206,79 @@ def test_run_writes_traits_and_spectra_and_keeps_going_past_a_bad_file(tmp_path)
         at = np.interp(data["wavelength"].sel(wavelength=inside), WAVELENGTH, T)
         assert np.abs(error - at).max() < 0.05
         assert np.isnan(data["measured_transmittance"][1]).all()
+    assert set(summary["files"]) == {p.name for p in (tmp_path / "out").iterdir()}
+    image = plt.imread(tmp_path / "out" / "spectra.png")
+    assert 0.01 < (image[..., :3].min(-1) < 0.5).mean() < 0.5  # ink, on a page mostly white
     shutil.rmtree(tmp_path / "out")
     with pytest.raises(InputError, match=r"bad\.csv"):
         run_fit_leaf([bad], tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_the_command_fits_groups_and_samples_the_posterior(tmp_path, capsys):
+    """Through the door: what is printed, every file named, species and draws in them."""
+    columns = {"wavelength": WAVELENGTH, "a": R, "b": 1.02 * R, "c": 0.9 * R}
+    good = table(tmp_path / "good.csv", columns)
+    groups = tmp_path / "groups.csv"
+    groups.write_text("name,species\na,Erica\nb,Erica\nc,Protea\n")
+    out = tmp_path / "out"
+    with pytest.raises(SystemExit) as caught:
+        main(["fit-leaf", str(good), "--output", str(out), "--groups", str(groups),
+              "--posterior", "emcee"])  # fmt: skip
+    assert not caught.value.code
+    said = capsys.readouterr().out
+    for name in ("traits.csv", "spectra.nc", "spectra.png", "species.csv", "posterior.nc"):
+        assert name in said
+        assert (out / name).stat().st_size > 100
+    assert "3 of 3 spectra" in said
+    species = pd.read_csv(out / "species.csv")
+    assert species.groupby("species").size().to_dict() == {"Erica": 6, "Protea": 6}
+    assert species["chlorophyll"].between(20, 70).all()
+    with xr.open_dataset(out / "posterior.nc") as data:
+        assert data["water"].shape == (3, 400)
+        assert 0.005 < float(data["water"][0].median()) < 0.02
+        assert (data["status"] == "converged").all()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name,kind\na,x\n", "columns name and species"),
+        ("name,species\na,x\na,y\n", "named twice"),
+        ("name,species\nother,x\n", "no species for 1 spectra"),
+        ("", "table of names and species"),
+    ],
+)
+def test_a_wrong_table_of_groups_is_refused(tmp_path, text, message):
+    good = table(tmp_path / "good.csv", {"wavelength": WAVELENGTH, "a": R})
+    groups = tmp_path / "groups.csv"
+    groups.write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        run_fit_leaf([good], tmp_path / "out", groups=groups)
+    assert "groups.csv" in str(caught.value)
+
+
+def test_jumps_of_an_asd_are_taken_out_and_said(tmp_path):
+    """An ASD whose first detector reads 4 % low gives the traits of one that does not."""
+    grid = np.arange(350.0, 2501.0)
+    flat = np.interp(grid, WAVELENGTH, R)
+    for name, gain in (("plain", 1.0), ("drift", 0.96)):
+        header = bytearray(484)
+        header[:3], header[186], header[199] = b"as8", 1, 2
+        struct.pack_into("<ff", header, 191, 350.0, 1.0)
+        struct.pack_into("<H", header, 204, 2151)
+        struct.pack_into("<ff", header, 444, 1000.0, 1830.0)
+        target = np.where(grid <= 1000, gain, 1.0) * flat * 1000
+        body = target.tobytes() + bytes(18) + struct.pack("<H", 0) + np.full(2151, 1e3).tobytes()
+        (tmp_path / f"{name}.asd").write_bytes(bytes(header) + body)
+    summary = run_fit_leaf([tmp_path / "plain.asd", tmp_path / "drift.asd"], tmp_path / "out")
+    said = [r["repair"] for r in summary["repairs"] if r["name"] == "drift"]
+    assert any("1000 nm: +4" in sentence and "taken out" in sentence for sentence in said)
+    traits = pd.read_csv(tmp_path / "out" / "traits.csv")
+    for trait in ("chlorophyll", "water", "dry_matter"):
+        np.testing.assert_allclose(traits[trait][1], traits[trait][0], rtol=0.03)
+
+
+def test_water_in_milligrams_is_named_as_the_likely_slip():
+    with pytest.raises(ValueError, match="mg/cm2"):
+        LeafParameters(water=12.0)
