@@ -136,3 +136,52 @@ for field in shown:
     worst = max(worst, float(error))
 print(f"Largest relative disagreement with finite differences: {worst:.1e}")
 assert worst < 1e-6
+
+# %% [markdown]
+# ## Backwards: from a spectrum to the leaf
+#
+# `fit_leaf` reads a spectrum backwards, and `fynjax fit-leaf leaf_1.asd leaf_2.asd` does the same
+# from files. Reflectance alone is what a field instrument gives; the transmittance is predicted.
+# Where the reference data lie beside the project (or `FYNJAX_SHARED_DATA` says where) this is a
+# real leaf clip reading of a lime tree, *Tilia americana*; elsewhere the tough leaf from above.
+
+# %%
+import os
+from pathlib import Path
+
+from fynjax.io import read_spectra
+from fynjax.leaf import LeafClip, fit_leaf
+
+folder = Path(os.environ.get("FYNJAX_SHARED_DATA", "../../shared/data")) / "leaf" / "asd"
+found = sorted(folder.glob("serbin*.asd"))
+if found:
+    (spectrum,) = read_spectra(found[0])
+    grid, measured, title = spectrum.wavelength, spectrum.reflectance, spectrum.name
+else:
+    grid, title = wavelength, "the tough leaf"
+    measured = np.asarray(prospect(leaf, grid).reflectance)
+fit = fit_leaf(grid, measured[None], measurement=LeafClip(), detector_changes=(1000.0, 1830.0))
+
+print(f"{title}: {fit.status[0]}")
+for i, name in enumerate(fit.names):
+    best = float(getattr(fit.parameters, name)[0])
+    print(f"{name:<14}{best:>10.4g}   90 %: {fit.lower[0, i]:.4g} to {fit.upper[0, i]:.4g}")
+
+# %%
+fig, ax = plt.subplots(figsize=(8, 4.2), layout="constrained")
+inside = (fit.wavelength >= 445) & (fit.wavelength <= 2405)
+through, wide = fit.transmittance[0, inside], 1.645 * fit.transmittance_deviation[0, inside]
+ax.fill_between(fit.wavelength[inside], 1 - through - wide, 1 - through + wide, alpha=0.25, lw=0)
+ax.plot(fit.wavelength[inside], 1 - through, label="1 - T predicted, with its 90 % interval")
+ax.plot(fit.wavelength[inside], fit.fitted[0, 0, inside], color="tab:green", label="R of the model")
+ax.plot(fit.wavelength, fit.measured[0, 0], "k.", ms=3, label="R measured")
+ax.set(xlabel="wavelength [nm]", ylabel="share of the light", ylim=(0, 1), title=title)
+ax.legend(frameon=False)
+plt.show()
+
+# %% [markdown]
+# The interval is honest about what reflectance alone cannot say: PROSPECT's own error hangs
+# together along the wavelength, so a thousand bands are not a thousand independent witnesses. That
+# error was learned from the collections ANGERS and LOPEX. On the leaves of a third, NASA FFT, the
+# 90 % interval of T held 93 % of the measured bands, that of water 81 % and that of dry matter 90 %
+# of the leaves.

@@ -119,7 +119,9 @@ def independent_error_model(standard_deviation: float = 0.01) -> ErrorModel:
     Its intervals are far too narrow for real leaves.
     """
     bins = bin_centres().size
-    none, flat = np.zeros((1, bins)), np.full(bins, standard_deviation)
+    # As many factors as the default has, so that the compiled programs of the fit are shared.
+    none = np.zeros_like(default_error_model().reflectance_factors)
+    flat = np.full(bins, standard_deviation)
     return ErrorModel(none, none, flat, flat)
 
 

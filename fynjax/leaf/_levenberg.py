@@ -20,7 +20,7 @@ from fynjax.leaf._prospect import _stack
 from fynjax.leaf._transmissivity import layer_absorptance
 
 # Sizes of batch that are compiled; steps between two looks at who has converged; how many looks.
-_SIZES = (1, 16, 128)
+_SIZES = (16, 128)
 _STEPS, _ROUNDS = 4, 20
 # Longest step of a parameter in its logit; the gain of the log posterior (a fraction of the
 # posterior's standard deviation, squared) below which a full step ends the iteration.

@@ -108,7 +108,7 @@ def _prosail_jax(peer: Any, values: dict, rows: list) -> Callable[[], Any]:
     place = Path(str(importlib.import_module("prosail").__file__)).parent
     table, _ = peer.load_coeffs(str(place))
     forward = jax.jit(
-        jax.vmap(lambda p: peer.prospect_d(p[0], p[1], p[2], p[4], p[5], p[3], 0.0, table))
+        jax.vmap(lambda p: peer.prospect_d(p[0], p[1], p[2], 0.0, p[4], p[5], p[3], table))
     )
     inputs = np.array(rows)
     return lambda: jax.block_until_ready(forward(inputs))

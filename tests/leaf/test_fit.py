@@ -87,6 +87,7 @@ def test_bad_bands_are_left_out_and_empty_spectra_say_so():
     assert np.all(fit.rmse[:2] < 0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", ["5", "PRO"])
 def test_other_versions_fit(version):
     leaf = prospect(LeafParameters(), version=version)
@@ -120,6 +121,7 @@ def test_stack_is_the_limit_of_adding_leaves():
     np.testing.assert_allclose(LeafStack().observe(r, t)[0], pile, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_black_backed_clip_with_offset_does_not_move_the_water():
     _, r, _ = leaves(8)
     plain = fit_leaf(GRID, r + 0.03, measurement=LeafClip())
@@ -180,6 +182,7 @@ def test_intervals_hold_what_the_laboratory_measured(shared_data, name, given):
             assert 0.78 <= inside[np.isfinite(truth)].mean() <= 0.995, trait
 
 
+@pytest.mark.slow
 def test_a_leaf_is_fitted_alike_alone_and_in_a_batch():
     _, r, _ = leaves(40, seed=7)
     r = r + 0.02 * np.sin(GRID / np.linspace(60, 200, 40)[:, None])

@@ -10,8 +10,8 @@ from fynjax.leaf._error_model import bin_centres, to_bins
 GRID = np.arange(400.0, 2501.0)
 
 
-def species(seed=0, leaves=8):
-    """Three species of eight leaves with the error of real leaves; dry matter varies by 12 %."""
+def species(seed=0, leaves=5):
+    """Three species of five leaves with the error of real leaves; dry matter varies by 12 %."""
     draw = np.random.default_rng(seed)
     centre = np.repeat([0.004, 0.009, 0.018], leaves)
     truth = {
@@ -35,11 +35,12 @@ def test_leaves_of_a_species_help_each_other():
     together = fit_leaf_groups(bin_centres(), r, groups=names)
     alone = fit_leaf(bin_centres(), r)
     assert together.groups == ("soft", "middle", "tough")
-    error = [
-        np.sqrt(np.mean(np.log(np.asarray(f.parameters.dry_matter) / truth["dry_matter"]) ** 2))
-        for f in (together.leaves, alone)
-    ]
-    assert error[0] < 0.85 * error[1]
+    for trait in ("dry_matter", "water", "chlorophyll"):  # ratios of 0.67 to 0.93 over eight seeds
+        error = [
+            np.sqrt(np.mean(np.log(np.asarray(getattr(f.parameters, trait)) / truth[trait]) ** 2))
+            for f in (together.leaves, alone)
+        ]
+        assert error[0] < 0.95 * error[1], trait
     assert np.all(np.diff(np.asarray(together.mean.dry_matter)) > 0)
     i = alone.names.index("dry_matter")
     assert np.median(together.leaves.standard_deviation[:, i] / alone.standard_deviation[:, i]) < 1

@@ -156,7 +156,9 @@ def test_layer_absorptance_at_its_edges():
         assert np.isfinite(jax.grad(jax.grad(layer_absorptance))(order_two))
 
 
-@pytest.mark.parametrize("version", ["5", "D", "PRO"])
+@pytest.mark.parametrize(
+    "version", ["D", *(pytest.param(v, marks=pytest.mark.slow) for v in ("5", "PRO"))]
+)
 def test_gradients_equal_differences(version):
     leaf = LeafParameters(
         structure=1.8, chlorophyll=30.0, carotenoids=7.0, anthocyanins=2.0, brown_pigments=0.2,
