@@ -20,7 +20,7 @@ from fynjax.canopy._counts import (
 )
 from fynjax.canopy._forms import FORM_DEFAULTS, FormDefaults, plant_model
 from fynjax.canopy._grid import VoxelGrid, deposit
-from fynjax.canopy._instances import instantiate, random_orientation, stack_plants
+from fynjax.canopy._instances import instantiate, random_orientation, stack_plants, unit_shapes
 from fynjax.canopy._mesh import MeshPlant, plant_model_from_mesh
 from fynjax.canopy._plant import Organ, PlantModel
 from fynjax.canopy._sites import assign_sites, poisson_disk, site_weight, soft_weights
@@ -58,4 +58,5 @@ __all__ = [
     "stack_plants",
     "table1_2006",
     "target_area",
+    "unit_shapes",
 ]

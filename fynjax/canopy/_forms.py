@@ -78,6 +78,9 @@ class FormDefaults:
     """Half the surface of the wood per ground area of the crown [m2 m-2]."""
     flower_fraction: float
     """Flower area at full bloom per leaf area [-]."""
+    shoot_clumping: float
+    """Probability that light which a leaf scatters meets another leaf of its shoot [-], as far
+    as the voxels do not show it. 0.44 is a pine shoot (Smolander and Stenberg 2005)."""
     leaf_angle: str
     """Distribution of the leaf normals (`leaf_angle`)."""
     description: str
@@ -86,30 +89,30 @@ class FormDefaults:
 
 FORM_DEFAULTS: dict[str, FormDefaults] = {
     "upright_ericoid": FormDefaults(
-        2.5, 0.40, 0.05, "erectophile",
+        2.5, 0.40, 0.05, 0.5, "erectophile",
         "Broom-like: crown widens upwards to 70 % of the height, foliage towards the top and the "
         "outside on ascending shoots, small leaves pressed along them.",
     ),
     "rounded_shrub": FormDefaults(
-        3.0, 0.50, 0.05, "spherical",
+        3.0, 0.50, 0.05, 0.4, "spherical",
         "Dome resting near the ground, foliage in its outer shell, many fine stems.",
     ),
     "tussock": FormDefaults(
-        2.0, 0.05, 0.03, "erectophile",
+        2.0, 0.05, 0.03, 0.2, "erectophile",
         "Leafless green culms that fan out from a small base and arch over; counted as leaf. "
         "Dead sheaths at the base are wood, spikelets at the tips are flowers.",
     ),
     "broad_leaved": FormDefaults(
-        3.5, 0.50, 0.01, "plagiophile",
+        3.5, 0.50, 0.01, 0.2, "plagiophile",
         "Ellipsoidal crown on a few stout stems, foliage in its outer shell, oblique leaves.",
     ),
     "climber": FormDefaults(
-        1.5, 0.0, 0.0, "planophile",
+        1.5, 0.0, 0.0, 0.2, "planophile",
         "Shallow mat of green threads (counted as leaf) draped over the upper part of its height, "
         "falling towards its rim; no wood and no visible flowers.",
     ),
     "deadwood": FormDefaults(
-        0.0, 0.80, 0.0, "spherical",
+        0.0, 0.80, 0.0, 0.0, "spherical",
         "Bare stems and branches from the base, upright to leaning far outwards; wood only.",
     ),
 }  # fmt: skip

@@ -82,17 +82,16 @@ def instantiate(
     def per_plant(value: Any) -> Array:
         return jnp.broadcast_to(jnp.asarray(value, dtype), (n,))[:, None]
 
-    model = plant.position.astype(dtype)
-    diameter = per_plant(diameter)
-    x, y = diameter * model[..., 0], diameter * model[..., 1]
-    z = per_plant(height) * model[..., 2]
-    if tilt is not None:
-        lean = jnp.deg2rad(per_plant(tilt))
-        y, z = y * jnp.cos(lean) + z * jnp.sin(lean), z * jnp.cos(lean) - y * jnp.sin(lean)
-    turn = jnp.deg2rad(per_plant(azimuth))
-    east = x * jnp.cos(turn) + y * jnp.sin(turn) + sites[:, :1]
-    north = y * jnp.cos(turn) - x * jnp.sin(turn) + sites[:, 1:]
-    positions = jnp.stack([east, north, z], axis=-1).reshape(n * k, 3)
+    lean = jnp.zeros(1, dtype) if tilt is None else per_plant(tilt)[:, 0]
+    per_diameter, per_height = unit_shapes(
+        plant.position.astype(dtype), per_plant(azimuth)[:, 0], lean, jnp
+    )
+    foot = jnp.pad(sites, ((0, 0), (0, 1)))[:, None, :]
+    positions = (
+        foot
+        + per_plant(diameter)[..., None] * per_diameter
+        + per_plant(height)[..., None] * per_height
+    ).reshape(n * k, 3)
 
     # One column an organ, each element picks its own: no gather over plants.
     areas = {Organ.LEAF: leaf_area, Organ.WOOD: wood_area, Organ.FLOWER: flower_area}
@@ -102,6 +101,26 @@ def instantiate(
         area = area + jnp.where(plant.organ == organ, fraction, 0.0) * per_plant(of_organ)
     area = (area * per_plant(weight)).reshape(n * k)
     return positions, area, jnp.broadcast_to(plant.organ, (n, k)).reshape(n * k)
+
+
+def unit_shapes(position: Any, azimuth: Any, tilt: Any, numpy: Any = np) -> tuple[Any, Any]:
+    """Turned and leaning plants of unit size: [plant, element, 3] per diameter and per height.
+
+    An element then stands at site + diameter times the one + height times the other. `position`
+    is that of a `PlantModel`; `azimuth` and `tilt` [degrees] are those of `instantiate`;
+    `numpy` is the library that computes, numpy or jax.numpy.
+    """
+    x, y, z = (position[..., axis] for axis in range(3))
+    turn, lean = numpy.deg2rad(azimuth)[:, None], numpy.deg2rad(tilt)[:, None]
+    east, north = numpy.sin(turn), numpy.cos(turn)
+
+    def stand(right: Any, ahead: Any, up: Any) -> Any:
+        shape = (turn.shape[0], position.shape[-2])
+        parts = (right * north + ahead * east, ahead * north - right * east, up)
+        return numpy.stack([numpy.broadcast_to(part, shape) for part in parts], axis=-1)
+
+    per_diameter = stand(x, y * numpy.cos(lean), -y * numpy.sin(lean))
+    return per_diameter, stand(0.0 * x, z * numpy.sin(lean), z * numpy.cos(lean))
 
 
 def _check_degrees(azimuth: Any) -> None:

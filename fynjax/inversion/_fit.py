@@ -125,12 +125,8 @@ def fit(
             report(*history[-1])
 
     if method == "least_squares":
-        u, predicted, jacobian, success, steps = jax.block_until_ready(
-            forward.search(u, data, shift, tolerance, max_steps=max_steps, note=_Relay(note))
-        )
-        jax.effects_barrier()  # all notes have arrived
-        converged = bool(success)
-        status = f"{'Converged' if converged else 'Stopped'} after {int(steps)} steps."
+        solver = _LeastSquares(forward, data, shift, tolerance)
+        u, predicted, jacobian, status, converged = solver.run(u, max_steps, note)
     elif method == "lbfgsb":
         u, status, converged = _quasi_newton(forward, data, shift, u, max_steps, tolerance, note)
         predicted, jacobian = forward.jacobian(u)
@@ -163,31 +159,13 @@ def fit(
     )
 
 
-class _Relay:
-    """A callback that compiled code can keep: equal to every other, it calls the latest."""
-
-    _latest: Callable[[Array, Array], None]
-
-    def __init__(self, call: Callable[[Array, Array], None]) -> None:
-        type(self)._latest = staticmethod(call)
-
-    def __call__(self, loss: Array, norm: Array) -> None:
-        type(self)._latest(loss, norm)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Relay)
-
-    def __hash__(self) -> int:
-        return hash(_Relay)
-
-
 class Forward:
     """A forward model in whitened coordinates, each way of running it compiled once.
 
     Derivatives are by reverse mode: a plot has more free parameters than statistics.
     """
 
-    def __init__(self, predict: Predict, space: ParameterSpace, rows_at_once: int = 4) -> None:
+    def __init__(self, predict: Predict, space: ParameterSpace, rows_at_once: int = 1) -> None:
         def values(u: Array) -> Array:
             return predict(space.physical(u)).astype(u.dtype)
 
@@ -207,6 +185,13 @@ class Forward:
 
             return jax.value_and_grad(objective)(u)
 
+        def step(u: Array, state: Any, data: Data, offset: Array, tolerance: Array) -> Any:
+            solver, residual = _solver(tolerance), _residual(with_jacobian)
+            args, tags = (data, offset), frozenset[object]()
+            u, state, _ = solver.step(residual, u, args, _OPTIONS, state, tags)
+            done, result = solver.terminate(residual, u, args, _OPTIONS, state, tags)
+            return u, state, state.aux, done & (result == optx.RESULTS.successful)
+
         self.traced_jacobian = with_jacobian
         self.values = jax.jit(values)
         """Statistics at whitened coordinates."""
@@ -214,48 +199,75 @@ class Forward:
         """Statistics and their derivatives, [statistic] and [statistic, free]."""
         self.misfit = jax.jit(misfit)
         """Objective and gradient, from coordinates, data and offset."""
-        self.search = jax.jit(self._search, static_argnames=("tolerance", "max_steps", "note"))
+        self.step = eqx.filter_jit(step)
+        """One step of Levenberg-Marquardt; all that a least-squares fit compiles."""
 
-    def _search(
-        self,
-        start: Array,
-        data: Data,
-        offset: Array,
-        tolerance: float,
-        *,
-        max_steps: int,
-        note: Callable[[Array, Array], None],
-    ) -> tuple[Any, ...]:
-        """Levenberg-Marquardt; estimate, statistics, Jacobian, result number, steps."""
 
-        def residual(u: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
-            here = jax.lax.stop_gradient(u)
-            value, jacobian = self.traced_jacobian(here)
-            # The value with its slope attached: the solver's own differentiation is then a
-            # product with the Jacobian, which it also hands back for the uncertainty.
-            linear = value + jacobian @ (u - here)
-            rest = jnp.concatenate([(linear + offset - data.value) / data.sd, u])
-            still = jax.lax.stop_gradient(rest)
-            slope = (jacobian / data.sd[:, None]).T @ still[: value.size] + here
-            jax.debug.callback(note, 0.5 * still @ still, jnp.linalg.norm(slope))
-            return rest, (value, jacobian)
+_TRUST = 0.1
+_OPTIONS = {"jac": "bwd"}  # the Jacobian as an array, which another fit can pass again
 
-        solution: Any = optx.least_squares(
-            residual,  # type: ignore[arg-type]
-            optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance),
-            start,
-            has_aux=True,
-            max_steps=max_steps,
-            throw=False,
-        )
-        value, jacobian = solution.aux
-        return (
-            solution.value,
-            value,
-            jacobian,
-            solution.result == optx.RESULTS.successful,
-            solution.stats["num_steps"],
-        )
+
+def _solver(tolerance: Array) -> Any:
+    return optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance)  # type: ignore[arg-type]
+
+
+def _residual(with_jacobian: Callable[[Array], tuple[Array, Array]]) -> Callable[..., Any]:
+    """The residual for optimistix: misfit of the data, then distance from the prior."""
+
+    def residual(u: Array, args: tuple[Data, Array]) -> tuple[Array, tuple[Array, ...]]:
+        data, offset = args
+        here = jax.lax.stop_gradient(u)
+        value, jacobian = with_jacobian(here)
+        # The value with its slope attached: the solver's own differentiation is then a product
+        # with the Jacobian, which it also hands back for the uncertainty.
+        linear = value + jacobian @ (u - here)
+        rest = jnp.concatenate([(linear + offset - data.value) / data.sd, u])
+        still = jax.lax.stop_gradient(rest)
+        slope = (jacobian / data.sd[:, None]).T @ still[: value.size] + here
+        return rest, (value, jacobian, 0.5 * still @ still, jnp.linalg.norm(slope))
+
+    return residual
+
+
+class _LeastSquares:
+    """Levenberg-Marquardt by optimistix, a compiled step at a time: it can be watched and stopped
+    between steps, and another fit of the same forward model compiles nothing."""
+
+    def __init__(self, forward: Forward, data: Data, offset: Array, tolerance: float) -> None:
+        self._forward, self._data, self._offset = forward, data, offset
+        self._tolerance = jnp.asarray(tolerance)
+
+    def start(self, u: Array) -> Any:
+        residual, args = _residual(self._forward.traced_jacobian), (self._data, self._offset)
+        shape, found = jax.eval_shape(lambda u: residual(u, args), u)
+        solver = _solver(self._tolerance)
+        state = solver.init(residual, u, args, _OPTIONS, shape, found, frozenset())
+        # Damped from the start: a full first step often overshoots, and costs an evaluation.
+        return eqx.tree_at(lambda s: s.search_state.step_size, state, jnp.asarray(_TRUST))
+
+    def step(self, u: Array, state: Any) -> Any:
+        return self._forward.step(u, state, self._data, self._offset, self._tolerance)
+
+    def run(
+        self, u: Array, max_steps: int, note: Callable[[Array, Array], None]
+    ) -> tuple[Array, Array, Array, str, bool]:
+        """Estimate, statistics and Jacobian there, status in words, whether it converged."""
+        state = self.start(u)
+        for count in range(1, max_steps + 1):
+            u, state, (value, jacobian, loss, slope), done = self.step(u, state)
+            note(loss, slope)
+            if bool(done):
+                return u, value, jacobian, f"Converged after {count} steps.", True
+        return u, value, jacobian, f"Stopped after {max_steps} steps.", False
+
+
+def evaluate(
+    forward: Forward, data: Data, u: Array
+) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
+    """Statistics and Jacobian at `u`, by the first step of a fit, so that nothing else compiles."""
+    solver = _LeastSquares(forward, data, jnp.zeros_like(data.value), 1.0)
+    _, _, (value, jacobian, *_), _ = solver.step(u, solver.start(u))
+    return value, jacobian
 
 
 def _quasi_newton(

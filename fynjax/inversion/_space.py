@@ -88,6 +88,7 @@ PLAUSIBLE: dict[str, tuple[float, float]] = {
     "fill": (0.05, 1.0),
     "leaf_area_index": (0.0, 12.0),
     "wood_area_index": (0.0, 6.0),
+    "shoot_clumping": (0.0, 0.8),
     "structure": (1.0, 3.5),
     "chlorophyll": (0.0, 120.0),
     "carotenoids": (0.0, 30.0),

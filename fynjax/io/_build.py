@@ -92,6 +92,7 @@ def plot_parameters(plot: Plot) -> PlotParameters:
             fill=column("fill", 1.0),
             leaf_area_index=column("leaf_area_index"),
             wood_area_index=column("wood_area_index"),
+            shoot_clumping=column("shoot_clumping"),
         ),
         LeafParameters.many(
             **{name: np.array([leaf[name] for leaf in leaves]) for name in LEAF_FIELDS}

@@ -109,6 +109,13 @@ class SpeciesRow(Strict):
     wood_area_index: float | None = number(
         "One-sided wood area over the crown's own ground area", "m2 m-2", default=None, ge=0, le=20
     )
+    shoot_clumping: float | None = number(
+        "Probability that light which a leaf scatters meets another leaf of its shoot",
+        "-",
+        default=None,
+        ge=0,
+        le=0.8,
+    )
 
 
 def _per_area_slip(value: float) -> str | None:
@@ -360,7 +367,7 @@ class CalibrationTable(Strict):
         description="Relative standard deviation of the prior, by pattern [-].",
     )
     max_iterations: int = Field(
-        default=5, description="Most steps of the optimiser in a round [-].", ge=1, le=10000
+        default=7, description="Most steps of the optimiser in a round [-].", ge=1, le=10000
     )
 
 

@@ -278,6 +278,7 @@ def read_plot(path: str | Path) -> Plot:
                 minimum_object_area_m2=row.minimum_object_area_m2,
                 leaf_area_index=row.leaf_area_index,
                 wood_area_index=row.wood_area_index,
+                shoot_clumping=row.shoot_clumping,
             )
         )
     tallest = max(s.height_m for s in species)

@@ -80,8 +80,8 @@ def run_demo(output: Path, *, seed: int, progress: Progress | None = None) -> di
     """Calibrate the shipped 2006 plot to the published statistics of its real drone image."""
     read = read_plot(example_folder() / "plot.toml")
     targets = [t for t in consistent_targets(independent=True) if t.name in _DEMO_LAYERS]
-    names = tuple(t.key for t in targets)
-    data = weigh(names, np.array([t.value for t in targets]), np.full(len(targets), np.nan), 0.02)
+    names, sd = tuple(t.key for t in targets), read.calibration.target_sd
+    data = weigh(names, np.array([t.value for t in targets]), np.full(len(targets), np.nan), sd)
     return _calibrate(
         read,
         data,
@@ -102,10 +102,9 @@ def weigh(names: Sequence[str], value: np.ndarray, sd: np.ndarray, relative_sd: 
     """Targets with the errors that a calibration gives them.
 
     A stated `sd` is kept. Where it is NaN a mean or quantile gets the share `relative_sd` of its
-    value (half of it a band, which is measured directly), and a standard deviation ten times
-    that, because sensor noise and blur, which the model leaves out, change spreads first. Indices
-    that are functions of the same two bands repeat one measurement: a group of n has its errors
-    widened by sqrt(n).
+    value, and a standard deviation 25 times that, because sensor noise and blur, which the
+    model leaves out, change spreads first. Indices that are functions of the same two bands
+    repeat one measurement: a group of n has its errors widened by sqrt(n).
     """
     groups: dict[tuple[str, str], int] = {}
     keys = []
@@ -119,7 +118,7 @@ def weigh(names: Sequence[str], value: np.ndarray, sd: np.ndarray, relative_sd: 
         if np.isfinite(spread[i]):
             continue
         layer, kind = name.split(".")
-        share = relative_sd * (10.0 if kind == "std" else 0.5 if layer in BANDS else 1.0)
+        share = relative_sd * (25.0 if kind == "std" else 1.0)
         spread[i] = max(share * abs(value[i]), 1e-4) * np.sqrt(groups[key])
     return Data(tuple(names), jnp.asarray(value), jnp.asarray(spread))
 
@@ -196,8 +195,7 @@ def _calibrate(
         )
     seconds |= {
         "render": result.seconds["render_s"],
-        "search_value": result.seconds["search_render_s"],
-        "search_value_and_gradient": result.seconds["value_and_gradient_s"],
+        "search_step": result.seconds["step_s"],
         "search": result.seconds["search_s"],
     }
     with progress.stage("Write"):

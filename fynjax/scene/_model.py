@@ -120,7 +120,8 @@ class PlotModel(eqx.Module):
         height = species.height[owner] * planting.stature
         crown = weight * jnp.pi / 4.0 * diameter**2
         crown = crown / jnp.asarray(self.branches, self.dtype)[owner]
-        leaf = crown * species.leaf_area_index[owner]
+        # Leaves of a shoot shade each other: this share of their area is seen from outside it.
+        leaf = crown * (species.leaf_area_index * (1.0 - species.shoot_clumping))[owner]
         bloom = np.array([FORM_DEFAULTS[form].flower_fraction for form in self.forms])
         flower = leaf * jnp.asarray(self.flowering * bloom, self.dtype)[owner]
         area = jnp.stack([leaf, crown * species.wood_area_index[owner], flower], axis=-1)
@@ -145,8 +146,10 @@ class PlotModel(eqx.Module):
         petal = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), _PETAL)
         leaves = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), leaves, petal)
         optics = jax.vmap(lambda leaf: prospect(leaf, self.wavelength))(leaves)
-        reflectance = optics.reflectance @ average.T
-        transmittance = optics.transmittance @ average.T
+        clumping = jnp.pad(parameters.species.shoot_clumping[leafy], (0, 1))[:, None]
+        reflectance, transmittance = _shoot_optics(
+            optics.reflectance @ average.T, optics.transmittance @ average.T, clumping
+        )
         ground = parameters.ground
         bark = average @ jnp.asarray(background_spectrum("bark", self.wavelength), self.dtype)
         bark = jnp.clip(ground.wood_brightness * bark, 0.0, 1.0)
@@ -211,6 +214,21 @@ class PlotModel(eqx.Module):
         )
         rays = nadir_rays(x, y, self.camera.pixel, (lx / 2, ly / 2, self.camera.altitude))
         return reflectance_factor(light, rays)
+
+
+def _shoot_optics(
+    reflectance: Float[Array, "leaf band"],
+    transmittance: Float[Array, "leaf band"],
+    clumping: Float[Array, "leaf one"],
+) -> tuple[Float[Array, "leaf band"], Float[Array, "leaf band"]]:
+    """Reflectance and transmittance of shoots of such leaves, each as one scattering element.
+
+    With p the `clumping`, the single scattering albedo w becomes w (1 - p) / (1 - p w) and the
+    area that counts becomes 1 - p of the leaves' (Smolander and Stenberg 2003, 2005). What does
+    not absorb still loses nothing.
+    """
+    escaping = (1.0 - clumping) / (1.0 - clumping * (reflectance + transmittance))
+    return reflectance * escaping, transmittance * escaping
 
 
 def band_wavelengths(bands: BandSet) -> Float[np.ndarray, " wavelength"]:

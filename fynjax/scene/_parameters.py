@@ -37,6 +37,9 @@ class SpeciesParameters(eqx.Module):
     """One-sided leaf area over the crown's ground area [m2 m-2]."""
     wood_area_index: Float[Array, " species"]
     """One-sided wood area over the crown's ground area [m2 m-2]."""
+    shoot_clumping: Float[Array, " species"]
+    """Probability that light which a leaf scatters meets another leaf of its shoot [-], 0 (leaves
+    at random in their voxel) to below 1."""
 
 
 class GroundParameters(eqx.Module):
@@ -83,6 +86,7 @@ def parameter_units() -> dict[str, str]:
         "fill": "-",
         "leaf_area_index": "m2 m-2",
         "wood_area_index": "m2 m-2",
+        "shoot_clumping": "-",
         **LEAF_FIELDS,
         "brightness": "-",
         "moisture": "-",

@@ -184,7 +184,9 @@ def test_a_bad_table_is_one_line_and_no_output(capsys, calls, plot, tmp_path):
     text = species.read_text("utf-8")
     species.write_text(text.replace("irregularis,40,20", "irregularis,-40,20"))
     err = one_line(*call(capsys, "render", plot, "--output", tmp_path / "o"))
-    row = text.splitlines().index("Erica irregularis,40,20,0.67,rounded_shrub") + 1
+    row = next(
+        n for n, line in enumerate(text.splitlines(), 1) if line.startswith("Erica irregularis")
+    )
     assert f"species.csv, row {row}, column 'mean_diameter_cm'" in err
     assert "-40" in err
     assert not (tmp_path / "o").exists()

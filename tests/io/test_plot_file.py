@@ -75,12 +75,12 @@ def test_leaf_rows_fall_back_to_the_star_row(folder):
 
 
 def test_paths_start_from_the_file_not_from_the_working_folder(folder, monkeypatch, tmp_path):
-    edit(folder / "leaves.csv", "*,1.8,60,12,1.5,0.1,0.02,0.02,", "*,,,,,,,,spectra/leaf.csv")
+    edit(folder / "leaves.csv", "*,1.8,60,12,1.5,0.03,0.02,0.02,", "*,,,,,,,,spectra/leaf.csv")
     (folder / "spectra").mkdir()
     (folder / "spectra" / "leaf.csv").write_text("wavelength_nm,reflectance\n400,0.1\n")
     monkeypatch.chdir(tmp_path)
     plot = read_plot("plot/plot.toml")
-    spectrum = plot.species[0].leaf.spectrum
+    spectrum = next(s.leaf.spectrum for s in plot.species if s.taxon == "Chironia baccifera")
     assert spectrum == (folder / "spectra" / "leaf.csv").resolve()
     assert spectrum in plot.inputs
     assert plot.species[0].leaf.parameters is None
@@ -174,7 +174,7 @@ def test_missing_and_misspelt_columns_are_named_with_the_nearest(folder):
     with pytest.raises(InputError, match=r"'mean_diameter_cm'.*'diameter_cm' in this file"):
         read_plot(folder / "plot.toml")
     edit(folder / "species.csv", "diameter_cm", "mean_diameter_cm")
-    edit(folder / "species.csv", "growth_form\n", "growthform\n")
+    edit(folder / "species.csv", "growth_form,", "growthform,")
     with pytest.raises(InputError, match=r"'growthform'. Did you mean 'growth_form'"):
         read_plot(folder / "plot.toml")
 
@@ -245,7 +245,7 @@ def test_a_missing_spectrum_names_table_row_and_neighbour(folder):
 
 def test_a_species_without_leaf_optics_is_refused(folder):
     edit(folder / "leaves.csv", "*,", "Clutia alaternoides,")
-    with pytest.raises(InputError, match=r"'Metalasia muricata'.*row '\*'"):
+    with pytest.raises(InputError, match=r"'Chironia baccifera'.*row '\*'"):
         read_plot(folder / "plot.toml")
 
 

@@ -32,6 +32,7 @@ def small_parameters() -> PlotParameters:
             fill=jnp.array([0.9, 0.8, 0.95]),
             leaf_area_index=jnp.array([3.0, 2.0, 0.0]),
             wood_area_index=jnp.array([0.5, 0.05, 0.8]),
+            shoot_clumping=jnp.array([0.4, 0.2, 0.0]),
         ),
         LeafParameters.many(
             structure=jnp.array([1.8, 2.1, 1.5]),
