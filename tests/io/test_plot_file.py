@@ -80,10 +80,10 @@ def test_paths_start_from_the_file_not_from_the_working_folder(folder, monkeypat
     (folder / "spectra" / "leaf.csv").write_text("wavelength_nm,reflectance\n400,0.1\n")
     monkeypatch.chdir(tmp_path)
     plot = read_plot("plot/plot.toml")
-    spectrum = next(s.leaf.spectrum for s in plot.species if s.taxon == "Chironia baccifera")
-    assert spectrum == (folder / "spectra" / "leaf.csv").resolve()
-    assert spectrum in plot.inputs
-    assert plot.species[0].leaf.parameters is None
+    leaf = next(s.leaf for s in plot.species if s.taxon == "Chironia baccifera")
+    assert leaf.spectrum == (folder / "spectra" / "leaf.csv").resolve()
+    assert leaf.spectrum in plot.inputs
+    assert leaf.parameters is None
 
 
 def test_priors_of_the_user_win_over_defaults(folder):
