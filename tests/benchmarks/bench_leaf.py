@@ -21,13 +21,12 @@ from fynjax.leaf import (
     ErrorModel,
     LeafFit,
     LeafParameters,
-    estimate_error_model,
     fit_leaf,
     prospect,
     sample_leaf_posterior,
 )
 from fynjax.leaf._error_model import to_bins
-from fynjax.leaf.data.estimate_error_model import residuals
+from fynjax.leaf.data.estimate_error_model import SETS, estimate
 
 TRAITS = {
     "chlorophyll": ("cab", 1.0),
@@ -155,8 +154,10 @@ def accuracy(folder: Path, name: str, use: str, **options: Any) -> LeafFit:
         error = (to_bins(grid, t) - fit.transmittance)[:, inner]
         width = 1.645 * fit.transmittance_deviation[:, inner]
         known = np.isfinite(error)
-        covered = (np.abs(error) < width)[known].mean()
-        line += f" | T {np.sqrt(np.nanmean(error**2)):.4f} covered {covered:.2f}"
+        weight = known * np.gradient(fit.wavelength)[inner]  # every nm counts the same
+        rmse = np.sqrt(np.average(np.where(known, error, 0.0) ** 2, weights=weight))
+        covered = np.average(np.abs(np.where(known, error, 0.0)) < width, weights=weight)
+        line += f" | T {rmse:.4f} covered {covered:.2f}"
     for trait, (key, unit) in TRAITS.items():
         if key not in chemistry:
             continue
@@ -189,11 +190,13 @@ def posterior(folder: Path) -> None:
 
 def left_out(folder: Path) -> None:
     """The same with an error model that has not seen the set: what a foreign campaign gets."""
-    for name, others in (("angers", ["lopex"]), ("lopex", ["angers"])):
-        model = estimate_error_model([residuals(folder, other) for other in others])
-        print(f"error model of {others[0]} alone:")
+    for name in SETS:
+        others = [other for other in SETS if other != name]
+        model = estimate(folder, others)
+        print(f"error model of {' and '.join(others)}:")
         for use in ("RT", "R"):
-            accuracy(folder, name, use, error_model=model)
+            for domain in ("full", "optimal"):
+                accuracy(folder, name, use, domain=domain, error_model=model)
 
 
 def asd_files(folder: Path) -> None:

@@ -48,8 +48,12 @@ def test_posterior_agrees_with_the_gaussian_of_the_fit_where_that_holds():
             centre = float(np.asarray(getattr(fit.parameters, name))[0])
             assert abs(np.median(draws) - centre) < 0.3 * spread, name
             assert 0.75 < draws.std() / spread < 1.3, name
-    deviation = posterior.transmittance[0, :, 10:-10].std(0)
-    np.testing.assert_allclose(deviation, fit.transmittance_deviation[0, 10:-10], rtol=0.35)
+    spread = fit.transmittance_deviation[0]
+    inner = fit.transmittance[0] > 2 * spread  # elsewhere draws end at T = 0
+    assert inner[10:-10].mean() > 0.7
+    deviation = posterior.transmittance[0].std(0)
+    inner[:10] = inner[-10:] = False
+    np.testing.assert_allclose(deviation[inner], spread[inner], rtol=0.35)
     again = sample_leaf_posterior(GRID, R, T, draws=2000, target=1000.0)
     np.testing.assert_array_equal(again.samples, posterior.samples)
 

@@ -1,13 +1,15 @@
-"""Recipe of `error_model.csv.gz`: residuals of PROSPECT-D on ANGERS and LOPEX.
+"""Recipe of `error_model.csv.gz`: residuals of PROSPECT-D on ANGERS, LOPEX and NASA FFT.
 
 Run `python estimate_error_model.py FOLDER [OUTPUT [SET ...]]` with the folder that holds
-`angers_spectra.npz`, `angers_chemistry.csv.gz` and the same of LOPEX. For each leaf the measured
-pigments, water and dry matter are put into PROSPECT-D, only N and the anthocyanins are fitted to R
-and T, and what remains is the model's error. LOPEX enters with the mean of its five spectra a
-sample.
+`angers_spectra.npz`, `angers_chemistry.csv.gz` and the same of the others. For each leaf the
+measured pigments, water and dry matter are put into PROSPECT-D, N, the anthocyanins and what was
+not measured (the pigments of NASA FFT) are fitted to R and T, and what remains is the model's
+error. LOPEX enters with the mean of its five spectra a sample, NASA FFT as two sets, broad leaves
+and mats of needles.
 """
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax
@@ -28,11 +30,15 @@ from fynjax.leaf._measurement import IntegratingSphere
 from fynjax.leaf._problem import leaf_problems, make_setup
 
 NAMES = ("structure", *CONSTITUENTS["D"])
+SETS = ("angers", "lopex", "nasa_fft")
 MEASURED = {1: "cab", 2: "car", 5: "ewt", 6: "lma"}
 
 
-def residuals(folder: Path, name: str) -> np.ndarray:
-    """Measured minus modelled R and T [leaf, 2, bin] at the measured chemistry."""
+def residuals(folder: Path, name: str) -> list[np.ndarray]:
+    """Measured minus modelled R and T [leaf, 2, bin] at the measured chemistry.
+
+    One array, or two of a set that marks its conifers.
+    """
     with np.load(folder / f"{name}_spectra.npz") as stored:
         ids, wavelength = stored["id"], stored["wl"].astype(float)
         spectra = [stored["refl"].astype(float), stored["tran"].astype(float)]
@@ -43,6 +49,8 @@ def residuals(folder: Path, name: str) -> np.ndarray:
     known = np.tile([1.5, 40.0, 8.0, 1.0, 1e-3, 0.01, 0.009], (len(ids), 1))
     precision = np.tile([0.1, 0.1, 0.1, 0.5, 1e3, 0.1, 0.1], (len(ids), 1))
     for column, key in MEASURED.items():
+        if key not in chemistry:
+            continue
         values = chemistry[key].to_numpy(float)
         have = np.isfinite(values)
         known[have, column] = np.maximum(values[have], 1e-4 if column > 4 else 0.05)
@@ -55,7 +63,16 @@ def residuals(folder: Path, name: str) -> np.ndarray:
     none = np.zeros((1, 2, bin_centres().size))
     found = lm.solve(z, problems, none, optics).z
     fitted = jax.vmap(lambda one: lm.spectra(lm.to_physical(one, optics), optics))(found)
-    return data - np.asarray(fitted)
+    rest = data - np.asarray(fitted)
+    if "conifer" not in chemistry:
+        return [rest]
+    needles = chemistry["conifer"].to_numpy() == 1
+    return [rest[~needles], rest[needles]]
+
+
+def estimate(folder: Path, names: Sequence[str] = SETS) -> ErrorModel:
+    """The error model of some sets, such as all but the one it shall be tested on."""
+    return estimate_error_model([part for name in names for part in residuals(folder, name)])
 
 
 def write(model: ErrorModel, output: Path) -> None:
@@ -76,5 +93,4 @@ if __name__ == "__main__":
     target = Path(
         sys.argv[2] if len(sys.argv) > 2 else Path(__file__).with_name("error_model.csv.gz")
     )
-    sets = sys.argv[3:] or ["angers", "lopex"]
-    write(estimate_error_model([residuals(place, name) for name in sets]), target)
+    write(estimate(place, sys.argv[3:] or SETS), target)
