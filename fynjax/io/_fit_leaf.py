@@ -18,7 +18,7 @@ from fynjax.io._leaf_results import (
     write_leaf_netcdf,
     write_traits_csv,
 )
-from fynjax.io._spectra import read_spectra
+from fynjax.io._spectra import read_usable_spectra
 from fynjax.io._spectra_record import Spectrum, note
 from fynjax.leaf import (
     LARGEST_JUMP,
@@ -43,6 +43,7 @@ Sampling = Literal["none", "emcee", "nuts"]
 """How the posterior is sampled, if at all."""
 _GRID = np.arange(350.0, 2501.0)
 _TOLD_JUMP = 0.005
+_TOLD_REFUSALS = 5
 
 
 def _without_jumps(spectrum: Spectrum) -> Spectrum:
@@ -122,12 +123,13 @@ def run_fit_leaf(
 ) -> dict[str, Any]:
     """Fit every spectrum of every file; write traits, spectra and a figure into `output`.
 
-    A file that cannot be read does not stop the others: it becomes a row of `traits.csv` with the
-    reason as status. If none can be read the first reason is raised.
+    A file or a spectrum that cannot be used does not stop the others: it becomes a row of
+    `traits.csv` with the reason as status, and what was repaired while reading stands in the column
+    `repairs`. If none can be used the first reason is raised.
 
     **Arguments:**
 
-    - `paths`: files that `read_spectra` takes.
+    - `paths`: files of any format that `read_spectra` takes.
     - `output`: folder, made if missing.
     - `version`: "5", "D" or "PRO".
     - `measurement`: "sphere", "leaf-clip" or "stack".
@@ -139,7 +141,8 @@ def run_fit_leaf(
     - `progress`: told of every chunk of leaves.
 
     **Returns:** a summary: `headline` (sentences), `spectra`, `converged`, `doubtful`, `refused`
-    (file and reason), `repairs` (file, spectrum and sentence), `files` (name and what it holds).
+    (file, name and reason), `repairs` (file, spectrum and sentence), `files` (name and what it
+    holds).
 
     **Raises:** `InputError` if no file holds a usable spectrum, or the table of groups is wrong;
     `ValueError` for an unknown measurement; `MissingExtraError` for a sampler not installed.
@@ -148,15 +151,17 @@ def run_fit_leaf(
         raise ValueError(
             f"`measurement` must be one of {', '.join(MEASUREMENTS)}, but is {measurement!r}"
         )
-    refused: list[tuple[str, InputError]] = []
+    refused: list[tuple[str, str, InputError]] = []
     spectra: list[tuple[str, Spectrum]] = []
     for path in paths:
         try:
-            spectra += [(str(path), _without_jumps(one)) for one in read_spectra(path)]
+            usable, bad = read_usable_spectra(path)
         except InputError as error:
-            refused.append((str(path), error))
+            usable, bad = [], [("", error)]
+        spectra += [(str(path), _without_jumps(one)) for one in usable]
+        refused += [(str(path), name, error) for name, error in bad]
     if not spectra:
-        raise refused[0][1] if refused else InputError("no file of spectra was given")
+        raise refused[0][2] if refused else InputError("no file of spectra was given")
     r = np.stack([_on_grid(s, s.reflectance) for _, s in spectra])
     t = np.stack([_on_grid(s, s.transmittance) for _, s in spectra])
     files, names = [f for f, _ in spectra], [s.name for _, s in spectra]
@@ -189,8 +194,9 @@ def run_fit_leaf(
                           folder / "posterior.nc")  # fmt: skip
         written["posterior.nc"] = "draws of the parameters and of T from the posterior"
     table = traits_table(fit, files, names)
+    table["repairs"] = ["; ".join(s.meta["repairs"]) for _, s in spectra]
     if refused:
-        rows = [{"file": f, "name": "", "status": f"refused: {e}"} for f, e in refused]
+        rows = [{"file": f, "name": n, "status": f"refused: {e}"} for f, n, e in refused]
         table = pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
     write_leaf_netcdf(spectra_dataset(fit, files, names, settings), folder / "spectra.nc")
     write_traits_csv(table, folder / "traits.csv")
@@ -201,13 +207,18 @@ def run_fit_leaf(
     headline = [f"{good} of {len(spectra)} spectra fitted without doubt."]
     if good < len(spectra):
         headline.append("The others say why in the column status of traits.csv.")
-    headline += [f"Refused: {error}" for _, error in refused]
+    repaired = sum(bool(s.meta["repairs"]) for _, s in spectra)
+    if repaired:
+        headline.append(f"{repaired} were repaired while reading, see the column repairs.")
+    headline += [f"Refused: {error}" for _, _, error in refused[:_TOLD_REFUSALS]]
+    if len(refused) > _TOLD_REFUSALS:
+        headline.append(f"{len(refused) - _TOLD_REFUSALS} more were refused, see traits.csv.")
     return {
         "headline": headline,
         "spectra": len(spectra),
         "converged": good,
         "doubtful": len(spectra) - good,
-        "refused": [{"file": f, "reason": str(e)} for f, e in refused],
+        "refused": [{"file": f, "name": n, "reason": str(e)} for f, n, e in refused],
         "repairs": [
             {"file": f, "name": s.name, "repair": sentence}
             for f, s in spectra

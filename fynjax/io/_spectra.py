@@ -1,5 +1,6 @@
 """Spectra from files: `read_spectra` recognises the format by the content."""
 
+import codecs
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,21 @@ def read_spectra(path: str | Path) -> list[Spectrum]:
     **Raises:** `InputError` naming the file, for an unknown format, a file cut short, an ASD file
     that holds radiance or has no usable white reference, reflectance that must be percent, is
     negative or above one, wavelengths in µm under a nm header, or a spectrum of NaN only.
+    """
+    spectra, refused = read_usable_spectra(path)
+    if refused:
+        raise refused[0][1]
+    return spectra
+
+
+def read_usable_spectra(
+    path: str | Path,
+) -> tuple[list[Spectrum], list[tuple[str, InputError]]]:
+    """The spectra of a file that can be used, and name and reason of those that cannot.
+
+    As `read_spectra`, but one bad spectrum among many does not stop the others.
+
+    **Raises:** `InputError` if the file as a whole cannot be read.
     """
     path = Path(path)
     if not path.is_file():
@@ -55,16 +71,25 @@ def read_spectra(path: str | Path) -> list[Spectrum]:
     elif suffixes[-1:] in ([".hdr"], [".sli"], [".slb"]):
         spectra = read_envi_library(path)
     elif _is_text(data):
-        text = data.decode("utf-8-sig", errors="replace")
+        wide = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+        text = data.decode("utf-16" if wide else "utf-8-sig", errors="replace")
         spectra = read_text_spectra(text, path)
     else:
         raise InputError(
             "unknown format: neither ASD binary (as6, as7, as8), ENVI spectral library, nor text",
             file=path,
         )
-    return [check_spectrum(spectrum, path) for spectrum in spectra]
+    usable, refused = [], []
+    for spectrum in spectra:
+        try:
+            usable.append(check_spectrum(spectrum, path))
+        except InputError as error:
+            refused.append((spectrum.name, error))
+    return usable, refused
 
 
 def _is_text(data: bytes) -> bool:
+    if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):  # spreadsheets' "Unicode text"
+        return True
     sample = np.frombuffer(data[:4096], np.uint8)
     return not bool(np.any((sample < 9) | ((sample > 13) & (sample < 32))))

@@ -2,6 +2,7 @@
 
 import csv
 import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,22 @@ _TRAN = re.compile(r"(^|[ _.\-(])(t|tran|trans|transm|transmittance|tau)(?=$|[ _
 _REFL = re.compile(r"(^|[ _.\-(])(r|refl|reflectance|rho)(?=$|[ _.\-)%])", re.I)
 
 
-def _rows(text: str) -> list[list[str]]:
+class _Rows(Sequence[list[str]]):
+    """Rows of cells, split when asked for: thousands of spectra would not fit as text cells."""
+
+    def __init__(self, lines: list[str], split: Callable[[str], list[str]]) -> None:
+        self._lines, self._split = lines, split
+
+    def __len__(self) -> int:
+        return len(self._lines)
+
+    def __getitem__(self, at: Any) -> Any:
+        if isinstance(at, slice):
+            return _Rows(self._lines[at], self._split)
+        return self._split(self._lines[at])
+
+
+def _rows(text: str) -> _Rows:
     lines = [
         line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")
     ]
@@ -27,12 +43,16 @@ def _rows(text: str) -> list[list[str]]:
     counts = {sep: sum(line.count(sep) for line in sample) for sep in ("\t", ";", ",")}
     sep = max(counts, key=lambda s: counts[s])
     if counts[sep] == 0:
-        return [line.split() for line in lines]
-    rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=sep)]
-    if sep == ";":  # a decimal comma goes with semicolons
-        comma = re.compile(r"^[+-]?\d*,\d+([eE][+-]?\d+)?$")
-        rows = [[c.replace(",", ".") if comma.match(c) else c for c in row] for row in rows]
-    return rows
+        return _Rows(lines, str.split)
+    comma = re.compile(r"^[+-]?\d*,\d+([eE][+-]?\d+)?$")
+
+    def split(line: str) -> list[str]:
+        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=sep))]
+        if sep == ";":  # a decimal comma goes with semicolons
+            cells = [c.replace(",", ".") if comma.match(c) else c for c in cells]
+        return cells
+
+    return _Rows(lines, split)
 
 
 def _value(cell: str, file: Path, row: int, column: str) -> float:
@@ -138,7 +158,7 @@ def _paired(
 
 
 def _by_row(
-    rows: list[list[str]], bands: dict[int, float], unit: str, file: Path
+    rows: Sequence[list[str]], bands: dict[int, float], unit: str, file: Path
 ) -> list[Spectrum]:
     """Wide layout: one row a spectrum, wavelengths as column names."""
     header, base = rows[0], {"format": "table, one row a spectrum"}
@@ -202,7 +222,7 @@ def read_text_spectra(text: str, file: Path) -> list[Spectrum]:
             "unknown format: neither a column of wavelengths nor wavelengths as column names",
             file=file,
         )
-    above, body = rows[:first], rows[first:]
+    above, body = list(rows[:first]), rows[first:]
     if len(above[-1:] and above[-1]) < 2:
         above = [row for row in above if len(row) > 1]
     label_row = next((r for r in above if _WAVELENGTH.match(r[0])), above[0] if above else [])

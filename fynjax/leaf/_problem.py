@@ -37,6 +37,10 @@ _LINE_BAND = 1130.0
 _REFLECTANCE_LINE, _TRANSMITTANCE_LINE, _LINE_DEVIATION = (1.745, 0.133), (1.330, 0.120), 0.2
 
 
+# A band outside spoils its bin, however the bin's mean looks.
+_IMPOSSIBLE = (-0.1, 1.2)
+
+
 class Prior(NamedTuple):
     """Bounds, middle and spread of a parameter, the spread in its logit coordinate."""
 
@@ -125,7 +129,10 @@ def binned_data(
     transmittance: np.ndarray | None,
     detector_changes: Sequence[float] = (),
 ) -> Float[np.ndarray, "leaf 2 bin"]:
-    """R and T on the fit's bins; raises `ValueError` for arrays that do not match."""
+    """R and T on the fit's bins; infinite where a bin holds a value that no leaf can have.
+
+    Raises `ValueError` for arrays that do not match.
+    """
     if reflectance is None and transmittance is None:
         raise ValueError("a fit needs reflectance, transmittance, or both")
     grid = np.asarray(wavelength, float)
@@ -141,7 +148,11 @@ def binned_data(
         values = missing if part is None else np.atleast_2d(np.asarray(part, float))
         if detector_changes:
             values, _ = correct_detector_jumps(grid, values, detector_changes)
-        parts.append(to_bins(grid, values))
+        wrong = (values < _IMPOSSIBLE[0]) | (values > _IMPOSSIBLE[1])
+        binned = to_bins(grid, np.where(wrong, np.nan, values))
+        if wrong.any():
+            binned[to_bins(grid, wrong.astype(float)) > 0] = np.inf
+        parts.append(binned)
     return np.stack(parts, axis=1)
 
 
@@ -159,7 +170,7 @@ def usable_bins(
         possible = np.isfinite(data) & (data > -0.02) & (data < 1.05)
     use = possible & (centres >= 445.0) & (centres <= 2405.0)
     water = inside(centres, _WATER)
-    spoilt = (np.isfinite(data) & ~possible & water).any((1, 2))
+    spoilt = (~np.isnan(data) & ~possible & water).any((1, 2))
     noisy = spoilt if outdoor is None else np.full(len(data), outdoor)
     use &= ~(noisy[:, None, None] & water)
     if domain == "optimal":

@@ -190,6 +190,36 @@ def test_unknown_and_missing_files(tmp_path):
         read_spectra(tmp_path / "gone.csv")
 
 
+def test_one_bad_spectrum_does_not_stop_its_file(tmp_path):
+    """Row by row: the good are fitted, the bad named, repairs stand beside the traits."""
+    rows = [R, np.nan * R, 100 * R, R]
+    wide = pd.DataFrame(rows, columns=[f"{w / 1000:.3f}" for w in WAVELENGTH])
+    wide.iloc[3, 500] = 4.0
+    wide.insert(0, "id", ["fine", "void", "percent", "spike"])
+    wide.to_csv(tmp_path / "wide.csv", index=False)
+    with pytest.raises(InputError, match="only NaN"):
+        read_spectra(tmp_path / "wide.csv")
+    summary = run_fit_leaf([tmp_path / "wide.csv"], tmp_path / "out")
+    assert (summary["spectra"], summary["converged"]) == (2, 2)
+    assert [r["name"] for r in summary["refused"]] == ["void", "percent"]
+    traits = pd.read_csv(tmp_path / "out" / "traits.csv").set_index("name")
+    assert "only NaN" in traits.loc["void", "status"]
+    assert "wide.csv" in traits.loc["percent", "status"]
+    assert "µm" in traits.loc["fine", "repairs"]
+    assert "1 impossible" in traits.loc["spike", "repairs"]
+    np.testing.assert_allclose(
+        traits.loc["spike", "chlorophyll"], traits.loc["fine", "chlorophyll"], rtol=0.02
+    )
+
+
+def test_text_as_a_spreadsheet_saves_it(tmp_path):
+    lines = "\n".join(f"{w:.0f}\t{r:.9f}" for w, r in zip(WAVELENGTH, R))
+    (tmp_path / "a.txt").write_text("wavelength\tleaf\n" + lines, encoding="utf-16")
+    (spectrum,) = read_spectra(tmp_path / "a.txt")
+    assert spectrum.name == "leaf"
+    np.testing.assert_allclose(spectrum.reflectance, R, atol=1e-8)
+
+
 def test_run_writes_traits_and_spectra_and_keeps_going_past_a_bad_file(tmp_path):
     good = table(tmp_path / "good.csv", {"wavelength": WAVELENGTH, "a_R": R, "a_T": T, "b": R})
     bad = table(tmp_path / "bad.csv", {"wavelength": WAVELENGTH, "r": 100 * R})
