@@ -58,6 +58,21 @@ def test_posterior_agrees_with_the_gaussian_of_the_fit_where_that_holds():
     np.testing.assert_array_equal(again.samples, posterior.samples)
 
 
+@pytest.mark.slow
+def test_the_two_samplers_agree():
+    """Ensemble and Hamiltonian draws share nothing but the density."""
+    pytest.importorskip("blackjax")
+    found = [
+        sample_leaf_posterior(GRID, R, T, draws=1500, target=400.0, sampler=name)
+        for name in ("emcee", "nuts")
+    ]
+    assert found[1].status == ("converged",)
+    for i in range(len(found[0].names)):
+        one, other = (f.samples[0, :, i] for f in found)
+        assert abs(np.median(one) - np.median(other)) < 0.35 * one.std()
+        assert 0.7 < other.std() / one.std() < 1.4
+
+
 def test_a_missing_extra_names_the_line_to_type(monkeypatch):
     real = builtins.__import__
 
