@@ -37,7 +37,7 @@ def test_the_ensemble_samples_a_known_gaussian():
 @pytest.mark.slow
 def test_posterior_agrees_with_the_gaussian_of_the_fit_where_that_holds():
     start = time.process_time()
-    posterior = sample_leaf_posterior(GRID, R, T, draws=2000, target=1000.0)
+    posterior = sample_leaf_posterior(GRID, R, T, draws=2000, target=700.0)
     assert time.process_time() - start < 120
     fit = fit_leaf(GRID, R, T)
     assert posterior.names == fit.names
@@ -54,8 +54,6 @@ def test_posterior_agrees_with_the_gaussian_of_the_fit_where_that_holds():
     deviation = posterior.transmittance[0].std(0)
     inner[:10] = inner[-10:] = False
     np.testing.assert_allclose(deviation[inner], spread[inner], rtol=0.35)
-    again = sample_leaf_posterior(GRID, R, T, draws=2000, target=1000.0)
-    np.testing.assert_array_equal(again.samples, posterior.samples)
 
 
 @pytest.mark.slow
@@ -63,7 +61,7 @@ def test_the_two_samplers_agree():
     """Ensemble and Hamiltonian draws share nothing but the density."""
     pytest.importorskip("blackjax")
     found = [
-        sample_leaf_posterior(GRID, R, T, draws=1500, target=400.0, sampler=name)
+        sample_leaf_posterior(GRID, R, T, draws=1500, target=250.0, sampler=name)
         for name in ("emcee", "nuts")
     ]
     assert found[1].status == ("converged",)
@@ -94,4 +92,6 @@ def test_an_empty_leaf_fails_alone():
     assert posterior.status[1].startswith("failed")
     assert np.isnan(posterior.samples[1]).all()
     assert np.isfinite(posterior.samples[0]).all()
+    again = sample_leaf_posterior(GRID, both, draws=16, target=50.0)
+    np.testing.assert_array_equal(again.samples, posterior.samples)
     assert jax.config.jax_enable_x64

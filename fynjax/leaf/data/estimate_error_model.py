@@ -60,8 +60,11 @@ def residuals(folder: Path, name: str) -> list[np.ndarray]:
     use = np.isfinite(data) & (bin_centres() >= 445) & (bin_centres() <= 2405)
     prior = (z, precision[:, :, None] * np.eye(len(NAMES)))
     problems = leaf_problems(setup, data, use, prior, np.ones(len(ids)))
-    none = np.zeros((1, 2, bin_centres().size))
-    found = lm.solve(z, problems, none, optics).z
+    none = np.zeros_like(setup.factors)
+    found = np.concatenate([
+        lm.solve(z[at], lm.Problem(*(part[at] for part in problems)), none, optics).z
+        for at in (slice(i, i + 128) for i in range(0, len(ids), 128))
+    ])  # fmt: skip
     fitted = jax.vmap(lambda one: lm.spectra(lm.to_physical(one, optics), optics))(found)
     rest = data - np.asarray(fitted)
     if "conifer" not in chemistry:
