@@ -89,16 +89,15 @@ def test_bad_bands_are_left_out_and_empty_spectra_say_so():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("version", ["5", "PRO"])
-def test_other_versions_fit(version):
-    leaf = prospect(LeafParameters(), version=version)
+def test_proteins_and_carbon_constituents_fit():
+    leaf = prospect(LeafParameters(), version="PRO")
     fit = fit_leaf(
-        GRID, np.asarray(leaf.reflectance), np.asarray(leaf.transmittance), version=version
+        GRID, np.asarray(leaf.reflectance), np.asarray(leaf.transmittance), version="PRO"
     )
     assert fit.status == ("converged",)
-    i = fit.names.index("chlorophyll")
-    assert fit.lower[0, i] < 40.0 < fit.upper[0, i]
-    assert ("proteins" in fit.names) == (version == "PRO")
+    for name in ("chlorophyll", "proteins", "carbon_constituents"):
+        i, truth = fit.names.index(name), float(getattr(LeafParameters(), name))
+        assert fit.lower[0, i] < truth < fit.upper[0, i]
 
 
 def test_background_through_the_leaf_is_the_sum_of_reflections():
