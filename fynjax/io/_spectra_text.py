@@ -42,13 +42,17 @@ def _rows(text: str) -> _Rows:
     sample = lines[: min(len(lines), 60)]
     counts = {sep: sum(line.count(sep) for line in sample) for sep in ("\t", ";", ",")}
     sep = max(counts, key=lambda s: counts[s])
+    for other in ("\t", ";"):
+        # Commas may be decimal points: one more in a line than the columns are separated by.
+        if counts[other] >= len(sample) / 2 and counts[","] <= counts[other] + len(sample):
+            sep = other
     if counts[sep] == 0:
         return _Rows(lines, str.split)
     comma = re.compile(r"^[+-]?\d*,\d+([eE][+-]?\d+)?$")
 
     def split(line: str) -> list[str]:
         cells = [cell.strip() for cell in next(csv.reader([line], delimiter=sep))]
-        if sep == ";":  # a decimal comma goes with semicolons
+        if sep != ",":
             cells = [c.replace(",", ".") if comma.match(c) else c for c in cells]
         return cells
 

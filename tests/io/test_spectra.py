@@ -212,6 +212,15 @@ def test_one_bad_spectrum_does_not_stop_its_file(tmp_path):
     )
 
 
+@pytest.mark.parametrize("sep", [";", "\t"])
+def test_decimal_commas(tmp_path, sep):
+    lines = "\n".join(f"{w:.1f}{sep}{r:.9f}".replace(".", ",") for w, r in zip(WAVELENGTH, R))
+    (tmp_path / "a.csv").write_text(f"Wellenlänge nm{sep}Blatt\n" + lines, encoding="utf-8")
+    (spectrum,) = read_spectra(tmp_path / "a.csv")
+    np.testing.assert_allclose(spectrum.wavelength, WAVELENGTH)
+    np.testing.assert_allclose(spectrum.reflectance, R, atol=1e-8)
+
+
 def test_text_as_a_spreadsheet_saves_it(tmp_path):
     lines = "\n".join(f"{w:.0f}\t{r:.9f}" for w, r in zip(WAVELENGTH, R))
     (tmp_path / "a.txt").write_text("wavelength\tleaf\n" + lines, encoding="utf-16")

@@ -19,7 +19,9 @@ from fynjax.leaf import (
     prospect,
     transmittance_from_two_readings,
 )
+from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._error_model import bin_centres, to_bins
+from fynjax.leaf._problem import make_setup
 from fynjax.leaf.data.estimate_error_model import estimate
 
 GRID = np.arange(400.0, 2501.0)
@@ -73,6 +75,19 @@ def test_intervals_cover_leaves_drawn_from_the_error_model():
     i = narrow.names.index("structure")
     held = (truth["structure"] >= narrow.lower[:, i]) & (truth["structure"] <= narrow.upper[:, i])
     assert held.mean() < 0.6, "independent noise must be seen to promise too much"
+
+
+def test_slopes_of_the_fit_are_those_of_the_forward_model():
+    """The two tangents that make the Jacobian, against differences through instrument and leaf."""
+    setup = make_setup("D", LeafOverBackground(0.4, 0.1), None, None)
+    x = jnp.array([1.7, 35.0, 8.0, 1.0, 0.05, 0.012, 0.008])
+    value, slopes = lm.observed_and_slopes(x, setup.optics)
+    read = jax.jit(lambda x: lm.observed(x, setup.optics))
+    np.testing.assert_allclose(value, read(x), rtol=1e-12)
+    for i in range(x.size):
+        step = jnp.zeros(x.size).at[i].set(1e-6 * x[i])
+        difference = (read(x + step) - read(x - step)) / (2e-6 * x[i])
+        np.testing.assert_allclose(slopes[i], difference, rtol=1e-5, atol=1e-7 / x[i])
 
 
 def test_bad_bands_are_left_out_and_empty_spectra_say_so():
