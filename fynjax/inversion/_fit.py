@@ -4,6 +4,7 @@ The objective is half the squared whitened misfit of the statistics plus half th
 distance from the prior, also whitened: the negative log posterior, but for a constant.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -17,8 +18,13 @@ from jaxtyping import Array, Float
 from fynjax._core.errors import InputError
 from fynjax.inversion._space import ParameterSpace
 
-Predict = Callable[[Float[Array, " free"]], Float[Array, " statistic"]]
-"""Statistics from parameters in their own units; differentiable and traceable."""
+Predict = Callable[..., Float[Array, " statistic"]]
+"""Statistics from parameters in their own units [free], and whatever else the caller passes on as
+`context`; differentiable and traceable."""
+
+
+SEEN = 0.75
+"""Share of a parameter's prior variance that data must remove to have seen it [-]."""
 
 
 class Data(eqx.Module):
@@ -28,6 +34,27 @@ class Data(eqx.Module):
     value: Float[Array, " statistic"]
     sd: Float[Array, " statistic"]
     """Standard deviation, model error included, of each statistic."""
+    whitener: Float[Array, "statistic statistic"] | None = None
+    """Makes errors that hang together independent, of unit size; without it they are."""
+
+    def with_scatter(self, deviations: Float[Array, "draw statistic"]) -> "Data":
+        """The data with an error of the model added that moves all statistics together.
+
+        **Arguments:** `deviations`, how far the statistics lie from the model's in draws of what
+        it leaves to chance. Their second moments, shrunk half-way to the diagonal because
+        draws are few, add to the variances.
+        """
+        moments = deviations.T @ deviations / deviations.shape[0]
+        spread = jnp.diag(jnp.diagonal(moments))
+        covariance = jnp.diag(self.sd**2) + 0.5 * (moments + spread)
+        whitener = jnp.linalg.inv(jnp.linalg.cholesky(covariance))
+        return Data(self.names, self.value, jnp.sqrt(jnp.diagonal(covariance)), whitener)
+
+    def whiten(self, misfit: Float[Array, " statistic *free"]) -> Float[Array, " statistic *free"]:
+        """Misfits in units of the errors, independent of each other."""
+        if self.whitener is not None:
+            return self.whitener @ misfit
+        return misfit / (self.sd[:, None] if misfit.ndim == 2 else self.sd)
 
     def __check_init__(self) -> None:
         bad = ~(np.isfinite(np.asarray(self.value)) & (np.asarray(self.sd) > 0))
@@ -53,6 +80,8 @@ class FitResult(eqx.Module):
     """Posterior covariance in whitened coordinates, where the prior's is one."""
     predicted: Float[Array, " statistic"]
     """Statistics at the estimate."""
+    jacobian: Float[Array, "statistic free"]
+    """Derivative of the statistics by the whitened coordinates there."""
     information: Float[Array, " mode"]
     """Eigenvalues of the data's Fisher information in prior units, largest first: a direction
     with less than one is known from the prior rather than from the data."""
@@ -69,9 +98,33 @@ class FitResult(eqx.Module):
     def names(self) -> tuple[str, ...]:
         return self.space.names
 
-    def seen(self, least: float = 0.5) -> tuple[str, ...]:
-        """Parameters whose variance the data cut by the share `least` or more."""
+    def seen(self, least: float = SEEN) -> tuple[str, ...]:
+        """Parameters whose variance the data cut by the share `least` or more; by default those
+        whose standard deviation they at least halve."""
         return tuple(n for n, c in zip(self.names, np.asarray(self.constrained)) if c >= least)
+
+    def marginal(
+        self,
+        deviations: Float[Array, "draw statistic"],
+        jacobians: Float[Array, "draw statistic free"],
+    ) -> "FitResult":
+        """The same estimate, with the uncertainty that chance in the model leaves.
+
+        What a model draws at random is not what the data were drawn from, so only what another
+        draw would repeat is information. Errors of the data grow by the scatter of the statistics
+        (`Data.with_scatter`); and the information is the mean of the products of two
+        *different* draws' derivatives, since in the product of one with itself the chance part
+        of a slope counts as knowledge.
+
+        **Arguments:** `deviations`, how far the statistics at the estimate lie from the model's in
+        other draws; `jacobians`, their derivatives there, as in `jacobian`.
+        """
+        data = self.data.with_scatter(deviations)
+        draws = jax.vmap(data.whiten)(jnp.concatenate([self.jacobian[None], jacobians]))
+        total, count = draws.sum(axis=0), draws.shape[0]
+        same = jnp.einsum("dsi,dsj->ij", draws, draws)
+        information = (total.T @ total - same) / (count * (count - 1))
+        return dataclasses.replace(self, **_posterior(self.space, self.whitened, information))
 
     def unseen_directions(self, count: int = 3) -> list[dict[str, float]]:
         """The combinations of parameters that the data say least about, main members only."""
@@ -94,6 +147,7 @@ def fit(
     offset: Float[Array, " statistic"] | None = None,
     report: Callable[[float, float], None] | None = None,
     forward: "Forward | None" = None,
+    context: tuple[Any, ...] = (),
 ) -> FitResult:
     """Find the most probable parameters.
 
@@ -110,6 +164,7 @@ def fit(
     - `offset`: added to the predicted statistics: what a cheap forward model lacks.
     - `report`: called with the objective and the norm of its gradient at each evaluation.
     - `forward`: the compiled forward model of an earlier call, to be used again.
+    - `context`: further arguments of `predict`.
 
     A stop without convergence, and a loss that is not finite, are stated in the result, not
     raised.
@@ -125,19 +180,16 @@ def fit(
             report(*history[-1])
 
     if method == "least_squares":
-        solver = _LeastSquares(forward, data, shift, tolerance)
+        solver = _LeastSquares(forward, data, shift, tolerance, context)
         u, predicted, jacobian, status, converged = solver.run(u, max_steps, note)
     elif method == "lbfgsb":
-        u, status, converged = _quasi_newton(forward, data, shift, u, max_steps, tolerance, note)
-        predicted, jacobian = forward.jacobian(u)
+        misfit = lambda u: forward.misfit(u, data, shift, context)  # noqa: E731
+        u, status, converged = _quasi_newton(misfit, u, max_steps, tolerance, note)
+        predicted, jacobian = forward.jacobian(u, context)
     else:
         raise InputError(f"`method` must be 'lbfgsb' or 'least_squares', but is {method!r}")
     predicted = predicted + shift
-    scaled = jacobian / data.sd[:, None]
-    information, vectors = jnp.linalg.eigh(scaled.T @ scaled)
-    information, vectors = information[::-1], vectors[:, ::-1]
-    covariance = (vectors / (1.0 + jnp.maximum(information, 0.0))) @ vectors.T
-    variance = jnp.diagonal(covariance)
+    scaled = data.whiten(jacobian)
     losses, norms = np.asarray(history, float).reshape(-1, 2).T
     if not np.all(np.isfinite(np.asarray(predicted))):
         status, converged = "A predicted statistic is not finite; the estimate is of no use.", False
@@ -146,17 +198,29 @@ def fit(
         data=data,
         whitened=u,
         estimate=space.physical(u),
-        sd=jnp.sqrt(variance) * space.slope(u),
-        constrained=1.0 - variance,
-        covariance=covariance,
         predicted=predicted,
-        information=information,
-        modes=vectors.T,
+        jacobian=jacobian,
         loss=losses,
         gradient_norm=norms,
         converged=converged,
         status=status,
+        **_posterior(space, u, scaled.T @ scaled),
     )
+
+
+def _posterior(space: ParameterSpace, u: Array, information: Array) -> dict[str, Any]:
+    """Laplace approximation, from the data's information in whitened coordinates."""
+    values, vectors = jnp.linalg.eigh(information)
+    values, vectors = jnp.maximum(values[::-1], 0.0), vectors[:, ::-1]
+    covariance = (vectors / (1.0 + values)) @ vectors.T
+    variance = jnp.diagonal(covariance)
+    return {
+        "sd": jnp.sqrt(variance) * space.slope(u),
+        "constrained": 1.0 - variance,
+        "covariance": covariance,
+        "information": values,
+        "modes": vectors.T,
+    }
 
 
 class Forward:
@@ -166,11 +230,11 @@ class Forward:
     """
 
     def __init__(self, predict: Predict, space: ParameterSpace, rows_at_once: int = 1) -> None:
-        def values(u: Array) -> Array:
-            return predict(space.physical(u)).astype(u.dtype)
+        def values(u: Array, context: tuple[Any, ...] = ()) -> Array:
+            return predict(space.physical(u), *context).astype(u.dtype)
 
-        def with_jacobian(u: Array) -> tuple[Array, Array]:
-            value, backward = jax.vjp(values, u)
+        def with_jacobian(u: Array, context: tuple[Any, ...] = ()) -> tuple[Array, Array]:
+            value, backward = jax.vjp(lambda u: values(u, context), u)
             rows = jax.lax.map(
                 lambda row: backward(row)[0],
                 jnp.eye(value.size, dtype=value.dtype),
@@ -178,26 +242,29 @@ class Forward:
             )
             return value, rows
 
-        def misfit(u: Array, data: Data, offset: Array) -> tuple[Array, Array]:
+        def misfit(
+            u: Array, data: Data, offset: Array, context: tuple[Any, ...] = ()
+        ) -> tuple[Array, Array]:
             def objective(u: Array) -> Array:
-                rest = (values(u) + offset - data.value) / data.sd
+                rest = data.whiten(values(u, context) + offset - data.value)
                 return 0.5 * (rest @ rest + u @ u)
 
             return jax.value_and_grad(objective)(u)
 
-        def step(u: Array, state: Any, data: Data, offset: Array, tolerance: Array) -> Any:
+        def step(
+            u: Array, state: Any, data: Data, offset: Array, tolerance: Array, context: Any
+        ) -> Any:
             solver, residual = _solver(tolerance), _residual(with_jacobian)
-            args, tags = (data, offset), frozenset[object]()
+            args, tags = (data, offset, context), frozenset[object]()
             u, state, _ = solver.step(residual, u, args, _OPTIONS, state, tags)
             done, result = solver.terminate(residual, u, args, _OPTIONS, state, tags)
             return u, state, state.aux, done & (result == optx.RESULTS.successful)
 
-        self.traced_jacobian = with_jacobian
-        self.values = jax.jit(values)
+        self.values = eqx.filter_jit(values)
         """Statistics at whitened coordinates."""
-        self.jacobian = jax.jit(with_jacobian)
+        self.jacobian = eqx.filter_jit(with_jacobian)
         """Statistics and their derivatives, [statistic] and [statistic, free]."""
-        self.misfit = jax.jit(misfit)
+        self.misfit = eqx.filter_jit(misfit)
         """Objective and gradient, from coordinates, data and offset."""
         self.step = eqx.filter_jit(step)
         """One step of Levenberg-Marquardt; all that a least-squares fit compiles."""
@@ -211,19 +278,19 @@ def _solver(tolerance: Array) -> Any:
     return optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance)  # type: ignore[arg-type]
 
 
-def _residual(with_jacobian: Callable[[Array], tuple[Array, Array]]) -> Callable[..., Any]:
+def _residual(with_jacobian: Callable[..., tuple[Array, Array]]) -> Callable[..., Any]:
     """The residual for optimistix: misfit of the data, then distance from the prior."""
 
-    def residual(u: Array, args: tuple[Data, Array]) -> tuple[Array, tuple[Array, ...]]:
-        data, offset = args
+    def residual(u: Array, args: tuple[Data, Array, Any]) -> tuple[Array, tuple[Array, ...]]:
+        data, offset, context = args
         here = jax.lax.stop_gradient(u)
-        value, jacobian = with_jacobian(here)
+        value, jacobian = with_jacobian(here, context)
         # The value with its slope attached: the solver's own differentiation is then a product
         # with the Jacobian, which it also hands back for the uncertainty.
         linear = value + jacobian @ (u - here)
-        rest = jnp.concatenate([(linear + offset - data.value) / data.sd, u])
+        rest = jnp.concatenate([data.whiten(linear + offset - data.value), u])
         still = jax.lax.stop_gradient(rest)
-        slope = (jacobian / data.sd[:, None]).T @ still[: value.size] + here
+        slope = data.whiten(jacobian).T @ still[: value.size] + here
         return rest, (value, jacobian, 0.5 * still @ still, jnp.linalg.norm(slope))
 
     return residual
@@ -233,20 +300,26 @@ class _LeastSquares:
     """Levenberg-Marquardt by optimistix, a compiled step at a time: it can be watched and stopped
     between steps, and another fit of the same forward model compiles nothing."""
 
-    def __init__(self, forward: Forward, data: Data, offset: Array, tolerance: float) -> None:
-        self._forward, self._data, self._offset = forward, data, offset
+    def __init__(
+        self, forward: Forward, data: Data, offset: Array, tolerance: float, context: Any
+    ) -> None:
+        self._forward, self._data, self._offset, self._context = forward, data, offset, context
         self._tolerance = jnp.asarray(tolerance)
 
     def start(self, u: Array) -> Any:
-        residual, args = _residual(self._forward.traced_jacobian), (self._data, self._offset)
-        shape, found = jax.eval_shape(lambda u: residual(u, args), u)
-        solver = _solver(self._tolerance)
-        state = solver.init(residual, u, args, _OPTIONS, shape, found, frozenset())
+        # A stand-in with the right shapes: to trace the forward model for them takes seconds.
+        shape = (self._data.value.size, u.size)
+        residual = _residual(lambda u, _: (jnp.zeros(shape[0], u.dtype), jnp.zeros(shape, u.dtype)))
+        args = (self._data, self._offset, ())
+        rest, found = jax.eval_shape(lambda u: residual(u, args), u)
+        state = _solver(self._tolerance).init(residual, u, args, _OPTIONS, rest, found, frozenset())
         # Damped from the start: a full first step often overshoots, and costs an evaluation.
         return eqx.tree_at(lambda s: s.search_state.step_size, state, jnp.asarray(_TRUST))
 
     def step(self, u: Array, state: Any) -> Any:
-        return self._forward.step(u, state, self._data, self._offset, self._tolerance)
+        return self._forward.step(
+            u, state, self._data, self._offset, self._tolerance, self._context
+        )
 
     def run(
         self, u: Array, max_steps: int, note: Callable[[Array, Array], None]
@@ -262,18 +335,16 @@ class _LeastSquares:
 
 
 def evaluate(
-    forward: Forward, data: Data, u: Array
+    forward: Forward, data: Data, u: Array, context: tuple[Any, ...] = ()
 ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
     """Statistics and Jacobian at `u`, by the first step of a fit, so that nothing else compiles."""
-    solver = _LeastSquares(forward, data, jnp.zeros_like(data.value), 1.0)
+    solver = _LeastSquares(forward, data, jnp.zeros_like(data.value), 1.0, context)
     _, _, (value, jacobian, *_), _ = solver.step(u, solver.start(u))
     return value, jacobian
 
 
 def _quasi_newton(
-    forward: Forward,
-    data: Data,
-    offset: Array,
+    misfit: Callable[[Array], tuple[Array, Array]],
     start: Array,
     max_steps: int,
     tolerance: float,
@@ -282,7 +353,7 @@ def _quasi_newton(
     import jaxopt  # late: it warns on import that it is no longer maintained
 
     def objective(u: Array) -> tuple[float, Array]:
-        loss, gradient = forward.misfit(jnp.asarray(u), data, offset)
+        loss, gradient = misfit(jnp.asarray(u))
         note(loss, jnp.linalg.norm(gradient))
         return float(loss), gradient
 
@@ -298,7 +369,7 @@ def _quasi_newton(
         options={"maxcor": 20, "maxfun": 2 * max_steps, "gtol": tolerance, "ftol": 1e-9},
     )
     parameters, state = solver.run(start, (-reach, reach))
-    loss, gradient = forward.misfit(jnp.asarray(parameters), data, offset)
+    loss, gradient = misfit(jnp.asarray(parameters))
     norm = float(jnp.linalg.norm(gradient))
     if not np.isfinite(float(loss)):
         return start, "The objective is not finite; the estimate is the start.", False

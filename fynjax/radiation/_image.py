@@ -53,7 +53,12 @@ def see(
     dtype = scene.area_density.dtype
     source = _diffuse_source(scene, diffuse, rays.central, factor, ordinates)
     projection = pixel_projection(classes.angles, rays)
+    # The source is that towards the middle of the view. Elsewhere the pixel sees another area of
+    # the same leaves, and what they send shrinks or grows with it.
     in_middle = jnp.stack([a.projection(rays.central[2]) for a in classes.angles]).astype(dtype)
+    turning = projection / in_middle[:, None, None]
+    if rays.nodes == 1:
+        source, turning = source.sum(axis=0, keepdims=True), jnp.ones_like(turning[:1])
     owner = jnp.asarray(classes.angle_of_class)
     cosine = rays.cosine
     step = scene.vertical / sublayers
@@ -80,13 +85,8 @@ def see(
         weight = jnp.exp(-depth - above) * mean_transmittance(crossed) * (step / cosine)
         seen = seen + weight * area
         weight = jnp.exp(-depth) * mean_transmittance(along) * (step / cosine)
-        if rays.nodes > 1:
-            # The source is that towards the middle of the view. Elsewhere the pixel sees another
-            # area of the same leaves, and what they send shrinks or grows with it.
-            hidden = jnp.tensordot(in_middle[owner], area, axes=1)
-            some = hidden > 0
-            weight = weight * jnp.where(some, turned, 1.0) / jnp.where(some, hidden, 1.0)
-        glow = glow + weight * sample(emitted, rows, columns)
+        for sent, seen_of_middle in zip(emitted, turning):
+            glow = glow + weight * seen_of_middle * sample(sent, rows, columns)
         return (depth + along, below, seen, glow), None
 
     # One entry per piece of a layer, from the ground up; the plane below each piece carries the
@@ -95,7 +95,7 @@ def see(
     repeat = lambda field, axis: jnp.moveaxis(jnp.repeat(field, sublayers, axis=axis), axis, 0)  # noqa: E731
     bottoms = jnp.repeat(jnp.arange(nz, dtype=dtype) * scene.vertical, sublayers)
     shares = jnp.tile(jnp.arange(sublayers, dtype=dtype), nz)
-    layers = (repeat(scene.area_density, 1), repeat(source, 1), bottoms, planes[:-1], shares)
+    layers = (repeat(scene.area_density, 1), repeat(source, 2), bottoms, planes[:-1], shares)
     shape = (rays.y.shape[0], rays.x.shape[0])
     n_class, n_band = classes.reflectance.shape
     x, y = axes(jnp.asarray(scene.height, dtype))
@@ -152,8 +152,9 @@ def _diffuse_source(
     towards: Float[Array, " 3"],
     factor: tuple[int, int],
     ordinates: Ordinates,
-) -> Float[Array, "band z y x"]:
-    """Radiance per length that the leaves scatter towards the sensor out of the diffuse field.
+) -> Float[Array, "angle band z y x"]:
+    """Radiance per length that the leaves scatter towards the sensor out of the diffuse field, for
+    each distribution of their normals.
 
     The field is smooth and comes from the coarse grid; the leaf area it meets is the fine one.
     """
@@ -161,10 +162,11 @@ def _diffuse_source(
     dtype = scene.area_density.dtype
     vectors = jnp.asarray(ordinates.vectors, dtype)
     weights = jnp.asarray(ordinates.weights, dtype)
-    total = jnp.zeros((diffuse.intensity.shape[0], *scene.shape), dtype)
+    sources = []
     for index, angle in enumerate(classes.angles):
         members = jnp.asarray([float(owner == index) for owner in classes.angle_of_class], dtype)
         projection = angle.projection(towards[2]).astype(dtype)
+        total = jnp.zeros((diffuse.intensity.shape[0], *scene.shape), dtype)
         for kind, optics in zip(
             area_scattering(angle, vectors, towards[None]),
             (classes.reflectance, classes.transmittance),
@@ -176,4 +178,5 @@ def _diffuse_source(
             )
             area = jnp.einsum("cb,czyx->bzyx", optics * members[:, None], scene.area_density)
             total = total + area * field
-    return total
+        sources.append(total)
+    return jnp.stack(sources)

@@ -18,6 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
+from fynjax.inversion import SEEN
 from fynjax.io._atomic import atomic_path
 
 ORANGE, SKY, GREEN, BLUE, VERMILION, PURPLE = (
@@ -31,6 +32,9 @@ ORANGE, SKY, GREEN, BLUE, VERMILION, PURPLE = (
 GREY = "#7F7F7F"
 BEFORE, AFTER, REAL, OTHER = ORANGE, BLUE, "#222222", GREY
 """Before calibration, after it, the real data, another simulation: the same in every figure."""
+
+FIGURE_DPI = 160
+"""Resolution of a saved figure [dots per inch]."""
 
 _STYLE: Any = {  # matplotlib's own type lists every key it knows
     "font.size": 9,
@@ -48,7 +52,7 @@ _STYLE: Any = {  # matplotlib's own type lists every key it knows
     "legend.fontsize": 8.5,
     "figure.constrained_layout.use": True,
     "figure.dpi": 100,
-    "savefig.dpi": 160,
+    "savefig.dpi": FIGURE_DPI,
     "grid.color": "#E3E3E3",
     "grid.linewidth": 0.6,
 }
@@ -60,7 +64,7 @@ def _style() -> Iterator[None]:
         yield
 
 
-def save_figure(figure: Figure, path: str | Path, *, dpi: int = 160) -> None:
+def save_figure(figure: Figure, path: str | Path, *, dpi: int = FIGURE_DPI) -> None:
     """Write a figure (PNG, PDF or SVG by its suffix), whole or not at all."""
     with atomic_path(path) as partial:
         figure.savefig(partial, dpi=dpi, facecolor="white")
@@ -74,7 +78,8 @@ def _unit(unit: str) -> str:
     """' [µg cm⁻²]' for 'ug cm-2', nothing for a pure number."""
     if unit in ("-", "1", ""):
         return ""
-    text = re.sub(r"(?<=[a-z])-(\d)", lambda m: "⁻" + "⁰¹²³⁴⁵⁶⁷⁸⁹"[int(m[1])], unit)
+    raised = "⁰¹²³⁴⁵⁶⁷⁸⁹"
+    text = re.sub(r"(?<=[a-z])(-?)(\d)", lambda m: ("⁻" if m[1] else "") + raised[int(m[2])], unit)
     return f" [{re.sub(r'^u(?=g)', 'µ', text)}]"
 
 
@@ -353,7 +358,9 @@ def constraint_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
             share = 100 * part["constrained"].to_numpy(dtype=float)
             y = _rows(axes, [_label(str(name), kind) for name in part["name"]])
             axes.barh(y, np.full(share.shape, 100.0), height=0.62, color="#EFEFEF")
-            axes.barh(y, share, height=0.62, color=np.where(share >= 50, BLUE, SKY).tolist())
+            axes.barh(
+                y, share, height=0.62, color=np.where(share >= 100 * SEEN, BLUE, SKY).tolist()
+            )
             for position, value in zip(y, share, strict=True):
                 inside = value > 85
                 axes.text(
@@ -365,7 +372,7 @@ def constraint_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
             axes.set_xlim(0, 100)
             axes.set_title(_words(kind).capitalize())
             axes.grid(visible=False)
-            axes.axvline(50, color="#999999", lw=0.7, ls=":")
+            axes.axvline(100 * SEEN, color="#999999", lw=0.7, ls=":")
         figure.supxlabel(
             "Variance removed by the data [%]; 0: only the prior speaks, 100: only the data",
             fontsize=8.5,

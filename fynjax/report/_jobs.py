@@ -14,24 +14,18 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.inversion import Data, calibrate_plot, free_space
+from fynjax.inversion import IMAGE_STATISTICS, Data, calibrate_plot, free_space, weigh_targets
 from fynjax.io import Plot, example_folder, provenance, read_image, read_plot, read_statistics
 from fynjax.io._build import build_plot
 from fynjax.metrics import (
     BANDS,
     VEGETATION_INDICES,
+    bands_2006,
     consistent_targets,
     image_statistics,
     table4_2006,
 )
-from fynjax.report._run_files import calibration_files, render_files
-
-IMAGE_STATISTICS = tuple(
-    f"{layer}.{kind}"
-    for layer in (*BANDS, "NDVI", "GNDVI", "GSAVI", "NormR")
-    for kind in ("mean", "std", "q10", "q50", "q90")
-)
-"""What is compared with a whole image: centre, spread and tails of bands and some indices."""
+from fynjax.report._run_files import Reference, calibration_files, render_files
 
 
 def run_render(
@@ -79,9 +73,10 @@ def run_calibrate(
 def run_demo(output: Path, *, seed: int, progress: Progress | None = None) -> dict[str, Any]:
     """Calibrate the shipped 2006 plot to the published statistics of its real drone image."""
     read = read_plot(example_folder() / "plot.toml")
-    targets = [t for t in consistent_targets(independent=True) if t.name in _DEMO_LAYERS]
+    known = {t.key: t.value for t in consistent_targets()}
+    targets = [t for t in consistent_targets() if t.key in DEMO_TARGETS]
     names, sd = tuple(t.key for t in targets), read.calibration.target_sd
-    data = weigh(names, np.array([t.value for t in targets]), np.full(len(targets), np.nan), sd)
+    data = weigh_targets(names, np.array([t.value for t in targets]), sd)
     return _calibrate(
         read,
         data,
@@ -89,53 +84,27 @@ def run_demo(output: Path, *, seed: int, progress: Progress | None = None) -> di
         seed=seed,
         progress=progress,
         inputs=read.inputs,
-        reference=paper_simulation(),
+        reference=Reference(known, *paper_simulation()),
         goals={"mean of a band": 3.0, "mean of an index": 5.0},
     )
 
 
-_DEMO_LAYERS = (*BANDS, "NDVI", "GNDVI", "SR", "GCI")
-"""Fitted in the demo; what they leave of the consistent indices is functions of the same bands."""
+DEMO_TARGETS = tuple(
+    [f"{layer}.mean" for layer in (*BANDS, "NDVI", "GNDVI", "SR", "GCI")]
+    + ["NDVI.std", "GNDVI.std"]
+)
+"""Fitted in the demo. The other consistent indices are functions of the same bands; they are
+reported beside, as a check."""
 
 
-def weigh(names: Sequence[str], value: np.ndarray, sd: np.ndarray, relative_sd: float) -> Data:
-    """Targets with the errors that a calibration gives them.
-
-    A stated `sd` is kept. Where it is NaN a mean or quantile gets the share `relative_sd` of its
-    value, and a standard deviation 25 times that, because sensor noise and blur, which the
-    model leaves out, change spreads first. Indices that are functions of the same two bands
-    repeat one measurement: a group of n has its errors widened by sqrt(n).
-    """
-    groups: dict[tuple[str, str], int] = {}
-    keys = []
-    for name in names:
-        layer, kind = name.split(".")
-        group = next((g for g, members in _SAME_BANDS.items() if layer in members), layer)
-        keys.append((group, kind))
-        groups[keys[-1]] = groups.get(keys[-1], 0) + 1
-    spread = np.array(sd, float)
-    for i, (name, key) in enumerate(zip(names, keys)):
-        if np.isfinite(spread[i]):
-            continue
-        layer, kind = name.split(".")
-        share = relative_sd * (25.0 if kind == "std" else 1.0)
-        spread[i] = max(share * abs(value[i]), 1e-4) * np.sqrt(groups[key])
-    return Data(tuple(names), jnp.asarray(value), jnp.asarray(spread))
-
-
-_SAME_BANDS = {
-    "N/R": {"NDVI", "SR", "MSR", "WDRVI", "GDVI", "TVI", "RDVI", "IPVI"},
-    "N/G": {"GNDVI", "GCI", "RVI", "NDWI"},
-    "N, R, G": {"NormNIR", "NormR", "NormG", "GRNDVI"},
-}
-
-
-def paper_simulation() -> dict[str, float]:
-    """The paper's own DIRSIG simulation of the 2006 plot, by statistic, where it is printed."""
+def paper_simulation() -> tuple[dict[str, float], dict[str, float]]:
+    """The paper's own DIRSIG simulation of the 2006 plot: statistics where they are printed, and
+    the relative errors of the band means, of which it prints only the size [%]."""
     found: dict[str, float] = {}
     for name, row in table4_2006().items():
         found[f"{name}.mean"], found[f"{name}.std"] = row.sim_mean, row.sim_std
-    return found
+    errors = {f"{n}.mean": 100.0 * b.sim_abs_difference for n, b in bands_2006().items()}
+    return found, errors
 
 
 def _target(plot: Plot, target: Path) -> tuple[Data, dict[str, Any]]:
@@ -148,7 +117,7 @@ def _target(plot: Plot, target: Path) -> tuple[Data, dict[str, Any]]:
         clean = np.where(mask, image, 0.0)
         value = np.asarray(image_statistics(jnp.asarray(clean), names, jnp.asarray(mask)))
         share = float(mask.mean())
-        data = weigh(names, value, np.full(len(names), np.nan), plot.calibration.target_sd)
+        data = weigh_targets(names, value, plot.calibration.target_sd)
         return data, {"target_valid_share": share}
     known = {
         f"{layer}.{kind}" for layer in (*BANDS, *VEGETATION_INDICES) for kind in ("mean", "std")
@@ -160,7 +129,7 @@ def _target(plot: Plot, target: Path) -> tuple[Data, dict[str, Any]]:
     if not keep:
         raise InputError("`calibration.targets` fits none of the target's rows", file=plot.file)
     names = [read.names[i] for i in keep]
-    return weigh(names, read.value[keep], read.sd[keep], plot.calibration.target_sd), {}
+    return weigh_targets(names, read.value[keep], plot.calibration.target_sd, sd=read.sd[keep]), {}
 
 
 def _calibrate(
@@ -171,7 +140,7 @@ def _calibrate(
     seed: int,
     progress: Progress | None,
     inputs: Sequence[Path],
-    reference: dict[str, float] | None = None,
+    reference: Reference | None = None,
     goals: dict[str, float] | None = None,
     extra: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
@@ -206,7 +175,7 @@ def _calibrate(
             plot,
             model,
             result,
-            reference or {},
+            reference or Reference(),
             goals or {},
             record,
             seconds,

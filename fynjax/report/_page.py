@@ -2,16 +2,15 @@
 
 import base64
 import html
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from fynjax.io._atomic import write_text
+from fynjax.report._figures import FIGURE_DPI
 
 _CSS = """
 :root { color-scheme: light; }
@@ -107,23 +106,15 @@ class Page:
         self._parts.append(f'<div class="keys">{cells}</div>')
         return self
 
-    def figure(self, figure: Figure, caption: str, *, dpi: int = 130) -> "Page":
-        """A matplotlib figure as PNG, with its caption."""
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=dpi, facecolor="white")
-        return self._image(buffer.getvalue(), caption, figure.get_figwidth())
-
-    def image(self, path: str | Path, caption: str) -> "Page":
-        """A PNG file, with its caption."""
-        return self._image(Path(path).read_bytes(), caption, None)
-
-    def _image(self, png: bytes, caption: str, inches: float | None) -> "Page":
+    def figure(self, path: str | Path, caption: str) -> "Page":
+        """A figure that `save_figure` wrote as PNG, with its caption."""
+        png = Path(path).read_bytes()
+        inches = int.from_bytes(png[16:20], "big") / FIGURE_DPI  # the width in a PNG's header
         text = html.escape(caption, quote=True)
-        width = "" if inches is None else f' style="width: {inches * 105:.0f}px"'
         data = base64.b64encode(png).decode("ascii")
         self._parts.append(
-            f'<figure><img{width} alt="{text}" src="data:image/png;base64,{data}">'
-            f"<figcaption>{text}</figcaption></figure>"
+            f'<figure><img style="width: {inches * 105:.0f}px" alt="{text}" '
+            f'src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>'
         )
         return self
 

@@ -1,6 +1,6 @@
 """Scene: a plot put together from leaves, plants, light and a sensor."""
 
-from fynjax.scene._model import Camera, PlotModel, band_wavelengths, build_model
+from fynjax.scene._model import Camera, PlotModel, band_wavelengths, build_model, replant
 from fynjax.scene._parameters import (
     LEAF_FIELDS,
     GroundParameters,
@@ -29,5 +29,6 @@ __all__ = [
     "draw_planting",
     "named_values",
     "parameter_units",
+    "replant",
     "with_values",
 ]

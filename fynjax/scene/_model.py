@@ -120,10 +120,11 @@ class PlotModel(eqx.Module):
         height = species.height[owner] * planting.stature
         crown = weight * jnp.pi / 4.0 * diameter**2
         crown = crown / jnp.asarray(self.branches, self.dtype)[owner]
-        # Leaves of a shoot shade each other: this share of their area is seen from outside it.
-        leaf = crown * (species.leaf_area_index * (1.0 - species.shoot_clumping))[owner]
+        leaf = crown * species.leaf_area_index[owner]
         bloom = np.array([FORM_DEFAULTS[form].flower_fraction for form in self.forms])
         flower = leaf * jnp.asarray(self.flowering * bloom, self.dtype)[owner]
+        # Leaves of a shoot shade each other: this share of their area is seen from outside it.
+        leaf = leaf * (1.0 - species.shoot_clumping)[owner]
         area = jnp.stack([leaf, crown * species.wood_area_index[owner], flower], axis=-1)
         plant = planting.plant
         return deposit(
@@ -320,6 +321,20 @@ def build_model(
         dtype=dtype,
     )
     return eqx.tree_at(lambda m: m.planting, model, planting)
+
+
+def replant(model: PlotModel, seed: int) -> PlotModel:
+    """The same plot with other plants standing: each species fills its sites in another order.
+
+    The sites held ready stay, and with them the pattern of a probability map.
+    """
+    planting = model.planting
+    species, place = np.asarray(planting.species), np.array(planting.place)
+    rng = np.random.default_rng([seed, 211])
+    for one in np.unique(species):
+        mine = species == one
+        place[mine] = rng.permutation(place[mine])
+    return eqx.tree_at(lambda m: m.planting.place, model, jnp.asarray(place, planting.place.dtype))
 
 
 def _fitting(accuracy: Accuracy, grid: VoxelGrid) -> tuple[Accuracy, int]:

@@ -54,6 +54,48 @@ def test_what_the_data_cannot_see_stays_at_its_prior_and_is_named():
     assert abs(direction["c.cover"]) == pytest.approx(1.0, abs=1e-6)
 
 
+def test_scatter_that_moves_all_statistics_together_is_an_error_like_any_other():
+    """Against the normal equations with the full covariance of the errors."""
+    result = fit(predict, DATA, SPACE, tolerance=1e-8)
+    draws = jnp.array([[0.4, 0.1, -0.2, 0.3], [-0.1, 0.5, 0.2, 0.0]])
+    same = jnp.repeat(result.jacobian[None], 2, axis=0)
+    found = result.marginal(draws, same)
+    moments = np.asarray(draws).T @ np.asarray(draws) / 2
+    shrunk = 0.5 * (moments + np.diag(np.diag(moments)))
+    error = np.diag(np.asarray(DATA.sd) ** 2) + shrunk
+    a, prior = np.asarray(MATRIX), np.diag(1.0 / np.asarray(SPACE.prior_sd) ** 2)
+    covariance = np.linalg.inv(prior + a.T @ np.linalg.solve(error, a))
+    np.testing.assert_allclose(found.sd, np.sqrt(np.diag(covariance)), rtol=1e-3)
+    assert np.all(found.sd >= result.sd * (1 - 1e-9))
+    np.testing.assert_allclose(found.estimate, result.estimate)
+
+
+def test_without_chance_nothing_changes():
+    result = fit(predict, DATA, SPACE, tolerance=1e-8)
+    same = jnp.repeat(result.jacobian[None], 3, axis=0)
+    found = result.marginal(jnp.zeros((3, 4)), same)
+    np.testing.assert_allclose(found.covariance, result.covariance, atol=1e-9)
+
+
+def test_slopes_by_chance_are_no_knowledge():
+    """Derivatives that differ from draw to draw say nothing, however steep each of them is."""
+    size = 40
+    space = ParameterSpace(
+        ("a.cover",), jnp.array([-1e4]), jnp.array([1e4]), jnp.array([1.0]), jnp.array([1.0])
+    )
+    draw = np.random.default_rng(3)
+    slopes = draw.normal(size=(9, size, 1))
+    names = tuple(f"s{i}" for i in range(size))
+    data = Data(names, jnp.asarray(slopes[0, :, 0]), jnp.ones(size))
+    result = fit(lambda x: jnp.asarray(slopes[0]) @ x, data, space, tolerance=1e-8)
+    assert float(result.constrained[0]) > 0.95
+    found = result.marginal(jnp.zeros((8, size)), jnp.asarray(slopes[1:]))
+    assert float(found.constrained[0]) < 0.75
+    assert found.seen() == ()
+    repeated = result.marginal(jnp.zeros((8, size)), 1.0 + 0.3 * jnp.asarray(slopes[1:]))
+    assert repeated.seen() == ("a.cover",)
+
+
 def test_an_offset_is_part_of_the_prediction():
     shift = jnp.array([0.2, -0.1, 0.0, 0.3])
     moved = Data(DATA.names, DATA.value + shift, DATA.sd)

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from fynjax.report import Page, format_number
+from fynjax.report import Page, format_number, save_figure
 
 
 class Checker(HTMLParser):
@@ -37,9 +37,11 @@ class Checker(HTMLParser):
 
 
 @pytest.fixture
-def page():
+def page(tmp_path_factory):
     figure = Figure(figsize=(2, 1))
     figure.subplots().plot([1, 2])
+    path = tmp_path_factory.mktemp("figure") / "figure.png"
+    save_figure(figure, path)
     table = pd.DataFrame(
         {"name": ["<b>x</b>", "y"], "cover": [0.123456, np.nan], "n": [3, -4], "ok": [True, False]}
     )
@@ -48,7 +50,7 @@ def page():
         .section("Images <i>")
         .paragraph("see http://nowhere.example & <script>alert(1)</script>")
         .key_figures({"NDVI": "0.746", "renders": "41"})
-        .figure(figure, 'Caption "quoted"')
+        .figure(path, 'Caption "quoted"')
         .table(table, caption="All", units={"cover": "m2 m-2"}, headers={"n": "Count"})
         .table(table, caption="Folded", folded=True)
         .footer({"command": "fynjax demo"})

@@ -11,6 +11,7 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.canopy import hard_count
 from fynjax.scene import background_spectrum, named_values, with_values
+from fynjax.scene._model import _shoot_optics
 from fynjax.sensors._sky import clear_sky_diffuse_fraction
 from tests.scene.plots import TAXA, densities, render, small_parameters, small_plot
 
@@ -36,7 +37,7 @@ def test_hard_scene_plants_whole_plants_of_equation_10():
         crowns = np.pi * radius[i] ** 2 * (size**2).sum()
         found = leaf_area(model, parameters)
         if i == 0:
-            assert found[0] == pytest.approx(3.0 * crowns, rel=1e-9)
+            assert found[0] == pytest.approx(3.0 * (1 - 0.4) * crowns, rel=1e-9)
     total = sum(
         float(species.wood_area_index[i])
         * np.pi
@@ -60,6 +61,33 @@ def test_soft_scene_tends_to_the_hard_one():
     assert away[0] >= away[1] >= away[2]
 
 
+def test_a_shoot_scatters_as_its_leaves_do_among_themselves():
+    """Against the series: a photon that a leaf scatters meets the next one with probability p."""
+    r, t, p = np.array([[0.05, 0.48, 0.5]]), np.array([[0.03, 0.45, 0.5]]), 0.4
+    found = _shoot_optics(jnp.asarray(r), jnp.asarray(t), jnp.array([[p]]))
+    out, inside = np.zeros_like(r), np.ones_like(r)
+    for _ in range(2000):
+        scattered = inside * (r + t)
+        out += (1 - p) * scattered
+        inside = p * scattered
+    np.testing.assert_allclose(found[0] + found[1], out, rtol=1e-12)
+    np.testing.assert_allclose(found[0] / found[1], r / t, rtol=1e-12)  # faces keep their shares
+    assert float(found[0][0, 2] + found[1][0, 2]) == pytest.approx(1.0)  # nothing absorbs: no loss
+
+
+def test_clumped_leaves_hide_behind_each_other():
+    """The grid holds what is seen from outside the shoots; nothing else moves."""
+    parameters = small_parameters()
+    share = 1 - parameters.species.shoot_clumping
+    sparse = eqx.tree_at(
+        lambda p: (p.species.shoot_clumping, p.species.leaf_area_index),
+        parameters,
+        (jnp.zeros(3), parameters.species.leaf_area_index * share),
+    )
+    pair = [densities(small_plot(), p) for p in (parameters, sparse)]
+    np.testing.assert_allclose(*pair, rtol=1e-12)
+
+
 def test_moving_one_cover_leaves_the_other_plants_alone():
     model, parameters = small_plot(), small_parameters()
     more = eqx.tree_at(lambda p: p.species.cover, parameters, jnp.array([0.35, 0.15, 0.06]))
@@ -74,7 +102,8 @@ def test_area_follows_the_parameters_at_any_resolution():
     areas = [leaf_area(small_plot(voxel=v), parameters) * (v / 0.1) ** 3 for v in (0.05, 0.1, 0.2)]
     crowns = 1.6**2 * 0.25 / (0.9 * 0.9)  # cover over packing and fill
     for area in areas:
-        assert area[0] == pytest.approx(3.0 * crowns, rel=0.06)  # sizes vary among plants
+        # Sizes vary among plants; leaves of a shoot hide 0.4 of their area from outside.
+        assert area[0] == pytest.approx(3.0 * 0.6 * crowns, rel=0.06)
         assert area == pytest.approx(areas[0], rel=1e-5)
 
 

@@ -1,0 +1,108 @@
+"""Time and memory of the shipped plot and of the demo: `python -m tests.benchmarks.bench_demo`.
+
+Prints, for the plot that burnt in 2006 (10 m x 10 m, 13 taxa, 400 x 400 pixels, four bands): one
+render; one value and gradient of a calibration's objective by all free parameters, and its ratio to
+the value alone; one step of the search (gradients of all statistics); and the whole `fynjax demo`
+as a process of its own, with an empty compilation cache and again with the filled one. `--quick`
+leaves the last two out. Peak memory is that of a process.
+"""
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from fynjax.inversion import COARSE, Forward, free_space, weigh_targets
+from fynjax.inversion._calibrate import _coarser
+from fynjax.io import example_folder, read_plot
+from fynjax.io._build import build_plot
+from fynjax.metrics import BANDS, image_statistics
+from fynjax.scene import with_values
+
+STATISTICS = tuple(f"{layer}.{kind}" for layer in (*BANDS, "NDVI") for kind in ("mean", "std"))
+
+
+def clock(call: Callable[[], Any], repeats: int = 3) -> tuple[float, float]:
+    """First time, compilation included, and the best of some more [s]."""
+    times = []
+    for _ in range(1 + repeats):
+        began = time.perf_counter()
+        jax.block_until_ready(call())
+        times.append(time.perf_counter() - began)
+    return times[0], min(times[1:])
+
+
+def row(name: str, first: float, again: float) -> None:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"{name:<52}{first:>8.1f} s{again:>9.2f} s   peak so far {peak:5.0f} MiB")
+
+
+def plot_in_this_process() -> None:
+    began = time.perf_counter()
+    read = read_plot(example_folder() / "plot.toml")
+    model, parameters = build_plot(read, seed=0)
+    built = time.perf_counter() - began
+    print(f"{'':<52}{'first':>10}{'again':>11}")
+    row("plot file to planted model", built, built)
+
+    render = eqx.filter_jit(lambda m, p: m.image(p))
+    row("render, 400 x 400 pixels", *clock(lambda: render(model, parameters)))
+
+    space = free_space(model, parameters, read.calibration.free, read.calibration.relative_sd)
+    quick = _coarser(model, COARSE)
+
+    def predict(values: jax.Array) -> jax.Array:
+        named = {name: values[i] for i, name in enumerate(space.names)}
+        image = quick.image(with_values(parameters, model.taxa, named), 8)
+        return image_statistics(image, STATISTICS).astype(values.dtype)
+
+    forward = Forward(predict, space)
+    u, none = jnp.zeros(len(space.names)), jnp.zeros(len(STATISTICS))
+    value = clock(lambda: forward.values(u))
+    data = weigh_targets(STATISTICS, 1.1 * np.asarray(forward.values(u)), 0.01)
+    row("value, as a search sees it (every 8th pixel)", *value)
+    both = clock(lambda: forward.misfit(u, data, none))
+    row(f"value and gradient by {len(space.names)} parameters", *both)
+    print(f"{'  ratio to the value alone':<52}{'':>10}{both[1] / value[1]:>9.2f}")
+    rows = clock(lambda: forward.jacobian(u), repeats=1)
+    row(f"value and gradients of {len(STATISTICS)} statistics", *rows)
+
+
+def whole_demo() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        environment = os.environ | {"XDG_CACHE_HOME": f"{folder}/cache"}
+        environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+        for name in ("first", "second"):
+            out = Path(folder) / name
+            fynjax = Path(sys.executable).with_name("fynjax")
+            command = [str(fynjax), "demo", "--quiet", "--output", str(out)]
+            began = time.perf_counter()
+            subprocess.run(command, check=True, env=environment)
+            seconds = time.perf_counter() - began
+            peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+            print(f"whole demo, {name} run{'':<30}{seconds:>10.1f} s   peak {peak:5.0f} MiB")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="no whole demo")
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)  # as the commands have it; the plot is float32
+    if not options.quick:
+        whole_demo()
+    plot_in_this_process()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""Twin experiment: a plot's noisy image gives its parameters back, as far as it shows them."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax.canopy import FORM_DEFAULTS
+from fynjax.inversion import IMAGE_STATISTICS, calibrate_plot, free_space, weigh_targets
+from fynjax.leaf import LeafParameters
+from fynjax.metrics import image_statistics
+from fynjax.scene import (
+    Camera,
+    GroundParameters,
+    LightParameters,
+    PlotParameters,
+    SpeciesParameters,
+    build_model,
+    named_values,
+    with_values,
+)
+from fynjax.sensors import mavic_3m
+
+TAXA = ("Erica", "Restio", "Euclea")
+FORMS = ("rounded_shrub", "tussock", "broad_leaved")
+FREE = (
+    "species.*.cover",
+    "species.*.diameter",
+    "species.*.leaf.chlorophyll",
+    "species.*.leaf_area_index",
+    "ground.brightness",
+    "ground.litter_fraction",
+)
+
+
+def truth() -> PlotParameters:
+    def default(name):
+        return jnp.array([getattr(FORM_DEFAULTS[form], name) for form in FORMS])
+
+    return PlotParameters(
+        SpeciesParameters(
+            cover=jnp.array([0.25, 0.15, 0.20]),
+            diameter=jnp.array([0.4, 0.3, 0.5]),
+            height=jnp.array([0.6, 0.5, 0.9]),
+            packing=jnp.full(3, 0.2),
+            fill=jnp.ones(3),
+            leaf_area_index=default("leaf_area_index"),
+            wood_area_index=default("wood_area_index"),
+            shoot_clumping=default("shoot_clumping"),
+        ),
+        LeafParameters.many(
+            structure=1.8,
+            chlorophyll=jnp.array([55.0, 35.0, 70.0]),
+            carotenoids=11.0,
+            anthocyanins=1.5,
+            brown_pigments=0.05,
+            water=0.02,
+            dry_matter=0.02,
+        ),
+        GroundParameters(*(jnp.asarray(v) for v in (0.9, 0.4, 0.35, 1.0))),
+        LightParameters(*(jnp.asarray(v) for v in (31.0, 17.0, 0.1))),
+    )
+
+
+@pytest.fixture(scope="module")
+def twin():
+    """Truth by name, and the calibration from a start (and prior) 30 % off, either way."""
+    real = truth()
+    model = build_model(
+        TAXA,
+        FORMS,
+        real,
+        extent=(6.0, 6.0),
+        voxel=0.1,
+        camera=Camera(mavic_3m(), 50.0, 0.05),
+        seed=11,
+    )
+    image = np.asarray(eqx.filter_jit(model.image)(real))
+    draw = np.random.default_rng(4)
+    noisy = image * (1 + 0.02 * draw.normal(size=image.shape)) + 0.001 * draw.normal(
+        size=image.shape
+    )
+    values = {k: float(v) for k, v in named_values(real, TAXA).items()}
+    freed = free_space(model, real, FREE, lambda _: 0.3).names
+    off = {n: values[n] * draw.choice([0.7, 1.3]) for n in freed}
+    off |= {f"species.{t}.cover": 0.7 * values[f"species.{t}.cover"] for t in TAXA}
+    start = with_values(real, TAXA, {n: jnp.asarray(v) for n, v in off.items()})
+    space = free_space(model, start, FREE, lambda _: 0.3)
+    measured = np.asarray(image_statistics(jnp.asarray(noisy), IMAGE_STATISTICS))
+    data = weigh_targets(IMAGE_STATISTICS, measured, 0.01)
+    found = calibrate_plot(model, start, data, space, stride=3, max_steps=10)
+    return values, found
+
+
+@pytest.mark.slow
+def test_total_cover_comes_back(twin):
+    values, found = twin
+    names = [f"species.{t}.cover" for t in TAXA]
+    total = sum(values[n] for n in names)
+    covers = [float(found.fit.estimate[found.fit.names.index(n)]) for n in names]
+    assert sum(float(v) for v in found.before.species.cover) < total - 0.15
+    assert sum(covers) == pytest.approx(total, abs=0.03)
+
+
+@pytest.mark.slow
+def test_what_is_called_seen_is_right(twin):
+    values, found = twin
+    fit = found.fit
+    off = {
+        n: abs(float(fit.estimate[i]) - values[n]) / float(fit.sd[i])
+        for i, n in enumerate(fit.names)
+    }
+    seen, unseen = set(fit.seen()), set(fit.names) - set(fit.seen())
+    assert {n: o for n, o in off.items() if n in seen and o > 2} == {}
+    assert len(seen) >= 4
+    assert unseen  # forty-five statistics of one image cannot tell everything
+    assert fit.status
+    # Unseen ones keep an honest error bar: the prior's, against a start one such width away.
+    assert all(off[n] < 3 for n in unseen)
