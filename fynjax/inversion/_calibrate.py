@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax._core.errors import InputError
 from fynjax.canopy import VoxelGrid
 from fynjax.inversion._fit import Data, FitResult, Forward, evaluate, fit
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
@@ -46,8 +47,9 @@ def free_space(
 ) -> ParameterSpace:
     """The free parameters of a plot by name pattern, such as `species.*.cover`.
 
-    Parameters without effect (leaves of deadwood, covers of zero) are left out. `relative_sd`
-    gives the prior's standard deviation over its centre.
+    Parameters without effect (leaves of deadwood, covers of zero, the moisture of a soil and the
+    aerosol of a sky that were given) are left out. `relative_sd` gives the prior's standard
+    deviation over its centre.
     """
     values = {k: float(v) for k, v in named_values(parameters, model.taxa).items()}
     chosen = [
@@ -67,7 +69,8 @@ def _without_effect(name: str, model: PlotModel, parameters: PlotParameters) -> 
         leafless = float(parameters.species.leaf_area_index[i]) == 0.0
         of_leaves = (".leaf." in name, name.endswith(("leaf_area_index", "shoot_clumping")))
         return leafless and any(of_leaves)
-    return name == "ground.moisture" and model.soil is not None
+    given = {"ground.moisture": model.soil, "light.aerosol": model.diffuse}
+    return given.get(name) is not None
 
 
 def calibrate_plot(
@@ -76,7 +79,7 @@ def calibrate_plot(
     data: Data,
     space: ParameterSpace,
     *,
-    stride: int = 8,
+    stride: int = 9,
     coarse: Accuracy = COARSE,
     rounds: int = 2,
     replants: int = 4,
@@ -101,6 +104,8 @@ def calibrate_plot(
     `method`, `max_steps`, `tolerance` and `start` are those of `fit`; `report` is called with the
     stage, the objective and its gradient's norm.
     """
+    if rounds < 1:
+        raise InputError(f"`rounds` must be at least 1, but is {rounds}")
     names = data.names
     quick = _coarser(model, coarse)
     render = eqx.filter_jit(lambda m, p: _image_and_statistics(m, p, names))

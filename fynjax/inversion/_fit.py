@@ -46,7 +46,10 @@ class Data(eqx.Module):
         """
         moments = deviations.T @ deviations / deviations.shape[0]
         spread = jnp.diag(jnp.diagonal(moments))
-        covariance = jnp.diag(self.sd**2) + 0.5 * (moments + spread)
+        known = jnp.diag(self.sd**2)
+        if self.whitener is not None:
+            known = jnp.linalg.inv(self.whitener.T @ self.whitener)
+        covariance = known + 0.5 * (moments + spread)
         whitener = jnp.linalg.inv(jnp.linalg.cholesky(covariance))
         return Data(self.names, self.value, jnp.sqrt(jnp.diagonal(covariance)), whitener)
 
@@ -88,7 +91,7 @@ class FitResult(eqx.Module):
     modes: Float[Array, "mode free"]
     """Their eigenvectors in whitened coordinates."""
     loss: Float[np.ndarray, " evaluation"]
-    """The objective at each evaluation, falling or not."""
+    """The objective after each evaluation, at the best point so far for least squares."""
     gradient_norm: Float[np.ndarray, " evaluation"]
     converged: bool = eqx.field(static=True)
     status: str = eqx.field(static=True)
@@ -114,7 +117,8 @@ class FitResult(eqx.Module):
         draw would repeat is information. Errors of the data grow by the scatter of the statistics
         (`Data.with_scatter`); and the information is the mean of the products of two
         *different* draws' derivatives, since in the product of one with itself the chance part
-        of a slope counts as knowledge.
+        of a slope counts as knowledge. That mean may have negative eigenvalues: they are set to
+        zero, and the others shrunk so that their sum stays.
 
         **Arguments:** `deviations`, how far the statistics at the estimate lie from the model's in
         other draws; `jacobians`, their derivatives there, as in `jacobian`.
@@ -123,7 +127,10 @@ class FitResult(eqx.Module):
         draws = jax.vmap(data.whiten)(jnp.concatenate([self.jacobian[None], jacobians]))
         total, count = draws.sum(axis=0), draws.shape[0]
         same = jnp.einsum("dsi,dsj->ij", draws, draws)
-        information = (total.T @ total - same) / (count * (count - 1))
+        values, vectors = jnp.linalg.eigh((total.T @ total - same) / (count * (count - 1)))
+        kept = jnp.maximum(values, 0.0)
+        share = jnp.maximum(values.sum(), 0.0) / jnp.maximum(kept.sum(), 1e-30)
+        information = (vectors * (share * kept)) @ vectors.T
         return dataclasses.replace(self, **_posterior(self.space, self.whitened, information))
 
     def unseen_directions(self, count: int = 3) -> list[dict[str, float]]:
@@ -169,6 +176,8 @@ def fit(
     A stop without convergence, and a loss that is not finite, are stated in the result, not
     raised.
     """
+    if max_steps < 1:
+        raise InputError(f"`max_steps` must be at least 1, but is {max_steps}")
     forward = Forward(predict, space) if forward is None else forward
     shift = jnp.zeros_like(data.value) if offset is None else offset
     u = jnp.zeros(len(space.names)) if start is None else jnp.asarray(start, float)

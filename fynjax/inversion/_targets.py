@@ -37,7 +37,8 @@ def weigh_targets(
     A stated `sd` is kept. Without one, or where it is NaN, a mean or quantile gets the share
     `relative_sd` of its value, and a standard deviation 25 times that, because sensor noise and
     blur, which the model leaves out, change spreads first. Indices that are functions of the same
-    two bands repeat one measurement: a group of n has its errors widened by sqrt(n).
+    ratio of two bands repeat one measurement: a group of n has its errors widened by sqrt(n). So
+    are those of the three bands' shares, although they hold two ratios.
 
     **Arguments:** `names`, such as "NDVI.mean"; `value`, what was measured; `relative_sd`, above 0.
 

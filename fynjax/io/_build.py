@@ -136,15 +136,24 @@ def _soil(plot: Plot, wavelength: np.ndarray) -> np.ndarray | None:
     if plot.ground.spectrum is None:
         return None
     path = plot.ground.spectrum
-    wave, values = _reflectances(path)[0]
+    spectra = _reflectances(path)
+    if len(spectra) > 1:
+        raise InputError(
+            f"expected the spectrum of one soil, but got {len(spectra)}; keep one column",
+            file=path,
+        )
+    wave, values = spectra[0]
+    known = np.isfinite(values)
+    wave, values = wave[known], values[known]
+    if wave.size == 0:
+        raise InputError("a soil spectrum must have reflectance, but has none", file=path)
     if wave[0] > wavelength[0] or wave[-1] < wavelength[-1]:
         raise InputError(
             f"a soil spectrum must cover {wavelength[0]:g}-{wavelength[-1]:g} nm for this sensor, "
             f"but covers {wave[0]:g}-{wave[-1]:g} nm",
             file=path,
         )
-    known = np.isfinite(values)
-    soil = np.interp(wavelength, wave[known], values[known])
+    soil = np.interp(wavelength, wave, values)
     return np.stack([soil, soil])
 
 

@@ -192,7 +192,10 @@ class StatisticRow(Strict):
     )
     value: float = number("Its value; a reflectance is a fraction", "-")
     sd: float | None = number(
-        "Its standard deviation; empty takes calibration.target_sd", "-", default=None, gt=0
+        "Its standard deviation; empty takes calibration.target_sd (25 times that for a std)",
+        "-",
+        default=None,
+        gt=0,
     )
 
 
@@ -360,7 +363,11 @@ class CalibrationTable(Strict):
         min_length=1,
     )
     target_sd: float = number(
-        "Relative standard deviation of a target that states none", "-", default=0.02, gt=0, le=1
+        "Relative standard deviation of a mean or quantile that states none",
+        "-",
+        default=0.02,
+        gt=0,
+        le=1,
     )
     priors: dict[str, Annotated[float, Field(gt=0, le=10)]] = Field(
         default_factory=dict,
@@ -403,6 +410,7 @@ class StatisticSummary(BaseModel):
     """One statistic of the image, before and after."""
 
     statistic: str
+    fitted: bool | None = Field(default=None, description="Whether the calibration fitted it.")
     target: float | None
     target_sd: float | None = None
     before: float | None

@@ -26,6 +26,7 @@ from fynjax.metrics import (
     table4_2006,
 )
 from fynjax.report._run_files import Reference, calibration_files, render_files
+from fynjax.scene import PlotModel, PlotParameters
 
 
 def run_render(
@@ -75,8 +76,11 @@ def run_demo(output: Path, *, seed: int, progress: Progress | None = None) -> di
     read = read_plot(example_folder() / "plot.toml")
     known = {t.key: t.value for t in consistent_targets()}
     targets = [t for t in consistent_targets() if t.key in DEMO_TARGETS]
-    names, sd = tuple(t.key for t in targets), read.calibration.target_sd
-    data = weigh_targets(names, np.array([t.value for t in targets]), sd)
+    names, share = tuple(t.key for t in targets), read.calibration.target_sd
+    value = np.array([t.value for t in targets])
+    # The band means are known to three decimals.
+    sd = np.where([t.derived for t in targets], np.hypot(share * value, _LAST_DIGIT), np.nan)
+    data = weigh_targets(names, value, share, sd=sd)
     return _calibrate(
         read,
         data,
@@ -89,9 +93,10 @@ def run_demo(output: Path, *, seed: int, progress: Progress | None = None) -> di
     )
 
 
-DEMO_TARGETS = tuple(
-    [f"{layer}.mean" for layer in (*BANDS, "NDVI", "GNDVI", "SR", "GCI")]
-    + ["NDVI.std", "GNDVI.std"]
+_LAST_DIGIT = 0.0005 / 3**0.5
+DEMO_TARGETS = (
+    *(f"{layer}.mean" for layer in (*BANDS, "NDVI", "GNDVI", "SR", "GCI")),
+    *("NDVI.std", "GNDVI.std"),
 )
 """Fitted in the demo. The other consistent indices are functions of the same bands; they are
 reported beside, as a check."""
@@ -119,12 +124,7 @@ def _target(plot: Plot, target: Path) -> tuple[Data, dict[str, Any]]:
         share = float(mask.mean())
         data = weigh_targets(names, value, plot.calibration.target_sd)
         return data, {"target_valid_share": share}
-    known = {
-        f"{layer}.{kind}" for layer in (*BANDS, *VEGETATION_INDICES) for kind in ("mean", "std")
-    }
-    known |= {f"{layer}.q{q:02d}" for layer in (*BANDS, *VEGETATION_INDICES) for q in range(100)}
-    known |= {f"{layer}.q{q}" for layer in (*BANDS, *VEGETATION_INDICES) for q in range(10)}
-    read = read_statistics(target, known)
+    read = read_statistics(target, {*BANDS, *VEGETATION_INDICES})
     keep = [i for i, n in enumerate(read.names) if plot.calibration.uses_target(n)]
     if not keep:
         raise InputError("`calibration.targets` fits none of the target's rows", file=plot.file)
@@ -151,7 +151,8 @@ def _calibrate(
         model, parameters = build_plot(plot, seed=seed)
         space = free_space(model, parameters, plot.calibration.free, plot.calibration.relative_sd)
     steps = plot.calibration.max_iterations
-    with progress.stage("Calibrate", total=steps), _Clock(seconds, "calibrate"):
+    evaluations = steps + (steps + 1) // 2
+    with progress.stage("Calibrate", total=evaluations), _Clock(seconds, "calibrate"):
         result = calibrate_plot(
             model,
             parameters,
@@ -167,6 +168,7 @@ def _calibrate(
         "search_step": result.seconds["step_s"],
         "search": result.seconds["search_s"],
     }
+    warnings = _short_of_sites(model, result.after)
     with progress.stage("Write"):
         seconds["total"] = time.perf_counter() - began
         record = provenance(seed=seed, inputs=inputs)
@@ -186,9 +188,21 @@ def _calibrate(
         **(extra or {}),
         "timings_s": seconds,
         "peak_memory_mib": peak_memory_mib(),
+        "warnings": warnings,
         "converged": result.fit.converged,
         "status": "ok" if result.fit.converged else result.fit.status,
     }
+
+
+def _short_of_sites(model: PlotModel, parameters: PlotParameters) -> list[str]:
+    """Species of which more plants are wanted than sites were held ready."""
+    ready = np.bincount(np.asarray(model.planting.species), minlength=len(model.taxa))
+    return [
+        f"{taxon}: the estimate asks for {wanted:.0f} plants, but {sites} sites were held ready; "
+        "its cover is too high for its diameter to be planted, so trust neither"
+        for taxon, wanted, sites in zip(model.taxa, np.asarray(model.counts(parameters)), ready)
+        if wanted > sites
+    ]
 
 
 def peak_memory_mib() -> float:

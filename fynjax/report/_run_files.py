@@ -30,7 +30,6 @@ Record = Mapping[str, str | int]
 _SHOWN = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR")
 # Shown as fields crews write them: unit in the table -> factor.
 _SHOWN_UNITS = {"cover": ("%", 100.0), "diameter": ("cm", 100.0)}
-_TABLE_UNITS = {"image": "-"}
 
 
 def _indices(image: np.ndarray, names: tuple[str, ...] = _SHOWN) -> dict[str, np.ndarray]:
@@ -208,7 +207,7 @@ def calibration_files(
         f"Largest error of a fitted index mean {indices['before']:.1f} % before, "
         f"{indices['after']:.1f} % after.",
         f"The data at least halve the error of {len(seen)} of {len(result.fit.names)} parameters"
-        + (f": {', '.join(seen)}." if seen else "; the others rest on the prior."),
+        + (f": {', '.join(seen)}. The others rest on the prior." if seen else "."),
         result.fit.status,
     ]
     _page(

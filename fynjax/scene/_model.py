@@ -148,8 +148,9 @@ class PlotModel(eqx.Module):
         leaves = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), leaves, petal)
         optics = jax.vmap(lambda leaf: prospect(leaf, self.wavelength))(leaves)
         clumping = jnp.pad(parameters.species.shoot_clumping[leafy], (0, 1))[:, None]
-        reflectance, transmittance = _shoot_optics(
-            optics.reflectance @ average.T, optics.transmittance @ average.T, clumping
+        reflectance, transmittance = (
+            spectrum @ average.T
+            for spectrum in _shoot_optics(optics.reflectance, optics.transmittance, clumping)
         )
         ground = parameters.ground
         bark = average @ jnp.asarray(background_spectrum("bark", self.wavelength), self.dtype)
@@ -218,10 +219,10 @@ class PlotModel(eqx.Module):
 
 
 def _shoot_optics(
-    reflectance: Float[Array, "leaf band"],
-    transmittance: Float[Array, "leaf band"],
+    reflectance: Float[Array, "leaf wavelength"],
+    transmittance: Float[Array, "leaf wavelength"],
     clumping: Float[Array, "leaf one"],
-) -> tuple[Float[Array, "leaf band"], Float[Array, "leaf band"]]:
+) -> tuple[Float[Array, "leaf wavelength"], Float[Array, "leaf wavelength"]]:
     """Reflectance and transmittance of shoots of such leaves, each as one scattering element.
 
     With p the `clumping`, the single scattering albedo w becomes w (1 - p) / (1 - p w) and the

@@ -92,6 +92,15 @@ def test_slopes_by_chance_are_no_knowledge():
     found = result.marginal(jnp.zeros((8, size)), jnp.asarray(slopes[1:]))
     assert float(found.constrained[0]) < 0.75
     assert found.seen() == ()
+    many = 60  # more parameters than statistics
+    space = ParameterSpace(
+        tuple(f"p{i}.cover" for i in range(many)), *(jnp.full(many, v) for v in (-1e4, 1e4, 1, 1))
+    )
+    slopes_of_many = jnp.asarray(draw.normal(size=(5, 10, many)))
+    few = Data(names[:10], jnp.zeros(10), jnp.ones(10))
+    wide = fit(lambda x: slopes_of_many[0] @ (x - 1), few, space, tolerance=1e-8)
+    assert float(wide.constrained.mean()) > 0.1
+    assert float(wide.marginal(jnp.zeros((4, 10)), slopes_of_many[1:]).constrained.mean()) < 0.06
     repeated = result.marginal(jnp.zeros((8, size)), 1.0 + 0.3 * jnp.asarray(slopes[1:]))
     assert repeated.seen() == ("a.cover",)
 
@@ -123,8 +132,21 @@ def test_a_model_that_is_not_finite_ends_in_a_status():
     assert "not finite" in result.status
 
 
+def test_scatter_adds_to_scatter():
+    first, second = jnp.array([[0.4, 0.1, -0.2, 0.3]]), jnp.array([[0.0, 0.3, 0.1, 0.1]])
+    both = DATA.with_scatter(first).with_scatter(second)
+    parts = [np.asarray(d).T @ np.asarray(d) for d in (first, second)]
+    expected = np.diag(np.asarray(DATA.sd) ** 2) + sum(
+        0.5 * (m + np.diag(np.diag(m))) for m in parts
+    )
+    whitener = np.asarray(both.whitener)
+    np.testing.assert_allclose(np.linalg.inv(whitener.T @ whitener), expected, rtol=1e-10)
+
+
 def test_bad_targets_and_methods_are_refused():
     with pytest.raises(InputError, match="target b must be finite"):
         Data(("a", "b"), jnp.array([1.0, jnp.nan]), jnp.ones(2))
     with pytest.raises(InputError, match="'newton'"):
         fit(predict, DATA, SPACE, method="newton")
+    with pytest.raises(InputError, match="max_steps"):
+        fit(predict, DATA, SPACE, max_steps=0)
