@@ -339,8 +339,12 @@ class _LeastSquares:
             u, state, (value, jacobian, loss, slope), done = self.step(u, state)
             note(loss, slope)
             if bool(done):
-                return u, value, jacobian, f"Converged after {count} steps.", True
-        return u, value, jacobian, f"Stopped after {max_steps} steps.", False
+                return u, value, jacobian, f"Converged after {_steps(count)}.", True
+        return u, value, jacobian, f"Stopped at the limit of {_steps(max_steps)}.", False
+
+
+def _steps(count: int) -> str:
+    return f"{count} step" + ("s" if count != 1 else "")
 
 
 def evaluate(

@@ -144,11 +144,11 @@ def run_fit_leaf(
     (file, name and reason), `repairs` (file, spectrum and sentence), `files` (name and what it
     holds).
 
-    **Raises:** `InputError` if no file holds a usable spectrum, or the table of groups is wrong;
-    `ValueError` for an unknown measurement; `MissingExtraError` for a sampler not installed.
+    **Raises:** `InputError` if no file holds a usable spectrum, or the table of groups is wrong,
+    or for an unknown measurement; `MissingExtraError` for a sampler not installed.
     """
     if measurement not in MEASUREMENTS:
-        raise ValueError(
+        raise InputError(
             f"`measurement` must be one of {', '.join(MEASUREMENTS)}, but is {measurement!r}"
         )
     refused: list[tuple[str, str, InputError]] = []
@@ -210,11 +210,12 @@ def run_fit_leaf(
     repaired = sum(bool(s.meta["repairs"]) for _, s in spectra)
     if repaired:
         headline.append(f"{repaired} were repaired while reading, see the column repairs.")
-    headline += [f"Refused: {error}" for _, _, error in refused[:_TOLD_REFUSALS]]
+    told = [f"Refused: {error}" for _, _, error in refused[:_TOLD_REFUSALS]]
     if len(refused) > _TOLD_REFUSALS:
-        headline.append(f"{len(refused) - _TOLD_REFUSALS} more were refused, see traits.csv.")
+        told.append(f"{len(refused) - _TOLD_REFUSALS} more were refused, see traits.csv.")
     return {
         "headline": headline,
+        "warnings": told,
         "spectra": len(spectra),
         "converged": good,
         "doubtful": len(spectra) - good,

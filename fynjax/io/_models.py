@@ -253,9 +253,9 @@ class SunTable(Strict):
     """Where the sun stands."""
 
     slips: ClassVar[dict[str, Slip]] = {
-        "zenith_deg": lambda v: "At or below the horizon. Is it the elevation?" if v >= 90 else None
+        "zenith_deg": lambda v: "At or below the horizon. Is it the elevation?" if v >= 89 else None
     }
-    zenith_deg: float = number("Angle from straight up", "degree", default=30.0, ge=0, lt=90)
+    zenith_deg: float = number("Angle from straight up", "degree", default=30.0, ge=0, lt=89)
     azimuth_deg: float = number(
         "Direction to the sun, clockwise from north (90 is east)",
         "degree",

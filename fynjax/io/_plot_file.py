@@ -227,6 +227,14 @@ def read_plot(path: str | Path) -> Plot:
     path = existing_file(path, "a plot file").resolve()
     parsed, text = _parse(path)
     size = _size(parsed.plot.size_m, parsed.plot.voxel_m, path, text)
+    if parsed.sensor.pixel_m > min(size):
+        raise InputError(
+            f"expected a pixel of at most the plot's side, {min(size):g} m, but got "
+            f"{parsed.sensor.pixel_m:g} m",
+            file=path,
+            row=_line_of(text, ("sensor", "pixel_m")),
+            column="sensor.pixel_m",
+        )
 
     def named(table: str, key: str, name: str | None, what: str) -> Path | None:
         if name is None:

@@ -163,7 +163,14 @@ def _check_scale(values: NDArray[np.float64], valid: NDArray[np.bool_], path: Pa
             f"gdal_edit.py -a_nodata {lowest:g} {path.name}",
             file=path,
         )
-    brightest = float(np.median(values[:, valid], axis=1).max())
+    medians = np.median(values[:, valid], axis=1)
+    if medians.min() < 0:
+        raise InputError(
+            f"expected reflectance of at least 0, but the median of a band is {medians.min():g}. "
+            "Was a dark offset subtracted twice, or is this an index?",
+            file=path,
+        )
+    brightest = float(medians.max())
     if brightest <= 1.5:
         return
     scale = 0.01 if brightest <= 100 else 0.0001

@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
@@ -44,6 +45,7 @@ def run_render(
             jax.block_until_ready(render(model, parameters))
         with _Clock(seconds, "render"):
             image, counts = jax.block_until_ready(render(model, parameters))
+    _check_finite(image, read)
     with progress.stage("Write"):
         record = provenance(seed=seed, inputs=read.inputs)
         files = render_files(output, read, model, np.asarray(image), np.asarray(counts), record)
@@ -168,6 +170,7 @@ def _calibrate(
         "search_step": result.seconds["step_s"],
         "search": result.seconds["search_s"],
     }
+    _check_finite(result.image_after, plot)
     warnings = _short_of_sites(model, result.after)
     with progress.stage("Write"):
         seconds["total"] = time.perf_counter() - began
@@ -190,8 +193,19 @@ def _calibrate(
         "peak_memory_mib": peak_memory_mib(),
         "warnings": warnings,
         "converged": result.fit.converged,
-        "status": "ok" if result.fit.converged else result.fit.status,
+        "status": "ok" if result.fit.converged else f"not converged: {result.fit.status}",
     }
+
+
+def _check_finite(image: Float[Array, "band y x"], plot: Plot) -> None:
+    """No NaN reaches a product."""
+    bad = int(np.sum(~np.isfinite(np.asarray(image))))
+    if bad:
+        raise InputError(
+            f"{bad} values of the rendered image are not finite. Is the sun near the horizon, or a "
+            "parameter at the end of its range?",
+            file=plot.file,
+        )
 
 
 def _short_of_sites(model: PlotModel, parameters: PlotParameters) -> list[str]:

@@ -89,7 +89,7 @@ def twin():
     measured = np.asarray(image_statistics(jnp.asarray(noisy), IMAGE_STATISTICS))
     # 3 %: what another planting of so small a plot would change.
     data = weigh_targets(IMAGE_STATISTICS, measured, 0.03)
-    found = calibrate_plot(model, start, data, space, stride=3, max_steps=25)
+    found = calibrate_plot(model, start, data, space, stride=3, max_steps=14)
     return values, found
 
 

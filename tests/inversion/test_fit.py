@@ -123,7 +123,7 @@ def test_progress_is_told_and_falls():
 def test_too_few_steps_are_not_called_converged():
     result = fit(lambda x: jnp.exp(predict(x) / 4), DATA, SPACE, max_steps=1)
     assert not result.converged
-    assert "1 steps" in result.status
+    assert "limit of 1 step." in result.status
 
 
 def test_a_model_that_is_not_finite_ends_in_a_status():
