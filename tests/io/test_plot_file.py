@@ -10,6 +10,7 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.canopy import FORM_DEFAULTS, table1_2006
 from fynjax.io import GROWTH_FORMS, PROSPECT_COLUMNS, example_folder, read_plot, read_statistics
+from fynjax.io._build import _soil
 from fynjax.io._plot_file import shipped_growth_forms
 
 
@@ -267,6 +268,7 @@ PLOT_SLIPS = [
         "0 to 2",
     ),
     ('soil = "dry"', 'soil = "sand.csv"', None, "moisture"),
+    ("zenith_deg = 27.0", "zenith_deg = 89.9", "sun.zenith_deg", "Is it the elevation"),
     ("altitude_m = 50.0", "altitude_m = 1", "sensor.altitude_m", "from 5 to 500"),
     ('name = "mavic_3m"', 'name = "mavic3m"', "sensor.name", "Did you mean 'mavic_3m'"),
     ("seed = 0", "seed = 0.5", "scene.seed", "whole number"),
@@ -344,3 +346,26 @@ def test_missing_files_and_folders_are_named(tmp_path):
         read_plot(tmp_path / "nothing" / "plot.toml")
     with pytest.raises(InputError, match="folder"):
         read_plot(tmp_path)
+
+
+def test_a_pixel_larger_than_the_plot_is_named(folder):
+    edit(folder / "plot.toml", "size_m = 10.0", "size_m = 2.0")
+    edit(folder / "plot.toml", "pixel_m = 0.025", "pixel_m = 2.5")
+    with pytest.raises(InputError, match="at most the plot's side, 2 m, but got 2.5 m") as caught:
+        read_plot(folder / "plot.toml")
+    assert caught.value.column == "sensor.pixel_m"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("wavelength_nm,a,b\n400,0.1,0.2\n1000,0.3,0.4\n", "one soil, but got 2"),
+        ("wavelength_nm,a\n400,\n700,0.2\n1000,0.3\n", "must cover .* but covers 700-1000"),
+    ],
+)
+def test_a_soil_that_cannot_serve_is_named(folder, content, words):
+    (folder / "sand.csv").write_text(content)
+    edit(folder / "plot.toml", 'soil = "dry"', 'soil = "sand.csv"')
+    edit(folder / "plot.toml", "moisture = 0.5", "")
+    with pytest.raises(InputError, match=words):
+        _soil(read_plot(folder / "plot.toml"), np.arange(500.0, 950.0))

@@ -139,6 +139,13 @@ def test_undeclared_nodata_is_named(tmp_path, image):
         read_image(tmp_path / "i.tif", BANDS)
 
 
+def test_a_band_below_zero_is_named(tmp_path, image):
+    image[2] -= 0.3
+    write(tmp_path / "dark.tif", np.maximum(image, -0.4))
+    with pytest.raises(InputError, match=r"at least 0, but the median of a band is -0\."):
+        read_image(tmp_path / "dark.tif", BANDS)
+
+
 @pytest.mark.parametrize("keep", [0.9, 0.5, 0.1, 0.01])
 def test_a_truncated_file_is_named(tmp_path, keep):
     noise = np.random.default_rng(0).uniform(0.05, 0.3, (4, 300, 300))
