@@ -1,5 +1,6 @@
 """Radiation: from a voxel grid and its optics to radiance at a sensor."""
 
+from fynjax.radiation._ground import RahmanPintyVerstraete
 from fynjax.radiation._multiple import DiffuseField
 from fynjax.radiation._phase import area_scattering
 from fynjax.radiation._rays import RayLattice, nadir_rays, parallel_rays
@@ -22,6 +23,7 @@ __all__ = [
     "Illumination",
     "Light",
     "OpticalClasses",
+    "RahmanPintyVerstraete",
     "RayLattice",
     "VoxelScene",
     "area_scattering",

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import AbstractLeafAngle
+from fynjax.radiation._ground import RahmanPintyVerstraete
 
 
 class OpticalClasses(eqx.Module):
@@ -23,6 +24,10 @@ class OpticalClasses(eqx.Module):
     """The distinct distributions of normals."""
     angle_of_class: tuple[int, ...] = eqx.field(static=True)
     """For each class, the place of its distribution in `angles`."""
+    leaf_diameter: Float[Array, " size"] | None = None
+    """Diameters of leaves, taken for round [m]: they make the hot spot. None: points, no hot spot."""
+    size_of_class: tuple[int, ...] | None = eqx.field(static=True, default=None)
+    """For each class, the place of its diameter in `leaf_diameter`; by default all the first."""
 
     def total_by_angle(
         self, per_class: Float[Array, "class *grid"]
@@ -43,11 +48,15 @@ class Illumination(eqx.Module):
     sun: Float[Array, " band"]
     """Direct irradiance on the horizontal plane [any unit, per band]."""
     sky: Float[Array, " band"]
-    """Diffuse irradiance on the horizontal plane, isotropic [same unit]."""
+    """Diffuse irradiance on the horizontal plane [same unit]."""
+    sky_pattern: Float[Array, "*band zenith azimuth"] | None = None
+    """Relative radiance of the sky [any unit] at even steps of zenith from 0 to 90 degrees (both
+    included) and of azimuth from 0 to 360 (not included), for all bands or each; scaled so that
+    the irradiance is `sky`. None: the same from everywhere."""
 
 
 class VoxelScene(eqx.Module):
-    """A canopy as a turbid medium on a voxel grid, over a flat Lambertian ground."""
+    """A canopy as a turbid medium on a voxel grid, over its ground."""
 
     area_density: Float[Array, "class z y x"]
     """One-sided area per volume [m2 m-3], layers from the ground up."""
@@ -61,6 +70,11 @@ class VoxelScene(eqx.Module):
     """Height of a voxel [m]."""
     boundary: str = eqx.field(static=True, default="periodic")
     """"periodic": the scene repeats itself without end; "open": nothing stands outside it."""
+    ground_shape: RahmanPintyVerstraete | None = None
+    """Angular shape of the ground's reflectance, with `ground` its amplitude. None: Lambertian."""
+    terrain: Float[Array, "y x"] | None = None
+    """Height of the ground above the bottom of the grid at the centre of each voxel column [m],
+    linear between centres. None: flat, at the bottom. Plants stand on it, inside the grid."""
 
     @property
     def shape(self) -> tuple[int, int, int]:
