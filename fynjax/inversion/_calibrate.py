@@ -19,7 +19,15 @@ from fynjax.metrics import image_statistics
 from fynjax.radiation import Accuracy
 from fynjax.scene import PlotModel, PlotParameters, named_values, replant, with_values
 
-COARSE = Accuracy(lattice=1, coarsening=(3, 5), azimuths=4, tolerance=1e-2)
+COARSE = Accuracy(
+    lattice=1,
+    sublayers=1,
+    coarsening=(3, 5),
+    levels=2,
+    azimuths=4,
+    tolerance=1e-2,
+    refine=False,
+)
 """Accuracy of the light while a fit searches; what it lacks is corrected (`calibrate_plot`)."""
 
 
@@ -210,7 +218,7 @@ def _coarser(model: PlotModel, accuracy: Accuracy) -> PlotModel:
     grid = model.grid
     nx, ny, nz = grid.shape
     thick = 2 if nz % 2 == 0 else 1
-    high, wide = accuracy.coarsening
+    high, wide = accuracy.coarsening or (2, 2)
     while nx % wide or ny % wide:
         wide -= 1
     while nz // thick % high:

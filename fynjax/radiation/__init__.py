@@ -1,15 +1,21 @@
 """Radiation: from a voxel grid and its optics to radiance at a sensor."""
 
+from fynjax.radiation._fluxes import Fluxes, absorption, fluxes
 from fynjax.radiation._ground import RahmanPintyVerstraete
 from fynjax.radiation._multiple import DiffuseField
 from fynjax.radiation._phase import area_scattering
-from fynjax.radiation._rays import RayLattice, nadir_rays, parallel_rays
+from fynjax.radiation._rays import (
+    AbstractRays,
+    RayField,
+    RayLattice,
+    nadir_rays,
+    parallel_rays,
+    perspective_rays,
+)
 from fynjax.radiation._render import (
     Accuracy,
-    Fluxes,
     Light,
     directional_reflectance,
-    fluxes,
     reflectance_factor,
     render,
     solve_light,
@@ -17,6 +23,7 @@ from fynjax.radiation._render import (
 from fynjax.radiation._scene import Illumination, OpticalClasses, VoxelScene, check_scene
 
 __all__ = [
+    "AbstractRays",
     "Accuracy",
     "DiffuseField",
     "Fluxes",
@@ -24,14 +31,17 @@ __all__ = [
     "Light",
     "OpticalClasses",
     "RahmanPintyVerstraete",
+    "RayField",
     "RayLattice",
     "VoxelScene",
+    "absorption",
     "area_scattering",
     "check_scene",
     "directional_reflectance",
     "fluxes",
     "nadir_rays",
     "parallel_rays",
+    "perspective_rays",
     "reflectance_factor",
     "render",
     "solve_light",

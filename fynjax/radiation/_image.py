@@ -6,19 +6,23 @@ exponentials. Extinction does not depend on the band, so the sum over layers is 
 bands, as the sunlit area of each class that a pixel sees; leaf optics then enter linearly.
 """
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from fynjax._core.math import mean_transmittance
+from fynjax.radiation._hotspot import POINT_WEIGHTS, POINTS, kinds, overlaps
 from fynjax.radiation._multiple import DiffuseField, upsample
 from fynjax.radiation._ordinates import Ordinates
 from fynjax.radiation._phase import area_scattering
-from fynjax.radiation._rays import RayLattice, pixel_projection
-from fynjax.radiation._resample import axis_weights, sample
-from fynjax.radiation._scene import VoxelScene
-from fynjax.radiation._sun import SunField, interface_depth
+from fynjax.radiation._rays import AbstractRays, Lattice, pixel_projection
+from fynjax.radiation._scene import OpticalClasses, VoxelScene
+from fynjax.radiation._sun import SunField
+from fynjax.radiation._terrain import covered, terrain_normal
 
 
 class Radiance(eqx.Module):
@@ -42,13 +46,13 @@ def see(
     scene: VoxelScene,
     sun: SunField,
     diffuse: DiffuseField,
-    rays: RayLattice,
-    factor: tuple[int, int],
+    rays: AbstractRays,
     ordinates: Ordinates,
     sublayers: int,
 ) -> Radiance:
     """Radiance along each ray. Differentiable in everything but the lattice's integers."""
     nz, ny, nx = scene.shape
+    factor = diffuse.factor(scene)
     classes, light = scene.classes, scene.illumination
     dtype = scene.area_density.dtype
     source = _diffuse_source(scene, diffuse, rays.central, factor, ordinates)
@@ -57,60 +61,92 @@ def see(
     # the same leaves, and what they send shrinks or grows with it.
     in_middle = jnp.stack([a.projection(rays.central[2]) for a in classes.angles]).astype(dtype)
     turning = projection / in_middle[:, None, None]
-    if rays.nodes == 1:
+    if projection.shape[1:] == (1, 1):  # parallel rays
         source, turning = source.sum(axis=0, keepdims=True), jnp.ones_like(turning[:1])
     owner = jnp.asarray(classes.angle_of_class)
     cosine = rays.cosine
     step = scene.vertical / sublayers
+    towards_sun = jnp.concatenate([sun.slope, jnp.ones(1, dtype)]) * sun.cosine
+    overlap = overlaps(classes, rays, towards_sun, step)
+    members = [_members(classes, kind) for kind in kinds(classes)]
+    voxels = Lattice(ny, nx, scene.horizontal, scene.boundary)
+    ground = _ground_light(scene, sun, diffuse, rays, factor, ordinates)
 
-    def axes(height: Array) -> tuple[Array, Array]:
-        x, y = rays.x + height * rays.slope_x, rays.y + height * rays.slope_y
-        return x, y
+    def beams(height: Array) -> Callable[[Array], Array]:
+        """Sampler of a plane of `sun.depth`."""
+        return rays.sampler(height, sun.lattice(scene), sun.offset(height, scene))
 
-    def piece(carry: tuple[Array, ...], layer: tuple[Array, ...]) -> tuple[tuple[Array, ...], None]:
-        depth, above, seen, glow = carry
-        density, emitted, bottom, top_depth, share = layer
-        # Where in its layer the piece lies: the sun's depth is linear between the two planes.
-        middle = bottom + (share + 0.5) * step
-        x, y = axes(middle)
-        columns = axis_weights(x, rays.footprint, nx, scene.horizontal, scene.boundary)
-        rows = axis_weights(y, rays.footprint, ny, scene.horizontal, scene.boundary)
-        area = sample(density, rows, columns)
+    def on_ground(height: Array, through: Array) -> Array:
+        """Radiance of the ground where the rays meet `height`; `through` is the sun's share."""
+        sampler = rays.sampler(height, voxels)
+        lit, shaded = sampler(ground.direct), sampler(ground.diffuse)
+        return through * lit * ground.towards_sensor + shaded
+
+    def piece(carry: tuple[Any, ...], layer: tuple[Any, ...]) -> tuple[tuple[Any, ...], None]:
+        depth, above, seen, glow, states, end = carry
+        density, emitted, top_depth, height, terrain = layer
+        # The piece begins at `height` and lies above it; the sun's depth is linear between planes.
+        sampler = rays.sampler(height + 0.5 * step, voxels)
+        area = sampler(density)
         turned = jnp.sum(area * projection[owner], axis=0)
         along = turned * (step / cosine)
-        low = bottom + share * step
-        x, y = axes(low)
-        below = interface_depth(sun, top_depth, low, x, y, scene)
+        below = beams(height)(top_depth)
         crossed = along + below - above
-        weight = jnp.exp(-depth - above) * mean_transmittance(crossed) * (step / cosine)
-        seen = seen + weight * area
-        weight = jnp.exp(-depth) * mean_transmittance(along) * (step / cosine)
+        common = [jnp.tensordot(m, area, axes=1) for m in members] if overlap else []
+        if overlap:
+            shared = _sum_points([o.at_points(s, a) for o, s, a in zip(overlap, states, common)])
+            weight = jnp.zeros_like(depth)
+            for share, portion, extra in zip(POINTS, POINT_WEIGHTS, shared):
+                weight = weight + portion * jnp.exp(extra - crossed * share)
+            weight = jnp.exp(-depth - above) * weight
+            states = tuple(o.advance(s, a) for o, s, a in zip(overlap, states, common))
+        else:
+            weight = jnp.exp(-depth - above) * mean_transmittance(crossed)
+        mean = jnp.exp(-depth) * mean_transmittance(along)
+        if terrain is not None:
+            covering, unshaded = terrain
+            blocked, shine = end
+            mean = mean * (1.0 - blocked)
+            weight = weight * (1.0 - blocked) * beams(height + step)(unshaded)
+        seen = seen + weight * (step / cosine) * area
         for sent, seen_of_middle in zip(emitted, turning):
-            glow = glow + weight * seen_of_middle * sample(sent, rows, columns)
-        return (depth + along, below, seen, glow), None
+            glow = glow + mean * (step / cosine) * seen_of_middle * sampler(sent)
+        depth = depth + along
+        if terrain is not None:
+            # The ray ends on the ground by the largest share of it that it has met.
+            now = jnp.maximum(blocked, rays.sampler(height, voxels)(covering))
+            through = jnp.exp(shared[-1] - below) if overlap else jnp.exp(-below)
+            shine = shine + (now - blocked) * jnp.exp(-depth) * on_ground(height, through)
+            end = now, shine
+        return (depth, below, seen, glow, states, end), None
 
     # One entry per piece of a layer, from the ground up; the plane below each piece carries the
     # sun's depth at its height along the beam.
     planes = _planes(sun.depth, sublayers)
     repeat = lambda field, axis: jnp.moveaxis(jnp.repeat(field, sublayers, axis=axis), axis, 0)  # noqa: E731
-    bottoms = jnp.repeat(jnp.arange(nz, dtype=dtype) * scene.vertical, sublayers)
-    shares = jnp.tile(jnp.arange(sublayers, dtype=dtype), nz)
-    layers = (repeat(scene.area_density, 1), repeat(source, 2), bottoms, planes[:-1], shares)
-    shape = (rays.y.shape[0], rays.x.shape[0])
+    heights = (jnp.arange(nz * sublayers) * step).astype(dtype)
     n_class, n_band = classes.reflectance.shape
-    x, y = axes(jnp.asarray(scene.height, dtype))
+    terrain, end = None, None
+    if scene.terrain is not None:
+        assert sun.unshaded is not None
+        covering = covered(scene, heights).at[0].set(1.0)  # nothing falls out of the grid
+        terrain = covering, _planes(sun.unshaded, sublayers)[1:]
+        end = jnp.zeros(rays.shape, dtype), jnp.zeros((n_band, *rays.shape), dtype)
+    layers = (repeat(scene.area_density, 1), repeat(source, 2), planes[:-1], heights, terrain)
     start = (
-        jnp.zeros(shape, dtype),
-        interface_depth(sun, planes[-1], jnp.asarray(scene.height, dtype), x, y, scene),
-        jnp.zeros((n_class, *shape), dtype),
-        jnp.zeros((n_band, *shape), dtype),
+        jnp.zeros(rays.shape, dtype),
+        beams(jnp.asarray(scene.height, dtype))(planes[-1]),
+        jnp.zeros((n_class, *rays.shape), dtype),
+        jnp.zeros((n_band, *rays.shape), dtype),
+        tuple(o.start(rays.shape) for o in overlap),
+        end,
     )
     # Recomputing a layer in the backward pass keeps memory to one layer's arrays.
-    (depth, at_ground, seen, glow), _ = jax.lax.scan(
+    (depth, at_ground, seen, glow, states, end), _ = jax.lax.scan(
         jax.checkpoint(piece), start, layers, reverse=True
     )
 
-    travel = -jnp.concatenate([sun.slope, jnp.ones(1, dtype)]) * sun.cosine
+    travel = -towards_sun
 
     def phase(vectors: Array) -> Array:
         """[reflection or transmission, angle, n]"""
@@ -123,16 +159,61 @@ def see(
         jnp.einsum("cb,crk->brk", classes.reflectance, seen * reflect[owner])
         + jnp.einsum("cb,crk->brk", classes.transmittance, seen * transmit[owner])
     )
-    columns = axis_weights(rays.x, rays.footprint, nx, scene.horizontal, scene.boundary)
-    rows = axis_weights(rays.y, rays.footprint, ny, scene.horizontal, scene.boundary)
     gap = jnp.exp(-depth)
-    soil = scene.ground_map
-    shaded = upsample(diffuse.ground[:, None], (1, factor[1]), scene.boundary)[:, 0] * soil
-    direct = (
-        light.sun.astype(dtype)[:, None, None] * jnp.exp(-at_ground) * sample(soil, rows, columns)
-    )
-    ground = gap / jnp.pi * (direct + sample(shaded, rows, columns))
-    return Radiance(first, glow, ground, gap)
+    if end is not None:
+        return Radiance(first, glow, end[1], gap)
+    shared = sum((state[0] + state[1] for state in states), start=jnp.zeros((), dtype))
+    bare = on_ground(jnp.zeros((), dtype), jnp.exp(shared - at_ground))
+    return Radiance(first, glow, gap * bare, gap)
+
+
+def _members(classes: OpticalClasses, kind: tuple[int, int]) -> Float[Array, " class"]:
+    """One for the classes of a kind (distribution of normals, leaf size), else zero."""
+    pairs = zip(classes.angle_of_class, classes.sizes)
+    return jnp.asarray([float(pair == kind) for pair in pairs], classes.reflectance.dtype)
+
+
+def _sum_points(per_kind: list[list[Array]]) -> list[Array]:
+    return [sum(values[1:], start=values[0]) for values in zip(*per_kind)]
+
+
+class _GroundLight(NamedTuple):
+    """Radiance of the ground, were it seen without canopy."""
+
+    direct: Float[Array, "band y x"]
+    """In full sun, towards no direction in particular."""
+    towards_sensor: Float[Array, "band row column"]
+    """What its angular shape makes of that."""
+    diffuse: Float[Array, "band y x"]
+
+
+def _ground_light(
+    scene: VoxelScene,
+    sun: SunField,
+    diffuse: DiffuseField,
+    rays: AbstractRays,
+    factor: tuple[int, int],
+    ordinates: Ordinates,
+) -> _GroundLight:
+    dtype = scene.area_density.dtype
+    soil, shape = scene.ground_map, scene.ground_shape
+    direct = scene.illumination.sun.astype(dtype)[:, None, None] * soil / jnp.pi
+    if sun.incidence is not None:
+        direct = direct * sun.incidence
+    fluxes = jnp.asarray(ordinates.fluxes.ravel(), dtype)
+    if shape is None:
+        towards = jnp.ones((soil.shape[0], 1, 1), dtype)
+        received = jnp.einsum("o,boyx->byx", fluxes, diffuse.falling)
+    else:
+        sunward = -jnp.concatenate([sun.slope, jnp.ones(1, dtype)]) * sun.cosine
+        towards = rays.angular(lambda views: shape.shape(sunward[None], views)[:, 0])
+        down = jnp.asarray(ordinates.vectors[: len(fluxes)], dtype)
+        kernel = shape.shape(down, rays.central[None])[:, :, 0] * fluxes
+        received = jnp.einsum("bo,boyx->byx", kernel, diffuse.falling)
+    received = upsample(received[:, None], (1, factor[1]), scene.boundary)[:, 0]
+    if scene.terrain is not None:
+        received = received * terrain_normal(scene)[2]
+    return _GroundLight(direct, towards, received * soil / jnp.pi)
 
 
 def _planes(

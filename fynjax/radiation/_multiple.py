@@ -7,14 +7,22 @@ through the iterations.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from fynjax.radiation._ordinates import Ordinates, coarse_grid, sweep
+from fynjax.radiation._ordinates import (
+    Coarse,
+    GroundShape,
+    Ordinates,
+    coarse_grid,
+    sky_radiance,
+    sweep,
+)
 from fynjax.radiation._phase import area_scattering
 from fynjax.radiation._scene import OpticalClasses, VoxelScene
 from fynjax.radiation._sun import SunField
@@ -25,12 +33,19 @@ class DiffuseField(eqx.Module):
 
     intensity: Float[Array, "band ordinate z y x"]
     """Mean radiance in each cell along each ordinate."""
+    falling: Float[Array, "band downward y x"]
+    """Radiance that falls on the ground along each downward ordinate."""
     ground: Float[Array, "band y x"]
-    """Diffuse irradiance on the ground."""
+    """Diffuse irradiance on the ground, per level area."""
     top: Float[Array, " band"]
     """Mean upward flux at the top."""
     residual: Float[Array, " band"]
-    """What the solve left over, relative to its right-hand side [-]."""
+    """What the equation of the source leaves over, relative to the source [-]."""
+
+    def factor(self, scene: VoxelScene) -> tuple[int, int]:
+        """Voxels in one of its cells, in height and in width."""
+        depth, _, width = self.intensity.shape[2:]
+        return scene.shape[0] // depth, scene.shape[2] // width
 
 
 def block_mean(
@@ -63,6 +78,186 @@ def scattering_matrices(
     return jnp.stack(reflected), jnp.stack(transmitted)
 
 
+class Bands(eqx.Module):
+    """What tells one band from another on the coarse grid: one band, or many along a first axis."""
+
+    reflectance: Float[Array, "*band class"]
+    transmittance: Float[Array, "*band class"]
+    ground: Float[Array, "*band y x"]
+    """Reflectance of the ground [-]."""
+    sun: Float[Array, " *band"]
+    """Direct irradiance on the horizontal plane."""
+    sky: Float[Array, "*band downward"]
+    """Radiance of the sky along each downward ordinate."""
+    shape: GroundShape | None
+    """How the ground departs from Lambert's law."""
+
+    def __getitem__(self, index: Any) -> "Bands":
+        """The bands of an index, a slice or an array of indices."""
+        return jax.tree.map(lambda a: a[index], self)
+
+    def slice(self, start: Int[Array, ""] | int, size: int) -> "Bands":
+        """`size` bands from `start` on; `start` may be a traced value."""
+        return jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, start, size), self)
+
+
+class Transport(eqx.Module):
+    """Sweep and scattering on the coarse grid: what all bands share."""
+
+    coarse: Coarse
+    density: Float[Array, "class z y x"]
+    """Area density [m2 m-3]."""
+    lit: Float[Array, "class z y x"]
+    """Area density times the share that the sun reaches, over the cosine of its zenith angle."""
+    reached: Float[Array, "y x"]
+    """Direct irradiance on the ground's surface over that above the canopy [-]."""
+    phase: Float[Array, "kind angle outgoing incoming"]
+    """Scattering from ordinate to ordinate by reflection and by transmission (the two kinds), the
+    solid angle of the incoming one included."""
+    sun_phase: Float[Array, "kind angle outgoing"]
+    """Scattering from the sun's direction."""
+    classes: OpticalClasses
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Ordinates, and cells along z, y, x."""
+        return self.phase.shape[-1], *self.density.shape[1:]
+
+    def areas(
+        self, field: Float[Array, "class z y x"], band: Bands
+    ) -> Float[Array, "kind angle cell"]:
+        """Area in `field` times its optics, summed over the classes of each distribution."""
+        optics = jnp.stack([band.reflectance, band.transmittance], axis=1)
+        weighted = field.reshape(field.shape[0], 1, -1) * optics[:, :, None]
+        return jnp.swapaxes(self.classes.total_by_angle(weighted), 0, 1)
+
+    def scatter(
+        self,
+        areas: Float[Array, "kind angle cell"],
+        intensity: Float[Array, "ordinate z y x"],
+    ) -> Float[Array, "ordinate z y x"]:
+        """Light that leaves send along each ordinate, out of the light along all."""
+        # Matrix products on flat cells: [ordinate, ordinate] x [ordinate, cell].
+        flat = intensity.reshape(intensity.shape[0], -1)
+        total = jnp.zeros_like(flat)
+        for matrices, kind in zip(self.phase, areas):
+            for matrix, area in zip(matrices, kind):
+                total = total + area * (matrix @ flat)
+        return total.reshape(intensity.shape)
+
+    def from_sun(self, band: Bands) -> Float[Array, "ordinate z y x"]:
+        """Sunlight scattered once."""
+        areas = self.areas(self.lit, band)
+        return band.sun * jnp.einsum("kao,kac->oc", self.sun_phase, areas).reshape(self.shape)
+
+    def light(
+        self,
+        source: Float[Array, "ordinate z y x"],
+        sky: Float[Array, " downward"],
+        sun: Float[Array, ""],
+        ground: Float[Array, "y x"],
+        shape: GroundShape | None = None,
+    ) -> tuple[Float[Array, "ordinate z y x"], Float[Array, "downward y x"], Float[Array, "y x"]]:
+        """One sweep: intensity, radiance that falls on the ground, upward flux at the top.
+
+        Linear in (`source`, `sky`, `sun`) and affine in `ground`.
+        """
+        return sweep(self.coarse, source, sky, ground, sun * self.reached, shape)
+
+    def respond(
+        self, source: Float[Array, "ordinate z y x"], band: Bands
+    ) -> Float[Array, "ordinate z y x"]:
+        """Intensity that `source` makes without sun and sky."""
+        dark = jnp.zeros_like(band.sky), jnp.zeros_like(band.sun)
+        return self.light(source, *dark, band.ground, band.shape)[0]
+
+    def sent(
+        self, band: Bands, intensity: Float[Array, "ordinate z y x"]
+    ) -> Float[Array, "ordinate z y x"]:
+        """What leaves send of one band: out of the diffuse light, and of the sun's."""
+        return self.scatter(self.areas(self.density, band), intensity) + self.from_sun(band)
+
+    def solve(
+        self, band: Bands, tolerance: float, iterations: int
+    ) -> Float[Array, "ordinate z y x"]:
+        """Source of one band."""
+        nothing = jnp.zeros(self.shape, self.density.dtype)
+        first, _, _ = self.light(nothing, band.sky, band.sun, band.ground, band.shape)
+        right = self.sent(band, first)
+        return self.solve_for(band, right, tolerance, iterations)
+
+    def solve_for(
+        self,
+        band: Bands,
+        right: Float[Array, "ordinate z y x"],
+        tolerance: float,
+        iterations: int,
+    ) -> Float[Array, "ordinate z y x"]:
+        """Source that `right` becomes when its light is scattered on and on."""
+        areas = self.areas(self.density, band)
+
+        def operator(source: Array) -> Array:
+            return source - self.scatter(areas, self.respond(source, band))
+
+        return _solve(operator, right, tolerance, iterations)
+
+    def field(self, band: Bands, source: Float[Array, "ordinate z y x"]) -> DiffuseField:
+        """The light of one band that a source makes together with sun and sky."""
+        intensity, falling, top = self.light(source, band.sky, band.sun, band.ground, band.shape)
+        flux = jnp.asarray(self.coarse.ordinates.fluxes.ravel(), falling.dtype)
+        received = jax.lax.stop_gradient(self.sent(band, intensity))
+        left_over = jnp.linalg.norm((received - jax.lax.stop_gradient(source)).ravel())
+        scale = jnp.linalg.norm(received.ravel())
+        residual = left_over / jnp.where(scale > 0, scale, 1.0)
+        ground = jnp.tensordot(flux, falling, axes=1)
+        return DiffuseField(intensity, falling, ground, top.mean(), residual)
+
+
+def ground_shape(
+    scene: VoxelScene, ordinates: Ordinates, sunward: Float[Array, " 3"]
+) -> GroundShape | None:
+    """The ground's angular shape on the ordinates, with light of the sun along `sunward`."""
+    if scene.ground_shape is None:
+        return None
+    down, up = jnp.split(jnp.asarray(ordinates.vectors, sunward.dtype), 2)
+    return GroundShape(
+        scene.ground_shape.shape(down, up), scene.ground_shape.shape(sunward[None], up)[:, 0]
+    )
+
+
+def prepare_transport(
+    scene: VoxelScene, sun: SunField, factor: tuple[int, int], ordinates: Ordinates
+) -> tuple[Transport, Bands]:
+    """What all bands share, and what each has of its own."""
+    dtype = scene.area_density.dtype
+    classes, light = scene.classes, scene.illumination
+    density = block_mean(scene.area_density, factor)
+    lit = block_mean(scene.area_density * sun.voxel_transmittance, factor)
+    travel = -jnp.concatenate([sun.slope, jnp.ones(1, dtype)]) * sun.cosine
+    vectors = jnp.asarray(ordinates.vectors, dtype)
+    weights = jnp.asarray(ordinates.weights, dtype)
+    phase = jnp.stack(scattering_matrices(classes, ordinates, vectors)) * weights[:, None]
+    sun_phase = jnp.stack(scattering_matrices(classes, ordinates, travel[None]))
+    transport = Transport(
+        coarse_grid(scene, density, factor, ordinates),
+        density,
+        lit / sun.cosine,
+        block_mean(sun.on_ground[None], (1, factor[1]))[0],
+        jnp.swapaxes(phase, 2, 3),
+        sun_phase[:, :, 0],
+        classes,
+    )
+    bands = Bands(
+        classes.reflectance.T,
+        classes.transmittance.T,
+        block_mean(scene.ground_map[:, None], (1, factor[1]))[:, 0],
+        light.sun.astype(dtype),
+        sky_radiance(light, ordinates).astype(dtype),
+        ground_shape(scene, ordinates, travel),
+    )
+    return transport, bands
+
+
 def solve_diffuse(
     scene: VoxelScene,
     sun: SunField,
@@ -75,77 +270,12 @@ def solve_diffuse(
 
     Memory is that of one band's intensity times the few directions that the solver keeps.
     """
-    dtype = scene.area_density.dtype
-    classes = scene.classes
-    density = block_mean(scene.area_density, factor)
-    coarse = coarse_grid(scene, density, factor, ordinates)
-    lit = block_mean(scene.area_density * sun.voxel_transmittance, factor)
-    margin = sun.margin
-    beams = jnp.exp(-sun.depth[0])
-    beams = beams[margin : beams.shape[0] - margin, margin : beams.shape[1] - margin]
-    per_cell = sun.per_voxel * factor[1]
-    reached = block_mean(beams[None], (1, per_cell))[0]
+    transport, bands = prepare_transport(scene, sun, factor, ordinates)
 
-    travel = -jnp.concatenate([sun.slope, jnp.ones(1, dtype)]) * sun.cosine
-    vectors = jnp.asarray(ordinates.vectors, dtype)
-    weights = jnp.asarray(ordinates.weights, dtype)
-    reflect, transmit = scattering_matrices(classes, ordinates, vectors)
-    reflect, transmit = reflect * weights[:, None], transmit * weights[:, None]
-    sun_reflect, sun_transmit = scattering_matrices(classes, ordinates, travel[None])
-    ground = block_mean(scene.ground_map[:, None], (1, factor[1]))[:, 0]
-    shape = (len(ordinates.weights), *density.shape[1:])
+    def one(band: Bands) -> DiffuseField:
+        return transport.field(band, transport.solve(band, tolerance, iterations))
 
-    # Matrix products on flat cells: [ordinate, ordinate] x [ordinate, cell].
-    cells = density[0].size
-    per_angle = [(reflect[a].T, transmit[a].T) for a in range(len(classes.angles))]
-
-    def band(args: tuple[Array, ...]) -> tuple[Array, ...]:
-        rho, tau, soil, sun_flux, sky_flux = args
-
-        def weighted(field: Array, optics: Array) -> Array:
-            """Area times optics, summed over the classes of each distribution: [angle, cell]."""
-            total = classes.total_by_angle(field * optics[:, None, None, None])
-            return total.reshape(-1, cells)
-
-        reflecting, transmitting = weighted(density, rho), weighted(density, tau)
-        beam = sun_flux / sun.cosine
-        from_sun = beam * (
-            sun_reflect[:, 0].T @ weighted(lit, rho) + sun_transmit[:, 0].T @ weighted(lit, tau)
-        )
-
-        def scatter(intensity: Array) -> Array:
-            flat = intensity.reshape(-1, cells)
-            total = jnp.zeros_like(flat)
-            for index, (mirror, pass_on) in enumerate(per_angle):
-                total = total + reflecting[index] * (mirror @ flat)
-                total = total + transmitting[index] * (pass_on @ flat)
-            return total.reshape(shape)
-
-        nothing, no_sun = jnp.zeros((), dtype), jnp.zeros_like(soil)
-        sky = sky_flux / jnp.pi
-        first, _, _ = sweep(coarse, jnp.zeros(shape, dtype), sky, soil, sun_flux * reached)
-        right = scatter(first) + from_sun.reshape(shape)
-
-        def operator(source: Array) -> Array:
-            intensity, _, _ = sweep(coarse, source, nothing, soil, no_sun)
-            return source - scatter(intensity)
-
-        source = _solve(operator, right, tolerance, iterations)
-        intensity, diffuse, top = sweep(coarse, source, sky, soil, sun_flux * reached)
-        left_over = scatter(intensity) + from_sun.reshape(shape) - source
-        scale = jnp.linalg.norm(right.ravel())
-        residual = jnp.linalg.norm(left_over.ravel()) / jnp.where(scale > 0, scale, 1.0)
-        return intensity, diffuse, top.mean(), jax.lax.stop_gradient(residual)
-
-    light = scene.illumination
-    arguments = (
-        classes.reflectance.T,
-        classes.transmittance.T,
-        ground,
-        light.sun.astype(dtype),
-        light.sky.astype(dtype),
-    )
-    return DiffuseField(*jax.lax.map(band, arguments))
+    return jax.lax.map(one, bands)
 
 
 def _solve(
@@ -202,6 +332,15 @@ def _gcr(
     none = jnp.zeros((_KEPT, flat.size), flat.dtype)
     start = (jnp.zeros_like(flat), flat, none, none, jnp.zeros((), jnp.int32))
     return jax.lax.while_loop(going, iterate, start)[0].reshape(right.shape)
+
+
+def spread(
+    field: Float[Array, "*batch Z Y X"], factor: tuple[int, int]
+) -> Float[Array, "*batch z y x"]:
+    """Give every voxel the value of its cell."""
+    for axis, times in zip((-3, -2, -1), (factor[0], factor[1], factor[1])):
+        field = jnp.repeat(field, times, axis=axis)
+    return field
 
 
 def upsample(

@@ -5,6 +5,8 @@ ordinate's slope. What a cell takes from a beam is exactly what the beam loses, 
 to rounding whatever the grid (with periodic sides).
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,7 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.math import mean_emission, mean_transmittance
-from fynjax.radiation._scene import VoxelScene
+from fynjax.radiation._scene import Illumination, VoxelScene
+from fynjax.radiation._terrain import ground_in_cells
 
 
 class Ordinates(eqx.Module):
@@ -52,48 +55,93 @@ class Ordinates(eqx.Module):
         return np.stack([up * [1, 1, -1], up]).reshape(-1, 3)
 
     @property
+    def fluxes(self) -> np.ndarray:
+        """Solid angle times cosine, [level, azimuth]: sums radiance to the flux of a hemisphere."""
+        flux = np.multiply(self.level_weight, self.cosine)
+        return np.repeat(flux[:, None], self.azimuths, axis=1)
+
+    @property
     def weights(self) -> np.ndarray:
         """Solid angle of each ordinate [sr], [ordinate]; they sum to 4 pi."""
         return np.tile(np.repeat(self.level_weight, self.azimuths), 2)
 
 
-class Coarse(eqx.Module):
-    """The coarse grid as the sweeps need it; the same for all bands."""
+def sky_radiance(light: Illumination, ordinates: Ordinates) -> Float[Array, "band downward"]:
+    """Radiance of the sky along each downward ordinate; the irradiance it makes is `light.sky`."""
+    downward = len(ordinates.vectors) // 2
+    if light.sky_pattern is None:
+        return jnp.broadcast_to(light.sky[:, None] / jnp.pi, (light.sky.shape[0], downward))
+    pattern = light.sky_pattern
+    pattern = jnp.broadcast_to(pattern, (light.sky.shape[0], *pattern.shape[-2:]))
+    zeniths, azimuths = pattern.shape[-2:]
+    # The light that travels along an ordinate comes from the opposite point of the sky.
+    x, y, z = -ordinates.vectors[:downward].T
+    down = np.degrees(np.arccos(z)) / 90.0 * (zeniths - 1)
+    around = np.degrees(np.arctan2(x, y)) % 360.0 / 360.0 * azimuths
+    row, column = np.minimum(down.astype(int), zeniths - 2), around.astype(int) % azimuths
+    share, turn = down - row, around - np.floor(around)
+    corners = (
+        (row, column, (1 - share) * (1 - turn)),
+        (row, (column + 1) % azimuths, (1 - share) * turn),
+        (row + 1, column, share * (1 - turn)),
+        (row + 1, (column + 1) % azimuths, share * turn),
+    )
+    radiance = sum(
+        (jnp.asarray(w, pattern.dtype) * pattern[:, r, c] for r, c, w in corners),
+        start=jnp.zeros((), pattern.dtype),
+    )
+    total = radiance @ jnp.asarray(ordinates.fluxes.ravel(), pattern.dtype)
+    lit = total > 0
+    return jnp.where(lit, light.sky / jnp.where(lit, total, 1.0), 0.0)[:, None] * radiance
 
-    attenuation: tuple[Float[Array, "z level one y x"], ...]
-    """exp(-x), its mean along a step and the mean emission, x the depth of a step."""
+
+class GroundShape(eqx.Module):
+    """Angular shape of the ground's reflectance on the ordinates, for one band."""
+
+    diffuse: Float[Array, "downward upward"]
+    """Reflectance factor over its amplitude, from each downward to each upward ordinate [-]."""
+    sun: Float[Array, " upward"]
+    """The same from the sun [-]."""
+
+
+class Coarse(eqx.Module):
+    """A grid as the sweeps need it; the same for all bands."""
+
+    attenuation: tuple[tuple[Float[Array, "z level one y x"], ...], ...]
+    """Per group of levels: exp(-x), its mean along a step and the mean emission, x the depth of a
+    step."""
+    ground_share: Float[Array, "z y x"] | None
+    """Share of the light that falls on a cell's bottom and ends there on the ground [-]; None:
+    the ground is flat, below the last layer."""
+    level_ground: Float[Array, "y x"] | None
+    """Cosine of the ground's slope [-], None where it is flat."""
     ordinates: Ordinates = eqx.field(static=True)
-    steps: int = eqx.field(static=True)
-    """Steps in which a layer is crossed."""
     horizontal: float = eqx.field(static=True)
     vertical: float = eqx.field(static=True)
     boundary: str = eqx.field(static=True)
 
     @property
-    def lengths(self) -> np.ndarray:
+    def groups(self) -> tuple[tuple[slice, int], ...]:
+        """Levels that cross a layer in as many steps, and that number; each moves at most a cell
+        a step."""
+        return _groups(self.ordinates, self.vertical / self.horizontal)
+
+    def moves(self, levels: slice, steps: int) -> np.ndarray:
+        """Sideways shift before each step of a layer [cells], [xy, level, azimuth]."""
+        azimuth = (np.arange(self.ordinates.azimuths) + 0.5) * (2 * np.pi / self.ordinates.azimuths)
+        reach = self.vertical * self.ordinates.slopes[levels] / (self.horizontal * steps)
+        return np.stack([np.outer(reach, np.sin(azimuth)), np.outer(reach, np.cos(azimuth))])
+
+    def lengths(self, levels: slice, steps: int) -> np.ndarray:
         """Length of a step along the ordinates of each level [m]."""
-        return self.vertical / (self.steps * np.asarray(self.ordinates.cosine))
-
-    @property
-    def moves(self) -> np.ndarray:
-        """Sideways shift before each step [cells], [step, xy, level, azimuth]; at most one.
-
-        A level moves only as often as it must, since each linear shift blurs a little. Between
-        two moves it stands where it is half-way.
-        """
-        ordinates = self.ordinates
-        azimuth = (np.arange(ordinates.azimuths) + 0.5) * (2 * np.pi / ordinates.azimuths)
-        reach = self.vertical * ordinates.slopes / self.horizontal
-        moves = np.zeros((self.steps, 2, len(reach), ordinates.azimuths))
-        for level, cells in enumerate(reach):
-            count = _moves_needed(cells)
-            at = np.round(np.arange(count) * self.steps / count).astype(int)
-            moves[at, :, level] = np.stack([np.sin(azimuth), np.cos(azimuth)]) * cells / count
-        return moves
+        return self.vertical / (steps * np.asarray(self.ordinates.cosine[levels]))
 
 
-def _moves_needed(cells: float) -> int:
-    return max(1, int(np.ceil(cells - 1e-9)))
+def _groups(ordinates: Ordinates, aspect: float) -> tuple[tuple[slice, int], ...]:
+    steps = [max(1, int(np.ceil(aspect * slope - 1e-9))) for slope in ordinates.slopes]
+    starts = [i for i in range(len(steps)) if i == 0 or steps[i] != steps[i - 1]]
+    ends = [*starts[1:], len(steps)]
+    return tuple((slice(i, j), steps[i]) for i, j in zip(starts, ends))
 
 
 def coarse_grid(
@@ -104,103 +152,145 @@ def coarse_grid(
 ) -> Coarse:
     """Prepare the sweeps over the block-averaged `density`."""
     dx, dz = scene.horizontal * factor[1], scene.vertical * factor[0]
-    steps = max(_moves_needed(dz * slope / dx) for slope in ordinates.slopes)
-    cosine = jnp.asarray(ordinates.cosine, density.dtype)
-    projection = jnp.stack([a.projection(cosine) for a in scene.classes.angles])
-    extinction = jnp.einsum(
-        "al,azyx->zlyx", projection.astype(density.dtype), scene.classes.total_by_angle(density)
-    )
-    depth = (extinction * (dz / (steps * cosine))[:, None, None])[:, :, None]
-    attenuation = (jnp.exp(-depth), mean_transmittance(depth), mean_emission(depth))
-    return Coarse(attenuation, ordinates, steps, dx, dz, scene.boundary)
+    by_angle = scene.classes.total_by_angle(density)
+    attenuation = []
+    for levels, steps in _groups(ordinates, dz / dx):
+        cosine = jnp.asarray(ordinates.cosine[levels], density.dtype)
+        projection = jnp.stack([a.projection(cosine) for a in scene.classes.angles])
+        along = projection.astype(density.dtype) * (dz / (steps * cosine))
+        depth = jnp.einsum("al,azyx->zlyx", along, by_angle)[:, :, None]
+        attenuation.append((jnp.exp(-depth), mean_transmittance(depth), mean_emission(depth)))
+    share, level_ground = None, None
+    if scene.terrain is not None:
+        share, level_ground = ground_in_cells(scene, factor)
+    return Coarse(tuple(attenuation), share, level_ground, ordinates, dx, dz, scene.boundary)
 
 
 def sweep(
     coarse: Coarse,
     source: Float[Array, "ordinate z y x"],
-    sky: Float[Array, ""],
+    sky: Float[Array, " downward"],
     ground: Float[Array, "y x"],
     sunlit: Float[Array, "y x"],
-) -> tuple[Float[Array, "ordinate z y x"], Float[Array, "y x"], Float[Array, "y x"]]:
+    shape: GroundShape | None = None,
+) -> tuple[Float[Array, "ordinate z y x"], Float[Array, "downward y x"], Float[Array, "y x"]]:
     """Mean intensity in each cell from a given source, sky and sunlit ground (one band).
 
     **Arguments:**
 
     - `source`: radiance emitted per length, along each ordinate [radiance m-1].
-    - `sky`: isotropic radiance that enters from above (and, in an open scene, the sides).
-    - `ground`: reflectance of the ground [-].
-    - `sunlit`: direct irradiance on the ground.
+    - `sky`: radiance that enters from above (and, in an open scene, the sides), per downward
+      ordinate.
+    - `ground`: reflectance of the ground, or its amplitude [-].
+    - `sunlit`: direct irradiance on the ground's surface.
+    - `shape`: how the ground departs from Lambert's law.
 
-    **Returns:** mean intensity per ordinate and cell, diffuse irradiance on the ground, and the
-    upward flux at the top. Linear in (`source`, `sky`, `sunlit`).
+    **Returns:** mean intensity per ordinate and cell, radiance that falls on the ground along
+    each downward ordinate, and the upward flux at the top. Linear in (`source`, `sky`, `sunlit`).
     """
     ordinates = coarse.ordinates
     levels, azimuths = len(ordinates.cosine), ordinates.azimuths
     dtype = source.dtype
-    moves = jnp.asarray(coarse.moves, dtype)
-    half = jnp.asarray(0.5 * coarse.moves[0], dtype)
-    lengths = jnp.asarray(coarse.lengths, dtype)[:, None, None, None]
-    flux = jnp.asarray(np.multiply(ordinates.level_weight, ordinates.cosine), dtype)
+    flux = jnp.asarray(ordinates.fluxes, dtype)
+    above = sky.astype(dtype).reshape(levels, azimuths)
+    area = ground.shape
+    terrain = coarse.ground_share is not None
 
     def pass_layers(
-        entering: Array, hemisphere: tuple[Array, tuple[Array, ...]]
-    ) -> tuple[Array, tuple[Array, Array]]:
+        entering: Array, hemisphere: tuple[Array, tuple[Array, ...], Any]
+    ) -> tuple[Array, tuple[Array, Array, Array]]:
         """Down through all layers, or up; the ground's light enters the way up."""
-        outside, cells = hemisphere
+        outside, emitted, attenuation, shares = hemisphere
+        means, falling = [], []
+        for (group, steps), cells in zip(coarse.groups, attenuation):
+            move = jnp.asarray(coarse.moves(group, steps), dtype)
+            lengths = jnp.asarray(coarse.lengths(group, steps), dtype)[:, None, None, None]
+            around, shining = outside[group], entering[group]
 
-        def layer(radiance: Array, cell: tuple[Array, ...]) -> tuple[Array, Array]:
-            emitted, through, mean, emission = cell
-            emitted = emitted * lengths
+            def layer(
+                radiance: Array,
+                cell: tuple[Any, ...],
+                move: Array = move,
+                lengths: Array = lengths,
+                steps: int = steps,
+                around: Array = around,
+                shining: Array = shining,
+            ) -> tuple[Array, tuple[Array, Array | None]]:
+                emitted, (through, mean, emission), share = cell
+                emitted = emitted * lengths
+                if terrain:  # on the way up, the ground at the bottom of the cell shines
+                    radiance = radiance + share[0] * (shining - radiance)
 
-            def step(carry: tuple[Array, Array], move: Array) -> tuple[tuple[Array, Array], None]:
-                radiance, total = carry
-                radiance = _shift(radiance, move, outside, coarse.boundary)
-                total = total + radiance * mean + emitted * emission
-                return (radiance * through + emitted * mean, total), None
+                def step(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
+                    radiance, total = carry
+                    radiance = _shift(radiance, move, around, coarse.boundary)
+                    total = total + radiance * mean + emitted * emission
+                    return (radiance * through + emitted * mean, total), None
 
-            start = (radiance, jnp.zeros_like(radiance))
-            (radiance, total), _ = jax.lax.scan(step, start, moves)
-            return radiance, total / coarse.steps
+                carry = (radiance, jnp.zeros_like(radiance))
+                (radiance, total), _ = jax.lax.scan(step, carry, None, length=steps)
+                hit = None
+                if terrain:  # on the way down, it takes what falls on it
+                    hit = radiance * share[1]
+                    radiance = radiance - hit
+                return radiance, (total / steps, hit)
 
-        start = _shift(entering, -half, outside, coarse.boundary)
-        leaving, mean = jax.lax.scan(layer, start, cells)
-        leaving = _shift(leaving, half, outside, coarse.boundary)
-        irradiance = jnp.einsum("l,layx->yx", flux, leaving)
-        exitance = ground * (irradiance + sunlit) / jnp.pi
-        return jnp.broadcast_to(exitance, leaving.shape), (mean, irradiance)
+            # A step begins with its whole move: half a move back puts its middle on the path.
+            start = _shift(shining, -0.5 * move, around, coarse.boundary)
+            end, (mean, hit) = jax.lax.scan(layer, start, (emitted[:, group], cells, shares))
+            end = _shift(end, 0.5 * move, around, coarse.boundary)
+            means.append(mean)
+            falling.append(end + hit.sum(axis=0) if terrain else end)
+        leaving = jnp.concatenate(falling)
+        # With terrain, what falls is counted per level area; the ground itself is larger.
+        received = leaving if coarse.level_ground is None else leaving * coarse.level_ground
+        if shape is None:
+            irradiance = jnp.einsum("la,layx->yx", flux, received)
+            exitance = ground * (irradiance + sunlit) / jnp.pi
+            exitance = jnp.broadcast_to(exitance, leaving.shape)
+        else:
+            weighted = (received * flux[:, :, None, None]).reshape(-1, *area)
+            exitance = jnp.tensordot(shape.diffuse.T, weighted, axes=1)
+            exitance = (exitance + shape.sun[:, None, None] * sunlit) * ground / jnp.pi
+            exitance = exitance.reshape(leaving.shape)
+        return exitance, (jnp.concatenate(means, axis=1), leaving)
 
-    shape = (2, levels, azimuths, *source.shape[1:])
-    by_layer = jnp.moveaxis(source.reshape(shape), 3, 1)
-    cells = tuple(
-        jnp.stack([down[::-1], up])
-        for down, up in (tuple(by_layer), *((a, a) for a in coarse.attenuation))
+    by_layer = jnp.moveaxis(source.reshape(2, levels, azimuths, *source.shape[1:]), 3, 1)
+    both = lambda down, up: jax.tree.map(lambda d, u: jnp.stack([d[::-1], u]), down, up)  # noqa: E731
+    shares = None
+    if coarse.ground_share is not None:
+        none = jnp.zeros_like(coarse.ground_share)
+        shares = both((none, coarse.ground_share), (coarse.ground_share, none))
+    hemispheres = (
+        jnp.stack([above, jnp.zeros_like(above)]),
+        both(by_layer[0], by_layer[1]),
+        both(coarse.attenuation, coarse.attenuation),
+        shares,
     )
-    outside = jnp.stack([sky, jnp.zeros_like(sky)])
-    entering = jnp.broadcast_to(sky, (levels, azimuths, *ground.shape))
-    _, (mean, irradiance) = jax.lax.scan(pass_layers, entering, (outside, cells))
-    mean = jnp.stack([mean[0, ::-1], mean[1]])
-    mean = jnp.moveaxis(mean, 1, 3).reshape(source.shape)
-    return mean, irradiance[0], irradiance[1]
+    entering = jnp.broadcast_to(above[:, :, None, None], (levels, azimuths, *area))
+    _, (mean, leaving) = jax.lax.scan(pass_layers, entering, hemispheres)
+    mean = jnp.moveaxis(jnp.stack([mean[0, ::-1], mean[1]]), 1, 3).reshape(source.shape)
+    top = jnp.einsum("la,layx->yx", flux, leaving[1])
+    return mean, leaving[0].reshape(-1, *area), top
 
 
 def _shift(
     radiance: Float[Array, "level azimuth y x"],
     move: Float[Array, "xy level azimuth"],
-    outside: Float[Array, ""],
+    outside: Float[Array, "level azimuth"],
     boundary: str,
 ) -> Float[Array, "level azimuth y x"]:
     """Move each ordinate's layer by `move` (at most one cell) along x and y, linearly."""
     for axis, share in ((3, move[0]), (2, move[1])):
+        size = radiance.shape[axis]
         first, last = (
-            jax.lax.slice_in_dim(radiance, at, at + 1, axis=axis)
-            for at in (0, radiance.shape[axis] - 1)
+            jax.lax.slice_in_dim(radiance, at, at + 1, axis=axis) for at in (0, size - 1)
         )
         if boundary == "periodic":
             ends = (last, first)
         else:
-            ends = (jnp.broadcast_to(outside, first.shape),) * 2
+            ends = (jnp.broadcast_to(outside[:, :, None, None], first.shape),) * 2
         padded = jnp.concatenate([ends[0], radiance, ends[1]], axis=axis)
-        size = radiance.shape[axis]
         before, after = (
             jax.lax.slice_in_dim(padded, start, start + size, axis=axis) for start in (0, 2)
         )

@@ -1,22 +1,89 @@
-"""Rays of a sensor that meet every horizontal plane in a rectangular lattice."""
+"""Rays of a sensor: parallel, of a frame camera, or any."""
 
+import abc
+import math
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax._core.errors import InputError
 from fynjax._core.geometry import direction
 from fynjax.canopy import AbstractLeafAngle
+from fynjax.radiation._resample import axis_weights, sample
 
 
-class RayLattice(eqx.Module):
-    """Rays of a parallel projection, or of a frame camera that looks straight down.
+class Lattice(NamedTuple):
+    """Cells of a layer: those of the voxels, or of the beams of the sun."""
 
-    The ray of pixel (row, column) passes the ground at (x[column], y[row]) and height z at
-    (x + z slope_x, y + z slope_y).
+    rows: int
+    columns: int
+    spacing: float
+    boundary: str
+
+
+class AbstractRays(eqx.Module):
+    """Rays of a sensor, one for each pixel.
+
+    The ray of a pixel passes the bottom of the grid at (`x`, `y`) and height z at
+    (x + z `slope_x`, y + z `slope_y`).
     """
+
+    x: eqx.AbstractVar[Array]
+    y: eqx.AbstractVar[Array]
+    slope_x: eqx.AbstractVar[Array]
+    slope_y: eqx.AbstractVar[Array]
+    altitude: eqx.AbstractVar[float]
+
+    @property
+    @abc.abstractmethod
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of pixels."""
+
+    @property
+    @abc.abstractmethod
+    def cosine(self) -> Float[Array, "row column"]:
+        """Cosine of the view zenith angle [-]."""
+
+    @property
+    @abc.abstractmethod
+    def towards(self) -> Float[Array, "row column 3"]:
+        """Unit vectors towards the sensor; one row and column where all rays are parallel."""
+
+    @property
+    @abc.abstractmethod
+    def central(self) -> Float[Array, " 3"]:
+        """Unit vector towards the sensor from the middle of the field of view."""
+
+    @abc.abstractmethod
+    def angular(self, function: Callable[[Array], Array]) -> Float[Array, "*value row column"]:
+        """Evaluate a smooth function of the direction for every pixel.
+
+        `function` maps unit vectors towards the sensor [n, 3] to [*value, n]. It is evaluated
+        at a few Chebyshev points of the field of view and interpolated between.
+        """
+
+    @abc.abstractmethod
+    def sampler(
+        self, height: Array, lattice: Lattice, offset: tuple[Array, Array] | None = None
+    ) -> Callable[[Array], Array]:
+        """How a pixel's footprint at `height` [m] averages a field [..., y, x] on `lattice`,
+        whose corner lies at minus `offset` [m]."""
+
+    def sine_to(self, vector: Float[Array, " 3"]) -> Float[Array, "row column"]:
+        """Sine of the angle between a unit vector and the ray [-]."""
+        cross = jnp.cross(self.towards, vector)
+        square = jnp.sum(cross**2, axis=-1)
+        return jnp.sqrt(jnp.where(square > 0, square, 1.0)) * (square > 0)
+
+
+class RayLattice(AbstractRays):
+    """Rays of a parallel projection, or of a frame camera that looks straight down: they meet
+    every horizontal plane in a rectangular lattice, which makes them cheap."""
 
     x: Float[Array, " column"]
     """Easting of the pixel's centre on the ground [m]."""
@@ -29,18 +96,26 @@ class RayLattice(eqx.Module):
     """Edge of the pixel's square footprint on the ground [m]."""
     nodes: int = eqx.field(static=True)
     """Directions per axis at which angular functions are evaluated; 1 for parallel rays."""
+    altitude: float = eqx.field(static=True, default=math.inf)
+    """Height of the sensor above the bottom of the grid [m]; infinite for parallel rays."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.y.shape[0], self.x.shape[0]
 
     @property
     def cosine(self) -> Float[Array, "row column"]:
-        """Cosine of the view zenith angle [-]."""
         return 1.0 / jnp.sqrt(1.0 + self.slope_x**2 + self.slope_y[:, None] ** 2)
 
-    def angular(self, function: Callable[[Array], Array]) -> Float[Array, "*value row column"]:
-        """Evaluate a smooth function of the direction for every pixel.
+    @property
+    def towards(self) -> Float[Array, "row column 3"]:
+        if self.nodes == 1:
+            return self.central[None, None]
+        along, across = jnp.broadcast_arrays(self.slope_x[None, :], self.slope_y[:, None])
+        vectors = jnp.stack([along, across, jnp.ones_like(along)], axis=-1)
+        return vectors * self.cosine[..., None]
 
-        `function` maps unit vectors towards the sensor [n, 3] to [*value, n]. It is evaluated
-        at `nodes` x `nodes` Chebyshev points of the field of view and interpolated between.
-        """
+    def angular(self, function: Callable[[Array], Array]) -> Float[Array, "*value row column"]:
         node_x, weight_x = _chebyshev(self.slope_x, self.nodes)
         node_y, weight_y = _chebyshev(self.slope_y, self.nodes)
         sx, sy = (a.ravel() for a in jnp.meshgrid(node_x, node_y, indexing="xy"))
@@ -48,11 +123,12 @@ class RayLattice(eqx.Module):
         vectors = vectors / jnp.linalg.norm(vectors, axis=-1, keepdims=True)
         values = function(vectors)
         values = values.reshape(*values.shape[:-1], self.nodes, self.nodes)
+        if self.nodes == 1:
+            return values
         return jnp.einsum("rj,...ji,ci->...rc", weight_y, values, weight_x)
 
     @property
     def central(self) -> Float[Array, " 3"]:
-        """Unit vector towards the sensor from the middle of the field of view."""
         middle = jnp.stack(
             [
                 0.5 * (self.slope_x[0] + self.slope_x[-1]),
@@ -61,6 +137,112 @@ class RayLattice(eqx.Module):
             ]
         )
         return middle / jnp.linalg.norm(middle)
+
+    def sampler(
+        self, height: Array, lattice: Lattice, offset: tuple[Array, Array] | None = None
+    ) -> Callable[[Array], Array]:
+        right, up = (0.0, 0.0) if offset is None else offset
+        width = self.footprint
+        spacing, boundary = lattice.spacing, lattice.boundary
+        x, y = self.x + height * self.slope_x + right, self.y + height * self.slope_y + up
+        columns = axis_weights(x, width, lattice.columns, spacing, boundary)
+        rows = axis_weights(y, width, lattice.rows, spacing, boundary)
+        return lambda field: sample(field, rows, columns)
+
+
+class RayField(AbstractRays):
+    """Rays in any directions, such as those of a tilted frame camera."""
+
+    x: Float[Array, "row column"]
+    """Easting at which the pixel's ray meets the bottom of the grid [m]."""
+    y: Float[Array, "row column"]
+    """Northing of the same [m]."""
+    slope_x: Float[Array, "row column"]
+    """Eastward distance per height along the ray, towards the sensor [-]."""
+    slope_y: Float[Array, "row column"]
+    width: Float[Array, "row column"]
+    """Edge of the square over which a pixel averages on the ground [m]; voxels are averaged over
+    one voxel at most, so use more pixels where they are larger."""
+    altitude: float = eqx.field(static=True, default=math.inf)
+    nodes: int = eqx.field(static=True, default=7)
+    """Directions per axis at which angular functions are evaluated."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.x.shape
+
+    @property
+    def cosine(self) -> Float[Array, "row column"]:
+        return 1.0 / jnp.sqrt(1.0 + self.slope_x**2 + self.slope_y**2)
+
+    @property
+    def towards(self) -> Float[Array, "row column 3"]:
+        vectors = jnp.stack([self.slope_x, self.slope_y, jnp.ones_like(self.slope_x)], axis=-1)
+        return vectors * self.cosine[..., None]
+
+    @property
+    def central(self) -> Float[Array, " 3"]:
+        middle = jnp.mean(self.towards, axis=(0, 1))
+        return middle / jnp.linalg.norm(middle)
+
+    def angular(self, function: Callable[[Array], Array]) -> Float[Array, "*value row column"]:
+        east, north = self.towards[..., 0], self.towards[..., 1]
+        node_x, weight_x = _chebyshev(_between_ends(east), self.nodes)
+        node_y, weight_y = _chebyshev(_between_ends(north), self.nodes)
+        sx, sy = (a.ravel() for a in jnp.meshgrid(node_x, node_y, indexing="xy"))
+        # The corners of the box may lie beyond the horizon, where no pixel looks.
+        height = jnp.sqrt(jnp.maximum(1.0 - sx**2 - sy**2, 1e-3))
+        vectors = jnp.stack([sx, sy, height], axis=-1)
+        values = function(vectors / jnp.linalg.norm(vectors, axis=-1, keepdims=True))
+        values = values.reshape(*values.shape[:-1], self.nodes, self.nodes)
+        flat = jnp.einsum("pj,...ji,pi->...p", weight_y[1:-1], values, weight_x[1:-1])
+        return flat.reshape(*flat.shape[:-1], *self.shape)
+
+    def sampler(
+        self, height: Array, lattice: Lattice, offset: tuple[Array, Array] | None = None
+    ) -> Callable[[Array], Array]:
+        right, up = (0.0, 0.0) if offset is None else offset
+        width = jnp.minimum(self.width, lattice.spacing)
+        axes = (
+            (self.y + height * self.slope_y + up, lattice.rows),
+            (self.x + height * self.slope_x + right, lattice.columns),
+        )
+        (row, row_share), (column, column_share) = (
+            _two_cells(place, width, count, lattice) for place, count in axes
+        )
+
+        def gather(field: Array) -> Array:
+            """Cell values lie side by side, so that each corner is one read."""
+            cells = jnp.moveaxis(field.reshape(-1, lattice.rows * lattice.columns), 0, 1)
+            total = jnp.zeros((*self.shape, cells.shape[1]), field.dtype)
+            for r, r_share in zip(row, row_share):
+                for c, c_share in zip(column, column_share):
+                    at = cells[r * lattice.columns + c]
+                    total = total + (r_share * c_share)[..., None] * at
+            return jnp.moveaxis(total, -1, 0).reshape(*field.shape[:-2], *self.shape)
+
+        return gather
+
+
+def _two_cells(
+    centre: Array, width: Array, count: int, lattice: Lattice
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """The two cells that an interval of at most a cell's width touches, and its share in each."""
+    low = (centre - 0.5 * width) / lattice.spacing
+    first = jnp.floor(jax.lax.stop_gradient(low))
+    inside = jnp.clip((first + 1.0 - low) * lattice.spacing / width, 0.0, 1.0)
+    cell = first.astype(int)
+    if lattice.boundary == "periodic":
+        return (cell % count, (cell + 1) % count), (inside, 1.0 - inside)
+    here, there = (cell >= 0) & (cell < count), (cell >= -1) & (cell < count - 1)
+    clipped = jnp.clip(cell, 0, count - 1), jnp.clip(cell + 1, 0, count - 1)
+    return clipped, (jnp.where(here, inside, 0.0), jnp.where(there, 1.0 - inside, 0.0))
+
+
+def _between_ends(values: Array) -> Array:
+    """All values in a row, between their least and largest: `_chebyshev` spans first to last."""
+    flat = values.ravel()
+    return jnp.concatenate([flat.min()[None], flat, flat.max()[None]])
 
 
 def parallel_rays(
@@ -92,7 +274,65 @@ def nadir_rays(
     """Rays of a frame camera at `camera` = (x, y, altitude) in m that looks straight down."""
     x, y = jnp.asarray(x), jnp.asarray(y)
     cx, cy, altitude = camera
-    return RayLattice(x, y, (cx - x) / altitude, (cy - y) / altitude, footprint, nodes=5)
+    return RayLattice(x, y, (cx - x) / altitude, (cy - y) / altitude, footprint, 5, float(altitude))
+
+
+def perspective_rays(
+    camera: tuple[float, float, float],
+    target: tuple[float, float, float],
+    *,
+    rows: int,
+    columns: int,
+    field_of_view: float,
+    dtype: Any = jnp.float32,
+) -> RayField:
+    """Rays of a frame camera in any attitude.
+
+    **Arguments:**
+
+    - `camera`, `target`: where it is and the point it looks at, (x, y, z) in m, z above the
+      bottom of the grid. The picture's upper edge points up, or north where it looks straight
+      down.
+    - `rows`, `columns`: pixels, which are square. Rows count from the picture's lower edge, so
+      that they run northward in a picture taken straight down.
+    - `field_of_view`: full angle that the columns span [degrees].
+
+    Raises `InputError` where a pixel would look at or above the horizon.
+    """
+    place, aim = np.asarray(camera, float), np.asarray(target, float)
+    forward = aim - place
+    if not (np.isfinite(forward).all() and np.linalg.norm(forward) > 0):
+        raise InputError(f"`target` must be a point other than `camera`, but both are {camera}")
+    if not 0 < field_of_view < 170:
+        raise InputError(f"`field_of_view` must be in (0, 170) degrees, but is {field_of_view}")
+    forward = forward / np.linalg.norm(forward)
+    straight_down = abs(forward[2]) > 1 - 1e-9
+    up = np.array([0.0, 1.0, 0.0] if straight_down else [0.0, 0.0, 1.0])
+    right = np.cross(forward, up)
+    right = right / np.linalg.norm(right)
+    up = np.cross(right, forward)
+    pitch = 2.0 * np.tan(np.radians(field_of_view) / 2.0) / columns
+    across = (np.arange(columns) + 0.5 - columns / 2) * pitch
+    along = (np.arange(rows) + 0.5 - rows / 2) * pitch
+    sight = forward + along[:, None, None] * up + across[:, None] * right
+    if sight[..., 2].max() / np.linalg.norm(sight, axis=-1).max() > -0.02:
+        raise InputError(
+            "every pixel must look at the ground, but some look at or above the horizon: aim "
+            "`target` lower, or take a smaller `field_of_view`"
+        )
+    slope = sight[..., :2] / sight[..., 2:]
+    ground = place[:2] - place[2] * slope
+    # The width across the line of sight; along it the pixel's footprint is longer.
+    width = pitch * place[2] / -sight[..., 2]
+    as_array = lambda a: jnp.asarray(a, dtype)  # noqa: E731
+    return RayField(
+        as_array(ground[..., 0]),
+        as_array(ground[..., 1]),
+        as_array(slope[..., 0]),
+        as_array(slope[..., 1]),
+        as_array(width),
+        float(place[2]),
+    )
 
 
 def _chebyshev(
@@ -116,7 +356,7 @@ def _chebyshev(
 
 
 def pixel_projection(
-    angles: tuple[AbstractLeafAngle, ...], rays: RayLattice
+    angles: tuple[AbstractLeafAngle, ...], rays: AbstractRays
 ) -> Float[Array, "angle row column"]:
     """G of each distribution towards each pixel."""
     return rays.angular(

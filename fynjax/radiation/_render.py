@@ -10,9 +10,11 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax.radiation._image import Radiance, see
-from fynjax.radiation._multiple import DiffuseField, block_mean, solve_diffuse
+from fynjax.radiation._multiple import DiffuseField, solve_diffuse
 from fynjax.radiation._ordinates import Ordinates
-from fynjax.radiation._rays import RayLattice, parallel_rays
+from fynjax.radiation._rays import AbstractRays, parallel_rays
+from fynjax.radiation._reduced import ReducedField, check_reducible, solve_reduced
+from fynjax.radiation._refine import solve_refined
 from fynjax.radiation._scene import VoxelScene, check_scene
 from fynjax.radiation._sun import SunField, trace_sun
 
@@ -22,18 +24,25 @@ class Accuracy(eqx.Module):
 
     lattice: int = eqx.field(static=True, default=2)
     """Sunbeams along the edge of a voxel."""
-    sublayers: int = eqx.field(static=True, default=1)
-    """Pieces a layer is cut in along beams and rays; raise it for slant sun or view."""
-    coarsening: tuple[int, int] = eqx.field(static=True, default=(2, 2))
-    """Voxels (in height, in width) in a cell of the diffuse field; must divide the grid."""
-    levels: int = eqx.field(static=True, default=2)
-    """Zenith angles of the diffuse field per hemisphere."""
+    sublayers: int | None = eqx.field(static=True, default=None)
+    """Pieces a layer is cut in along beams and rays. By default so many that a beam or ray stays
+    within a voxel; two where its direction is a traced value."""
+    coarsening: tuple[int, int] | None = eqx.field(static=True, default=None)
+    """Voxels (in height, in width) in a cell of the coarse grid, on which the diffuse light is
+    solved for; the second must divide the grid. By default 2, where they fit."""
+    levels: int = eqx.field(static=True, default=3)
+    """Zenith angles of the diffuse light per hemisphere."""
     azimuths: int = eqx.field(static=True, default=6)
-    """Azimuths of the diffuse field."""
+    """Azimuths of the diffuse light."""
     tolerance: float = eqx.field(static=True, default=1e-4)
     """Residual of the diffuse solve, relative to its right-hand side."""
     iterations: int = eqx.field(static=True, default=100)
     """Most iterations of the diffuse solve."""
+    refine: bool = eqx.field(static=True, default=True)
+    """Follow the last flight of the diffuse light on the voxels themselves."""
+    solves: int | None = eqx.field(static=True, default=24)
+    """Most bands that are solved for. The light of more is reduced to that of so many (and not
+    refined). None: solve every band."""
     margin: int | None = eqx.field(static=True, default=None)
     """Voxels by which the sunbeams' lattice exceeds an open scene. By default from the sun's
     zenith; must be given where the sun is a traced value."""
@@ -47,22 +56,16 @@ class Light(eqx.Module):
     """The light in a scene: solve it once, look at it from anywhere."""
 
     scene: VoxelScene
+    """With its empty layers on top, if the coarse grid needed any."""
     sun: SunField
-    diffuse: DiffuseField
+    diffuse: DiffuseField | ReducedField
     accuracy: Accuracy
 
-
-class Fluxes(eqx.Module):
-    """Where the incident light goes, as shares of the irradiance above the canopy [-]."""
-
-    albedo: Float[Array, " band"]
-    absorbed: Float[Array, "band class"]
-    """Absorbed by each optical class."""
-    transmitted: Float[Array, " band"]
-    """Downward flux at the ground, light between ground and canopy included."""
-    transmitted_direct: Float[Array, " band"]
-    """Of it, direct sun."""
-    ground_absorbed: Float[Array, " band"]
+    @property
+    def residual(self) -> Float[Array, " band"]:
+        """What the equation of the diffuse light leaves over in each band, relative to its
+        source [-]: an estimate of the relative error of what was scattered more than once."""
+        return self.diffuse.residual
 
 
 def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
@@ -71,8 +74,7 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
     **Arguments:**
 
     - `scene`: the canopy, its optics, its ground and its illumination.
-    - `accuracy`: how finely; the defaults suit 10 cm voxels and a view within 30 degrees of
-      nadir.
+    - `accuracy`: how finely; the defaults suit voxels of 10 cm.
 
     Raises `InputError` for shapes that do not go together and, outside `jit`, for values out of
     range. Differentiable, in forward and reverse mode, in every array of `scene`; the derivative
@@ -80,19 +82,46 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
     """
     accuracy = Accuracy() if accuracy is None else accuracy
     check_scene(scene)
-    for size, block, axis in zip(
-        scene.shape, (accuracy.coarsening[0], *[accuracy.coarsening[1]] * 2), "zyx"
-    ):
-        if size % block:
-            raise InputError(
-                f"`accuracy.coarsening` must divide the grid, but {block} does not divide the "
-                f"{size} voxels along {axis}; pad the scene or choose another factor"
-            )
-    sun = trace_sun(scene, accuracy.lattice, accuracy.sublayers, _margin(scene, accuracy))
-    diffuse = solve_diffuse(
-        scene, sun, accuracy.coarsening, accuracy.ordinates, accuracy.tolerance, accuracy.iterations
-    )
+    factor = _coarsening(scene, accuracy)
+    missing = -scene.shape[0] % factor[0]
+    if missing:
+        above = ((0, 0), (0, missing), (0, 0), (0, 0))
+        scene = eqx.tree_at(lambda s: s.area_density, scene, jnp.pad(scene.area_density, above))
+    aspect = scene.vertical / scene.horizontal
+    sublayers = accuracy.sublayers or _pieces(scene.illumination.sun_zenith, aspect)
+    sun = trace_sun(scene, accuracy.lattice, sublayers, _margin(scene, accuracy))
+    how = (factor, accuracy.ordinates, accuracy.tolerance, accuracy.iterations)
+    diffuse: DiffuseField | ReducedField
+    if accuracy.solves is not None and scene.illumination.sun.shape[0] > accuracy.solves:
+        check_reducible(scene)
+        diffuse = solve_reduced(scene, sun, *how, solves=accuracy.solves)
+    elif accuracy.refine and factor != (1, 1):
+        diffuse = solve_refined(scene, sun, *how)
+    else:
+        diffuse = solve_diffuse(scene, sun, *how)
     return Light(scene, sun, diffuse, accuracy)
+
+
+def _coarsening(scene: VoxelScene, accuracy: Accuracy) -> tuple[int, int]:
+    _, ny, nx = scene.shape
+    if accuracy.coarsening is None:
+        return 2, 2 if ny % 2 == nx % 2 == 0 else 1
+    for size, axis in ((ny, "y"), (nx, "x")):
+        if size % accuracy.coarsening[1]:
+            raise InputError(
+                "`accuracy.coarsening` must divide the grid, but "
+                f"{accuracy.coarsening[1]} does not divide the {size} voxels along {axis}; pad "
+                "the scene or choose another factor"
+            )
+    return accuracy.coarsening
+
+
+def _pieces(zenith: Array, aspect: float) -> int:
+    """Pieces of a layer in each of which a ray moves sideways by no more than a voxel."""
+    if isinstance(zenith, jax.core.Tracer):
+        return 2
+    steepest = float(np.max(np.asarray(zenith), initial=0.0))
+    return max(1, min(8, math.ceil(aspect * math.tan(math.radians(min(steepest, 89.0))) - 1e-6)))
 
 
 def _margin(scene: VoxelScene, accuracy: Accuracy) -> int:
@@ -109,28 +138,59 @@ def _margin(scene: VoxelScene, accuracy: Accuracy) -> int:
     return math.ceil(scene.height * math.tan(math.radians(float(zenith))) / scene.horizontal)
 
 
-def render(light: Light, rays: RayLattice) -> Radiance:
+def render(light: Light, rays: AbstractRays, *, chunk: int = 8) -> Radiance:
     """Radiance along each ray of a sensor, per band. Differentiable.
 
-    Multiple scattering is taken towards the middle of the field of view; direct sun, scattered
-    once, towards each pixel.
+    **Arguments:**
+
+    - `light`: from `solve_light`.
+    - `rays`: `parallel_rays`, `nadir_rays` or `perspective_rays`.
+    - `chunk`: bands rendered at once where they were reduced to few solves; bounds the memory.
+
+    Multiple scattering is taken towards the middle of the field of view and scaled by the leaf
+    area that each pixel sees; direct sun, scattered once, is taken towards each pixel. Raises
+    `InputError` for a sensor inside the canopy.
     """
-    accuracy = light.accuracy
-    return see(
-        light.scene,
-        light.sun,
-        light.diffuse,
-        rays,
-        accuracy.coarsening,
-        accuracy.ordinates,
-        accuracy.sublayers,
+    if rays.altitude < light.scene.height:
+        raise InputError(
+            f"the sensor must stand above the grid, which is {light.scene.height:g} m high, but "
+            f"is at {rays.altitude:g} m: rays begin above the canopy"
+        )
+    aspect = light.scene.vertical / light.scene.horizontal
+    steepest = jnp.rad2deg(jnp.arccos(jnp.min(rays.cosine)))
+    sublayers = light.accuracy.sublayers or _pieces(steepest, aspect)
+    return _render(light, rays, sublayers, chunk)
+
+
+def _render(light: Light, rays: AbstractRays, sublayers: int, chunk: int = 8) -> Radiance:
+    scene, diffuse, ordinates = light.scene, light.diffuse, light.accuracy.ordinates
+    if isinstance(diffuse, DiffuseField):
+        return see(scene, light.sun, diffuse, rays, ordinates, sublayers)
+    count = scene.illumination.sun.shape[0]
+    size = min(chunk, count)
+
+    def some(start: Array) -> Radiance:
+        field = diffuse.bands(start, size)
+        return see(scene.bands(start, size), light.sun, field, rays, ordinates, sublayers)
+
+    # The last chunk ends with the last band and repeats some of the one before.
+    starts = np.minimum(np.arange(0, count, size), count - size)
+    kept = np.concatenate([np.arange(a, min(a + size, count)) for a in range(0, count, size)])
+    place = kept - np.repeat(starts, size)[: len(kept)] + 0
+    chunks = jax.lax.map(some, jnp.asarray(starts))
+    which = np.arange(len(kept)) // size
+    pick = lambda field: field[which, place]  # noqa: E731
+    return Radiance(
+        pick(chunks.sunlit_leaves), pick(chunks.diffuse_leaves), pick(chunks.ground), chunks.gap[0]
     )
 
 
-def reflectance_factor(light: Light, rays: RayLattice) -> Float[Array, "band row column"]:
+def reflectance_factor(
+    light: Light, rays: AbstractRays, *, chunk: int = 8
+) -> Float[Array, "band row column"]:
     """pi times radiance over the irradiance above the canopy [-], as a panel calibrates it."""
     incident = light.scene.illumination.sun + light.scene.illumination.sky
-    return jnp.pi * render(light, rays).total / incident[:, None, None]
+    return jnp.pi * render(light, rays, chunk=chunk).total / incident[:, None, None]
 
 
 def directional_reflectance(
@@ -147,54 +207,16 @@ def directional_reflectance(
     dtype = scene.area_density.dtype
     x = ((jnp.arange(nx * lattice) + 0.5) * width).astype(dtype)
     y = ((jnp.arange(ny * lattice) + 0.5) * width).astype(dtype)
+    aspect = scene.vertical / scene.horizontal
+    sublayers = light.accuracy.sublayers or _pieces(view_zenith, aspect)
+    incident = scene.illumination.sun + scene.illumination.sky
 
     def one(angles: tuple[Array, Array]) -> Array:
         rays = parallel_rays(x, y, width, *angles)
-        return reflectance_factor(light, rays).mean(axis=(1, 2))
+        return jnp.pi * _render(light, rays, sublayers).total.mean(axis=(1, 2)) / incident
 
     zenith, azimuth = jnp.broadcast_arrays(
         jnp.atleast_1d(jnp.asarray(view_zenith, dtype)),
         jnp.atleast_1d(jnp.asarray(view_azimuth, dtype)),
     )
     return jax.lax.map(one, (zenith, azimuth))
-
-
-def fluxes(light: Light) -> Fluxes:
-    """Albedo, absorption and transmission. For periodic sides, they close to rounding."""
-    scene, sun, diffuse, accuracy = light.scene, light.sun, light.diffuse, light.accuracy
-    classes = scene.classes
-    dtype = scene.area_density.dtype
-    incident = scene.illumination.sun + scene.illumination.sky
-    ordinates = accuracy.ordinates
-    cosines = jnp.asarray(np.abs(ordinates.vectors[:, 2]), dtype)
-    weights = jnp.asarray(ordinates.weights, dtype)
-    density = block_mean(scene.area_density, accuracy.coarsening)
-    column = scene.vertical * scene.shape[0]  # a mean per volume times this is one per ground area
-    lost = 1.0 - classes.reflectance - classes.transmittance
-    sun_projection = jnp.stack([a.projection(sun.cosine) for a in classes.angles]).astype(dtype)
-    projection = jnp.stack([a.projection(cosines) for a in classes.angles]).astype(dtype)
-    owner = jnp.asarray(classes.angle_of_class)
-    hit_by_sun = jnp.mean(scene.area_density * sun.voxel_transmittance, axis=(1, 2, 3))
-    direct = (hit_by_sun * sun_projection[owner])[None] * (scene.illumination.sun / sun.cosine)[
-        :, None
-    ]
-    seen = jnp.einsum("cw,w,bwzyx,czyx->bc", projection[owner], weights, diffuse.intensity, density)
-    scattered = seen / (density[0].size)
-    absorbed = (direct + scattered) * lost.T * column
-    margin = sun.margin
-    beams = jnp.exp(-sun.depth[0])
-    beams = beams[margin : beams.shape[0] - margin, margin : beams.shape[1] - margin]
-    per_voxel = block_mean(beams[None], (1, sun.per_voxel))[0]
-    direct_ground = scene.illumination.sun[:, None, None] * block_mean(
-        per_voxel[None], (1, accuracy.coarsening[1])
-    )
-    down = direct_ground + diffuse.ground
-    soil = block_mean(scene.ground_map[:, None], (1, accuracy.coarsening[1]))[:, 0]
-    mean = lambda field: field.mean(axis=(1, 2)) / incident  # noqa: E731
-    return Fluxes(
-        albedo=diffuse.top / incident,
-        absorbed=absorbed / incident[:, None],
-        transmitted=mean(down),
-        transmitted_direct=mean(direct_ground),
-        ground_absorbed=mean(down * (1 - soil)),
-    )

@@ -25,9 +25,15 @@ class OpticalClasses(eqx.Module):
     angle_of_class: tuple[int, ...] = eqx.field(static=True)
     """For each class, the place of its distribution in `angles`."""
     leaf_diameter: Float[Array, " size"] | None = None
-    """Diameters of leaves, taken for round [m]: they make the hot spot. None: points, no hot spot."""
+    """Diameters of leaves, taken for round [m]: they make the hot spot. None: points, which
+    have none."""
     size_of_class: tuple[int, ...] | None = eqx.field(static=True, default=None)
     """For each class, the place of its diameter in `leaf_diameter`; by default all the first."""
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """For each class, the place of its diameter."""
+        return self.size_of_class or (0,) * len(self.angle_of_class)
 
     def total_by_angle(
         self, per_class: Float[Array, "class *grid"]
@@ -92,6 +98,39 @@ class VoxelScene(eqx.Module):
         """Ground reflectance per voxel column."""
         ground = self.ground if self.ground.ndim == 3 else self.ground[:, None, None]
         return jnp.broadcast_to(ground, (ground.shape[0], *self.shape[1:]))
+
+    def bands(self, start: Array | int, size: int) -> "VoxelScene":
+        """The same scene in `size` bands from `start` on, which may be a traced value."""
+
+        def cut(field: Array, axis: int = 0) -> Array:
+            return jax.lax.dynamic_slice_in_dim(field, start, size, axis)
+
+        classes, light = self.classes, self.illumination
+        pattern = light.sky_pattern
+        if pattern is not None and pattern.ndim == 3:
+            pattern = cut(pattern)
+        optics = (cut(classes.reflectance, 1), cut(classes.transmittance, 1))
+        return eqx.tree_at(
+            lambda s: (
+                s.classes.reflectance,
+                s.classes.transmittance,
+                s.ground,
+                s.illumination.sun,
+                s.illumination.sky,
+                s.illumination.sky_pattern,
+                s.ground_shape,
+            ),
+            self,
+            (
+                *optics,
+                cut(self.ground),
+                cut(light.sun),
+                cut(light.sky),
+                pattern,
+                jax.tree.map(cut, self.ground_shape),
+            ),
+            is_leaf=lambda leaf: leaf is None,
+        )
 
 
 def check_scene(scene: VoxelScene) -> None:

@@ -11,8 +11,10 @@ from jaxtyping import Array, Float
 
 from fynjax._core.geometry import direction
 from fynjax._core.math import mean_transmittance
+from fynjax.radiation._rays import Lattice
 from fynjax.radiation._resample import axis_weights, sample
 from fynjax.radiation._scene import VoxelScene
+from fynjax.radiation._terrain import covered, sun_on_ground
 
 
 class SunField(eqx.Module):
@@ -25,6 +27,13 @@ class SunField(eqx.Module):
     z times `slope`."""
     voxel_transmittance: Float[Array, "z y x"]
     """Mean transmittance towards the sun in each voxel [-]."""
+    on_ground: Float[Array, "y x"]
+    """Direct irradiance on the ground's surface in each voxel column, over that above the canopy
+    on a level plane [-]."""
+    unshaded: Float[Array, "interface row column"] | None
+    """Share of each beam that terrain has not stopped above the plane [-]; None: level ground."""
+    incidence: Float[Array, "y x"] | None
+    """`on_ground` without the canopy; None: level ground."""
     cosine: Float[Array, ""]
     """Cosine of the sun's zenith angle [-]."""
     slope: Float[Array, " 2"]
@@ -33,6 +42,17 @@ class SunField(eqx.Module):
     """Lattice points added on each side (open boundary only)."""
     per_voxel: int = eqx.field(static=True)
     """Lattice points along a voxel's edge."""
+
+    def lattice(self, scene: VoxelScene) -> Lattice:
+        """The lattice of the beams as cells."""
+        rows, columns = self.depth.shape[1:]
+        return Lattice(rows, columns, scene.horizontal / self.per_voxel, scene.boundary)
+
+    def offset(self, height: Array, scene: VoxelScene) -> tuple[Array, Array]:
+        """How far the corner of that lattice at `height` lies from that of the scene, in x and
+        y, as samplers take it."""
+        shift = self.margin * scene.horizontal / self.per_voxel
+        return shift - height * self.slope[0], shift - height * self.slope[1]
 
 
 def trace_sun(scene: VoxelScene, per_voxel: int, sublayers: int, margin: int) -> SunField:
@@ -79,6 +99,11 @@ def trace_sun(scene: VoxelScene, per_voxel: int, sublayers: int, margin: int) ->
     above = below - pieces
     mean = jnp.exp(-above) * mean_transmittance(pieces)
     mean = mean.reshape(nz, sublayers, *mean.shape[1:])
+    interfaces = jnp.concatenate([below[::sublayers], jnp.zeros_like(below[:1])])
+    unshaded = None
+    if scene.terrain is not None:
+        unshaded = _unshaded(scene, slope, columns, rows, width)
+        mean = mean * unshaded[1:, None]
     # The transpose of the sampling: light found on the beams goes back to the voxels that the
     # beams crossed, so that what the voxels take is what the beams lose.
     voxel = jnp.asarray(
@@ -87,8 +112,60 @@ def trace_sun(scene: VoxelScene, per_voxel: int, sublayers: int, margin: int) ->
             for sub, (wy, wx) in enumerate(weights)
         )
     ) / (sublayers * per_voxel**2)
-    interfaces = jnp.concatenate([below[::sublayers], jnp.zeros_like(below[:1])])
-    return SunField(interfaces, voxel, cosine, slope, pad, per_voxel)
+    if unshaded is None:
+        beams = jnp.exp(-interfaces[0])
+        beams = beams[pad : beams.shape[0] - pad, pad : beams.shape[1] - pad]
+        on_ground = beams.reshape(ny, per_voxel, nx, per_voxel).mean(axis=(1, 3))
+        return SunField(interfaces, voxel, on_ground, None, None, cosine, slope, pad, per_voxel)
+    steps = max(margin, 2) if scene.boundary == "open" else max(ny, nx)
+    incidence = sun_on_ground(scene, towards, steps)
+    field = SunField(
+        interfaces, voxel, incidence, unshaded, incidence, cosine, slope, pad, per_voxel
+    )
+    on_ground = incidence * _canopy_above_ground(field, scene)
+    return eqx.tree_at(lambda f: f.on_ground, field, on_ground)
+
+
+def _unshaded(
+    scene: VoxelScene,
+    slope: Float[Array, " 2"],
+    columns: Float[Array, " column"],
+    rows: Float[Array, " row"],
+    width: float,
+) -> Float[Array, "interface row column"]:
+    """Share of each beam that the ground has not stopped on its way down to each plane."""
+    nz, ny, nx = scene.shape
+    heights = (jnp.arange(nz + 1) * scene.vertical).astype(columns.dtype)
+
+    def plane(open_above: Array, at: tuple[Array, Array]) -> tuple[Array, Array]:
+        below_ground, height = at
+        wx = axis_weights(columns + height * slope[0], width, nx, scene.horizontal, scene.boundary)
+        wy = axis_weights(rows + height * slope[1], width, ny, scene.horizontal, scene.boundary)
+        now = jnp.minimum(open_above, 1.0 - sample(below_ground, wy, wx))
+        return now, now
+
+    start = jnp.ones((rows.shape[0], columns.shape[0]), columns.dtype)
+    _, shares = jax.lax.scan(plane, start, (covered(scene, heights), heights), reverse=True)
+    return shares
+
+
+def _canopy_above_ground(sun: SunField, scene: VoxelScene) -> Float[Array, "y x"]:
+    """Transmittance of the canopy towards the sun, from the ground of each voxel column."""
+    nz, ny, nx = scene.shape
+    dtype = sun.depth.dtype
+    heights = (jnp.arange(nz + 1) * scene.vertical).astype(dtype)
+    x = ((jnp.arange(nx) + 0.5) * scene.horizontal).astype(dtype)
+    y = ((jnp.arange(ny) + 0.5) * scene.horizontal).astype(dtype)
+    below = covered(scene, heights)
+    ends_here = jnp.concatenate([1.0 - below[1:2], below[1:-1] - below[2:], below[-1:]])
+
+    def plane(total: Array, at: tuple[Array, Array, Array]) -> tuple[Array, None]:
+        depth, share, height = at
+        depth = interface_depth(sun, depth, height, x, y, scene)
+        return total + share * jnp.exp(-depth), None
+
+    total, _ = jax.lax.scan(plane, jnp.zeros((ny, nx), dtype), (sun.depth, ends_here, heights))
+    return total
 
 
 def interface_depth(

@@ -48,6 +48,10 @@ _PETAL = LeafParameters.many(
 )
 
 
+DRONE = Accuracy(sublayers=1, coarsening=(2, 2), levels=2, refine=False)
+"""Accuracy of a drone's image, seen from close to nadir under a high sun."""
+
+
 class Camera(eqx.Module):
     """A frame camera that looks straight down on the middle of the plot."""
 
@@ -286,7 +290,7 @@ def build_model(
     species = parameters.species
     top = 1.1 * float(np.max(np.asarray(species.height)))
     grid = VoxelGrid.cover(extent, top, voxel)
-    accuracy, layers = _fitting(Accuracy() if accuracy is None else accuracy, grid)
+    accuracy, layers = _fitting(DRONE if accuracy is None else accuracy, grid)
     spread = tuple(rotation_spread or [0.0] * count)
     model = PlotModel(
         planting=no_plants(dtype),
@@ -341,7 +345,7 @@ def replant(model: PlotModel, seed: int) -> PlotModel:
 def _fitting(accuracy: Accuracy, grid: VoxelGrid) -> tuple[Accuracy, int]:
     """Coarsening that divides the plot's sides, and layers padded to a multiple of it."""
     nx, ny, nz = grid.shape
-    high, wide = accuracy.coarsening
+    high, wide = accuracy.coarsening or (2, 2)
     while nx % wide or ny % wide:
         wide -= 1
     layers = -(-nz // high) * high

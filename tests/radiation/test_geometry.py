@@ -139,7 +139,7 @@ def test_light_of_one_cell_travels_along_its_ordinate(ordinate):
     coarse = coarse_grid(scene, scene.area_density, (1, 1), ordinates)
     source = jnp.zeros((24, layers, n, n)).at[ordinate, start, n // 2, n // 2].set(1.0)
     zero = jnp.zeros((n, n))
-    mean, ground, top = sweep(coarse, source, jnp.zeros(()), zero, zero)
+    mean, falling, top = sweep(coarse, source, jnp.zeros(12), zero, zero)
     vector = ordinates.vectors[ordinate]
     cell = (np.arange(n) - n // 2) * 0.1
     up = vector[2] > 0
@@ -157,7 +157,7 @@ def test_light_of_one_cell_travels_along_its_ordinate(ordinate):
             # Light emitted at unit rate over the cell's chord, seen in a layer it fully crosses.
             np.testing.assert_allclose(light.sum(), 0.1 / abs(vector[2]), rtol=1e-12)
     assert not np.asarray(mean)[np.arange(24) != ordinate].any()
-    leaving = np.asarray(top if up else ground)
+    leaving = np.asarray(top if up else falling.sum(axis=0))
     centre = np.array([(leaving.sum(0) @ cell), (leaving.sum(1) @ cell)]) / leaving.sum()
     height = 0.1 * ((layers - start if up else start) + (-0.5 if up else 0.5))
     np.testing.assert_allclose(centre, vector[:2] * height / abs(vector[2]), atol=1e-12)
@@ -171,7 +171,7 @@ def test_light_of_one_spot_of_ground_travels_along_each_ordinate():
     coarse = coarse_grid(scene, scene.area_density, (1, 1), ordinates)
     spot = jnp.zeros((n, n)).at[n // 2, n // 2].set(1.0)
     dark = jnp.zeros((24, layers, n, n))
-    mean, _, _ = sweep(coarse, dark, jnp.zeros(()), jnp.ones((n, n)), spot)
+    mean, _, _ = sweep(coarse, dark, jnp.zeros(12), jnp.ones((n, n)), spot)
     cell = (np.arange(n) - n // 2) * 0.1
     for ordinate in range(12, 24):
         vector = ordinates.vectors[ordinate]

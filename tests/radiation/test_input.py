@@ -141,7 +141,7 @@ def test_a_good_scene_passes():
 @pytest.mark.parametrize(
     ("coarsening", "message"),
     [
-        ((3, 2), "3 does not divide the 4 voxels along z"),
+        ((2, 5), "5 does not divide the 6 voxels along y"),
         ((2, 4), "4 does not divide the 6 voxels along y"),
     ],
 )

@@ -1,12 +1,11 @@
-"""A tiny heterogeneous canopy against photons traced one by one."""
+"""A tiny heterogeneous canopy against photons traced one by one (`fynjax.radiation.reference`)."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from fynjax.canopy import leaf_angle
-from fynjax.radiation import Accuracy, Illumination, OpticalClasses, VoxelScene
-from tests.radiation.monte_carlo import simulate
+from fynjax.radiation import Accuracy, Illumination, OpticalClasses, VoxelScene, reference
 from tests.radiation.scenes import fluxes_of, reflectance_of, solver
 
 BANDS = ("red, sun and sky", "near infrared, sun alone")
@@ -48,7 +47,15 @@ def both(request):
     light = solver(accuracy)(clumps(*request.param, parts=5))
     flux = fluxes_of(light)
     nadir = reflectance_of(light, np.zeros(1), np.zeros(1))[0]
-    return flux, nadir, [simulate(scene, band, 200_000) for band in range(2)]
+    found = []
+    for band in range(2):
+        drawn = reference.fluxes(scene, photons=200_000, seed=band, band=band)._asdict()
+        drawn.pop("sides")
+        drawn["nadir"] = reference.reflectance(
+            scene, 0.0, 0.0, photons=200_000, seed=10 + band, band=band
+        )
+        found.append(drawn)
+    return flux, nadir, found
 
 
 @pytest.mark.slow

@@ -1,0 +1,138 @@
+"""Where the light goes: albedo, absorption by class and by voxel, transmission."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax.radiation._multiple import DiffuseField, block_mean, ground_shape, spread
+from fynjax.radiation._render import Light
+from fynjax.radiation._scene import VoxelScene
+from fynjax.radiation._terrain import terrain_normal
+
+
+class Fluxes(eqx.Module):
+    """Where the incident light goes, as shares of the irradiance above the canopy [-]."""
+
+    albedo: Float[Array, " band"]
+    absorbed: Float[Array, "band class"]
+    """Absorbed by each optical class."""
+    transmitted: Float[Array, " band"]
+    """Downward flux at the ground, light between ground and canopy included."""
+    transmitted_direct: Float[Array, " band"]
+    """Of it, direct sun."""
+    ground_absorbed: Float[Array, " band"]
+
+
+def fluxes(light: Light) -> Fluxes:
+    """Albedo, absorption and transmission.
+
+    With periodic sides and level ground they close to the tolerance of the solve. On terrain,
+    upward light that meets a slope counts as lost. Differentiable.
+    """
+    return _by_band(light, lambda scene, field: _fluxes(light, scene, field))
+
+
+def absorption(light: Light) -> Float[Array, "band z y x"]:
+    """Light absorbed per volume in each voxel [irradiance unit m-1].
+
+    Times the voxel's height and averaged over the columns it sums to the absorbed share of
+    `fluxes` times the irradiance. Differentiable.
+    """
+
+    def one(scene: VoxelScene, field: DiffuseField) -> Array:
+        direct, diffuse = _met(light, scene, field)
+        classes = scene.classes
+        lost = (1.0 - classes.reflectance - classes.transmittance).T  # [band, class]
+        area = jax.lax.map(
+            lambda share: classes.total_by_angle(share[:, None, None, None] * scene.area_density),
+            lost,
+        )
+        beam = direct[:, :, None, None, None] * light.sun.voxel_transmittance
+        return jnp.sum(area * (beam + spread(diffuse, field.factor(scene))), axis=1)
+
+    return _by_band(light, one)
+
+
+def _met(
+    light: Light, scene: VoxelScene, field: DiffuseField
+) -> tuple[Float[Array, "band angle"], Float[Array, "band angle Z Y X"]]:
+    """Irradiance on leaves, both sides counted, of each distribution of normals, per leaf area:
+    of the sun where nothing shades it, and of the diffuse light in the cells of its grid."""
+    dtype = scene.area_density.dtype
+    ordinates, angles = light.accuracy.ordinates, scene.classes.angles
+    cosines = jnp.asarray(np.abs(ordinates.vectors[:, 2]), dtype)
+    weights = jnp.asarray(ordinates.weights, dtype)
+    beam = scene.illumination.sun / light.sun.cosine
+    to_sun = jnp.stack([a.projection(light.sun.cosine) for a in angles]).astype(dtype)
+    projection = jnp.stack([a.projection(cosines) for a in angles]).astype(dtype)
+    return beam[:, None] * to_sun, jnp.einsum(
+        "ao,bozyx->bazyx", projection * weights, field.intensity
+    )
+
+
+def _fluxes(light: Light, scene: VoxelScene, field: DiffuseField) -> Fluxes:
+    classes, sun, factor = scene.classes, light.sun, field.factor(scene)
+    incident = scene.illumination.sun + scene.illumination.sky
+    column = scene.vertical * scene.shape[0]  # a mean per volume times this is one per ground area
+    lost = (1.0 - classes.reflectance - classes.transmittance).T
+    direct, diffuse = _met(light, scene, field)
+    owner = np.asarray(classes.angle_of_class)
+    density = block_mean(scene.area_density, factor)
+    lit = jnp.mean(scene.area_density * sun.voxel_transmittance, axis=(1, 2, 3))
+    seen = jnp.einsum("bczyx,czyx->bc", diffuse[:, owner], density) / density[0].size
+    absorbed = (direct[:, owner] * lit + seen) * lost * column
+    # On a slope, the ground's own surface is larger than the level area it stands on.
+    level = 1.0 if scene.terrain is None else 1.0 / terrain_normal(scene)[2]
+    reached = block_mean((sun.on_ground * level)[None], (1, factor[1]))
+    beams = scene.illumination.sun[:, None, None] * reached
+    down = beams + field.ground
+    soil = block_mean(scene.ground_map[:, None], (1, factor[1]))[:, 0]
+    mean = lambda kept: kept.mean(axis=(1, 2)) / incident  # noqa: E731
+    # What the ground keeps is what it does not send up; of a shape of its own, that is not known
+    # from its amplitude alone.
+    kept = down * (1 - soil)
+    if scene.ground_shape is not None:
+        kept = down - _sent_by_ground(light, scene, field, soil, beams)
+    return Fluxes(
+        albedo=field.top / incident,
+        absorbed=absorbed / incident[:, None],
+        transmitted=mean(down),
+        transmitted_direct=mean(beams),
+        ground_absorbed=mean(kept),
+    )
+
+
+def _sent_by_ground(
+    light: Light,
+    scene: VoxelScene,
+    field: DiffuseField,
+    soil: Float[Array, "band Y X"],
+    beams: Float[Array, "band Y X"],
+) -> Float[Array, "band Y X"]:
+    """Upward flux of an anisotropic ground."""
+    ordinates, sun = light.accuracy.ordinates, light.sun
+    dtype = soil.dtype
+    flux = jnp.asarray(ordinates.fluxes.ravel(), dtype)
+    sunward = -jnp.concatenate([sun.slope, jnp.ones(1, dtype)]) * sun.cosine
+    shape = ground_shape(scene, ordinates, sunward)
+    assert shape is not None
+    of_diffuse = jnp.einsum("i,bio,o,biyx->byx", flux, shape.diffuse, flux, field.falling)
+    of_sun = (shape.sun @ flux)[:, None, None] * beams
+    return soil * (of_diffuse + of_sun) / jnp.pi
+
+
+def _by_band(light: Light, function: Callable[[VoxelScene, DiffuseField], Any]) -> Any:
+    """Apply to all bands at once, or, where they are reduced to few solves, one after another."""
+    diffuse = light.diffuse
+    if isinstance(diffuse, DiffuseField):
+        return function(light.scene, diffuse)
+    one = jax.lax.map(
+        lambda band: function(light.scene.bands(band, 1), diffuse.bands(band, 1)),
+        jnp.arange(light.scene.illumination.sun.shape[0]),
+    )
+    return jax.tree.map(lambda leaf: leaf[:, 0], one)

@@ -1,0 +1,137 @@
+"""Time and memory: the image, its gradient, many bands, large areas."""
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from fynjax.radiation import (
+    Accuracy,
+    VoxelScene,
+    nadir_rays,
+    reflectance_factor,
+    solve_light,
+)
+from tests.benchmarks import bench_radiation
+from tests.benchmarks.radiation.head_to_head import IMAGE
+from tests.benchmarks.radiation.report import Row, Setting, describe, planned_mib, with_fields
+
+
+def four_bands(side: float) -> VoxelScene:
+    """The shrubs of `bench_radiation` with a band at the red edge."""
+    scene = bench_radiation.shrubs(side)
+    edge = jnp.array([0.58, 0.46, 0.64, 0.40], jnp.float32) / 2
+
+    def insert(values: jax.Array, fourth: Any) -> jax.Array:
+        extra = jnp.asarray(fourth, jnp.float32)
+        return jnp.concatenate([values, extra[..., None]], axis=-1)
+
+    classes, light = scene.classes, scene.illumination
+    return eqx.tree_at(
+        lambda s: (
+            s.classes.reflectance, s.classes.transmittance, s.ground,
+            s.illumination.sun, s.illumination.sky,
+        ),
+        scene,
+        (
+            insert(classes.reflectance, edge), insert(classes.transmittance, edge),
+            insert(scene.ground, 0.20), insert(light.sun, 0.87), insert(light.sky, 0.13),
+        ),
+    )  # fmt: skip
+
+
+def clock(
+    function: Callable[..., Any], scene: VoxelScene, repeats: int
+) -> tuple[float, float, float]:
+    """Compile time [s], least CPU time [s], planned memory [MiB]."""
+    start = time.process_time()
+    compiled = jax.jit(function).lower(scene).compile()
+    compiling = time.process_time() - start
+    times = []
+    for _ in range(repeats):
+        start = time.process_time()
+        jax.block_until_ready(compiled(scene))
+        times.append(time.process_time() - start)
+    return compiling, min(times), planned_mib(compiled)
+
+
+def camera_image(side: float, pixels: int, accuracy: Accuracy) -> Callable[[VoxelScene], Any]:
+    x = (jnp.arange(pixels, dtype=jnp.float32) + 0.5) * (side / pixels)
+    rays = nadir_rays(x, x, side / pixels, (side / 2, side / 2, 50.0))
+    accuracy = with_fields(accuracy, margin=19)
+    return lambda scene: reflectance_factor(solve_light(scene, accuracy), rays)
+
+
+def image(setting: Setting) -> Iterator[Row]:
+    """400 x 400 pixels, four bands, 10 m; CPU time of all threads."""
+    scene, pixels = four_bands(10.0), 100 if setting.quick else 400
+    repeats = 1 if setting.quick else 3
+    chosen = camera_image(10.0, pixels, IMAGE)
+    plain = camera_image(10.0, pixels, Accuracy())
+    first, seconds, memory = clock(chosen, scene, repeats)
+    _, plain_seconds, plain_memory = clock(plain, scene, repeats)
+    note = describe(IMAGE)
+    yield Row("image 400 x 400, 4 bands", "CPU s", seconds, 4.0, plain_seconds, "s", note)
+    yield Row("image 400 x 400, 4 bands", "memory", memory, 1024.0, plain_memory, "MiB", note)
+    yield Row("image 400 x 400, 4 bands", "compilation", first, 20.0, unit="s", note=note)
+
+
+def value_and_gradient(setting: Setting) -> Iterator[Row]:
+    """With respect to everything, the density grid foremost."""
+    scene, pixels = four_bands(10.0), 100 if setting.quick else 400
+    ratios, memories = [], []
+    for accuracy in (IMAGE, Accuracy()):
+        function = camera_image(10.0, pixels, accuracy)
+
+        def loss(s: VoxelScene, function: Any = function) -> jax.Array:
+            return jnp.mean(function(s))
+
+        def both(s: VoxelScene, loss: Any = loss) -> Any:
+            return jax.value_and_grad(
+                lambda density: loss(eqx.tree_at(lambda t: t.area_density, s, density))
+            )(s.area_density)
+
+        forward = clock(loss, scene, 1)[1]
+        _, backward, memory = clock(both, scene, 1)
+        ratios.append(backward / forward)
+        memories.append(memory)
+    note = describe(IMAGE)
+    yield Row("value and gradient", "over the forward", ratios[0], 4.0, ratios[1], "x", note)
+    yield Row("value and gradient", "memory", memories[0], None, memories[1], "MiB", note)
+
+
+def cost_against_area(setting: Setting) -> Iterator[Row]:
+    """Two rays a voxel's edge, four bands, at the defaults."""
+    sides = (5.0, 10.0) if setting.quick else (5.0, 10.0, 20.0, 50.0)
+    each = []
+    for side in sides:
+        function = camera_image(side, round(20 * side), Accuracy())
+        _, seconds, memory = clock(function, four_bands(side), 1)
+        each.append(seconds / side**2)
+        yield Row("cost against area", f"{side:.0f} m: CPU s", seconds, unit="s")
+        yield Row("cost against area", f"{side:.0f} m: memory", memory, unit="MiB")
+    spread = each[-1] / each[0]
+    yield Row("cost against area", "per m2, largest over least area", spread, 1.5, unit="x")
+
+
+def hectare(setting: Setting) -> Iterator[Row]:
+    """100 m x 100 m at 10 cm, four bands; planned memory only, unless it fits."""
+    if setting.quick:
+        return
+    side = 100.0
+    function = camera_image(side, round(10 * side), Accuracy())
+    shape = jax.eval_shape(lambda: four_bands(10.0))
+    grid = jax.ShapeDtypeStruct((4, 26, 1000, 1000), np.float32)
+    scene = eqx.tree_at(lambda s: s.area_density, shape, grid)
+    gibibytes = planned_mib(jax.jit(function).lower(scene).compile()) / 1024
+    yield Row("100 m x 100 m, 4 bands", "planned memory", gibibytes, 12.0, unit="GiB")
+    if gibibytes > 12:
+        return
+    start = time.process_time()
+    jax.block_until_ready(jax.jit(function)(four_bands(side)))
+    seconds = time.process_time() - start
+    yield Row("100 m x 100 m, 4 bands", "CPU s, compilation too", seconds, 360.0, unit="s")
