@@ -90,7 +90,9 @@ def _fluxes(light: Light, scene: VoxelScene, field: DiffuseField) -> Fluxes:
     level = 1.0 if scene.terrain is None else 1.0 / terrain_normal(scene)[2]
     reached = block_mean((sun.on_ground * level)[None], (1, factor[1]))
     beams = scene.illumination.sun[:, None, None] * reached
-    down = beams + field.ground
+    down = beams + field.ground * block_mean(
+        jnp.broadcast_to(level, sun.on_ground.shape)[None], (1, factor[1])
+    )
     soil = block_mean(scene.ground_map[:, None], (1, factor[1]))[:, 0]
     mean = lambda kept: kept.mean(axis=(1, 2)) / incident  # noqa: E731
     # What the ground keeps is what it does not send up; of a shape of its own, that is not known

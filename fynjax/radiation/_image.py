@@ -22,7 +22,7 @@ from fynjax.radiation._phase import area_scattering
 from fynjax.radiation._rays import AbstractRays, Lattice, pixel_projection
 from fynjax.radiation._scene import OpticalClasses, VoxelScene
 from fynjax.radiation._sun import SunField
-from fynjax.radiation._terrain import covered, terrain_normal
+from fynjax.radiation._terrain import covered
 
 
 class Radiance(eqx.Module):
@@ -211,8 +211,6 @@ def _ground_light(
         kernel = shape.shape(down, rays.central[None])[:, :, 0] * fluxes
         received = jnp.einsum("bo,boyx->byx", kernel, diffuse.falling)
     received = upsample(received[:, None], (1, factor[1]), scene.boundary)[:, 0]
-    if scene.terrain is not None:
-        received = received * terrain_normal(scene)[2]
     return _GroundLight(direct, towards, received * soil / jnp.pi)
 
 

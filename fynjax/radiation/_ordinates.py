@@ -5,6 +5,7 @@ ordinate's slope. What a cell takes from a beam is exactly what the beam loses, 
 to rounding whatever the grid (with periodic sides).
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -15,7 +16,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.math import mean_emission, mean_transmittance
 from fynjax.radiation._scene import Illumination, VoxelScene
-from fynjax.radiation._terrain import ground_in_cells
+from fynjax.radiation._terrain import exposure, ground_in_cells
 
 
 class Ordinates(eqx.Module):
@@ -110,11 +111,12 @@ class Coarse(eqx.Module):
     attenuation: tuple[tuple[Float[Array, "z level one y x"], ...], ...]
     """Per group of levels: exp(-x), its mean along a step and the mean emission, x the depth of a
     step."""
-    ground_share: Float[Array, "z y x"] | None
-    """Share of the light that falls on a cell's bottom and ends there on the ground [-]; None:
-    the ground is flat, below the last layer."""
-    level_ground: Float[Array, "y x"] | None
-    """Cosine of the ground's slope [-], None where it is flat."""
+    ground_share: tuple[Float[Array, "z y x"], Float[Array, "z y x"]] | None
+    """Share of the light that falls on a cell's bottom and ends there on the ground, and of that
+    which comes in through a side [-]; None: the ground is flat, below the last layer."""
+    exposure: Float[Array, "level azimuth y x"] | None
+    """Irradiance on the ground's surface over what the sweep lets fall on it, per level area and
+    downward ordinate [-]; None where it is flat."""
     ordinates: Ordinates = eqx.field(static=True)
     horizontal: float = eqx.field(static=True)
     vertical: float = eqx.field(static=True)
@@ -160,10 +162,28 @@ def coarse_grid(
         along = projection.astype(density.dtype) * (dz / (steps * cosine))
         depth = jnp.einsum("al,azyx->zlyx", along, by_angle)[:, :, None]
         attenuation.append((jnp.exp(-depth), mean_transmittance(depth), mean_emission(depth)))
-    share, level_ground = None, None
-    if scene.terrain is not None:
-        share, level_ground = ground_in_cells(scene, factor)
-    return Coarse(tuple(attenuation), share, level_ground, ordinates, dx, dz, scene.boundary)
+    coarse = Coarse(tuple(attenuation), None, None, ordinates, dx, dz, scene.boundary)
+    if scene.terrain is None:
+        return coarse
+    # Steps of cells tell a slope from a level only roughly: how the bare ground is lit is known
+    # exactly, and sets the scale.
+    bare = dataclasses.replace(
+        coarse,
+        attenuation=tuple(
+            (jnp.ones_like(a), jnp.ones_like(b), jnp.full_like(c, 0.5)) for a, b, c in attenuation
+        ),
+        ground_share=ground_in_cells(scene, factor),
+    )
+    count = len(ordinates.vectors) // 2
+    area = density.shape[2:]
+    dark = jnp.zeros((2 * count, *density.shape[1:]), density.dtype)
+    none = jnp.zeros(area, density.dtype)
+    _, falls, _ = sweep(bare, dark, jnp.ones(count, density.dtype), none, none)
+    lit = exposure(scene, ordinates.vectors[:count])
+    lit = lit.reshape(count, area[0], factor[1], area[1], factor[1]).mean(axis=(2, 4))
+    scale = jnp.where(falls > 0.05, lit / jnp.maximum(falls, 0.05), 0.0)
+    scale = jnp.clip(scale, 0.0, 4.0).reshape(len(ordinates.cosine), ordinates.azimuths, *area)
+    return dataclasses.replace(coarse, ground_share=bare.ground_share, exposure=scale)
 
 
 def sweep(
@@ -186,7 +206,8 @@ def sweep(
     - `shape`: how the ground departs from Lambert's law.
 
     **Returns:** mean intensity per ordinate and cell, radiance that falls on the ground along
-    each downward ordinate, and the upward flux at the top. Linear in (`source`, `sky`, `sunlit`).
+    each downward ordinate (on terrain scaled so that it makes the irradiance on its surface), and
+    the upward flux at the top. Linear in (`source`, `sky`, `sunlit`).
     """
     ordinates = coarse.ordinates
     levels, azimuths = len(ordinates.cosine), ordinates.azimuths
@@ -198,10 +219,10 @@ def sweep(
 
     def pass_layers(
         entering: Array, hemisphere: tuple[Array, tuple[Array, ...], Any]
-    ) -> tuple[Array, tuple[Array, Array, Array]]:
+    ) -> tuple[Array, tuple[Array, ...]]:
         """Down through all layers, or up; the ground's light enters the way up."""
         outside, emitted, attenuation, shares = hemisphere
-        means, falling = [], []
+        means, leaving, ended = [], [], []
         for (group, steps), cells in zip(coarse.groups, attenuation):
             move = jnp.asarray(coarse.moves(group, steps), dtype)
             lengths = jnp.asarray(coarse.lengths(group, steps), dtype)[:, None, None, None]
@@ -221,18 +242,22 @@ def sweep(
                 if terrain:  # on the way up, the ground at the bottom of the cell shines
                     radiance = radiance + share[0] * (shining - radiance)
 
-                def step(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
-                    radiance, total = carry
+                def step(carry: tuple[Any, ...], _: None) -> tuple[tuple[Any, ...], None]:
+                    radiance, total, hit = carry
                     radiance = _shift(radiance, move, around, coarse.boundary)
+                    if terrain:  # what runs into a hillside ends there, and is its light from then
+                        taken = radiance * share[2]
+                        radiance = radiance - taken + share[2] * share[3] * shining
+                        hit = hit + taken
                     total = total + radiance * mean + emitted * emission
-                    return (radiance * through + emitted * mean, total), None
+                    return (radiance * through + emitted * mean, total, hit), None
 
-                carry = (radiance, jnp.zeros_like(radiance))
-                (radiance, total), _ = jax.lax.scan(step, carry, None, length=steps)
-                hit = None
+                nothing = jnp.zeros_like(radiance)
+                carry = (radiance, nothing, nothing if terrain else None)
+                (radiance, total, hit), _ = jax.lax.scan(step, carry, None, length=steps)
                 if terrain:  # on the way down, it takes what falls on it
-                    hit = radiance * share[1]
-                    radiance = radiance - hit
+                    hit = hit + radiance * share[1]
+                    radiance = radiance * (1.0 - share[1])
                 return radiance, (total / steps, hit)
 
             # A step begins with its whole move: half a move back puts its middle on the path.
@@ -240,27 +265,28 @@ def sweep(
             end, (mean, hit) = jax.lax.scan(layer, start, (emitted[:, group], cells, shares))
             end = _shift(end, 0.5 * move, around, coarse.boundary)
             means.append(mean)
-            falling.append(end + hit.sum(axis=0) if terrain else end)
-        leaving = jnp.concatenate(falling)
-        # With terrain, what falls is counted per level area; the ground itself is larger.
-        received = leaving if coarse.level_ground is None else leaving * coarse.level_ground
+            leaving.append(end)
+            ended.append(end + hit.sum(axis=0) if terrain else end)
+        falling = jnp.concatenate(ended)
+        received = falling if coarse.exposure is None else falling * coarse.exposure
         if shape is None:
             irradiance = jnp.einsum("la,layx->yx", flux, received)
             exitance = ground * (irradiance + sunlit) / jnp.pi
-            exitance = jnp.broadcast_to(exitance, leaving.shape)
+            exitance = jnp.broadcast_to(exitance, falling.shape)
         else:
             weighted = (received * flux[:, :, None, None]).reshape(-1, *area)
             exitance = jnp.tensordot(shape.diffuse.T, weighted, axes=1)
             exitance = (exitance + shape.sun[:, None, None] * sunlit) * ground / jnp.pi
-            exitance = exitance.reshape(leaving.shape)
-        return exitance, (jnp.concatenate(means, axis=1), leaving)
+            exitance = exitance.reshape(falling.shape)
+        return exitance, (jnp.concatenate(means, axis=1), jnp.concatenate(leaving), received)
 
     by_layer = jnp.moveaxis(source.reshape(2, levels, azimuths, *source.shape[1:]), 3, 1)
     both = lambda down, up: jax.tree.map(lambda d, u: jnp.stack([d[::-1], u]), down, up)  # noqa: E731
     shares = None
     if coarse.ground_share is not None:
-        none = jnp.zeros_like(coarse.ground_share)
-        shares = both((none, coarse.ground_share), (coarse.ground_share, none))
+        bottom, side = coarse.ground_share
+        none = jnp.zeros_like(bottom)
+        shares = both((none, bottom, side, none), (bottom, none, side, none + 1.0))
     hemispheres = (
         jnp.stack([above, jnp.zeros_like(above)]),
         both(by_layer[0], by_layer[1]),
@@ -268,10 +294,10 @@ def sweep(
         shares,
     )
     entering = jnp.broadcast_to(above[:, :, None, None], (levels, azimuths, *area))
-    _, (mean, leaving) = jax.lax.scan(pass_layers, entering, hemispheres)
+    _, (mean, leaving, falling) = jax.lax.scan(pass_layers, entering, hemispheres)
     mean = jnp.moveaxis(jnp.stack([mean[0, ::-1], mean[1]]), 1, 3).reshape(source.shape)
     top = jnp.einsum("la,layx->yx", flux, leaving[1])
-    return mean, leaving[0].reshape(-1, *area), top
+    return mean, falling[0].reshape(-1, *area), top
 
 
 def _shift(

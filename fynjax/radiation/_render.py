@@ -17,6 +17,7 @@ from fynjax.radiation._reduced import ReducedField, check_reducible, solve_reduc
 from fynjax.radiation._refine import solve_refined
 from fynjax.radiation._scene import VoxelScene, check_scene
 from fynjax.radiation._sun import SunField, trace_sun
+from fynjax.radiation._terrain import with_adjacent_ground
 
 
 class Accuracy(eqx.Module):
@@ -56,7 +57,8 @@ class Light(eqx.Module):
     """The light in a scene: solve it once, look at it from anywhere."""
 
     scene: VoxelScene
-    """With its empty layers on top, if the coarse grid needed any."""
+    """With its empty layers on top, if the coarse grid needed any, and on terrain with what
+    ground sends to ground in its reflectance."""
     sun: SunField
     diffuse: DiffuseField | ReducedField
     accuracy: Accuracy
@@ -87,6 +89,11 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
     if missing:
         above = ((0, 0), (0, missing), (0, 0), (0, 0))
         scene = eqx.tree_at(lambda s: s.area_density, scene, jnp.pad(scene.area_density, above))
+    if scene.terrain is not None:
+        ordinates = accuracy.ordinates
+        down, flux = ordinates.vectors[: len(ordinates.vectors) // 2], ordinates.fluxes.ravel()
+        ground = with_adjacent_ground(scene, down, flux)
+        scene = eqx.tree_at(lambda s: s.ground, scene, ground)
     aspect = scene.vertical / scene.horizontal
     sublayers = accuracy.sublayers or _pieces(scene.illumination.sun_zenith, aspect)
     sun = trace_sun(scene, accuracy.lattice, sublayers, _margin(scene, accuracy))

@@ -7,10 +7,13 @@ stays blocked), which is continuous in the heights, and so differentiable.
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax.radiation._resample import axis_weights, sample
 from fynjax.radiation._scene import VoxelScene
+
+_HORIZON = 128
 
 
 def terrain_gradient(scene: VoxelScene) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
@@ -54,21 +57,19 @@ def covered(scene: VoxelScene, heights: Float[Array, " plane"]) -> Float[Array, 
 
 def ground_in_cells(
     scene: VoxelScene, factor: tuple[int, int]
-) -> tuple[Float[Array, "Z Y X"], Float[Array, "Y X"]]:
+) -> tuple[Float[Array, "Z Y X"], Float[Array, "Z Y X"]]:
     """For cells of `factor` = (layers, columns) voxels: the share of what falls through a cell
-    that ends on the ground at its bottom, and the cosine of the ground's slope [-]."""
+    that ends on the ground at its bottom, and of what comes in through a side that ends in it."""
     nz, ny, nx = scene.shape
     fz, fh = factor
     dtype = scene.area_density.dtype
     heights = (jnp.arange(nz // fz + 1) * (fz * scene.vertical)).astype(dtype)
-
-    def mean(field: Array) -> Array:
-        return field.reshape(*field.shape[:-2], ny // fh, fh, nx // fh, fh).mean(axis=(-3, -1))
-
-    below = mean(covered(scene, heights))
-    open_top = 1.0 - below[1:]
-    share = jnp.where(open_top > 1e-6, (below[:-1] - below[1:]) / jnp.maximum(open_top, 1e-6), 1.0)
-    return share, mean(terrain_normal(scene)[2])
+    below = covered(scene, heights)
+    below = below.reshape(-1, ny // fh, fh, nx // fh, fh).mean(axis=(2, 4))
+    free = 1.0 - below[1:]
+    share = jnp.where(free > 1e-6, (below[:-1] - below[1:]) / jnp.maximum(free, 1e-6), 1.0)
+    # A column that is mostly under ground at the top of a cell is a wall to its neighbours.
+    return share, jnp.clip(2.0 * below[1:] - 1.0, 0.0, 1.0)
 
 
 def sun_on_ground(
@@ -106,3 +107,29 @@ def sun_on_ground(
     counts = jnp.arange(2, most_steps + 1).astype(height.dtype)
     lit, _ = jax.lax.scan(follow, jnp.ones_like(height), counts)
     return cosine * lit
+
+
+def exposure(scene: VoxelScene, vectors: np.ndarray) -> Float[Array, "downward y x"]:
+    """The same for light that travels along each of the downward unit `vectors`.
+
+    Not followed for more than some hundred voxels: a horizon farther off than that is left out.
+    """
+    _, ny, nx = scene.shape
+    steps = min(max(ny, nx), _HORIZON)
+    assert scene.terrain is not None
+    towards = jnp.asarray(-vectors, scene.terrain.dtype)
+    return jax.lax.map(jax.checkpoint(lambda s: sun_on_ground(scene, s, steps)), towards)
+
+
+def with_adjacent_ground(
+    scene: VoxelScene, vectors: np.ndarray, fluxes: np.ndarray
+) -> Float[Array, "band y x"]:
+    """Reflectance of the ground, with what it sends to ground nearby and gets back.
+
+    A slope that sees the share V of the sky sees ground like itself in the rest: r is then
+    r / (1 - r (1 - V)) (after Dozier and Frew 1990), exact under even light.
+    """
+    weights = jnp.asarray(fluxes, scene.ground.dtype) / jnp.pi
+    sky_view = jnp.tensordot(weights, exposure(scene, vectors), axes=1)
+    hidden = jnp.clip(1.0 - sky_view, 0.0, 0.95)
+    return scene.ground_map / (1.0 - scene.ground_map * hidden)

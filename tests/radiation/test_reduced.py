@@ -15,7 +15,6 @@ from fynjax.leaf import LeafParameters, prospect
 from fynjax.radiation import (
     Accuracy,
     Illumination,
-    Light,
     OpticalClasses,
     RahmanPintyVerstraete,
     VoxelScene,
@@ -98,44 +97,44 @@ def reduced(scene, accuracy, solves, materials=2):
     return field, sun
 
 
-def as_light(scene, accuracy, solves):
-    field, sun = reduced(scene, accuracy, solves)
-    return Light(scene, sun, field.bands(0, scene.ground.shape[0]), accuracy), field
-
-
-ALL = Accuracy(lattice=1, sublayers=1, coarsening=(2, 2), levels=1, tolerance=1e-8, iterations=300)
-solve_every_band = jax.jit(lambda scene: solve_light(scene, ALL))
-solve_few = jax.jit(lambda scene, solves: as_light(scene, ALL, solves), static_argnums=1)
-
-
+EVERY = dataclasses.replace(
+    TIGHT, azimuths=4, tolerance=1e-8, iterations=300, solves=None, refine=False
+)
+FEW = {solves: dataclasses.replace(EVERY, solves=solves) for solves in (10, 25)}
+light_of = jax.jit(solve_light, static_argnums=1)
 image = jax.jit(reflectance_factor)
 fluxes_of = jax.jit(fluxes)
 
 
 @pytest.fixture(scope="module")
 def want():
-    return solve_every_band(shrubs())
+    return light_of(shrubs(), EVERY)
 
 
 @pytest.fixture(scope="module")
 def got():
-    return solve_few(shrubs(), 25)
+    return light_of(shrubs(), FEW[25])
+
+
+@pytest.fixture(scope="module")
+def few():
+    return light_of(shrubs(), FEW[10])
 
 
 def test_mean_reflectance_of_425_bands(want, got):
     centres = (jnp.arange(12) + 0.5) * 0.2
     rays = parallel_rays(centres, centres, 0.2, 20.0, 200.0)
-    true, found = (np.asarray(image(light, rays)) for light in (want, got[0]))
+    true, found = (np.asarray(image(light, rays)) for light in (want, got))
     mean = true.mean(axis=(1, 2))
     assert np.abs(found.mean(axis=(1, 2)) / mean - 1).max() < 2e-4
     assert (np.sqrt(((found - true) ** 2).mean(axis=(1, 2))) / mean).max() < 5e-4
 
 
 def test_fluxes_of_425_bands(want, got):
-    true, found = fluxes_of(want), fluxes_of(got[0])
+    true, found = fluxes_of(want), fluxes_of(got)
     for name in ("albedo", "transmitted", "ground_absorbed"):
         np.testing.assert_allclose(getattr(found, name), getattr(true, name), rtol=1e-3)
-    field = got[1]
+    field = got.diffuse
     np.testing.assert_allclose(field.top, want.diffuse.top, rtol=5e-4)
     np.testing.assert_allclose(
         field.ground.mean(axis=(1, 2)), want.diffuse.ground.mean(axis=(1, 2)), rtol=1e-3
@@ -143,17 +142,18 @@ def test_fluxes_of_425_bands(want, got):
     assert len(set(np.asarray(field.chosen).tolist())) == 25
 
 
-def test_residual_tracks_the_error(want):
+def test_residual_tracks_the_error(want, few):
     """Within the amplification of multiple scattering, and in the order of the bands' errors."""
-    light, field = solve_few(shrubs(), 10)
-    true, found = want.diffuse.intensity, light.diffuse.intensity
+    field = few.diffuse
+    parts = jax.jit(lambda field: field.bands(0, 425))(field)
+    true, found = want.diffuse.intensity, parts.intensity
     error = np.linalg.norm((found - true).reshape(425, -1), axis=1)
     error /= np.linalg.norm(true.reshape(425, -1), axis=1)
     residual = np.asarray(field.residual)
     solved = np.isin(np.arange(425), field.chosen)
     assert residual[solved].max() < 1e-7
     assert residual[~solved].max() > 1e-3
-    np.testing.assert_allclose(light.diffuse.residual, residual, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(parts.residual, residual, rtol=1e-6, atol=1e-12)
     assert (error[~solved] < 2 * residual[~solved]).all()
     rank = [np.argsort(np.argsort(v[~solved])) for v in (error, residual)]
     assert np.corrcoef(*rank)[0, 1] > 0.6
@@ -161,9 +161,8 @@ def test_residual_tracks_the_error(want):
     assert (top < residual + 1e-7).all()
 
 
-def test_more_solves_less_error(got):
-    few = solve_few(shrubs(), 10)[1]
-    assert float(got[1].residual.max()) < 0.2 * float(few.residual.max())
+def test_more_solves_less_error(got, few):
+    assert float(got.residual.max()) < 0.2 * float(few.residual.max())
 
 
 def repeated(scene: VoxelScene, bands: list[int]) -> VoxelScene:
@@ -217,9 +216,9 @@ def with_terrain(scene):
 
 VARIANTS = {
     "even sky, Lambertian and level ground": lambda scene: scene,
-    "a sky of its own in each band": with_sky,
-    "anisotropic ground": with_anisotropic_ground,
-    "hilly ground": with_terrain,
+    "a sky for each band, anisotropic and hilly ground": lambda scene: with_terrain(
+        with_anisotropic_ground(with_sky(scene))
+    ),
 }
 
 
@@ -228,7 +227,7 @@ def test_exact_where_all_that_differ_are_solved(what):
     scene = VARIANTS[what](repeated(shrubs(), REPEATED))
 
     def every(scene):
-        return solve_light(scene, TIGHT).diffuse
+        return solve_light(scene, dataclasses.replace(TIGHT, solves=None, refine=False)).diffuse
 
     def few(scene):
         return reduced(scene, TIGHT, 6)[0]
@@ -243,11 +242,8 @@ def test_exact_where_all_that_differ_are_solved(what):
 
 def test_residual_shows_ground_that_is_no_mixture():
     scene = repeated(shrubs(), REPEATED)
-    residual = [
-        float(reduced(scene, TIGHT, 4, materials)[0].residual.max()) for materials in (1, 2)
-    ]
-    assert residual[1] < 1e-9
-    assert residual[0] > 1e-5
+    one = jax.jit(lambda scene: reduced(scene, TIGHT, 4, 1)[0].residual)(scene)
+    assert float(one.max()) > 1e-5  # with two it is below 1e-9: the test above
 
 
 def outcome(scene, solves=5):
@@ -349,6 +345,7 @@ def test_finite_at_the_edge(what):
         assert np.all(np.isfinite(leaf))
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_bands():
     """But for the maps of ground, in and out; one field of a band is 1296 numbers here."""
     plans = []
