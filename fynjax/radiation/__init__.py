@@ -21,6 +21,7 @@ from fynjax.radiation._render import (
     solve_light,
 )
 from fynjax.radiation._scene import Illumination, OpticalClasses, VoxelScene, check_scene
+from fynjax.radiation._tiles import render_tiles
 
 __all__ = [
     "AbstractRays",
@@ -44,5 +45,6 @@ __all__ = [
     "perspective_rays",
     "reflectance_factor",
     "render",
+    "render_tiles",
     "solve_light",
 ]

@@ -95,8 +95,8 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
         ground = with_adjacent_ground(scene, down, flux)
         scene = eqx.tree_at(lambda s: s.ground, scene, ground)
     aspect = scene.vertical / scene.horizontal
-    sublayers = accuracy.sublayers or _pieces(scene.illumination.sun_zenith, aspect)
-    sun = trace_sun(scene, accuracy.lattice, sublayers, _margin(scene, accuracy))
+    sublayers = accuracy.sublayers or pieces(scene.illumination.sun_zenith, aspect)
+    sun = trace_sun(scene, accuracy.lattice, sublayers, sun_margin(scene, accuracy))
     how = (factor, accuracy.ordinates, accuracy.tolerance, accuracy.iterations)
     diffuse: DiffuseField | ReducedField
     if accuracy.solves is not None and scene.illumination.sun.shape[0] > accuracy.solves:
@@ -123,7 +123,7 @@ def _coarsening(scene: VoxelScene, accuracy: Accuracy) -> tuple[int, int]:
     return accuracy.coarsening
 
 
-def _pieces(zenith: Array, aspect: float) -> int:
+def pieces(zenith: Array, aspect: float) -> int:
     """Pieces of a layer in each of which a ray moves sideways by no more than a voxel."""
     if isinstance(zenith, jax.core.Tracer):
         return 2
@@ -131,7 +131,8 @@ def _pieces(zenith: Array, aspect: float) -> int:
     return max(1, min(8, math.ceil(aspect * math.tan(math.radians(min(steepest, 89.0))) - 1e-6)))
 
 
-def _margin(scene: VoxelScene, accuracy: Accuracy) -> int:
+def sun_margin(scene: VoxelScene, accuracy: Accuracy) -> int:
+    """Voxels by which the lattice of the sun's beams exceeds an open scene."""
     if scene.boundary == "periodic":
         return 0
     if accuracy.margin is not None:
@@ -165,7 +166,7 @@ def render(light: Light, rays: AbstractRays, *, chunk: int = 8) -> Radiance:
         )
     aspect = light.scene.vertical / light.scene.horizontal
     steepest = jnp.rad2deg(jnp.arccos(jnp.min(rays.cosine)))
-    sublayers = light.accuracy.sublayers or _pieces(steepest, aspect)
+    sublayers = light.accuracy.sublayers or pieces(steepest, aspect)
     return _render(light, rays, sublayers, chunk)
 
 
@@ -215,7 +216,7 @@ def directional_reflectance(
     x = ((jnp.arange(nx * lattice) + 0.5) * width).astype(dtype)
     y = ((jnp.arange(ny * lattice) + 0.5) * width).astype(dtype)
     aspect = scene.vertical / scene.horizontal
-    sublayers = light.accuracy.sublayers or _pieces(view_zenith, aspect)
+    sublayers = light.accuracy.sublayers or pieces(view_zenith, aspect)
     incident = scene.illumination.sun + scene.illumination.sky
 
     def one(angles: tuple[Array, Array]) -> Array:

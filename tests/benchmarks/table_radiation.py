@@ -10,7 +10,9 @@ has Mitsuba 3, if the running one has not.
 
 import argparse
 import os
+import sys
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -58,6 +60,7 @@ def main() -> None:
     arguments = parser.parse_args()
     setting = Setting(arguments.quick, arguments.plots)
     rows: list[Row] = []
+    failed: list[str] = []
     print(f"{jax.devices()[0].device_kind}, {os.cpu_count()} cores, jax {jax.__version__}")
     print(HEAD, flush=True)
     for name in arguments.only or TESTS:
@@ -68,11 +71,17 @@ def main() -> None:
                 print(line(row), flush=True)
         except FileNotFoundError as missing:
             print(f"{name}: left out, {missing}", flush=True)
+        except Exception:
+            # The other tests are worth their figures; the exit status tells of this one.
+            traceback.print_exc()
+            failed.append(name)
         print(f"{'':24s} ({name}: {time.perf_counter() - start:.0f} s)", flush=True)
         if arguments.json is not None:
             write(arguments.json, rows)
     short = [row for row in rows if row.verdict == "SHORT"]
     print(f"{len(rows)} figures, {len(short)} short of their tolerance")
+    if failed:
+        sys.exit(f"failed: {', '.join(failed)}")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,161 @@
+"""Scenes too large for one solve: tiles with a rim of their surroundings.
+
+Light is local: what stands farther off than a few heights of the canopy, or than the longest
+shadow, changes little. Each tile is lit and seen together with a rim around it, whose outer edge
+is that of a scene of its own; of the picture only the tile is kept. All tiles have one shape, so
+that they share one compilation; memory is that of one, and time grows with the area.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from fynjax._core.errors import InputError
+from fynjax.radiation._image import Radiance
+from fynjax.radiation._rays import RayLattice
+from fynjax.radiation._render import Accuracy, pieces, render, solve_light, sun_margin
+from fynjax.radiation._scene import VoxelScene
+
+
+def render_tiles(
+    scene: VoxelScene,
+    rays: RayLattice,
+    accuracy: Accuracy | None = None,
+    *,
+    tile: int = 200,
+    rim: int | None = None,
+    mesh: jax.sharding.Mesh | None = None,
+) -> Radiance:
+    """Radiance along each ray, solved and rendered tile by tile.
+
+    **Arguments:**
+
+    - `scene`: as for `solve_light`, of any size.
+    - `rays`: `parallel_rays` or `nadir_rays` whose pixels cover the scene evenly from its
+      south-west corner, a whole number to a tile.
+    - `tile`: edge of a tile [voxels]; must divide the scene's sides.
+    - `rim`: width of the surroundings solved with each tile [voxels]. By default what the longest
+      shadow and the most slanted ray cross, and twice the height of the scene.
+    - `mesh`: devices that share the tiles, with one axis; their number must divide that of the
+      tiles. By default one after another on one device.
+
+    Raises `InputError` where tiles, pixels and devices do not go together. Differentiable; the
+    backward pass solves each tile once more. Against the solve of the whole scene, see the rim
+    in `tests/radiation/test_tiles.py`.
+    """
+    _, ny, nx = scene.shape
+    if rim is None:
+        rim = _default_rim(scene, rays)
+    # The coarse grid and the tile's own must start together.
+    rim += -rim % 2
+    for size, axis in ((ny, "y"), (nx, "x")):
+        if size % tile:
+            raise InputError(
+                f"`tile` must divide the scene, but {tile} does not divide its {size} voxels "
+                f"along {axis}"
+            )
+    rows, columns = ny // tile, nx // tile
+    for pixels, tiles, axis in ((rays.y.shape[0], rows, "y"), (rays.x.shape[0], columns, "x")):
+        if pixels % tiles:
+            raise InputError(
+                f"each tile must have the same number of pixels, but {pixels} along {axis} do "
+                f"not spread over {tiles} tiles"
+            )
+    devices = 1 if mesh is None else mesh.size
+    if rows * columns % devices:
+        raise InputError(
+            f"the number of devices must divide the tiles, but there are {devices} for "
+            f"{rows * columns}"
+        )
+    accuracy = Accuracy() if accuracy is None else accuracy
+    aspect = scene.vertical / scene.horizontal
+    sublayers = accuracy.sublayers or pieces(scene.illumination.sun_zenith, aspect)
+    accuracy = dataclasses.replace(
+        accuracy, margin=sun_margin(scene, accuracy), sublayers=sublayers
+    )
+    high, wide = rays.y.shape[0] // rows, rays.x.shape[0] // columns
+    surrounded = _surrounded(scene, rim)
+    width = tile + 2 * rim
+
+    def one(place: Array, surrounded: VoxelScene, rays: RayLattice) -> Radiance:
+        row, column = place[0], place[1]
+
+        def cut(field: Array) -> Array:
+            field = jax.lax.dynamic_slice_in_dim(field, row * tile, width, -2)
+            return jax.lax.dynamic_slice_in_dim(field, column * tile, width, -1)
+
+        part = _with_maps(surrounded, cut)
+        pixels = lambda axis, at, size: jax.lax.dynamic_slice_in_dim(axis, at * size, size)  # noqa: E731
+        # The part's own origin is the outer corner of its rim.
+        shift = lambda at: (at * tile - rim) * scene.horizontal  # noqa: E731
+        seen = eqx.tree_at(
+            lambda r: (r.x, r.y, r.slope_x, r.slope_y),
+            rays,
+            (
+                pixels(rays.x, column, wide) - shift(column),
+                pixels(rays.y, row, high) - shift(row),
+                pixels(rays.slope_x, column, wide),
+                pixels(rays.slope_y, row, high),
+            ),
+        )
+        return render(solve_light(part, accuracy), seen)
+
+    def several(places: Array, surrounded: VoxelScene, rays: RayLattice) -> Radiance:
+        return jax.lax.map(jax.checkpoint(lambda place: one(place, surrounded, rays)), places)
+
+    places = jnp.asarray(list(np.ndindex(rows, columns)))
+    if mesh is not None:
+        (axis,) = mesh.axis_names
+        split = jax.sharding.PartitionSpec(axis)
+        whole = jax.sharding.PartitionSpec()
+        several = jax.shard_map(
+            several, mesh=mesh, in_specs=(split, whole, whole), out_specs=split, check_vma=False
+        )
+    parts = several(places, surrounded, rays)
+
+    def join(field: Array) -> Array:
+        """[tile, ..., row, column] to [..., row, column]."""
+        field = field.reshape(rows, columns, *field.shape[1:])
+        field = jnp.moveaxis(jnp.moveaxis(field, 0, -3), 0, -2)
+        return field.reshape(*field.shape[:-4], rows * high, columns * wide)
+
+    return jax.tree.map(join, parts)
+
+
+def _default_rim(scene: VoxelScene, rays: RayLattice) -> int:
+    slants = [jnp.max(jnp.abs(rays.slope_x)), jnp.max(jnp.abs(rays.slope_y))]
+    zenith = scene.illumination.sun_zenith
+    if any(isinstance(value, jax.core.Tracer) for value in (*slants, zenith)):
+        raise InputError(
+            "`rim` must be given where the sun or the view is a traced value: twice the height "
+            "of the scene and the length of its longest shadow, in voxels"
+        )
+    slant = max(math.tan(math.radians(float(zenith))), *map(float, slants))
+    return math.ceil(scene.height * (slant + 2.0) / scene.horizontal)
+
+
+def _with_maps(scene: VoxelScene, change: Callable[[Array], Array]) -> VoxelScene:
+    """The scene with its maps over y and x changed."""
+    return dataclasses.replace(
+        scene,
+        area_density=change(scene.area_density),
+        ground=change(scene.ground_map),
+        terrain=None if scene.terrain is None else change(scene.terrain),
+    )
+
+
+def _surrounded(scene: VoxelScene, rim: int) -> VoxelScene:
+    """The scene with a rim: of itself, or of nothing where its sides are open."""
+    mode = "wrap" if scene.boundary == "periodic" else "constant"
+
+    def widen(field: Array) -> Array:
+        before = [(0, 0)] * (field.ndim - 2)
+        return jnp.pad(field, [*before, (rim, rim), (rim, rim)], mode=mode)
+
+    return _with_maps(scene, widen)
