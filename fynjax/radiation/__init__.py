@@ -1,5 +1,7 @@
 """Radiation: from a voxel grid and its optics to radiance at a sensor."""
 
+from fynjax.radiation._arrays import voxel_scene
+from fynjax.radiation._check import check_scene
 from fynjax.radiation._fluxes import Fluxes, absorption, fluxes
 from fynjax.radiation._ground import RahmanPintyVerstraete
 from fynjax.radiation._multiple import DiffuseField
@@ -20,7 +22,7 @@ from fynjax.radiation._render import (
     render,
     solve_light,
 )
-from fynjax.radiation._scene import Illumination, OpticalClasses, VoxelScene, check_scene
+from fynjax.radiation._scene import Illumination, OpticalClasses, VoxelScene
 from fynjax.radiation._tiles import render_tiles
 
 __all__ = [
@@ -47,4 +49,5 @@ __all__ = [
     "render",
     "render_tiles",
     "solve_light",
+    "voxel_scene",
 ]

@@ -87,12 +87,12 @@ def _fluxes(light: Light, scene: VoxelScene, field: DiffuseField) -> Fluxes:
     seen = jnp.einsum("bczyx,czyx->bc", diffuse[:, owner], density) / density[0].size
     absorbed = (direct[:, owner] * lit + seen) * lost * column
     # On a slope, the ground's own surface is larger than the level area it stands on.
-    level = 1.0 if scene.terrain is None else 1.0 / terrain_normal(scene)[2]
-    reached = block_mean((sun.on_ground * level)[None], (1, factor[1]))
+    larger = jnp.ones_like(sun.on_ground)
+    if scene.terrain is not None:
+        larger = larger / terrain_normal(scene)[2]
+    reached, larger = block_mean(jnp.stack([sun.on_ground * larger, larger]), (1, factor[1]))
     beams = scene.illumination.sun[:, None, None] * reached
-    down = beams + field.ground * block_mean(
-        jnp.broadcast_to(level, sun.on_ground.shape)[None], (1, factor[1])
-    )
+    down = beams + field.ground * larger
     soil = block_mean(scene.ground_map[:, None], (1, factor[1]))[:, 0]
     mean = lambda kept: kept.mean(axis=(1, 2)) / incident  # noqa: E731
     # What the ground keeps is what it does not send up; of a shape of its own, that is not known

@@ -16,6 +16,8 @@ F is written as one decaying and one damped wave (error under 0.007, value and i
 that a sum down the ray carries three numbers a pixel, whatever the height of the canopy.
 """
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -26,7 +28,7 @@ from fynjax.radiation._rays import AbstractRays
 from fynjax.radiation._scene import OpticalClasses
 
 # Integral of the overlap of two equal discs over their distance, in diameters.
-_OVERLAP = 4.0 / (3.0 * np.pi)
+_OVERLAP = 4.0 / (3.0 * math.pi)
 # F(x) = a exp(-b x) + Re(c exp(-d x)), fitted to (1 - x / 3)^2 on [0, 3].
 _REAL, _REAL_RATE = 0.95625, 1.27611
 _WAVE_RATE = 0.93891 - 1.27425j
@@ -37,7 +39,8 @@ _SINE = ((1.0 - _REAL / _REAL_RATE) * abs(_WAVE_RATE) ** 2 - _COSINE * _WAVE_RAT
 _WAVE = complex(_COSINE, -_SINE)
 # Gauss-Legendre points in a piece of the path, as shares of it, and weights.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
-POINTS, POINT_WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
+POINTS = tuple(float(0.5 * (node + 1.0)) for node in _NODES)
+POINT_WEIGHTS = tuple(float(0.5 * weight) for weight in _WEIGHTS)
 
 
 class Overlap(eqx.Module):

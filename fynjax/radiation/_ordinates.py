@@ -141,6 +141,10 @@ class Coarse(eqx.Module):
 
 def _groups(ordinates: Ordinates, aspect: float) -> tuple[tuple[slice, int], ...]:
     steps = [max(1, int(np.ceil(aspect * slope - 1e-9))) for slope in ordinates.slopes]
+    # One step more for some levels costs less than code of their own.
+    for i in range(1, len(steps)):
+        if steps[i] < steps[i - 1] <= steps[i] + 2:
+            steps[i] = steps[i - 1]
     starts = [i for i in range(len(steps)) if i == 0 or steps[i] != steps[i - 1]]
     ends = [*starts[1:], len(steps)]
     return tuple((slice(i, j), steps[i]) for i, j in zip(starts, ends))
@@ -218,7 +222,7 @@ def sweep(
     terrain = coarse.ground_share is not None
 
     def pass_layers(
-        entering: Array, hemisphere: tuple[Array, tuple[Array, ...], Any]
+        entering: Array, hemisphere: tuple[Any, ...]
     ) -> tuple[Array, tuple[Array, ...]]:
         """Down through all layers, or up; the ground's light enters the way up."""
         outside, emitted, attenuation, shares = hemisphere
@@ -266,7 +270,7 @@ def sweep(
             end = _shift(end, 0.5 * move, around, coarse.boundary)
             means.append(mean)
             leaving.append(end)
-            ended.append(end + hit.sum(axis=0) if terrain else end)
+            ended.append(end if hit is None else end + hit.sum(axis=0))
         falling = jnp.concatenate(ended)
         received = falling if coarse.exposure is None else falling * coarse.exposure
         if shape is None:

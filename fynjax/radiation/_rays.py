@@ -33,11 +33,10 @@ class AbstractRays(eqx.Module):
     (x + z `slope_x`, y + z `slope_y`).
     """
 
-    x: eqx.AbstractVar[Array]
-    y: eqx.AbstractVar[Array]
-    slope_x: eqx.AbstractVar[Array]
-    slope_y: eqx.AbstractVar[Array]
-    altitude: eqx.AbstractVar[float]
+    @property
+    @abc.abstractmethod
+    def sensor_height(self) -> float:
+        """Height of the sensor above the bottom of the grid [m]; infinite for parallel rays."""
 
     @property
     @abc.abstractmethod
@@ -98,6 +97,10 @@ class RayLattice(AbstractRays):
     """Directions per axis at which angular functions are evaluated; 1 for parallel rays."""
     altitude: float = eqx.field(static=True, default=math.inf)
     """Height of the sensor above the bottom of the grid [m]; infinite for parallel rays."""
+
+    @property
+    def sensor_height(self) -> float:
+        return self.altitude
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -168,8 +171,13 @@ class RayField(AbstractRays):
     """Directions per axis at which angular functions are evaluated."""
 
     @property
+    def sensor_height(self) -> float:
+        return self.altitude
+
+    @property
     def shape(self) -> tuple[int, int]:
-        return self.x.shape
+        rows, columns = self.x.shape
+        return rows, columns
 
     @property
     def cosine(self) -> Float[Array, "row column"]:

@@ -46,7 +46,7 @@ def solve_refined(
         source = fine.sent(high, upsample(field[0], factor, scene.boundary))
         intensity, falling, top = fine.light(source, high.sky, high.sun, high.ground, high.shape)
         left_over = fine.sent(high, intensity) - source
-        missing = coarse.solve_for(low, block_mean(left_over, factor), 1e-3, iterations)
+        missing = coarse.solve_for(low, block_mean(left_over, factor), 10 * tolerance, iterations)
         dark = jnp.zeros_like(low.sky), jnp.zeros_like(low.sun)
         more, more_falling, more_top = coarse.light(missing, *dark, low.ground, low.shape)
         # Cell by cell, so that what the leaves take of it is what the coarse grid has them take:

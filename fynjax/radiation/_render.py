@@ -9,13 +9,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax.radiation._check import check_memory, check_scene
 from fynjax.radiation._image import Radiance, see
 from fynjax.radiation._multiple import DiffuseField, solve_diffuse
 from fynjax.radiation._ordinates import Ordinates
 from fynjax.radiation._rays import AbstractRays, parallel_rays
 from fynjax.radiation._reduced import ReducedField, check_reducible, solve_reduced
 from fynjax.radiation._refine import solve_refined
-from fynjax.radiation._scene import VoxelScene, check_scene
+from fynjax.radiation._scene import VoxelScene
 from fynjax.radiation._sun import SunField, trace_sun
 from fynjax.radiation._terrain import with_adjacent_ground
 
@@ -85,6 +86,9 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
     accuracy = Accuracy() if accuracy is None else accuracy
     check_scene(scene)
     factor = _coarsening(scene, accuracy)
+    reduced = accuracy.solves is not None and scene.illumination.sun.shape[0] > accuracy.solves
+    refined = accuracy.refine and factor != (1, 1) and not reduced
+    check_memory(scene, len(accuracy.ordinates.weights), factor, refined)
     missing = -scene.shape[0] % factor[0]
     if missing:
         above = ((0, 0), (0, missing), (0, 0), (0, 0))
@@ -99,10 +103,10 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
     sun = trace_sun(scene, accuracy.lattice, sublayers, sun_margin(scene, accuracy))
     how = (factor, accuracy.ordinates, accuracy.tolerance, accuracy.iterations)
     diffuse: DiffuseField | ReducedField
-    if accuracy.solves is not None and scene.illumination.sun.shape[0] > accuracy.solves:
+    if reduced:
         check_reducible(scene)
-        diffuse = solve_reduced(scene, sun, *how, solves=accuracy.solves)
-    elif accuracy.refine and factor != (1, 1):
+        diffuse = solve_reduced(scene, sun, *how, solves=accuracy.solves or 0)
+    elif refined:
         diffuse = solve_refined(scene, sun, *how)
     else:
         diffuse = solve_diffuse(scene, sun, *how)
@@ -159,10 +163,10 @@ def render(light: Light, rays: AbstractRays, *, chunk: int = 8) -> Radiance:
     area that each pixel sees; direct sun, scattered once, is taken towards each pixel. Raises
     `InputError` for a sensor inside the canopy.
     """
-    if rays.altitude < light.scene.height:
+    if rays.sensor_height < light.scene.height:
         raise InputError(
             f"the sensor must stand above the grid, which is {light.scene.height:g} m high, but "
-            f"is at {rays.altitude:g} m: rays begin above the canopy"
+            f"is at {rays.sensor_height:g} m: rays begin above the canopy"
         )
     aspect = light.scene.vertical / light.scene.horizontal
     steepest = jnp.rad2deg(jnp.arccos(jnp.min(rays.cosine)))

@@ -1,14 +1,11 @@
 """What the radiation layer needs to know of a scene: arrays on a voxel grid."""
 
-import math
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax._core.errors import InputError
 from fynjax.canopy import AbstractLeafAngle
 from fynjax.radiation._ground import RahmanPintyVerstraete
 
@@ -70,9 +67,9 @@ class VoxelScene(eqx.Module):
     ground: Float[Array, " band *yx"]
     """Reflectance of the ground [-], one value a band or one a band and voxel column."""
     illumination: Illumination
-    horizontal: float = eqx.field(static=True)
+    horizontal: float = eqx.field(static=True, converter=float)
     """Edge of a voxel in x and y [m]."""
-    vertical: float = eqx.field(static=True)
+    vertical: float = eqx.field(static=True, converter=float)
     """Height of a voxel [m]."""
     boundary: str = eqx.field(static=True, default="periodic")
     """"periodic": the scene repeats itself without end; "open": nothing stands outside it."""
@@ -130,70 +127,4 @@ class VoxelScene(eqx.Module):
                 jax.tree.map(cut, self.ground_shape),
             ),
             is_leaf=lambda leaf: leaf is None,
-        )
-
-
-def check_scene(scene: VoxelScene) -> None:
-    """Raise `InputError` for what cannot be rendered: shapes always, values where known."""
-    density, classes, sun = scene.area_density, scene.classes, scene.illumination
-    if density.ndim != 4 or 0 in density.shape:
-        raise InputError(
-            "`area_density` must have the axes [class, z, y, x], none of them empty, but has "
-            f"shape {density.shape}"
-        )
-    n_class, n_band = density.shape[0], classes.reflectance.shape[-1]
-    for name in ("reflectance", "transmittance"):
-        shape = getattr(classes, name).shape
-        if shape != (n_class, n_band):
-            raise InputError(
-                f"`classes.{name}` must have shape (class, band) = {(n_class, n_band)} to go with "
-                f"`area_density`, but has {shape}"
-            )
-    if len(classes.angle_of_class) != n_class:
-        raise InputError(
-            f"`classes.angle_of_class` must name a distribution for each of the {n_class} classes, "
-            f"but has {len(classes.angle_of_class)} entries"
-        )
-    if max(classes.angle_of_class) >= len(classes.angles):
-        raise InputError("`classes.angle_of_class` points beyond the end of `classes.angles`")
-    if scene.ground.shape not in {(n_band,), (n_band, *density.shape[2:])}:
-        raise InputError(
-            f"`ground` must have shape (band,) or (band, y, x) = {(n_band, *density.shape[2:])}, "
-            f"but has {scene.ground.shape}"
-        )
-    if scene.boundary not in {"periodic", "open"}:
-        raise InputError(f"`boundary` must be 'periodic' or 'open', but is {scene.boundary!r}")
-    for name in ("horizontal", "vertical"):
-        if not getattr(scene, name) > 0:
-            raise InputError(
-                f"`{name}` must be a positive length in m, but is {getattr(scene, name)}"
-            )
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(scene)):
-        return
-    _check_range("area_density [m2 m-3]", density, 0.0, math.inf)
-    _check_range("ground", scene.ground, 0.0, 1.0)
-    for name in ("reflectance", "transmittance"):
-        _check_range(f"classes.{name}", getattr(classes, name), 0.0, 1.0)
-    total = float(jnp.max(classes.reflectance + classes.transmittance))
-    if total > 1 + 1e-5:
-        raise InputError(
-            f"reflectance + transmittance of a class must not exceed 1, but reaches {total:.4g}: "
-            "are they in percent, or was absorptance passed?"
-        )
-    zenith = float(sun.sun_zenith)
-    if not 0 <= zenith < 89.5:
-        raise InputError(
-            f"`sun_zenith` must be in [0, 89.5) degrees, but is {zenith:g}: the sun is at or below "
-            "the horizon, or an elevation was passed"
-        )
-
-
-def _check_range(name: str, values: Float[Array, "*any"], low: float, high: float) -> None:
-    array = np.asarray(values)
-    bad = ~(np.isfinite(array) & (array >= low) & (array <= high))
-    if bad.any():
-        first = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise InputError(
-            f"`{name}` must be finite and in [{low:g}, {high:g}], but {int(bad.sum())} values are "
-            f"not; the first is {array[first]} at index {first}"
         )

@@ -114,6 +114,8 @@ def render_tiles(
         (axis,) = mesh.axis_names
         split = jax.sharding.PartitionSpec(axis)
         whole = jax.sharding.PartitionSpec()
+        # Devices only: how arrays lie on them outside is the compiler's business.
+        mesh = jax.sharding.Mesh(mesh.devices, mesh.axis_names)
         several = jax.shard_map(
             several, mesh=mesh, in_specs=(split, whole, whole), out_specs=split, check_vma=False
         )

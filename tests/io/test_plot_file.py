@@ -351,7 +351,7 @@ def test_missing_files_and_folders_are_named(tmp_path):
 def test_a_pixel_larger_than_the_plot_is_named(folder):
     edit(folder / "plot.toml", "size_m = 10.0", "size_m = 2.0")
     edit(folder / "plot.toml", "pixel_m = 0.025", "pixel_m = 2.5")
-    with pytest.raises(InputError, match="at most the plot's side, 2 m, but got 2.5 m") as caught:
+    with pytest.raises(InputError, match=r"at most the plot's side, 2 m, but got 2\.5 m") as caught:
         read_plot(folder / "plot.toml")
     assert caught.value.column == "sensor.pixel_m"
 

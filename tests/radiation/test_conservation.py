@@ -9,9 +9,9 @@ import pytest
 from fynjax.radiation import Accuracy, nadir_rays, parallel_rays, reflectance_factor, render
 from tests.radiation.scenes import closure, fluxes_of, patchy, reflectance_of, solver
 
-CELLS = Accuracy(coarsening=(1, 1), tolerance=1e-7, margin=6)
+CELLS = Accuracy(coarsening=(1, 1), levels=2, tolerance=1e-7, margin=6)
 MANY = Accuracy(lattice=4, sublayers=6, coarsening=(1, 1), levels=6, azimuths=12, tolerance=1e-7)
-BLOCKS = Accuracy(coarsening=(2, 2), tolerance=1e-7, margin=6)
+BLOCKS = Accuracy(coarsening=(2, 2), levels=2, tolerance=1e-7, margin=6)
 X, Y = jnp.linspace(0.02, 0.78, 9), jnp.linspace(0.03, 0.57, 7)
 
 

@@ -20,7 +20,7 @@ from fynjax.radiation import (
 )
 from tests.radiation.scenes import patchy
 
-ACCURACY = Accuracy(margin=6, tolerance=1e-12, iterations=400)
+ACCURACY = Accuracy(levels=2, refine=False, margin=6, tolerance=1e-12, iterations=400)
 RAYS = nadir_rays(jnp.linspace(0.05, 0.75, 7), jnp.linspace(0.05, 0.55, 5), 0.05, (0.4, 0.3, 5.0))
 IMAGE_WEIGHTS = np.random.default_rng(1).normal(size=(2, 5, 7))
 

@@ -64,7 +64,7 @@ def test_bare_ground_is_the_formula(parameters):
     np.testing.assert_allclose(got, want, rtol=0.01)
 
 
-@pytest.mark.parametrize("boundary", ["periodic", "open"])
+@pytest.mark.parametrize("boundary", ["periodic", pytest.param("open", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("band", [0, 1])
 def test_under_a_canopy_against_photons(boundary, band):
     scene = shaped(with_fields(clumps("planophile", "spherical", 2), boundary=boundary))
@@ -166,7 +166,7 @@ def test_a_sky_bright_on_one_side_against_photons(side):
 
 
 DERIVATIVES = Accuracy(
-    lattice=1, sublayers=2, coarsening=(2, 2), levels=2, azimuths=4, tolerance=1e-12, iterations=300
+    lattice=1, sublayers=2, coarsening=(1, 1), levels=2, azimuths=4, tolerance=1e-12, iterations=300
 )
 
 

@@ -17,12 +17,24 @@ from fynjax.radiation import (
 from tests.radiation.scenes import fluxes_of, patchy, reflectance_of, solver, towards
 from tests.radiation.test_monte_carlo_reference import bare, with_fields
 
-ACCURACY = Accuracy(lattice=2, sublayers=2, coarsening=(2, 2), levels=4, azimuths=8, margin=12)
+ACCURACY = Accuracy(lattice=2, sublayers=2, coarsening=(1, 1), levels=4, azimuths=8, margin=12)
+REFINED = Accuracy(lattice=2, sublayers=2, coarsening=(2, 2), levels=4, azimuths=8, margin=12)
+VIEWS = np.array([0.0, 40.0]), np.array([0.0, 250.0])
+SIZE = 12  # scenes of equal shape share a compilation
 pixels = jax.jit(reflectance_factor)
 
 
 def centres(count, size=1.0):
     return (jnp.arange(count) + 0.5) * size
+
+
+def level_area(**fields):
+    """Bare ground of 6 m, in voxels of half a metre and three layers of a metre."""
+    return bare(SIZE, horizontal=0.5, **fields)
+
+
+def seen(scene, accuracy=ACCURACY):
+    return np.asarray(reflectance_of(solver(accuracy)(scene), *map(jnp.asarray, VIEWS)))
 
 
 def nadir(scene, accuracy=ACCURACY):
@@ -50,27 +62,21 @@ def above_ground(scene):
 
 
 @pytest.mark.parametrize("height", [0.0, 1.0, 1.3, 2.0])
-@pytest.mark.parametrize("boundary", ["periodic", "open"])
-def test_level_bare_ground_higher_up_is_bare_ground(height, boundary):
-    scene = bare(6, boundary, sky=0.4, terrain=jnp.full((6, 6), height))
+def test_level_bare_ground_higher_up_is_bare_ground(height):
+    scene = level_area(sky=0.4, terrain=jnp.full((SIZE, SIZE), height))
     np.testing.assert_allclose(nadir(scene), 0.3, rtol=1e-9)
-    view = reflectance_of(solver(ACCURACY)(scene), jnp.array([50.0]), jnp.array([30.0]))
-    if boundary == "periodic":
-        np.testing.assert_allclose(view, 0.3, rtol=1e-9)
-        flux = fluxes_of(solver(ACCURACY)(scene))
-        np.testing.assert_allclose(flux.albedo, 0.3, rtol=1e-9)
-        np.testing.assert_allclose(flux.ground_absorbed, 0.7, rtol=1e-9)
-        np.testing.assert_allclose(flux.transmitted, 1.0, rtol=1e-9)
+    np.testing.assert_allclose(seen(scene), 0.3, rtol=1e-9)
+    flux = fluxes_of(solver(ACCURACY)(scene))
+    np.testing.assert_allclose(flux.albedo, 0.3, rtol=1e-9)
+    np.testing.assert_allclose(flux.ground_absorbed, 0.7, rtol=1e-9)
+    np.testing.assert_allclose(flux.transmitted, 1.0, rtol=1e-9)
 
 
 def test_terrain_of_zeros_is_level_ground():
-    scene = patchy()
-    level = with_fields(scene, terrain=jnp.zeros((6, 8)))
-    np.testing.assert_allclose(nadir(level), nadir(scene), rtol=1e-3)
-    views = jnp.array([0.0, 45.0]), jnp.array([0.0, 130.0])
-    one, two = (reflectance_of(solver(ACCURACY)(s), *views) for s in (level, scene))
-    np.testing.assert_allclose(one, two, rtol=1e-3)
-    one, two = (fluxes_of(solver(ACCURACY)(s)) for s in (level, scene))
+    scene = patchy(shape=(8, 12, 12))
+    level = with_fields(scene, terrain=jnp.zeros((12, 12)))
+    np.testing.assert_allclose(seen(level, REFINED), seen(scene, REFINED), rtol=1e-3)
+    one, two = (fluxes_of(solver(REFINED)(s)) for s in (level, scene))
     for got, want in zip(jax.tree.leaves(one), jax.tree.leaves(two)):
         np.testing.assert_allclose(got, want, rtol=3e-3)
 
@@ -78,7 +84,7 @@ def test_terrain_of_zeros_is_level_ground():
 @pytest.mark.parametrize(
     ("azimuth", "rise"), [(270.0, 0.3), (90.0, 0.3), (270.0, -0.2), (0.0, 0.5), (270.0, 1.5)]
 )
-def test_tilted_plane(azimuth, rise):
+def test_tilted_plane(azimuth, rise, vertical=0.1):
     """A plane that rises eastward: r cos(incidence) / cos(sun zenith), dark when turned away."""
     size, zenith, soil = 16, 50.0, 1e-3
     heights = (jnp.arange(size) - size / 2) * rise * 0.1 + 1.4
@@ -88,7 +94,9 @@ def test_tilted_plane(azimuth, rise):
         (zenith, azimuth),
         soil=soil,
         terrain=jnp.broadcast_to(heights, (size, size)),
+        area_density=jnp.zeros((1, round(3 / vertical), size, size)),
         horizontal=0.1,
+        vertical=vertical,
     )
     facing = towards(zenith, azimuth) @ np.array([-rise, 0.0, 1.0]) / np.hypot(rise, 1.0)
     want = soil * max(facing, 0.0) / np.cos(np.deg2rad(zenith))
@@ -96,48 +104,50 @@ def test_tilted_plane(azimuth, rise):
     np.testing.assert_allclose(got, want, rtol=2e-3, atol=1e-9)
 
 
-def ridge(size=24, height=1.5):
-    """A wall that runs north and south, one column wide, on ground at 0.5 m."""
-    heights = jnp.full((size, size), 0.5).at[:, 6].set(0.5 + height)
-    return bare(size, "periodic", (60.0, 270.0), soil=1e-3, terrain=heights, horizontal=0.25)
+@pytest.mark.xfail(
+    strict=True,
+    reason="the soft edge of cast shadows dims a plane turned from the sun where a layer is "
+    "several times as high as a voxel is wide",
+)
+def test_tilted_plane_in_tall_voxels():
+    test_tilted_plane(90.0, 0.3, vertical=1.0)
 
 
 def test_a_wall_throws_its_shadow_away_from_the_sun():
-    """Sun in the west at 30 degrees of height: 1.5 m of wall shade tan(60) times as much east."""
-    row = nadir(ridge())[0, 12] / 1e-3
-    reach = 1.5 * np.tan(np.deg2rad(60.0)) / 0.25  # 10.4 columns from the crest on
-    first, last = 7 + 1, 6.5 + reach
-    assert np.all(row[first : int(last) - 1] < 0.02), row
-    np.testing.assert_allclose(row[int(last) + 2 :], 1.0, atol=0.02)
-    np.testing.assert_allclose(row[:4], 1.0, atol=0.02)
-    # The light that the ridge holds back is what is missing: the shadow's length to half a column.
-    lost = np.clip(1 - row[first:], 0, 1).sum() + first
-    assert lost == pytest.approx(last, abs=0.75)
+    """Sun in the west at 30 degrees of height: 1.5 m of wall shade tan(60) times as much east.
+    The edge of the shadow is as soft as a layer is high."""
+    heights = jnp.full((SIZE, SIZE), 0.5).at[:, 2].set(2.0)
+    scene = level_area(sun=(60.0, 270.0), soil=1e-3, terrain=heights)
+    row = nadir(scene)[0, 6] / 1e-3
+    print(np.round(row, 2))
+    last = 2.5 + 1.5 * np.tan(np.deg2rad(60.0)) / 0.5  # 5.2 columns from the crest on
+    assert np.all(row[4:6] < 0.02)
+    np.testing.assert_allclose(row[[0, 10, 11]], 1.0, atol=0.02)
+    assert (1 - row[4:]).sum() + 4 == pytest.approx(last, abs=0.75)
+    # Turned round, so does the shadow.
+    scene = level_area(sun=(60.0, 0.0), soil=1e-3, terrain=heights.T[::-1])
+    np.testing.assert_allclose(nadir(scene)[0, ::-1, 6] / 1e-3, row, atol=1e-6)
 
 
 @pytest.mark.parametrize("amplitude", [0.5, 1.5])
 def test_white_furnace(amplitude):
     """Ground that keeps nothing, lit evenly from everywhere, is as bright as the sky."""
-    scene = waves(bare(8, sky=1.0, soil=1.0), amplitude)
-    light = solver(ACCURACY)(scene)
-    views = jnp.array([0.0, 30.0, 50.0]), jnp.array([0.0, 100.0, 250.0])
-    seen = np.asarray(reflectance_of(light, *views))
-    image = nadir(scene)
-    albedo = np.asarray(fluxes_of(light).albedo)
-    print("views", seen.ravel(), "image", image.min(), image.max(), "albedo", albedo)
-    np.testing.assert_allclose(seen, 1.0, atol=0.02)
-    np.testing.assert_allclose(image, 1.0, atol=0.04)
+    scene = waves(level_area(sky=1.0, soil=1.0), amplitude)
+    view, image = seen(scene), nadir(scene)
+    print("views", view.ravel(), "image", image.min(), image.max())
+    print("albedo", fluxes_of(solver(ACCURACY)(scene)).albedo)
+    np.testing.assert_allclose(view, 1.0, atol=0.02)
+    np.testing.assert_allclose(image, 1.0, atol=0.05)
 
 
 @pytest.mark.parametrize("sky", [0.0, 0.3])
 def test_bare_hills_against_photons(sky):
-    scene = waves(bare(12, sun=(45.0, 110.0), sky=sky, soil=0.3, horizontal=0.5), 1.2)
-    view = np.array([0.0, 40.0]), np.array([0.0, 250.0])
-    want = reference.reflectance(scene, *view, photons=40_000, seed=1, band=0)
-    got = np.asarray(reflectance_of(solver(ACCURACY)(scene), *map(jnp.asarray, view)))[:, 0]
+    scene = waves(level_area(sun=(45.0, 110.0), sky=sky), 1.2)
+    want = reference.reflectance(scene, *VIEWS, photons=40_000, seed=1, band=0)
+    got = seen(scene)[:, 0]
     print("off %", 100 * (got / want.mean - 1), "noise %", 100 * want.error / want.mean)
     np.testing.assert_allclose(got, want.mean, rtol=0.02)
-    x = centres(12, 0.5)
+    x = centres(SIZE, 0.5)
     rays = parallel_rays(x, x, 0.5, 0.0, 0.0)
     want = reference.image(scene, rays, samples=200, seed=2, band=0).mean
     got = nadir(scene)[0]
@@ -151,13 +161,11 @@ def test_shrubs_on_hills_against_photons(band):
     """A patchy canopy on hills of half its height."""
     scene = waves(patchy(shape=(8, 12, 12), size=0.1, sun=(35.0, 50.0)), 0.25)
     scene = above_ground(scene)
-    view = np.array([0.0, 40.0]), np.array([0.0, 250.0])
-    want = reference.reflectance(scene, *view, photons=60_000, seed=1, band=band)
-    light = solver(ACCURACY)(scene)
-    got = np.asarray(reflectance_of(light, *map(jnp.asarray, view)))[:, band]
+    want = reference.reflectance(scene, *VIEWS, photons=60_000, seed=1, band=band)
+    got = seen(scene, REFINED)[:, band]
     print("off %", 100 * (got / want.mean - 1), "noise %", 100 * want.error / want.mean)
     np.testing.assert_allclose(got, want.mean, rtol=0.03)
-    flux = fluxes_of(light)
+    flux = fluxes_of(solver(REFINED)(scene))
     want = reference.fluxes(scene, photons=60_000, seed=2, band=band)
     found = {
         name: (getattr(flux, name)[band], getattr(want, name).mean)
@@ -182,13 +190,12 @@ def outcome(scene):
 
 
 ACCURACY_OF_DERIVATIVES = Accuracy(
-    lattice=1, sublayers=2, coarsening=(2, 2), levels=2, azimuths=4, tolerance=1e-12, margin=6
+    lattice=1, sublayers=2, coarsening=(1, 1), levels=2, azimuths=4, tolerance=1e-12, margin=6
 )
 value, slope = jax.jit(outcome), jax.jit(jax.grad(outcome))
-push = jax.jit(lambda at, along: jax.jvp(outcome, (at,), (along,))[1])
 
 
-@pytest.mark.parametrize("boundary", ["periodic", "open"])
+@pytest.mark.parametrize("boundary", ["periodic", pytest.param("open", marks=pytest.mark.slow)])
 def test_derivative_with_respect_to_the_terrain(boundary):
     """Of gentle hills, and of the density and the sun above them."""
     scene = waves(patchy(boundary), 0.13)
@@ -208,7 +215,9 @@ def test_derivative_with_respect_to_the_terrain(boundary):
         difference = float(value(forth) - value(back)) / (2 * h)
         got = float(jnp.sum(select(gradient) * step))
         assert got == pytest.approx(difference, rel=1e-5)
-    assert float(push(scene, along)) == pytest.approx(got, rel=1e-8)
+    if boundary == "open":
+        _, pushed = jax.jit(lambda at, step: jax.jvp(outcome, (at,), (step,)))(scene, along)
+        assert float(pushed) == pytest.approx(got, rel=1e-8)
 
 
 @pytest.mark.parametrize("height", [0.0, 0.1])

@@ -7,7 +7,8 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import AbstractLeafAngle
-from fynjax.radiation._scene import VoxelScene, check_scene
+from fynjax.radiation._check import check_scene
+from fynjax.radiation._scene import VoxelScene
 
 _CELLS = 720  # of inclination
 _ZENITHS = 513

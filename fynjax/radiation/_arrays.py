@@ -1,0 +1,98 @@
+"""A scene from plain arrays."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax._core.errors import InputError
+from fynjax.canopy import AbstractLeafAngle, leaf_angle
+from fynjax.radiation._check import check_scene
+from fynjax.radiation._ground import RahmanPintyVerstraete
+from fynjax.radiation._scene import Illumination, OpticalClasses, VoxelScene
+
+
+def voxel_scene(
+    area_density: Float[Array, "class z y x"],
+    reflectance: Float[Array, "class band"],
+    transmittance: Float[Array, "class band"],
+    *,
+    voxel: tuple[float, float, float],
+    ground: Float[Array, " band *yx"],
+    sun_zenith: float,
+    sun_azimuth: float = 180.0,
+    sun: Float[Array, " band"] | float = 1.0,
+    sky: Float[Array, " band"] | float = 0.0,
+    sky_pattern: Float[Array, "*band zenith azimuth"] | None = None,
+    leaf_angles: str | AbstractLeafAngle | Sequence[str | AbstractLeafAngle] = "spherical",
+    leaf_diameter: float | Sequence[float] | None = None,
+    ground_shape: RahmanPintyVerstraete | None = None,
+    terrain: Float[Array, "y x"] | None = None,
+    boundary: str = "periodic",
+) -> VoxelScene:
+    """A scene from plain arrays, checked.
+
+    **Arguments:**
+
+    - `area_density`: one-sided area per volume of each class [m2 m-3], layers from the ground up,
+      rows from the south, columns from the west.
+    - `reflectance`, `transmittance`: of one side of a leaf [-].
+    - `voxel`: edges of a voxel in x, y and z [m]; the first two must be equal.
+    - `ground`: reflectance, one value a band or a map for each [-].
+    - `sun_zenith` in [0, 89.5), `sun_azimuth` clockwise from north: where the sun stands [degrees].
+    - `sun`, `sky`: irradiance on the horizontal plane [any unit], one value or one a band;
+      `sky_pattern`: see `Illumination`.
+    - `leaf_angles`: a name (see `fynjax.canopy.leaf_angle`) or a distribution, for all classes
+      or each.
+    - `leaf_diameter`: of round leaves [m], for all classes or each; makes the hot spot.
+    - `ground_shape`, `terrain`, `boundary`: see `VoxelScene`.
+
+    Raises `InputError` for shapes that do not go together and for values out of range.
+    """
+    density = jnp.asarray(area_density)
+    rho, tau = jnp.asarray(reflectance), jnp.asarray(transmittance)
+    dtype = density.dtype
+    if len(voxel) != 3 or not np.isclose(voxel[0], voxel[1], rtol=1e-6):
+        raise InputError(
+            "`voxel` must be the edges in x, y and z [m], with the first two equal, but is "
+            f"{tuple(voxel)}: resample the grid to square columns"
+        )
+    if density.ndim != 4 or rho.ndim != 2:
+        raise InputError(
+            "`area_density` must have the axes [class, z, y, x] and `reflectance` [class, band], "
+            f"but they have shapes {density.shape} and {rho.shape}"
+        )
+    classes, bands = density.shape[0], rho.shape[1]
+    single = isinstance(leaf_angles, str | AbstractLeafAngle)
+    given: list[Any] = [leaf_angles] if single else list(leaf_angles)  # type: ignore[arg-type]
+    distinct = list({id(a) if not isinstance(a, str) else a: a for a in given}.values())
+    owner = [next(i for i, d in enumerate(distinct) if d is a or d == a) for a in given]
+    sizes = None if leaf_diameter is None else jnp.atleast_1d(jnp.asarray(leaf_diameter, dtype))
+    scene = VoxelScene(
+        density,
+        OpticalClasses(
+            rho.astype(dtype),
+            tau.astype(dtype),
+            tuple(leaf_angle(a) if isinstance(a, str) else a for a in distinct),
+            tuple(owner * classes if single else owner),
+            sizes,
+            tuple(range(classes)) if sizes is not None and len(sizes) > 1 else None,
+        ),
+        jnp.asarray(ground, dtype),
+        Illumination(
+            jnp.asarray(sun_zenith, dtype),
+            jnp.asarray(sun_azimuth, dtype),
+            jnp.broadcast_to(jnp.asarray(sun, dtype), (bands,)),
+            jnp.broadcast_to(jnp.asarray(sky, dtype), (bands,)),
+            None if sky_pattern is None else jnp.asarray(sky_pattern, dtype),
+        ),
+        voxel[0],
+        voxel[2],
+        boundary,
+        ground_shape,
+        None if terrain is None else jnp.asarray(terrain, dtype),
+    )
+    check_scene(scene)
+    return scene
