@@ -19,6 +19,10 @@ from fynjax.radiation import (
     render,
 )
 from tests.radiation.scenes import patchy, solver
+from tests.radiation.test_monte_carlo_reference import with_fields
+
+pytestmark = pytest.mark.study
+
 
 ACCURACY = Accuracy(
     sublayers=3, margin=6, coarsening=(1, 1), levels=4, azimuths=8, tolerance=1e-10, iterations=200
@@ -124,23 +128,36 @@ def test_each_pixel_is_a_parallel_view_of_one_point(light):
     np.testing.assert_allclose(got.gap.ravel(), want.gap.ravel(), rtol=1e-4)
 
 
-def test_tilted_image_against_paths_traced_backward(scene):
-    """Pixels of no width: the paths meet the very rays. Twice 2 % of noise a pixel, and 2 % that
-    voxels of 0.2 optical depths and few directions leave."""
-    light = solver(ACCURACY)(scene)
+@pytest.mark.parametrize(
+    ("parts", "tolerance"), [(1, 0.06), pytest.param(4, 0.025, marks=pytest.mark.slow)]
+)
+def test_tilted_image_against_paths_traced_backward(scene, parts, tolerance):
+    """Pixels of no width: the paths meet the very rays. In voxels of up to several optical depths
+    a pixel is off by 4 %; in voxels and beams a quarter as wide by 1.5 % (noise 1 % taken off)."""
     rays = tilted(4, 5)
     ground = np.stack([rays.x, rays.y, np.zeros(rays.shape)], axis=-1)
     sight = reference.PixelRays(np.array(CAMERA), ground - np.array(CAMERA))
-    found = reference.image(scene, sight, samples=3_000, seed=2, band=1)
-    thin = dataclasses.replace(rays, width=jnp.full(rays.shape, 1e-6))
-    got = np.asarray(pixels(light, thin))[1]
-    off = got / found.mean - 1
-    noise = found.error / found.mean
+    found = reference.image(scene, sight, samples=5_000, seed=2, band=1)
+    thin = dataclasses.replace(rays, width=jnp.full(rays.shape, 1e-6, float))
+    accuracy = ACCURACY
+    if parts > 1:
+        density, ground = scene.area_density, scene.ground
+        for axis in (1, 2, 3):
+            density = density.repeat(parts, axis)
+        scene = with_fields(
+            scene,
+            area_density=density,
+            ground=ground.repeat(parts, 1).repeat(parts, 2),
+            horizontal=0.1 / parts,
+            vertical=0.1 / parts,
+        )
+        accuracy = Accuracy(lattice=4, sublayers=2, levels=3, azimuths=8, margin=6 * parts)
+    got = np.asarray(pixels(solver(accuracy)(scene), thin))[1]
+    off, noise = got / found.mean - 1, found.error / found.mean
     print("off %", np.round(100 * off, 1), "noise %", np.round(100 * noise, 1))
     assert noise.max() < 0.03
-    assert np.sqrt(np.mean(off**2)) < 0.03 + np.sqrt(np.mean(noise**2))
+    assert np.sqrt(np.mean(off**2) - np.mean(noise**2)) < tolerance
     assert abs(got.mean() / found.mean.mean() - 1) < 0.015
-    assert np.corrcoef(got.ravel(), found.mean.ravel())[0, 1] > 0.98
 
 
 def image_sum(scene):

@@ -16,6 +16,9 @@ from tests.radiation.scenes import fluxes_of, patchy, reflectance_of, solver
 from tests.radiation.test_monte_carlo import clumps
 from tests.radiation.test_monte_carlo_reference import with_fields
 
+pytestmark = pytest.mark.study
+
+
 absorption_of = jax.jit(absorption)
 
 TIGHT = {"tolerance": 1e-8, "iterations": 200}

@@ -4,6 +4,8 @@ All outputs are contracted to one number with fixed weights. The solve is tighte
 error is far below that of the differences.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,6 +14,7 @@ import pytest
 
 from fynjax.radiation import (
     Accuracy,
+    RahmanPintyVerstraete,
     directional_reflectance,
     fluxes,
     nadir_rays,
@@ -44,9 +47,30 @@ slope = jax.jit(jax.grad(outcome))
 push = jax.jit(lambda at, along: jax.jvp(outcome, (at,), (along,))[1])
 
 
+def with_options(boundary):
+    """Leaves of finite size; a sky and a ground with patterns, or hills."""
+    scene = patchy(boundary)
+    classes = dataclasses.replace(
+        scene.classes, leaf_diameter=jnp.array([0.04, 0.08]), size_of_class=(0, 1, 0)
+    )
+    scene = dataclasses.replace(scene, classes=classes)
+    rng = np.random.default_rng(5)
+    if boundary == "open":
+        x, y = np.meshgrid(np.arange(8), np.arange(6))
+        hills = 0.12 + 0.03 * np.sin(0.9 * x + 0.4) * np.cos(0.7 * y)
+        return dataclasses.replace(scene, terrain=jnp.asarray(hills))
+    light = dataclasses.replace(
+        scene.illumination, sky_pattern=jnp.asarray(rng.uniform(0.5, 2.0, (2, 4, 8)))
+    )
+    shape = RahmanPintyVerstraete(
+        jnp.array([0.8, 1.1]), jnp.array([-0.1, 0.05]), jnp.array([0.3, 0.9])
+    )
+    return dataclasses.replace(scene, illumination=light, ground_shape=shape)
+
+
 @pytest.fixture(scope="module", params=["periodic", "open"])
 def scene(request):
-    return patchy(request.param)
+    return with_options(request.param)
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +108,27 @@ def test_derivative_along(what, scene, gradient):
     difference = float(value(forth) - value(back)) / (2 * h)
     backward = float(jnp.sum(select(gradient) * step))
     assert backward == pytest.approx(difference, rel=1e-6)
+
+
+def test_derivative_along_what_a_scene_may_have(scene, gradient):
+    rng = np.random.default_rng(6)
+    options = {"leaf diameter": lambda s: s.classes.leaf_diameter}
+    if scene.terrain is not None:
+        options["terrain"] = lambda s: s.terrain
+    else:
+        options["sky pattern"] = lambda s: s.illumination.sky_pattern
+        for name in ("k", "theta", "rho_c"):
+            options[name] = lambda s, name=name: getattr(s.ground_shape, name)
+    for what, select in options.items():
+        step = jnp.asarray(rng.normal(size=select(scene).shape)) * 0.1
+        h = 1e-5
+        values = [
+            float(value(eqx.tree_at(select, scene, select(scene) + k * h * step))) for k in (1, -1)
+        ]
+        difference = (values[0] - values[1]) / (2 * h)
+        assert abs(difference) > 1e-6, what
+        got = float(jnp.sum(select(gradient) * step))
+        assert got == pytest.approx(difference, rel=1e-5), what
 
 
 @pytest.mark.slow

@@ -22,6 +22,9 @@ from tests.radiation.scenes import closure, fluxes_of, patchy, reflectance_of, s
 from tests.radiation.test_monte_carlo import clumps
 from tests.radiation.test_monte_carlo_reference import bare, rahman, with_fields
 
+pytestmark = pytest.mark.study
+
+
 ACCURACY = Accuracy(
     lattice=2, sublayers=2, coarsening=(1, 1), levels=4, azimuths=12, tolerance=1e-6, margin=6
 )

@@ -141,6 +141,7 @@ def test_a_frame_camera_sees_its_own_hot_spot():
     assert want.argmax() == 3
 
 
+@pytest.mark.study
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["planophile", "erectophile"])
 def test_clumps_of_discs(name):
@@ -206,6 +207,7 @@ VARIABLES = {
 }
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("what", VARIABLES)
 def test_derivative(what):
     at = near_the_sun([36.0, 20.0, 50.0], [60.0, 40.0, 200.0])
@@ -218,18 +220,20 @@ def test_derivative(what):
     assert float(jnp.sum(select(slope(at)) * step)) == pytest.approx(difference, rel=1e-6)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("diameter", [0.05, 0.0])
 def test_finite_in_the_hot_spot(diameter):
     """There the peak has no slope of its own, but no number is undefined; and the peak does not
     depend on the size of leaves."""
     at = near_the_sun([33.0] * 3, [50.0] * 3)
-    at = (with_fields(at[0], classes__leaf_diameter=jnp.full(2, diameter)), *at[1:])
+    at = (with_fields(at[0], classes__leaf_diameter=jnp.full(2, diameter, float)), *at[1:])
     gradient = slope(at)
     for leaf in jax.tree.leaves(gradient):
         assert np.all(np.isfinite(leaf))
     np.testing.assert_allclose(gradient[0].classes.leaf_diameter, 0.0, atol=1e-9)
 
 
+@pytest.mark.study
 def test_finite_with_sun_and_view_overhead():
     at = near_the_sun([0.0] * 3, [0.0] * 3)
     at = (with_fields(at[0], illumination__sun_zenith=jnp.array(0.0)), *at[1:])

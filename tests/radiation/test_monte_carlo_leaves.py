@@ -89,6 +89,7 @@ def test_paths_among_leaves_agree_both_ways():
     assert_close(forward, pixels.mean.mean(), atol=SIGMA * noise)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("index", [0, 1], ids=["near infrared", "red"])
 def test_disc_slab_of_another_code(shared_data, index):
     """The Eradiate kernel among 240,000 discs; here the mean of smaller boxes, drawn anew."""

@@ -26,6 +26,9 @@ from fynjax.radiation import (
 from fynjax.radiation._reduced import check_reducible, solve_reduced
 from fynjax.radiation._sun import trace_sun
 
+pytestmark = pytest.mark.study
+
+
 SPECIES = 13
 WAVELENGTHS = np.linspace(400.0, 2500.0, 425)
 TIGHT = Accuracy(
