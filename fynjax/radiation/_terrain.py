@@ -86,8 +86,9 @@ def sun_on_ground(
     normal = terrain_normal(scene)
     cosine = jnp.maximum(jnp.tensordot(towards_sun, normal, axes=1), 0.0) / towards_sun[2]
     slope = towards_sun[:2] / towards_sun[2]
-    run = jnp.linalg.norm(slope)
-    step = scene.horizontal / jnp.maximum(run, 1e-3)  # height gained per voxel of ground
+    # The root is guarded: under a sun overhead nothing is shaded, and nothing is undefined.
+    run = jnp.sqrt(jnp.maximum(jnp.sum(slope**2), 1e-6))
+    step = scene.horizontal / run  # height gained per voxel of ground
     x = (jnp.arange(nx, dtype=height.dtype) + 0.5) * scene.horizontal
     y = (jnp.arange(ny, dtype=height.dtype) + 0.5) * scene.horizontal
     width = scene.horizontal
