@@ -117,8 +117,10 @@ class FitResult(eqx.Module):
         draw would repeat is information. Errors of the data grow by the scatter of the statistics
         (`Data.with_scatter`); and the information is the mean of the products of two
         *different* draws' derivatives, since in the product of one with itself the chance part
-        of a slope counts as knowledge. That mean may have negative eigenvalues: they are set to
-        zero, and the others shrunk so that their sum stays.
+        of a slope counts as knowledge. That mean may have negative eigenvalues. They are set to
+        zero with each parameter in units of its slopes' size, lest one whose slopes are all chance
+        drown the others. Each is then scaled to its own mean, less the standard error that the
+        pairs of draws give it.
 
         **Arguments:** `deviations`, how far the statistics at the estimate lie from the model's in
         other draws; `jacobians`, their derivatives there, as in `jacobian`.
@@ -127,10 +129,18 @@ class FitResult(eqx.Module):
         draws = jax.vmap(data.whiten)(jnp.concatenate([self.jacobian[None], jacobians]))
         total, count = draws.sum(axis=0), draws.shape[0]
         same = jnp.einsum("dsi,dsj->ij", draws, draws)
-        values, vectors = jnp.linalg.eigh((total.T @ total - same) / (count * (count - 1)))
-        kept = jnp.maximum(values, 0.0)
-        share = jnp.maximum(values.sum(), 0.0) / jnp.maximum(kept.sum(), 1e-30)
-        information = (vectors * (share * kept)) @ vectors.T
+        shared = (total.T @ total - same) / (count * (count - 1))
+        size = jnp.sqrt(jnp.diagonal(same) / count)
+        unit = jnp.where(size > 0, 1.0 / jnp.where(size > 0, size, 1.0), 0.0)
+        values, vectors = jnp.linalg.eigh(shared * unit * unit[:, None])
+        kept = (vectors * jnp.maximum(values, 0.0)) @ vectors.T
+        first, second = jnp.triu_indices(count, 1)
+        pairs = jnp.sum(draws[first] * draws[second], axis=1)  # [pair, free]
+        error = jnp.std(pairs, axis=0, ddof=1) / jnp.sqrt(len(pairs)) if len(pairs) > 1 else 0.0
+        own = jnp.maximum(jnp.diagonal(shared) - error, 0.0)
+        raised = jnp.diagonal(kept)
+        scale = jnp.sqrt(own / jnp.where(raised > 0, raised, 1.0)) * (raised > 0)
+        information = kept * scale * scale[:, None]
         return dataclasses.replace(self, **_posterior(self.space, self.whitened, information))
 
     def unseen_directions(self, count: int = 3) -> list[dict[str, float]]:

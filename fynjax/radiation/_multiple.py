@@ -140,9 +140,12 @@ class Transport(eqx.Module):
         # Matrix products on flat cells: [ordinate, ordinate] x [ordinate, cell].
         flat = intensity.reshape(intensity.shape[0], -1)
         total = jnp.zeros_like(flat)
+        # Copied to every ordinate by a product, whose derivative is one too: the sum over
+        # ordinates that the compiler makes of a plain product's takes as long as all the rest.
+        every = jnp.ones((flat.shape[0], 1), flat.dtype)
         for matrices, kind in zip(self.phase, areas):
             for matrix, area in zip(matrices, kind):
-                total = total + area * (matrix @ flat)
+                total = total + (every @ area[None]) * (matrix @ flat)
         return total.reshape(intensity.shape)
 
     def from_sun(self, band: Bands) -> Float[Array, "ordinate z y x"]:
@@ -178,28 +181,34 @@ class Transport(eqx.Module):
         return self.scatter(self.areas(self.density, band), intensity) + self.from_sun(band)
 
     def solve(
-        self, band: Bands, tolerance: float, iterations: int
+        self, band: Bands, tolerance: float, iterations: int, transposed: float | None = None
     ) -> Float[Array, "ordinate z y x"]:
-        """Source of one band."""
+        """Source of one band; arguments as in `solve_for`."""
         nothing = jnp.zeros(self.shape, self.density.dtype)
         first, _, _ = self.light(nothing, band.sky, band.sun, band.ground, band.shape)
         right = self.sent(band, first)
-        return self.solve_for(band, right, tolerance, iterations)
+        return self.solve_for(band, right, tolerance, iterations, transposed)
 
     def solve_for(
         self,
         band: Bands,
         right: Float[Array, "ordinate z y x"],
-        tolerance: float,
+        tolerance: float | Float[Array, ""],
         iterations: int,
+        transposed: float | None = None,
     ) -> Float[Array, "ordinate z y x"]:
-        """Source that `right` becomes when its light is scattered on and on."""
+        """Source that `right` becomes when its light is scattered on and on.
+
+        What is left over is `tolerance` times `right` at most; in the solve that the derivative
+        takes, `transposed` times, if given.
+        """
         areas = self.areas(self.density, band)
 
         def operator(source: Array) -> Array:
             return source - self.scatter(areas, self.respond(source, band))
 
-        return _solve(operator, right, tolerance, iterations)
+        backward = tolerance if transposed is None else transposed
+        return _solve(operator, right, tolerance, backward, iterations)
 
     def field(self, band: Bands, source: Float[Array, "ordinate z y x"]) -> DiffuseField:
         """The light of one band that a source makes together with sun and sky."""
@@ -279,21 +288,31 @@ def solve_diffuse(
 
 
 def _solve(
-    operator: Callable[[Array], Array], right: Array, tolerance: float, iterations: int
+    operator: Callable[[Array], Array],
+    right: Array,
+    tolerance: float | Float[Array, ""],
+    transposed: float | Float[Array, ""],
+    iterations: int,
 ) -> Array:
     """Solve operator(x) = right, differentiably."""
 
-    def solve(matvec: Callable[[Array], Array], right: Array) -> Array:
-        return _gcr(matvec, right, tolerance, iterations)
+    def solve_to(tolerance: float | Float[Array, ""]) -> Callable[..., Array]:
+        goal = jax.lax.stop_gradient(jnp.asarray(tolerance, right.dtype))
+        return lambda matvec, right: _gcr(matvec, right, goal, iterations)
 
-    return jax.lax.custom_linear_solve(operator, right, solve, transpose_solve=solve)
+    return jax.lax.custom_linear_solve(
+        operator, right, solve_to(tolerance), transpose_solve=solve_to(transposed)
+    )
 
 
 _KEPT = 6
 
 
 def _gcr(
-    matvec: Callable[[Array], Array], right: Array, tolerance: float, iterations: int
+    matvec: Callable[[Array], Array],
+    right: Array,
+    tolerance: Float[Array, ""],
+    iterations: int,
 ) -> Array:
     """Generalised conjugate residuals (Eisenstat, Elman and Schultz 1983), last few directions.
 
@@ -347,13 +366,23 @@ def upsample(
     field: Float[Array, "*batch Z Y X"], factor: tuple[int, int], boundary: str
 ) -> Float[Array, "*batch z y x"]:
     """Linear interpolation of coarse cell means to the fine voxels' centres."""
-    matrices = [
-        _linear(field.shape[-3], factor[0], "open"),
-        _linear(field.shape[-2], factor[1], boundary),
-        _linear(field.shape[-1], factor[1], boundary),
-    ]
-    z, y, x = (jnp.asarray(m, field.dtype) for m in matrices)
-    return jnp.einsum("aZ,bY,cX,...ZYX->...abc", z, y, x, field, optimize="optimal")
+    # Along x, where neighbours lie next to each other, a product with a small matrix is fastest.
+    field = field @ jnp.asarray(_linear(field.shape[-1], factor[1], boundary).T, field.dtype)
+    field = _upsample_axis(field, -2, factor[1], boundary)
+    return _upsample_axis(field, -3, factor[0], "open")
+
+
+def _upsample_axis(field: Array, axis: int, factor: int, boundary: str) -> Array:
+    count = field.shape[axis]
+    wide = [(0, 0)] * field.ndim
+    wide[axis] = (1, 1)
+    padded = jnp.pad(field, wide, mode="wrap" if boundary == "periodic" else "edge")
+    part = lambda start: jax.lax.slice_in_dim(padded, start, start + count, axis=axis)  # noqa: E731
+    offsets = (np.arange(factor) + 0.5) / factor - 0.5
+    pieces = [(1 - abs(o)) * field + abs(o) * part(0 if o < 0 else 2) for o in map(float, offsets)]
+    shape = list(field.shape)
+    shape[axis] *= factor
+    return jnp.stack(pieces, axis=field.ndim + axis + 1).reshape(shape)
 
 
 def _linear(count: int, factor: int, boundary: str) -> np.ndarray:

@@ -243,6 +243,9 @@ def sweep(
             ) -> tuple[Array, tuple[Array, Array | None]]:
                 emitted, (through, mean, emission), share = cell
                 emitted = emitted * lengths
+                # For every azimuth: the derivative is then summed over them once a layer.
+                wide = [jnp.broadcast_to(a, radiance.shape) for a in (through, mean, emission)]
+                through, mean, emission = wide
                 if terrain:  # on the way up, the ground at the bottom of the cell shines
                     radiance = radiance + share[0] * (shining - radiance)
 
@@ -266,7 +269,9 @@ def sweep(
 
             # A step begins with its whole move: half a move back puts its middle on the path.
             start = _shift(shining, -0.5 * move, around, coarse.boundary)
-            end, (mean, hit) = jax.lax.scan(layer, start, (emitted[:, group], cells, shares))
+            end, (mean, hit) = jax.lax.scan(
+                jax.checkpoint(layer), start, (emitted[:, group], cells, shares)
+            )
             end = _shift(end, 0.5 * move, around, coarse.boundary)
             means.append(mean)
             leaving.append(end)
@@ -313,21 +318,22 @@ def _shift(
     """Move each ordinate's layer by `move` (at most one cell) along x and y, linearly."""
     for axis, share in ((3, move[0]), (2, move[1])):
         size = radiance.shape[axis]
-        first, last = (
-            jax.lax.slice_in_dim(radiance, at, at + 1, axis=axis) for at in (0, size - 1)
+        part = lambda of, start, size=size, axis=axis: jax.lax.slice_in_dim(  # noqa: E731
+            of, start, start + size, axis=axis
         )
         if boundary == "periodic":
-            ends = (last, first)
+            ends = (part(radiance, size - 1, 1), part(radiance, 0, 1))
         else:
-            ends = (jnp.broadcast_to(outside[:, :, None, None], first.shape),) * 2
-        padded = jnp.concatenate([ends[0], radiance, ends[1]], axis=axis)
-        before, after = (
-            jax.lax.slice_in_dim(padded, start, start + size, axis=axis) for start in (0, 2)
+            edge = jnp.broadcast_to(outside[:, :, None, None], part(radiance, 0, 1).shape)
+            ends = (edge, edge)
+        # The barrier has it written once and read three times, instead of pieced together thrice.
+        padded = jax.lax.optimization_barrier(
+            jnp.concatenate([ends[0], radiance, ends[1]], axis=axis)
         )
         share = share[:, :, None, None]
         radiance = (
-            before * jnp.maximum(share, 0)
-            + radiance * (1 - jnp.abs(share))
-            + after * jnp.maximum(-share, 0)
+            part(padded, 0) * jnp.maximum(share, 0)
+            + part(padded, 1) * (1 - jnp.abs(share))
+            + part(padded, 2) * jnp.maximum(-share, 0)
         )
     return radiance

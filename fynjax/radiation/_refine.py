@@ -6,8 +6,11 @@ light from the coarse cells is scattered by the leaves of the voxels, and swept 
 fine equation leaves over is solved for on the coarse grid (a two-grid cycle: Brandt 1977).
 """
 
+import math
+
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from fynjax.radiation._multiple import (
     Bands,
@@ -41,26 +44,34 @@ def solve_refined(
     def one(bands: tuple[Bands, Bands]) -> DiffuseField:
         low, high = bands
         flux = jnp.asarray(ordinates.fluxes.ravel(), scene.area_density.dtype)
-        start = coarse.solve(low, tolerance, iterations)
+        # What a loose first solve lacks, the second finds in what is left over.
+        start = coarse.solve(low, math.sqrt(tolerance), iterations, 10 * tolerance)
         field = coarse.light(start, low.sky, low.sun, low.ground, low.shape)
         source = fine.sent(high, upsample(field[0], factor, scene.boundary))
         intensity, falling, top = fine.light(source, high.sky, high.sun, high.ground, high.shape)
         left_over = fine.sent(high, intensity) - source
-        missing = coarse.solve_for(low, block_mean(left_over, factor), 10 * tolerance, iterations)
+        right = block_mean(left_over, factor)
+        share = _ratio(jnp.linalg.norm(start.ravel()), jnp.linalg.norm(right.ravel()))
+        missing = coarse.solve_for(low, right, tolerance * share, iterations, 10 * tolerance)
         dark = jnp.zeros_like(low.sky), jnp.zeros_like(low.sun)
         more, more_falling, more_top = coarse.light(missing, *dark, low.ground, low.shape)
         # Cell by cell, so that what the leaves take of it is what the coarse grid has them take:
         # energy closes.
         intensity = intensity + spread(more, factor)
         falling = falling + spread(more_falling[:, None], (1, factor[1]))[:, 0]
-        scale = jnp.linalg.norm(source.ravel())
-        residual = jnp.linalg.norm(left_over.ravel()) / jnp.where(scale > 0, scale, 1.0)
+        residual = _ratio(jnp.linalg.norm(left_over.ravel()), jnp.linalg.norm(source.ravel()))
         return DiffuseField(
             intensity,
             falling,
             jnp.tensordot(flux, falling, axes=1),
             top.mean() + more_top.mean(),
-            jax.lax.stop_gradient(residual),
+            residual,
         )
 
     return jax.lax.map(one, (coarse_bands, fine_bands))
+
+
+def _ratio(part: Float[Array, ""], whole: Float[Array, ""]) -> Float[Array, ""]:
+    """A size for control and report; 0 where there is nothing."""
+    part, whole = jax.lax.stop_gradient((part, whole))
+    return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1.0), 0.0)

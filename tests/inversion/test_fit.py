@@ -105,6 +105,24 @@ def test_slopes_by_chance_are_no_knowledge():
     assert repeated.seen() == ("a.cover",)
 
 
+def test_chance_in_one_slope_leaves_the_knowledge_of_another():
+    """Steep slopes by chance of two parameters, however they fall, do not touch a third's."""
+    draw = np.random.default_rng(8)
+    size, count = 30, 3
+    names = tuple(f"s{i}" for i in range(size))
+    data = Data(names, jnp.zeros(size), jnp.ones(size))
+    space = ParameterSpace(
+        tuple(f"p{i}.cover" for i in range(count)), *(jnp.full(count, v) for v in (-1e4, 1e4, 1, 1))
+    )
+    for _ in range(6):
+        slopes = draw.normal(size=(5, size, count)) * np.array([8.0, 8.0, 0.1])
+        slopes[:, :, 2] += 0.5
+        result = fit(lambda x, a=slopes[0]: jnp.asarray(a) @ (x - 1), data, space)
+        found = result.marginal(jnp.zeros((4, size)), jnp.asarray(slopes[1:]))
+        known = 1 / (1 + size * 0.25)
+        assert float(found.constrained[2]) == pytest.approx(1 - known, abs=0.08)
+
+
 def test_an_offset_is_part_of_the_prediction():
     shift = jnp.array([0.2, -0.1, 0.0, 0.3])
     moved = Data(DATA.names, DATA.value + shift, DATA.sd)
