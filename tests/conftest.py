@@ -1,6 +1,7 @@
 """Fixtures shared by all tests: 64-bit JAX and the place of the reference data."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -20,3 +21,10 @@ def shared_data() -> Path:
             pytest.fail(reason)
         pytest.skip(reason)
     return folder
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forget_compiled() -> Iterator[None]:
+    """Frees what a file's tests have compiled, which else grows to many gigabytes."""
+    yield
+    jax.clear_caches()

@@ -25,7 +25,7 @@ ROAD = (
 )
 """The road of a number: each layer may import from those before it."""
 
-BESIDE = ("io", "report", "cli")
+BESIDE = ("io", "terrain", "report", "cli")
 """Beside the road: each may import from the road and from those before it."""
 
 LAYERS = ROAD + BESIDE

@@ -8,6 +8,7 @@ from fynjax.canopy._angles import (
     TrigonometricLeafAngle,
     leaf_angle,
 )
+from fynjax.canopy._branches import branch_rotation_spread, plant_from_branches
 from fynjax.canopy._counts import (
     CrownPacking,
     crown_scale,
@@ -19,10 +20,18 @@ from fynjax.canopy._counts import (
     target_area,
 )
 from fynjax.canopy._forms import FORM_DEFAULTS, FormDefaults, plant_model
+from fynjax.canopy._generate import GeneratedPlant, generate_plant, leaf_sizes
 from fynjax.canopy._grid import VoxelGrid, deposit
 from fynjax.canopy._instances import instantiate, random_orientation, stack_plants, unit_shapes
-from fynjax.canopy._mesh import MeshPlant, plant_model_from_mesh
+from fynjax.canopy._mesh import (
+    MeshPlant,
+    PlantMaterial,
+    PlantMesh,
+    plant_model_from_mesh,
+    read_plant_mesh,
+)
 from fynjax.canopy._plant import Organ, PlantModel
+from fynjax.canopy._scan import plant_model_from_points, read_scan
 from fynjax.canopy._sites import assign_sites, poisson_disk, site_weight, soft_weights
 from fynjax.canopy._table import table1_2006
 
@@ -32,26 +41,36 @@ __all__ = [
     "CrownPacking",
     "EllipsoidalLeafAngle",
     "FormDefaults",
+    "GeneratedPlant",
     "MeshPlant",
     "Organ",
+    "PlantMaterial",
+    "PlantMesh",
     "PlantModel",
     "SphericalLeafAngle",
     "TabulatedLeafAngle",
     "TrigonometricLeafAngle",
     "VoxelGrid",
     "assign_sites",
+    "branch_rotation_spread",
     "crown_scale",
     "deposit",
+    "generate_plant",
     "hard_count",
     "instance_area",
     "instantiate",
     "leaf_angle",
+    "leaf_sizes",
     "modelled_diameter",
+    "plant_from_branches",
     "plant_model",
     "plant_model_from_mesh",
+    "plant_model_from_points",
     "poisson_disk",
     "projected_area",
     "random_orientation",
+    "read_plant_mesh",
+    "read_scan",
     "site_weight",
     "soft_count",
     "soft_weights",

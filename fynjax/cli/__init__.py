@@ -14,7 +14,9 @@ from fynjax.cli._calibrate import calibrate
 from fynjax.cli._demo import demo
 from fynjax.cli._fit_leaf import fit_leaf
 from fynjax.cli._init import init
+from fynjax.cli._plant import plant
 from fynjax.cli._render import render
+from fynjax.cli._terrain import terrain
 
 __all__ = ["app", "main"]
 
@@ -30,6 +32,8 @@ app.command()(demo)
 app.command()(render)
 app.command()(calibrate)
 app.command("fit-leaf")(fit_leaf)
+app.command()(plant)
+app.command()(terrain)
 app.command()(init)
 
 

@@ -54,10 +54,12 @@ def voxel_scene(
     density = jnp.asarray(area_density)
     rho, tau = jnp.asarray(reflectance), jnp.asarray(transmittance)
     dtype = density.dtype
-    if len(voxel) != 3 or not np.isclose(voxel[0], voxel[1], rtol=1e-6):
+    if not jnp.issubdtype(dtype, jnp.floating):
+        density, dtype = density.astype(float), jnp.zeros(0).dtype
+    if np.shape(voxel) != (3,) or not np.isclose(voxel[0], voxel[1], rtol=1e-6):
         raise InputError(
             "`voxel` must be the edges in x, y and z [m], with the first two equal, but is "
-            f"{tuple(voxel)}: resample the grid to square columns"
+            f"{voxel}: resample the grid to square columns"
         )
     if density.ndim != 4 or rho.ndim != 2:
         raise InputError(
@@ -84,8 +86,8 @@ def voxel_scene(
         Illumination(
             jnp.asarray(sun_zenith, dtype),
             jnp.asarray(sun_azimuth, dtype),
-            jnp.broadcast_to(jnp.asarray(sun, dtype), (bands,)),
-            jnp.broadcast_to(jnp.asarray(sky, dtype), (bands,)),
+            _per_band("sun", sun, bands, dtype),
+            _per_band("sky", sky, bands, dtype),
             None if sky_pattern is None else jnp.asarray(sky_pattern, dtype),
         ),
         voxel[0],
@@ -96,3 +98,13 @@ def voxel_scene(
     )
     check_scene(scene)
     return scene
+
+
+def _per_band(name: str, value: Any, bands: int, dtype: Any) -> Float[Array, " band"]:
+    array = jnp.asarray(value, dtype)
+    if array.shape not in {(), (1,), (bands,)}:
+        raise InputError(
+            f"`{name}` must be one value or one value for each of the {bands} bands, but has "
+            f"shape {array.shape}"
+        )
+    return jnp.broadcast_to(array, (bands,))

@@ -66,7 +66,13 @@ def check_scene(scene: VoxelScene) -> None:
     if classes.leaf_diameter is not None:
         _check_range("classes.leaf_diameter [m]", classes.leaf_diameter, 0.0, 10.0)
     if scene.terrain is not None:
-        _check_range("terrain [m]", scene.terrain, 0.0, scene.height)
+        _check_range(
+            "terrain [m]",
+            scene.terrain,
+            0.0,
+            scene.height,
+            ": heights count from the bottom of the grid, are they above sea level?",
+        )
     if sun.sky_pattern is not None:
         _check_range("illumination.sky_pattern", sun.sky_pattern, 0.0, math.inf)
     total = float(jnp.max(classes.reflectance + classes.transmittance))
@@ -115,21 +121,18 @@ def _check_options(scene: VoxelScene, n_band: int) -> None:
             f"`terrain` must have one height for each voxel column, {scene.shape[1:]}, but has "
             f"shape {terrain.shape}"
         )
-    if terrain is not None and scene.ground_shape is not None:
-        raise InputError(
-            "`terrain` and `ground_shape` do not go together yet: ground of a shape of its own "
-            "must be level"
-        )
 
 
-def _check_range(name: str, values: Float[Array, "*any"], low: float, high: float) -> None:
+def _check_range(
+    name: str, values: Float[Array, "*any"], low: float, high: float, slip: str = ""
+) -> None:
     array = np.asarray(values)
     bad = ~(np.isfinite(array) & (array >= low) & (array <= high))
     if bad.any():
         first = tuple(int(i) for i in np.argwhere(bad)[0])
         raise InputError(
             f"`{name}` must be finite and in [{low:g}, {high:g}], but {int(bad.sum())} values are "
-            f"not; the first is {array[first]} at index {first}"
+            f"not; the first is {array[first]} at index {first}{slip}"
         )
 
 
@@ -153,7 +156,7 @@ def check_memory(scene: VoxelScene, ordinates: int, factor: tuple[int, int], ref
         raise InputError(
             f"a grid of {' x '.join(map(str, scene.shape))} voxels in {bands} bands needs about "
             f"{needed / 2**30:.1f} GiB, but this machine has {available / 2**30:.1f}: render it in "
-            f"tiles (`render_tiles`), of at most {side:.0f} voxels a side, or take larger voxels"
+            f"tiles (`render_tiles`), of at most {int(side)} voxels a side, or take larger voxels"
         )
 
 

@@ -231,6 +231,8 @@ def sweep(
             move = jnp.asarray(coarse.moves(group, steps), dtype)
             lengths = jnp.asarray(coarse.lengths(group, steps), dtype)[:, None, None, None]
             around, shining = outside[group], entering[group]
+            # A step begins with its whole move: half a move back puts its middle on the path.
+            below = _shift(shining, -0.5 * move, around, coarse.boundary)
 
             def layer(
                 radiance: Array,
@@ -240,14 +242,15 @@ def sweep(
                 steps: int = steps,
                 around: Array = around,
                 shining: Array = shining,
-            ) -> tuple[Array, tuple[Array, Array | None]]:
+                below: Array = below,
+            ) -> tuple[Array, tuple[Array, Array | None, Array | None]]:
                 emitted, (through, mean, emission), share = cell
                 emitted = emitted * lengths
                 # For every azimuth: the derivative is then summed over them once a layer.
                 wide = [jnp.broadcast_to(a, radiance.shape) for a in (through, mean, emission)]
                 through, mean, emission = wide
                 if terrain:  # on the way up, the ground at the bottom of the cell shines
-                    radiance = radiance + share[0] * (shining - radiance)
+                    radiance = radiance + share[0] * (below - radiance)
 
                 def step(carry: tuple[Any, ...], _: None) -> tuple[tuple[Any, ...], None]:
                     radiance, total, hit = carry
@@ -262,16 +265,16 @@ def sweep(
                 nothing = jnp.zeros_like(radiance)
                 carry = (radiance, nothing, nothing if terrain else None)
                 (radiance, total, hit), _ = jax.lax.scan(step, carry, None, length=steps)
+                fell = None
                 if terrain:  # on the way down, it takes what falls on it
-                    hit = hit + radiance * share[1]
-                    radiance = radiance * (1.0 - share[1])
-                return radiance, (total / steps, hit)
+                    fell = radiance * share[1]
+                    radiance = radiance - fell
+                return radiance, (total / steps, hit, fell)
 
-            # A step begins with its whole move: half a move back puts its middle on the path.
-            start = _shift(shining, -0.5 * move, around, coarse.boundary)
-            end, (mean, hit) = jax.lax.scan(
-                jax.checkpoint(layer), start, (emitted[:, group], cells, shares)
+            end, (mean, hit, fell) = jax.lax.scan(
+                jax.checkpoint(layer), below, (emitted[:, group], cells, shares)
             )
+            end = end if fell is None else end + fell.sum(axis=0)
             end = _shift(end, 0.5 * move, around, coarse.boundary)
             means.append(mean)
             leaving.append(end)

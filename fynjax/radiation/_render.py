@@ -85,6 +85,11 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
     """
     accuracy = Accuracy() if accuracy is None else accuracy
     check_scene(scene)
+    if scene.terrain is not None and scene.ground_shape is not None:
+        raise InputError(
+            "`terrain` and `ground_shape` do not go together yet: ground of a shape of its own "
+            "must be level"
+        )
     factor = _coarsening(scene, accuracy)
     reduced = accuracy.solves is not None and scene.illumination.sun.shape[0] > accuracy.solves
     refined = accuracy.refine and factor != (1, 1) and not reduced

@@ -64,7 +64,7 @@ def ground_in_cells(
     fz, fh = factor
     dtype = scene.area_density.dtype
     heights = (jnp.arange(nz // fz + 1) * (fz * scene.vertical)).astype(dtype)
-    below = covered(scene, heights)
+    below = covered(scene, heights).at[0].set(1.0)  # nothing falls out of the grid
     below = below.reshape(-1, ny // fh, fh, nx // fh, fh).mean(axis=(2, 4))
     free = 1.0 - below[1:]
     share = jnp.where(free > 1e-6, (below[:-1] - below[1:]) / jnp.maximum(free, 1e-6), 1.0)

@@ -1,6 +1,6 @@
 """Scenes, angles and compiled solvers that the tests of radiation share."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import jax
@@ -19,6 +19,12 @@ from fynjax.radiation import (
     solve_light,
 )
 
+quick_jit = partial(
+    jax.jit,
+    compiler_options={"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1},
+)
+"""Small scenes run in no time, so they are compiled in two thirds of it and run a little slower."""
+
 FINE = Accuracy(lattice=1, coarsening=(1, 1), levels=6, azimuths=8, tolerance=1e-9, iterations=200)
 """For a laterally uniform slab of thin layers: only the quadrature of directions is left."""
 
@@ -26,11 +32,11 @@ FINE = Accuracy(lattice=1, coarsening=(1, 1), levels=6, azimuths=8, tolerance=1e
 @lru_cache
 def solver(accuracy: Accuracy) -> Any:
     """Compiled `solve_light`; one compilation for all scenes of equal shape."""
-    return jax.jit(lambda scene: solve_light(scene, accuracy))
+    return quick_jit(lambda scene: solve_light(scene, accuracy))
 
 
-reflectance_of = jax.jit(directional_reflectance)
-fluxes_of = jax.jit(fluxes)
+reflectance_of = quick_jit(directional_reflectance)
+fluxes_of = quick_jit(fluxes)
 
 
 def slab(

@@ -14,6 +14,7 @@ from fynjax.radiation import Accuracy, parallel_rays, render
 from tests.radiation.scenes import (
     FINE,
     fluxes_of,
+    quick_jit,
     reflectance_of,
     slab,
     solver,
@@ -37,7 +38,7 @@ def depth(angle, zenith, lai):
     return np.asarray(angle.projection(jnp.asarray(mu))) * lai / mu
 
 
-@jax.jit
+@quick_jit
 def look(light, zenith, azimuth):
     x = jnp.array([0.3, 1.1])
     return jax.vmap(lambda z, a: render(light, parallel_rays(x, x, 0.2, z, a)))(zenith, azimuth)

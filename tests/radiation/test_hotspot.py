@@ -19,6 +19,7 @@ from fynjax.radiation import (
 from tests.radiation.scenes import (
     FINE,
     patchy,
+    quick_jit,
     reflectance_of,
     slab,
     solver,
@@ -186,7 +187,7 @@ def outcome(at):
     return jnp.sum(WEIGHTS * reflectance_of(light, zenith, azimuth))
 
 
-value, slope = jax.jit(outcome), jax.jit(jax.grad(outcome))
+value, slope = quick_jit(outcome), quick_jit(jax.grad(outcome))
 
 
 def near_the_sun(zenith, azimuth):

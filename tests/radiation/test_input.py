@@ -1,12 +1,25 @@
 """What cannot be rendered is refused with a sentence that says why."""
 
+import dataclasses
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.radiation import Accuracy, OpticalClasses, check_scene, solve_light
+from fynjax.radiation import (
+    Accuracy,
+    OpticalClasses,
+    RahmanPintyVerstraete,
+    check_scene,
+    nadir_rays,
+    reflectance_factor,
+    solve_light,
+    voxel_scene,
+)
 from tests.radiation.scenes import patchy
 
 
@@ -19,6 +32,10 @@ def with_static(**fields):
     return type(scene)(
         **{name: fields.get(name, getattr(scene, name)) for name in scene.__dataclass_fields__}
     )
+
+
+def with_pattern(pattern):
+    return dataclasses.replace(patchy().illumination, sky_pattern=pattern)
 
 
 DENSITY = patchy().area_density
@@ -110,6 +127,49 @@ CASES = {
         lambda: change(lambda s: s.illumination.sun_zenith, jnp.array(jnp.nan)),
         "but is nan",
     ),
+    "leaf diameters without owners": (
+        lambda: with_static(
+            classes=OpticalClasses(
+                patchy().classes.reflectance,
+                patchy().classes.transmittance,
+                patchy().classes.angles,
+                (0, 0, 0),
+                jnp.array([0.01, 0.02]),
+                (0, 2, 1),
+            )
+        ),
+        "points beyond the end of `leaf_diameter`",
+    ),
+    "a sky of one ring": (
+        lambda: with_static(illumination=with_pattern(jnp.ones((1, 8)))),
+        r"two zeniths or more, but has shape \(1, 8\)",
+    ),
+    "a sky of other bands": (
+        lambda: with_static(illumination=with_pattern(jnp.ones((3, 4, 8)))),
+        r"sky_pattern` must have the axes .*\(3, 4, 8\)",
+    ),
+    "a sky of negative light": (
+        lambda: with_static(illumination=with_pattern(-jnp.ones((4, 8)))),
+        "sky_pattern` must be finite",
+    ),
+    "terrain of another grid": (
+        lambda: with_static(terrain=jnp.zeros((8, 6))),
+        r"each voxel column, \(6, 8\), but has shape \(8, 6\)",
+    ),
+    "terrain above the grid": (
+        lambda: with_static(terrain=jnp.full((6, 8), 99.0)),
+        r"terrain \[m\]` must be finite and in \[0, 0.4\]",
+    ),
+    "ground shape of other bands": (
+        lambda: with_static(ground_shape=RahmanPintyVerstraete([1.0], [0.0], [1.0])),
+        r"`ground_shape.k` must have one value for each of the 2 bands",
+    ),
+    "no light": (
+        lambda: change(
+            lambda s: (s.illumination.sun, s.illumination.sky), (jnp.zeros(2), jnp.zeros(2))
+        ),
+        "must have light, of sun or sky, in every band",
+    ),
     "unknown boundary": (
         lambda: with_static(boundary="mirror"),
         "`boundary` must be 'periodic' or 'open', but is 'mirror'",
@@ -158,3 +218,72 @@ def test_an_open_scene_with_a_traced_sun_needs_a_margin():
 def test_shapes_are_checked_under_jit_too():
     with pytest.raises(InputError, match=r"`classes.reflectance` must have shape"):
         jax.eval_shape(solve_light, change(lambda s: s.area_density, DENSITY[:2]))
+
+
+def plain(**changes):
+    """A small scene from plain arrays, as a user writes it."""
+    arguments = {
+        "area_density": np.ones((1, 2, 3, 4)),
+        "reflectance": [[0.1, 0.4]],
+        "transmittance": [[0.1, 0.4]],
+        "voxel": (0.1, 0.1, 0.1),
+        "ground": [0.2, 0.3],
+        "sun_zenith": 30.0,
+    }
+    return voxel_scene(**(arguments | changes))
+
+
+def test_a_scene_from_plain_arrays():
+    scene = plain(area_density=np.ones((1, 2, 3, 4), int), leaf_angles="planophile", sky=0.2)
+    assert jnp.issubdtype(scene.area_density.dtype, jnp.floating)
+    assert scene.shape == (2, 3, 4)
+    assert scene.illumination.sky.shape == (2,)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"voxel": (0.1, 0.2, 0.1)}, "the first two equal.*resample the grid to square columns"),
+        ({"voxel": 0.1}, "must be the edges in x, y and z"),
+        ({"area_density": np.ones((2, 3, 4))}, r"axes \[class, z, y, x\].*\(2, 3, 4\)"),
+        ({"reflectance": [0.1, 0.4]}, r"`reflectance` \[class, band\]"),
+        ({"transmittance": [[0.9, 0.9]]}, "must not exceed 1"),
+        ({"leaf_angles": "upright"}, "upright"),
+        ({"leaf_angles": ["spherical", "planophile"]}, "each of the 1 classes, but has 2"),
+        ({"sky": [0.1, 0.2, 0.3]}, "one value for each of the 2 bands"),
+        ({"sun_zenith": 95.0}, "at or below the horizon"),
+        ({"ground": [20.0, 30.0]}, r"ground` must be finite and in \[0, 1\]"),
+    ],
+)
+def test_plain_arrays_refused(changes, message):
+    with pytest.raises(InputError, match=message):
+        plain(**changes)
+
+
+def test_a_grid_too_large_is_refused_before_it_is_tried(monkeypatch):
+    monkeypatch.setattr("fynjax.radiation._check._memory", lambda: 2**24)
+    with pytest.raises(
+        InputError, match=r"20 x 60 x 60 voxels in 2 bands needs about .* GiB.*"
+    ) as e:
+        solve_light(plain(area_density=np.ones((1, 20, 60, 60))))
+    side = int(str(e.value).split("at most ")[1].split()[0])
+    assert 0 < side < 60
+    solve = lambda n: jax.eval_shape(  # noqa: E731
+        lambda: solve_light(plain(area_density=np.ones((1, 20, n, n)))).diffuse.top
+    )
+    solve(side - side % 2)  # what it says would fit
+
+
+def test_a_camera_in_the_canopy_is_refused():
+    x = jnp.array([0.1, 0.2])
+    light = solve_light(plain(), Accuracy(refine=False, levels=1, azimuths=2))
+    with pytest.raises(InputError, match=r"above the grid, which is 0.2 m high, but is at 0.15 m"):
+        reflectance_factor(light, nadir_rays(x, x, 0.1, (0.1, 0.1, 0.15)))
+
+
+def test_an_empty_grid_is_the_bare_ground():
+    scene = plain(area_density=np.zeros((1, 2, 4, 4)), sky=0.3)
+    x = (jnp.arange(4) + 0.5) * 0.1
+    light = solve_light(scene, Accuracy(levels=1, azimuths=2))
+    image = reflectance_factor(light, nadir_rays(x, x, 0.1, (0.2, 0.2, math.inf)))
+    np.testing.assert_allclose(image, np.broadcast_to([[[0.2]], [[0.3]]], (2, 4, 4)), rtol=1e-12)

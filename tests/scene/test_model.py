@@ -51,12 +51,12 @@ def test_hard_scene_plants_whole_plants_of_equation_10():
 def test_soft_scene_tends_to_the_hard_one():
     parameters = small_parameters()
     hard = small_plot(softness=0.0, width=0.0)
-    image = np.asarray(render(hard, parameters))
+    plants = np.asarray(hard.area_density(parameters))
     away = []
     for width in (1.0, 0.3, 1e-3):
         soft = dataclasses.replace(hard, width=width)
-        away.append(np.abs(np.asarray(render(soft, parameters)) - image).max())
-    assert away[0] > 1e-4  # the soft scene is another one
+        away.append(np.abs(np.asarray(soft.area_density(parameters)) - plants).max())
+    assert away[0] > 1e-3  # the soft scene is another one
     assert away[2] < 1e-12
     assert away[0] >= away[1] >= away[2]
 

@@ -1,0 +1,30 @@
+"""Optional packages, imported where they are used."""
+
+import importlib
+import warnings
+from types import ModuleType
+
+from fynjax._core.errors import MissingExtraError
+
+
+def require(module: str, extra: str, package: str | None = None) -> ModuleType:
+    """Import `module`, or say which extra of fynjax brings it.
+
+    **Arguments:**
+
+    - `module`: name as imported.
+    - `extra`: the extra in `pip install "fynjax[extra]"`.
+    - `package`: name as installed, if it is another.
+
+    **Raises:** `MissingExtraError` if the package is not installed. A package that is there and
+    fails in an import of its own raises what it raises.
+    """
+    try:
+        with warnings.catch_warnings():
+            # Compiled wrappers warn of the Python they were built for, which no user can change.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is not None and error.name != module.split(".")[0]:
+            raise
+        raise MissingExtraError(package or module, extra) from error

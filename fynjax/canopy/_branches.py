@@ -1,0 +1,126 @@
+"""Branch-level models: one branch, instanced many times, makes a plant.
+
+The paper turns each copy at random, with a spread sigma_rot that grows with the number of branches
+towards an asymptote. It prints neither the curve nor its numbers, so both are assumptions here:
+`branch_rotation_spread` is a saturating exponential that starts at zero for a single branch, which
+then stands upright as a full-plant model does.
+"""
+
+from typing import Any, TypeVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax._core.errors import InputError
+from fynjax.canopy._instances import random_orientation
+from fynjax.canopy._mesh import MeshPlant, PlantMaterial, PlantMesh, mesh_plant
+from fynjax.canopy._plant import Organ
+
+_Branch = TypeVar("_Branch", MeshPlant, PlantMesh)
+
+
+def branch_rotation_spread(
+    branches: Any, asymptote: Any = 35.0, growth: Any = 8.0
+) -> Float[Array, "*n"]:
+    """sigma_rot [degrees] of a plant made of `branches` copies of one branch.
+
+    `asymptote` (1 - exp(-(branches - 1) / `growth`)): 0 for one branch, `asymptote` [degrees, 0
+    to 90] for very many; `growth` [branches, positive] is how many it takes. Form and numbers
+    are assumptions, see this module. Differentiable in every argument.
+    """
+    more = jnp.maximum(jnp.asarray(branches, float) - 1.0, 0.0)
+    return -jnp.asarray(asymptote) * jnp.expm1(-more / growth)
+
+
+def plant_from_branches(
+    branch: _Branch,
+    branches: int,
+    *,
+    seed: int,
+    rotation_spread: float | None = None,
+) -> _Branch:
+    """A whole plant: `branches` copies of a branch, turned and tilted about its foot.
+
+    **Arguments:**
+
+    - `branch`: as elements (`plant_model_from_mesh`) or as triangles (`read_plant_mesh`); the
+      result is of the same kind. Its foot is the middle of the bottom of its bounding box.
+    - `branches`: number of copies, at least 1.
+    - `seed`: fixes their azimuths (uniform) and tilts (sizes of normal numbers), which are those
+      of `random_orientation`: elements and triangles of a branch make the same plant.
+    - `rotation_spread`: sigma_rot [degrees, 0 to 90]; `branch_rotation_spread(branches)` if left
+      out.
+
+    All areas are `branches` times those of the branch. The bounding box is that of the copies (of
+    the elements, which lie a little inside that of the triangles), so that `modelled_diameter`
+    and `depth` suit eq. (5) to (9) with sigma_rot = 0. To instance the branch itself in a scene
+    instead, give `CrownPacking` its `branches` and `rotation_spread`.
+
+    Raises `InputError` for fewer than one branch or a spread out of range.
+    """
+    if int(branches) != branches or branches < 1:
+        raise InputError(f"`branches` must be a whole number of at least 1, but is {branches}")
+    spread = float(branch_rotation_spread(branches)) if rotation_spread is None else rotation_spread
+    if not 0.0 <= spread <= 90.0:
+        raise InputError(f"`rotation_spread` must be 0 to 90 degrees, but is {spread}")
+    turns = _rotations(*random_orientation(int(branches), seed=seed, rotation_spread=spread))
+    if isinstance(branch, PlantMesh):
+        return _copy_mesh(branch, turns)
+    return _copy_elements(branch, turns)
+
+
+def _rotations(azimuth: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+    """Matrices [copy, 3, 3] that lean a plant towards north, then turn it clockwise."""
+    turn, lean = np.deg2rad(azimuth), np.deg2rad(tilt)
+    zero, one = np.zeros_like(turn), np.ones_like(turn)
+    leans = np.array(
+        [
+            [one, zero, zero],
+            [zero, np.cos(lean), np.sin(lean)],
+            [zero, -np.sin(lean), np.cos(lean)],
+        ]
+    )
+    turns = np.array(
+        [
+            [np.cos(turn), np.sin(turn), zero],
+            [-np.sin(turn), np.cos(turn), zero],
+            [zero, zero, one],
+        ]
+    )
+    return np.einsum("ijn,jkn->nik", turns, leans)
+
+
+def _copy_mesh(branch: PlantMesh, turns: np.ndarray) -> PlantMesh:
+    low, high = branch.triangles.min(axis=(0, 1)), branch.triangles.max(axis=(0, 1))
+    foot = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
+    copies = np.einsum("nij,vj->nvi", turns, branch.vertices - foot)
+    first = np.arange(len(turns))[:, None, None] * len(branch.vertices)
+    return PlantMesh(
+        copies.reshape(-1, 3),
+        (branch.faces[None] + first).reshape(-1, 3),
+        np.tile(branch.material, len(turns)),
+        branch.materials,
+    )
+
+
+def _copy_elements(branch: MeshPlant, turns: np.ndarray) -> MeshPlant:
+    position = np.asarray(branch.position)
+    point = np.einsum("nij,ej->nei", turns, position).reshape(-1, 3)
+    normal = np.einsum("nij,ej->nei", turns, np.asarray(branch.plant.normal)).reshape(-1, 3)
+    organ = np.asarray(branch.plant.organ)
+    materials = []
+    for index, optics in enumerate(branch.optics):
+        owned = organ[np.asarray(branch.material) == index]
+        materials.append(PlantMaterial(Organ(int(owned[0])) if len(owned) else Organ.LEAF, optics))
+    foot = np.array([np.inf, np.inf, 0.0])
+    return mesh_plant(
+        point,
+        normal,
+        np.tile(np.asarray(branch.area), len(turns)),
+        np.tile(np.asarray(branch.material), len(turns)),
+        branch.materials,
+        materials,
+        np.minimum(point.min(axis=0), foot),
+        point.max(axis=0),
+    )

@@ -1,0 +1,108 @@
+"""Facets of meshes: their areas and normals, whether they close, and an even draw of them."""
+
+from typing import Any
+
+import numpy as np
+
+from fynjax._core.errors import InputError
+
+# Normals are told apart in this many steps of height and of azimuth, all of equal area.
+_NORMAL_RINGS, _NORMAL_SECTORS = 8, 16
+_POSITION_BITS = 10
+
+
+def facets(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normals [face, 3] and areas [face] of triangles [face, 3, 3]."""
+    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    double = np.linalg.norm(cross, axis=1)
+    return cross / np.where(double > 0.0, double, 1.0)[:, None], 0.5 * double
+
+
+def is_closed(triangles: np.ndarray) -> bool:
+    """Whether no edge of the triangles [face, 3, 3] is open, the rim of a sheet."""
+    points = triangles.reshape(-1, 3)
+    step = 1e-9 * max(float(np.ptp(points, axis=0).max()), 1e-30)
+    grid = np.round((points - points.min(axis=0)) / step).astype(np.int64)
+    _, corner = np.unique(grid, axis=0, return_inverse=True)
+    faces = corner.reshape(-1, 3)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    _, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
+    return bool((count % 2 == 0).all())
+
+
+def volume(triangles: np.ndarray) -> float:
+    """Volume that closed triangles bound [m3], negative where they are inside out."""
+    middle = triangles.mean(axis=(0, 1))  # near the origin, so that nothing cancels
+    a, b, c = np.moveaxis(triangles - middle, 1, 0)
+    return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0
+
+
+def draw_evenly(
+    area: np.ndarray, normal: np.ndarray, place: np.ndarray, count: int, seed: list[int]
+) -> np.ndarray:
+    """Indices of `count` facets, in equal steps through their areas from a random start.
+
+    The facets are ranked by their normals first (opposite ones are alike), then along a curve
+    through space, so that every direction and every place gets its share: far more even than an
+    independent draw.
+    """
+    order = np.lexsort((_along_curve(place), _normal_cell(normal)))
+    mass = np.cumsum(area[order])
+    start = np.random.default_rng(seed).random()
+    steps = (np.arange(count) + start) / count * mass[-1]
+    return order[np.minimum(np.searchsorted(mass, steps), len(mass) - 1)]
+
+
+def _normal_cell(normal: np.ndarray) -> np.ndarray:
+    """Cell of equal area on the hemisphere of unoriented normals, neighbours one after another."""
+    up = np.where(normal[:, 2:] < 0.0, -normal, normal)
+    ring = np.minimum((up[:, 2] * _NORMAL_RINGS).astype(int), _NORMAL_RINGS - 1)
+    turn = np.arctan2(up[:, 1], up[:, 0]) / (2.0 * np.pi) % 1.0
+    sector = np.minimum((turn * _NORMAL_SECTORS).astype(int), _NORMAL_SECTORS - 1)
+    sector = np.where(ring % 2 == 1, _NORMAL_SECTORS - 1 - sector, sector)
+    return ring * _NORMAL_SECTORS + sector
+
+
+def _along_curve(place: np.ndarray) -> np.ndarray:
+    """Rank of points [n, 3] along a Z-order curve (Morton 1966)."""
+    low = place.min(axis=0)
+    side = max(float(np.ptp(place, axis=0).max()), 1e-30)
+    cell = ((place - low) / side * (2**_POSITION_BITS - 1)).astype(np.int64)
+    rank = np.zeros(len(place), np.int64)
+    for bit in range(_POSITION_BITS):
+        for axis in range(3):
+            rank |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return rank
+
+
+def check_vertex_normals(geometry: Any, name: str, file: str | None) -> None:
+    """Raise `InputError` where stored vertex normals do not go with the faces.
+
+    `geometry` is a `trimesh.Trimesh`, which computes the normals that are missing.
+    """
+    vertices, faces = np.asarray(geometry.vertices, float), np.asarray(geometry.faces)
+    normal, area = facets(vertices[faces])
+    if not (np.isfinite(vertices).all() and area.sum() > 0.0):
+        return  # worse is wrong, and is reported as such
+    own = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(own, faces[:, corner], area[:, None] * normal)
+    stored = np.asarray(geometry.vertex_normals, float)
+    # Where the two sides of a leaf share vertices, the mean normal is zero and tells nothing.
+    weight = np.bincount(faces.ravel(), weights=np.repeat(area, 3), minlength=len(vertices))
+    telling = (np.linalg.norm(own, axis=1) > 0.1 * weight) & (weight > 0.0)
+    where = f"of material {name!r} " if name else ""
+    zero = telling & ~(np.linalg.norm(stored, axis=1) > 1e-6)
+    if zero.any():
+        raise InputError(
+            f"the vertex normals {where}must be unit vectors, but {zero.sum()} of {len(zero)} are "
+            "zero or not finite: export the mesh anew with normals, or without any",
+            file=file,
+        )
+    against = telling & ((stored * own).sum(axis=1) < 0.0)
+    if weight[against].sum() > 0.5 * weight[telling].sum():
+        raise InputError(
+            f"the vertex normals {where}must point to the side from which the faces wind "
+            "counter-clockwise, but most are inverted: recalculate the normals",
+            file=file,
+        )

@@ -1,0 +1,241 @@
+"""Plant models from scanned plants: point clouds with normals.
+
+A scanner or a photogrammetric model gives points on surfaces, not surfaces. A point's area is
+that of its surroundings: its k nearest neighbours, seen along its normal, lie in a disc, of which
+it owns the k-th part. Where points lie at random on a smooth surface, that is the surface's area;
+where leaves are smaller than the disc, or closer together than the points, it is wrong, so give
+the plant's areas where they are known (`organ_area`). Each point stands for a sheet seen from one
+side: a leaf scanned from above and from below counts twice.
+"""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from fynjax._core.errors import InputError
+from fynjax.canopy._forms import split_elements
+from fynjax.canopy._mesh import MeshPlant, PlantMaterial, check_extent, mesh_plant
+from fynjax.canopy._mesh_facets import draw_evenly
+from fynjax.canopy._plant import Organ
+
+_LARGEST_LENGTH_MISS = 0.01
+_COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
+
+
+def read_scan(
+    path: str | Path,
+) -> tuple[
+    Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"], Int[np.ndarray, " point"] | None
+]:
+    """Points [m], normals and organs (None if the file has none) of a scanned plant.
+
+    PLY with the vertex properties x, y, z, nx, ny, nz, or text (CSV, TXT, XYZ) with these columns
+    under a header, or in this order without one; a column `organ` holds 0 for leaf, 1 for wood, 2
+    for flower. Raises `InputError` for a file without normals or that cannot be read.
+    """
+    file = str(path)
+    is_ply = Path(path).suffix.lower() == ".ply"
+    columns = _ply_columns(file) if is_ply else _text_columns(file)
+    missing = [name for name in _COLUMNS if name not in columns]
+    if missing:
+        raise InputError(
+            f"a scanned plant must have points with normals (x, y, z, nx, ny, nz), but has no "
+            f"{', '.join(missing)}: compute normals where the cloud was made",
+            file=file,
+        )
+    points = np.stack([columns[name] for name in _COLUMNS[:3]], axis=-1)
+    normals = np.stack([columns[name] for name in _COLUMNS[3:]], axis=-1)
+    organs = columns.get("organ")
+    return points, normals, None if organs is None else organs.astype(int)
+
+
+def plant_model_from_points(
+    points: Float[np.ndarray, "point 3"],
+    normals: Float[np.ndarray, "point 3"],
+    n_elements: int | None = None,
+    organ: Int[np.ndarray, " point"] | Organ | str = Organ.LEAF,
+    *,
+    organ_area: dict[Organ | str, float] | None = None,
+    neighbours: int = 12,
+    up: Literal["y", "z"] = "z",
+    maximum_extent: float = 10.0,
+    seed: int = 0,
+) -> MeshPlant:
+    """Plant model of a scanned plant.
+
+    **Arguments:**
+
+    - `points`: on its surfaces [m]. `normals`: unit normals; their sign does not matter.
+    - `n_elements`: number of elements, shared among the organs by area, at least one each; None
+      keeps every point.
+    - `organ`: of all points, or of each (0 leaf, 1 wood, 2 flower).
+    - `organ_area`: one-sided area [m2] of organs where it is known; the others get the area that
+      the spacing of their points shows (see this module).
+    - `neighbours`: how many neighbours show a point's surroundings, at least 4.
+    - `up`, `maximum_extent`: as in `plant_model_from_mesh`.
+    - `seed`: fixes which points are drawn.
+
+    Raises `InputError` for normals that are zero or not of unit length, points that are not
+    finite, too few, flat or in other units, and organs or areas out of range.
+    """
+    points, normals = np.asarray(points, float), np.asarray(normals, float)
+    if points.ndim != 2 or points.shape[1] != 3 or normals.shape != points.shape:
+        raise InputError(
+            "`points` and `normals` must both be [point, 3], but are "
+            f"{points.shape} and {normals.shape}"
+        )
+    if neighbours < 4 or len(points) <= neighbours:
+        raise InputError(
+            f"a scanned plant must have more points than `neighbours`, at least 4, but has "
+            f"{len(points)} and {neighbours}"
+        )
+    if up not in ("y", "z"):
+        raise InputError(f"`up` must be 'y' or 'z', but is {up!r}")
+    if up == "y":
+        points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=-1)
+        normals = np.stack([normals[:, 0], -normals[:, 2], normals[:, 1]], axis=-1)
+    low, high = check_extent(points, maximum_extent, None, "a scanned plant")
+    _check_normals(normals)
+    of_point = _organs(organ, len(points))
+
+    area = np.zeros(len(points))
+    known = {_one_organ(key): float(value) for key, value in (organ_area or {}).items()}
+    for one in Organ:
+        mine = of_point == one
+        if one in known and not (np.isfinite(known[one]) and known[one] > 0.0 and mine.any()):
+            raise InputError(
+                f"`organ_area` of {one.name.lower()} must be positive [m2] and the organ have "
+                f"points, but is {known[one]:g} with {mine.sum()} points"
+            )
+        if mine.any():
+            area[mine] = _point_areas(points[mine], normals[mine], neighbours)
+        if one in known:
+            area[mine] *= known[one] / area[mine].sum()
+    chosen, portion = _thin(points, normals, of_point, area, n_elements, seed)
+    present = [one for one in Organ if (of_point == one).any()]
+    index = np.array([present.index(one) if one in present else -1 for one in Organ])
+    return mesh_plant(
+        points[chosen],
+        normals[chosen],
+        portion,
+        index[of_point[chosen]],
+        tuple(one.name.lower() for one in present),
+        [PlantMaterial(one) for one in present],
+        low,
+        high,
+    )
+
+
+def _point_areas(points: np.ndarray, normals: np.ndarray, neighbours: int) -> np.ndarray:
+    """Area of the surface that each point stands for [m2]."""
+    from scipy.spatial import cKDTree  # late: the parametric forms do without
+
+    count = min(neighbours, len(points) - 1)
+    if count < 1:
+        raise InputError("an organ of a scanned plant must have at least two points, but has one")
+    _, near = cKDTree(points).query(points, k=count + 1)
+    reach = points[near[:, -1]] - points
+    along = np.einsum("ni,ni->n", reach, normals)
+    level = np.maximum((reach**2).sum(axis=1) - along**2, 0.25 * (reach**2).sum(axis=1))
+    # The mean of pi r^2 / k is the area per point where points lie at random.
+    return np.pi * level / count
+
+
+def _thin(
+    points: np.ndarray,
+    normals: np.ndarray,
+    organ: np.ndarray,
+    area: np.ndarray,
+    n_elements: int | None,
+    seed: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points drawn in proportion to area within each organ, and the area of each."""
+    if n_elements is None or n_elements >= len(organ):
+        return np.arange(len(organ)), area
+    total = np.bincount(organ, weights=area, minlength=len(Organ))
+    present = {one: float(total[one]) for one in Organ if total[one] > 0.0}
+    if n_elements < len(present):
+        raise InputError(f"`n_elements` must be at least {len(present)}, but is {n_elements}")
+    chosen, portion = [], []
+    for one, count in split_elements(n_elements, present).items():
+        mine = np.flatnonzero(organ == one)
+        drawn = draw_evenly(area[mine], normals[mine], points[mine], count, [seed, int(one)])
+        chosen.append(mine[drawn])
+        portion.append(np.full(count, present[one] / count))
+    return np.concatenate(chosen), np.concatenate(portion)
+
+
+def _check_normals(normals: np.ndarray) -> None:
+    if not np.isfinite(normals).all():
+        raise InputError("`normals` must be finite, but some are not")
+    length = np.linalg.norm(normals, axis=1)
+    zero = int((length < 1e-6).sum())
+    if zero:
+        raise InputError(
+            f"`normals` must be unit vectors, but {zero} of {len(normals)} are zero: compute them "
+            "anew, or drop these points"
+        )
+    if np.abs(length - 1.0).max() > _LARGEST_LENGTH_MISS:
+        raise InputError(
+            "`normals` must be unit vectors, but their lengths range from "
+            f"{length.min():.3g} to {length.max():.3g}"
+        )
+
+
+def _one_organ(organ: Organ | str | int) -> Organ:
+    if isinstance(organ, str):
+        if organ.upper() not in Organ.__members__:
+            raise InputError(f"an organ must be leaf, wood or flower, but is {organ!r}")
+        return Organ[organ.upper()]
+    return Organ(organ)
+
+
+def _organs(organ: Any, count: int) -> np.ndarray:
+    if isinstance(organ, str | Organ):
+        return np.full(count, int(_one_organ(organ)))
+    organ = np.asarray(organ)
+    if organ.shape != (count,) or not np.isin(organ, [int(one) for one in Organ]).all():
+        raise InputError(
+            f"`organ` must be 0 (leaf), 1 (wood) or 2 (flower) for each of {count} points, but has "
+            f"the shape {organ.shape} and values {np.unique(organ)[:5].tolist()}"
+        )
+    return organ.astype(int)
+
+
+def _ply_columns(file: str) -> dict[str, np.ndarray]:
+    import trimesh
+
+    try:
+        cloud = trimesh.load(file, process=False)
+        data = cloud.metadata["_ply_raw"]["vertex"]["data"]
+        names = data.dtype.names if hasattr(data, "dtype") else list(data)
+        return {str(name): np.asarray(data[name], float).reshape(-1) for name in names}
+    except Exception as error:  # trimesh's readers raise whatever they stumble over
+        raise InputError(f"the scan cannot be read: {error}", file=file) from error
+
+
+def _text_columns(file: str) -> dict[str, np.ndarray]:
+    try:
+        lines = Path(file).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"the scan cannot be read: {error}", file=file) from error
+    rows = [(number, line.replace(",", " ").split()) for number, line in enumerate(lines, 1)]
+    rows = [(number, cells) for number, cells in rows if cells and not cells[0].startswith("#")]
+    if not rows:
+        raise InputError("a scanned plant must have points, but the file is empty", file=file)
+    header = [cell.strip('"').lower() for cell in rows[0][1]]
+    named = "x" in header
+    names = header if named else [*_COLUMNS, "organ"][: len(header)]
+    values = np.empty((len(rows) - named, len(names)))
+    for index, (number, cells) in enumerate(rows[int(named) :]):
+        try:
+            values[index] = [float(cell) for cell in cells[: len(names)]]
+        except ValueError as error:
+            raise InputError(
+                f"expected {len(names)} numbers, but found {' '.join(cells)[:60]!r}",
+                file=file,
+                row=number,
+            ) from error
+    return {name: values[:, column] for column, name in enumerate(names)}

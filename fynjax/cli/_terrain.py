@@ -1,0 +1,114 @@
+"""`fynjax terrain`."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fynjax.cli._runtime import Json, Output, Quiet, run_job
+
+
+class Method(StrEnum):
+    """How ground is told from plants."""
+
+    smrf = "smrf"
+    cloth = "cloth"
+    labels = "labels"
+
+
+class Unit(StrEnum):
+    """Units that coordinates may be stated in."""
+
+    metre = "metre"
+    centimetre = "centimetre"
+    millimetre = "millimetre"
+    foot = "foot"
+    us_survey_foot = "us_survey_foot"
+
+
+InputPath = Annotated[
+    Path,
+    typer.Argument(
+        metavar="FILE", help="Point cloud (LAS, LAZ, PLY, XYZ, CSV) or height raster (GeoTIFF)."
+    ),
+]
+
+
+def terrain(
+    file: InputPath,
+    output: Output = Path("output/terrain"),
+    cell: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Side of a cell [m]; 0.25 for a cloud, a raster's own."),
+    ] = None,
+    size: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Side of a square plot in the middle of the file [m]."),
+    ] = None,
+    bounds: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(metavar="W S E N", help="Edges of the plot, in the file's coordinates [m]."),
+    ] = None,
+    method: Annotated[
+        Method,
+        typer.Option(help="Ground by a filter (smrf, cloth) or by the file's own labels."),
+    ] = Method.smrf,
+    tolerance: Annotated[
+        float, typer.Option(metavar="M", help="Ground lies this near to the lowest points [m].")
+    ] = 0.3,
+    slope: Annotated[
+        float, typer.Option(help="How much steeper than the plot its ground may be (smrf).")
+    ] = 0.15,
+    window: Annotated[
+        float, typer.Option(metavar="M", help="Radius of the widest closed stand [m] (smrf).")
+    ] = 5.0,
+    largest_gap: Annotated[
+        float, typer.Option(metavar="M", help="Farthest that a cell may be from ground seen [m].")
+    ] = 10.0,
+    unit: Annotated[
+        Unit | None, typer.Option(help="Unit of a cloud's coordinates, if not metres.")
+    ] = None,
+    height_unit: Annotated[Unit | None, typer.Option(help="Unit of heights, if another.")] = None,
+    crs: Annotated[
+        str | None,
+        typer.Option(metavar="EPSG:N", help="Reference system of a file that states none."),
+    ] = None,
+    fill_gaps: Annotated[
+        bool, typer.Option("--fill-gaps", help="Interpolate cells of a raster without height.")
+    ] = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make the ground of a plot from a point cloud or a height raster.
+
+    Writes the ground as GeoTIFF and OBJ, a picture and, from a cloud, the height of the canopy.
+
+    Example:  fynjax terrain plot.laz --size 66 --output terrain
+    """
+    from fynjax.terrain import run_terrain
+
+    run_job(
+        "terrain",
+        lambda folder, progress: run_terrain(
+            file,
+            folder,
+            cell=cell,
+            bounds=bounds,
+            size=size,
+            method=method.value,
+            tolerance=tolerance,
+            slope=slope,
+            window=window,
+            largest_gap=largest_gap,
+            unit=None if unit is None else unit.value,
+            height_unit=None if height_unit is None else height_unit.value,
+            crs=crs,
+            fill_gaps=fill_gaps,
+            progress=progress,
+        ),
+        output,
+        seed=0,
+        as_json=json,
+        quiet=quiet,
+    )

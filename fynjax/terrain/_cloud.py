@@ -1,0 +1,250 @@
+"""Point clouds in: LAS and LAZ, PLY, and text (XYZ, CSV)."""
+
+import logging
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+from numpy.typing import NDArray
+
+from fynjax._core.errors import InputError
+from fynjax._core.extras import require
+from fynjax.io._tables import existing_file
+from fynjax.terrain._units import (
+    Bounds,
+    check_bounds,
+    check_coordinates,
+    check_metric,
+    parse_crs,
+    unit_factor,
+)
+
+GROUND_CLASSES = (2, 8, 9)
+"""ASPRS classes that are ground: ground, model key points, water (LAS 1.4 R15, table 17)."""
+
+_NOISE_CLASSES = (7, 18)
+
+
+@dataclass(frozen=True)
+class PointCloud:
+    """Points in metres: x east, y north, z up."""
+
+    x: Float64[np.ndarray, " point"]
+    """Easting [m]."""
+    y: Float64[np.ndarray, " point"]
+    """Northing [m]."""
+    z: Float64[np.ndarray, " point"]
+    """Height [m]."""
+    classification: UInt8[np.ndarray, " point"] | None = None
+    """ASPRS class of each point (2 is ground), where the file has one."""
+    crs: str | None = None
+    """Coordinate reference system as WKT; `None` where the file states none."""
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    @property
+    def bounds(self) -> Bounds:
+        """The rectangle that holds all points."""
+        west, south = float(self.x.min()), float(self.y.min())
+        return west, south, float(self.x.max()), float(self.y.max())
+
+    def select(self, keep: NDArray[np.bool_]) -> "PointCloud":
+        """The points where `keep` is true."""
+        labels = self.classification
+        return replace(
+            self,
+            x=self.x[keep],
+            y=self.y[keep],
+            z=self.z[keep],
+            classification=None if labels is None else labels[keep],
+        )
+
+    def crop(self, bounds: Bounds, margin: float = 0.0) -> "PointCloud":
+        """The points in a rectangle and up to `margin` [m] around it."""
+        west, south, east, north = check_bounds(bounds)
+        inside = (self.x >= west - margin) & (self.x <= east + margin)
+        inside &= (self.y >= south - margin) & (self.y <= north + margin)
+        if not inside.any():
+            w, s, e, n = self.bounds
+            raise InputError(
+                f"the plot ({west:g}, {south:g}) to ({east:g}, {north:g}) has no point of the "
+                f"cloud, which covers ({w:.1f}, {s:.1f}) to ({e:.1f}, {n:.1f}). Are both in the "
+                "same coordinate reference system, x first?"
+            )
+        return self.select(inside)
+
+
+def read_cloud(
+    path: str | Path,
+    *,
+    unit: str | None = None,
+    height_unit: str | None = None,
+    crs: str | None = None,
+) -> PointCloud:
+    """Read a point cloud from a drone's photographs or a laser scanner.
+
+    **Arguments:**
+
+    - `path`: LAS or LAZ; PLY; or text (.xyz, .txt, .csv): x, y, z as the first three
+      columns or named in a header, which may also have `classification`.
+    - `unit`: one of `UNITS`, for files that are not in metres. Coordinates are then converted,
+      and a reference system, whose coordinates they are no more, is dropped.
+    - `height_unit`: the same for z alone; `unit` unless given.
+    - `crs`: reference system of a file that states none, such as "EPSG:32734".
+
+    Points marked as noise (classes 7 and 18) or withheld are left out.
+
+    **Returns:** `PointCloud`, in metres.
+
+    **Raises:** `InputError` for a file that is missing, cut short, of another format, has NaN, is
+    in degrees or in another unit than metres that was not stated. Units are told from the
+    reference system, the header, and numbers that cannot be metres of a plot (a point in 25 m2,
+    relief of twice the plot's width); feet without any of these cannot be told from metres.
+    `MissingExtraError` for LAS without the extra `terrain`.
+    """
+    path = existing_file(path, "a point cloud")
+    if path.stat().st_size == 0:
+        raise InputError("expected a point cloud, but the file is empty", file=path)
+    suffix = path.suffix.lower()
+    if suffix in (".las", ".laz"):
+        x, y, z, labels, found = _read_las(
+            path, unit is not None, unit is not None or height_unit is not None
+        )
+    elif suffix == ".ply":
+        x, y, z, labels = _read_ply(path)
+        found = None
+    elif suffix in (".xyz", ".txt", ".csv"):
+        from fynjax.terrain._text import read_text_cloud
+
+        x, y, z, labels = read_text_cloud(path, unit_stated=unit is not None)
+        found = None
+    else:
+        raise InputError(
+            f"expected a point cloud (.las, .laz, .ply, .xyz, .txt or .csv), but this is a "
+            f"{suffix or 'file without a suffix'}",
+            file=path,
+        )
+    system = found if crs is None else parse_crs(crs, path)
+    stated = unit is not None
+    if system is not None:
+        check_metric(
+            system,
+            path,
+            unit_stated=stated,
+            height_stated=stated or height_unit is not None,
+        )
+    factor = unit_factor(unit or "metre")
+    height_factor = unit_factor(height_unit or unit or "metre")
+    if factor != 1.0:
+        x, y, system = x * factor, y * factor, None
+    z = z * height_factor
+    if labels is not None and np.isin(labels, _NOISE_CLASSES).any():
+        good = ~np.isin(labels, _NOISE_CLASSES)
+        x, y, z, labels = x[good], y[good], z[good], labels[good]
+    check_coordinates(x, y, z, path, unit_stated=stated)
+    return PointCloud(x, y, z, labels, None if system is None else system.to_wkt())
+
+
+def _read_las(path: Path, unit_stated: bool, height_stated: bool) -> tuple[Any, Any, Any, Any, Any]:
+    """x, y, z, classes and reference system of a LAS or LAZ file."""
+    laspy = require("laspy", "terrain")
+    if path.suffix.lower() == ".laz":
+        require("lazrs", "terrain")
+    # A logger without a handler prints to stderr, and the error below says it better.
+    logging.getLogger("laspy").addHandler(logging.NullHandler())
+    try:
+        las = laspy.read(path)
+        promised = int(las.header.point_count)
+        x, y, z = (np.array(axis, np.float64) for axis in (las.x, las.y, las.z))
+        labels = np.array(las.classification, np.uint8)
+        # A flag from point format 6 on, and a bit beside the class before it.
+        names = set(las.point_format.dimension_names)
+        withheld = np.array(las.withheld, bool) if "withheld" in names else np.zeros(len(x), bool)
+    except Exception as error:  # laspy and its decompressors raise whatever they stumble over
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"cannot be read as {path.suffix[1:].upper()} ({reason}). Is it cut short, or of "
+            "another format? Copy it again.",
+            file=path,
+        ) from error
+    if len(x) != promised:
+        raise InputError(
+            f"expected {promised} points as the header says, but the file has {len(x)}. "
+            "It is cut short: copy it again.",
+            file=path,
+        )
+    keep = ~withheld
+    # Zero is "created, never classified": a file with nothing else has no classes.
+    classes = labels[keep] if labels.any() else None
+    system = _las_crs(las.header, path, unit_stated, height_stated)
+    return x[keep], y[keep], z[keep], classes, system
+
+
+def _las_crs(header: Any, path: Path, unit_stated: bool, height_stated: bool) -> Any:
+    """The reference system of a LAS header, from its WKT or its GeoTIFF keys (GeoTIFF 1.1)."""
+    records = [*header.vlrs, *(header.evlrs or [])]
+    for record in records:
+        text = getattr(record, "string", "")
+        if type(record).__name__ == "WktCoordinateSystemVlr" and text.strip("\0 "):
+            return parse_crs(text.strip("\0 "), path)
+    for record in records:
+        if type(record).__name__ != "GeoKeyDirectoryVlr":
+            continue
+        keys = {key.id: key.value_offset for key in record.geo_keys if key.tiff_tag_location == 0}
+        # ProjLinearUnits and VerticalUnits: EPSG 9002 and 9003 are feet.
+        for key, what, stated in (
+            (3076, "coordinates", unit_stated),
+            (4099, "heights", height_stated),
+        ):
+            if keys.get(key) in (9002, 9003) and not stated:
+                name = "foot" if keys[key] == 9002 else "us_survey_foot"
+                raise InputError(
+                    f"expected {what} in metres, but the file says {name}. Reproject to a metric "
+                    "system, or state the unit.",
+                    file=path,
+                )
+        # ProjectedCSType and GeographicType; 32767 is "user-defined".
+        for code in (keys.get(3072), keys.get(2048)):
+            if code and code != 32767:
+                return parse_crs(code, path)
+    return None
+
+
+def _read_ply(path: Path) -> tuple[Any, Any, Any, Any]:
+    """x, y, z and classes of the vertices of a PLY file."""
+    import trimesh
+
+    try:
+        cloud = trimesh.load(str(path), process=False)
+    except Exception as error:  # trimesh's readers raise whatever they stumble over
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"cannot be read as PLY ({reason}). Is it cut short? Copy it again.", file=path
+        ) from error
+    points = np.asarray(getattr(cloud, "vertices", np.zeros((0, 3))), np.float64)
+    if points.ndim != 2 or len(points) == 0:
+        raise InputError("expected a PLY file with points, but it has no vertices", file=path)
+    _check_precision(points, path)
+    columns = cloud.metadata.get("_ply_raw", {}).get("vertex", {}).get("data", {})
+    labels = None
+    names = columns if isinstance(columns, dict) else (columns.dtype.names or ())
+    for name in names:
+        if re.fullmatch(r"(scalar_)?class(ification)?", name.lower()):
+            labels = np.asarray(columns[name]).reshape(-1).astype(np.uint8)
+    return points[:, 0], points[:, 1], points[:, 2], labels
+
+
+def _check_precision(points: NDArray[np.float64], path: Path) -> None:
+    """Refuse map coordinates in single precision, which stand on steps of up to half a metre."""
+    largest = np.abs(points[np.isfinite(points)]).max(initial=0.0)
+    step = float(np.spacing(np.float32(largest)))
+    if step > 0.01 and np.array_equal(points.astype(np.float32), points, equal_nan=True):
+        raise InputError(
+            f"the coordinates are stored in single precision, in which they move in steps of "
+            f"{step:.2g} m. Export again in double precision, or with a local origin.",
+            file=path,
+        )

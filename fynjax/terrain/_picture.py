@@ -1,0 +1,55 @@
+"""The terrain as a picture: what is wrong with a surface shows at once under a low sun."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import NDArray
+
+from fynjax.io._atomic import atomic_path
+from fynjax.terrain._raster import Terrain
+
+
+def hillshade(
+    terrain: Terrain, *, sun_zenith: float = 45.0, sun_azimuth: float = 315.0
+) -> Float64[np.ndarray, "y x"]:
+    """Cosine between the ground's normal and the sun, 0 where it is turned away [-].
+
+    `sun_azimuth` is clockwise from north; both angles in degrees.
+    """
+    zenith, azimuth = np.radians(sun_zenith), np.radians(sun_azimuth)
+    east, north = terrain.gradient()
+    towards = np.array(
+        [np.sin(zenith) * np.sin(azimuth), np.sin(zenith) * np.cos(azimuth), np.cos(zenith)]
+    )
+    cosine = (towards[2] - east * towards[0] - north * towards[1]) / np.sqrt(1 + east**2 + north**2)
+    return np.maximum(cosine, 0.0)
+
+
+def write_picture(
+    path: str | Path, terrain: Terrain, canopy: NDArray[np.float64] | None = None
+) -> None:
+    """Write heights over a shaded relief as PNG, and beside it the height of the canopy."""
+    from matplotlib.figure import Figure
+
+    west, south, east, north = terrain.bounds
+    extent = (0.0, east - west, 0.0, north - south)
+    figure = Figure(figsize=(5.4 if canopy is None else 10.4, 4.6), layout="constrained")
+    axes: Any = figure.subplots(1, 1 if canopy is None else 2, squeeze=False)[0]
+    show: dict[str, Any] = {"origin": "lower", "extent": extent, "interpolation": "nearest"}
+    axes[0].imshow(hillshade(terrain), cmap="gray", vmin=0.0, vmax=1.0, **show)
+    heights = axes[0].imshow(terrain.heights, cmap="viridis", alpha=0.45, **show)
+    figure.colorbar(heights, ax=axes[0], label="Height of the ground [m]", shrink=0.85)
+    axes[0].set_title("Ground, shaded from the north-west", loc="left", fontsize=9.5)
+    if canopy is not None:
+        top = float(np.nanpercentile(canopy, 99.5)) if np.isfinite(canopy).any() else 1.0
+        above = axes[1].imshow(canopy, cmap="YlGn", vmin=0.0, vmax=max(top, 0.1), **show)
+        axes[1].set_facecolor("#D0D0D0")
+        figure.colorbar(above, ax=axes[1], label="Highest point above ground [m]", shrink=0.85)
+        axes[1].set_title("Canopy; grey where there is no point", loc="left", fontsize=9.5)
+    for panel in axes:
+        panel.set_xlabel("East [m]")
+        panel.set_ylabel("North [m]")
+    with atomic_path(path) as partial:
+        figure.savefig(partial, dpi=160, facecolor="white")

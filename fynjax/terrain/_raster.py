@@ -1,0 +1,207 @@
+"""The ground as a raster of heights."""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Float64
+from numpy.typing import ArrayLike, NDArray
+
+from fynjax._core.errors import InputError
+from fynjax.terrain._units import Bounds, check_bounds
+
+if TYPE_CHECKING:
+    from fynjax.canopy import VoxelGrid
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Heights of the ground on square cells. Row 0 is the southern one."""
+
+    heights: Float64[np.ndarray, "y x"]
+    """Height of the ground at the centre of each cell [m]; finite."""
+    cell: float
+    """Side of a cell [m]."""
+    origin: tuple[float, float] = (0.0, 0.0)
+    """South-west corner (x, y) of the raster [m]."""
+    crs: str | None = None
+    """Coordinate reference system as WKT; `None` is a frame of the plot's own."""
+
+    def __post_init__(self) -> None:
+        values = np.asarray(self.heights, np.float64)
+        if values.ndim != 2 or min(values.shape) < 2:
+            raise InputError(
+                f"`heights` must be [y, x] with at least two rows and columns, but has shape "
+                f"{values.shape}"
+            )
+        if not (np.isfinite(self.cell) and self.cell > 0.0):
+            raise InputError(f"`cell` must be positive [m], but is {self.cell}")
+        if not np.isfinite(values).all():
+            row, column = np.argwhere(~np.isfinite(values))[0]
+            raise InputError(
+                f"`heights` must be finite, but {int((~np.isfinite(values)).sum())} of "
+                f"{values.size} are not; the first is in row {row} from the south, column {column}"
+            )
+        object.__setattr__(self, "heights", values)
+        object.__setattr__(self, "origin", (float(self.origin[0]), float(self.origin[1])))
+
+    @property
+    def bounds(self) -> Bounds:
+        """Its outer edges, cells included."""
+        rows, columns = self.heights.shape
+        x, y = self.origin
+        return x, y, x + columns * self.cell, y + rows * self.cell
+
+    @property
+    def relief(self) -> float:
+        """Height of the highest cell above the lowest [m]."""
+        return float(np.ptp(self.heights))
+
+    @property
+    def centres(self) -> tuple[Float64[np.ndarray, " x"], Float64[np.ndarray, " y"]]:
+        """Coordinates of the columns and of the rows [m]."""
+        return _centres(self.bounds, self.cell, self.heights.shape)
+
+    def gradient(self) -> tuple[Float64[np.ndarray, "y x"], Float64[np.ndarray, "y x"]]:
+        """Slope eastward and northward [-], by central differences."""
+        north, east = np.gradient(self.heights, self.cell)
+        return np.asarray(east, np.float64), np.asarray(north, np.float64)
+
+    def height_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        """Height of the ground at points [m], bilinear between the centres of cells.
+
+        In the outer half cell the slope of the last two cells goes on. Raises `InputError` for a
+        point outside the raster.
+        """
+        px, py = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        west, south, east, north = self.bounds
+        slack = 1e-6 * self.cell
+        outside = (px < west - slack) | (px > east + slack)
+        outside |= (py < south - slack) | (py > north + slack)
+        if outside.any():
+            raise InputError(
+                f"the terrain covers ({west:.2f}, {south:.2f}) to ({east:.2f}, {north:.2f}), but "
+                f"{int(outside.sum())} of {outside.size} points lie outside, the first at "
+                f"({px[outside][0]:.2f}, {py[outside][0]:.2f})"
+            )
+        rows, columns = self.heights.shape
+        u = (px - west) / self.cell - 0.5
+        v = (py - south) / self.cell - 0.5
+        i = np.clip(np.floor(u).astype(np.intp), 0, columns - 2)
+        j = np.clip(np.floor(v).astype(np.intp), 0, rows - 2)
+        u, v = u - i, v - j
+        h = self.heights
+        low = h[j, i] * (1.0 - u) + h[j, i + 1] * u
+        high = h[j + 1, i] * (1.0 - u) + h[j + 1, i + 1] * u
+        return low * (1.0 - v) + high * v
+
+    def crop(self, bounds: Bounds) -> "Terrain":
+        """The cells that lie in a rectangle or touch it.
+
+        Raises `InputError` where the rectangle is not covered.
+        """
+        west, south, east, north = self._covered(bounds)
+        x, y = self.origin
+        rows, columns = self.heights.shape
+        tiny = 1e-6
+        first = (int((west - x) / self.cell + tiny), int((south - y) / self.cell + tiny))
+        last = (
+            min(columns, int(np.ceil((east - x) / self.cell - tiny))),
+            min(rows, int(np.ceil((north - y) / self.cell - tiny))),
+        )
+        return replace(
+            self,
+            heights=self.heights[first[1] : last[1], first[0] : last[0]],
+            origin=(x + first[0] * self.cell, y + first[1] * self.cell),
+        )
+
+    def resample(self, cell: float, bounds: Bounds | None = None) -> "Terrain":
+        """The same ground on cells of another size, over `bounds`.
+
+        Bilinear, as the mean of points no farther apart than the cells that are there: coarser
+        cells average, and the mean height stays.
+
+        **Arguments:** `cell` [m], which must divide the sides of `bounds`; `bounds` are those of
+        the terrain unless given.
+
+        **Raises:** `InputError` if `bounds` are not covered or not divided by `cell`.
+        """
+        covered = self._covered(self.bounds if bounds is None else bounds)
+        return replace(
+            self, heights=self._means(cell, covered), cell=float(cell), origin=covered[:2]
+        )
+
+    def _means(self, cell: float, bounds: Bounds) -> NDArray[np.float64]:
+        """Mean height in cells of another size [y, x]."""
+        rows, columns = whole_cells(bounds, cell)
+        parts = max(1, int(np.ceil(cell / self.cell - 1e-9)))
+        fine = cell / parts
+        x = bounds[0] + (np.arange(columns * parts) + 0.5) * fine
+        y = bounds[1] + (np.arange(rows * parts) + 0.5) * fine
+        dense = self.height_at(x[None, :], y[:, None])
+        return dense.reshape(rows, parts, columns, parts).mean(axis=(1, 3))
+
+    def on_voxels(
+        self, grid: "VoxelGrid", origin: tuple[float, float] | None = None
+    ) -> Float[np.ndarray, "y x"]:
+        """Height of the ground on each voxel column above its lowest column [m].
+
+        What `VoxelScene.terrain` takes: from 0 up, and inside the grid.
+
+        **Arguments:**
+
+        - `grid`: the voxels, in the plot's frame.
+        - `origin`: (x, y) of the plot's frame in this raster's coordinates; its south-west corner
+          unless given.
+
+        **Raises:** `InputError` if the grid is not covered, or the relief is taller than the grid.
+        """
+        x, y = self.origin if origin is None else origin
+        west, south = x + grid.origin[0], y + grid.origin[1]
+        wide, deep, tall = grid.extent
+        covered = self._covered((west, south, west + wide, south + deep))
+        columns = self._means(grid.horizontal_size, covered)
+        relative = columns - columns.min()
+        if relative.max() > tall:
+            raise InputError(
+                f"the ground rises {relative.max():.2f} m over the plot, but the voxel grid is "
+                f"{tall:g} m tall: take a grid that holds the relief and the plants on it"
+            )
+        return relative
+
+    def _covered(self, bounds: Bounds) -> Bounds:
+        """`bounds`, if the raster covers them; else an `InputError`."""
+        west, south, east, north = check_bounds(bounds)
+        w, s, e, n = self.bounds
+        slack = 1e-6 * self.cell
+        if west < w - slack or south < s - slack or east > e + slack or north > n + slack:
+            raise InputError(
+                f"the terrain covers ({w:.2f}, {s:.2f}) to ({e:.2f}, {n:.2f}), but the plot is "
+                f"({west:.2f}, {south:.2f}) to ({east:.2f}, {north:.2f}). Are both in the same "
+                "coordinate reference system?"
+            )
+        return west, south, east, north
+
+
+def _centres(
+    bounds: Bounds, cell: float, shape: tuple[int, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    rows, columns = shape
+    x = bounds[0] + (np.arange(columns, dtype=np.float64) + 0.5) * cell
+    y = bounds[1] + (np.arange(rows, dtype=np.float64) + 0.5) * cell
+    return x, y
+
+
+def whole_cells(bounds: Bounds, cell: float) -> tuple[int, int]:
+    """Rows and columns of square cells in a rectangle; `InputError` if they do not divide it."""
+    west, south, east, north = check_bounds(bounds)
+    counts = []
+    for axis, side in (("y", north - south), ("x", east - west)):
+        count = round(side / cell) if np.isfinite(cell) and cell > 0.0 else 0
+        if count < 1 or abs(count * cell - side) > 1e-6 * side:
+            raise InputError(
+                f"`cell` must be positive and divide the plot's sides, but {cell} m "
+                f"does not divide {side:g} m along {axis}"
+            )
+        counts.append(count)
+    return counts[0], counts[1]

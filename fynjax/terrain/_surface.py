@@ -1,0 +1,194 @@
+"""From ground points to a surface without gaps, and from the surface to heights and a mesh."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import NDArray
+
+from fynjax._core.errors import InputError
+from fynjax._core.extras import require
+from fynjax.terrain._cloud import PointCloud
+from fynjax.terrain._raster import Terrain, whole_cells
+from fynjax.terrain._units import Bounds, check_bounds
+
+if TYPE_CHECKING:
+    import trimesh
+
+_MOST_CELLS = 100_000_000
+_NEIGHBOURS = 12
+
+
+def terrain_from_points(
+    cloud: PointCloud,
+    ground: NDArray[np.bool_],
+    *,
+    cell: float = 0.25,
+    bounds: Bounds | None = None,
+    largest_gap: float = 10.0,
+) -> Terrain:
+    """The surface through the ground points of a cloud, on square cells.
+
+    Points are averaged in each cell (position and height, so that a slope stays exact), and the
+    heights of all cells' centres are interpolated between the averages by Laplace's variant of
+    natural neighbours (Belikov et al. 1997) in their Delaunay triangulation. Cells outside its
+    hull, at the edges, continue the plane through the nearest averages.
+
+    **Arguments:**
+
+    - `cloud`, `ground`: points, and which of them are ground, as `find_ground` tells.
+    - `cell`: side of a cell [m].
+    - `bounds`: the plot, which `cell` must divide; unless given, the whole cells inside the cloud.
+    - `largest_gap`: how far a cell may be from ground that was seen [m].
+
+    **Raises:** `InputError` for a cloud without ground, one that does not cover the plot, or a
+    gap larger than allowed; `MissingExtraError` without the extra `terrain`.
+    """
+    ground = np.asarray(ground, bool)
+    if ground.shape != (len(cloud),):
+        raise InputError(
+            f"`ground` must have one value for each of the {len(cloud)} points, but has shape "
+            f"{ground.shape}"
+        )
+    if ground.sum() < 3:
+        raise InputError(f"expected ground, but {int(ground.sum())} points of the cloud are ground")
+    if not (np.isfinite(largest_gap) and largest_gap > 0.0):
+        raise InputError(f"`largest_gap` must be positive [m], but is {largest_gap}")
+    plot = _whole_cells_inside(cloud.bounds, cell) if bounds is None else check_bounds(bounds)
+    rows, columns = whole_cells(plot, cell)
+    if rows * columns > _MOST_CELLS:
+        raise InputError(
+            f"{columns} x {rows} cells of {cell} m are more than {_MOST_CELLS}: take larger cells"
+        )
+    # Ground around the plot holds its edges.
+    points = _cell_means(cloud.select(ground).crop(plot, largest_gap), plot, cell)
+    x = (np.arange(columns) + 0.5) * cell
+    y = (np.arange(rows) + 0.5) * cell
+    centres = np.stack([a.ravel() for a in np.meshgrid(x, y)], axis=1)
+    _check_gaps(points, centres, plot, largest_gap)
+    heights = interpolate(points, centres).reshape(rows, columns)
+    return Terrain(heights, float(cell), (plot[0], plot[1]), cloud.crs)
+
+
+def _whole_cells_inside(bounds: Bounds, cell: float) -> Bounds:
+    """The largest rectangle of whole cells, on multiples of the cell, inside `bounds`."""
+    if not (np.isfinite(cell) and cell > 0.0):
+        raise InputError(f"`cell` must be positive [m], but is {cell}")
+    west, south = (float(np.ceil(v / cell - 1e-6) * cell) for v in bounds[:2])
+    east, north = (float(np.floor(v / cell + 1e-6) * cell) for v in bounds[2:])
+    if east - west < 1.5 * cell or north - south < 1.5 * cell:
+        raise InputError(
+            f"expected a cloud of more than two cells of {cell:g} m, but it is "
+            f"{bounds[2] - bounds[0]:.2f} by {bounds[3] - bounds[1]:.2f} m. Take smaller cells."
+        )
+    return west, south, east, north
+
+
+def _cell_means(cloud: PointCloud, plot: Bounds, cell: float) -> NDArray[np.float64]:
+    """Mean x, y (from the plot's corner) and z of the points in each cell that has some."""
+    x, y = cloud.x - plot[0], cloud.y - plot[1]
+    i = np.floor(x / cell).astype(np.int64)
+    j = np.floor(y / cell).astype(np.int64)
+    i, j = i - i.min(), j - j.min()
+    _, which, count = np.unique(j * (i.max() + 1) + i, return_inverse=True, return_counts=True)
+    return np.stack([np.bincount(which, v) / count for v in (x, y, cloud.z)], axis=1)
+
+
+def _check_gaps(
+    points: NDArray[np.float64], centres: NDArray[np.float64], plot: Bounds, largest: float
+) -> None:
+    from scipy.spatial import cKDTree
+
+    distance, _ = cKDTree(points[:, :2]).query(centres)
+    worst = int(np.argmax(distance))
+    if distance[worst] <= largest:
+        return
+    x, y = centres[worst] + plot[:2]
+    far = float((distance > largest).mean())
+    raise InputError(
+        f"expected ground within {largest:g} m of every cell, but none was seen within "
+        f"{distance[worst]:.1f} m of ({x:.1f}, {y:.1f}); {100 * far:.1f} % of the plot is so far "
+        "from it. Does the cloud cover the plot? Choose a smaller plot, or allow a larger gap."
+    )
+
+
+def interpolate(points: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Heights at places [n, 2] from points [m, 3], by Laplace interpolation [m].
+
+    Places outside the hull of the points get the plane through the nearest twelve of them, level
+    in the directions in which these do not spread.
+    """
+    startinpy = require("startinpy", "terrain")
+    from scipy.spatial import cKDTree
+
+    triangulation = startinpy.DT()
+    triangulation.snap_tolerance = 1e-6
+    triangulation.insert(points, "BBox")
+    if triangulation.number_of_triangles() > 0:
+        heights = np.asarray(triangulation.interpolate({"method": "Laplace"}, places), np.float64)
+    else:
+        heights = np.full(len(places), np.nan)
+    outside = ~np.isfinite(heights)
+    if outside.any():
+        here = places[outside]
+        nearest = min(_NEIGHBOURS, len(points))
+        _, index = cKDTree(points[:, :2]).query(here, k=nearest)
+        near = points[index.reshape(len(here), nearest)]
+        middle = near.mean(axis=1)
+        spread = near - middle[:, None, :]
+        slope = np.einsum("nck,nk->nc", np.linalg.pinv(spread[..., :2], rcond=0.2), spread[..., 2])
+        heights[outside] = middle[:, 2] + ((here - middle[:, :2]) * slope).sum(axis=1)
+    return heights
+
+
+def heights_above_ground(cloud: PointCloud, terrain: Terrain) -> Float64[np.ndarray, " point"]:
+    """Height of each point above the ground below it [m].
+
+    Raises `InputError` for points outside the terrain: crop the cloud to its bounds first.
+    """
+    return cloud.z - terrain.height_at(cloud.x, cloud.y)
+
+
+def canopy_height(
+    cloud: PointCloud, terrain: Terrain, cell: float | None = None
+) -> Float64[np.ndarray, "y x"]:
+    """The highest point above ground in each cell over the terrain [m]; NaN without a point.
+
+    Ground counts as 0, and what the cloud has below it too. `cell` is the terrain's unless given.
+    """
+    size = terrain.cell if cell is None else float(cell)
+    rows, columns = whole_cells(terrain.bounds, size)
+    inside = cloud.crop(terrain.bounds)
+    west, south, _, _ = terrain.bounds
+    i = np.minimum(((inside.x - west) / size).astype(np.intp), columns - 1)
+    j = np.minimum(((inside.y - south) / size).astype(np.intp), rows - 1)
+    highest = np.full(rows * columns, -np.inf)
+    np.maximum.at(highest, j * columns + i, np.maximum(heights_above_ground(inside, terrain), 0.0))
+    return np.where(np.isfinite(highest), highest, np.nan).reshape(rows, columns)
+
+
+def terrain_mesh(terrain: Terrain) -> "trimesh.Trimesh":
+    """The ground as triangles, two for each cell, facing up.
+
+    In the plot's frame: x east and y north from the raster's south-west corner, z above its
+    lowest cell [m]. Vertices are the corners of cells, each the mean of the cells that meet there
+    (at the edges, their slope goes on): the mesh has the extent of the raster.
+    """
+    import trimesh
+
+    rows, columns = terrain.heights.shape
+    west, south, _, _ = terrain.bounds
+    x = np.arange(columns + 1) * terrain.cell
+    y = np.arange(rows + 1) * terrain.cell
+    z = terrain.height_at(west + x[None, :], south + y[:, None]) - terrain.heights.min()
+    gx, gy = np.meshgrid(x, y)
+    vertices = np.stack([gx.ravel(), gy.ravel(), z.ravel()], axis=1)
+    corner: Any = np.arange(rows * (columns + 1)).reshape(rows, columns + 1)[:, :-1].ravel()
+    above = corner + columns + 1
+    faces = np.concatenate(
+        [
+            np.stack([corner, corner + 1, above + 1], axis=1),
+            np.stack([corner, above + 1, above], axis=1),
+        ]
+    )
+    return trimesh.Trimesh(vertices, faces, process=False)

@@ -1,0 +1,159 @@
+"""Metres and nothing else inside: what a file says of its units, and what its numbers betray."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+from rasterio.errors import CRSError
+
+from fynjax._core.errors import InputError
+
+Bounds = tuple[float, float, float, float]
+"""West, south, east and north edge of a plot, in the coordinates of its cloud or raster [m]."""
+
+UNITS: dict[str, float] = {
+    "metre": 1.0,
+    "centimetre": 0.01,
+    "millimetre": 0.001,
+    "foot": 0.3048,
+    "us_survey_foot": 1200.0 / 3937.0,
+}
+"""Metres in each unit that coordinates may be stated in."""
+
+# A plot is no thinner than this, whether from photographs or laser [points m-2]: one in 5 m.
+_THINNEST = 0.04
+# A cloud narrower than this [m] is no plot; in degrees it would be 5 km.
+_NARROWEST = 0.05
+# Relief and plants over the diagonal of the cloud.
+_STEEPEST = 2.0
+
+
+def unit_factor(unit: str) -> float:
+    """Metres in `unit`; `InputError` for another name."""
+    if unit not in UNITS:
+        raise InputError(f"`unit` must be one of {', '.join(UNITS)}, but is {unit!r}")
+    return UNITS[unit]
+
+
+def named_unit(factor: float) -> str:
+    """Name of a unit of `factor` metres."""
+    near = min(UNITS, key=lambda name: abs(UNITS[name] / factor - 1.0))
+    return near if abs(UNITS[near] / factor - 1.0) < 1e-7 else f"units of {factor:g} m"
+
+
+def parse_crs(text: str | int, file: Path | None) -> CRS:
+    """A coordinate reference system from WKT, "EPSG:32734" or a number."""
+    try:
+        return CRS.from_user_input(text)
+    except CRSError as error:
+        raise InputError(
+            f"expected a coordinate reference system such as EPSG:32734, but got "
+            f"{str(text)[:60]!r}, which is not known",
+            file=file,
+        ) from error
+
+
+def _vertical_factor(wkt: str) -> float | None:
+    """Metres in the unit of heights, where a compound system states it."""
+    found = re.search(r'VERT(?:_?CS|CRS)\[.*?UNIT\["[^"]*",\s*([0-9.eE+-]+)', wkt, re.DOTALL)
+    return float(found.group(1)) if found else None
+
+
+def check_metric(
+    crs: CRS, file: Path | None, *, unit_stated: bool = False, height_stated: bool = False
+) -> None:
+    """Refuse a system in degrees, or in another unit than metres that the user has not stated."""
+    if crs.is_geographic:
+        raise InputError(
+            "expected coordinates in metres, but they are in degrees (longitude, latitude). "
+            "Reproject to a metric system first, such as the plot's UTM zone.",
+            file=file,
+        )
+    wkt = crs.to_wkt()
+    if wkt.startswith(("GEOCCS", "GEODCRS")):
+        raise InputError(
+            "expected x east, y north and z up, but the file's coordinates are geocentric (from "
+            "the middle of the Earth). Reproject to a metric system first, such as the plot's UTM "
+            "zone.",
+            file=file,
+        )
+    factor = crs.units_factor[1]
+    if abs(factor - 1.0) > 1e-9 and not unit_stated:
+        raise InputError(
+            f"expected coordinates in metres, but the file's system is in {named_unit(factor)}. "
+            f"Reproject to a metric system, or state the unit ({named_unit(factor)}).",
+            file=file,
+        )
+    vertical = _vertical_factor(wkt)
+    if vertical is not None and abs(vertical - 1.0) > 1e-9 and not height_stated:
+        raise InputError(
+            f"expected heights in metres, but the file's system has them in "
+            f"{named_unit(vertical)}. State the height unit ({named_unit(vertical)}).",
+            file=file,
+        )
+
+
+def check_coordinates(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    z: NDArray[np.float64],
+    file: Path | None,
+    *,
+    unit_stated: bool,
+) -> None:
+    """Refuse points whose numbers cannot be metres, as far as numbers can tell."""
+    if len(x) < 3:
+        raise InputError(f"expected a point cloud, but it has {len(x)} points", file=file)
+    bad = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
+    if bad.any():
+        raise InputError(
+            f"expected finite coordinates, but {int(bad.sum())} of {len(x)} points have NaN or "
+            f"infinity; the first is point {int(np.argmax(bad)) + 1}",
+            file=file,
+        )
+    wide, deep = float(np.ptp(x)), float(np.ptp(y))
+    if wide == 0.0 or deep == 0.0:
+        raise InputError(
+            f"expected points over an area, but they extend {wide:g} by {deep:g} m. "
+            "Are the columns in the order x, y, z?",
+            file=file,
+        )
+    if max(wide, deep) < _NARROWEST and abs(x).max() <= 180.0 and abs(y).max() <= 90.0:
+        raise InputError(
+            f"expected coordinates in metres, but the cloud is {wide:.2g} by {deep:.2g} wide. "
+            "Are they degrees of longitude and latitude? Reproject to a metric system first.",
+            file=file,
+        )
+    density = len(x) / (wide * deep)
+    if density < _THINNEST and not unit_stated:
+        raise InputError(
+            f"expected a cloud of a plot in metres, but {len(x)} points over {wide:.0f} by "
+            f"{deep:.0f} m are {density:.2g} per m2. Are the coordinates in centimetres or "
+            "millimetres? State the unit (metre, if it is).",
+            file=file,
+        )
+    # Not the extremes: one bird must not decide the unit.
+    low, high = np.percentile(z, [1.0, 99.0])
+    if high - low > _STEEPEST * np.hypot(wide, deep):
+        raise InputError(
+            f"expected heights in metres, but they span {high - low:.0f} m over a cloud of "
+            f"{wide:.0f} by {deep:.0f} m. Are heights in another unit than x and y? State the "
+            "height unit.",
+            file=file,
+        )
+
+
+def check_bounds(bounds: Bounds) -> Bounds:
+    """The four numbers, or an `InputError` for those that are no rectangle."""
+    values = tuple(float(value) for value in bounds)
+    if len(values) != 4 or not np.all(np.isfinite(values)):
+        raise InputError(f"bounds must be (west, south, east, north) [m], but are {bounds}")
+    west, south, east, north = values
+    if west >= east or south >= north:
+        raise InputError(
+            f"bounds must be (west, south, east, north) [m] with west < east and south < north, "
+            f"but are {values}"
+        )
+    return west, south, east, north

@@ -1,0 +1,300 @@
+"""Point clouds are read in metres, or refused with the reason."""
+
+import struct
+import sys
+
+import laspy
+import numpy as np
+import pytest
+import trimesh
+from rasterio.crs import CRS
+
+from fynjax._core.errors import InputError, MissingExtraError
+from fynjax.terrain import PointCloud, read_cloud
+from tests.terrain.synthetic import CORNER
+
+RNG = np.random.default_rng(1)
+POINTS = np.column_stack(
+    [
+        CORNER[0] + RNG.uniform(0.0, 10.0, 400),
+        CORNER[1] + RNG.uniform(0.0, 10.0, 400),
+        350.0 + RNG.uniform(0.0, 2.0, 400),
+    ]
+)
+
+
+def write_las(path, points=POINTS, *, labels=None, version="1.4", point_format=6, wkt=None):
+    header = laspy.LasHeader(version=version, point_format=point_format)
+    header.offsets, header.scales = points.min(axis=0).round(), [0.001] * 3
+    if wkt is not None:
+        header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
+        header.global_encoding.wkt = True
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    if labels is not None:
+        las.classification = labels
+    return las, path
+
+
+def written(path, *arguments, **keywords):
+    las, path = write_las(path, *arguments, **keywords)
+    las.write(path)
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+def test_las_and_laz_come_back(tmp_path, suffix):
+    labels = np.where(np.arange(400) % 3, 2, 5).astype(np.uint8)
+    wkt = CRS.from_epsg(32734).to_wkt()
+    cloud = read_cloud(written(tmp_path / f"a.{suffix}", labels=labels, wkt=wkt))
+    assert np.abs(np.stack([cloud.x, cloud.y, cloud.z], axis=1) - POINTS).max() <= 0.00051
+    assert (cloud.classification == labels).all()
+    assert CRS.from_wkt(cloud.crs).to_epsg() == 32734
+
+
+def test_unclassified_las_has_no_classes_and_the_users_crs(tmp_path):
+    path = written(tmp_path / "a.las", version="1.2", point_format=0)
+    assert read_cloud(path).classification is None
+    assert read_cloud(path).crs is None
+    assert CRS.from_wkt(read_cloud(path, crs="EPSG:32734").crs).to_epsg() == 32734
+
+
+def test_noise_and_withheld_points_are_left_out(tmp_path):
+    labels = np.full(400, 2, np.uint8)
+    labels[:7], labels[7:10] = 7, 18
+    las, path = write_las(tmp_path / "a.las", labels=labels)
+    withheld = np.zeros(400, bool)
+    withheld[9:15] = True
+    las.withheld = withheld
+    las.write(path)
+    cloud = read_cloud(path)
+    assert len(cloud) == 385
+    np.testing.assert_allclose(cloud.x, POINTS[15:, 0], atol=0.00051)
+
+
+def key_directory(keys):
+    """A GeoKeyDirectoryTag as GeoTIFF 1.1 lays it out: version, then (key, 0, 1, value)."""
+    record = laspy.vlrs.known.GeoKeyDirectoryVlr()
+    values = [1, 1, 0, len(keys)]
+    for key, value in keys.items():
+        values += [key, 0, 1, value]
+    record.parse_record_data(struct.pack(f"<{len(values)}H", *values))
+    return record
+
+
+def las_with_keys(path, keys):
+    las, path = write_las(path, version="1.2", point_format=0)
+    las.header.vlrs.append(key_directory(keys))
+    las.write(path)
+    return path
+
+
+def test_crs_of_geotiff_keys(tmp_path):
+    cloud = read_cloud(las_with_keys(tmp_path / "a.las", {1024: 1, 3072: 32734}))
+    assert CRS.from_wkt(cloud.crs).to_epsg() == 32734
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({2048: 4326}, "degrees"),
+        ({3072: 2227}, "us_survey_foot"),  # NAD83 / California zone 3 (ftUS)
+        ({3072: 32767, 3076: 9002}, "coordinates in metres, but the file says foot"),
+        ({3072: 32734, 4099: 9003}, "heights in metres, but the file says us_survey_foot"),
+    ],
+)
+def test_degrees_and_feet_that_the_file_states(tmp_path, keys, said):
+    with pytest.raises(InputError, match=said):
+        read_cloud(las_with_keys(tmp_path / "a.las", keys))
+
+
+def test_feet_that_the_user_states_become_metres(tmp_path):
+    path = las_with_keys(tmp_path / "a.las", {3072: 2227})
+    cloud = read_cloud(path, unit="us_survey_foot")
+    np.testing.assert_allclose(cloud.x, POINTS[:, 0] * 0.3048006096, rtol=1e-8)
+    np.testing.assert_allclose(cloud.z, POINTS[:, 2] * 0.3048006096, atol=0.001)
+    assert cloud.crs is None
+    heights = las_with_keys(tmp_path / "b.las", {3072: 32734, 4099: 9002})
+    cloud = read_cloud(heights, height_unit="foot")
+    np.testing.assert_allclose(cloud.x, POINTS[:, 0], atol=0.001)
+    np.testing.assert_allclose(cloud.z, POINTS[:, 2] * 0.3048, atol=0.001)
+    assert CRS.from_wkt(cloud.crs).to_epsg() == 32734
+
+
+def test_vertical_feet_of_a_compound_system(tmp_path):
+    wkt = CRS.from_user_input("EPSG:32734+6360").to_wkt()  # NAVD88 height (ftUS)
+    with pytest.raises(InputError, match=r"heights in metres.*us_survey_foot"):
+        read_cloud(written(tmp_path / "a.las", wkt=wkt))
+
+
+def test_geocentric_coordinates(tmp_path):
+    wkt = CRS.from_epsg(4978).to_wkt()
+    with pytest.raises(InputError, match="geocentric"):
+        read_cloud(written(tmp_path / "a.las", wkt=wkt))
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+@pytest.mark.parametrize("share", [0.01, 0.5, 0.9])
+def test_las_cut_short(tmp_path, suffix, share):
+    path = written(tmp_path / f"a.{suffix}")
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(len(whole) * share)])
+    with pytest.raises(InputError, match="cut short"):
+        read_cloud(path)
+
+
+def test_las_cut_between_two_points(tmp_path):
+    path = written(tmp_path / "a.las")
+    with laspy.open(path) as file:
+        size, start = file.header.point_format.size, file.header.offset_to_point_data
+    path.write_bytes(path.read_bytes()[: start + 100 * size])
+    with pytest.raises(InputError, match="cut short"):
+        read_cloud(path)
+
+
+def test_ply_with_classes(tmp_path):
+    rows = [f"{x!r} {y!r} {z!r} {k % 3}" for k, (x, y, z) in enumerate(POINTS.tolist())]
+    kinds = ["double x", "double y", "double z", "float scalar_Classification"]
+    head = ["ply", "format ascii 1.0", f"element vertex {len(rows)}"]
+    head += [f"property {kind}" for kind in kinds] + ["end_header"]
+    (tmp_path / "a.ply").write_text("\n".join([*head, *rows]) + "\n")
+    cloud = read_cloud(tmp_path / "a.ply")
+    np.testing.assert_array_equal(np.stack([cloud.x, cloud.y, cloud.z], axis=1), POINTS)
+    np.testing.assert_array_equal(cloud.classification, np.arange(400) % 3)
+
+
+def test_binary_ply_in_single_precision(tmp_path):
+    path = tmp_path / "a.ply"
+    trimesh.PointCloud(POINTS - POINTS.min(axis=0)).export(path)
+    assert np.ptp(read_cloud(path).x) == pytest.approx(np.ptp(POINTS[:, 0]), abs=1e-5)
+    trimesh.PointCloud(POINTS).export(path)
+    with pytest.raises(InputError, match=r"single precision.*steps of 0.5 m"):
+        read_cloud(path)
+    path.write_bytes(path.read_bytes()[:3000])
+    with pytest.raises(InputError, match="cut short"):
+        read_cloud(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "separator"),
+    [
+        ("a.xyz", "", " "),
+        ("a.txt", "", "\t"),
+        ("a.csv", "x,y,z\n", ","),
+        ("a.csv", "Easting (m),Northing (m),Elevation (m)\n", ","),
+        ("a.txt", "# a comment\n//X Y Z\n", " "),
+        ("a.csv", "X;Y;Z\n", ";"),
+        ("a.csv", "\ufeffx,y,z\n", ","),
+    ],
+)
+def test_text_clouds(tmp_path, name, head, separator):
+    rows = [separator.join(repr(v) for v in row) for row in POINTS.tolist()]
+    (tmp_path / name).write_text(head + "\n".join(rows) + "\n", encoding="utf-8")
+    cloud = read_cloud(tmp_path / name)
+    np.testing.assert_array_equal(np.stack([cloud.x, cloud.y, cloud.z], axis=1), POINTS)
+    assert cloud.classification is None
+
+
+def test_text_columns_go_by_name(tmp_path):
+    rows = [f"{k % 4},{z!r},{y!r},{x!r}" for k, (x, y, z) in enumerate(POINTS.tolist())]
+    (tmp_path / "a.csv").write_text("Classification,Z,Y,X\n" + "\n".join(rows) + "\n")
+    cloud = read_cloud(tmp_path / "a.csv")
+    np.testing.assert_array_equal(np.stack([cloud.x, cloud.y, cloud.z], axis=1), POINTS)
+    np.testing.assert_array_equal(cloud.classification, np.arange(400) % 4)
+
+
+GRID = [(x, y, 0.1 * x) for x in range(5) for y in range(5)]
+
+
+def text(rows, head="", separator=","):
+    return head + "\n".join(separator.join(str(v) for v in row) for row in rows) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "said", "row"),
+    [
+        (text([*GRID[:3], (1, 2, "nan"), *GRID[3:]]), "expected a number, but got 'nan'", 4),
+        (text([*GRID[:3], (1, 2, "tree"), *GRID], "x,y,z\n"), "number, but got 'tree'", 5),
+        (text([*GRID[:3], (1, 2), *GRID]), "expected a number", 4),
+        (text(GRID, "a,b,c\n"), "columns x, y and z, but the header has a, b, c", 1),
+        (text(GRID, "longitude,latitude,z\n"), "Longitude and latitude", 1),
+        (text(GRID, "x [cm],y [cm],z [cm]\n"), "header says 'cm'. State the unit", 1),
+        (text(GRID, "x_ft,y_ft,z_ft\n"), "header says 'ft'", 1),
+        (text([(1, 2), (3, 4), (5, 6)]), "x, y and z in each row", 1),
+        (text([("1,5", "2,5", "3,5")] * 9, separator=";"), "decimal commas", 1),
+        (text(GRID) + '"1,2,3\n', "columns of numbers", None),
+        ("# nothing\n", "no numbers", None),
+        ("", "empty", None),
+        (text(GRID[:2]), "has 2 points", None),
+        (text([(1, y, z) for _, y, z in GRID]), "extend 0 by 4", None),
+    ],
+)
+def test_text_that_is_wrong(tmp_path, content, said, row):
+    path = tmp_path / "a.csv"
+    path.write_text(content)
+    with pytest.raises(InputError, match=said) as caught:
+        read_cloud(path)
+    assert str(path) in str(caught.value)
+    assert caught.value.row == row
+
+
+def test_other_files(tmp_path):
+    (tmp_path / "a.xyz").write_bytes(bytes(range(256)) * 9)
+    (tmp_path / "a.docx").write_text("x")
+    (tmp_path / "a.las").write_text("no cloud")
+    with pytest.raises(InputError, match="binary"):
+        read_cloud(tmp_path / "a.xyz")
+    with pytest.raises(InputError, match="expected a point cloud"):
+        read_cloud(tmp_path / "a.docx")
+    with pytest.raises(InputError, match="cannot be read as LAS"):
+        read_cloud(tmp_path / "a.las")
+    with pytest.raises(InputError, match=r"no such file.*Did you mean 'a.las'"):
+        read_cloud(tmp_path / "b.las")
+
+
+def saved(path, points):
+    np.savetxt(path, points, fmt="%.9f")
+    return path
+
+
+def test_numbers_that_are_no_metres(tmp_path):
+    path = tmp_path / "a.xyz"
+    local = POINTS - [*CORNER, 0.0]
+    degrees = local * [1e-5, 1e-5, 1.0] + [19.4, -34.4, 0.0]
+    with pytest.raises(InputError, match="degrees of longitude"):
+        read_cloud(saved(path, degrees))
+    centimetres = local * 100.0
+    with pytest.raises(InputError, match="centimetres"):
+        read_cloud(saved(path, centimetres))
+    cloud = read_cloud(path, unit="centimetre")
+    np.testing.assert_allclose(np.stack([cloud.x, cloud.y, cloud.z], axis=1), local, atol=1e-9)
+    assert len(read_cloud(path, unit="metre")) == 400
+    mixed = local * [1.0, 1.0, 100.0]
+    with pytest.raises(InputError, match="Are heights in another unit"):
+        read_cloud(saved(path, mixed))
+    np.testing.assert_allclose(read_cloud(path, height_unit="centimetre").z, local[:, 2])
+    with pytest.raises(InputError, match="`unit` must be one of metre"):
+        read_cloud(path, unit="cm")
+    with pytest.raises(InputError, match="EPSG:32734"):
+        read_cloud(saved(path, local), crs="EPSG:1")
+
+
+def test_crop_keeps_what_is_inside():
+    cloud = PointCloud(*POINTS.T, classification=np.arange(400, dtype=np.uint8))
+    west, south = CORNER
+    part = cloud.crop((west, south, west + 5.0, south + 4.0), margin=1.0)
+    inside = (POINTS[:, 0] <= west + 6.0) & (POINTS[:, 1] <= south + 5.0)
+    np.testing.assert_array_equal(part.z, POINTS[inside, 2])
+    np.testing.assert_array_equal(part.classification, np.flatnonzero(inside).astype(np.uint8))
+    with pytest.raises(InputError, match="no point of the cloud"):
+        cloud.crop((0.0, 0.0, 10.0, 10.0))
+    with pytest.raises(InputError, match="west < east"):
+        cloud.crop((1.0, 0.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize("missing", ["laspy", "lazrs"])
+def test_without_the_extra_the_command_is_named(tmp_path, monkeypatch, missing):
+    path = written(tmp_path / "a.laz")
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(MissingExtraError, match=r'pip install "fynjax\[terrain\]"'):
+        read_cloud(path)

@@ -1,0 +1,131 @@
+"""`fynjax terrain`: from a file to the files of a terrain."""
+
+import json
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+import rasterio
+import typer
+from rasterio.crs import CRS
+
+from fynjax._core.errors import InputError
+from fynjax.cli._terrain import terrain as command
+from fynjax.terrain import Terrain, read_terrain, run_terrain, write_terrain
+from fynjax.terrain._picture import hillshade
+from tests.terrain.synthetic import CORNER, ground_height, shrubland
+
+needs_cloth = pytest.mark.skipif(
+    find_spec("CSF") is None, reason="cloth-simulation-filter has no wheel for this Python"
+)
+
+
+@pytest.fixture(scope="module")
+def cloud_file(tmp_path_factory):
+    cloud, _ = shrubland(density=20.0)
+    path = tmp_path_factory.mktemp("cloud") / "plot.csv"
+    points = np.stack([cloud.x, cloud.y, cloud.z], axis=1)
+    np.savetxt(path, points, "%.4f", delimiter=",", header="x,y,z", comments="")
+    return path
+
+
+def invoke(*arguments):
+    app = typer.Typer()
+    app.command()(command)
+    app(args=[str(a) for a in arguments], standalone_mode=False)
+
+
+def test_command_writes_the_terrain_of_a_cloud(cloud_file, tmp_path, capfd):
+    output = tmp_path / "out"
+    invoke(cloud_file, "--size", 20, "--cell", 0.5, "--json", "--output", output)
+    summary = json.loads(capfd.readouterr().out)
+    assert sorted(p.name for p in output.iterdir()) == [
+        "canopy_height.tif",
+        "summary.json",
+        "terrain.obj",
+        "terrain.png",
+        "terrain.tif",
+    ]
+    assert set(summary["files"]) == {p.name for p in output.iterdir()} - {"summary.json"}
+    bounds = summary["terrain"]["bounds_m"]
+    np.testing.assert_allclose(bounds, np.add([5, 5, 25, 25], [*CORNER, *CORNER]), atol=0.06)
+    ground = read_terrain(output / "terrain.tif", crs="EPSG:32734")
+    x, y = ground.centres
+    error = ground.heights - ground_height(x[None, :], y[:, None])
+    assert np.sqrt((error**2).mean()) < 0.05
+    assert summary["terrain"]["relief_m"] == pytest.approx(np.ptp(ground.heights), abs=1e-4)
+    with rasterio.open(output / "canopy_height.tif") as file:
+        canopy = file.read(1)
+    assert canopy.shape == ground.heights.shape
+    assert 0.0 <= np.nanmin(canopy) <= np.nanmax(canopy) < 2.2
+    assert (output / "terrain.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@needs_cloth
+def test_command_with_bounds_units_and_the_cloth(tmp_path, capfd):
+    """Trees, as a stiff cloth wants them; in centimetres; stdout holds the summary alone."""
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0, 30, 9000), rng.uniform(0, 30, 9000)
+    away = np.hypot(x % 10 - 5, y % 10 - 5)
+    z = 0.1 * x + np.where(away < 1.5, 4.0, 0.0)
+    np.savetxt(tmp_path / "a.xyz", 100.0 * np.stack([x, y, z], axis=1))
+    edges = ["--bounds", 5, 5, 25, 25]
+    options = ["--method", "cloth", "--unit", "centimetre", "--json"]
+    invoke(tmp_path / "a.xyz", *edges, *options, "--output", tmp_path / "out")
+    summary = json.loads(capfd.readouterr().out)
+    assert summary["terrain"]["relief_m"] == pytest.approx(1.975, abs=0.02)
+    assert summary["terrain"]["canopy_height_99_m"] == pytest.approx(4.0, abs=0.05)
+
+
+def test_raster_is_cut_out_and_resampled(tmp_path):
+    x, y = CORNER[0] + np.arange(60) * 0.5 + 0.25, CORNER[1] + np.arange(60) * 0.5 + 0.25
+    whole = Terrain(
+        ground_height(x[None, :], y[:, None]), 0.5, CORNER, CRS.from_epsg(32734).to_wkt()
+    )
+    write_terrain(tmp_path / "dtm.tif", whole)
+    summary = run_terrain(tmp_path / "dtm.tif", tmp_path, size=10.0, cell=0.25)
+    assert set(summary["files"]) == {"terrain.tif", "terrain.obj", "terrain.png"}
+    part = read_terrain(tmp_path / "terrain.tif")
+    np.testing.assert_allclose(part.bounds, np.add([10, 10, 20, 20], [*CORNER, *CORNER]))
+    x, y = part.centres
+    assert np.abs(part.heights - ground_height(x[None, :], y[:, None])).max() < 0.02
+
+
+def test_rough_ground_is_warned_of(tmp_path):
+    """A layer of plants whose lowest points are no surface."""
+    rng = np.random.default_rng(3)
+    points = rng.uniform([0.0, 0.0, 0.3], [12.0, 12.0, 1.5], (40_000, 3))
+    np.savetxt(tmp_path / "a.xyz", points)
+    with pytest.warns(UserWarning, match="may have no points on the ground"):
+        run_terrain(tmp_path / "a.xyz", tmp_path)
+
+
+def test_what_does_not_go_together(cloud_file, tmp_path):
+    with pytest.raises(InputError, match="`bounds` or `size`"):
+        run_terrain(cloud_file, tmp_path, size=3.0, bounds=(0.0, 0.0, 1.0, 1.0))
+    with pytest.raises(InputError, match="`size` must be positive"):
+        run_terrain(cloud_file, tmp_path, size=-3.0)
+    with pytest.raises(InputError, match="`unit` is for point clouds"):
+        run_terrain(tmp_path / "a.tif", tmp_path, unit="foot")
+    with pytest.raises(InputError, match="Does the cloud cover the plot"):
+        run_terrain(cloud_file, tmp_path, size=66.0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_failed_command_writes_nothing(cloud_file, tmp_path):
+    with pytest.raises(InputError):
+        invoke(cloud_file, "--size", 66, "--output", tmp_path / "out")
+    assert not list(tmp_path.iterdir())
+
+
+def test_shade_is_lamberts_cosine():
+    """A slope that faces the sun is fully lit, and one that faces away by its angle less."""
+    x = np.arange(6.0)
+    tan = np.tan(np.radians(30.0))
+    falls_west = Terrain(np.broadcast_to(tan * x, (4, 6)), 1.0)
+    lit = hillshade(falls_west, sun_zenith=30.0, sun_azimuth=270.0)
+    np.testing.assert_allclose(lit, 1.0)
+    away = hillshade(falls_west, sun_zenith=30.0, sun_azimuth=90.0)
+    np.testing.assert_allclose(away, np.cos(np.radians(60.0)))
+    falls_south = Terrain(np.broadcast_to(tan * x[:4, None], (4, 6)), 1.0)
+    np.testing.assert_allclose(hillshade(falls_south, sun_zenith=30.0, sun_azimuth=180.0), 1.0)
