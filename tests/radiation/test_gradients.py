@@ -135,6 +135,7 @@ def test_derivative_along_what_a_scene_may_have(scene, gradient):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("scene", ["open"], indirect=True)
 @pytest.mark.parametrize("what", directions(patchy()))
 def test_forward_mode_agrees_with_reverse(what, scene, gradient):
     select, step = directions(scene)[what]

@@ -121,6 +121,7 @@ def test_each_class_has_its_own_leaf_size():
     assert np.all((sizes[0] < both) & (both < sizes[1]))
 
 
+@pytest.mark.study
 def test_a_frame_camera_sees_its_own_hot_spot():
     """Over a uniform slab each pixel is the distant view from its own direction."""
     scene = leafy(2.0, [(0.1, 0.05, 0.2)], 30.0, 0.1)

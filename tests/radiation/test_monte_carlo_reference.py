@@ -340,7 +340,7 @@ def compare_slab(case, angle):
     assert_close(flux.transmitted, want["transmission_total"], rtol=2e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_floating_spheres(shared_data):
     """Half-metre voxels on turbid spheres of 10 m: 0.5 % is allowed for their steps."""
     with open(shared_data / "rt" / "het01_turbid.json") as file:

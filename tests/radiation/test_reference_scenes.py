@@ -60,7 +60,7 @@ def floating_spheres(case, voxel=0.5, parts=4):
 
 @pytest.mark.parametrize(
     "index",
-    [pytest.param(0, marks=pytest.mark.study), 1, 2],
+    [pytest.param(0, marks=pytest.mark.study), 1, pytest.param(2, marks=pytest.mark.study)],
     ids=["near infrared", "lossless", "red"],
 )
 def test_floating_spheres(shared_data, index):
