@@ -4,7 +4,6 @@ from fynjax.io._asd import read_asd
 from fynjax.io._atomic import atomic_path, staged_folder, write_text
 from fynjax.io._build import build_plot
 from fynjax.io._fit_leaf import run_fit_leaf
-from fynjax.io._models import ParameterSummary, RunSummary, StatisticSummary
 from fynjax.io._netcdf import image_array, provenance, write_run
 from fynjax.io._plot import (
     GROWTH_FORMS,
@@ -20,6 +19,7 @@ from fynjax.io._plot import (
 )
 from fynjax.io._plot_file import example_folder, read_plot
 from fynjax.io._rasters import ImageMeta, read_image, write_geotiff
+from fynjax.io._run_summary import ParameterSummary, RunSummary, StatisticSummary
 from fynjax.io._spectra import read_spectra
 from fynjax.io._spectra_record import Spectrum
 from fynjax.io._statistics import TargetStatistics, read_statistics

@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from fynjax.io._models import PROSPECT_REQUIRED, GrowthForm
+from fynjax.io._table_rows import PROSPECT_REQUIRED, GrowthForm
 
 Floats = NDArray[np.float64]
 

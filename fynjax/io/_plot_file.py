@@ -13,13 +13,6 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from fynjax._core.errors import InputError
-from fynjax.io._models import (
-    DEFAULT_RELATIVE_SD,
-    LeafRow,
-    PlotFile,
-    SkyRow,
-    SpeciesRow,
-)
 from fynjax.io._plot import (
     GROWTH_FORMS,
     PROSPECT_COLUMNS,
@@ -33,6 +26,8 @@ from fynjax.io._plot import (
     Species,
     Sun,
 )
+from fynjax.io._plot_tables import DEFAULT_RELATIVE_SD, PlotFile
+from fynjax.io._table_rows import LeafRow, SkyRow, SpeciesRow
 from fynjax.io._tables import existing_file, read_rows, read_text
 from fynjax.io._validate import did_you_mean, first_error, sentence
 

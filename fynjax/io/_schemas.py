@@ -11,7 +11,9 @@ from typing import Any
 from pydantic import BaseModel
 
 from fynjax.io._atomic import write_text
-from fynjax.io._models import LeafRow, PlotFile, RunSummary, SkyRow, SpeciesRow, StatisticRow
+from fynjax.io._plot_tables import PlotFile
+from fynjax.io._run_summary import RunSummary
+from fynjax.io._table_rows import LeafRow, SkyRow, SpeciesRow, StatisticRow
 
 SCHEMAS: dict[str, type[BaseModel]] = {
     "plot": PlotFile,

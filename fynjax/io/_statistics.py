@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
-from fynjax.io._models import StatisticRow
+from fynjax.io._table_rows import StatisticRow
 from fynjax.io._tables import read_rows
 from fynjax.io._validate import did_you_mean
 

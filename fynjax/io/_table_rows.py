@@ -1,0 +1,175 @@
+"""Rows of the tables a user writes, as pydantic models: species, leaves, statistics, sky."""
+
+from typing import ClassVar, Literal
+
+from pydantic import ConfigDict, Field, model_validator
+
+from fynjax.io._strict import Slip, Strict, number
+
+GrowthForm = Literal[
+    "upright_ericoid", "rounded_shrub", "tussock", "broad_leaved", "climber", "deadwood"
+]
+"""Shapes a plant can have."""
+
+
+def _diameter_slip(value: float) -> str | None:
+    if 0 < value < 1:
+        return f"Metres? In cm this is {value * 100:g}."
+    return "Millimetres?" if value > 1000 else None
+
+
+class SpeciesRow(Strict):
+    """One row of the species table: what a field crew notes of one taxon in one plot."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        "mean_diameter_cm": _diameter_slip,
+        "height_max_m": lambda v: f"Centimetres? In m this is {v / 100:g}." if v > 20 else None,
+        "fill_percent": lambda v: "A crown must hold some plant." if v == 0 else None,
+    }
+
+    taxon: str = Field(description="Scientific name, or 'Deadwood'.", min_length=1)
+    mean_diameter_cm: float = number("Mean crown diameter", "cm", ge=1, le=1000)
+    cover_percent: float = number("Share of the ground under the crowns", "%", ge=0, le=100)
+    height_max_m: float = number("Greatest height in the plot", "m", gt=0, le=20)
+    growth_form: GrowthForm | None = Field(
+        default=None,
+        description="Shape of the plant. May be left out for a taxon of the shipped table.",
+    )
+    packing_percent: float | None = number(
+        "Share of a crown that lies over its neighbours, PE of equation (8)",
+        "%",
+        default=None,
+        ge=0,
+        lt=100,
+    )
+    fill_percent: float | None = number(
+        "Share of the crown circle that the plant fills, FF of equation (9)",
+        "%",
+        default=None,
+        gt=0,
+        le=100,
+    )
+    branches: int | None = Field(
+        default=None,
+        description="Branch models that make up one plant [-].",
+        ge=1,
+        le=1000,
+        json_schema_extra={"unit": "-"},
+    )
+    rotation_spread_deg: float | None = number(
+        "Spread of the tilt of the branches, sigma_rot of equation (5)",
+        "degree",
+        default=None,
+        ge=0,
+        le=90,
+    )
+    leaf_area_index: float | None = number(
+        "One-sided leaf area over the crown's own ground area", "m2 m-2", default=None, ge=0, le=20
+    )
+    minimum_object_area_m2: float | None = number(
+        "Least ground area that one plant counts for", "m2", default=None, ge=0, le=100
+    )
+    wood_area_index: float | None = number(
+        "One-sided wood area over the crown's own ground area", "m2 m-2", default=None, ge=0, le=20
+    )
+    shoot_clumping: float | None = number(
+        "Probability that light which a leaf scatters meets another leaf of its shoot",
+        "-",
+        default=None,
+        ge=0,
+        le=0.8,
+    )
+
+
+def _per_area_slip(value: float) -> str | None:
+    if value >= 5:
+        return f"g m-2? In g cm-2 (or cm of water) this is {value / 1e4:g}."
+    return f"mg cm-2 or mm? Here it would be {value / 1000:g}." if value > 0 else None
+
+
+PROSPECT_REQUIRED = ("structure", "chlorophyll", "carotenoids", "water", "dry_matter")
+"""PROSPECT columns without a default: a row has all of them, or a spectrum."""
+
+
+class LeafRow(Strict):
+    """One row of the leaf table: PROSPECT parameters of a taxon, or a spectrum to fit."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        json_schema_extra={
+            "oneOf": [
+                {"required": ["spectrum"], "properties": {"spectrum": {"type": "string"}}},
+                {
+                    "required": list(PROSPECT_REQUIRED),
+                    "properties": {name: {"type": "number"} for name in PROSPECT_REQUIRED},
+                },
+            ]
+        },
+    )
+    slips: ClassVar[dict[str, Slip]] = {"water": _per_area_slip, "dry_matter": _per_area_slip}
+
+    taxon: str = Field(
+        description="Name as in the species table; '*' is every taxon without a row of its own.",
+        min_length=1,
+    )
+    structure: float | None = number("Structure parameter N", "-", default=None, ge=1, le=5)
+    chlorophyll: float | None = number("Chlorophyll a+b", "ug cm-2", default=None, ge=0, le=150)
+    carotenoids: float | None = number("Carotenoids", "ug cm-2", default=None, ge=0, le=50)
+    anthocyanins: float | None = number(
+        "Anthocyanins; 0 if left out", "ug cm-2", default=None, ge=0, le=50
+    )
+    brown_pigments: float | None = number(
+        "Brown pigments; 0 if left out", "-", default=None, ge=0, le=5
+    )
+    water: float | None = number("Equivalent water thickness", "cm", default=None, ge=0, le=0.2)
+    dry_matter: float | None = number(
+        "Dry matter, leaf mass per area", "g cm-2", default=None, ge=0, le=0.1
+    )
+    spectrum: str | None = Field(
+        default=None, description="Measured reflectance to fit; a path from the table's folder."
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "LeafRow":
+        given = [n for n in PROSPECT_REQUIRED if getattr(self, n) is not None]
+        if self.spectrum is not None and given:
+            raise ValueError(
+                f"expected PROSPECT parameters or a spectrum, but got both ({given[0]!r} and "
+                "'spectrum'). Leave one empty."
+            )
+        if self.spectrum is None and (missing := [n for n in PROSPECT_REQUIRED if n not in given]):
+            raise ValueError(
+                f"expected {', '.join(PROSPECT_REQUIRED)}, or a spectrum, but "
+                f"{', '.join(missing)} is empty"
+            )
+        return self
+
+
+class StatisticRow(Strict):
+    """One row of a target file: a statistic of a real image."""
+
+    statistic: str = Field(
+        description="'<band or index>.<mean|std|qNN>', such as 'nir.mean', 'NDVI.std', 'GCI.q25'.",
+        pattern=r"^[A-Za-z][A-Za-z0-9_]*\.(mean|std|q\d{1,2})$",
+    )
+    value: float = number("Its value; a reflectance is a fraction", "-")
+    sd: float | None = number(
+        "Its standard deviation; empty takes calibration.target_sd (25 times that for a std)",
+        "-",
+        default=None,
+        gt=0,
+    )
+
+
+class SkyRow(Strict):
+    """One row of a sky table."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        "wavelength_nm": lambda v: f"Micrometres? In nm this is {v * 1e3:g}." if v < 100 else None,
+        "diffuse_fraction": lambda v: f"Percent? This is {v / 100:g}." if v > 1 else None,
+    }
+    wavelength_nm: float = number("Wavelength", "nm", ge=300, le=2600)
+    diffuse_fraction: float = number(
+        "Diffuse over global irradiance on the ground", "-", ge=0, le=1
+    )
