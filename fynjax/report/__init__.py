@@ -1,14 +1,13 @@
 """What a person looks at after a run: figures, and one page that holds them."""
 
-from fynjax.report._figures import (
-    composites,
+from fynjax.report._figure_style import save_figure
+from fynjax.report._figures_fit import (
     constraint_plot,
     convergence_plot,
     error_bars,
-    index_histograms,
     parameter_plot,
-    save_figure,
 )
+from fynjax.report._figures_image import composites, index_histograms
 from fynjax.report._page import Page, format_number
 
 __all__ = [

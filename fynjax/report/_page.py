@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from fynjax.io._atomic import write_text
-from fynjax.report._figures import FIGURE_DPI
+from fynjax.report._figure_style import FIGURE_DPI
 
 _CSS = """
 :root { color-scheme: light; }

@@ -13,15 +13,14 @@ import xarray as xr
 from fynjax.inversion import Calibration
 from fynjax.io import Plot, image_array, write_geotiff, write_run, write_text
 from fynjax.metrics import BANDS, VEGETATION_INDICES, image_statistics, vegetation_indices
-from fynjax.report._figures import (
-    composites,
+from fynjax.report._figure_style import save_figure
+from fynjax.report._figures_fit import (
     constraint_plot,
     convergence_plot,
     error_bars,
-    index_histograms,
     parameter_plot,
-    save_figure,
 )
+from fynjax.report._figures_image import composites, index_histograms
 from fynjax.report._page import Page
 from fynjax.scene import PlotModel, named_values, parameter_units
 
