@@ -26,7 +26,8 @@ from fynjax.metrics import (
     image_statistics,
     table4_2006,
 )
-from fynjax.report._run_files import Reference, calibration_files, render_files
+from fynjax.report._run_files import calibration_files, render_files
+from fynjax.report._run_tables import Reference
 from fynjax.scene import PlotModel, PlotParameters
 
 

@@ -2,9 +2,8 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
@@ -12,7 +11,7 @@ import xarray as xr
 
 from fynjax.inversion import Calibration
 from fynjax.io import Plot, image_array, write_geotiff, write_run, write_text
-from fynjax.metrics import BANDS, VEGETATION_INDICES, image_statistics, vegetation_indices
+from fynjax.metrics import BANDS, VEGETATION_INDICES, vegetation_indices
 from fynjax.report._figure_style import save_figure
 from fynjax.report._figures_fit import (
     constraint_plot,
@@ -22,13 +21,19 @@ from fynjax.report._figures_fit import (
 )
 from fynjax.report._figures_image import composites, index_histograms
 from fynjax.report._page import Page
-from fynjax.scene import PlotModel, named_values, parameter_units
+from fynjax.report._run_tables import (
+    Reference,
+    calibration_dataset,
+    largest_errors,
+    parameter_table,
+    plant_counts,
+    statistic_table,
+)
+from fynjax.scene import PlotModel
 
 Record = Mapping[str, str | int]
 
 _SHOWN = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR")
-# Shown as fields crews write them: unit in the table -> factor.
-_SHOWN_UNITS = {"cover": ("%", 100.0), "diameter": ("cm", 100.0)}
 
 
 def _indices(image: np.ndarray, names: tuple[str, ...] = _SHOWN) -> dict[str, np.ndarray]:
@@ -67,7 +72,7 @@ def render_files(
     )
     write_run(
         folder / "run.nc",
-        xr.Dataset({"reflectance": reflectance, "plants": _counts(model, counts)}),
+        xr.Dataset({"reflectance": reflectance, "plants": plant_counts(model, counts)}),
         record,
     )
     figures = {
@@ -99,79 +104,6 @@ def render_files(
     }
 
 
-def _counts(model: PlotModel, counts: np.ndarray) -> xr.DataArray:
-    return xr.DataArray(
-        np.asarray(counts, float),
-        dims="species",
-        coords={"species": ("species", list(model.taxa), {"long_name": "taxon"})},
-        attrs={"long_name": "plants on the plot, eq. (10) without its ceiling", "units": "1"},
-    )
-
-
-def parameter_table(calibration: Calibration) -> pd.DataFrame:
-    """Every free parameter: prior, estimate, and how far the data pinned it down."""
-    fit = calibration.fit
-    units = parameter_units()
-    rows = []
-    for i, name in enumerate(fit.names):
-        kind = name.rsplit(".", 1)[-1]
-        unit, factor = _SHOWN_UNITS.get(kind, (units[kind], 1.0))
-        rows.append(
-            {
-                "name": name,
-                "kind": kind,
-                "unit": unit,
-                "prior": factor * float(fit.space.prior[i]),
-                "prior_sd": factor * float(fit.space.prior_sd[i]),
-                "estimate": factor * float(fit.estimate[i]),
-                "sd": factor * float(fit.sd[i]),
-                "lower": factor * float(fit.space.lower[i]),
-                "upper": factor * float(fit.space.upper[i]),
-                "constrained": float(fit.constrained[i]),
-            }
-        )
-    return pd.DataFrame(rows)
-
-
-class Reference(NamedTuple):
-    """What else is known of the real image, and what another simulation made of it."""
-
-    real: Mapping[str, float] = {}
-    """Statistics of the real image that were not fitted, or were, by name."""
-    simulated: Mapping[str, float] = {}
-    """The other simulation's statistics."""
-    error_percent: Mapping[str, float] = {}
-    """Its relative errors where only those are known, without sign [%]."""
-
-
-def statistic_table(calibration: Calibration, reference: Reference) -> pd.DataFrame:
-    """Every statistic: real, simulated before and after, and another simulation's value."""
-    data = calibration.fit.data
-    extra = tuple(name for name in reference.real if name not in data.names)
-    names = (*data.names, *extra)
-    real = np.concatenate([np.asarray(data.value), [reference.real[n] for n in extra]])
-    table = pd.DataFrame(
-        {
-            "statistic": names,
-            "fitted": [name in data.names for name in names],
-            "real": real,
-            "target_sd": np.concatenate([np.asarray(data.sd), np.full(len(extra), np.nan)]),
-        }
-    )
-    compute = jax.jit(lambda image: image_statistics(image, names))
-    for column, image in (
-        ("before", calibration.image_before),
-        ("after", calibration.image_after),
-    ):
-        table[column] = np.asarray(compute(image), float)
-    table["reference"] = [reference.simulated.get(n, np.nan) for n in names]
-    for column in ("before", "after", "reference"):
-        table[f"{column}_error_percent"] = 100.0 * (table[column] - real) / np.abs(real)
-    known = table["statistic"].map(reference.error_percent)
-    table["reference_error_percent"] = table["reference_error_percent"].fillna(known)
-    return table
-
-
 def calibration_files(
     folder: Path,
     plot: Plot,
@@ -190,12 +122,12 @@ def calibration_files(
     write_text(folder / "statistics.csv", statistics.to_csv(index=False, float_format="%.6g"))
     _write_image(folder, "image_before.tif", before, plot, model, record)
     _write_image(folder, "image_after.tif", after, plot, model, record)
-    write_run(folder / "run.nc", _dataset(plot, model, result), record)
+    write_run(folder / "run.nc", calibration_dataset(plot, model, result), record)
 
     figures = _figures(plot, result, parameters, statistics, reference)
     for name, (figure, _) in figures.items():
         save_figure(figure, folder / f"{name}.png")
-    bands, indices = _worst(statistics)
+    bands, indices = largest_errors(statistics)
     seen = result.fit.seen()
     theirs = list(reference.error_percent.values())
     low, high = (min(theirs), max(theirs)) if theirs else (0.0, 0.0)
@@ -265,19 +197,6 @@ def calibration_files(
     }
 
 
-def _worst(statistics: pd.DataFrame) -> tuple[dict[str, float], dict[str, float]]:
-    """Largest error of the fitted means of bands, and of indices."""
-    means = statistics[statistics["fitted"] & statistics["statistic"].str.endswith(".mean")]
-    band = means["statistic"].str.split(".").str[0].isin(BANDS)
-    return tuple(  # type: ignore[return-value]
-        {
-            c: float(part[f"{c}_error_percent"].abs().max()) if len(part) else float("nan")
-            for c in ("before", "after")
-        }
-        for part in (means[band], means[~band])
-    )
-
-
 def _figures(
     plot: Plot,
     result: Calibration,
@@ -331,66 +250,6 @@ def _figures(
     }
 
 
-def _dataset(plot: Plot, model: PlotModel, result: Calibration) -> xr.Dataset:
-    bands = list(model.camera.bands.centre)
-
-    def image(values: Any, what: str) -> xr.DataArray:
-        return image_array(
-            np.asarray(values),
-            list(BANDS),
-            bands,
-            pixel_m=plot.sensor.pixel_m,
-            long_name=f"simulated reflectance factor {what} calibration",
-        )
-
-    fit = result.fit
-    units = parameter_units()
-    kinds = [name.rsplit(".", 1)[-1] for name in fit.names]
-    free = {
-        "parameter": ("parameter", list(fit.names), {"long_name": "free parameter"}),
-        "parameter_unit": ("parameter", [units[k] for k in kinds], {"long_name": "its unit"}),
-    }
-    statistic = {"statistic": ("statistic", list(fit.data.names), {"long_name": "statistic"})}
-
-    def over(axis: str, coords: dict[str, Any], values: Any, name: str) -> xr.DataArray:
-        return xr.DataArray(
-            np.asarray(values, float),
-            dims=axis,
-            coords=coords,
-            attrs={"long_name": name, "units": "1"},
-        )
-
-    every = named_values(result.after, model.taxa)
-    return xr.Dataset(
-        {
-            "reflectance_before": image(result.image_before, "before"),
-            "reflectance_after": image(result.image_after, "after"),
-            "prior": over("parameter", free, fit.space.prior, "prior, in parameter_unit"),
-            "prior_sd": over("parameter", free, fit.space.prior_sd, "prior sd, in parameter_unit"),
-            "estimate": over("parameter", free, fit.estimate, "estimate, in parameter_unit"),
-            "estimate_sd": over("parameter", free, fit.sd, "posterior sd, in parameter_unit"),
-            "constrained": over("parameter", free, fit.constrained, "1 - posterior/prior variance"),
-            "target": over("statistic", statistic, fit.data.value, "statistic of the real image"),
-            "target_sd": over("statistic", statistic, fit.data.sd, "its standard deviation"),
-            "simulated_before": over(
-                "statistic", statistic, result.statistics_before, "before calibration"
-            ),
-            "simulated_after": over(
-                "statistic", statistic, result.statistics_after, "after calibration"
-            ),
-            "all_parameters": xr.DataArray(
-                np.array([float(v) for v in every.values()]),
-                dims="any_parameter",
-                coords={
-                    "any_parameter": ("any_parameter", list(every), {"long_name": "parameter"})
-                },
-                attrs={"long_name": "all parameters after calibration, own units", "units": "1"},
-            ),
-            "plants": _counts(model, np.asarray(model.counts(result.after))),
-        }
-    )
-
-
 def _page(
     folder: Path,
     plot: Plot,
@@ -403,7 +262,7 @@ def _page(
     seconds: Mapping[str, float],
     memory_mib: float,
 ) -> None:
-    bands, indices = _worst(statistics)
+    bands, indices = largest_errors(statistics)
     page = Page(f"Calibration: {plot.name}", " ".join(headline[:2]))
     page.key_figures(
         {

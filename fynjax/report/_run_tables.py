@@ -1,0 +1,165 @@
+"""The numbers of a run, as tables and as the data of its run file."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from fynjax.inversion import Calibration
+from fynjax.io import Plot, image_array
+from fynjax.metrics import BANDS, image_statistics
+from fynjax.scene import PlotModel, named_values, parameter_units
+
+# Shown as fields crews write them: unit in the table -> factor.
+_SHOWN_UNITS = {"cover": ("%", 100.0), "diameter": ("cm", 100.0)}
+
+
+def parameter_table(calibration: Calibration) -> pd.DataFrame:
+    """Every free parameter: prior, estimate, and how far the data pinned it down."""
+    fit = calibration.fit
+    units = parameter_units()
+    rows = []
+    for i, name in enumerate(fit.names):
+        kind = name.rsplit(".", 1)[-1]
+        unit, factor = _SHOWN_UNITS.get(kind, (units[kind], 1.0))
+        rows.append(
+            {
+                "name": name,
+                "kind": kind,
+                "unit": unit,
+                "prior": factor * float(fit.space.prior[i]),
+                "prior_sd": factor * float(fit.space.prior_sd[i]),
+                "estimate": factor * float(fit.estimate[i]),
+                "sd": factor * float(fit.sd[i]),
+                "lower": factor * float(fit.space.lower[i]),
+                "upper": factor * float(fit.space.upper[i]),
+                "constrained": float(fit.constrained[i]),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+class Reference(NamedTuple):
+    """What else is known of the real image, and what another simulation made of it."""
+
+    real: Mapping[str, float] = {}
+    """Statistics of the real image that were not fitted, or were, by name."""
+    simulated: Mapping[str, float] = {}
+    """The other simulation's statistics."""
+    error_percent: Mapping[str, float] = {}
+    """Its relative errors where only those are known, without sign [%]."""
+
+
+def statistic_table(calibration: Calibration, reference: Reference) -> pd.DataFrame:
+    """Every statistic: real, simulated before and after, and another simulation's value."""
+    data = calibration.fit.data
+    extra = tuple(name for name in reference.real if name not in data.names)
+    names = (*data.names, *extra)
+    real = np.concatenate([np.asarray(data.value), [reference.real[n] for n in extra]])
+    table = pd.DataFrame(
+        {
+            "statistic": names,
+            "fitted": [name in data.names for name in names],
+            "real": real,
+            "target_sd": np.concatenate([np.asarray(data.sd), np.full(len(extra), np.nan)]),
+        }
+    )
+    compute = jax.jit(lambda image: image_statistics(image, names))
+    for column, image in (
+        ("before", calibration.image_before),
+        ("after", calibration.image_after),
+    ):
+        table[column] = np.asarray(compute(image), float)
+    table["reference"] = [reference.simulated.get(n, np.nan) for n in names]
+    for column in ("before", "after", "reference"):
+        table[f"{column}_error_percent"] = 100.0 * (table[column] - real) / np.abs(real)
+    known = table["statistic"].map(reference.error_percent)
+    table["reference_error_percent"] = table["reference_error_percent"].fillna(known)
+    return table
+
+
+def largest_errors(statistics: pd.DataFrame) -> tuple[dict[str, float], dict[str, float]]:
+    """Largest error of the fitted means of bands, and of indices."""
+    means = statistics[statistics["fitted"] & statistics["statistic"].str.endswith(".mean")]
+    band = means["statistic"].str.split(".").str[0].isin(BANDS)
+    return tuple(  # type: ignore[return-value]
+        {
+            c: float(part[f"{c}_error_percent"].abs().max()) if len(part) else float("nan")
+            for c in ("before", "after")
+        }
+        for part in (means[band], means[~band])
+    )
+
+
+def plant_counts(model: PlotModel, counts: np.ndarray) -> xr.DataArray:
+    """Plants of each species."""
+    return xr.DataArray(
+        np.asarray(counts, float),
+        dims="species",
+        coords={"species": ("species", list(model.taxa), {"long_name": "taxon"})},
+        attrs={"long_name": "plants on the plot, eq. (10) without its ceiling", "units": "1"},
+    )
+
+
+def calibration_dataset(plot: Plot, model: PlotModel, result: Calibration) -> xr.Dataset:
+    """What the run file of a calibration holds."""
+    bands = list(model.camera.bands.centre)
+
+    def image(values: Any, what: str) -> xr.DataArray:
+        return image_array(
+            np.asarray(values),
+            list(BANDS),
+            bands,
+            pixel_m=plot.sensor.pixel_m,
+            long_name=f"simulated reflectance factor {what} calibration",
+        )
+
+    fit = result.fit
+    units = parameter_units()
+    kinds = [name.rsplit(".", 1)[-1] for name in fit.names]
+    free = {
+        "parameter": ("parameter", list(fit.names), {"long_name": "free parameter"}),
+        "parameter_unit": ("parameter", [units[k] for k in kinds], {"long_name": "its unit"}),
+    }
+    statistic = {"statistic": ("statistic", list(fit.data.names), {"long_name": "statistic"})}
+
+    def over(axis: str, coords: dict[str, Any], values: Any, name: str) -> xr.DataArray:
+        return xr.DataArray(
+            np.asarray(values, float),
+            dims=axis,
+            coords=coords,
+            attrs={"long_name": name, "units": "1"},
+        )
+
+    every = named_values(result.after, model.taxa)
+    return xr.Dataset(
+        {
+            "reflectance_before": image(result.image_before, "before"),
+            "reflectance_after": image(result.image_after, "after"),
+            "prior": over("parameter", free, fit.space.prior, "prior, in parameter_unit"),
+            "prior_sd": over("parameter", free, fit.space.prior_sd, "prior sd, in parameter_unit"),
+            "estimate": over("parameter", free, fit.estimate, "estimate, in parameter_unit"),
+            "estimate_sd": over("parameter", free, fit.sd, "posterior sd, in parameter_unit"),
+            "constrained": over("parameter", free, fit.constrained, "1 - posterior/prior variance"),
+            "target": over("statistic", statistic, fit.data.value, "statistic of the real image"),
+            "target_sd": over("statistic", statistic, fit.data.sd, "its standard deviation"),
+            "simulated_before": over(
+                "statistic", statistic, result.statistics_before, "before calibration"
+            ),
+            "simulated_after": over(
+                "statistic", statistic, result.statistics_after, "after calibration"
+            ),
+            "all_parameters": xr.DataArray(
+                np.array([float(v) for v in every.values()]),
+                dims="any_parameter",
+                coords={
+                    "any_parameter": ("any_parameter", list(every), {"long_name": "parameter"})
+                },
+                attrs={"long_name": "all parameters after calibration, own units", "units": "1"},
+            ),
+            "plants": plant_counts(model, np.asarray(model.counts(result.after))),
+        }
+    )
