@@ -23,13 +23,8 @@ from fynjax.canopy._forms import FORM_DEFAULTS, FormDefaults, plant_model
 from fynjax.canopy._generate import GeneratedPlant, generate_plant, leaf_sizes
 from fynjax.canopy._grid import VoxelGrid, deposit
 from fynjax.canopy._instances import instantiate, random_orientation, stack_plants, unit_shapes
-from fynjax.canopy._mesh import (
-    MeshPlant,
-    PlantMaterial,
-    PlantMesh,
-    plant_model_from_mesh,
-    read_plant_mesh,
-)
+from fynjax.canopy._mesh import plant_model_from_mesh, read_plant_mesh
+from fynjax.canopy._mesh_plant import MeshPlant, PlantMaterial, PlantMesh
 from fynjax.canopy._plant import Organ, PlantModel
 from fynjax.canopy._scan import plant_model_from_points, read_scan
 from fynjax.canopy._sites import assign_sites, poisson_disk, site_weight, soft_weights

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax.canopy._instances import random_orientation
-from fynjax.canopy._mesh import MeshPlant, PlantMaterial, PlantMesh, mesh_plant
+from fynjax.canopy._mesh_plant import MeshPlant, PlantMaterial, PlantMesh, mesh_plant
 from fynjax.canopy._plant import Organ
 
 _Branch = TypeVar("_Branch", MeshPlant, PlantMesh)

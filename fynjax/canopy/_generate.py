@@ -37,7 +37,7 @@ from fynjax.canopy._generate_parts import (
     tubes_of_area,
     unit,
 )
-from fynjax.canopy._mesh import PlantMesh
+from fynjax.canopy._mesh_plant import PlantMesh
 from fynjax.canopy._plant import Organ
 from fynjax.canopy._table import table1_2006
 

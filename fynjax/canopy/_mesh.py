@@ -7,17 +7,12 @@ Cauchy's mean silhouette times two; Chen and Black 1992). Both are the areas of 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
 
 from fynjax._core.errors import InputError
-from fynjax.canopy._counts import modelled_diameter
 from fynjax.canopy._forms import quasi_random, split_elements
 from fynjax.canopy._mesh_facets import (
     check_vertex_normals,
@@ -26,107 +21,16 @@ from fynjax.canopy._mesh_facets import (
     is_closed,
     volume,
 )
-from fynjax.canopy._plant import Organ, PlantModel
-
-_COLOURS = {Organ.LEAF: (0.24, 0.42, 0.14), Organ.WOOD: (0.36, 0.27, 0.20)}
-_FLOWER_COLOUR = (0.85, 0.55, 0.65)
-
-
-@dataclass(frozen=True)
-class PlantMaterial:
-    """What a material of a mesh stands for."""
-
-    organ: Organ | str
-    """Organ: leaf, wood or flower."""
-    optics: str = ""
-    """Name of its optical class (a spectrum of the user's); the material's own name if empty."""
-    solid: bool | None = None
-    """Whether it bounds solid bodies, so that half of its area counts; None leaves that to
-    `solid_materials`."""
-
-
-class PlantMesh(eqx.Module):
-    """The triangles of one plant, each with a material."""
-
-    vertices: Float[np.ndarray, "vertex 3"]
-    """Corners, z upwards [m]."""
-    faces: Int[np.ndarray, "face 3"]
-    """Corners of each triangle, counter-clockwise from outside (or from a blade's upper side)."""
-    material: Int[np.ndarray, " face"]
-    """Index into `materials` of each triangle."""
-    materials: tuple[str, ...] = eqx.field(static=True)
-    """Names of the materials."""
-
-    @property
-    def triangles(self) -> Float[np.ndarray, "face 3 3"]:
-        """The three corners of each triangle [m]."""
-        return self.vertices[self.faces]
-
-    @property
-    def material_area(self) -> Float[np.ndarray, " material"]:
-        """Area of all triangles of each material, both sides of a closed surface [m2]."""
-        _, area = facets(self.triangles)
-        return np.bincount(self.material, weights=area, minlength=len(self.materials))
-
-    def is_closed(self, material: str) -> bool:
-        """Whether the triangles of a material bound bodies: no edge is left open."""
-        triangles = self.triangles[self.material == self.materials.index(material)]
-        return len(triangles) > 0 and is_closed(triangles)
-
-    def obj(self, material_file: str) -> tuple[str, str]:
-        """The mesh as Wavefront OBJ (lengths to 1 nm) and the MTL text it names.
-
-        `material_file` is the name the MTL text is to have. Materials are named as in
-        `materials`; their colours are for show.
-        """
-        lines = ["# lengths in metres, z upwards", f"mtllib {material_file}"]
-        lines += [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in self.vertices.tolist()]
-        colours = []
-        for index, name in enumerate(self.materials):
-            lines.append(f"usemtl {name}")
-            corners = self.faces[self.material == index] + 1
-            lines += [f"f {a} {b} {c}" for a, b, c in corners.tolist()]
-            organ = _organ_of_name(name)
-            red, green, blue = _COLOURS.get(organ or Organ.LEAF, _FLOWER_COLOUR)
-            colours.append(f"newmtl {name}\nKd {red} {green} {blue}\nillum 1\n")
-        return "\n".join(lines) + "\n", "\n".join(colours)
-
-
-class MeshPlant(eqx.Module):
-    """A mesh (or a scan) as a plant model, with the sizes, areas and materials it had."""
-
-    plant: PlantModel
-    """Its shape."""
-    width: float = eqx.field(static=True)
-    """Extent along x [m]."""
-    height: float = eqx.field(static=True)
-    """Extent along y, "height" in the paper's eq. (7) [m]."""
-    depth: float = eqx.field(static=True)
-    """Extent along z: how tall the plant is [m]."""
-    organ_area: Float[Array, " organ"]
-    """One-sided area of leaf, wood and flower [m2]; scale with the square of the size."""
-    material: Int[Array, " element"]
-    """Index into `materials` and `optics` of each element."""
-    materials: tuple[str, ...] = eqx.field(static=True)
-    """Names of the materials."""
-    optics: tuple[str, ...] = eqx.field(static=True)
-    """Name of the optical class of each material."""
-
-    @property
-    def modelled_diameter(self) -> float:
-        """Crown diameter, eq. (7) [m]."""
-        return float(modelled_diameter(self.width, self.height))
-
-    @property
-    def position(self) -> Float[Array, "element 3"]:
-        """Elements in metres: x, y from the middle of the bounding box, z from its bottom."""
-        diameter = self.modelled_diameter
-        return self.plant.position * jnp.asarray([diameter, diameter, self.depth])
-
-    @property
-    def area(self) -> Float[Array, " element"]:
-        """One-sided area of each element [m2]."""
-        return self.plant.area_fraction * self.organ_area[self.plant.organ]
+from fynjax.canopy._mesh_plant import (
+    MeshPlant,
+    PlantMaterial,
+    PlantMesh,
+    check_extent,
+    mesh_plant,
+    organ_named,
+    organ_of_name,
+)
+from fynjax.canopy._plant import Organ
 
 
 def read_plant_mesh(mesh: Any, *, up: Literal["y", "z"] = "z") -> PlantMesh:
@@ -212,62 +116,6 @@ def plant_model_from_mesh(
         low,
         high,
     )
-
-
-def mesh_plant(
-    point: np.ndarray,
-    normal: np.ndarray,
-    area: np.ndarray,
-    material: np.ndarray,
-    names: tuple[str, ...],
-    materials: list[PlantMaterial],
-    low: np.ndarray,
-    high: np.ndarray,
-) -> MeshPlant:
-    """Record of elements in metres, whose plant fills the box from `low` to `high` [m]."""
-    organs = [int(_organ(one.organ, name)) for one, name in zip(materials, names)]
-    organ = np.array(organs)[material]
-    organ_area = np.bincount(organ, weights=area, minlength=len(Organ))
-    width, height, depth = (float(side) for side in high - low)
-    diameter = modelled_diameter(width, height)
-    axis = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
-    plant = PlantModel(
-        jnp.asarray((point - axis) / np.array([diameter, diameter, depth])),
-        jnp.asarray(area / organ_area[organ]),
-        jnp.asarray(np.where(normal[:, 2:] < 0.0, -normal, normal)),
-        jnp.asarray(organ, jnp.int32),
-    )
-    optics = tuple(one.optics or name for one, name in zip(materials, names))
-    return MeshPlant(
-        plant,
-        width,
-        height,
-        depth,
-        jnp.asarray(organ_area),
-        jnp.asarray(material, jnp.int32),
-        names,
-        optics,
-    )
-
-
-def check_extent(
-    points: np.ndarray, maximum_extent: float, file: str | None, what: str = "a plant mesh"
-) -> tuple[np.ndarray, np.ndarray]:
-    """Opposite corners of the bounding box of points [n, 3], checked."""
-    if not np.isfinite(points).all():
-        raise InputError(f"the vertices of {what} must be finite, but some are not", file=file)
-    low, high = points.min(axis=0), points.max(axis=0)
-    size = high - low
-    box = f"{size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g}"
-    if size.max() > maximum_extent:
-        raise InputError(
-            f"{what} must be in metres and at most {maximum_extent:g} m large, but is {box}: is "
-            "it in centimetres or millimetres?",
-            file=file,
-        )
-    if size.min() <= 0.0:
-        raise InputError(f"{what} must extend in x, y and z, but is flat: {box} m", file=file)
-    return low, high
 
 
 def _sample(
@@ -364,14 +212,6 @@ def _is_solid(
     return solid
 
 
-def _organ_of_name(name: str) -> Organ | None:
-    """The organ a material's name begins with."""
-    for organ in Organ:
-        if name.lower().startswith(organ.name.lower()):
-            return organ
-    return None
-
-
 def _materials(
     mesh: PlantMesh,
     organ_of_material: Mapping[str, Organ | str | PlantMaterial] | None,
@@ -379,7 +219,7 @@ def _materials(
 ) -> list[PlantMaterial]:
     """What each material of the mesh stands for."""
     if organ_of_material is None:
-        by_name = {name: _organ_of_name(name) for name in mesh.materials}
+        by_name = {name: organ_of_name(name) for name in mesh.materials}
         if not any(organ is not None for organ in by_name.values()):
             return [PlantMaterial(Organ.LEAF) for _ in mesh.materials]
         organ_of_material = {k: organ for k, organ in by_name.items() if organ is not None}
@@ -395,15 +235,5 @@ def _materials(
             )
         given = organ_of_material[name]
         one = given if isinstance(given, PlantMaterial) else PlantMaterial(given)
-        used.append(PlantMaterial(_organ(one.organ, name), one.optics, one.solid))
+        used.append(PlantMaterial(organ_named(one.organ, name), one.optics, one.solid))
     return used
-
-
-def _organ(organ: Organ | str, name: str) -> Organ:
-    if isinstance(organ, str):
-        if organ.upper() not in Organ.__members__:
-            raise InputError(
-                f"the organ of material {name!r} must be leaf, wood or flower, but is {organ!r}"
-            )
-        return Organ[organ.upper()]
-    return Organ(organ)

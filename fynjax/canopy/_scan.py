@@ -16,8 +16,8 @@ from jaxtyping import Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax.canopy._forms import split_elements
-from fynjax.canopy._mesh import MeshPlant, PlantMaterial, check_extent, mesh_plant
 from fynjax.canopy._mesh_facets import draw_evenly
+from fynjax.canopy._mesh_plant import MeshPlant, PlantMaterial, check_extent, mesh_plant
 from fynjax.canopy._plant import Organ
 
 _LARGEST_LENGTH_MISS = 0.01

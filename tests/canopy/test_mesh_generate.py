@@ -21,7 +21,8 @@ from fynjax.canopy import (
 )
 from fynjax.canopy._generate import GeneratedPlant, generate_plant, leaf_sizes
 from fynjax.canopy._generate_parts import OUTLINES, blades, outline_area, tubes
-from fynjax.canopy._mesh import MeshPlant, PlantMaterial, PlantMesh, plant_model_from_mesh
+from fynjax.canopy._mesh import plant_model_from_mesh
+from fynjax.canopy._mesh_plant import MeshPlant, PlantMaterial, PlantMesh
 
 TABLE = table1_2006().set_index("taxon")
 TAXA = list(TABLE.index)
