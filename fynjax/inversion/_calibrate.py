@@ -13,7 +13,8 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import VoxelGrid
-from fynjax.inversion._fit import Data, FitResult, Forward, evaluate, fit
+from fynjax.inversion._fit import Forward, evaluate, fit
+from fynjax.inversion._fit_result import Data, FitResult
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
 from fynjax.metrics import image_statistics
 from fynjax.radiation import Accuracy

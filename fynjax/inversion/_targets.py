@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax.inversion._fit import Data
+from fynjax.inversion._fit_result import Data
 from fynjax.metrics import BANDS
 
 IMAGE_STATISTICS = tuple(
