@@ -66,6 +66,21 @@ class Shoots:
     thinning: float
     """Part of the base's thickness that is lost at the tip, 0 to 1."""
 
+    def draw(self, number: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """`number` shoots: part of a full turn, distance of foot and of tip from the axis, height
+        of the tip.
+
+        Fixed by the seed alone, so that wood, culms and spikelets sit on the same shoots.
+        """
+        uniform = quasi_random(number, 3, [seed, len(Organ)])
+        outward = np.sqrt(uniform[:, 1] / uniform[:, 1].max())
+        low, high = self.tip_radius
+        tip = low + (high - low) * outward
+        outer, inner = self.tip_height
+        top = inner + (outer - inner) * outward * (0.6 + 0.4 * uniform[:, 2])
+        top *= inner / top.max()
+        return uniform[:, 0], self.base_radius * outward, tip, top
+
 
 @dataclass(frozen=True)
 class FormDefaults:
@@ -237,21 +252,12 @@ def _along_shoots(
     A shoot's elements stand for half its surface, with normals all round it: seen from any side
     that is the silhouette of a thin cylinder (Chen and Black 1992).
     """
-    # Fixed by the seed alone, so that wood, culms and spikelets sit on the same shoots.
-    draw = quasi_random(shoots.number, 3, [seed, len(Organ)])
-    outward = np.sqrt(draw[:, 1] / draw[:, 1].max())
-    low, high = shoots.tip_radius
-    tip = low + (high - low) * outward
-    outer, inner = shoots.tip_height
-    top = inner + (outer - inner) * outward * (0.6 + 0.4 * draw[:, 2])
-    top *= inner / top.max()
-    foot = shoots.base_radius * outward
-
+    turn, foot, tip, top = shoots.draw(shoots.number, seed)
     shoot = np.minimum((uniform[:, 0] * shoots.number).astype(int), shoots.number - 1)
     along = np.linspace(part[0], part[1], _QUANTILES)
     s = _quantile(uniform[:, 1], along, 1.0 - shoots.thinning * along)
     distance = foot[shoot] + (tip - foot)[shoot] * s**shoots.arch
-    turn = draw[shoot, 0]
+    turn = turn[shoot]
     position = _around(distance, turn, top[shoot] * s)
 
     # The inclination of a shoot is that of a plant as tall as its crown is wide.

@@ -19,8 +19,8 @@ _FLOW_POWER = 1.0 / 2.2
 """A stem's section grows a little slower than the number of tips it carries (Murray's law is
 1/3 for the radius, the pipe model 1/2)."""
 
-# Streams of random numbers of one seed; the shoots share theirs with `plant_model`.
-_SHOOT_STREAM, _WOBBLE, _TIPS, _CULMS, _THREADS = 3, 11, 12, 13, 14
+# Streams of random numbers of one seed, beside those of `plant_model`.
+_WOBBLE, _TIPS, _CULMS, _THREADS = 11, 12, 13, 14
 
 
 @dataclass
@@ -47,17 +47,10 @@ def shoot_paths(
     shoots: Shoots, number: int, diameter: float, height: float, seed: int
 ) -> np.ndarray:
     """`number` shoots of a growth form [path, point, 3], a little crooked."""
-    draw = quasi_random(number, 3, [seed, _SHOOT_STREAM])
-    outward = np.sqrt(draw[:, 1] / draw[:, 1].max())
-    low, high = shoots.tip_radius
-    tip = low + (high - low) * outward
-    outer, inner = shoots.tip_height
-    top = inner + (outer - inner) * outward * (0.6 + 0.4 * draw[:, 2])
-    top *= inner / top.max()
-    foot = shoots.base_radius * outward
+    part, foot, tip, top = shoots.draw(number, seed)
     s = np.linspace(0.0, 1.0, _STEM_POINTS)
     distance = diameter * (foot[:, None] + (tip - foot)[:, None] * s**shoots.arch)
-    turn = 2.0 * np.pi * draw[:, :1]
+    turn = 2.0 * np.pi * part[:, None]
     level = height * top[:, None] * s
     paths = np.stack([distance * np.cos(turn), distance * np.sin(turn), level], axis=-1)
 
