@@ -21,6 +21,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from fynjax._core.errors import InputError
 from fynjax.io._atomic import atomic_path
+from fynjax.io._raster_checks import check_north_up, check_square
 from fynjax.io._tables import existing_file
 from fynjax.io._validate import did_you_mean
 
@@ -187,20 +188,11 @@ def _placement(file: Any, path: Path) -> tuple[float | None, tuple[float, float]
     t = file.transform
     if t.is_identity:
         return None, None, True
-    if abs(t.b) > 1e-9 * abs(t.a) or abs(t.d) > 1e-9 * abs(t.a):
-        raise InputError(
-            "expected an image with north up, but this one is rotated. Warp it first: "
-            f"gdalwarp {path.name} north_up.tif",
-            file=path,
-        )
+    check_north_up(t, path, "an image", may_be_flipped=True)
     north_up = t.e < 0
     if file.crs is not None and file.crs.is_geographic:
         return None, None, north_up
-    if abs(abs(t.e) - t.a) > 1e-3 * t.a:
-        raise InputError(
-            f"expected square pixels, but they are {t.a:g} by {abs(t.e):g}. Warp with -tr first.",
-            file=path,
-        )
+    check_square(t, path, "pixels")
     south = t.f + t.e * file.height if north_up else t.f
     return float(t.a), (float(t.c), float(south)), north_up
 

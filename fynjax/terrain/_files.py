@@ -15,6 +15,7 @@ from rasterio.windows import Window
 
 from fynjax._core.errors import InputError
 from fynjax.io._atomic import write_text
+from fynjax.io._raster_checks import check_north_up, check_square
 from fynjax.io._rasters import write_geotiff
 from fynjax.io._tables import existing_file
 from fynjax.terrain._raster import Terrain
@@ -146,17 +147,8 @@ def _frame(file: Any, path: Path, stated: str | None, height_stated: bool) -> tu
             file=path,
         )
     check_metric(system, path, height_stated=height_stated)
-    if abs(t.b) > 1e-9 * abs(t.a) or abs(t.d) > 1e-9 * abs(t.a) or t.a < 0 or t.e > 0:
-        raise InputError(
-            "expected a raster with north up, but this one is rotated or upside down. Warp it "
-            f"first: gdalwarp {path.name} north_up.tif",
-            file=path,
-        )
-    if abs(abs(t.e) - t.a) > 1e-3 * t.a:
-        raise InputError(
-            f"expected square cells, but they are {t.a:g} by {abs(t.e):g}. Warp with -tr first.",
-            file=path,
-        )
+    check_north_up(t, path, "a raster")
+    check_square(t, path, "cells")
     return float(t.a), system
 
 
