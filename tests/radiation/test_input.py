@@ -34,6 +34,14 @@ def with_static(**fields):
     )
 
 
+def with_owners(*owners):
+    """The scene whose classes have other owners of their leaf angles (and leaf diameters)."""
+    classes = patchy().classes
+    return with_static(
+        classes=OpticalClasses(classes.reflectance, classes.transmittance, classes.angles, *owners)
+    )
+
+
 def with_pattern(pattern):
     return dataclasses.replace(patchy().illumination, sky_pattern=pattern)
 
@@ -66,25 +74,11 @@ CASES = {
         r"classes.transmittance` must have shape .*\(3, 2\).*has \(3, 4\)",
     ),
     "owners missing": (
-        lambda: with_static(
-            classes=OpticalClasses(
-                patchy().classes.reflectance,
-                patchy().classes.transmittance,
-                patchy().classes.angles,
-                (0, 1),
-            )
-        ),
+        lambda: with_owners((0, 1)),
         "a distribution for each of the 3 classes, but has 2",
     ),
     "owner beyond the end": (
-        lambda: with_static(
-            classes=OpticalClasses(
-                patchy().classes.reflectance,
-                patchy().classes.transmittance,
-                patchy().classes.angles,
-                (0, 1, 2),
-            )
-        ),
+        lambda: with_owners((0, 1, 2)),
         "beyond the end",
     ),
     "leaves that gain": (
@@ -128,16 +122,7 @@ CASES = {
         "but is nan",
     ),
     "leaf diameters without owners": (
-        lambda: with_static(
-            classes=OpticalClasses(
-                patchy().classes.reflectance,
-                patchy().classes.transmittance,
-                patchy().classes.angles,
-                (0, 0, 0),
-                jnp.array([0.01, 0.02]),
-                (0, 2, 1),
-            )
-        ),
+        lambda: with_owners((0, 0, 0), jnp.array([0.01, 0.02]), (0, 2, 1)),
         "points beyond the end of `leaf_diameter`",
     ),
     "a sky of one ring": (
