@@ -1,12 +1,15 @@
-"""Checks that several test files share."""
+"""Checks, and files to read, that several test files share."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import rasterio
 from jax.flatten_util import ravel_pytree
+from rasterio import Affine
 
 
 def assert_gradients(
@@ -47,3 +50,35 @@ def assert_gradients(
         f"AD and differences disagree by {worst.max():.2e} at {worst.argmax()}"
     )
     np.testing.assert_allclose(forward, reverse, rtol=1e-8, atol=1e-12 * np.abs(reverse).max())
+
+
+def write_raster(
+    path: Path,
+    bands: np.ndarray,
+    *,
+    transform: Affine,
+    scale: float | None = None,
+    unit: str | None = None,
+    **options: Any,
+) -> Path:
+    """A GeoTIFF of `bands` [band, row, column] as another program writes it."""
+    count, height, width = bands.shape
+    with rasterio.open(
+        path, "w", driver="GTiff", dtype=bands.dtype, count=count, height=height, width=width,
+        transform=transform, **options,
+    ) as file:  # fmt: skip
+        file.write(bands)
+        if scale is not None:
+            file.scales = [scale] * count
+        if unit is not None:
+            file.units = [unit] * count
+    return path
+
+
+def write_ply(path: Path, properties: Sequence[str], table: np.ndarray) -> Path:
+    """An ASCII PLY of points [point, property]; properties such as "double x"."""
+    head = ["ply", "format ascii 1.0", f"element vertex {len(table)}"]
+    head += [f"property {one}" for one in properties] + ["end_header"]
+    rows = [" ".join(map(repr, row)) for row in table.tolist()]
+    path.write_text("\n".join([*head, *rows]) + "\n")
+    return path

@@ -10,6 +10,7 @@ from fynjax._core.errors import InputError
 from fynjax.canopy import Organ
 from fynjax.canopy._mesh import plant_model_from_mesh
 from fynjax.canopy._scan import plant_model_from_points, read_scan
+from tests.helpers import write_ply
 
 
 def ball(count: int = 3000, radius: float = 0.3) -> tuple[np.ndarray, np.ndarray]:
@@ -88,12 +89,8 @@ def test_files(tmp_path: Path) -> None:
     plain, named = tmp_path / "scan.xyz", tmp_path / "scan.csv"
     np.savetxt(plain, table, fmt="%.9g")
     np.savetxt(named, table[:, ::-1], "%.9g", ",", header="organ,nz,ny,nx,z,y,x", comments="")
-    ply = tmp_path / "scan.ply"
     names = ("x", "y", "z", "nx", "ny", "nz")
-    header = ["ply", "format ascii 1.0", "element vertex 200"]
-    header += [f"property float {name}" for name in names] + ["end_header"]
-    rows = [" ".join(f"{value:.9g}" for value in row) for row in table[:, :6]]
-    ply.write_text("\n".join([*header, *rows]) + "\n")
+    ply = write_ply(tmp_path / "scan.ply", [f"float {name}" for name in names], table[:, :6])
     for path in (plain, named, ply):
         read_points, read_normals, read_organ = read_scan(path)
         np.testing.assert_allclose(read_points, points, rtol=1e-6)

@@ -7,6 +7,7 @@ from rasterio import Affine
 
 from fynjax._core.errors import InputError
 from fynjax.io import read_image, write_geotiff
+from tests.helpers import write_raster
 
 BANDS = ("green", "red", "red_edge", "nir")
 CENTRES = (560.0, 650.0, 730.0, 860.0)
@@ -101,14 +102,8 @@ def test_declared_nodata_is_masked(tmp_path, image):
 NORTH_UP = Affine(0.5, 0, 0, 0, -0.5, 10)
 
 
-def raw(path, values, dtype, *, scale=None, transform=NORTH_UP, **options):
-    with rasterio.open(
-        path, "w", driver="GTiff", dtype=dtype, count=len(values), height=values.shape[1],
-        width=values.shape[2], transform=transform, **options,
-    ) as file:  # fmt: skip
-        file.write(values.astype(dtype))
-        if scale is not None:
-            file.scales = [scale] * len(values)
+def raw(path, values, dtype, *, transform=NORTH_UP, **options):
+    write_raster(path, values.astype(dtype), transform=transform, **options)
 
 
 def test_south_up_files_are_not_flipped_twice(tmp_path, image):

@@ -11,6 +11,7 @@ from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax.terrain import PointCloud, read_cloud
+from tests.helpers import write_ply
 from tests.terrain.synthetic import CORNER
 
 RNG = np.random.default_rng(1)
@@ -153,12 +154,9 @@ def test_las_cut_between_two_points(tmp_path):
 
 
 def test_ply_with_classes(tmp_path):
-    rows = [f"{x!r} {y!r} {z!r} {k % 3}" for k, (x, y, z) in enumerate(POINTS.tolist())]
     kinds = ["double x", "double y", "double z", "float scalar_Classification"]
-    head = ["ply", "format ascii 1.0", f"element vertex {len(rows)}"]
-    head += [f"property {kind}" for kind in kinds] + ["end_header"]
-    (tmp_path / "a.ply").write_text("\n".join([*head, *rows]) + "\n")
-    cloud = read_cloud(tmp_path / "a.ply")
+    table = np.column_stack([POINTS, np.arange(400) % 3])
+    cloud = read_cloud(write_ply(tmp_path / "a.ply", kinds, table))
     np.testing.assert_array_equal(np.stack([cloud.x, cloud.y, cloud.z], axis=1), POINTS)
     np.testing.assert_array_equal(cloud.classification, np.arange(400) % 3)
 

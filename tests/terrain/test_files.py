@@ -11,6 +11,7 @@ from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
 from fynjax.terrain import Terrain, read_terrain, write_mesh, write_terrain
+from tests.helpers import write_raster
 
 UTM = CRS.from_epsg(32734)
 
@@ -26,24 +27,13 @@ def terrain_of(shape=(6, 9), cell=0.5, origin=(412300.0, 6191200.0)):
     return Terrain(heights, cell, origin, UTM.to_wkt())
 
 
-def write_raster(path, heights, *, crs=UTM, transform=None, nodata=None, units=None):
-    """A raster as another program writes it: northern row first."""
-    bands = np.atleast_3d(heights).transpose(2, 0, 1) if heights.ndim == 2 else heights
-    profile = {
-        "driver": "GTiff",
-        "dtype": str(heights.dtype),
-        "count": len(bands),
-        "height": bands.shape[1],
-        "width": bands.shape[2],
-        "crs": crs,
-        "nodata": nodata,
-        "transform": transform or Affine(0.5, 0.0, 412300.0, 0.0, -0.5, 6191203.0),
-    }
-    with rasterio.open(path, "w", **profile) as file:
-        file.write(bands)
-        if units is not None:
-            file.units = [units] * len(bands)
-    return path
+PLACE = Affine(0.5, 0.0, 412300.0, 0.0, -0.5, 6191203.0)
+
+
+def raster(path, heights, *, crs=UTM, transform=PLACE, **options):
+    """A raster of one band, or of several, northern row first."""
+    bands = heights.reshape(-1, *heights.shape[-2:])
+    return write_raster(path, bands, crs=crs, transform=transform, **options)
 
 
 HEIGHTS = terrain_of().heights[::-1].astype(np.float32)
@@ -75,26 +65,26 @@ def test_a_plot_without_a_place_comes_back_so(tmp_path):
 
 
 def test_a_part_of_a_raster_is_read(tmp_path):
-    path = write_raster(tmp_path / "a.tif", HEIGHTS)
+    path = raster(tmp_path / "a.tif", HEIGHTS)
     part = read_terrain(path, (412301.0, 6191200.6, 412302.4, 6191202.0))
     assert part.bounds == (412301.0, 6191200.5, 412302.5, 6191202.0)
     np.testing.assert_allclose(part.heights, terrain_of().heights[1:4, 2:5], atol=1e-5)
 
 
 def test_heights_in_other_units(tmp_path):
-    path = write_raster(tmp_path / "a.tif", HEIGHTS / np.float32(0.3048), units="ft")
+    path = raster(tmp_path / "a.tif", HEIGHTS / np.float32(0.3048), unit="ft")
     with pytest.raises(InputError, match=r"the band says 'ft'\. State the height unit"):
         read_terrain(path)
     back = read_terrain(path, height_unit="foot")
     np.testing.assert_allclose(back.heights, terrain_of().heights, atol=1e-5)
-    steep = write_raster(tmp_path / "b.tif", HEIGHTS * np.float32(100.0))
+    steep = raster(tmp_path / "b.tif", HEIGHTS * np.float32(100.0))
     with pytest.raises(InputError, match=r"rises 30\.0 m in each metre"):
         read_terrain(steep)
     np.testing.assert_allclose(read_terrain(steep, height_unit="centimetre").heights, back.heights)
 
 
 def test_scale_and_offset_of_a_band_are_applied(tmp_path):
-    path = write_raster(tmp_path / "a.tif", np.round(HEIGHTS * 100.0).astype(np.int16))
+    path = raster(tmp_path / "a.tif", np.round(HEIGHTS * 100.0).astype(np.int16))
     with rasterio.open(path, "r+") as file:
         file.scales, file.offsets = (0.01,), (5.0,)
     back = read_terrain(path)
@@ -104,7 +94,7 @@ def test_scale_and_offset_of_a_band_are_applied(tmp_path):
 def test_gaps_are_refused_or_filled(tmp_path):
     holes = HEIGHTS.copy()
     holes[1, 2], holes[3:5, 4:6], holes[0, 0] = np.nan, -9999.0, np.nan
-    path = write_raster(tmp_path / "a.tif", holes, nodata=-9999.0)
+    path = raster(tmp_path / "a.tif", holes, nodata=-9999.0)
     with pytest.raises(
         InputError, match=r"6 of 54 cells have none .* first at \(412302.25, 6191200.75\)"
     ):
@@ -130,25 +120,25 @@ def test_gaps_are_refused_or_filled(tmp_path):
 )
 def test_rasters_that_are_wrong(tmp_path, changes, said):
     arguments = {"heights": HEIGHTS, **changes}
-    path = write_raster(tmp_path / "a.tif", **arguments)
+    path = raster(tmp_path / "a.tif", **arguments)
     with pytest.raises(InputError, match=said) as caught:
         read_terrain(path)
     assert str(path) in str(caught.value)
 
 
 def test_the_user_may_state_the_system(tmp_path):
-    path = write_raster(tmp_path / "a.tif", HEIGHTS, crs=None)
+    path = raster(tmp_path / "a.tif", HEIGHTS, crs=None)
     assert CRS.from_wkt(read_terrain(path, crs="EPSG:32734").crs) == UTM
 
 
 def test_a_raster_that_does_not_cover_the_plot(tmp_path):
-    path = write_raster(tmp_path / "a.tif", HEIGHTS)
+    path = raster(tmp_path / "a.tif", HEIGHTS)
     with pytest.raises(InputError, match=r"covers \(412300.00, 6191200.00\).*plot is \(412299.00"):
         read_terrain(path, (412299.0, 6191200.0, 412302.0, 6191202.0))
 
 
 def test_files_that_are_no_rasters(tmp_path):
-    path = write_raster(tmp_path / "a.tif", np.tile(HEIGHTS, (40, 40)))
+    path = raster(tmp_path / "a.tif", np.tile(HEIGHTS, (40, 40)))
     path.write_bytes(path.read_bytes()[:3000])
     with pytest.raises(InputError, match="cut short"):
         read_terrain(path)
