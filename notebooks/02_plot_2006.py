@@ -109,6 +109,8 @@ parameters = PlotParameters(
         brightness=jnp.asarray(1.0),
         moisture=jnp.asarray(0.4),
         litter_fraction=jnp.asarray(0.3),
+        char_fraction=jnp.asarray(0.0),
+        rock_fraction=jnp.asarray(0.0),
         wood_brightness=jnp.asarray(0.8),
     ),
     light=LightParameters(

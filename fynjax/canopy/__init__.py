@@ -21,10 +21,12 @@ from fynjax.canopy._counts import (
 )
 from fynjax.canopy._forms import FORM_DEFAULTS, FormDefaults, plant_model
 from fynjax.canopy._generate import GeneratedPlant, generate_plant, leaf_sizes
+from fynjax.canopy._greenness import Greenness, band_roles, choose_greenness
 from fynjax.canopy._grid import VoxelGrid, deposit
 from fynjax.canopy._instances import instantiate, random_orientation, stack_plants, unit_shapes
 from fynjax.canopy._mesh import plant_model_from_mesh, read_plant_mesh
 from fynjax.canopy._mesh_plant import MeshPlant, PlantMaterial, PlantMesh
+from fynjax.canopy._pattern import VegetationPattern, even_levels, vegetation_pattern
 from fynjax.canopy._plant import Organ, PlantModel
 from fynjax.canopy._scan import plant_model_from_points, read_scan
 from fynjax.canopy._sites import assign_sites, poisson_disk, site_weight, soft_weights
@@ -37,6 +39,7 @@ __all__ = [
     "EllipsoidalLeafAngle",
     "FormDefaults",
     "GeneratedPlant",
+    "Greenness",
     "MeshPlant",
     "Organ",
     "PlantMaterial",
@@ -45,11 +48,15 @@ __all__ = [
     "SphericalLeafAngle",
     "TabulatedLeafAngle",
     "TrigonometricLeafAngle",
+    "VegetationPattern",
     "VoxelGrid",
     "assign_sites",
+    "band_roles",
     "branch_rotation_spread",
+    "choose_greenness",
     "crown_scale",
     "deposit",
+    "even_levels",
     "generate_plant",
     "hard_count",
     "instance_area",
@@ -73,4 +80,5 @@ __all__ = [
     "table1_2006",
     "target_area",
     "unit_shapes",
+    "vegetation_pattern",
 ]

@@ -10,10 +10,13 @@ import typer
 
 import fynjax
 from fynjax._core.errors import InputError, MissingExtraError
+from fynjax.cli._bioscape import bioscape
+from fynjax.cli._build import build
 from fynjax.cli._calibrate import calibrate
 from fynjax.cli._demo import demo
 from fynjax.cli._fit_leaf import fit_leaf
 from fynjax.cli._init import init
+from fynjax.cli._pattern import pattern
 from fynjax.cli._plant import plant
 from fynjax.cli._render import render
 from fynjax.cli._terrain import terrain
@@ -30,10 +33,13 @@ app = typer.Typer(
 )
 app.command()(demo)
 app.command()(render)
+app.command()(build)
 app.command()(calibrate)
 app.command("fit-leaf")(fit_leaf)
 app.command()(plant)
 app.command()(terrain)
+app.command()(bioscape)
+app.command()(pattern)
 app.command()(init)
 
 

@@ -56,9 +56,9 @@ def free_space(
 ) -> ParameterSpace:
     """The free parameters of a plot by name pattern, such as `species.*.cover`.
 
-    Parameters without effect (leaves of deadwood, covers of zero, the moisture of a soil and the
-    aerosol of a sky that were given) are left out. `relative_sd` gives the prior's standard
-    deviation over its centre.
+    Parameters without effect (leaves of deadwood, the moisture of a soil and the aerosol of a sky
+    that were given) and covers of zero, of species, char or rock, are left out. `relative_sd`
+    gives the prior's standard deviation over its centre.
     """
     values = {k: float(v) for k, v in named_values(parameters, model.taxa).items()}
     chosen = [
@@ -78,6 +78,8 @@ def _without_effect(name: str, model: PlotModel, parameters: PlotParameters) -> 
         leafless = float(parameters.species.leaf_area_index[i]) == 0.0
         of_leaves = (".leaf." in name, name.endswith(("leaf_area_index", "shoot_clumping")))
         return leafless and any(of_leaves)
+    if name in ("ground.char_fraction", "ground.rock_fraction"):
+        return float(getattr(parameters.ground, name.split(".")[1])) == 0.0
     given = {"ground.moisture": model.soil, "light.aerosol": model.diffuse}
     return given.get(name) is not None
 

@@ -99,6 +99,8 @@ PLAUSIBLE: dict[str, tuple[float, float]] = {
     "brightness": (0.1, 2.0),
     "moisture": (0.0, 1.0),
     "litter_fraction": (0.0, 1.0),
+    "char_fraction": (0.0, 1.0),
+    "rock_fraction": (0.0, 1.0),
     "wood_brightness": (0.1, 2.5),
     "sun_zenith": (0.0, 85.0),
     "aerosol": (0.0, 1.0),

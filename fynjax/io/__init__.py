@@ -2,6 +2,9 @@
 
 from fynjax.io._asd import read_asd
 from fynjax.io._atomic import atomic_path, staged_folder, write_text
+from fynjax.io._band_stack import BandStack, read_band_stack
+from fynjax.io._bioscape import BioscapePlot, BioscapeSpecies, read_bioscape
+from fynjax.io._bioscape_files import run_bioscape, write_plot_files
 from fynjax.io._build import build_plot
 from fynjax.io._fit_leaf import run_fit_leaf
 from fynjax.io._netcdf import image_array, provenance, write_run
@@ -18,8 +21,10 @@ from fynjax.io._plot import (
     Sun,
 )
 from fynjax.io._plot_file import example_folder, read_plot
+from fynjax.io._probability import read_probability_map, write_probability_map
 from fynjax.io._rasters import ImageMeta, read_image, write_geotiff
 from fynjax.io._run_summary import ParameterSummary, RunSummary, StatisticSummary
+from fynjax.io._sensor_file import load_sensor
 from fynjax.io._spectra import read_spectra
 from fynjax.io._spectra_record import Spectrum
 from fynjax.io._statistics import TargetStatistics, read_statistics
@@ -27,6 +32,9 @@ from fynjax.io._statistics import TargetStatistics, read_statistics
 __all__ = [
     "GROWTH_FORMS",
     "PROSPECT_COLUMNS",
+    "BandStack",
+    "BioscapePlot",
+    "BioscapeSpecies",
     "Calibration",
     "Ground",
     "ImageMeta",
@@ -45,15 +53,22 @@ __all__ = [
     "build_plot",
     "example_folder",
     "image_array",
+    "load_sensor",
     "provenance",
     "read_asd",
+    "read_band_stack",
+    "read_bioscape",
     "read_image",
     "read_plot",
+    "read_probability_map",
     "read_spectra",
     "read_statistics",
+    "run_bioscape",
     "run_fit_leaf",
     "staged_folder",
     "write_geotiff",
+    "write_plot_files",
+    "write_probability_map",
     "write_run",
     "write_text",
 ]

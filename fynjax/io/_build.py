@@ -1,14 +1,14 @@
 """From a plot's files to a plot that can be rendered."""
 
-from pathlib import Path
-
 import jax.numpy as jnp
 import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import FORM_DEFAULTS
+from fynjax.io._build_ground import cover_patches, cover_spectra, soil_spectra
 from fynjax.io._plot import Plot, Species
-from fynjax.io._spectra import read_spectra
+from fynjax.io._probability import read_probability_map
+from fynjax.io._spectra import reflectances
 from fynjax.leaf import LeafParameters, fit_leaf
 from fynjax.scene import (
     LEAF_FIELDS,
@@ -45,7 +45,12 @@ def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[PlotModel, PlotP
     file's. Raises `InputError` for a spectrum or map that cannot be used, and where the plants
     find no room.
     """
-    parameters = plot_parameters(plot)
+    seed = plot.seed if seed is None else seed
+    patches = cover_patches(plot, seed)
+    fractions = plot.ground.fractions
+    if plot.ground.map is not None and patches is not None:
+        fractions = tuple(patches[1:].mean(axis=(1, 2)).tolist())
+    parameters = plot_parameters(plot, fractions)
     species = plot.species
     bands = SENSORS[plot.sensor.name]()
     wavelength = band_wavelengths(bands)
@@ -56,22 +61,28 @@ def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[PlotModel, PlotP
         extent=plot.size_m,
         voxel=plot.voxel_m,
         camera=Camera(bands, plot.sensor.altitude_m, plot.sensor.pixel_m),
-        seed=plot.seed if seed is None else seed,
+        seed=seed,
         boundary=plot.boundary,  # type: ignore[arg-type]
         branches=[float(s.branches or 1) for s in species],
         rotation_spread=[s.rotation_spread_deg or 0.0 for s in species],
         minimum_area=[s.minimum_object_area_m2 or 0.0 for s in species],
-        probability=_probability(plot.probability_map),
+        probability=_probability(plot),
         softness=plot.softness,
         width=plot.softness_plants,
-        soil=_soil(plot, wavelength),
+        soil=soil_spectra(plot, wavelength),
+        covers=cover_spectra(plot, wavelength),
+        patches=patches,
         diffuse=_diffuse(plot, bands, wavelength),
     )
     return model, parameters
 
 
-def plot_parameters(plot: Plot) -> PlotParameters:
-    """The parameters that a plot's files state, defaults of the growth forms filled in."""
+def plot_parameters(plot: Plot, fractions: tuple[float, ...] | None = None) -> PlotParameters:
+    """The parameters that a plot's files state, defaults of the growth forms filled in.
+
+    `fractions` of litter, char and rock replace those of the plot file.
+    """
+    litter, char, rock = plot.ground.fractions if fractions is None else fractions
 
     def column(name: str, default: float | None = None) -> jnp.ndarray:
         values = []
@@ -100,7 +111,9 @@ def plot_parameters(plot: Plot) -> PlotParameters:
         GroundParameters(
             brightness=jnp.asarray(plot.ground.brightness),
             moisture=jnp.asarray(plot.ground.moisture),
-            litter_fraction=jnp.asarray(plot.ground.litter_fraction),
+            litter_fraction=jnp.asarray(litter),
+            char_fraction=jnp.asarray(char),
+            rock_fraction=jnp.asarray(rock),
             wood_brightness=jnp.asarray(1.0),
         ),
         LightParameters(
@@ -118,7 +131,7 @@ def _leaf(species: Species) -> dict[str, float]:
     if source.parameters is not None:
         return source.parameters
     assert source.spectrum is not None  # the plot's reader leaves exactly one of the two
-    spectra = _reflectances(source.spectrum)
+    spectra = reflectances(source.spectrum)
     grid = np.arange(400.0, 2501.0)
     many = np.stack(
         [np.interp(grid, wave, values, left=np.nan, right=np.nan) for wave, values in spectra]
@@ -130,39 +143,6 @@ def _leaf(species: Species) -> dict[str, float]:
         )
     fit = fit_leaf(grid, many)
     return {name: float(np.mean(getattr(fit.parameters, name))) for name in LEAF_FIELDS}
-
-
-def _soil(plot: Plot, wavelength: np.ndarray) -> np.ndarray | None:
-    if plot.ground.spectrum is None:
-        return None
-    path = plot.ground.spectrum
-    spectra = _reflectances(path)
-    if len(spectra) > 1:
-        raise InputError(
-            f"expected the spectrum of one soil, but got {len(spectra)}; keep one column",
-            file=path,
-        )
-    wave, values = spectra[0]
-    known = np.isfinite(values)
-    wave, values = wave[known], values[known]
-    if wave.size == 0:
-        raise InputError("a soil spectrum must have reflectance, but has none", file=path)
-    if wave[0] > wavelength[0] or wave[-1] < wavelength[-1]:
-        raise InputError(
-            f"a soil spectrum must cover {wavelength[0]:g}-{wavelength[-1]:g} nm for this sensor, "
-            f"but covers {wave[0]:g}-{wave[-1]:g} nm",
-            file=path,
-        )
-    soil = np.interp(wavelength, wave, values)
-    return np.stack([soil, soil])
-
-
-def _reflectances(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Wavelengths [nm] and reflectance of the spectra of a file."""
-    found = [(s.wavelength, s.reflectance) for s in read_spectra(path) if s.reflectance is not None]
-    if not found:
-        raise InputError("a reflectance spectrum was expected, but the file has none", file=path)
-    return found
 
 
 def _diffuse(plot: Plot, bands: BandSet, wavelength: np.ndarray) -> np.ndarray | None:
@@ -179,20 +159,9 @@ def _diffuse(plot: Plot, bands: BandSet, wavelength: np.ndarray) -> np.ndarray |
     return np.interp(wavelength, sky.wavelength, sky.diffuse_fraction)
 
 
-def _probability(path: Path | None) -> np.ndarray | None:
-    if path is None:
+def _probability(plot: Plot) -> np.ndarray | None:
+    if plot.probability_map is None:
         return None
-    import rasterio
-
-    try:
-        with rasterio.open(path) as source:
-            values, mask = source.read(1), source.read_masks(1)
-    except rasterio.errors.RasterioIOError as error:
-        raise InputError(f"a GeoTIFF of 0-255 was expected, but: {error}", file=path) from error
-    if not mask.all():
-        raise InputError(
-            f"the probability map must have no gaps, but {int((mask == 0).sum())} cells have no "
-            "data; fill them with 0",
-            file=path,
-        )
-    return np.asarray(values, float)[::-1]  # row 0 is the southern edge here
+    return read_probability_map(
+        plot.probability_map, plot.size_m, origin_m=plot.map_origin_m, option="map_origin_m"
+    )

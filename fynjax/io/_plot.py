@@ -88,7 +88,7 @@ class Sky:
 
 @dataclass(frozen=True)
 class Ground:
-    """Soil and litter."""
+    """Soil and what lies on it."""
 
     spectrum: Path | None
     """The user's soil spectrum; `None` takes the shipped dry and wet soil."""
@@ -96,8 +96,14 @@ class Ground:
     """Factor on the soil's reflectance [-]."""
     moisture: float
     """Share of the shipped wet soil in the mixture [-]; 0 with a spectrum of the user."""
-    litter_fraction: float
-    """Share of the ground under litter [-]."""
+    fractions: tuple[float, float, float]
+    """Share of the ground under litter, char and rock [-]; without effect where there is a map."""
+    spectra: tuple[Path | None, Path | None, Path | None]
+    """The user's spectra of litter, char and rock; `None` takes the shipped ones."""
+    patch_m: float
+    """Width of the patches in which they lie [m]; 0 mixes them alike."""
+    map: Path | None
+    """Raster of the shares of litter, char and rock."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +160,8 @@ class Plot:
     """In the order of the species table."""
     probability_map: Path | None
     """GeoTIFF, 0 to 255."""
+    map_origin_m: tuple[float, float] | None
+    """South-west corner of the plot in the coordinates of its maps [m]; `None`: that of the map."""
     sun: Sun
     sky: Sky
     ground: Ground

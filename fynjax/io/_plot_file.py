@@ -3,14 +3,11 @@
 `read_plot` is the only door: whatever it returns is complete, in SI units and within range.
 """
 
-import re
-import tomllib
 import warnings
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ValidationError
 
 from fynjax._core.errors import InputError
 from fynjax.io._plot import (
@@ -28,8 +25,9 @@ from fynjax.io._plot import (
 )
 from fynjax.io._plot_tables import DEFAULT_RELATIVE_SD, PlotFile
 from fynjax.io._table_rows import LeafRow, SkyRow, SpeciesRow
-from fynjax.io._tables import existing_file, read_rows, read_text
-from fynjax.io._validate import did_you_mean, first_error, sentence
+from fynjax.io._tables import existing_file, read_rows
+from fynjax.io._toml import line_of, read_toml
+from fynjax.io._validate import did_you_mean
 
 
 def example_folder() -> Path:
@@ -43,58 +41,6 @@ def shipped_growth_forms() -> dict[str, str]:
     return {row.taxon: str(row.growth_form) for _, row in rows}
 
 
-def _line_of(text: str, loc: tuple[str | int, ...]) -> int | None:
-    """Row of `[table]` or `key =` in TOML text; a search, as tomllib keeps no positions."""
-    names = [part for part in loc if isinstance(part, str)]
-    table, found = "", None
-    for number, line in enumerate(text.splitlines(), start=1):
-        if header := re.match(r"\s*\[([^\[\]]+)\]", line):
-            table = header[1].strip()
-            if names and table == names[0]:
-                found = number
-        elif (key := re.match(r"\s*[\"']?([^\"'=]+?)[\"']?\s*=", line)) and (
-            [*filter(None, [table]), key[1]] == names[:2]
-        ):
-            return number
-    return found
-
-
-def _parse(path: Path) -> tuple[PlotFile, str]:
-    text = read_text(path)
-    try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        at = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
-        hint = " Write paths with / or in single quotes." if "escape" in str(error) else ""
-        raise InputError(
-            f"expected TOML, but: {str(error).split(' (at')[0]}.{hint}",
-            file=path,
-            row=int(at[1]) if at else None,
-            column=int(at[2]) if at else None,
-        ) from error
-    try:
-        return PlotFile.model_validate(raw), text
-    except ValidationError as error:
-        first = first_error(error)
-        # Unions add the branch's own name to the place; a user knows [table] and key only.
-        loc = first["loc"][:2]
-        model: type[BaseModel] = PlotFile
-        if len(loc) > 1 and (field := PlotFile.model_fields.get(str(loc[0]))):
-            assert isinstance(field.annotation, type)
-            model = field.annotation
-        name = str(loc[-1]) if loc else ""
-        if len(first["loc"]) > 2:  # inside a list: what the user sees is the whole of it
-            first = {**first, "type": "nested", "input": raw[str(loc[0])][str(loc[1])]}
-        if first["type"] == "value_error" and len(loc) == 1:
-            model = PlotFile
-        raise InputError(
-            sentence(first, model, name),
-            file=path,
-            row=_line_of(text, loc),
-            column=".".join(str(part) for part in loc) or None,
-        ) from error
-
-
 def _size(
     size: float | tuple[float, float], voxel: float, path: Path, text: str
 ) -> tuple[float, float]:
@@ -106,7 +52,7 @@ def _size(
                 f"expected a whole number of voxels of {voxel:g} m, but got {side:g} m. "
                 f"The nearest is {max(count, 1) * voxel:g} m.",
                 file=path,
-                row=_line_of(text, ("plot", "size_m")),
+                row=line_of(text, ("plot", "size_m")),
                 column="plot.size_m",
             )
     return (float(sides[0]), float(sides[1]))
@@ -220,21 +166,21 @@ def read_plot(path: str | Path) -> Plot:
     expected and the likely slip. Warns where covers look like fractions.
     """
     path = existing_file(path, "a plot file").resolve()
-    parsed, text = _parse(path)
+    parsed, text = read_toml(path, PlotFile)
     size = _size(parsed.plot.size_m, parsed.plot.voxel_m, path, text)
     if parsed.sensor.pixel_m > min(size):
         raise InputError(
             f"expected a pixel of at most the plot's side, {min(size):g} m, but got "
             f"{parsed.sensor.pixel_m:g} m",
             file=path,
-            row=_line_of(text, ("sensor", "pixel_m")),
+            row=line_of(text, ("sensor", "pixel_m")),
             column="sensor.pixel_m",
         )
 
     def named(table: str, key: str, name: str | None, what: str) -> Path | None:
         if name is None:
             return None
-        return _beside(path, name, what, _line_of(text, (table, key)), f"{table}.{key}")
+        return _beside(path, name, what, line_of(text, (table, key)), f"{table}.{key}")
 
     species_path = named("plot", "species_table", parsed.plot.species_table, "a species table")
     assert species_path is not None
@@ -243,6 +189,12 @@ def read_plot(path: str | Path) -> Plot:
     sky_path = named("sky", "table", parsed.sky.table, "a sky table")
     own_soil = None if parsed.ground.soil in ("dry", "wet") else parsed.ground.soil
     soil_path = named("ground", "soil", own_soil, "'dry', 'wet' or a soil spectrum")
+
+    cover_paths = [
+        named("ground", cover, getattr(parsed.ground, cover), f"a spectrum of {cover}")
+        for cover in ("litter", "char", "rock")
+    ]
+    cover_map = named("ground", "map", parsed.ground.map, "a GeoTIFF")
 
     rows = _read_species(species_path)
     shipped = shipped_growth_forms()
@@ -290,12 +242,16 @@ def read_plot(path: str | Path) -> Plot:
             f"expected a sensor above the plants ({tallest:g} m), but got "
             f"{parsed.sensor.altitude_m:g} m",
             file=path,
-            row=_line_of(text, ("sensor", "altitude_m")),
+            row=line_of(text, ("sensor", "altitude_m")),
             column="sensor.altitude_m",
         )
     wavelength, diffuse = (None, None) if sky_path is None else _read_sky(sky_path)
     spectra = [leaf.spectrum for leaf in leaves.values()]
-    inputs = (path, species_path, leaf_path, map_path, sky_path, soil_path, *spectra)
+    inputs = (
+        *(path, species_path, leaf_path, map_path, sky_path, soil_path, cover_map),
+        *cover_paths,
+        *spectra,
+    )
     wet = 1.0 if parsed.ground.soil == "wet" else 0.0
     calibration = parsed.calibration
     return Plot(
@@ -306,13 +262,21 @@ def read_plot(path: str | Path) -> Plot:
         boundary=parsed.plot.boundary,
         species=tuple(species),
         probability_map=map_path,
+        map_origin_m=parsed.plot.map_origin_m,
         sun=Sun(parsed.sun.zenith_deg, parsed.sun.azimuth_deg),
         sky=Sky(parsed.sky.aerosol_optical_depth, wavelength, diffuse),
         ground=Ground(
             soil_path,
             parsed.ground.brightness,
             wet if parsed.ground.moisture is None else parsed.ground.moisture,
-            parsed.ground.litter_fraction,
+            (
+                0.2 if parsed.ground.litter_fraction is None else parsed.ground.litter_fraction,
+                parsed.ground.char_fraction or 0.0,
+                parsed.ground.rock_fraction or 0.0,
+            ),
+            (cover_paths[0], cover_paths[1], cover_paths[2]),
+            parsed.ground.patch_m,
+            cover_map,
         ),
         sensor=Sensor(parsed.sensor.name, parsed.sensor.altitude_m, parsed.sensor.pixel_m),
         seed=parsed.scene.seed,

@@ -42,6 +42,12 @@ class PlotTable(Strict):
     probability_map: str | None = Field(
         default=None, description="GeoTIFF, 0 to 255: where plants are likely to stand."
     )
+    map_origin_m: tuple[float, float] | None = Field(
+        default=None,
+        description="South-west corner of the plot (x, y) in the coordinates of its maps [m]. Left "
+        "out: that of a map as large as the plot.",
+        json_schema_extra={"unit": "m"},
+    )
 
 
 class SunTable(Strict):
@@ -71,8 +77,11 @@ class SkyTable(Strict):
     )
 
 
+COVER_FRACTIONS = ("litter_fraction", "char_fraction", "rock_fraction")
+
+
 class GroundTable(Strict):
-    """Soil and litter."""
+    """Soil and what lies on it."""
 
     soil: str = Field(
         default="dry",
@@ -86,9 +95,50 @@ class GroundTable(Strict):
         ge=0,
         le=1,
     )
-    litter_fraction: float = number(
-        "Share of the ground under litter", "-", default=0.2, ge=0, le=1
+    litter_fraction: float | None = number(
+        "Share of the ground under litter; 0.2 if left out", "-", default=None, ge=0, le=1
     )
+    char_fraction: float | None = number(
+        "Share of the ground under ash and charcoal; 0 if left out", "-", default=None, ge=0, le=1
+    )
+    rock_fraction: float | None = number(
+        "Share of the ground that is rock; 0 if left out", "-", default=None, ge=0, le=1
+    )
+    litter: str | None = Field(
+        default=None, description="Spectrum of the litter (wavelength_nm, reflectance)."
+    )
+    char: str | None = Field(default=None, description="Spectrum of ash and charcoal.")
+    rock: str | None = Field(
+        default=None, description="Spectrum of the rock. Left out: as the dry soil."
+    )
+    patch_m: float = number(
+        "Width of the patches in which soil and covers lie; 0 mixes them alike everywhere",
+        "m",
+        default=0.0,
+        ge=0,
+        le=100,
+    )
+    map: str | None = Field(
+        default=None,
+        description="GeoTIFF with bands litter, char, rock (any of them): shares of 0 to 1 in "
+        "their places, instead of fractions and patches.",
+    )
+
+    @model_validator(mode="after")
+    def _covers_fit(self) -> "GroundTable":
+        given = [n for n in COVER_FRACTIONS if getattr(self, n) is not None]
+        total = sum(getattr(self, n) for n in given)
+        if total > 1:
+            raise ValueError(
+                f"expected covers of the ground that sum to at most 1, but {', '.join(given)} sum "
+                f"to {total:g}. Percent?"
+            )
+        if self.map is not None and (given or self.patch_m > 0):
+            raise ValueError(
+                f"expected a map or {(given or ['patch_m'])[0]}, but got both: the map says how "
+                "much there is of each cover. Leave one out."
+            )
+        return self
 
     @model_validator(mode="after")
     def _moisture_is_of_shipped_soil(self) -> "GroundTable":

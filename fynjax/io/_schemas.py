@@ -13,6 +13,7 @@ from pydantic import BaseModel
 from fynjax.io._atomic import write_text
 from fynjax.io._plot_tables import PlotFile
 from fynjax.io._run_summary import RunSummary
+from fynjax.io._sensor_tables import BandRow, CurveRow, NoiseRow, SensorFile
 from fynjax.io._table_rows import LeafRow, SkyRow, SpeciesRow, StatisticRow
 
 SCHEMAS: dict[str, type[BaseModel]] = {
@@ -21,6 +22,10 @@ SCHEMAS: dict[str, type[BaseModel]] = {
     "leaf_table_row": LeafRow,
     "sky_table_row": SkyRow,
     "statistics_row": StatisticRow,
+    "sensor": SensorFile,
+    "sensor_band_row": BandRow,
+    "sensor_curve_row": CurveRow,
+    "sensor_noise_row": NoiseRow,
     "fit_result": RunSummary,
 }
 """Model behind each `data_schemas/<name>.schema.json`."""

@@ -93,3 +93,11 @@ def _is_text(data: bytes) -> bool:
         return True
     sample = np.frombuffer(data[:4096], np.uint8)
     return not bool(np.any((sample < 9) | ((sample > 13) & (sample < 32))))
+
+
+def reflectances(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Wavelengths [nm] and reflectance of the spectra of a file."""
+    found = [(s.wavelength, s.reflectance) for s in read_spectra(path) if s.reflectance is not None]
+    if not found:
+        raise InputError("a reflectance spectrum was expected, but the file has none", file=path)
+    return found

@@ -1,5 +1,8 @@
 """Scene: a plot put together from leaves, plants, light and a sensor."""
 
+from fynjax.scene._cover import ProjectedCover, crown_centres, projected_cover
+from fynjax.scene._ground import COVERS, ground_shares, random_patches
+from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_model
 from fynjax.scene._model import Camera, PlotModel, band_wavelengths, build_model, replant
 from fynjax.scene._parameters import (
     LEAF_FIELDS,
@@ -12,23 +15,36 @@ from fynjax.scene._parameters import (
     with_values,
 )
 from fynjax.scene._planting import Planting, draw_planting
-from fynjax.scene._spectra import background_spectrum
+from fynjax.scene._profile import height_profile
+from fynjax.scene._spectra import background_spectrum, shipped_covers
 
 __all__ = [
+    "COVERS",
     "LEAF_FIELDS",
     "Camera",
     "GroundParameters",
+    "Instances",
     "LightParameters",
     "Planting",
     "PlotModel",
     "PlotParameters",
+    "ProjectedCover",
     "SpeciesParameters",
     "background_spectrum",
     "band_wavelengths",
     "build_model",
+    "crown_centres",
     "draw_planting",
+    "ground_shares",
+    "hard_counts",
+    "hard_instances",
+    "hard_model",
+    "height_profile",
     "named_values",
     "parameter_units",
+    "projected_cover",
+    "random_patches",
     "replant",
+    "shipped_covers",
     "with_values",
 ]

@@ -36,9 +36,10 @@ from fynjax.radiation import (
     reflectance_factor,
     solve_light,
 )
+from fynjax.scene._ground import COVERS, ground_shares
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._planting import Planting, draw_planting, leafy_species, no_plants
-from fynjax.scene._spectra import background_spectrum
+from fynjax.scene._spectra import background_spectrum, shipped_covers
 from fynjax.sensors import BandSet
 from fynjax.sensors._sky import clear_sky_diffuse_fraction
 
@@ -86,6 +87,10 @@ class PlotModel(eqx.Module):
     accuracy: Accuracy = eqx.field(static=True)
     soil: Float[np.ndarray, "2 wavelength"] | None
     """A user's soil instead of the shipped dry and wet one (both rows), on `wavelength`."""
+    covers: Float[np.ndarray, "cover wavelength"]
+    """Reflectance of litter, char and rock on `wavelength` [-]."""
+    patches: Float[np.ndarray, "kind y x"] | None
+    """Relative density of soil, litter, char and rock in the voxel columns; None: mixed alike."""
     diffuse: Float[np.ndarray, " wavelength"] | None
     """A user's diffuse fraction instead of the clear-sky model."""
     dtype: str = eqx.field(static=True)
@@ -184,25 +189,37 @@ class PlotModel(eqx.Module):
         return VoxelScene(
             self.area_density(parameters),
             classes,
-            jnp.clip(average @ self.ground_spectrum(parameters), 0.0, 1.0),
+            self.ground_map(parameters),
             Illumination(light.sun_zenith, light.sun_azimuth, 1.0 - sky, sky),
             self.grid.horizontal_size,
             self.grid.vertical_size,
             self.boundary,
         )
 
-    def ground_spectrum(self, parameters: PlotParameters) -> Float[Array, " wavelength"]:
-        """Mixed reflectance of soil and litter on `wavelength` [-]."""
+    def ground_map(self, parameters: PlotParameters) -> Float[Array, " band *yx"]:
+        """Reflectance of the ground in the camera's bands [-]: of all of it, or of each voxel
+        column where its covers lie in patches."""
+        average = jnp.asarray(self.camera.bands.weights(self.wavelength), self.dtype)
+        ground = parameters.ground
+        fractions = jnp.stack([ground.litter_fraction, ground.char_fraction, ground.rock_fraction])
+        fractions = fractions.astype(self.dtype)
+        patches = np.ones((len(COVERS) + 1, 1, 1)) if self.patches is None else self.patches
+        shares = ground_shares(fractions, jnp.asarray(patches, self.dtype))
+        mixed = jnp.tensordot(average @ self.ground_spectra(parameters).T, shares, axes=1)
+        mixed = jnp.clip(mixed, 0.0, 1.0)
+        return mixed[:, 0, 0] if self.patches is None else mixed
+
+    def ground_spectra(self, parameters: PlotParameters) -> Float[Array, "kind wavelength"]:
+        """Reflectance of soil, litter, char and rock on `wavelength` [-]."""
         if self.soil is None:
             names = ("dry_soil", "wet_soil")
             soil = np.stack([background_spectrum(name, self.wavelength) for name in names])
         else:
             soil = self.soil
         dry, wet = jnp.asarray(soil, self.dtype)
-        litter = jnp.asarray(background_spectrum("litter", self.wavelength), self.dtype)
         ground = parameters.ground
         mixed = ground.brightness * ((1 - ground.moisture) * dry + ground.moisture * wet)
-        return (1 - ground.litter_fraction) * mixed + ground.litter_fraction * litter
+        return jnp.concatenate([mixed[None], jnp.asarray(self.covers, self.dtype)])
 
     def image(self, parameters: PlotParameters, stride: int = 1) -> Float[Array, "band y x"]:
         """Reflectance factor of the camera's pixels over the plot [-], y to the north.
@@ -266,6 +283,8 @@ def build_model(
     flowering: float = 0.0,
     accuracy: Accuracy | None = None,
     soil: Float[np.ndarray, "2 wavelength"] | None = None,
+    covers: Float[np.ndarray, "cover wavelength"] | None = None,
+    patches: Float[np.ndarray, "kind y x"] | None = None,
     diffuse: Float[np.ndarray, " wavelength"] | None = None,
     dtype: str = "float32",
 ) -> PlotModel:
@@ -282,7 +301,8 @@ def build_model(
     - `size_variation`: coefficient of variation of the crown diameters of a species [-]. An
       assumption, as is the stature: heights lie evenly between 0.6 and 1 times the greatest.
     - `probability`: map of 0-255 over the plot, row 0 south, or none.
-    - `softness`, `width`, `flowering`: see `PlotModel`.
+    - `softness`, `width`, `flowering`, `soil`, `covers`, `patches`, `diffuse`: see `PlotModel`;
+      without them litter and char are the shipped spectra and rock is as the dry soil.
 
     Raises `InputError` where the plants do not fit.
     """
@@ -307,6 +327,8 @@ def build_model(
         flowering=flowering,
         accuracy=accuracy,
         soil=soil,
+        covers=shipped_covers(band_wavelengths(camera.bands)) if covers is None else covers,
+        patches=patches,
         diffuse=diffuse,
         dtype=dtype,
     )

@@ -51,6 +51,10 @@ class GroundParameters(eqx.Module):
     """Share of the wet soil in the mixture of dry and wet [-]."""
     litter_fraction: Float[Array, ""]
     """Share of the ground under litter [-]."""
+    char_fraction: Float[Array, ""]
+    """Share of the ground under ash and charcoal [-]."""
+    rock_fraction: Float[Array, ""]
+    """Share of the ground that is rock [-]."""
     wood_brightness: Float[Array, ""]
     """Factor on the reflectance of bark and deadwood [-]."""
 
@@ -91,6 +95,8 @@ def parameter_units() -> dict[str, str]:
         "brightness": "-",
         "moisture": "-",
         "litter_fraction": "-",
+        "char_fraction": "-",
+        "rock_fraction": "-",
         "wood_brightness": "-",
         "sun_zenith": "degree",
         "sun_azimuth": "degree",

@@ -2,9 +2,12 @@
 
 Turn and lean of a plant are fixed, so each of its area elements lies at site + diameter a +
 height b with fixed vectors a and b: all plants of all species are placed in one expression.
+Plants of one species share one shape. Only which part of it an element is gets stored; the
+vectors are computed where they are used, so that a plot of a million plants fits in memory.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from fynjax.canopy import (
     FORM_DEFAULTS,
-    Organ,
+    PlantModel,
     assign_sites,
     plant_model,
     poisson_disk,
@@ -29,22 +32,84 @@ class Planting(eqx.Module):
     """Which species each plant belongs to."""
     place: Float[Array, " plant"]
     """Its place in the order in which its species fills the sites, from 0."""
+    foot: Float[Array, "plant 2"]
+    """x and y of its foot [m]."""
+    azimuth: Float[Array, " plant"]
+    """Turn about the vertical, clockwise from above [degrees]."""
+    tilt: Float[Array, " plant"]
+    """Lean of its axis from the vertical towards its azimuth [degrees]."""
     size: Float[Array, " plant"]
     """Crown diameter relative to the species' mean; the mean of its square is 1 [-]."""
     stature: Float[Array, " plant"]
     """Height relative to the species' greatest [-]."""
     plant: Int[Array, " element"]
     """Which plant each element belongs to."""
-    site: Float[Array, "element 3"]
-    """Foot of the plant [m]."""
-    per_diameter: Float[Array, "element 3"]
-    """Shift of the element per crown diameter [-]."""
-    per_height: Float[Array, "element 3"]
-    """Shift of the element per plant height [-]."""
-    fraction: Float[Array, " element"]
-    """Share of its organ's area on the plant [-]."""
-    organ: Int[Array, " element"]
-    optical_class: Int[Array, " element"]
+    part: Int[Array, " element"]
+    """Which element of `shapes` it is."""
+    shapes: PlantModel
+    """The elements of one plant of each species that has plants, one species after the other."""
+    shape_class: Int[Array, " part"]
+    """Optical class of the elements of `shapes`."""
+
+    @property
+    def site(self) -> Float[Array, "element 3"]:
+        """Foot of the plant of each element [m]."""
+        return jnp.pad(self.foot, ((0, 0), (0, 1)))[self.plant]
+
+    @property
+    def per_diameter(self) -> Float[Array, "element 3"]:
+        """Shift of the element per crown diameter [-]."""
+        return self._unit_shapes()[0]
+
+    @property
+    def per_height(self) -> Float[Array, "element 3"]:
+        """Shift of the element per plant height [-]."""
+        return self._unit_shapes()[1]
+
+    @property
+    def fraction(self) -> Float[Array, " element"]:
+        """Share of its organ's area on the plant [-]."""
+        return self.shapes.area_fraction[self.part]
+
+    @property
+    def organ(self) -> Int[Array, " element"]:
+        """`Organ` of each element."""
+        return self.shapes.organ[self.part]
+
+    @property
+    def optical_class(self) -> Int[Array, " element"]:
+        """Optical class of each element."""
+        return self.shape_class[self.part]
+
+    def _unit_shapes(self) -> tuple[Float[Array, "element 3"], Float[Array, "element 3"]]:
+        # A plant here is one element: it has the turn and lean of the plant it belongs to.
+        position = self.shapes.position[self.part][:, None]
+        azimuth, tilt = self.azimuth[self.plant], self.tilt[self.plant]
+        per_diameter, per_height = unit_shapes(position, azimuth, tilt, jnp)
+        return per_diameter[:, 0], per_height[:, 0]
+
+    def only(self, standing: np.ndarray) -> "Planting":
+        """The same with the plants of the mask `standing` alone, whatever their number is.
+
+        They get the place 0, so that each stands as long as its species has any plant.
+        """
+        plants = np.flatnonzero(standing)
+        number = np.cumsum(standing, dtype=np.int32) - 1
+        plant = np.asarray(self.plant)
+        elements = np.flatnonzero(standing[plant])
+        return Planting(
+            self.species[plants],
+            jnp.zeros(len(plants), self.place.dtype),
+            self.foot[plants],
+            self.azimuth[plants],
+            self.tilt[plants],
+            self.size[plants],
+            self.stature[plants],
+            jnp.asarray(number[plant[elements]]),
+            self.part[elements],
+            self.shapes,
+            self.shape_class,
+        )
 
 
 def draw_planting(
@@ -70,14 +135,15 @@ def draw_planting(
     needed = np.ceil(room * wanted).astype(int) + np.where(wanted > 0, 4, 0)
     # A disk radius that leaves a tenth more points than plants; Bridson packs 0.6 / r2 of them.
     crowd = max(1.1 * float(needed.sum()), 1.0)
+    if probability is not None:  # room to choose, lest the last species take what is left
+        crowd *= 2.0 * 255.0 / max(float(np.mean(probability)), 1.0)
     radius = min(0.1, float(np.sqrt(0.55 * extent[0] * extent[1] / crowd)))
     points = poisson_disk(extent, radius, seed=seed, periodic=periodic)
     sites = assign_sites(points, needed.tolist(), probability=probability, extent=extent, seed=seed)
-    leafy = leafy_species(forms)
-    wood = len(leafy)
+    shapes: list[PlantModel] = []
     plants: list[dict[str, np.ndarray]] = []
     elements: list[dict[str, np.ndarray]] = []
-    first = 0
+    first = parts = 0
     for i, (form, places) in enumerate(zip(forms, sites)):
         n = len(places)
         if n == 0:
@@ -89,44 +155,60 @@ def draw_planting(
         size = np.exp(np.sqrt(np.log1p(size_variation**2)) * rng.standard_normal(n))
         plants.append(
             {
-                "species": np.full(n, i),
-                "place": np.arange(n),
-                "size": size / np.sqrt(np.mean(size**2)),
-                "stature": 0.6 + 0.4 * rng.random(n),
+                "species": np.full(n, i, np.int32),
+                "place": np.arange(n, dtype=dtype),
+                "foot": places.astype(dtype),
+                "azimuth": azimuth.astype(dtype),
+                "tilt": tilt.astype(dtype),
+                "size": (size / np.sqrt(np.mean(size**2))).astype(dtype),
+                "stature": (0.6 + 0.4 * rng.random(n)).astype(dtype),
             }
         )
-        plant = plant_model(form, _elements(diameter[i], height[i], voxel), seed=seed + i)
-        k = len(plant.organ)
-        per_diameter, per_height = unit_shapes(np.asarray(plant.position), azimuth, tilt)
-        organ = np.tile(np.asarray(plant.organ), n)
-        of_organ = np.array([leafy.get(i, 0), wood, wood + 1])
+        shapes.append(plant_model(form, _elements(diameter[i], height[i], voxel), seed=seed + i))
+        k = len(shapes[-1].organ)
         elements.append(
             {
-                "plant": first + np.repeat(np.arange(n), k),
-                "site": np.repeat(np.pad(places, ((0, 0), (0, 1))), k, axis=0),
-                "per_diameter": per_diameter.reshape(n * k, 3),
-                "per_height": per_height.reshape(n * k, 3),
-                "fraction": np.tile(np.asarray(plant.area_fraction), n),
-                "organ": organ,
-                "optical_class": of_organ[organ],
+                "plant": np.repeat(np.arange(first, first + n, dtype=np.int32), k),
+                "part": np.tile(np.arange(parts, parts + k, dtype=np.int32), n),
             }
         )
-        first += n
-    whole = {"species", "plant", "organ", "optical_class"}
-
-    def joined(parts: list[dict[str, np.ndarray]]) -> dict[str, Array]:
-        names = parts[0] if parts else {}
-        return {
-            name: jnp.asarray(
-                np.concatenate([part[name] for part in parts]),
-                jnp.int32 if name in whole else dtype,
-            )
-            for name in names
-        }
-
+        first, parts = first + n, parts + k
     if not plants:
         return no_plants(dtype)
-    return Planting(**joined(plants), **joined(elements))
+    own = [i for i, places in enumerate(sites) if len(places)]
+    whole, organs = _together(shapes, dtype)
+    classes = np.concatenate([np.array(_classes(forms)[i])[organ] for i, organ in zip(own, organs)])
+    return Planting(
+        **_joined(plants),
+        **_joined(elements),
+        shapes=whole,
+        shape_class=jnp.asarray(classes, jnp.int32),
+    )
+
+
+def _joined(parts: list[dict[str, np.ndarray]]) -> dict[str, Any]:
+    return {name: jnp.asarray(np.concatenate([part[name] for part in parts])) for name in parts[0]}
+
+
+def _classes(forms: Sequence[str]) -> list[list[int]]:
+    """Optical class of leaf, wood and flower of each species."""
+    leafy = leafy_species(forms)
+    return [[leafy.get(i, 0), len(leafy), len(leafy) + 1] for i in range(len(forms))]
+
+
+def _together(shapes: list[PlantModel], dtype: str) -> tuple[PlantModel, list[np.ndarray]]:
+    """The shapes of several species as one, and the organs of each."""
+
+    def all_of(name: str, kind: Any) -> Array:
+        return jnp.asarray(np.concatenate([getattr(shape, name) for shape in shapes]), kind)
+
+    whole = PlantModel(
+        all_of("position", dtype),
+        all_of("area_fraction", dtype),
+        all_of("normal", dtype),
+        all_of("organ", jnp.int32),
+    )
+    return whole, [np.asarray(shape.organ) for shape in shapes]
 
 
 def leafy_species(forms: Sequence[str]) -> dict[int, int]:
@@ -136,11 +218,11 @@ def leafy_species(forms: Sequence[str]) -> dict[int, int]:
 
 
 def no_plants(dtype: str) -> Planting:
-    none, vectors = jnp.zeros(0, dtype), jnp.zeros((0, 3), dtype)
-    index = jnp.zeros(0, jnp.int32)
-    return Planting(
-        index, none, none, none, index, vectors, vectors, vectors, none, index + Organ.LEAF, index
-    )
+    """A planting without plants."""
+    none, index = jnp.zeros(0, dtype), jnp.zeros(0, jnp.int32)
+    shapes = PlantModel(jnp.zeros((0, 3), dtype), none, jnp.zeros((0, 3), dtype), index)
+    pair = jnp.zeros((0, 2), dtype)
+    return Planting(index, none, pair, none, none, none, none, index, index, shapes, index)
 
 
 def _elements(diameter: float, height: float, voxel: float) -> int:

@@ -19,6 +19,17 @@ def background_spectrum(
     return np.interp(wavelength, frame["wavelength_nm"], frame[name])
 
 
+def shipped_covers(
+    wavelength: Float[np.ndarray, " wavelength"],
+) -> Float[np.ndarray, "cover wavelength"]:
+    """Reflectance of litter, char and rock [-] where none is given.
+
+    Rock, of which no spectrum is shipped, is as the dry soil: an assumption for the pale
+    sandstone that sandy soil comes from.
+    """
+    return np.stack([background_spectrum(n, wavelength) for n in ("litter", "char", "dry_soil")])
+
+
 @lru_cache(maxsize=1)
 def _table() -> pd.DataFrame:
     with (resources.files("fynjax.scene") / "data" / "background.csv").open() as table:

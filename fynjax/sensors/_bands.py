@@ -1,6 +1,6 @@
 """The spectral bands of a sensor."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import equinox as eqx
@@ -10,7 +10,13 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
-from fynjax._core.spectral import box_matrix, check_wavelength, gaussian_matrix, tabulated_matrix
+from fynjax._core.spectral import (
+    Curve,
+    box_matrix,
+    check_wavelength,
+    gaussian_matrix,
+    tabulated_matrix,
+)
 
 
 def _floats(values: Any) -> tuple[float, ...]:
@@ -96,15 +102,32 @@ class BandSet(eqx.Module):
         return jnp.matmul(spectrum.astype(dtype), matrix, precision="highest")
 
 
-def mavic_3m() -> BandSet:
-    """Bands of the DJI Mavic 3 Multispectral: green, red, red edge, near infrared.
+def band_set_of_curves(curves: Mapping[str, Curve]) -> BandSet:
+    """Bands with tabulated responses, by name.
 
-    The maker states half widths of 16, 16, 16 and 26 nm about the centre (DJI, Mavic 3M Image
-    Processing Guide v1.0, 2023); they are read as half widths at half maximum of a Gaussian,
-    since no curves are published.
+    **Arguments:** `curves`, for each name the wavelengths [nm] and the relative response [-],
+    linear between them and zero outside. The centre is the mean wavelength of the response, the
+    width the distance of the outermost points at half its maximum. Raises `InputError` as
+    `tabulated_matrix`.
     """
-    return BandSet(
-        names=("green", "red", "red_edge", "nir"),
-        centre=(560.0, 650.0, 730.0, 860.0),
-        fwhm=(32.0, 32.0, 32.0, 52.0),
-    )
+    centres, widths = [], []
+    for name, (wavelength, response) in curves.items():
+        u, r = np.asarray(wavelength, dtype=np.float64), np.asarray(response, dtype=np.float64)
+        # A spectrum that is the wavelength itself is linear, so its band average is exact.
+        row = tabulated_matrix(u, [(u, r)], names=[name])[0]
+        centres.append(float(row @ u))
+        widths.append(_width_at_half_maximum(u, r))
+    tables = _curves(curves.values())
+    return BandSet(tuple(curves), tuple(centres), tuple(widths), curves=tables)
+
+
+def _width_at_half_maximum(u: np.ndarray, r: np.ndarray) -> float:
+    half = 0.5 * r.max()
+    inside = np.flatnonzero(r >= half)
+    first, last = int(inside[0]), int(inside[-1])
+    low, high = u[first], u[last]
+    if first > 0:
+        low = np.interp(half, r[first - 1 : first + 1], u[first - 1 : first + 1])
+    if last + 1 < u.size:
+        high = np.interp(half, r[last : last + 2][::-1], u[last : last + 2][::-1])
+    return float(high - low)

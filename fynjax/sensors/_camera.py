@@ -10,18 +10,20 @@ file's top-down row order is the business of its writer.
 """
 
 import abc
+import dataclasses
 import warnings
-from typing import Any
+from typing import Any, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 from fynjax._core.errors import InputError
 from fynjax._core.geometry import direction
+
+Real = float | Float[Array, ""]
 
 
 def _real(value: Any) -> Array:
@@ -42,6 +44,11 @@ class AbstractCamera(eqx.Module):
     def shape(self) -> tuple[int, int]:
         """Rows (y) and columns (x) of the image."""
 
+    @property
+    @abc.abstractmethod
+    def ground_sample_distance(self) -> Float[Array, ""]:
+        """Pixel spacing on the zero level, for optics straight below the camera [m]."""
+
     @abc.abstractmethod
     def ground_coordinates(self, height: float | Float[Array, ""] = 0.0) -> Float[Array, "2 y x"]:
         """x and y [m] where the line of sight of each pixel meets the plane at `height` [m]."""
@@ -49,6 +56,25 @@ class AbstractCamera(eqx.Module):
     @abc.abstractmethod
     def view_directions(self) -> Float[Array, "3 y x"]:
         """Unit vectors (east, north, up) from the ground to the camera [-]."""
+
+    @abc.abstractmethod
+    def pixel_widths(self) -> Float[Array, "y x"]:
+        """Edge of each pixel's footprint on the zero level, across its line of sight [m]."""
+
+    @abc.abstractmethod
+    def over(
+        self,
+        x: Real,
+        y: Real,
+        *,
+        altitude: Real | None = None,
+        shape: tuple[int, int] | None = None,
+    ) -> Self:
+        """The same sensor above the point (`x`, `y`) [m].
+
+        **Arguments:** `altitude` above the plot's zero level [m], and `shape`, rows and columns
+        about the middle of the image; left out they stay as they are.
+        """
 
     def tangents(self) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
         """Horizontal shift east (tx) and north (ty) of each line of sight per metre of rise [-].
@@ -119,7 +145,22 @@ class FrameCamera(AbstractCamera):
         """Pixel spacing on the zero level straight below the camera, from the optics [m]."""
         return self._pitch_per_focal() * self.position[2]
 
-    def view_directions(self) -> Float[Array, "3 y x"]:
+    def over(
+        self,
+        x: Real,
+        y: Real,
+        *,
+        altitude: Real | None = None,
+        shape: tuple[int, int] | None = None,
+    ) -> Self:
+        height = self.position[2] if altitude is None else altitude
+        dtype = jnp.result_type(0.0, x, y, height)
+        position = jnp.stack([jnp.asarray(v, dtype) for v in (x, y, height)])
+        array = self.array if shape is None else (shape[1], shape[0])
+        return dataclasses.replace(self, position=position, array=array)
+
+    def _sight(self) -> tuple[Array, Array, Array]:
+        """To the right [x], ahead and down [y, 1] of each pixel, per length along the axis."""
         # Float32 needs the angles, not the positions: no large coordinates are subtracted here.
         dtype = self.position.dtype
         rows, columns = self.shape
@@ -127,9 +168,16 @@ class FrameCamera(AbstractCamera):
         right = (jnp.arange(columns, dtype=dtype) - 0.5 * (columns - 1)) * ratio
         above = (jnp.arange(rows, dtype=dtype)[:, None] - 0.5 * (rows - 1)) * ratio
         tilt = jnp.deg2rad(self.tilt.astype(dtype))
-        heading = jnp.deg2rad(self.heading.astype(dtype))
         ahead = jnp.sin(tilt) + above * jnp.cos(tilt)
-        down = jnp.cos(tilt) - above * jnp.sin(tilt)
+        return right, ahead, jnp.cos(tilt) - above * jnp.sin(tilt)
+
+    def pixel_widths(self) -> Float[Array, "y x"]:
+        down = self._sight()[2]
+        return jnp.broadcast_to(self.ground_sample_distance / down, self.shape)
+
+    def view_directions(self) -> Float[Array, "3 y x"]:
+        right, ahead, down = self._sight()
+        heading = jnp.deg2rad(self.heading.astype(self.position.dtype))
         east = right * jnp.cos(heading) + ahead * jnp.sin(heading)
         north = -right * jnp.sin(heading) + ahead * jnp.cos(heading)
         seen = jnp.stack(jnp.broadcast_arrays(-east, -north, down))
@@ -188,6 +236,31 @@ class OrthographicCamera(AbstractCamera):
         west, south, east, north = self.extent
         return round((north - south) / self.pixel_size), round((east - west) / self.pixel_size)
 
+    @property
+    def ground_sample_distance(self) -> Float[Array, ""]:
+        return jnp.asarray(self.pixel_size, dtype=self.view_zenith.dtype)
+
+    def pixel_widths(self) -> Float[Array, "y x"]:
+        return jnp.broadcast_to(self.ground_sample_distance, self.shape)
+
+    def over(
+        self,
+        x: Real,
+        y: Real,
+        *,
+        altitude: Real | None = None,
+        shape: tuple[int, int] | None = None,
+    ) -> Self:
+        if altitude is not None:
+            raise InputError(
+                "an orthographic view has no altitude, only a pixel size: leave `altitude` out."
+            )
+        rows, columns = self.shape if shape is None else shape
+        half_x, half_y = 0.5 * columns * self.pixel_size, 0.5 * rows * self.pixel_size
+        east, north = float(x), float(y)
+        extent = (east - half_x, north - half_y, east + half_x, north + half_y)
+        return dataclasses.replace(self, extent=extent)
+
     def view_directions(self) -> Float[Array, "3 y x"]:
         toward = direction(self.view_zenith, self.view_azimuth)
         return jnp.broadcast_to(toward[:, None, None], (3, *self.shape))
@@ -203,12 +276,13 @@ class OrthographicCamera(AbstractCamera):
 
 
 def check_ground_sample_distance(
-    camera: FrameCamera, stated: float, *, tolerance: float = 0.02
+    camera: FrameCamera, stated: float, *, tolerance: float = 0.02, name: str = "camera"
 ) -> float:
     """Compare a stated ground sample distance [m] with the optics, and return the optics' own.
 
     Warns (`UserWarning`) when they differ by more than the fraction `tolerance`; the optics are
-    what fynjax renders with. Not differentiable. Raises `InputError` if `stated` is not positive.
+    what fynjax renders with. `name` opens the warning. Not differentiable. Raises `InputError` if
+    `stated` is not positive.
     """
     if not stated > 0.0:
         raise InputError(f"a ground sample distance must be positive, in m, but is {stated:g}.")
@@ -216,37 +290,10 @@ def check_ground_sample_distance(
     if abs(stated / optics - 1.0) > tolerance:
         fitting = float(camera.position[2]) * stated / optics
         warnings.warn(
-            f"The stated ground sample distance of {stated:g} m disagrees with the optics, which "
-            f"give {optics:.4g} m at {float(camera.position[2]):g} m. The optics are used; the "
-            f"stated value would need an altitude of {fitting:.4g} m.",
+            f"{name}: the stated ground sample distance of {stated:g} m disagrees with the "
+            f"optics, which give {optics:.4g} m at {float(camera.position[2]):g} m. The optics are "
+            f"used; the stated value would need an altitude of {fitting:.4g} m.",
             UserWarning,
             stacklevel=2,
         )
     return optics
-
-
-def mavic_3m_paper_camera(position: ArrayLike = (5.0, 5.0, 50.0)) -> FrameCamera:
-    """Mavic 3M camera as the fynbos scene paper models it: 4 mm, 2 µm, 640 x 480 pixels.
-
-    `position` is (x, y, altitude) [m]. At 50 m: 2.5 cm pixels, 16 m x 12 m on the ground.
-    """
-    return FrameCamera(
-        position=_real(position),
-        focal_length_mm=jnp.asarray(4.0),
-        pixel_pitch_um=jnp.asarray(2.0),
-        array=(640, 480),
-    )
-
-
-def mavic_3m_camera(position: ArrayLike = (5.0, 5.0, 50.0)) -> FrameCamera:
-    """Mavic 3M camera by its maker: 4.34 mm, 2 µm, 2592 x 1944 pixels.
-
-    `position` is (x, y, altitude) [m]. At 50 m: 2.30 cm pixels, 59.7 m x 44.8 m on the ground.
-    Source: DJI, Mavic 3M Image Processing Guide v1.0 (2023).
-    """
-    return FrameCamera(
-        position=_real(position),
-        focal_length_mm=jnp.asarray(4.34),
-        pixel_pitch_um=jnp.asarray(2.0),
-        array=(2592, 1944),
-    )

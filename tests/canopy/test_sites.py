@@ -249,3 +249,43 @@ def test_weights_keep_single_precision_and_broadcast() -> None:
     weight = site_weight(count[:, None], np.arange(5), softness=0.1)
     assert weight.dtype == jnp.float32
     np.testing.assert_array_equal(weight[0], soft_weights(count[0], 5, softness=0.1))
+
+
+@pytest.mark.slow
+def test_radial_spectrum_of_a_whole_plot_is_that_of_the_oracle() -> None:
+    """10 m x 10 m at 10 cm, as a scene has it: packing and every ring from 0.1 to 2.5 / r.
+
+    At the plot's own frequencies a ring of m has a relative scatter of 1 / sqrt(m); half of the
+    plane is independent. Both sides scatter, over two seeds each.
+    """
+    side, radius, seeds = 10.0, 0.1, 2
+    order = np.arange(-250, 251)
+    wave = np.stack(np.meshgrid(order[250:], order, indexing="ij"), -1).reshape(-1, 2)
+    size = np.hypot(*wave.T) * radius / side
+    edges = np.linspace(0.1, 2.5, 17)
+    ring = np.digitize(size, edges) - 1
+    own, peer, counts = [], [], []
+    for seed in range(seeds):
+        engine = qmc.PoissonDisk(
+            2, radius=radius, l_bounds=[0, 0], u_bounds=[side, side],
+            rng=np.random.default_rng(seed),
+        )  # fmt: skip
+        pair = poisson_disk((side, side), radius, seed=seed), engine.fill_space()
+        assert nearest(pair[0]).min() >= radius
+        counts.append([len(points) * radius**2 / side**2 for points in pair])
+        for points, rings in zip(pair, (own, peer)):
+            # The sum over points is a product of waves along x and along y.
+            east = np.exp(-2j * np.pi / side * np.outer(order[250:], points[:, 0]))
+            north = np.exp(-2j * np.pi / side * np.outer(order, points[:, 1]))
+            power = np.abs(east @ north.T).ravel() ** 2 / len(points)
+            inside = (ring >= 0) & (ring < 16)
+            total = np.bincount(ring[inside], power[inside], 16)
+            rings.append(total / np.bincount(ring[inside], minlength=16))
+    packing = np.mean(counts, axis=0)
+    # Ours keeps a point active until all its candidates fail, as Bridson does; the peer tries
+    # them once. That leaves it 3 % fewer points.
+    assert packing[0] == pytest.approx(packing[1], rel=0.04)
+    ours, theirs = np.mean(own, axis=0), np.mean(peer, axis=0)
+    scatter = np.sqrt(2.0 / (seeds * np.bincount(ring[(ring >= 0) & (ring < 16)], minlength=16)))
+    # The denser points shift the steep shoulder below 1 / r a little: 0.04 of white noise's 1.
+    assert np.all(np.abs(ours - theirs) < 0.04 + (0.03 + 4.0 * scatter) * theirs), ours / theirs

@@ -57,7 +57,7 @@ def truth() -> PlotParameters:
             water=0.02,
             dry_matter=0.02,
         ),
-        GroundParameters(*(jnp.asarray(v) for v in (0.9, 0.4, 0.35, 1.0))),
+        GroundParameters(*(jnp.asarray(v) for v in (0.9, 0.4, 0.35, 0.0, 0.0, 1.0))),
         LightParameters(*(jnp.asarray(v) for v in (31.0, 17.0, 0.1))),
     )
 

@@ -10,7 +10,7 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.canopy import FORM_DEFAULTS, table1_2006
 from fynjax.io import GROWTH_FORMS, PROSPECT_COLUMNS, example_folder, read_plot, read_statistics
-from fynjax.io._build import _soil
+from fynjax.io._build_ground import soil_spectra
 from fynjax.io._plot_file import shipped_growth_forms
 
 
@@ -368,4 +368,4 @@ def test_a_soil_that_cannot_serve_is_named(folder, content, words):
     edit(folder / "plot.toml", 'soil = "dry"', 'soil = "sand.csv"')
     edit(folder / "plot.toml", "moisture = 0.5", "")
     with pytest.raises(InputError, match=words):
-        _soil(read_plot(folder / "plot.toml"), np.arange(500.0, 950.0))
+        soil_spectra(read_plot(folder / "plot.toml"), np.arange(500.0, 950.0))

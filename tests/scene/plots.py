@@ -43,7 +43,7 @@ def small_parameters() -> PlotParameters:
             water=0.02,
             dry_matter=jnp.array([0.018, 0.03, 0.01]),
         ),
-        GroundParameters(*(jnp.asarray(v) for v in (0.8, 0.4, 0.35, 0.9))),
+        GroundParameters(*(jnp.asarray(v) for v in (0.8, 0.4, 0.35, 0.0, 0.0, 0.9))),
         LightParameters(*(jnp.asarray(v) for v in (31.0, 17.0, 0.12))),
     )
 

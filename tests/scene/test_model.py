@@ -110,9 +110,10 @@ def test_area_follows_the_parameters_at_any_resolution():
 def test_a_plot_without_plants_is_the_bare_ground():
     model, parameters = small_plot(), small_parameters()
     bare = eqx.tree_at(lambda p: p.species.cover, parameters, jnp.zeros(3))
-    ground = np.asarray(model.camera.bands.weights(model.wavelength)) @ np.asarray(
-        model.ground_spectrum(bare)
-    )
+    soil, litter, *_ = np.asarray(model.ground_spectra(bare))
+    share = float(bare.ground.litter_fraction)
+    mixed = (1 - share) * soil + share * litter
+    ground = np.asarray(model.camera.bands.weights(model.wavelength)) @ mixed
     image = np.asarray(render(model, bare))
     np.testing.assert_allclose(
         image, np.broadcast_to(ground[:, None, None], image.shape), rtol=1e-9

@@ -1,0 +1,155 @@
+"""How green a spectrum is: what orders clusters of pixels by vegetation."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from fynjax._core.errors import InputError
+
+_RANGES = {
+    "blue": (430.0, 520.0, 475.0),
+    "green": (520.0, 600.0, 560.0),
+    "red": (620.0, 700.0, 660.0),
+    "nir": (760.0, 1000.0, 840.0),
+}
+"""Lowest and highest centre of a band of this name, and the one preferred [nm]."""
+
+_WORDS = {
+    "nearinfrared": "nir",
+    "nearir": "nir",
+    "r": "red",
+    "g": "green",
+    "b": "blue",
+    "n": "nir",
+}
+
+
+@dataclass(frozen=True)
+class Greenness:
+    """A number that grows with vegetation, for spectra of an image's bands."""
+
+    name: str
+    """Short name, for an axis or a table."""
+    formula: str
+    """How it is computed, in the names of the bands used."""
+    function: Callable[[Float[np.ndarray, "*pixel band"]], Float[np.ndarray, "*pixel"]]
+    """Greenness of spectra, the bands last; NaN where it is not defined."""
+
+
+def _divide(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a / b, NaN where b is not positive."""
+    out = np.full(np.broadcast(a, b).shape, np.nan)
+    return np.divide(a, b, out=out, where=np.asarray(b) > 0.0)
+
+
+def band_roles(
+    names: Sequence[str], wavelengths: Sequence[float | None] | None = None
+) -> dict[str, int]:
+    """Which band is blue, green, red and near infrared: its place, for those that are there.
+
+    By name where a band is called so ("Red", "NIR", "near infrared"), else by its wavelength [nm]:
+    the nearest to 475, 560, 660 or 840 nm among those in 430-520, 520-600, 620-700 or 760-1000.
+    """
+    plain = [re.sub(r"[^a-z]", "", name.lower()) for name in names]
+    plain = [_WORDS.get(name, name) for name in plain]
+    waves = [None] * len(plain) if wavelengths is None else list(wavelengths)
+    if len(waves) != len(plain):
+        raise InputError(
+            f"`wavelengths` must have one value for each of {len(plain)} bands, but has "
+            f"{len(waves)}"
+        )
+    found = {}
+    for role, (low, high, best) in _RANGES.items():
+        if role in plain:
+            found[role] = plain.index(role)
+            continue
+        near = [
+            (abs(wave - best), k)
+            for k, wave in enumerate(waves)
+            if wave is not None and low <= wave <= high
+        ]
+        if near:
+            found[role] = min(near)[1]
+    return found
+
+
+def choose_greenness(
+    names: Sequence[str],
+    wavelengths: Sequence[float | None] | None = None,
+    *,
+    index: str = "auto",
+) -> Greenness:
+    """The greenness that an image's bands allow.
+
+    **Arguments:**
+
+    - `names`: of the bands, in the image's order.
+    - `wavelengths`: centres of the bands [nm], `None` where not known.
+    - `index`: one of
+        - "ndvi": (NIR - red) / (NIR + red), Rouse et al. (1974);
+        - "excess_green": (2 green - red - blue) / (red + green + blue), Woebbecke et al. (1995);
+        - the name or number (from 1) of a band that is brighter where plants are, or, after a
+          minus, of one that is darker there, such as "-red";
+        - "auto": NDVI where red and near infrared are known, else excess green.
+
+    Raises `InputError` where the bands needed are not known.
+    """
+    role = band_roles(names, wavelengths)
+    listed = ", ".join(names)
+    if index == "auto":
+        if {"red", "nir"} <= set(role):
+            index = "ndvi"
+        elif {"red", "green", "blue"} <= set(role):
+            index = "excess_green"
+        else:
+            raise InputError(
+                "expected bands known as red and near infrared, or as red, green and blue, but "
+                f"the image has {listed}. Name the bands in order (--bands green,red,nir or their "
+                "wavelengths in nm), or say which band is brighter where plants are (--greenness "
+                "NAME; -NAME if darker)."
+            )
+    needed = {"ndvi": ("red", "nir"), "excess_green": ("red", "green", "blue")}.get(index)
+    if needed is None:
+        return _of_one_band(names, index)
+    absent = [name for name in needed if name not in role]
+    if absent:
+        raise InputError(
+            f"{index} needs the bands {', '.join(needed)}, but no band of the image ({listed}) is "
+            f"known as {absent[0]}. Name the bands in order: --bands green,red,nir, say."
+        )
+    used = [role[name] for name in needed]
+    if index == "ndvi":
+        red, nir = used
+        return Greenness(
+            "NDVI",
+            f"({names[nir]} - {names[red]}) / ({names[nir]} + {names[red]})",
+            lambda s: _divide(s[..., nir] - s[..., red], s[..., nir] + s[..., red]),
+        )
+    red, green, blue = used
+    return Greenness(
+        "Excess green",
+        f"(2 {names[green]} - {names[red]} - {names[blue]}) / their sum",
+        lambda s: _divide(
+            2.0 * s[..., green] - s[..., red] - s[..., blue],
+            s[..., red] + s[..., green] + s[..., blue],
+        ),
+    )
+
+
+def _of_one_band(names: Sequence[str], index: str) -> Greenness:
+    sign, wanted = (-1.0, index[1:]) if index.startswith("-") else (1.0, index)
+    known = [name.lower() for name in names]
+    if wanted.strip().lower() in known:
+        k = known.index(wanted.strip().lower())
+    elif wanted.isdigit() and 1 <= int(wanted) <= len(names):
+        k = int(wanted) - 1
+    else:
+        raise InputError(
+            f"greenness must be auto, ndvi, excess_green, or a band of the image "
+            f"({', '.join(names)}, or its number from 1), but is {index!r}"
+        )
+    name = names[k] if sign > 0 else f"-{names[k]}"
+    return Greenness(name, name, lambda s: sign * np.asarray(s[..., k], float))

@@ -1,0 +1,52 @@
+"""`fynjax bioscape`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fynjax.cli._runtime import Json, Output, Quiet, run_job
+
+Tables = Annotated[
+    Path,
+    typer.Argument(
+        metavar="FOLDER",
+        help="Folder with *CoverData.csv, *VegData.csv, *TraitLibrary.csv and, for place and "
+        "time, *VegCenters.csv.",
+    ),
+]
+
+
+def bioscape(
+    folder: Tables,
+    output: Output = Path("output/bioscape"),
+    plot: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Only this plot; may be given again. All if left out."),
+    ] = None,
+    traits: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Trait library, if it is not in the folder."),
+    ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make plot files from the field tables of BioSCape.
+
+    Writes a folder for each plot, to be rendered, with a table of where each number came from;
+    and a table of all plots.
+
+    Example:  fynjax bioscape tables --output plots && fynjax render plots/T068/plot.toml
+    """
+    from fynjax.io._bioscape_files import run_bioscape
+
+    run_job(
+        "bioscape",
+        lambda target, progress: run_bioscape(
+            folder, target, plots=plot or None, traits=traits, progress=progress
+        ),
+        output,
+        seed=0,
+        as_json=json,
+        quiet=quiet,
+    )

@@ -1,0 +1,73 @@
+"""`fynjax build`."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fynjax.cli._render import PlotPath
+from fynjax.cli._runtime import Json, Output, OwnSeed, Quiet, run_job
+
+
+class View(StrEnum):
+    """What the oblique picture shows of a plant."""
+
+    points = "points"
+    meshes = "meshes"
+
+
+def build(
+    plot: PlotPath,
+    output: Output = Path("output/build"),
+    seed: OwnSeed = None,
+    size: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Side of the plot [m]; the plot file's if left out."),
+    ] = None,
+    cell: Annotated[
+        float, typer.Option(metavar="M", help="Cells that cover is measured on [m].")
+    ] = 0.01,
+    mesh: Annotated[
+        bool, typer.Option("--mesh", help="Also write the scene as a mesh (OBJ, MTL).")
+    ] = False,
+    triangles: Annotated[
+        int, typer.Option(min=2000, help="Most triangles of that mesh.")
+    ] = 5_000_000,
+    view: Annotated[
+        View, typer.Option(help="Oblique picture of points, or of meshes (the extra `view`).")
+    ] = View.points,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Plant a plot: whole plants, as many as its covers ask for.
+
+    Writes the plants and their cover (CSV), the voxels (NetCDF), pictures and a report page.
+
+    Example:  fynjax build plot.toml --size 20 --output scene
+    """
+    from fynjax.io import read_plot
+
+    # Before the heavy imports: a slip in a file shows at once.
+    read = read_plot(plot)
+    number = read.seed if seed is None else seed
+    from fynjax.report._build_job import run_build
+
+    run_job(
+        "build",
+        lambda folder, progress: run_build(
+            plot,
+            folder,
+            seed=number,
+            size=size,
+            cell=cell,
+            mesh=mesh,
+            max_triangles=triangles,
+            view=view.value,
+            progress=progress,
+        ),
+        output,
+        seed=number,
+        as_json=json,
+        quiet=quiet,
+    )

@@ -1,0 +1,294 @@
+"""Images of any number of bands: one GeoTIFF, or the single-band files of one capture."""
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from rasterio import Affine
+from rasterio.enums import ColorInterp
+
+from fynjax._core.errors import InputError
+from fynjax._core.progress import NullProgress, Progress
+from fynjax.io._align import Alignment, align_bands
+from fynjax.io._frame import check_frame, has_place, is_local, open_raster
+
+_COLOURS = {ColorInterp.red: "red", ColorInterp.green: "green", ColorInterp.blue: "blue"}
+_NANOMETRES = {"nanometers": 1.0, "nm": 1.0, "micrometers": 1e3, "um": 1e3, "µm": 1e3}
+
+
+@dataclass(frozen=True)
+class BandStack:
+    """An image, what is known of its bands, and where it lies."""
+
+    values: Float[np.ndarray, "band y x"]
+    """In the file's unit; row 0 at the southern edge."""
+    mask: Bool[np.ndarray, "y x"]
+    """True where every band has a finite value that is data."""
+    names: tuple[str, ...]
+    wavelengths: tuple[float | None, ...]
+    """Centres [nm], where known."""
+    transform: Affine
+    """From column and row, counted from the north-west corner, to x and y [m]."""
+    crs: str | None
+    """Coordinate reference system as WKT; `None` is the plot's local frame."""
+    alignment: tuple[Alignment, ...] | None = None
+    """How single-band files were laid on the first; `None` where none had to be."""
+
+    @property
+    def known_as(self) -> str:
+        """The bands as people call them: name, and wavelength where it is known; few of many."""
+        return _listed(
+            [
+                name if wave is None or f"{wave:g}" in name else f"{name} {wave:g} nm"
+                for name, wave in zip(self.names, self.wavelengths, strict=True)
+            ]
+        )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names with commas; of more than eight the first two and the last."""
+    few = names if len(names) <= 8 else [*names[:2], "...", names[-1]]
+    return ", ".join(few)
+
+
+def read_band_stack(
+    paths: Sequence[str | Path],
+    *,
+    bands: Sequence[str] | None = None,
+    pixel_m: float | None = None,
+    align: bool = True,
+    progress: Progress | None = None,
+) -> BandStack:
+    """Read an image of any number of bands, in whatever unit.
+
+    Names and wavelengths of the bands are those of the file's descriptions and tags, or of the
+    metadata (XMP) that multispectral cameras write into their single-band files. Where such a file
+    states its dark level, that is taken off. Bands without any data are left out, with a warning.
+
+    **Arguments:**
+
+    - `paths`: one file of several bands; or files of one band each, in order, on the same pixels
+      or of one capture. Files of a capture have no place on Earth; they are aligned
+      (`align_bands`), unless `align` is false.
+    - `bands`: names of the bands, or their wavelengths [nm], in the order of the files; they
+      replace what the files say.
+    - `pixel_m`: side of a pixel on the ground [m]. Needed for an image without a coordinate
+      reference system, which is then put into the plot's local frame, its south-west corner at
+      (0, 0) and the top of the picture north.
+
+    **Raises:** `InputError` for files that are missing or cut short, do not fit together, are in
+    degrees or feet or rotated, have no place while `pixel_m` is not given, or have no data;
+    `MissingExtraError` where bands must be aligned and scikit-image is missing.
+    """
+    files = [Path(path) for path in paths]
+    if not files:
+        raise InputError("expected an image, but got no file")
+    parts = [_read(path) for path in files]
+    first = parts[0]
+    for path, part in zip(files[1:], parts[1:], strict=True):
+        _check_together(first, part, files[0], path)
+    values = np.concatenate([part.values for part in parts])
+    mask = np.all([part.mask for part in parts], axis=0)
+    names = [name for part in parts for name in part.names]
+    waves: list[float | None] = [wave for part in parts for wave in part.wavelengths]
+    if len(parts) > 1:  # of single-band files nobody wrote which is which
+        names = [
+            f"band {k}" if re.fullmatch(r"band \d+", name) else name
+            for k, name in enumerate(names, 1)
+        ]
+    if bands is not None:
+        names, waves = _stated(bands, len(names), files[0])
+    alive = [bool(np.isfinite(band).any()) for band in values]
+    if not all(alive):
+        dead = [name for name, lives in zip(names, alive, strict=True) if not lives]
+        if len(dead) < len(names):
+            warnings.warn(
+                f"{files[0]}: {len(dead)} of {len(names)} bands have no data and are left out: "
+                f"{_listed(dead)}",
+                stacklevel=2,
+            )
+        values = values[alive]
+        names = [name for name, lives in zip(names, alive, strict=True) if lives]
+        waves = [wave for wave, lives in zip(waves, alive, strict=True) if lives]
+    mask &= np.isfinite(values).all(axis=0)
+    if not mask.any():
+        raise InputError(
+            f"expected an image, but all {mask.size} pixels are without data (no data, NaN, or "
+            "zero in every band)",
+            file=files[0],
+        )
+    transform, crs = first.transform, first.crs
+    alignment = None
+    if not first.placed:
+        if pixel_m is None:
+            raise InputError(
+                "expected an image with a coordinate reference system, but it has none. An "
+                "orthophoto has one; for a single picture say how large a pixel is on the ground: "
+                "--pixel METRES. The map is then in a frame of the plot's own.",
+                file=files[0],
+            )
+        if not (np.isfinite(pixel_m) and pixel_m > 0.0):
+            raise InputError(f"`pixel_m` must be positive [m], but is {pixel_m}")
+        if len(parts) > 1 and align:
+            if not mask.all():
+                raise InputError(
+                    f"bands can be aligned where all pixels are data, but {int((~mask).sum())} of "
+                    f"{mask.size} are not. Align them first, and leave it out here (--no-align).",
+                    file=files[0],
+                )
+            progress = NullProgress() if progress is None else progress
+            with progress.stage("Align the bands", len(values) - 1):
+                try:
+                    values, cut, found = align_bands(values, progress=progress)
+                except InputError as error:
+                    raise InputError(str(error), file=files[0]) from error
+            mask, alignment = mask[cut], tuple(found)
+        transform = Affine(pixel_m, 0.0, 0.0, 0.0, -pixel_m, mask.shape[0] * pixel_m)
+        crs = None
+    elif pixel_m is not None:
+        raise InputError(
+            f"`pixel_m` is for an image without a coordinate reference system, but this one has "
+            f"pixels of {transform.a:g} m. Leave it out.",
+            file=files[0],
+        )
+    return BandStack(values, mask, tuple(names), tuple(waves), transform, crs, alignment)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One file."""
+
+    values: np.ndarray
+    mask: np.ndarray
+    names: list[str]
+    wavelengths: list[float | None]
+    transform: Affine
+    crs: str | None
+    placed: bool
+
+
+def _read(path: Path) -> _Part:
+    with open_raster(path, "an image") as file:
+        placed = has_place(file)
+        if placed or file.crs is not None:
+            check_frame(file, path)
+        alpha = [k for k, c in enumerate(file.colorinterp, 1) if c == ColorInterp.alpha]
+        masks = not alpha or _is_mask(file.read(alpha[0]))
+        numbers = [k for k in file.indexes if not (masks and k in alpha)]
+        raw = file.read(numbers)
+        valid = file.read_masks(numbers) > 0
+        kept = np.result_type(raw.dtype, np.float32)  # exact for up to 16 bits, and half the memory
+        if kept.kind != "f":
+            raise InputError(f"expected an image of numbers, but it has {raw.dtype}", file=path)
+        values = raw.astype(kept)
+        for k, number in enumerate(numbers):
+            if (file.scales[number - 1], file.offsets[number - 1]) != (1.0, 0.0):
+                values[k] = values[k] * file.scales[number - 1] + file.offsets[number - 1]
+        xmp = str(file.tags(ns="xml:XMP").get("xml:XMP", "")) if len(numbers) == 1 else ""
+        names, waves = [], []
+        for number in numbers:
+            colour = _COLOURS.get(file.colorinterp[number - 1]) if masks else None
+            given = file.descriptions[number - 1] or _stated_in(xmp, "BandName") or colour
+            names.append((given or f"band {number}").strip())
+            waves.append(_wavelength(file, number, xmp))
+        crs = None if file.crs is None or is_local(file.crs) else file.crs.to_wkt()
+        transform = file.transform
+    if xmp:
+        values -= _dark_level(xmp)
+    # Mosaics fill their border with zeros and rarely declare it; no ground reflects nothing.
+    valid &= ~(raw == 0).all(axis=0) & np.isfinite(values)
+    values[~valid] = np.nan
+    with_data = valid.any(axis=(1, 2))
+    mask = valid[with_data].all(axis=0) if with_data.any() else np.zeros(valid.shape[1:], bool)
+    return _Part(values[:, ::-1], mask[::-1], names, waves, transform, crs, placed)
+
+
+def _is_mask(band: np.ndarray) -> bool:
+    """Whether a band called alpha says which pixels are data.
+
+    Programs call the fourth of four 8-bit bands so by default, also where it is near infrared
+    (and the first three red, green and blue, whatever they are).
+    """
+    top = np.iinfo(band.dtype).max if band.dtype.kind in "ui" else 1.0
+    return float(np.mean((band == 0) | (band == top))) > 0.99
+
+
+def _wavelength(file: Any, number: int, xmp: str) -> float | None:
+    """Centre of a band [nm], as its tags or the camera state it."""
+    tags = {key.lower(): value for key, value in file.tags(number).items()}
+    imagery = file.tags(number, ns="IMAGERY").get("CENTRAL_WAVELENGTH_UM")
+    if "wavelength" in tags:
+        text, unit = tags["wavelength"], tags.get("wavelength_units", "").strip().lower()
+    elif imagery is not None:
+        text, unit = imagery, "um"
+    else:
+        text, unit = _stated_in(xmp, "CentralWavelength"), "nm"
+    try:
+        value = float(text or "")
+    except ValueError:
+        return None
+    if not (np.isfinite(value) and value > 0.0):
+        return None
+    return value * _NANOMETRES.get(unit, 1.0 if value > 100.0 else 1e3)
+
+
+def _stated_in(xmp: str, key: str) -> str | None:
+    """The first value of a key of a camera's metadata, written as an attribute or an element."""
+    found = re.search(rf':{key}(?:="|>\s*(?:<rdf:Seq>\s*<rdf:li>)?)\s*([^<"]+)', xmp)
+    return found.group(1).strip() if found else None
+
+
+def _dark_level(xmp: str) -> float:
+    """What the camera's covered pixels read, 0 where it does not say."""
+    found = re.search(r":DarkRowValue>(.*?)</\w+:DarkRowValue>", xmp, re.DOTALL)
+    levels = [float(v) for v in re.findall(r">\s*([\d.]+)\s*<", found.group(1))] if found else []
+    return float(np.mean(levels)) if levels else 0.0
+
+
+def _check_together(a: _Part, b: _Part, first: Path, path: Path) -> None:
+    if len(a.values) != 1 or len(b.values) != 1:
+        raise InputError(
+            "expected one image of several bands, or files of one band each, but "
+            f"{first.name} has {len(a.values)} and this one {len(b.values)}. Stack the bands of "
+            "one image: gdal_merge.py -separate",
+            file=path,
+        )
+    if a.values.shape != b.values.shape:
+        raise InputError(
+            f"expected {a.values.shape[2]} x {a.values.shape[1]} pixels as in {first.name}, but "
+            f"this file has {b.values.shape[2]} x {b.values.shape[1]}. Are both of one capture?",
+            file=path,
+        )
+    if a.placed != b.placed or a.crs != b.crs or not a.transform.almost_equals(b.transform, 1e-3):
+        raise InputError(
+            f"expected the same place and coordinate reference system as {first.name}, but this "
+            "file has others. Warp both onto the same pixels: gdalwarp -t_srs ... -te ... -tr ...",
+            file=path,
+        )
+
+
+def _stated(bands: Sequence[str], count: int, path: Path) -> tuple[list[str], list[float | None]]:
+    """Names and wavelengths, from a list of either."""
+    given = [band.strip() for band in bands]
+    if len(given) != count or not all(given):
+        raise InputError(
+            f"expected names or wavelengths of {count} bands, but got {len(given)} "
+            f"({', '.join(given)})",
+            file=path,
+        )
+    waves: list[float | None] = []
+    for band in given:
+        wave = float(band) if re.fullmatch(r"\d+(\.\d+)?", band) else None
+        if wave is not None and not 300.0 <= wave <= 15000.0:
+            raise InputError(
+                f"a wavelength must be in nm, 300 to 15000, but is {band}. Is it a band's number? "
+                "Give names, such as red, or wavelengths.",
+                file=path,
+            )
+        waves.append(wave)
+    return [b if w is None else f"{w:g} nm" for b, w in zip(given, waves, strict=True)], waves

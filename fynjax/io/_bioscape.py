@@ -1,0 +1,308 @@
+"""Plots from the field tables of BioSCape: cover of species and ground, traits, flights."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from fynjax._core.errors import InputError
+from fynjax.io._bioscape_assumed import (
+    OPEN_GROUND_LITTER,
+    PlantShape,
+    PlantSize,
+    plant_shape,
+    plant_size,
+    random_packing,
+)
+from fynjax.io._bioscape_tables import (
+    COVER,
+    SPECIES,
+    TRAITS,
+    VISITS,
+    CoverRow,
+    SpeciesCoverRow,
+    TraitRow,
+    VisitRow,
+    find_table,
+    needed_table,
+    read_foreign,
+)
+from fynjax.io._bioscape_traits import Sourced, TraitLibrary, split_name
+from fynjax.io._tables import existing_file
+from fynjax.io._validate import did_you_mean
+
+_TOLERANCE = 1.0
+"""Covers of a plot may miss their sum by this [%]: crews round."""
+
+
+@dataclass(frozen=True)
+class BioscapeSpecies:
+    """One species of a plot."""
+
+    taxon: str
+    family: str
+    """'' if unknown."""
+    cover: float
+    """Live cover as noted, a share of the plot [-]."""
+    shape: PlantShape
+    """Growth form and shape of the leaves, by genus or family."""
+    size: PlantSize
+    """Crown diameter and height, by growth form."""
+    traits: dict[str, Sourced]
+    """`leaf_mass_per_area` [g per m2 of projected area] and `water_content` [% of fresh mass],
+    always; `nitrogen` and `carbon` [mg g-1] where the library has them."""
+    library_name: str | None
+    """Its name in the trait library, `None` if it is not there."""
+
+
+@dataclass(frozen=True)
+class Visit:
+    """Where a plot is and when the spectrometer flew over it."""
+
+    longitude: float
+    """WGS84 [degree]."""
+    latitude: float
+    """WGS84 [degree]."""
+    times: tuple[str, ...]
+    """Start of each flight line, ISO 8601, in order."""
+    remark: str
+    """Of the crew, or ''."""
+
+
+@dataclass(frozen=True)
+class BioscapePlot:
+    """One plot as its tables describe it. Covers are shares of the plot [-]."""
+
+    name: str
+    live: float
+    """Live vegetation, seen from above [-]."""
+    dead: float
+    """Dead vegetation [-]: litter and standing dead, which the tables do not tell apart."""
+    soil: float
+    """Bare soil [-]."""
+    rock: float
+    """Bare rock [-]."""
+    species: tuple[BioscapeSpecies, ...]
+    """As listed; the crews list species of 5 % and more."""
+    visit: Visit | None
+    """`None` where no table of spectra names the plot."""
+
+    @property
+    def listed_cover(self) -> float:
+        """Sum of the species' covers [-]; more than `live` where layers overlap."""
+        return sum(s.cover for s in self.species)
+
+    @property
+    def other_cover(self) -> float:
+        """Live cover of species too rare to be listed [-]."""
+        return max(0.0, self.live - self.listed_cover)
+
+    @property
+    def packing(self) -> float:
+        """Share of a crown over other crowns [-] with which all crowns cover `live`."""
+        return random_packing(self.listed_cover + self.other_cover, self.live)
+
+    @property
+    def litter_fraction(self) -> float:
+        """Share of the ground under litter [-]: dead cover over dead and bare cover."""
+        ground = self.dead + self.soil + self.rock
+        return self.dead / ground if ground > 0 else OPEN_GROUND_LITTER
+
+    def trait_shares(self, trait: str = "leaf_mass_per_area") -> dict[str, float]:
+        """Share of the listed cover for each source of a trait [-]."""
+        shares: dict[str, float] = {}
+        for s in self.species:
+            source = s.traits[trait].source
+            shares[source] = shares.get(source, 0.0) + s.cover / self.listed_cover
+        return shares
+
+    def weighted_mean(self, trait: str) -> float | None:
+        """Mean of a trait over the species that have it, weighted with cover."""
+        pairs = [(s.cover, s.traits[trait].value) for s in self.species if trait in s.traits]
+        total = sum(cover for cover, _ in pairs)
+        return sum(cover * value for cover, value in pairs) / total if pairs else None
+
+
+def read_bioscape(
+    folder: str | Path, plots: Sequence[str] | None = None, *, traits: str | Path | None = None
+) -> list[BioscapePlot]:
+    """Read the plots of a folder of BioSCape's field tables (doi:10.5281/zenodo.14198989).
+
+    **Arguments:**
+
+    - `folder`: has a file `*CoverData.csv` (cover of live and dead vegetation, soil and rock by
+      plot, %), `*VegData.csv` (live cover by species and plot, %), `*TraitLibrary.csv` (mean
+      nitrogen, carbon [mg/g], leaf mass per area [g/m2] and water content [%] by species) and
+      perhaps `*VegCenters.csv` (place and flight times by plot). Other columns are skipped.
+    - `plots`: names of the plots to read; all if left out.
+    - `traits`: trait library, if it is not in the folder.
+
+    **Returns:** plots in the order of the cover table. A trait of a species without a measured
+    value is the mean of its genus, else family, else growth form in the library.
+
+    **Raises:** `InputError` for a missing file, column or plot, a value that is no number or
+    out of range, rows that are there twice, and a plot without species. Warns where covers do
+    not sum to 100 %, and where a name is read as another.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError("expected a folder with BioSCape's tables, but there is none", file=folder)
+    cover_path, species_path = needed_table(folder, COVER), needed_table(folder, SPECIES)
+    trait_path = (
+        needed_table(folder, TRAITS) if traits is None else existing_file(traits, TRAITS[1])
+    )
+    cover = _unique(read_foreign(cover_path, CoverRow, COVER[1]), cover_path)
+    listed = _species_by_plot(read_foreign(species_path, SpeciesCoverRow, SPECIES[1]), species_path)
+    library = TraitLibrary(read_foreign(trait_path, TraitRow, TRAITS[1]), trait_path)
+    visit_path = find_table(folder, VISITS)
+    visits = {} if visit_path is None else _visits(visit_path)
+
+    if plots is None:
+        if strange := [name for name in listed if name not in cover]:
+            raise InputError(
+                f"expected a row for plot {strange[0]!r}, which {species_path.name} has, but there "
+                f"is none.{did_you_mean(strange[0], cover)}",
+                file=cover_path,
+                column="Plot",
+            )
+        plots = list(cover)
+    read = []
+    for name in dict.fromkeys(plots):
+        if name not in cover:
+            raise InputError(
+                f"expected a row for plot {name!r}, but there is none.{did_you_mean(name, cover)}",
+                file=cover_path,
+                column="Plot",
+            )
+        where, row = cover[name]
+        if name not in listed:
+            raise InputError(
+                f"expected species of plot {name!r} in {species_path.name}, but there is none. "
+                "Without species there is nothing to plant.",
+                file=cover_path,
+                row=where,
+                column="Plot",
+            )
+        read.append(_plot(row, listed[name], library, visits.get(name), cover_path))
+    return read
+
+
+def _plot(
+    row: CoverRow,
+    listed: dict[str, SpeciesCoverRow],
+    library: TraitLibrary,
+    visit: Visit | None,
+    path: Path,
+) -> BioscapePlot:
+    bare = row.PercentBareSoil + row.PercentBareRock
+    total = bare + row.PercentDeadVegetation + row.PercentLiveVegetation
+    if abs(total - 100) > _TOLERANCE:
+        reading = (
+            "what is too much is read as dead vegetation under live vegetation"
+            if total > 100
+            else "what is missing is read as ground like the rest"
+        )
+        warnings.warn(
+            f"{path}: the covers of plot {row.Plot!r} sum to {total:g} %, not 100 %; {reading}.",
+            stacklevel=3,
+        )
+    species = []
+    for taxon, noted in listed.items():
+        genus = split_name(taxon)[0]
+        family = noted.Family or library.family(genus)
+        traits, library_name = library.lookup(taxon, family)
+        shape = plant_shape(split_name(library_name or taxon)[0], family)
+        species.append(
+            BioscapeSpecies(
+                taxon=taxon,
+                family=family,
+                cover=noted.PercentCoverAlive / 100,
+                shape=shape,
+                size=plant_size(family, shape.growth_form),
+                traits=traits,
+                library_name=library_name,
+            )
+        )
+    return BioscapePlot(
+        name=row.Plot,
+        live=row.PercentLiveVegetation / 100,
+        dead=row.PercentDeadVegetation / 100,
+        soil=row.PercentBareSoil / 100,
+        rock=row.PercentBareRock / 100,
+        species=tuple(species),
+        visit=visit,
+    )
+
+
+def _unique(rows: list[tuple[int, CoverRow]], path: Path) -> dict[str, tuple[int, CoverRow]]:
+    plots: dict[str, tuple[int, CoverRow]] = {}
+    for where, row in rows:
+        if row.Plot in plots:
+            raise InputError(
+                f"plot {row.Plot!r} is there twice, first in row {plots[row.Plot][0]}",
+                file=path,
+                row=where,
+                column="Plot",
+            )
+        plots[row.Plot] = where, row
+    return plots
+
+
+def _species_by_plot(
+    rows: list[tuple[int, SpeciesCoverRow]], path: Path
+) -> dict[str, dict[str, SpeciesCoverRow]]:
+    """Species of each plot. Rows that differ in the family alone are one, joined twice."""
+    if len(rows) > 1 and max(row.PercentCoverAlive for _, row in rows) <= 1:
+        raise InputError(
+            "expected covers in percent, but none is over 1. Are these fractions?",
+            file=path,
+            column="PercentCoverAlive",
+        )
+    plots: dict[str, dict[str, SpeciesCoverRow]] = {}
+    seen: dict[tuple[str, str], int] = {}
+    for where, row in rows:
+        taxon = " ".join(row.GenusSpecies.replace("_", " ").split())
+        before = plots.setdefault(row.Plot, {}).get(taxon)
+        if before is None:
+            plots[row.Plot][taxon], seen[row.Plot, taxon] = row, where
+            continue
+        first = seen[row.Plot, taxon]
+        if before.Family == row.Family or before.PercentCoverAlive != row.PercentCoverAlive:
+            raise InputError(
+                f"{taxon!r} of plot {row.Plot!r} is there twice, first in row {first}. Add the "
+                "covers up, or leave one out.",
+                file=path,
+                row=where,
+                column="GenusSpecies",
+            )
+        warnings.warn(
+            f"{path}: rows {first} and {where} give {taxon!r} of plot {row.Plot!r} the same cover "
+            f"and two families, {before.Family} and {row.Family}; it is counted once.",
+            stacklevel=3,
+        )
+    return plots
+
+
+def _visits(path: Path) -> dict[str, Visit]:
+    grouped: dict[str, list[VisitRow]] = {}
+    for where, row in read_foreign(path, VisitRow, VISITS[1]):
+        try:
+            datetime.fromisoformat(row.start_time)
+        except ValueError as error:
+            raise InputError(
+                f"expected a time such as 2023-11-09 13:31:24+00:00, but got {row.start_time!r}",
+                file=path,
+                row=where,
+                column="start_time",
+            ) from error
+        grouped.setdefault(row.BScpPID, []).append(row)
+    return {
+        name: Visit(
+            longitude=sum(r.X for r in rows) / len(rows),
+            latitude=sum(r.Y for r in rows) / len(rows),
+            times=tuple(sorted({r.start_time for r in rows})),
+            remark="; ".join(sorted({r.QltyFlg for r in rows if r.QltyFlg})),
+        )
+        for name, rows in grouped.items()
+    }

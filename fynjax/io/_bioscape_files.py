@@ -1,0 +1,315 @@
+"""Plot files from the field tables of BioSCape: what `fynjax bioscape` writes."""
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from fynjax._core.errors import InputError
+from fynjax._core.progress import NullProgress, Progress
+from fynjax.io._atomic import write_text
+from fynjax.io._bioscape import BioscapePlot, BioscapeSpecies, Visit, read_bioscape
+from fynjax.io._bioscape_assumed import CLOSED_COVER, DOME, PLOT_SIDE_M, pigments, plant_size
+from fynjax.io._bioscape_traits import SOURCES
+from fynjax.io._plot import PROSPECT_COLUMNS
+from fynjax.sensors import sun_position
+
+OTHER = "Other species"
+"""Taxon of the live cover that no listed species makes up."""
+
+LARGEST = {"water": 0.2, "dry_matter": 0.1}
+"""Largest values that a leaf table takes [cm, g cm-2]; only succulents and thick culms pass it."""
+
+_LEAF_UNITS = dict.fromkeys(PROSPECT_COLUMNS, "ug cm-2") | {
+    "structure": "-", "brown_pigments": "-", "water": "cm", "dry_matter": "g cm-2",
+}  # fmt: skip
+_TRAIT_UNITS = {
+    "leaf_mass_per_area": "g m-2 projected", "water_content": "% of fresh mass",
+    "nitrogen": "mg g-1", "carbon": "mg g-1",
+}  # fmt: skip
+_ASSUMED = "growth form default"
+
+
+def leaf_parameters(species: BioscapeSpecies) -> dict[str, float]:
+    """PROSPECT-D parameters of a species' leaf, in PROSPECT's units, per half of its surface.
+
+    Dry matter is the leaf mass per projected area over the shape's `area_ratio`; water is that
+    times w / (1 - w), with w the share of water in the fresh mass (1 g of water is 1 cm3). Both
+    at most `LARGEST`. Structure and pigments are those of the growth form.
+    """
+    dry = species.traits["leaf_mass_per_area"].value / species.shape.area_ratio / 1e4
+    wet = species.traits["water_content"].value / 100.0
+    measured = {"water": dry * wet / (1.0 - wet), "dry_matter": dry}
+    return pigments(species.shape.growth_form) | {
+        name: min(value, LARGEST[name]) for name, value in measured.items()
+    }
+
+
+def mean_leaf(plot: BioscapePlot) -> dict[str, float]:
+    """Leaf of the species that are not listed: the mean of those listed, weighted with cover."""
+    leaves = [(s.cover / plot.listed_cover, leaf_parameters(s)) for s in plot.species]
+    return {name: sum(share * leaf[name] for share, leaf in leaves) for name in PROSPECT_COLUMNS}
+
+
+def write_plot_files(plot: BioscapePlot, folder: str | Path) -> None:
+    """Write a plot as `plot.toml`, `species.csv`, `leaves.csv` and `sources.csv` into a folder.
+
+    `fynjax render` takes `plot.toml`. `sources.csv` has every number with its source: what was
+    measured, what is a mean of relatives, what is assumed. Files of the same name are replaced.
+    """
+    folder = Path(folder)
+    write_text(folder / "plot.toml", _plot_toml(plot))
+    write_text(folder / "species.csv", _species_csv(plot))
+    write_text(folder / "leaves.csv", _leaves_csv(plot))
+    header = ("taxon", "quantity", "value", "unit", "source", "note")
+    write_text(folder / "sources.csv", _table([header, *_sources(plot)]))
+
+
+def _table(rows: Iterable[Sequence[Any]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(
+        [f"{c:.6g}" if isinstance(c, float) else c for c in row] for row in rows
+    )
+    return text.getvalue()
+
+
+def flights(visit: Visit | None) -> list[tuple[str, float, float]]:
+    """Time of each flight with the sun's zenith angle and azimuth [degree], highest sun first."""
+    if visit is None:
+        return []
+    found = []
+    for text in visit.times:
+        time = datetime.fromisoformat(text)
+        sun = sun_position(visit.latitude, visit.longitude, time.replace(tzinfo=time.tzinfo or UTC))
+        found.append((text, sun.zenith, sun.azimuth))
+    return sorted(found, key=lambda flight: flight[1])
+
+
+def _plot_toml(plot: BioscapePlot) -> str:
+    seen = flights(plot.visit)
+    up = [flight for flight in seen if flight[1] < 80.0]
+    if plot.visit is None:
+        place = ["# Place and date: not in the tables."]
+    else:
+        place = [
+            f"# latitude_deg = {plot.visit.latitude:.6f}",
+            f"# longitude_deg = {plot.visit.longitude:.6f}",
+            *(f"# flown {t}: sun at zenith {z:.1f}, azimuth {a:.1f}" for t, z, a in seen),
+            *([f"# The crew's remark: {plot.visit.remark}"] if plot.visit.remark else []),
+        ]
+    if up:
+        _, zenith, azimuth = up[len(up) // 2]
+        sun = [
+            "# Of the flight in the middle, by height of the sun.",
+            f"zenith_deg = {zenith:.2f}",
+            f"azimuth_deg = {azimuth:.2f}",
+        ]
+    else:
+        sun = ["# Assumed.", "zenith_deg = 30.0", "azimuth_deg = 0.0"]
+    lines = [
+        f"# BioSCape vegetation plot {plot.name}, Greater Cape Floristic Region (field tables:",
+        "# doi:10.5281/zenodo.14198989). sources.csv says where each number of a species is from.",
+        "# Cover seen from above, in % of the plot:",
+        f"#   live {plot.live * 100:g}, dead {plot.dead * 100:g}, bare soil {plot.soil * 100:g}, "
+        f"bare rock {plot.rock * 100:g}",
+        "",
+        "[plot]",
+        f'name = "{_escaped(plot.name)}"',
+        f"size_m = {PLOT_SIDE_M}  # a square instead of the circle of this diameter",
+        "voxel_m = 0.1  # assumed",
+        'species_table = "species.csv"',
+        'leaf_table = "leaves.csv"',
+        *place,
+        "",
+        "[sun]",
+        *sun,
+        "",
+        "[ground]",
+        'soil = "dry"  # assumed; rock is taken to be as bright',
+        f"litter_fraction = {plot.litter_fraction:.4f}  # dead over dead and bare cover; dead "
+        "plants that still stand are read as litter",
+        f"# rock_fraction = {plot.rock:.4f}",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _escaped(text: str) -> str:
+    return text.replace("\\", "\\\\").replace('"', '\\"')
+
+
+def _species_csv(plot: BioscapePlot) -> str:
+    listed, packing = plot.listed_cover * 100, plot.packing * 100
+    notes = [
+        f"Live cover of {plot.name} as the field crew noted it; the listed species sum to "
+        f"{listed:g} %.",
+        f"Live cover seen from above is {plot.live * 100:g} %. Crowns are set at random: with "
+        f"{packing:.1f} % of each",
+        f"over others (packing_percent) they cover that much together, or {CLOSED_COVER:.0%} at "
+        "most.",
+        *(
+            [f"{OTHER!r} is the rest of the live cover, with the mean leaf of those listed."]
+            if plot.other_cover > 0
+            else []
+        ),
+        "Crown diameter and height were not measured: they are those of the growth form, and the",
+        "growth form is that of the genus or family. See sources.csv.",
+    ]
+    header = (
+        "taxon", "mean_diameter_cm", "cover_percent", "height_max_m", "growth_form",
+        "packing_percent",
+    )  # fmt: skip
+    rows = [
+        (s.taxon, s.size.crown_diameter_m, s.cover, s.size.height_m, s.shape.growth_form)
+        for s in plot.species
+    ]
+    if plot.other_cover > 0:
+        size = plant_size("", DOME)
+        rows.append((OTHER, size.crown_diameter_m, plot.other_cover, size.height_m, DOME))
+    cells = [(t, d * 100, c * 100, h, form, round(packing, 3)) for t, d, c, h, form in rows]
+    return "".join(f"# {note}\n" for note in notes) + _table([header, *cells])
+
+
+def _leaves_csv(plot: BioscapePlot) -> str:
+    notes = (
+        "Dry matter and water from leaf mass per area and water content, per half of the leaf's",
+        "surface: the library's area is projected, and a rolled leaf or culm has pi/2 as much.",
+        "Structure and pigments are assumed. sources.csv says what was measured of which species.",
+    )
+    leaves = [(s.taxon, leaf_parameters(s)) for s in plot.species]
+    if plot.other_cover > 0:
+        leaves.append((OTHER, mean_leaf(plot)))
+    rows = [(taxon, *(leaf[name] for name in PROSPECT_COLUMNS)) for taxon, leaf in leaves]
+    return "".join(f"# {note}\n" for note in notes) + _table([("taxon", *PROSPECT_COLUMNS), *rows])
+
+
+def _sources(plot: BioscapePlot) -> list[tuple[Any, ...]]:
+    rows: list[tuple[Any, ...]] = []
+    for s in plot.species:
+        leaf, lma = leaf_parameters(s), s.traits["leaf_mass_per_area"]
+        renamed = s.library_name not in (None, s.taxon)
+        rows += [
+            (s.taxon, "cover", s.cover * 100, "%", "measured", ""),
+            (s.taxon, "growth_form", s.shape.growth_form, "-", f"assumed by {s.shape.source}", ""),
+            (s.taxon, "crown_diameter", s.size.crown_diameter_m, "m", _ASSUMED, s.size.source),
+            (s.taxon, "height", s.size.height_m, "m", _ASSUMED, s.size.source),
+            (s.taxon, "leaf_area_ratio", s.shape.area_ratio, "-", f"assumed by {s.shape.source}",
+             "half of the surface over the projected area"),
+        ]  # fmt: skip
+        for trait, sourced in s.traits.items():
+            note = f"as {s.library_name}" if renamed else ""
+            rows.append((s.taxon, trait, sourced.value, _TRAIT_UNITS[trait], sourced.source, note))
+        for name, value in leaf.items():
+            source = _ASSUMED
+            if name in LARGEST:
+                water = s.traits["water_content"].source
+                source = lma.source if name == "dry_matter" else max(
+                    lma.source, water, key=SOURCES.index
+                )  # fmt: skip
+            note = (
+                "cut to the largest that a leaf table takes" if value == LARGEST.get(name) else ""
+            )
+            rows.append((s.taxon, name, value, _LEAF_UNITS[name], source, note))
+    if plot.other_cover > 0:
+        cover = plot.other_cover * 100
+        rows.append((OTHER, "cover", cover, "%", "live cover less the listed species", ""))
+        for name, value in mean_leaf(plot).items():
+            rows.append((OTHER, name, value, _LEAF_UNITS[name], "mean of the listed species", ""))
+    return rows
+
+
+INDEX_COLUMNS = {
+    "plot": "name, and name of the folder",
+    "latitude_deg": "WGS84",
+    "longitude_deg": "WGS84",
+    "first_flight": "UTC",
+    "flights": "",
+    "species": "listed",
+    "live_percent": "",
+    "dead_percent": "",
+    "soil_percent": "",
+    "rock_percent": "",
+    "listed_percent": "sum of the species' covers",
+    "other_percent": "live cover of species that are not listed",
+    "packing_percent": "",
+    **{f"{source.replace(' ', '_')}_percent": "of the listed cover" for source in SOURCES},
+    "leaf_mass_per_area_g_m2": "mean of the listed species",
+    "water_content_percent": "mean of the listed species",
+    "nitrogen_mg_g": "mean of the listed species that have one",
+    "remark": "the crew's",
+}
+"""Columns of `plots.csv`; covers in % of the plot, means weighted with cover."""
+
+
+def _index_row(plot: BioscapePlot) -> list[Any]:
+    visit, shares = plot.visit, plot.trait_shares()
+    where = ("", "", "", 0) if visit is None else (
+        f"{visit.latitude:.6f}", f"{visit.longitude:.6f}", visit.times[0], len(visit.times)
+    )  # fmt: skip
+    covers = (plot.live, plot.dead, plot.soil, plot.rock, plot.listed_cover, plot.other_cover)
+    means = (plot.weighted_mean(t) for t in ("leaf_mass_per_area", "water_content", "nitrogen"))
+    return [
+        plot.name,
+        *where,
+        len(plot.species),
+        *(c * 100 for c in (*covers, plot.packing)),
+        *(shares.get(source, 0.0) * 100 for source in SOURCES),
+        *("" if mean is None else mean for mean in means),
+        "" if visit is None else visit.remark,
+    ]
+
+
+def run_bioscape(
+    folder: str | Path,
+    output: str | Path,
+    *,
+    plots: Sequence[str] | None = None,
+    traits: str | Path | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Write a folder of plot files for each plot of BioSCape's tables, and `plots.csv`.
+
+    **Arguments:** as `read_bioscape` and `write_plot_files` take them.
+
+    **Returns:** the summary: headline, files and, over all plots, the share of the listed cover
+    for each source of leaf mass per area.
+
+    **Raises:** what `read_bioscape` raises, and `InputError` for a plot whose name is no name of
+    a folder.
+    """
+    progress = NullProgress() if progress is None else progress
+    output = Path(output)
+    with progress.stage("Read the tables"):
+        read = read_bioscape(folder, plots, traits=traits)
+    for plot in read:
+        if not plot.name.replace("-", "").replace("_", "").isalnum():
+            raise InputError(
+                f"expected a plot named by letters, digits, - and _, but got {plot.name!r}: a "
+                "folder is named after it",
+                file=folder,
+                column="Plot",
+            )
+    with progress.stage("Write the plots"):
+        for plot in read:
+            write_plot_files(plot, output / plot.name)
+        write_text(output / "plots.csv", _table([tuple(INDEX_COLUMNS), *map(_index_row, read)]))
+    total = sum(plot.listed_cover for plot in read)
+    shares = {
+        source: sum(p.trait_shares().get(source, 0.0) * p.listed_cover for p in read) / total
+        for source in SOURCES
+    }
+    told = ", ".join(f"{100 * v:.1f} % {k}" for k, v in shares.items() if v > 0)
+    return {
+        "headline": [
+            f"{len(read)} plots with {len({s.taxon for p in read for s in p.species})} species.",
+            f"Leaf mass per area by cover: {told}.",
+        ],
+        "files": {"plots.csv": "all plots, one a row"}
+        | {f"{p.name}/plot.toml": f"{len(p.species)} species" for p in read},
+        "bioscape": {
+            "plots": [plot.name for plot in read],
+            "cover_share_by_trait_source": shares,
+        },
+    }

@@ -1,0 +1,190 @@
+"""Rows of the BioSCape tables, checked cell by cell."""
+
+import csv
+import io
+import re
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from fynjax._core.errors import InputError
+from fynjax.io._strict import Slip, Strict, number
+from fynjax.io._tables import read_text
+from fynjax.io._validate import did_you_mean, first_error, sentence
+
+Row = TypeVar("Row", bound=BaseModel)
+
+
+def _not_available(value: Any) -> Any:
+    """R writes NA into an empty cell."""
+    return None if str(value).strip().lower() in ("na", "nan", "none", "") else value
+
+
+OptionalNumber = Annotated[float | None, BeforeValidator(_not_available)]
+OptionalText = Annotated[str | None, BeforeValidator(_not_available)]
+
+
+def _percent(description: str) -> Any:
+    return number(description, "%", ge=0, le=100)
+
+
+def _over_100(value: float) -> str | None:
+    return "A decimal point lost?" if value > 100 else None
+
+
+class _Foreign(Strict):
+    """A row of a table made elsewhere: other columns may stand beside those used here."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class CoverRow(_Foreign):
+    """What covers one plot."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        f"Percent{name}": _over_100
+        for name in ("BareSoil", "BareRock", "DeadVegetation", "LiveVegetation")
+    }
+    Plot: str = Field(description="Name of the plot.", min_length=1)
+    PercentBareSoil: float = _percent("Bare soil")
+    PercentBareRock: float = _percent("Bare rock")
+    PercentDeadVegetation: float = _percent("Dead vegetation")
+    PercentLiveVegetation: float = _percent("Live vegetation")
+
+
+class SpeciesCoverRow(_Foreign):
+    """Live cover of one species on one plot."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        "PercentCoverAlive": lambda v: "Leave the row out." if v == 0 else _over_100(v)
+    }
+    Plot: str = Field(description="Name of the plot.", min_length=1)
+    GenusSpecies: str = Field(description="Scientific name.", min_length=1)
+    Family: OptionalText = Field(default=None, description="Its family.")
+    PercentCoverAlive: float = number("Live cover", "%", gt=0, le=100)
+
+
+def _mass_slip(value: float) -> str | None:
+    if value < 1:
+        return f"g cm-2? In g m-2 this is {value * 1e4:g}."
+    return f"mg cm-2? In g m-2 this is {value * 10:g}." if value < 20 else None
+
+
+class TraitRow(_Foreign):
+    """Mean traits of one species."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        "Mean_Nitrogen": lambda v: f"Percent? In mg g-1 this is {v * 10:g}." if v < 1 else None,
+        "Mean_Carbon": lambda v: f"Percent? In mg g-1 this is {v * 10:g}." if v < 100 else None,
+        "Mean_Leaf_Mass_Per_Area": _mass_slip,
+        "Mean_Water_Content": lambda v: (
+            f"A fraction? In % this is {v * 100:g}."
+            if v < 1
+            else "Of dry mass? Of fresh mass is expected."
+        ),
+    }
+    GenusSpecies: str = Field(description="Scientific name.", min_length=1)
+    Family: str = Field(description="Its family.", min_length=1)
+    Mean_Nitrogen: OptionalNumber = number(
+        "Nitrogen of dry mass", "mg g-1", default=None, ge=1, le=80
+    )
+    Mean_Carbon: OptionalNumber = number(
+        "Carbon of dry mass", "mg g-1", default=None, ge=200, le=700
+    )
+    Mean_Leaf_Mass_Per_Area: OptionalNumber = number(
+        "Dry mass over projected area", "g m-2", ge=20, le=3000
+    )
+    Mean_Water_Content: OptionalNumber = number("Water, share of fresh mass", "%", gt=1, le=97)
+
+
+class VisitRow(_Foreign):
+    """Place and time of one spectrum of a plot."""
+
+    BScpPID: str = Field(description="Name of the plot.", min_length=1)
+    X: float = number("Longitude, WGS84", "degree", ge=-180, le=180)
+    Y: float = number("Latitude, WGS84", "degree", ge=-90, le=90)
+    QltyFlg: OptionalText = Field(default=None, description="Remark of the crew.")
+    start_time: str = Field(description="Start of the flight line, ISO 8601.", min_length=10)
+
+
+COVER = "*CoverData.csv", "a table of cover by plot"
+SPECIES = "*VegData.csv", "a table of species by plot"
+TRAITS = "*TraitLibrary.csv", "a library of traits"
+VISITS = "*VegCenters.csv", "a table of spectra by plot"
+"""File of each table, and what it is."""
+
+
+def find_table(folder: Path, kind: tuple[str, str]) -> Path | None:
+    """The one file of a folder that holds a table, or `None`. `InputError` if there are two."""
+    found = sorted(folder.glob(kind[0]))
+    if len(found) > 1:
+        raise InputError(
+            f"expected one {kind[0]} ({kind[1]}), but there are "
+            f"{', '.join(p.name for p in found)}. Leave one in the folder.",
+            file=folder,
+        )
+    return found[0] if found else None
+
+
+def needed_table(folder: Path, kind: tuple[str, str]) -> Path:
+    """The one file of a folder that holds a table; `InputError` if there is none."""
+    found = find_table(folder, kind)
+    if found is None:
+        beside = sorted(p.name for p in folder.glob("*.csv"))
+        raise InputError(
+            f"expected a file {kind[0]} ({kind[1]}), but there is none."
+            f"{did_you_mean(kind[0].strip('*'), beside)} The folder has "
+            f"{', '.join(beside) or 'no CSV file'}.",
+            file=folder,
+        )
+    return found
+
+
+_COVER_CLASS = re.compile(r"r|\+|[1-5][abm]?", re.IGNORECASE)
+
+
+def read_foreign(path: Path, model: type[Row], what: str) -> list[tuple[int, Row]]:
+    """Rows of a table as `model`, each with its number; columns that it does not name are skipped.
+
+    **Raises:** `InputError` with file, row, column, value and what was expected.
+    """
+    lines = csv.reader(io.StringIO(read_text(path)), skipinitialspace=True)
+    header = [name.strip() for name in next(lines, [])]
+    known = model.model_fields
+    for name, field in known.items():
+        if field.is_required() and name not in header:
+            near = did_you_mean(name, [h for h in header if h not in known])
+            near = near.replace("Did you mean", "Is it").replace("?", " in this file?")
+            few = ", ".join(header[:12]) + (", ..." if len(header) > 12 else "")
+            raise InputError(
+                f"expected a column {name!r}, but the header has {few or 'nothing'}.{near}",
+                file=path,
+                row=1,
+                column=name,
+            )
+    rows = []
+    for cells in lines:
+        if not any(cell.strip() for cell in cells):
+            continue
+        row = lines.line_num
+        if len(cells) != len(header):
+            raise InputError(
+                f"expected {len(header)} cells as in the header, but this row has {len(cells)}. "
+                "A comma inside a name or number?",
+                file=path,
+                row=row,
+            )
+        given = {n: c.strip() for n, c in zip(header, cells) if n in known and c.strip()}
+        try:
+            rows.append((row, model.model_validate(given)))
+        except ValidationError as error:
+            first = first_error(error)
+            name = str(first["loc"][0]) if first["loc"] else ""
+            text = sentence(first, model, name)
+            if name.startswith("Percent") and _COVER_CLASS.fullmatch(given.get(name, "")):
+                text += " A cover class? Write the middle of the class in percent."
+            raise InputError(text, file=path, row=row, column=name or None) from error
+    if not rows:
+        raise InputError(f"expected {what}, but there is only a header", file=path)
+    return rows

@@ -1,0 +1,60 @@
+"""Rasters of what lies on the ground."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from fynjax._core.errors import InputError
+from fynjax.io._over_plot import read_over_plot
+from fynjax.io._validate import did_you_mean
+from fynjax.scene import COVERS
+
+
+def read_cover_map(
+    path: Path,
+    size_m: tuple[float, float],
+    shape: tuple[int, int],
+    *,
+    origin_m: tuple[float, float] | None,
+    option: str,
+) -> Float64[np.ndarray, "kind y x"]:
+    """Shares of soil, litter, char and rock in each voxel column of a plot, y to the north [-].
+
+    From a GeoTIFF whose bands are named after the covers, any of them, with values of 0 to 1; the
+    soil is the rest. Where the raster lies over the plot says `read_probability_map`.
+
+    **Raises:** `InputError` for a raster that cannot be read or placed, bands of other names, and
+    shares below 0 or that sum to more than 1.
+    """
+    found: list[str] = []
+
+    def choose(names: list[str | None], path: Path) -> list[int]:
+        for number, name in enumerate(names, 1):
+            plain = (name or "").strip().lower()
+            if plain not in COVERS or plain in found:
+                raise InputError(
+                    f"expected bands named {', '.join(COVERS)} (any of them, once), but band "
+                    f"{number} is {name or 'unnamed'!r}.{did_you_mean(plain, COVERS)} The names "
+                    "are the bands' descriptions.",
+                    file=path,
+                )
+            found.append(plain)
+        return list(range(len(names)))
+
+    part = read_over_plot(
+        path, "a map of the ground", size_m, choose, origin_m=origin_m, option=option
+    )
+    total = part.values.sum(axis=0)
+    if part.values.min() < 0.0 or total.max() > 1.0 + 1e-3:
+        wrong = part.values.min() if part.values.min() < 0.0 else total.max()
+        raise InputError(
+            "expected shares of 0 to 1 that sum to at most 1, but "
+            f"{'one is' if wrong < 0 else 'they sum to'} {wrong:g}. Percent? Divide by 100.",
+            file=path,
+        )
+    shares = np.zeros((len(COVERS) + 1, *shape))
+    for name, values in zip(found, part.in_cells(shape), strict=True):
+        shares[1 + COVERS.index(name)] = values
+    shares[0] = np.maximum(1.0 - shares[1:].sum(axis=0), 0.0)
+    return shares

@@ -1,0 +1,168 @@
+"""The part of a raster that lies over a plot."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.enums import ColorInterp
+from rasterio.windows import Window
+from scipy.interpolate import make_interp_spline
+
+from fynjax._core.errors import InputError
+from fynjax.io._frame import check_frame, is_local, open_raster
+
+_TINY = 1e-4
+"""Part of a cell by which edges may miss each other and still be the same [-]."""
+
+Edges = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class OverPlot:
+    """Bands of a raster where it lies over a plot."""
+
+    values: NDArray[np.float64]
+    """[band, row, column], rows from the north, all cells that the plot touches."""
+    edges: tuple[Edges, Edges]
+    """First and last edge of the plot in rows and in columns of `values`."""
+
+    def in_own_cells(self) -> NDArray[np.float64]:
+        """[band, y, x], y to the north: the cells as they are where the plot's edges meet those of
+        cells; else cells that divide the plot and are no larger, each with the mean of what it
+        covers."""
+        rows, columns = (int(np.ceil(last - first - _TINY)) for first, last in self.edges)
+        return self.in_cells((rows, columns))
+
+    def in_cells(self, shape: tuple[int, int]) -> NDArray[np.float64]:
+        """[band, y, x], y to the north: means over the cells of a grid of `shape` over the plot."""
+        values = self.values
+        for axis, (edges, number) in enumerate(zip(self.edges, shape, strict=True), start=1):
+            values = _means(values, edges, axis, number)
+        return np.ascontiguousarray(values[:, ::-1])
+
+
+def read_over_plot(
+    path: Path,
+    what: str,
+    size_m: tuple[float, float],
+    choose: Callable[[list[str | None], Path], list[int]],
+    *,
+    origin_m: tuple[float, float] | None,
+    option: str,
+) -> OverPlot:
+    """Read the part of a raster over a plot; where that is, says `read_probability_map`.
+
+    **Arguments:**
+
+    - `what`: names the file in errors, such as "a probability map".
+    - `choose`: from the bands' descriptions (without an alpha band) to the indices of those wanted.
+    - the rest as in `read_probability_map`.
+
+    **Raises:** `InputError` for a raster that cannot be read or placed, does not cover the plot,
+    or has cells without data over it.
+    """
+    if not (np.isfinite(size_m).all() and min(size_m) > 0.0):
+        raise InputError(f"`size_m` must be positive [m], but is {size_m}")
+    with open_raster(path, what) as file:
+        check_frame(file, path)
+        data = [k for k, c in enumerate(file.colorinterp, 1) if c != ColorInterp.alpha]
+        bands = [data[k] for k in choose([file.descriptions[k - 1] for k in data], path)]
+        corner = _corner(file, path, size_m, origin_m, option)
+        columns, rows = _edges(file, path, size_m, corner, option)
+        first = (int(rows[0] + _TINY), int(columns[0] + _TINY))
+        last = (int(np.ceil(rows[1] - _TINY)), int(np.ceil(columns[1] - _TINY)))
+        window = Window(first[1], first[0], last[1] - first[1], last[0] - first[0])
+        values = file.read(bands, window=window).astype(np.float64)
+        scale, offset = (
+            np.array([of[k - 1] for k in bands])[:, None, None]
+            for of in (file.scales, file.offsets)
+        )
+        values = values * scale + offset
+        valid = (file.read_masks(bands, window=window) > 0).all(axis=0)
+        t = file.transform
+    valid &= np.isfinite(values).all(axis=0)
+    if not valid.all():
+        row, column = np.argwhere(~valid)[0] + first
+        raise InputError(
+            f"expected a value in every cell of the plot, but {int((~valid).sum())} of "
+            f"{valid.size} have none (no data or NaN), the first at "
+            f"({t.c + (column + 0.5) * t.a:.2f}, {t.f + (row + 0.5) * t.e:.2f}). Fill them first, "
+            f"with 0 where that is meant: gdal_fillnodata.py {path.name} filled.tif",
+            file=path,
+        )
+    (r0, r1), (c0, c1) = rows, columns
+    return OverPlot(values, ((r0 - first[0], r1 - first[0]), (c0 - first[1], c1 - first[1])))
+
+
+def _corner(
+    file: Any,
+    path: Path,
+    size: tuple[float, float],
+    origin: tuple[float, float] | None,
+    option: str,
+) -> tuple[float, float]:
+    """The plot's south-west corner in the raster's coordinates."""
+    if origin is not None:
+        if len(origin) != 2 or not np.isfinite(origin).all():
+            raise InputError(f"`{option}` must be two numbers (x, y) [m], but is {origin}")
+        return float(origin[0]), float(origin[1])
+    if is_local(file.crs):
+        return 0.0, 0.0
+    west, south, east, north = file.bounds
+    wide, deep = east - west, north - south
+    t = file.transform
+    if abs(wide - size[0]) > _slack(t.a, size[0]) or abs(deep - size[1]) > _slack(-t.e, size[1]):
+        raise InputError(
+            f"expected a raster as large as the plot, {size[0]:g} m x {size[1]:g} m, but it covers "
+            f"{wide:g} m x {deep:g} m. Say where in it the plot lies: `{option}` is the plot's "
+            f"south-west corner (x, y) in its coordinates, within ({west:.2f}, {south:.2f}) "
+            f"to ({east:.2f}, {north:.2f}).",
+            file=path,
+        )
+    return west, south
+
+
+def _slack(cell: float, size: float) -> float:
+    """By how much [m] a raster may miss a plot's edge, as one cut to whole cells around it does."""
+    return min(0.5 * cell, 0.02 * size)
+
+
+def _edges(
+    file: Any, path: Path, size: tuple[float, float], corner: tuple[float, float], option: str
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """First and last edge of the plot in columns from the west, and in rows from the north."""
+    t = file.transform
+    west, south, east, north = file.bounds
+    columns = (corner[0] - west) / t.a, (corner[0] + size[0] - west) / t.a
+    rows = (north - corner[1] - size[1]) / -t.e, (north - corner[1]) / -t.e
+    beyond = (
+        max(-columns[0], columns[1] - file.width) * t.a,
+        max(-rows[0], rows[1] - file.height) * -t.e,
+    )
+    if any(b > _slack(c, s) for b, c, s in zip(beyond, (t.a, -t.e), size, strict=True)):
+        raise InputError(
+            f"expected a raster that covers the plot, ({corner[0]:.2f}, {corner[1]:.2f}) to "
+            f"({corner[0] + size[0]:.2f}, {corner[1] + size[1]:.2f}), but it covers "
+            f"({west:.2f}, {south:.2f}) to ({east:.2f}, {north:.2f}). The plot's south-west "
+            f"corner in its coordinates is set by `{option}`.",
+            file=path,
+        )
+    columns = max(columns[0], 0.0), min(columns[1], float(file.width))
+    rows = max(rows[0], 0.0), min(rows[1], float(file.height))
+    return columns, rows
+
+
+def _means(
+    values: NDArray[np.float64], edges: tuple[float, float], axis: int, number: int
+) -> NDArray[np.float64]:
+    """Means of `number` cells that divide `edges`, in cells of `values`, evenly."""
+    cells = values.shape[axis]
+    if edges[0] < _TINY and cells - edges[1] < _TINY and number == cells:
+        return values
+    total = np.insert(np.cumsum(values, axis), 0, 0.0, axis)
+    until = make_interp_spline(np.arange(cells + 1.0), total, k=1, axis=axis)
+    at = np.linspace(*edges, number + 1)
+    return np.diff(until(at), axis=axis) / ((edges[1] - edges[0]) / number)

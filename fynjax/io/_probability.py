@@ -1,0 +1,150 @@
+"""Probability maps, in and out: an 8-bit GeoTIFF that says where plants are likely to stand.
+
+In memory a map is [y, x] with row 0 at the southern edge; on disk row 0 is the northern one.
+"""
+
+import json
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+from jaxtyping import Float64, UInt8
+from numpy.typing import NDArray
+from rasterio import Affine
+from rasterio.crs import CRS
+
+from fynjax._core.errors import InputError
+from fynjax.io._atomic import atomic_path
+from fynjax.io._over_plot import read_over_plot
+from fynjax.io._rasters import LOCAL_FRAME
+
+
+def write_probability_map(
+    path: str | Path,
+    grey: UInt8[np.ndarray, "y x"],
+    transform: Affine,
+    *,
+    crs: str | None = None,
+    nodata: int | None = None,
+    tags: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a probability map as a compressed 8-bit GeoTIFF of one band, whole or not at all.
+
+    **Arguments:**
+
+    - `grey`: 0 to 255, row 0 at the southern edge.
+    - `transform`: from column and row, counted from the north-west corner, to x and y [m], as
+      rasterio has it; that of the image which the map was made from.
+    - `crs`: anything rasterio reads, such as "EPSG:32734"; `None` is the plot's local frame.
+    - `nodata`: grey of cells without data, if there are any.
+    - `tags`: file attributes, such as how the map was made.
+
+    **Raises:** `ValueError` for another shape or type.
+    """
+    if grey.ndim != 2 or grey.dtype != np.uint8:
+        raise ValueError(f"`grey` must be uint8 [y, x], but is {grey.dtype} of shape {grey.shape}")
+    profile = {
+        "driver": "GTiff",
+        "dtype": "uint8",
+        "count": 1,
+        "height": grey.shape[0],
+        "width": grey.shape[1],
+        "crs": CRS.from_wkt(LOCAL_FRAME) if crs is None else CRS.from_user_input(crs),
+        "transform": transform,
+        "nodata": nodata,
+        "compress": "deflate",
+    }
+    with atomic_path(path) as partial, rasterio.open(partial, "w", **profile) as file:
+        file.write(np.ascontiguousarray(grey[::-1]), 1)
+        file.set_band_description(1, "probability")
+        told = {key: v if isinstance(v, str) else json.dumps(v) for key, v in (tags or {}).items()}
+        file.update_tags(**told)
+
+
+def read_probability_map(
+    path: str | Path,
+    size_m: tuple[float, float],
+    *,
+    origin_m: tuple[float, float] | None = None,
+    option: str = "origin_m",
+) -> Float64[np.ndarray, "y x"]:
+    """Read the part of a raster of 0 to 255 that lies over a plot, as `assign_sites` takes it.
+
+    Where the plot lies in the raster: with its south-west corner at `origin_m`, if given. Else, in
+    a raster of the plot's own frame (any local system, as fynjax writes it for a plot without a
+    place on Earth), at (0, 0). Else, in a raster with a place on Earth, at the raster's own
+    corner, if the raster is as large as the plot; a larger one cannot be placed without
+    `origin_m`. A raster may miss the plot's edges by half a cell, but by no more than 2 % of the
+    plot: it is then stretched over the plot.
+
+    Where the plot's edges meet those of cells the cells are taken as they are. Else the plot is
+    divided into cells no larger than the raster's, each with the area-weighted mean of what it
+    covers: so the mean over the plot is kept, and with it the share of points accepted.
+
+    **Arguments:**
+
+    - `path`: any raster of one band that GDAL reads; whole numbers or fractions of 0 to 255.
+    - `size_m`: (x, y) extent of the plot [m].
+    - `origin_m`: (x, y) of the plot's south-west corner, in the raster's coordinates [m].
+    - `option`: what the user calls `origin_m`, for errors.
+
+    **Returns:** the map over the plot's extent, 0 to 255, row 0 at the southern edge.
+
+    **Raises:** `InputError` for a raster that is missing or cut short, has no coordinate reference
+    system, is in degrees or feet, is rotated, has several bands, does not cover the plot; that has
+    cells without data or NaN over the plot, values outside 0-255 or within 0-1, or nothing but 0.
+    Warns where the map has one value all over the plot.
+    """
+    path = Path(path)
+    part = read_over_plot(
+        path, "a probability map", size_m, _only_band, origin_m=origin_m, option=option
+    )
+    _check_values(part.values, path)
+    values = np.clip(part.in_own_cells()[0], 0.0, 255.0)
+    if np.ptp(values) < 1e-9:
+        warnings.warn(
+            f"{path}: the probability map is {values.flat[0]:g} all over the plot, so it sets no "
+            "pattern",
+            stacklevel=2,
+        )
+    return values
+
+
+def _only_band(names: list[str | None], path: Path) -> list[int]:
+    if len(names) != 1:
+        told = ", ".join(name or f"band {k}" for k, name in enumerate(names, 1))
+        raise InputError(
+            f"expected a map of one band of 0 to 255, but it has {len(names)} ({told}). Make "
+            f"a map of an image with `fynjax pattern {path.name}`, or choose a band: "
+            "gdal_translate -b 1",
+            file=path,
+        )
+    return [0]
+
+
+def _check_values(values: NDArray[np.float64], path: Path) -> None:
+    """Refuse numbers that cannot be 0 to 255."""
+    low, high = float(values.min()), float(values.max())
+    if low < 0.0 or high > 255.0:
+        raise InputError(
+            f"expected values of 0 to 255, but they range from {low:g} to {high:g} over the plot. "
+            "A no-data value that the file does not declare (gdal_edit.py -a_nodata), or another "
+            f"scale (gdal_translate -ot Byte -scale {low:g} {high:g} 0 255)?",
+            file=path,
+        )
+    if high == 0.0:
+        raise InputError(
+            "expected values above 0 where plants may stand, but the map is 0 all over the plot: "
+            "no plant could be placed",
+            file=path,
+        )
+    if high <= 1.0:
+        raise InputError(
+            f"expected values of 0 to 255, but the largest over the plot is {high:g}. Chances of 0 "
+            f"to 1, or a mask? Multiply by 255: gdal_translate -ot Byte -scale 0 1 0 255 "
+            f"{path.name} map.tif",
+            file=path,
+        )

@@ -1,0 +1,131 @@
+"""A whole scene as one OBJ: every plant a copy of its taxon's generated mesh."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from fynjax._core.errors import InputError
+from fynjax.canopy import Organ, PlantMesh, generate_plant, table1_2006, unit_shapes
+from fynjax.io._atomic import atomic_path, write_text
+from fynjax.scene import Instances, PlotModel, PlotParameters
+
+LEAST_TRIANGLES = 2000
+"""Fewest triangles that a plant may be asked to be made of."""
+_MOST_PER_PLANT = 200_000
+
+
+def scene_meshes(
+    instances: Instances,
+    model: PlotModel,
+    parameters: PlotParameters,
+    *,
+    max_triangles: int,
+    seed: int,
+) -> tuple[list[PlantMesh | None], int]:
+    """A mesh for each species that has plants, and the triangles that all its copies make.
+
+    Raises `InputError` with both numbers where the plants need more than `max_triangles`. Warns
+    where a taxon is not in table 1 and another of its growth form stands in for it.
+    """
+    counts = instances.counts
+    least = int(counts.sum()) * LEAST_TRIANGLES
+    if least > max_triangles:
+        raise InputError(
+            f"{counts.sum()} plants of {LEAST_TRIANGLES} triangles each are {least} triangles, but "
+            f"at most {max_triangles} are allowed: take a smaller plot (--size), or allow more "
+            f"(--triangles {least})"
+        )
+    each = int(
+        np.clip(max_triangles // max(int(counts.sum()), 1), LEAST_TRIANGLES, _MOST_PER_PLANT)
+    )
+    species = parameters.species
+    meshes: list[PlantMesh | None] = []
+    for one, (taxon, form) in enumerate(zip(model.taxa, model.forms)):
+        if counts[one] == 0:
+            meshes.append(None)
+            continue
+        made = generate_plant(
+            _known(taxon, form),
+            seed + one,
+            diameter=float(species.diameter[one]),
+            height=float(species.height[one]),
+            leaf_area_index=float(species.leaf_area_index[one]),
+            wood_area_index=float(species.wood_area_index[one]),
+            flowering=model.flowering,
+            max_triangles=each,
+        )
+        meshes.append(made.mesh)
+    total = sum(int(n) * len(mesh.faces) for n, mesh in zip(counts, meshes) if mesh is not None)
+    if total > 1.1 * max_triangles:  # `generate_plant` keeps its limit only roughly
+        raise InputError(
+            f"the scene has {total} triangles, but at most {max_triangles} are allowed: take a "
+            f"smaller plot (--size), or allow more (--triangles {total})"
+        )
+    return meshes, total
+
+
+def _known(taxon: str, form: str) -> str:
+    table = table1_2006()
+    if taxon in set(table.taxon):
+        return taxon
+    stand_in = str(table.taxon[table.growth_form == form].iloc[0])
+    warnings.warn(
+        f"the mesh of {taxon!r} is that of {stand_in!r}, of the same growth form: leaf sizes are "
+        "known for the taxa of table 1 alone",
+        stacklevel=4,
+    )
+    return stand_in
+
+
+def write_scene_mesh(
+    path: str | Path,
+    instances: Instances,
+    meshes: list[PlantMesh | None],
+    colours: list[tuple[float, float, float]],
+) -> None:
+    """Write the scene as OBJ with its MTL beside, metres, z upwards, one object for each plant.
+
+    Copies are stretched to each plant's diameter and height, turned and tilted. Materials are
+    named `taxon_organ`; `colours` (red, green, blue of each species, 0 to 1) are for show.
+    """
+    path = Path(path)
+    materials: dict[str, tuple[float, float, float]] = {}
+    first = 1
+    with atomic_path(path) as partial, partial.open("w", encoding="utf-8") as file:
+        file.write(f"# lengths in metres, z upwards\nmtllib {path.stem}.mtl\n")
+        for one, mesh in enumerate(meshes):
+            if mesh is None:
+                continue
+            name = instances.taxa[one].lower().replace(" ", "_")
+            low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+            wide = float((high - low)[:2].mean())
+            position = mesh.vertices / np.array([wide, wide, high[2] - low[2]])
+            parts = []
+            for index, organ in enumerate(mesh.materials):
+                faces = mesh.faces[mesh.material == index]
+                parts.append((f"{name}_{organ}", faces, "f %d %d %d\n" * len(faces)))
+                wood = Organ.WOOD.name.lower() == organ
+                materials[f"{name}_{organ}"] = (0.36, 0.27, 0.20) if wood else colours[one]
+            rows = "v %.5f %.5f %.5f\n" * len(position)
+            for number, plant in enumerate(np.flatnonzero(instances.species == one), start=1):
+                per_diameter, per_height = unit_shapes(
+                    position, instances.azimuth[[plant]], instances.tilt[[plant]]
+                )
+                foot = np.array([instances.x[plant], instances.y[plant], instances.z[plant]])
+                placed = (
+                    foot
+                    + instances.diameter[plant] * per_diameter[0]
+                    + instances.height[plant] * per_height[0]
+                )
+                file.write(f"o {name}_{number}\n" + rows % tuple(placed.ravel().tolist()))
+                for material, faces, text in parts:
+                    file.write(
+                        f"usemtl {material}\n" + text % tuple((faces + first).ravel().tolist())
+                    )
+                first += len(position)
+    library = [
+        f"newmtl {name}\nKd {red:.3f} {green:.3f} {blue:.3f}\nillum 1\n"
+        for name, (red, green, blue) in materials.items()
+    ]
+    write_text(path.with_suffix(".mtl"), "\n".join(library))

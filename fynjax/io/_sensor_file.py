@@ -1,0 +1,198 @@
+"""Sensor files, read into sensors."""
+
+import itertools
+import warnings
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel
+
+from fynjax._core.errors import InputError
+from fynjax.io._sensor_tables import BandRow, CurveRow, NoiseRow, SensorFile
+from fynjax.io._tables import existing_file, read_rows
+from fynjax.io._toml import line_of, read_toml
+from fynjax.io._validate import did_you_mean
+from fynjax.sensors import Sensor, build_sensor, sensor_folder, shipped_sensors
+
+_FEW = 20  # bands of a camera; with more, neighbours of a spectrometer are a width apart
+
+
+def load_sensor(name_or_path: str | Path) -> Sensor:
+    """A shipped sensor by its name, or a sensor from a file.
+
+    **Arguments:**
+
+    - `name_or_path`: a name such as 'mavic_3m' (see `fynjax.sensors.shipped_sensors`), or the path
+      of a sensor file (TOML; `data_schemas/sensor.schema.json`). Paths in the file start from its
+      own folder.
+
+    **Returns:** a `fynjax.sensors.Sensor`.
+
+    **Raises:** `InputError` with file, row and key for what cannot be used: unknown keys and
+    units, wavelengths in µm, bands that are descending, out of order or there twice, responses
+    and noise that do not fit the bands. Warns where the file states a ground sample distance that
+    its optics do not give (the optics are used), and where widths look like half widths.
+    """
+    path = _path_of(name_or_path)
+    description, text = read_toml(path, SensorFile)
+    tables: dict[str, list[tuple[int, BaseModel]]] = {}
+
+    def rows(key: str, name: str, model: type[BaseModel], what: str) -> None:
+        beside = path.parent / name
+        try:
+            existing_file(beside, what)
+        except InputError as error:
+            table, _, column = key.partition(".")
+            raise InputError(
+                f"{name!r}: {str(error).removeprefix(f'{error.file}: ')}",
+                file=path,
+                row=line_of(text, (table, column)),
+                column=key,
+            ) from error
+        tables[name] = read_rows(beside, model, what)
+
+    bands, noise = description.bands, description.noise
+    if bands.table is not None:
+        rows("bands.table", bands.table, BandRow, "a table of bands")
+        _check_band_rows(path.parent / bands.table, tables[bands.table], bands.any_order)
+    elif bands.centre_nm is not None:
+        widths = bands.fwhm_nm or [2.0 * v for v in bands.half_width_nm or []]
+        slip = _order_slip(bands.centre_nm, widths, bands.any_order)
+        _check_names(bands.name or [], path)
+        if slip is not None:
+            raise InputError(
+                slip[1],
+                file=path,
+                row=line_of(text, ("bands", "centre_nm")),
+                column="bands.centre_nm",
+            )
+        _warn_of_half_widths(path, bands.centre_nm, widths)
+    elif bands.curves is not None:
+        rows("bands.curves", bands.curves, CurveRow, "a table of response curves")
+        _check_curve_rows(path.parent / bands.curves, tables[bands.curves])
+    if noise is not None and noise.table is not None:
+        rows("noise.table", noise.table, NoiseRow, "a table of noise coefficients")
+
+    def columns(name: str) -> dict[str, list]:
+        given = tables[name]
+        fields = [f for f in type(given[0][1]).model_fields if getattr(given[0][1], f) is not None]
+        return {field: [getattr(row, field) for _, row in given] for field in fields}
+
+    try:
+        sensor = build_sensor(description.model_dump(exclude_unset=True), columns)
+        if not bands.any_order:
+            _check_sorted(sensor)
+    except InputError as error:
+        raise InputError(str(error), file=path) from error
+    return sensor
+
+
+def _path_of(name_or_path: str | Path) -> Path:
+    text = str(name_or_path)
+    if Path(text).suffix or len(Path(text).parts) != 1:
+        return existing_file(text, "a sensor file")
+    if text not in shipped_sensors():
+        raise InputError(
+            f"expected a shipped sensor or the path of a sensor file, but got {text!r}."
+            f"{did_you_mean(text, shipped_sensors())} Shipped: {', '.join(shipped_sensors())}."
+        )
+    return sensor_folder() / f"{text}.toml"
+
+
+def _order_slip(
+    centres: list[float], widths: list[float], any_order: bool
+) -> tuple[int, str] | None:
+    """The first band that is out of order or there twice, and what to say of it."""
+    seen: dict[tuple[float, float], int] = {}
+    for index, band in enumerate(zip(centres, widths)):
+        if band in seen:
+            return index, (
+                f"band {index + 1} is a duplicate of band {seen[band] + 1}: both lie at "
+                f"{band[0]:g} nm with a width of {band[1]:g} nm. Leave one out."
+            )
+        seen[band] = index
+    steps = np.diff(centres)
+    if any_order or np.all(steps > 0):
+        return None
+    at = int(np.argmax(steps <= 0)) + 1
+    if np.all(steps < 0):
+        return at, (
+            f"expected bands by rising wavelength, but they are descending from {centres[0]:g} to "
+            f"{centres[-1]:g} nm. Reverse them (and the data), or set any_order = true."
+        )
+    return at, (
+        f"expected bands by rising wavelength, but {centres[at]:g} nm follows "
+        f"{centres[at - 1]:g} nm. Sort them, or set any_order = true if images have this order."
+    )
+
+
+def _check_band_rows(path: Path, rows: list, any_order: bool) -> None:
+    first = rows[0][1]
+    for field in ("name", "fwhm_nm", "half_width_nm", "ground_sample_distance_m"):
+        for number, row in rows:
+            if (getattr(row, field) is None) != (getattr(first, field) is None):
+                raise InputError(
+                    "expected this column in all rows or in none, but some cells are empty",
+                    file=path,
+                    row=number,
+                    column=field,
+                )
+    if first.name is not None:
+        _check_names([row.name for _, row in rows], path)
+    centres = [row.centre_nm for _, row in rows]
+    widths = [row.fwhm_nm or 2.0 * row.half_width_nm for _, row in rows]
+    slip = _order_slip(centres, widths, any_order)
+    if slip is not None:
+        raise InputError(slip[1], file=path, row=rows[slip[0]][0], column="centre_nm")
+    _warn_of_half_widths(path, centres, widths)
+
+
+def _check_names(names: list[str], path: Path) -> None:
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise InputError(f"the band name {name!r} is there twice", file=path, column="name")
+
+
+def _check_curve_rows(path: Path, rows: list) -> None:
+    done: set[str] = set()
+    for (_, before), (number, row) in itertools.pairwise(rows):
+        if row.band != before.band:
+            done.add(before.band)
+            if row.band in done:
+                raise InputError(
+                    f"expected all rows of band {row.band!r} together, but they start again",
+                    file=path,
+                    row=number,
+                    column="band",
+                )
+        elif row.wavelength_nm <= before.wavelength_nm:
+            slip = "Sort the rows."
+            if row.wavelength_nm == before.wavelength_nm:
+                slip = "A duplicate: leave one out."
+            raise InputError(
+                f"expected rising wavelengths within band {row.band!r}, but "
+                f"{row.wavelength_nm:g} nm follows {before.wavelength_nm:g} nm. {slip}",
+                file=path,
+                row=number,
+                column="wavelength_nm",
+            )
+
+
+def _check_sorted(sensor: Sensor) -> None:
+    slip = _order_slip(list(sensor.bands.centre), list(sensor.bands.fwhm), any_order=False)
+    if slip is not None:
+        raise InputError(slip[1])
+
+
+def _warn_of_half_widths(path: Path, centres: list[float], widths: list[float]) -> None:
+    """A spectrometer's channels overlap: widths of half their distance are half widths."""
+    if len(centres) < _FEW:
+        return
+    share = float(np.median(np.asarray(widths[1:]) / np.abs(np.diff(centres))))
+    if 0.3 < share < 0.7:
+        warnings.warn(
+            f"{path}: the full widths of the bands are {share:.2g} of the distance between them. "
+            "Channels of a spectrometer overlap: are these half widths (half_width_nm)?",
+            UserWarning,
+            stacklevel=3,
+        )

@@ -1,0 +1,329 @@
+"""A sensor file and its tables, as pydantic models."""
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from fynjax.io._strict import Slip, Strict, number
+
+RadianceUnit = Literal[
+    "W m-2 sr-1 um-1", "mW m-2 sr-1 nm-1", "uW cm-2 sr-1 nm-1", "W m-2 sr-1 nm-1"
+]
+"""The units of `fynjax.sensors.RADIANCE_UNITS`, as a type."""
+
+
+def _nanometre_slip(value: float) -> str | None:
+    if 0 < value < 100:
+        return f"Micrometres? In nm this is {value * 1000:g}."
+    if 15000 < value <= 150000:
+        return f"Ångström? In nm this is {value / 10:g}."
+    return None
+
+
+def _width_slip(value: float) -> str | None:
+    return f"Micrometres? In nm this is {value * 1000:g}." if 0 < value < 0.2 else None
+
+
+_SPECTRAL_SLIPS: dict[str, Slip] = {
+    "centre_nm": _nanometre_slip,
+    "wavelength_nm": _nanometre_slip,
+    "fwhm_nm": _width_slip,
+    "half_width_nm": _width_slip,
+}
+
+
+class BandRow(Strict):
+    """One row of a table of bands."""
+
+    slips: ClassVar[dict[str, Slip]] = _SPECTRAL_SLIPS
+
+    name: str | None = Field(default=None, description="Name; left out: band_1, band_2, ...")
+    centre_nm: float = number("Centre wavelength", "nm", ge=200, le=15000)
+    fwhm_nm: float | None = number(
+        "Full width at half maximum", "nm", default=None, ge=0.2, le=2000
+    )
+    half_width_nm: float | None = number(
+        "From the centre to half maximum; in place of fwhm_nm", "nm", default=None, ge=0.1, le=1000
+    )
+    ground_sample_distance_m: float | None = number(
+        "Pixel of this band on the ground", "m", default=None, gt=0, le=100000
+    )
+
+    @model_validator(mode="after")
+    def _one_width(self) -> "BandRow":
+        if (self.fwhm_nm is None) == (self.half_width_nm is None):
+            raise ValueError("expected fwhm_nm or half_width_nm, one of them, in each row")
+        return self
+
+
+class CurveRow(Strict):
+    """One point of a table of response curves; the rows of a band follow each other."""
+
+    slips: ClassVar[dict[str, Slip]] = _SPECTRAL_SLIPS
+
+    band: str = Field(description="Name of the band.", min_length=1)
+    wavelength_nm: float = number("Wavelength", "nm", ge=200, le=15000)
+    response: float = number("Relative response, of any scale", "-", ge=0)
+
+
+class NoiseRow(Strict):
+    """One row of a table of noise coefficients: |a sqrt(b + L) + c|."""
+
+    slips: ClassVar[dict[str, Slip]] = _SPECTRAL_SLIPS
+
+    wavelength_nm: float = number("Wavelength", "nm", ge=200, le=15000)
+    a: float = number("Photon noise", "square root of radiance")
+    b: float = number("Dark signal as radiance", "radiance")
+    c: float = number("Constant part", "radiance")
+
+
+FRAME_KEYS = ("altitude_m", "focal_length_mm", "pixel_pitch_um", "columns", "rows")
+GEOMETRY_KEYS = {
+    "frame": FRAME_KEYS,
+    "pushbroom": FRAME_KEYS[:-1],
+    "orthographic": ("pixel_m",),
+}
+"""Keys that each kind of geometry needs."""
+OPTIONAL_KEYS = {
+    "frame": ("tilt_deg", "heading_deg", "ground_sample_distance_m"),
+    "pushbroom": ("tilt_deg", "heading_deg", "ground_sample_distance_m"),
+    "orthographic": ("view_zenith_deg", "view_azimuth_deg"),
+}
+
+
+def _tilt_slip(value: float) -> str | None:
+    return "A gimbal pitch? Straight down is 0 here." if value == -90 else None
+
+
+class GeometryTable(Strict):
+    """Lines of sight."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        "focal_length_mm": lambda v: (
+            f"Metres? In mm this is {v * 1000:g}." if 0 < v < 0.1 else None
+        ),
+        "pixel_pitch_um": lambda v: (
+            f"Millimetres? In µm this is {v * 1000:g}." if 0 < v < 0.1 else None
+        ),
+        "tilt_deg": _tilt_slip,
+    }
+
+    kind: Literal["frame", "pushbroom", "orthographic"] = Field(
+        description="'frame', a pinhole camera; 'pushbroom', one line that a flight sweeps on; "
+        "'orthographic', parallel lines of sight and equal pixels, such as of a satellite product."
+    )
+    altitude_m: float | None = number(
+        "Usual height above the ground", "m", default=None, gt=0, le=1e6
+    )
+    focal_length_mm: float | None = number("Focal length", "mm", default=None, ge=0.1, le=1e4)
+    pixel_pitch_um: float | None = number(
+        "Distance between pixels on the array", "um", default=None, ge=0.1, le=1000
+    )
+    columns: int | None = Field(default=None, description="Pixels across [-].", ge=1, le=100000)
+    rows: int | None = Field(
+        default=None, description="Pixels along; of a frame [-].", ge=1, le=100000
+    )
+    tilt_deg: float = number(
+        "Angle of the optical axis from straight down, towards the heading",
+        "degree",
+        default=0.0,
+        gt=-90,
+        lt=90,
+    )
+    heading_deg: float = number(
+        "Direction of the image's upper edge, clockwise from north",
+        "degree",
+        default=0.0,
+        ge=-360,
+        le=360,
+    )
+    pixel_m: float | None = number(
+        "Pixel on the ground, orthographic", "m", default=None, gt=0, le=100000
+    )
+    view_zenith_deg: float = number(
+        "Angle between the vertical and the direction to the sensor, orthographic",
+        "degree",
+        default=0.0,
+        ge=0,
+        lt=90,
+    )
+    view_azimuth_deg: float = number(
+        "Direction from the ground to the sensor, clockwise from north, orthographic",
+        "degree",
+        default=0.0,
+        ge=-360,
+        le=360,
+    )
+    ground_sample_distance_m: float | None = number(
+        "Pixel on the ground that the source states; compared with the optics, which are used",
+        "m",
+        default=None,
+        gt=0,
+        le=100000,
+    )
+
+    @model_validator(mode="after")
+    def _keys_of_the_kind(self) -> "GeometryTable":
+        needed = GEOMETRY_KEYS[self.kind]
+        if missing := [name for name in needed if getattr(self, name) is None]:
+            raise ValueError(
+                f"a geometry of kind {self.kind!r} needs {', '.join(needed)}, but "
+                f"{', '.join(missing)} is missing"
+            )
+        known = {"kind", *needed, *OPTIONAL_KEYS[self.kind]}
+        if strange := sorted(self.model_fields_set - known):
+            raise ValueError(
+                f"a geometry of kind {self.kind!r} has no {', '.join(strange)}. It takes "
+                f"{', '.join([*needed, *OPTIONAL_KEYS[self.kind]])}."
+            )
+        return self
+
+
+Centre = Annotated[float, Field(ge=200, le=15000, allow_inf_nan=False)]
+Width = Annotated[float, Field(ge=0.1, le=2000, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class BandsTable(Strict):
+    """Spectral responses: lists in this table, a table of bands, or a table of curves."""
+
+    slips: ClassVar[dict[str, Slip]] = _SPECTRAL_SLIPS
+
+    response: Literal["gaussian", "box", "tabulated"] = Field(
+        default="gaussian", description="Form of the response; 'tabulated' needs curves."
+    )
+    any_order: bool = Field(
+        default=False,
+        description="Whether the bands may stand in another order than that of wavelength.",
+    )
+    name: list[str] | None = Field(default=None, description="Names of the bands.", min_length=1)
+    centre_nm: list[Centre] | None = Field(
+        default=None,
+        description="Centre wavelength of each band, from 200 to 15000 [nm].",
+        min_length=1,
+        json_schema_extra={"unit": "nm"},
+    )
+    fwhm_nm: list[Width] | None = Field(
+        default=None,
+        description="Full width at half maximum of each band, or width of a box [nm].",
+        json_schema_extra={"unit": "nm"},
+    )
+    half_width_nm: list[Width] | None = Field(
+        default=None,
+        description="Half width at half maximum of each band, in place of fwhm_nm [nm].",
+        json_schema_extra={"unit": "nm"},
+    )
+    ground_sample_distance_m: list[Positive] | None = Field(
+        default=None,
+        description="Pixel of each band on the ground, where they differ [m].",
+        json_schema_extra={"unit": "m"},
+    )
+    table: str | None = Field(
+        default=None, description="Table of bands (CSV); a path from this file's folder."
+    )
+    curves: str | None = Field(
+        default=None, description="Table of curves (CSV); a path from this file's folder."
+    )
+
+    @model_validator(mode="after")
+    def _one_description(self) -> "BandsTable":
+        given = [n for n in ("centre_nm", "table", "curves") if getattr(self, n) is not None]
+        if len(given) != 1:
+            came = " and ".join(given) or "none of them"
+            raise ValueError(f"expected centre_nm, table or curves, one of them, but got {came}")
+        if (self.response == "tabulated") != (self.curves is not None):
+            raise ValueError("response = 'tabulated' and curves go together: give both or neither")
+        widths = [n for n in ("fwhm_nm", "half_width_nm") if getattr(self, n) is not None]
+        if self.centre_nm is None:
+            if own := [*widths, *(["name"] if self.name else [])]:
+                raise ValueError(f"expected no {own[0]} beside {given[0]}, which has its own")
+            return self
+        if len(widths) != 1:
+            came = "both" if widths else "none"
+            raise ValueError(f"expected fwhm_nm or half_width_nm, one of them, but got {came}")
+        for what in ("name", *widths, "ground_sample_distance_m"):
+            values = getattr(self, what)
+            if values is not None and len(values) != len(self.centre_nm):
+                raise ValueError(
+                    f"expected one {what} for each of {len(self.centre_nm)} bands, but got "
+                    f"{len(values)}"
+                )
+        return self
+
+
+class PointSpreadTable(Strict):
+    """Blur of the optics."""
+
+    kind: Literal["gaussian", "box"] = Field(description="Form of the blur.")
+    width_pixels: NonNegative | tuple[NonNegative, NonNegative] = Field(
+        description="Width of the blur, or [across, along]: full width at half maximum of a "
+        "Gaussian that comes on top of the pixel's own footprint; whole width of a box [pixels].",
+        json_schema_extra={"unit": "pixels"},
+    )
+
+
+NOISE_KEYS = {
+    "radiometric": ("table", "radiance_unit"),
+    "camera": ("saturation_radiance", "full_well_electrons", "read_noise_electrons", "bits"),
+}
+"""Keys that each kind of noise needs."""
+
+
+class NoiseTable(Strict):
+    """Noise of the radiance."""
+
+    kind: Literal["radiometric", "camera"] = Field(
+        description="'radiometric': |a sqrt(b + L) + c| from a table of coefficients; 'camera': "
+        "shot noise, read noise and quantisation."
+    )
+    table: str | None = Field(
+        default=None,
+        description="CSV with wavelength_nm, a, b, c; a path from this file's folder.",
+    )
+    radiance_unit: RadianceUnit | None = Field(
+        default=None, description="Unit of the radiance in the table."
+    )
+    integrations: float = number("Frames that one pixel averages", "-", default=1, gt=0, le=1e6)
+    saturation_radiance: Positive | list[Positive] | None = Field(
+        default=None,
+        description="Radiance that fills a pixel, of all bands or each [W m-2 sr-1 um-1].",
+        json_schema_extra={"unit": "W m-2 sr-1 um-1"},
+    )
+    full_well_electrons: Positive | list[Positive] | None = Field(
+        default=None,
+        description="Electrons of a full pixel, of all bands or each [-].",
+        json_schema_extra={"unit": "-"},
+    )
+    read_noise_electrons: NonNegative | list[NonNegative] | None = Field(
+        default=None,
+        description="Standard deviation of the reading, of all bands or each [electrons].",
+        json_schema_extra={"unit": "electrons"},
+    )
+    bits: int | None = Field(default=None, description="Bits of a number [-].", ge=1, le=32)
+
+    @model_validator(mode="after")
+    def _keys_of_the_kind(self) -> "NoiseTable":
+        needed = NOISE_KEYS[self.kind]
+        if missing := [name for name in needed if getattr(self, name) is None]:
+            raise ValueError(
+                f"noise of kind {self.kind!r} needs {', '.join(needed)}, but "
+                f"{', '.join(missing)} is missing"
+            )
+        allowed = {"kind", *needed, *(["integrations"] if self.kind == "radiometric" else [])}
+        if strange := sorted(self.model_fields_set - allowed):
+            raise ValueError(f"noise of kind {self.kind!r} has no {', '.join(strange)}")
+        return self
+
+
+class SensorFile(Strict):
+    """A sensor file: one sensor, its bands, lines of sight, blur and noise."""
+
+    name: str = Field(description="Short name.", min_length=1)
+    description: str = Field(default="", description="What it is, in a sentence.")
+    source: str = Field(description="Where the numbers come from.", min_length=1)
+    licence: str = Field(default="", description="Terms of the numbers, where there are any.")
+    geometry: GeometryTable
+    bands: BandsTable
+    psf: PointSpreadTable | None = None
+    noise: NoiseTable | None = None

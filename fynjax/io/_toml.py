@@ -1,0 +1,81 @@
+"""TOML files of a user, with errors that point at the key."""
+
+import re
+import tomllib
+import typing
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from fynjax._core.errors import InputError
+from fynjax.io._tables import read_text
+from fynjax.io._validate import first_error, sentence
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def line_of(text: str, loc: tuple[str | int, ...]) -> int | None:
+    """Row of `[table]` or `key =` in TOML text; a search, as tomllib keeps no positions."""
+    names = [part for part in loc if isinstance(part, str)]
+    table, found = "", None
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := re.match(r"\s*\[([^\[\]]+)\]", line):
+            table = header[1].strip()
+            if names and table == names[0]:
+                found = number
+        elif (key := re.match(r"\s*[\"']?([^\"'=]+?)[\"']?\s*=", line)) and (
+            [*filter(None, [table]), key[1]] == names[:2]
+        ):
+            return number
+    return found
+
+
+def read_toml(path: Path, model: type[Model]) -> tuple[Model, str]:
+    """A TOML file as a record of `model`, and its text.
+
+    Raises `InputError` with file, row, key, what was expected, what came and the likely slip.
+    """
+    text = read_text(path)
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        at = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
+        hint = " Write paths with / or in single quotes." if "escape" in str(error) else ""
+        raise InputError(
+            f"expected TOML, but: {str(error).split(' (at')[0]}.{hint}",
+            file=path,
+            row=int(at[1]) if at else None,
+            column=int(at[2]) if at else None,
+        ) from error
+    try:
+        return model.model_validate(raw), text
+    except ValidationError as error:
+        first = first_error(error)
+        table, first, loc = _place(first, model, raw)
+        raise InputError(
+            sentence(first, table, str(loc[-1]) if loc else ""),
+            file=path,
+            row=line_of(text, loc),
+            column=".".join(str(part) for part in loc) or None,
+        ) from error
+
+
+def _place(
+    error: ErrorDetails, model: type[BaseModel], raw: dict[str, Any]
+) -> tuple[type[BaseModel], ErrorDetails, tuple[str | int, ...]]:
+    """The record, the complaint and the key as a user knows them: [table] and key."""
+    # Unions add the branch's own name to the place, lists the position.
+    loc = error["loc"][:2]
+    if len(loc) > 1 and (field := model.model_fields.get(str(loc[0]))):
+        kinds = [field.annotation, *typing.get_args(field.annotation)]
+        tables = [k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)]
+        model = tables[0] if tables else model
+    if len(error["loc"]) > 2:
+        given = raw[str(loc[0])][str(loc[1])]
+        position = error["loc"][2]
+        one = isinstance(given, list) and isinstance(position, int)
+        value = given[position] if one else given
+        error = {**error, "type": "nested", "input": value}
+    return model, error, loc

@@ -1,0 +1,300 @@
+"""From a mesh, a scan or a taxon to area elements: what `fynjax plant` does."""
+
+import csv
+import re
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from fynjax._core.errors import InputError
+from fynjax._core.progress import NullProgress, Progress
+from fynjax.canopy import (
+    GeneratedPlant,
+    MeshPlant,
+    Organ,
+    PlantMaterial,
+    PlantMesh,
+    generate_plant,
+    plant_from_branches,
+    plant_model_from_mesh,
+    plant_model_from_points,
+    read_plant_mesh,
+    read_scan,
+    table1_2006,
+)
+from fynjax.canopy._mesh_names import organ_of_name
+from fynjax.canopy._mesh_read import default_up
+from fynjax.io._strict import Strict
+from fynjax.io._tables import existing_file, read_rows
+from fynjax.io._validate import did_you_mean
+from fynjax.report._figure_style import save_figure
+from fynjax.report._plant_figure import plant_figure
+
+_MESHES = (".obj", ".ply", ".stl", ".glb", ".gltf")
+_SCANS = (".xyz", ".csv", ".txt")
+_ORGANS = tuple(organ.name.lower() for organ in Organ)
+_MAXIMUM_EXTENT = 4.0
+_LARGEST_LEAF_SCALE = 1.1
+# Arguments that mean nothing for a source of another kind.
+_ONLY_FOR = {
+    "materials": ("mesh", "taxon"),
+    "up": ("mesh", "scan"),
+    "maximum_extent": ("mesh", "scan"),
+    "diameter": ("taxon",),
+    "height": ("taxon",),
+    "flowering": ("taxon",),
+    "max_triangles": ("taxon",),
+}
+
+
+class MaterialRow(Strict):
+    """A material of a mesh."""
+
+    material: str = Field(description="name of the material in the mesh", min_length=1)
+    organ: Literal["leaf", "wood", "flower"]
+    optics: str = Field("", description="name of its optical class")
+    solid: bool | None = Field(None, description="yes, no or nothing")
+
+
+def run_plant(
+    source: str,
+    output: str | Path,
+    *,
+    n_elements: int = 2000,
+    materials: str | Path | None = None,
+    up: Literal["y", "z"] | None = None,
+    maximum_extent: float | None = None,
+    branches: int = 1,
+    rotation_spread: float | None = None,
+    diameter: float | None = None,
+    height: float | None = None,
+    flowering: float | None = None,
+    max_triangles: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Write `elements.csv` and `plant.png` of a plant into the folder `output`.
+
+    **Arguments:**
+
+    - `source`: a mesh, a scan, or a taxon of table 1.
+    - `materials`: table of materials (columns material, organ, optics, solid).
+    - `up`, `n_elements`: as in `plant_model_from_mesh`; `maximum_extent` as there, 4 m if left
+      out.
+    - `branches`, `rotation_spread`: as in `plant_from_branches`.
+    - `diameter`, `height`, `flowering`, `max_triangles`: as in `generate_plant`.
+
+    A taxon, or a mesh made of branches, is written as `plant.obj` too.
+
+    **Returns:** the summary: headline, files, sizes, areas, materials.
+
+    **Raises:** `InputError` for arguments that mean nothing for such a source, and what these
+    functions raise.
+    """
+    progress = NullProgress() if progress is None else progress
+    output = Path(output)
+    kind = _kind(source)
+    given = {
+        "materials": materials,
+        "up": up,
+        "maximum_extent": maximum_extent,
+        "diameter": diameter,
+        "height": height,
+        "flowering": flowering,
+        "max_triangles": max_triangles,
+    }
+    for name, kinds in _ONLY_FOR.items():
+        if given[name] is not None and kind not in kinds:
+            raise InputError(
+                f"`{name}` is for a {' or a '.join(kinds)}, but {source!r} is a {kind}: leave it "
+                "out"
+            )
+    if rotation_spread is not None and branches == 1:
+        raise InputError("`rotation_spread` is the tilt of branches: give `branches` too")
+    axis = up or default_up(source)
+    limit = _MAXIMUM_EXTENT if maximum_extent is None else maximum_extent
+    copies: dict[str, Any] = {"seed": seed, "rotation_spread": rotation_spread}
+    made, mesh = None, None
+    with progress.stage("Read the plant" if kind != "taxon" else "Grow the plant"):
+        if kind == "scan":
+            points, normals, organ = read_scan(source)
+            model = plant_model_from_points(
+                points,
+                normals,
+                n_elements,
+                Organ.LEAF if organ is None else organ,
+                up=axis,
+                maximum_extent=limit,
+                seed=seed,
+            )
+            if branches > 1:
+                model = plant_from_branches(model, branches, **copies)
+        else:
+            if kind == "taxon":
+                limit = np.inf  # `generate_plant` has limits of its own
+                made = generate_plant(
+                    source,
+                    seed,
+                    diameter=diameter,
+                    height=height,
+                    flowering=flowering or 0.0,
+                    **({} if max_triangles is None else {"max_triangles": max_triangles}),
+                )
+            mesh = read_plant_mesh(source, up=axis) if made is None else made.mesh
+            known = None if materials is None else _read_materials(materials, mesh, made)
+            if branches > 1:
+                mesh = plant_from_branches(mesh, branches, **copies)
+            model = plant_model_from_mesh(
+                mesh, n_elements, known, seed, solid_materials="closed", maximum_extent=limit
+            )
+    files = {"elements.csv": "the plant as area elements"}
+    with progress.stage("Write"):
+        if mesh is not None and (made is not None or branches > 1):
+            obj, mtl = mesh.obj("plant.mtl")
+            (output / "plant.obj").write_text(obj, encoding="utf-8")
+            (output / "plant.mtl").write_text(mtl, encoding="utf-8")
+            files |= {"plant.obj": "its mesh, in metres", "plant.mtl": "its materials"}
+        _write_elements(output / "elements.csv", model)
+        save_figure(plant_figure(model), output / "plant.png")
+    files["plant.png"] = "the elements from the side and from above"
+    return {"files": files, **_summary(model, made, mesh, axis, materials is not None)}
+
+
+def _kind(source: str) -> str:
+    """Whether the source is a mesh, a scan or a taxon."""
+    taxa = list(table1_2006().taxon)
+    if source in taxa:
+        return "taxon"
+    path = Path(source)
+    suffix = path.suffix.lower()
+    if suffix in _MESHES + _SCANS:
+        existing_file(path, "a mesh or a scan")
+        return "mesh" if suffix in _MESHES and (suffix != ".ply" or _has_faces(path)) else "scan"
+    if path.exists() or re.fullmatch(r"\.[a-z]\w{1,5}", suffix) or "/" in source:
+        raise InputError(
+            f"expected a mesh ({', '.join(_MESHES)}) or a scan ({', '.join(_SCANS)}, .ply without "
+            "faces): export it as one of these",
+            file=source,
+        )
+    raise InputError(
+        f"{source!r} is no file and no taxon of table 1.{did_you_mean(source, taxa)} "
+        f"Taxa: {', '.join(taxa)}."
+    )
+
+
+def _has_faces(path: Path) -> bool:
+    """Whether a PLY file's header announces faces."""
+    with path.open("rb") as file:
+        head = file.read(16384).split(b"end_header")[0]
+    words = [line.split() for line in head.splitlines()]
+    return any(line[:2] == [b"element", b"face"] and line[2:] != [b"0"] for line in words)
+
+
+def _read_materials(
+    path: str | Path, mesh: PlantMesh, made: GeneratedPlant | None
+) -> dict[str, Any]:
+    """Organ, optical class and solidity of each material, from a CSV."""
+    found: dict[str, Any] = {}
+    # A taxon out of bloom has no flowers, but its table may.
+    allowed = mesh.materials if made is None else _ORGANS
+    for number, row in read_rows(path, MaterialRow, "a table of materials"):
+        if row.material not in allowed or row.material in found:
+            why = "is there twice" if row.material in found else "is not in the mesh, which has "
+            if row.material not in found:
+                why += ", ".join(map(repr, allowed)) + "."
+                why += did_you_mean(row.material, allowed)
+            raise InputError(
+                f"material {row.material!r} {why}", file=path, row=number, column="material"
+            )
+        found[row.material] = PlantMaterial(row.organ, row.optics, row.solid)
+    return found
+
+
+def _write_elements(path: Path, model: MeshPlant) -> None:
+    with path.open("w", newline="", encoding="utf-8") as table:
+        writer = csv.writer(table)
+        writer.writerow(["x_m", "y_m", "z_m", "nx", "ny", "nz", "area_m2", "organ", "optics"])
+        for place, normal, area, organ, material in zip(
+            model.position.tolist(),
+            model.plant.normal.tolist(),
+            model.area.tolist(),
+            model.plant.organ.tolist(),
+            model.material.tolist(),
+            strict=True,
+        ):
+            numbers = [f"{value:.9g}" for value in (*place, *normal, area)]
+            writer.writerow([*numbers, _ORGANS[organ], model.optics[material]])
+
+
+def _summary(
+    model: MeshPlant,
+    made: GeneratedPlant | None,
+    mesh: PlantMesh | None,
+    axis: str,
+    stated: bool,
+) -> dict[str, Any]:
+    areas = dict(zip(_ORGANS, model.organ_area.tolist(), strict=True))
+    told = ", ".join(f"{name} {area:.4g} m2" for name, area in areas.items() if area > 0.0)
+    headline = [
+        f"{len(model.area)} elements of a plant {model.depth:.3g} m tall and "
+        f"{model.modelled_diameter:.3g} m wide; one-sided area {told}"
+    ]
+    summary: dict[str, Any] = {"warnings": []}
+    if made is not None:
+        summary |= {
+            "form": made.form,
+            "n_leaves": made.n_leaves,
+            "leaf_scale": made.leaf_scale,
+            "twig_radius_m": made.twig_radius,
+        }
+        leaves = f"{made.n_leaves} leaves, culms or threads of {made.leaf_scale:.3g} times the "
+        leaves = f"{leaves}size in the table; " if made.n_leaves else ""
+        headline.append(f"{made.form.replace('_', ' ')}; {leaves}{len(made.mesh.faces)} triangles")
+        if made.leaf_scale > _LARGEST_LEAF_SCALE:
+            summary["warnings"].append(
+                f"the leaves are {made.leaf_scale:.2f} times as large as in the table, and fewer: "
+                "allow more `max_triangles`"
+            )
+    else:
+        headline.append(f"Vertical axis of the file: {axis}")
+        summary["up"] = axis
+    organ, material = np.asarray(model.plant.organ), np.asarray(model.material)
+    listed: list[dict[str, Any]] = []
+    for index, name in enumerate(model.materials):
+        mine = material == index
+        if mine.any():
+            listed.append(
+                {
+                    "name": name,
+                    "organ": _ORGANS[organ[mine][0]],
+                    "optics": model.optics[index],
+                    "area_m2": float(np.asarray(model.area)[mine].sum()),
+                    "solid_share": model.solid_share[index],
+                }
+            )
+    if mesh is not None:
+        summary["triangles"] = len(mesh.faces)
+        parts = [f"{one['name']!r} is {one['organ']}, {_surface(one)}" for one in listed]
+        headline.append("Materials: " + "; ".join(parts))
+        if not stated and len(listed) == 1 and organ_of_name(listed[0]["name"]) is None:
+            summary["warnings"].append(
+                f"the mesh has but one material, {listed[0]['name']!r}, which tells of no organ: "
+                "all of it counts as leaf"
+            )
+    return summary | {
+        "headline": headline,
+        "area_m2": areas,
+        "diameter_m": model.modelled_diameter,
+        "height_m": model.depth,
+        "materials": listed,
+    }
+
+
+def _surface(material: dict[str, Any]) -> str:
+    share = material["solid_share"]
+    if share == 0.0:
+        return "sheets"
+    closed = "closed surfaces (half of the area counts)"
+    return closed if share > 0.9999 else f"{100 * share:.3g} % {closed}, else sheets"

@@ -1,0 +1,70 @@
+"""What the ground is made of: soil and its covers (litter, char, rock), mixed or in patches.
+
+Where each cover lies is drawn or read once; how much there is of it is a parameter. Both meet in
+relative densities per voxel column, scaled until every cover has the share it should have.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.ndimage import gaussian_filter
+
+COVERS = ("litter", "char", "rock")
+"""What may lie on the soil."""
+
+CONTRAST = 3.0
+"""Standard deviation of the logarithm of a cover's density in `random_patches` [-]: the
+largest share of a voxel column is then about three quarters on average. An assumption."""
+
+_ROUNDS = 60
+
+
+def random_patches(
+    shape: tuple[int, int], scale: float, *, periodic: bool, seed: int
+) -> Float[np.ndarray, "kind y x"]:
+    """Relative density of soil and of each cover, in patches with soft edges [-].
+
+    The logarithm is a Gaussian random field, independent for each kind: white noise smoothed by a
+    Gaussian of standard deviation `scale` / 2 [voxel columns]. The same seed gives the same field.
+    """
+    noise = np.random.default_rng([seed, 307]).standard_normal((len(COVERS) + 1, *shape))
+    mode = "wrap" if periodic else "reflect"
+    smooth = gaussian_filter(noise, (0.0, 0.5 * scale, 0.5 * scale), mode=mode)
+    spread = smooth.std(axis=(1, 2), keepdims=True)
+    smooth = (smooth - smooth.mean(axis=(1, 2), keepdims=True)) / np.where(spread > 0, spread, 1.0)
+    return np.exp(CONTRAST * smooth)
+
+
+def ground_shares(
+    fractions: Float[Array, " cover"], density: Float[Array, "kind y x"]
+) -> Float[Array, "kind y x"]:
+    """Share of soil and of each cover in every voxel column [-]; they sum to one.
+
+    **Arguments:**
+
+    - `fractions`: share of the whole ground under each of `COVERS` [-], 0 to 1. Where they sum to
+      more than one, each is scaled down alike.
+    - `density`: relative density of soil and covers, as from `random_patches`, above 0 for some
+      kind in every column. A map of shares is such a density: with its own means as fractions it
+      comes back as it is.
+
+    The share of a kind is its density times a factor, over the sum of all kinds. The factors are
+    those that give each kind its fraction of the ground (iterative proportional fitting, Deming
+    and Stephan 1940). Differentiable in both arguments, at fractions of zero too.
+    """
+    fractions = fractions / jnp.maximum(jnp.sum(fractions), 1.0)
+    wanted = jnp.concatenate([1.0 - jnp.sum(fractions, keepdims=True), fractions])
+    flat = density.reshape(len(wanted), -1)
+
+    def share_of(factor: Array) -> Array:
+        """Share per unit of factor."""
+        total = jnp.tensordot(factor, flat, axes=1)
+        return flat / jnp.where(total > 0, total, 1.0)
+
+    def fit(factor: Array, _: None) -> tuple[Array, None]:
+        each = share_of(factor).mean(axis=1)
+        return wanted / jnp.where(each > 0, each, 1.0), None
+
+    factor, _ = jax.lax.scan(jax.checkpoint(fit), wanted, None, length=_ROUNDS)
+    return (factor[:, None] * share_of(factor)).reshape(density.shape)

@@ -1,0 +1,115 @@
+"""The hard scene: whole plants, as many as eq. (10) says, each with its place and size."""
+
+import dataclasses
+from dataclasses import dataclass
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+
+from fynjax._core.errors import InputError
+from fynjax.canopy import hard_count
+from fynjax.scene._model import PlotModel
+from fynjax.scene._parameters import PlotParameters
+
+
+@dataclass(frozen=True)
+class Instances:
+    """Plants that stand on a plot: species by species, in the order in which each fills it."""
+
+    taxa: tuple[str, ...]
+    """Names of the species."""
+    extent: tuple[float, float]
+    """East-west and north-south side of the plot [m]."""
+    species: Int[np.ndarray, " plant"]
+    """Index into `taxa`."""
+    x: Float[np.ndarray, " plant"]
+    """Foot, eastward [m]."""
+    y: Float[np.ndarray, " plant"]
+    """Foot, northward [m]."""
+    z: Float[np.ndarray, " plant"]
+    """Foot, upward [m]; 0 on flat ground."""
+    azimuth: Float[np.ndarray, " plant"]
+    """Turn about the vertical, clockwise from above [degrees]."""
+    tilt: Float[np.ndarray, " plant"]
+    """Lean of the axis from the vertical, towards the azimuth [degrees]."""
+    diameter: Float[np.ndarray, " plant"]
+    """Of the crown [m]."""
+    height: Float[np.ndarray, " plant"]
+    """Length of the axis [m]."""
+
+    def __len__(self) -> int:
+        return len(self.species)
+
+    @property
+    def counts(self) -> Int[np.ndarray, " species"]:
+        """Plants of each species [-]."""
+        return np.bincount(self.species, minlength=len(self.taxa))
+
+
+def hard_counts(model: PlotModel, parameters: PlotParameters) -> Int[np.ndarray, " species"]:
+    """Whole number of plants of each species, eq. (10) with its ceiling [-].
+
+    Counted in the precision of `parameters`: give them in 64-bit, as the reader of plot files
+    does where JAX's 64-bit numbers are on.
+    """
+    count = np.asarray(model.counts(parameters), float)
+    return np.asarray(hard_count(count, np.ones(len(count))))
+
+
+def hard_instances(model: PlotModel, parameters: PlotParameters) -> Instances:
+    """The plants of the hard scene, as many of each species as eq. (10) says.
+
+    They are the first plants of the model's planting: their places, turns and sizes are those of
+    the soft scene, to which they are the limit.
+
+    Raises `InputError` where a species has fewer sites held ready than plants.
+    """
+    planting = model.planting
+    chosen = np.flatnonzero(_standing(model, parameters))
+    species, place = np.asarray(planting.species)[chosen], np.asarray(planting.place)[chosen]
+    order = np.lexsort((place, species))
+    species, chosen = species[order], chosen[order]
+    foot = np.asarray(planting.foot, float)[chosen]
+    own = {
+        name: np.asarray(getattr(parameters.species, name), float)[species]
+        for name in ("diameter", "height")
+    }
+    return Instances(
+        model.taxa,
+        model.grid.extent[:2],
+        species,
+        foot[:, 0],
+        foot[:, 1],
+        np.zeros(len(foot)),
+        np.asarray(planting.azimuth, float)[chosen],
+        np.asarray(planting.tilt, float)[chosen],
+        own["diameter"] * np.asarray(planting.size, float)[chosen],
+        own["height"] * np.asarray(planting.stature, float)[chosen],
+    )
+
+
+def hard_model(model: PlotModel, parameters: PlotParameters) -> PlotModel:
+    """The plot with the plants of `hard_instances` and no spare ones.
+
+    These plants stand whatever a cover is later set to; everything else follows the parameters as
+    before. A fraction of the area elements is left, and the memory with it.
+    """
+    planting = model.planting.only(_standing(model, parameters))
+    hard = eqx.tree_at(lambda m: m.planting, model, planting)
+    return dataclasses.replace(hard, softness=0.0, width=0.0)
+
+
+def _standing(model: PlotModel, parameters: PlotParameters) -> np.ndarray:
+    """Mask of the plants of the hard scene."""
+    count = hard_counts(model, parameters)
+    species = np.asarray(model.planting.species)
+    ready = np.bincount(species, minlength=len(count))
+    short = np.flatnonzero(ready < count)
+    if short.size:
+        one = short[0]
+        raise InputError(
+            f"{model.taxa[one]!r} is to have {count[one]} plants, but {ready[one]} sites are held "
+            "ready: build the model with these parameters, or with more `room`"
+        )
+    return np.asarray(model.planting.place) < count[species]

@@ -1,0 +1,43 @@
+"""How a scene's area lies in height, species by species."""
+
+import numpy as np
+from jaxtyping import Float
+
+from fynjax.canopy import Organ
+from fynjax.scene._model import PlotModel
+from fynjax.scene._parameters import PlotParameters
+
+
+def height_profile(
+    hard: PlotModel, parameters: PlotParameters, edges: Float[np.ndarray, " edge"]
+) -> Float[np.ndarray, "organ species layer"]:
+    """Mean area density of leaves and of wood of each species in layers of height [m2 m-3].
+
+    **Arguments:** `hard` is a model whose plants all stand, as `hard_model` gives; `edges` are the
+    layers' borders, rising [m]. What lies outside counts for the nearest layer.
+
+    **Returns:** leaves, then wood; one-sided area that is seen from outside the shoots, as in
+    `PlotModel.area_density`, per volume of the plot's layer.
+    """
+    planting = hard.planting
+    species, own = np.asarray(planting.species), parameters.species
+    size, stature = np.asarray(planting.size, float), np.asarray(planting.stature, float)
+    diameter = np.asarray(own.diameter, float)[species] * size
+    height = np.asarray(own.height, float)[species] * stature
+    lean = np.deg2rad(np.asarray(planting.tilt, float))
+    across, along = -diameter * np.sin(lean), height * np.cos(lean)
+    position = np.asarray(planting.shapes.position, float)
+    plant, part = np.asarray(planting.plant), np.asarray(planting.part)
+    z = across[plant] * position[part, 1] + along[plant] * position[part, 2]
+    layer = np.clip(np.searchsorted(edges, z, side="right") - 1, 0, len(edges) - 2)
+    cell = species[plant] * (len(edges) - 1) + layer
+    crown = np.pi / 4.0 * diameter**2 / np.asarray(hard.branches)[species]
+    seen = np.asarray(own.leaf_area_index, float) * (1.0 - np.asarray(own.shoot_clumping, float))
+    volume = float(np.prod(hard.grid.extent[:2])) * np.diff(edges)
+    profiles = []
+    for organ, index in ((Organ.LEAF, seen), (Organ.WOOD, np.asarray(own.wood_area_index, float))):
+        area = (crown * index[species])[plant] * np.asarray(planting.shapes.area_fraction)[part]
+        area[np.asarray(planting.shapes.organ)[part] != organ] = 0.0
+        sums = np.bincount(cell, area, len(hard.taxa) * (len(edges) - 1))
+        profiles.append(sums.reshape(len(hard.taxa), -1) / volume)
+    return np.stack(profiles)

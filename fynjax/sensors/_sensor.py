@@ -1,0 +1,120 @@
+"""A sensor as a whole: bands, geometry, point spread and noise."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from fynjax._core.errors import InputError
+from fynjax.radiation import AbstractRays
+from fynjax.sensors._bands import BandSet
+from fynjax.sensors._camera import AbstractCamera, Real
+from fynjax.sensors._noise import AbstractNoise
+from fynjax.sensors._psf import PointSpread
+from fynjax.sensors._rays import camera_rays
+
+
+class Sensor(eqx.Module):
+    """What measures: spectral bands, lines of sight, point spread and noise.
+
+    `fynjax.io.load_sensor` reads one from a file or takes a shipped one by name.
+    """
+
+    name: str = eqx.field(static=True)
+    """Short name, such as 'mavic_3m'."""
+    bands: BandSet
+    """Names and spectral responses of the bands."""
+    camera: AbstractCamera
+    """Geometry, above the point (0, 0) at the altitude of the file; see `over`."""
+    psf: PointSpread | None = None
+    """Blur on top of the pixels' footprints; none if not known."""
+    noise: AbstractNoise | None = None
+    """Noise of the radiance; none if not known."""
+    band_pixel: tuple[float, ...] | None = eqx.field(static=True, default=None)
+    """Pixel of each band on the ground where the bands of a product differ [m]."""
+    source: str = eqx.field(static=True, default="")
+    """Where the numbers come from."""
+
+    def __check_init__(self) -> None:
+        if self.band_pixel is not None and len(self.band_pixel) != len(self.bands):
+            raise InputError(
+                f"`band_pixel` needs one value for each of {len(self.bands)} bands, but has "
+                f"{len(self.band_pixel)}."
+            )
+
+    def response(
+        self, wavelength: ArrayLike, *, max_loss: float = 1e-3
+    ) -> Float[Array, "band wavelength"]:
+        """Weights of a spectrum on `wavelength` [nm] in each band [-]; rows sum to one.
+
+        The integral of each response over the spectrum, taken linear between its points, is
+        exact. Raises `InputError` as `BandSet.weights`.
+        """
+        return jnp.asarray(self.bands.weights(wavelength, max_loss=max_loss))
+
+    def ground_sample_distance(self, altitude: Real | None = None) -> Float[Array, ""]:
+        """Pixel spacing on the ground straight below, from the optics [m].
+
+        `altitude` above the ground [m]; left out, that of the file.
+        """
+        if altitude is None:
+            return self.camera.ground_sample_distance
+        return self.camera.over(0.0, 0.0, altitude=altitude).ground_sample_distance
+
+    def swath(self, altitude: Real | None = None) -> Float[Array, " 2"]:
+        """Ground that the image spans straight below, across (x) and along (y) [m].
+
+        A pushbroom sensor has one line until `over` gives it more.
+        """
+        rows, columns = self.camera.shape
+        return self.ground_sample_distance(altitude) * jnp.asarray([columns, rows], dtype=float)
+
+    def over(
+        self,
+        x: Real,
+        y: Real,
+        *,
+        altitude: Real | None = None,
+        shape: tuple[int, int] | None = None,
+    ) -> "Sensor":
+        """The same sensor above the point (`x`, `y`) [m]; see `AbstractCamera.over`."""
+        camera = self.camera.over(x, y, altitude=altitude, shape=shape)
+        return eqx.tree_at(lambda s: s.camera, self, camera)
+
+    def rays(self) -> AbstractRays:
+        """Rays of all pixels, for `fynjax.radiation.render`; see `camera_rays`."""
+        return camera_rays(self.camera)
+
+    def observe(
+        self,
+        wavelength: ArrayLike,
+        spectra: Float[Array, "*batch wavelength y x"],
+        *,
+        key: Array | int | None = None,
+        max_loss: float = 1e-3,
+    ) -> Float[Array, "*batch band y x"]:
+        """The image that the sensor makes of spectra: averaged over the bands, blurred, noisy.
+
+        **Arguments:**
+
+        - `wavelength`: grid of the spectra [nm], increasing and concrete.
+        - `spectra`: one for each pixel, averaged over its footprint. Noise needs radiance in
+          W m-2 sr-1 µm-1.
+        - `key`: JAX key or seed of the noise. Left out, there is none.
+
+        Differentiable in `spectra`. Raises `InputError` for spectra that do not cover a band, and
+        where noise is asked for and the sensor has no noise model.
+        """
+        averaged = self.bands.average(wavelength, jnp.moveaxis(spectra, -3, -1), max_loss=max_loss)
+        image = jnp.moveaxis(averaged, -1, -3)
+        if self.psf is not None:
+            image = self.psf.blur(image)
+        if key is None:
+            return image
+        if self.noise is None:
+            raise InputError(
+                f"sensor {self.name!r} has no noise model: leave `key` out, or give the sensor "
+                "file a [noise] table."
+            )
+        noisy = self.noise.draw(key, jnp.moveaxis(image, -3, -1))
+        return jnp.moveaxis(noisy, -1, -3)

@@ -1,0 +1,113 @@
+"""`fynjax build`: its files against each other, its meshes, and its errors."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import trimesh
+import typer
+import xarray as xr
+from typer.testing import CliRunner
+
+from fynjax._core.errors import InputError
+from fynjax.cli._build import build
+
+app = typer.Typer()
+app.command()(build)
+
+SPECIES = """taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form,packing_percent
+Euclea racemosa,35,30,1.5,broad_leaved,20
+Deadwood,10,4,0.5,deadwood,0
+"""
+PLOT = """[plot]
+name = "Small"
+size_m = 1.0
+voxel_m = 0.1
+boundary = "periodic"
+species_table = "species.csv"
+[sun]
+zenith_deg = 30.0
+[scene]
+seed = 4
+"""
+
+
+@pytest.fixture
+def plot(tmp_path: Path) -> Path:
+    (tmp_path / "species.csv").write_text(SPECIES)
+    (tmp_path / "plot.toml").write_text(PLOT)
+    return tmp_path / "plot.toml"
+
+
+def run(*arguments: object) -> dict:
+    """The summary of a successful run."""
+    result = CliRunner().invoke(app, [*map(str, arguments), "--json"], catch_exceptions=False)
+    assert result.exit_code == 0
+    return json.loads(result.stdout)
+
+
+def test_the_files_of_a_build_agree(plot: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    summary = run(plot, "--output", out, "--size", 2, "--mesh", "--triangles", 200_000)
+    plants = pd.read_csv(out / "instances.csv")
+    wanted = {
+        "Euclea racemosa": int(np.ceil(4.0 * 0.30 / (0.8 * np.pi * 0.175**2))),
+        "Deadwood": int(np.ceil(4.0 * 0.04 / (np.pi * 0.05**2))),
+    }
+    assert plants.taxon.value_counts().to_dict() == wanted == summary["plants"]
+    assert list(plants.columns[1:]) == [
+        "x_m", "y_m", "z_m", "azimuth_deg", "tilt_deg", "diameter_m", "height_m",
+    ]  # fmt: skip
+
+    cover = pd.read_csv(out / "cover.csv").set_index("taxon")
+    disc = np.pi / 4 * plants.diameter_m**2
+    full = 100.0 * disc.groupby(plants.taxon).sum() / 4.0
+    for taxon in wanted:
+        assert cover.crowns_percent[taxon] == pytest.approx(full[taxon], rel=0.02)
+    assert cover.species_percent["all"] == pytest.approx(cover.seen_percent["all"], abs=1e-3)
+    assert cover.counted_percent["Euclea racemosa"] == pytest.approx(0.8 * full.iloc[1], rel=0.02)
+
+    with xr.open_dataset(out / "voxels.nc") as voxels:
+        density = voxels.area_density
+        assert density.dims == ("class", "z", "y", "x")
+        assert density.attrs["units"] == "m2 m-3"
+        names = voxels["class"].values.tolist()
+        assert names == ["Euclea racemosa, leaf", "wood", "flower"]
+        leaf = float(density.isel({"class": 0}).sum()) * 1e-3
+    euclea = disc[plants.taxon == "Euclea racemosa"].sum()
+    assert leaf == pytest.approx(3.5 * (1 - 0.2) * euclea, rel=1e-3)
+
+    scene = trimesh.load(out / "scene.obj", process=False)
+    pieces = list(scene.geometry.values())
+    assert sum(len(piece.faces) for piece in pieces) == summary["triangles"]
+    assert scene.bounds[1][2] == pytest.approx(plants.height_m.max(), rel=0.01)
+    text = (out / "scene.obj").read_text()
+    assert len(re.findall(r"^o ", text, re.M)) == len(plants)
+    for name in ("plan.png", "oblique.png", "profile.png", "report.html"):
+        assert (out / name).stat().st_size > 5000
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--mesh", "--triangles", 3000), r"\d+ plants of 2000 triangles each are \d+"),
+        (("--size", 1.05), "whole number of voxels"),
+        (("--size", 0.2), "widest crown, 0.35 m"),
+        (("--cell", 0.03), "does not divide"),
+    ],
+)
+def test_what_cannot_be_built(
+    options: tuple[object, ...], word: str, plot: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=word):
+        run(plot, "--output", tmp_path / "out", *options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_meshes_in_the_picture(plot: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pyvista")
+    run(plot, "--output", tmp_path / "out", "--view", "meshes")
+    assert (tmp_path / "out" / "oblique.png").stat().st_size > 20_000
