@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.special import stdtrit
 
 from fynjax._core.errors import InputError
 from fynjax.inversion._space import ParameterSpace
@@ -108,8 +109,9 @@ class FitResult(eqx.Module):
         *different* draws' derivatives, since in the product of one with itself the chance part
         of a slope counts as knowledge. That mean may have negative eigenvalues. They are set to
         zero with each parameter in units of its slopes' size, lest one whose slopes are all chance
-        drown the others. Each is then scaled to its own mean, less the standard error that the
-        pairs of draws give it.
+        drown the others. Each is then scaled to its own mean, less what chance alone exceeds in one
+        case of forty: so many standard errors of the mean over the pairs (Student's t). One other
+        draw makes one pair, which says nothing of its error: then nothing counts as known.
 
         **Arguments:** `deviations`, how far the statistics at the estimate lie from the model's in
         other draws; `jacobians`, their derivatives there, as in `jacobian`.
@@ -125,8 +127,11 @@ class FitResult(eqx.Module):
         kept = (vectors * jnp.maximum(values, 0.0)) @ vectors.T
         first, second = jnp.triu_indices(count, 1)
         pairs = jnp.sum(draws[first] * draws[second], axis=1)  # [pair, free]
-        error = jnp.std(pairs, axis=0, ddof=1) / jnp.sqrt(len(pairs)) if len(pairs) > 1 else 0.0
-        own = jnp.maximum(jnp.diagonal(shared) - error, 0.0)
+        if count < 3:
+            own = jnp.zeros_like(size)
+        else:
+            error = jnp.std(pairs, axis=0, ddof=1) / np.sqrt(len(pairs))
+            own = jnp.maximum(jnp.diagonal(shared) - stdtrit(count - 1, 0.975) * error, 0.0)
         raised = jnp.diagonal(kept)
         scale = jnp.sqrt(own / jnp.where(raised > 0, raised, 1.0)) * (raised > 0)
         information = kept * scale * scale[:, None]

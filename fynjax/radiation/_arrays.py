@@ -1,6 +1,7 @@
 """A scene from plain arrays."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import AbstractLeafAngle, leaf_angle
-from fynjax.radiation._check import check_scene
+from fynjax.radiation._check import as_floats, check_range, check_scene, check_shape, short
 from fynjax.radiation._ground import RahmanPintyVerstraete
 from fynjax.radiation._scene import Illumination, OpticalClasses, VoxelScene
 
@@ -47,16 +48,19 @@ def voxel_scene(
     - `leaf_angles`: a name (see `fynjax.canopy.leaf_angle`) or a distribution, for all classes
       or each.
     - `leaf_diameter`: of round leaves [m], for all classes or each; makes the hot spot.
-    - `ground_shape`, `terrain`, `boundary`: see `VoxelScene`.
+    - `ground_shape`, `terrain`, `boundary`: see `VoxelScene`. Terrain together with
+      `ground_shape` is refused by `solve_light`: ground of a shape of its own must be level.
 
-    Raises `InputError` for shapes that do not go together and for values out of range.
+    Raises `InputError` for shapes that do not go together, for what is not numbers, and for values
+    out of range (where they are known, that is outside a transformation).
     """
-    density = jnp.asarray(area_density)
-    rho, tau = jnp.asarray(reflectance), jnp.asarray(transmittance)
+    density = as_floats("area_density", area_density)
     dtype = density.dtype
-    if not jnp.issubdtype(dtype, jnp.floating):
-        density, dtype = density.astype(float), jnp.zeros(0).dtype
-    if np.shape(voxel) != (3,) or not np.isclose(voxel[0], voxel[1], rtol=1e-6):
+    rho = as_floats("reflectance", reflectance, dtype)
+    tau = as_floats("transmittance", transmittance, dtype)
+    edges = np.asarray(check_shape("voxel", voxel, (3,), ": they are its edges in x, y and z [m]"))
+    check_range("voxel [m]", edges, 0.0, math.inf, ends="()")
+    if not np.isclose(edges[0], edges[1], rtol=1e-6):
         raise InputError(
             "`voxel` must be the edges in x, y and z [m], with the first two equal, but is "
             f"{voxel}: resample the grid to square columns"
@@ -68,43 +72,62 @@ def voxel_scene(
         )
     classes, bands = density.shape[0], rho.shape[1]
     single = isinstance(leaf_angles, str | AbstractLeafAngle)
-    given: list[Any] = [leaf_angles] if single else list(leaf_angles)  # type: ignore[arg-type]
+    given = _leaf_angles(leaf_angles)
     distinct = list({id(a) if not isinstance(a, str) else a: a for a in given}.values())
     owner = [next(i for i, d in enumerate(distinct) if d is a or d == a) for a in given]
-    sizes = None if leaf_diameter is None else jnp.atleast_1d(jnp.asarray(leaf_diameter, dtype))
+    sizes = None if leaf_diameter is None else as_floats("leaf_diameter", leaf_diameter, dtype)
+    if sizes is not None:
+        _check_each("leaf_diameter", sizes, classes, "classes")
+        sizes = jnp.atleast_1d(sizes)
     scene = VoxelScene(
         density,
         OpticalClasses(
-            rho.astype(dtype),
-            tau.astype(dtype),
+            rho,
+            tau,
             tuple(leaf_angle(a) if isinstance(a, str) else a for a in distinct),
             tuple(owner * classes if single else owner),
             sizes,
             tuple(range(classes)) if sizes is not None and len(sizes) > 1 else None,
         ),
-        jnp.asarray(ground, dtype),
+        as_floats("ground", ground, dtype),
         Illumination(
-            jnp.asarray(sun_zenith, dtype),
-            jnp.asarray(sun_azimuth, dtype),
+            as_floats("sun_zenith", sun_zenith, dtype),
+            as_floats("sun_azimuth", sun_azimuth, dtype),
             _per_band("sun", sun, bands, dtype),
             _per_band("sky", sky, bands, dtype),
-            None if sky_pattern is None else jnp.asarray(sky_pattern, dtype),
+            None if sky_pattern is None else as_floats("sky_pattern", sky_pattern, dtype),
         ),
         voxel[0],
         voxel[2],
         boundary,
         ground_shape,
-        None if terrain is None else jnp.asarray(terrain, dtype),
+        None if terrain is None else as_floats("terrain", terrain, dtype),
     )
     check_scene(scene)
     return scene
 
 
-def _per_band(name: str, value: Any, bands: int, dtype: Any) -> Float[Array, " band"]:
-    array = jnp.asarray(value, dtype)
-    if array.shape not in {(), (1,), (bands,)}:
+def _leaf_angles(given: Any) -> list[str | AbstractLeafAngle]:
+    """One distribution for all classes, or each class's."""
+    one = isinstance(given, str | AbstractLeafAngle) or not isinstance(given, Iterable)
+    several = [given] if one else list(given)
+    if not all(isinstance(angle, str | AbstractLeafAngle) for angle in several):
         raise InputError(
-            f"`{name}` must be one value or one value for each of the {bands} bands, but has "
+            "`leaf_angles` must be a name or a distribution (see `fynjax.canopy.leaf_angle`), or a "
+            f"list of one for each class, but is {short(given)}"
+        )
+    return several
+
+
+def _check_each(name: str, array: Array, count: int, what: str) -> None:
+    if array.shape not in {(), (1,), (count,)}:
+        raise InputError(
+            f"`{name}` must be one value or one value for each of the {count} {what}, but has "
             f"shape {array.shape}"
         )
+
+
+def _per_band(name: str, value: Any, bands: int, dtype: Any) -> Float[Array, " band"]:
+    array = as_floats(name, value, dtype)
+    _check_each(name, array, bands, "bands")
     return jnp.broadcast_to(array, (bands,))

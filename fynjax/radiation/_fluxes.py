@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax.radiation._multiple import DiffuseField, block_mean, ground_shape, spread
+from fynjax.radiation._blocks import block_mean, spread
+from fynjax.radiation._multiple import DiffuseField, ground_shape
 from fynjax.radiation._render import Light
 from fynjax.radiation._scene import VoxelScene
 from fynjax.radiation._terrain import terrain_normal
@@ -77,7 +78,7 @@ def _met(
 
 def _fluxes(light: Light, scene: VoxelScene, field: DiffuseField) -> Fluxes:
     classes, sun, factor = scene.classes, light.sun, field.factor(scene)
-    incident = scene.illumination.sun + scene.illumination.sky
+    incident = scene.illumination.incident
     column = scene.vertical * scene.shape[0]  # a mean per volume times this is one per ground area
     lost = (1.0 - classes.reflectance - classes.transmittance).T
     direct, diffuse = _met(light, scene, field)

@@ -15,13 +15,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from fynjax._core.math import mean_transmittance
+from fynjax.radiation._blocks import upsample
 from fynjax.radiation._hotspot import POINT_WEIGHTS, POINTS, kinds, overlaps
-from fynjax.radiation._multiple import DiffuseField, upsample
+from fynjax.radiation._multiple import DiffuseField
 from fynjax.radiation._ordinates import Ordinates
 from fynjax.radiation._phase import area_scattering
 from fynjax.radiation._rays import AbstractRays, Lattice, pixel_projection
 from fynjax.radiation._scene import OpticalClasses, VoxelScene
-from fynjax.radiation._sun import SunField
+from fynjax.radiation._sun import SunField, unshaded_beams
 from fynjax.radiation._terrain import covered
 
 
@@ -128,9 +129,8 @@ def see(
     n_class, n_band = classes.reflectance.shape
     terrain, end = None, None
     if scene.terrain is not None:
-        assert sun.unshaded is not None
         covering = covered(scene, heights).at[0].set(1.0)  # nothing falls out of the grid
-        terrain = covering, _planes(sun.unshaded, sublayers)[1:]
+        terrain = covering, unshaded_beams(scene, sun, heights + step)
         end = jnp.zeros(rays.shape, dtype), jnp.zeros((n_band, *rays.shape), dtype)
     layers = (repeat(scene.area_density, 1), repeat(source, 2), planes[:-1], heights, terrain)
     start = (

@@ -12,9 +12,9 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
+from fynjax.radiation._blocks import block_mean
 from fynjax.radiation._ordinates import (
     Coarse,
     GroundShape,
@@ -46,16 +46,6 @@ class DiffuseField(eqx.Module):
         """Voxels in one of its cells, in height and in width."""
         depth, _, width = self.intensity.shape[2:]
         return scene.shape[0] // depth, scene.shape[2] // width
-
-
-def block_mean(
-    field: Float[Array, "*batch z y x"], factor: tuple[int, int]
-) -> Float[Array, "*batch Z Y X"]:
-    """Average over blocks of `factor` = (layers, columns) voxels."""
-    *batch, nz, ny, nx = field.shape
-    fz, fh = factor
-    blocks = field.reshape(*batch, nz // fz, fz, ny // fh, fh, nx // fh, fh)
-    return blocks.mean(axis=(-5, -3, -1))
 
 
 def scattering_matrices(
@@ -215,9 +205,7 @@ class Transport(eqx.Module):
         intensity, falling, top = self.light(source, band.sky, band.sun, band.ground, band.shape)
         flux = jnp.asarray(self.coarse.ordinates.fluxes.ravel(), falling.dtype)
         received = jax.lax.stop_gradient(self.sent(band, intensity))
-        left_over = jnp.linalg.norm((received - jax.lax.stop_gradient(source)).ravel())
-        scale = jnp.linalg.norm(received.ravel())
-        residual = left_over / jnp.where(scale > 0, scale, 1.0)
+        residual = relative_size(received - jax.lax.stop_gradient(source), received)
         ground = jnp.tensordot(flux, falling, axes=1)
         return DiffuseField(intensity, falling, ground, top.mean(), residual)
 
@@ -298,7 +286,14 @@ def _solve(
 
     def solve_to(tolerance: float | Float[Array, ""]) -> Callable[..., Array]:
         goal = jax.lax.stop_gradient(jnp.asarray(tolerance, right.dtype))
-        return lambda matvec, right: _gcr(matvec, right, goal, iterations)
+
+        def solve(matvec: Callable[[Array], Array], right: Array) -> Array:
+            # Light is in any unit: squares of very large or small numbers would leave the range.
+            largest = jnp.max(jnp.abs(right))
+            unit = jnp.where(largest > 0, largest, 1.0)
+            return unit * _gcr(matvec, right / unit, goal, iterations)
+
+        return solve
 
     return jax.lax.custom_linear_solve(
         operator, right, solve_to(tolerance), transpose_solve=solve_to(transposed)
@@ -353,45 +348,13 @@ def _gcr(
     return jax.lax.while_loop(going, iterate, start)[0].reshape(right.shape)
 
 
-def spread(
-    field: Float[Array, "*batch Z Y X"], factor: tuple[int, int]
-) -> Float[Array, "*batch z y x"]:
-    """Give every voxel the value of its cell."""
-    for axis, times in zip((-3, -2, -1), (factor[0], factor[1], factor[1])):
-        field = jnp.repeat(field, times, axis=axis)
-    return field
+def relative_size(part: Array, whole: Array) -> Float[Array, ""]:
+    """Norm of `part` over that of `whole`, for control and report; 0 where there is nothing.
 
-
-def upsample(
-    field: Float[Array, "*batch Z Y X"], factor: tuple[int, int], boundary: str
-) -> Float[Array, "*batch z y x"]:
-    """Linear interpolation of coarse cell means to the fine voxels' centres."""
-    # Along x, where neighbours lie next to each other, a product with a small matrix is fastest.
-    field = field @ jnp.asarray(_linear(field.shape[-1], factor[1], boundary).T, field.dtype)
-    field = _upsample_axis(field, -2, factor[1], boundary)
-    return _upsample_axis(field, -3, factor[0], "open")
-
-
-def _upsample_axis(field: Array, axis: int, factor: int, boundary: str) -> Array:
-    count = field.shape[axis]
-    wide = [(0, 0)] * field.ndim
-    wide[axis] = (1, 1)
-    padded = jnp.pad(field, wide, mode="wrap" if boundary == "periodic" else "edge")
-    part = lambda start: jax.lax.slice_in_dim(padded, start, start + count, axis=axis)  # noqa: E731
-    offsets = (np.arange(factor) + 0.5) / factor - 0.5
-    pieces = [(1 - abs(o)) * field + abs(o) * part(0 if o < 0 else 2) for o in map(float, offsets)]
-    shape = list(field.shape)
-    shape[axis] *= factor
-    return jnp.stack(pieces, axis=field.ndim + axis + 1).reshape(shape)
-
-
-def _linear(count: int, factor: int, boundary: str) -> np.ndarray:
-    """Weights [count * factor, count] of linear interpolation between cell centres."""
-    position = (np.arange(count * factor) + 0.5) / factor - 0.5
-    low = np.floor(position).astype(int)
-    share = position - low
-    weights = np.zeros((count * factor, count))
-    for index, weight in ((low, 1 - share), (low + 1, share)):
-        cell = index % count if boundary == "periodic" else np.clip(index, 0, count - 1)
-        np.add.at(weights, (np.arange(count * factor), cell), weight)
-    return weights
+    In units of the largest number, lest squares leave the range. No derivative.
+    """
+    part, whole = jax.lax.stop_gradient((part, whole))
+    largest = jnp.max(jnp.abs(whole))
+    unit = jnp.where(largest > 0, largest, 1.0)
+    size = jnp.linalg.norm((part / unit).ravel()), jnp.linalg.norm((whole / unit).ravel())
+    return jnp.where(largest > 0, size[0] / jnp.where(largest > 0, size[1], 1.0), 0.0)

@@ -186,7 +186,12 @@ def coarse_grid(
     lit = exposure(scene, ordinates.vectors[:count])
     lit = lit.reshape(count, area[0], factor[1], area[1], factor[1]).mean(axis=(2, 4))
     scale = jnp.where(falls > 0.05, lit / jnp.maximum(falls, 0.05), 0.0)
-    scale = jnp.clip(scale, 0.0, 4.0).reshape(len(ordinates.cosine), ordinates.azimuths, *area)
+    scale = jnp.clip(scale, 0.0, 4.0)
+    # Directions in which the cells let nothing fall where some does are made up for by the others.
+    flux = jnp.asarray(ordinates.fluxes.ravel(), density.dtype)
+    wanted, got = (jnp.tensordot(flux, of, axes=1) for of in (lit, falls * scale))
+    scale = scale * jnp.clip(wanted / jnp.maximum(got, 1e-3), 0.5, 2.0)
+    scale = scale.reshape(len(ordinates.cosine), ordinates.azimuths, *area)
     return dataclasses.replace(coarse, ground_share=bare.ground_share, exposure=scale)
 
 

@@ -14,6 +14,15 @@ from jaxtyping import Array, Float
 from fynjax._core.errors import InputError
 from fynjax._core.geometry import direction
 from fynjax.canopy import AbstractLeafAngle
+from fynjax.radiation._check import (
+    check_attitude,
+    check_camera,
+    check_pixels,
+    check_shape,
+    check_view,
+    check_whole,
+    concrete,
+)
 from fynjax.radiation._resample import axis_weights, sample
 
 
@@ -260,12 +269,21 @@ def parallel_rays(
     view_zenith: Float[Array, ""],
     view_azimuth: Float[Array, ""],
 ) -> RayLattice:
-    """Rays of a distant sensor at (zenith < 90, azimuth) in degrees."""
-    dtype = jnp.asarray(x).dtype
-    towards = direction(jnp.asarray(view_zenith), jnp.asarray(view_azimuth)).astype(dtype)
+    """Rays of a distant sensor at `view_zenith` in [0, 90) and `view_azimuth` [degrees].
+
+    `x`, `y`: centres of the columns and rows of pixels on the ground [m]; `footprint`: edge of a
+    pixel there [m]. Differentiable in all but `footprint`. Raises `InputError` where there is no
+    pixel, for more than one view, and, outside a transformation, for values out of range.
+    """
+    x, y, footprint = check_pixels(x, y, footprint)
+    one = ": rays have one view, so take one call for each"
+    zenith = check_shape("view_zenith", view_zenith, (), one)
+    azimuth = check_shape("view_azimuth", view_azimuth, (), one)
+    check_view(zenith, azimuth)
+    towards = direction(zenith, azimuth).astype(x.dtype)
     return RayLattice(
-        jnp.asarray(x),
-        jnp.asarray(y),
+        x,
+        y,
         jnp.full_like(x, 1.0) * (towards[0] / towards[2]),
         jnp.full_like(y, 1.0) * (towards[1] / towards[2]),
         footprint,
@@ -279,9 +297,18 @@ def nadir_rays(
     footprint: float,
     camera: tuple[float, float, float],
 ) -> RayLattice:
-    """Rays of a frame camera at `camera` = (x, y, altitude) in m that looks straight down."""
-    x, y = jnp.asarray(x), jnp.asarray(y)
-    cx, cy, altitude = camera
+    """Rays of a frame camera at `camera` = (x, y, altitude) in m that looks straight down.
+
+    `x`, `y`, `footprint` and errors: as for `parallel_rays`. Differentiable in `x`, `y` and the
+    first two numbers of `camera`; the altitude must be known, and may be infinite.
+    """
+    x, y, footprint = check_pixels(x, y, footprint)
+    cx, cy, altitude = check_camera(camera)
+    if not (concrete(altitude) and altitude > 0):
+        raise InputError(
+            f"`camera` must be at a known height above the ground, but its altitude is {altitude} "
+            "m: it counts from the bottom of the grid, and comes last of the three numbers"
+        )
     return RayLattice(x, y, (cx - x) / altitude, (cy - y) / altitude, footprint, 5, float(altitude))
 
 
@@ -305,14 +332,12 @@ def perspective_rays(
       that they run northward in a picture taken straight down.
     - `field_of_view`: full angle that the columns span [degrees].
 
-    Raises `InputError` where a pixel would look at or above the horizon.
+    Raises `InputError` where a pixel would look at or above the horizon, and for a camera below
+    the bottom of the grid, or without pixels.
     """
-    place, aim = np.asarray(camera, float), np.asarray(target, float)
-    forward = aim - place
-    if not (np.isfinite(forward).all() and np.linalg.norm(forward) > 0):
-        raise InputError(f"`target` must be a point other than `camera`, but both are {camera}")
-    if not 0 < field_of_view < 170:
-        raise InputError(f"`field_of_view` must be in (0, 170) degrees, but is {field_of_view}")
+    check_whole("rows", rows)
+    check_whole("columns", columns)
+    place, forward = check_attitude(camera, target, field_of_view)
     forward = forward / np.linalg.norm(forward)
     straight_down = abs(forward[2]) > 1 - 1e-9
     up = np.array([0.0, 1.0, 0.0] if straight_down else [0.0, 0.0, 1.0])
@@ -323,7 +348,7 @@ def perspective_rays(
     across = (np.arange(columns) + 0.5 - columns / 2) * pitch
     along = (np.arange(rows) + 0.5 - rows / 2) * pitch
     sight = forward + along[:, None, None] * up + across[:, None] * right
-    if sight[..., 2].max() / np.linalg.norm(sight, axis=-1).max() > -0.02:
+    if (sight[..., 2] / np.linalg.norm(sight, axis=-1)).max() > -0.02:
         raise InputError(
             "every pixel must look at the ground, but some look at or above the horizon: aim "
             "`target` lower, or take a smaller `field_of_view`"

@@ -10,15 +10,13 @@ import math
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
+from fynjax.radiation._blocks import block_mean, spread, upsample
 from fynjax.radiation._multiple import (
     Bands,
     DiffuseField,
-    block_mean,
     prepare_transport,
-    spread,
-    upsample,
+    relative_size,
 )
 from fynjax.radiation._ordinates import Ordinates
 from fynjax.radiation._scene import VoxelScene
@@ -52,7 +50,8 @@ def solve_refined(
         left_over = fine.sent(high, intensity) - source
         right = block_mean(left_over, factor)
         # A tenth, for leaves that lose nothing: an error is scattered on and on.
-        share = 0.1 * _ratio(jnp.linalg.norm(start.ravel()), jnp.linalg.norm(right.ravel()))
+        # Never looser than that, since a tangent is solved as its value is.
+        share = 0.1 * jnp.minimum(relative_size(start, right), 100.0)
         missing = coarse.solve_for(low, right, tolerance * share, iterations, 10 * tolerance)
         dark = jnp.zeros_like(low.sky), jnp.zeros_like(low.sun)
         more, more_falling, more_top = coarse.light(missing, *dark, low.ground, low.shape)
@@ -60,7 +59,7 @@ def solve_refined(
         # energy closes.
         intensity = intensity + spread(more, factor)
         falling = falling + spread(more_falling[:, None], (1, factor[1]))[:, 0]
-        residual = _ratio(jnp.linalg.norm(left_over.ravel()), jnp.linalg.norm(source.ravel()))
+        residual = relative_size(left_over, source)
         return DiffuseField(
             intensity,
             falling,
@@ -70,9 +69,3 @@ def solve_refined(
         )
 
     return jax.lax.map(one, (coarse_bands, fine_bands))
-
-
-def _ratio(part: Float[Array, ""], whole: Float[Array, ""]) -> Float[Array, ""]:
-    """A size for control and report; 0 where there is nothing."""
-    part, whole = jax.lax.stop_gradient((part, whole))
-    return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1.0), 0.0)

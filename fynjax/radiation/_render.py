@@ -1,6 +1,8 @@
 """The public entry point of the radiation layer."""
 
 import math
+from numbers import Real
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,10 +11,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
-from fynjax.radiation._check import check_memory, check_scene
+from fynjax.radiation._check import (
+    as_floats,
+    check_memory,
+    check_scene,
+    check_view,
+    check_whole,
+    concrete,
+    short,
+)
 from fynjax.radiation._image import Radiance, see
 from fynjax.radiation._multiple import DiffuseField, solve_diffuse
-from fynjax.radiation._ordinates import Ordinates
+from fynjax.radiation._ordinates import Ordinates, sky_radiance
 from fynjax.radiation._rays import AbstractRays, parallel_rays
 from fynjax.radiation._reduced import ReducedField, check_reducible, solve_reduced
 from fynjax.radiation._refine import solve_refined
@@ -42,12 +52,34 @@ class Accuracy(eqx.Module):
     """Most iterations of the diffuse solve."""
     refine: bool = eqx.field(static=True, default=True)
     """Follow the last flight of the diffuse light on the voxels themselves."""
-    solves: int | None = eqx.field(static=True, default=24)
+    solves: int | None = eqx.field(static=True, default=25)
     """Most bands that are solved for. The light of more is reduced to that of so many (and not
     refined). None: solve every band."""
     margin: int | None = eqx.field(static=True, default=None)
     """Voxels by which the sunbeams' lattice exceeds an open scene. By default from the sun's
     zenith; must be given where the sun is a traced value."""
+
+    def __check_init__(self) -> None:
+        for name in ("lattice", "levels", "azimuths", "iterations"):
+            check_whole(f"accuracy.{name}", getattr(self, name))
+        for name, least in (("sublayers", 1), ("solves", 1), ("margin", 0)):
+            if getattr(self, name) is not None:
+                check_whole(f"accuracy.{name}", getattr(self, name), least)
+        if self.coarsening is not None:
+            if not isinstance(self.coarsening, tuple) or len(self.coarsening) != 2:
+                raise InputError(
+                    "`accuracy.coarsening` must be a tuple of two whole numbers, in height and in "
+                    f"width, but is {short(self.coarsening)}"
+                )
+            for factor in self.coarsening:
+                check_whole("accuracy.coarsening", factor)
+        if not (isinstance(self.tolerance, Real) and 0 < self.tolerance < 1):
+            raise InputError(
+                "`accuracy.tolerance` must be a number in (0, 1), a share of the source, but is "
+                f"{short(self.tolerance)}"
+            )
+        if not isinstance(self.refine, bool):
+            raise InputError(f"`accuracy.refine` must be True or False, but is {self.refine!r}")
 
     @property
     def ordinates(self) -> Ordinates:
@@ -90,10 +122,8 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
             "`terrain` and `ground_shape` do not go together yet: ground of a shape of its own "
             "must be level"
         )
-    factor = _coarsening(scene, accuracy)
-    reduced = accuracy.solves is not None and scene.illumination.sun.shape[0] > accuracy.solves
-    refined = accuracy.refine and factor != (1, 1) and not reduced
-    check_memory(scene, len(accuracy.ordinates.weights), factor, refined)
+    _check_sky(scene, accuracy)
+    factor, reduced, refined = check_fit(scene, accuracy)
     missing = -scene.shape[0] % factor[0]
     if missing:
         above = ((0, 0), (0, missing), (0, 0), (0, 0))
@@ -118,8 +148,39 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
     return Light(scene, sun, diffuse, accuracy)
 
 
-def _coarsening(scene: VoxelScene, accuracy: Accuracy) -> tuple[int, int]:
-    _, ny, nx = scene.shape
+def _check_sky(scene: VoxelScene, accuracy: Accuracy) -> None:
+    """Raise `InputError` where the sky is bright only between the directions of the light."""
+    light = scene.illumination
+    if light.sky_pattern is None or not concrete(light):
+        return
+    with jax.ensure_compile_time_eval():
+        radiance = np.asarray(sky_radiance(light, accuracy.ordinates))
+    if np.any((np.asarray(light.sky) > 0) & ~(radiance > 0).any(axis=1)):
+        raise InputError(
+            "`illumination.sky_pattern` must be bright where the diffuse light comes from, but is "
+            f"zero in all directions of {accuracy.levels} zeniths and {accuracy.azimuths} "
+            "azimuths: raise `accuracy.levels` and `accuracy.azimuths`, or count so narrow a light "
+            "as the sun's"
+        )
+
+
+def check_fit(
+    scene: VoxelScene, accuracy: Accuracy, width: int | None = None
+) -> tuple[tuple[int, int], bool, bool]:
+    """Coarsening of the grid, whether bands are reduced and whether their light is refined.
+
+    Raises `InputError` where the grid, or the square of `width` voxels that is solved at once,
+    cannot be coarsened so or does not fit in memory.
+    """
+    ny, nx = scene.shape[1:] if width is None else (width, width)
+    factor = _coarsening(ny, nx, accuracy)
+    reduced = accuracy.solves is not None and scene.illumination.sun.shape[0] > accuracy.solves
+    refined = accuracy.refine and factor != (1, 1) and not reduced
+    check_memory(scene, len(accuracy.ordinates.weights), factor, refined, width)
+    return factor, reduced, refined
+
+
+def _coarsening(ny: int, nx: int, accuracy: Accuracy) -> tuple[int, int]:
     if accuracy.coarsening is None:
         return 2, 2 if ny % 2 == nx % 2 == 0 else 1
     for size, axis in ((ny, "y"), (nx, "x")):
@@ -168,6 +229,7 @@ def render(light: Light, rays: AbstractRays, *, chunk: int = 8) -> Radiance:
     area that each pixel sees; direct sun, scattered once, is taken towards each pixel. Raises
     `InputError` for a sensor inside the canopy.
     """
+    check_whole("chunk", chunk)
     if rays.sensor_height < light.scene.height:
         raise InputError(
             f"the sensor must stand above the grid, which is {light.scene.height:g} m high, but "
@@ -206,8 +268,8 @@ def reflectance_factor(
     light: Light, rays: AbstractRays, *, chunk: int = 8
 ) -> Float[Array, "band row column"]:
     """pi times radiance over the irradiance above the canopy [-], as a panel calibrates it."""
-    incident = light.scene.illumination.sun + light.scene.illumination.sky
-    return jnp.pi * render(light, rays, chunk=chunk).total / incident[:, None, None]
+    incident = light.scene.illumination.incident[:, None, None]
+    return jnp.pi * render(light, rays, chunk=chunk).total / incident
 
 
 def directional_reflectance(
@@ -215,9 +277,12 @@ def directional_reflectance(
 ) -> Float[Array, "view band"]:
     """Mean reflectance factor of the whole scene for distant views [-].
 
-    `view_zenith` in [0, 90), `view_azimuth` clockwise from north, in degrees. With no sky light
-    this is the bidirectional reflectance factor (BRF).
+    `view_zenith` in [0, 90), `view_azimuth` clockwise from north, in degrees; one of them may be
+    a single number for all views. With no sky light this is the bidirectional reflectance factor
+    (BRF). Differentiable. Raises `InputError` for views that do not pair and, outside a
+    transformation, for views that do not look down.
     """
+    zenith, azimuth = _views(view_zenith, view_azimuth, light.scene.area_density.dtype)
     scene, lattice = light.scene, light.accuracy.lattice
     width = scene.horizontal / lattice
     _, ny, nx = scene.shape
@@ -225,15 +290,27 @@ def directional_reflectance(
     x = ((jnp.arange(nx * lattice) + 0.5) * width).astype(dtype)
     y = ((jnp.arange(ny * lattice) + 0.5) * width).astype(dtype)
     aspect = scene.vertical / scene.horizontal
-    sublayers = light.accuracy.sublayers or pieces(view_zenith, aspect)
-    incident = scene.illumination.sun + scene.illumination.sky
+    sublayers = light.accuracy.sublayers or pieces(zenith, aspect)
+    incident = scene.illumination.incident
 
     def one(angles: tuple[Array, Array]) -> Array:
         rays = parallel_rays(x, y, width, *angles)
         return jnp.pi * _render(light, rays, sublayers).total.mean(axis=(1, 2)) / incident
 
-    zenith, azimuth = jnp.broadcast_arrays(
-        jnp.atleast_1d(jnp.asarray(view_zenith, dtype)),
-        jnp.atleast_1d(jnp.asarray(view_azimuth, dtype)),
-    )
     return jax.lax.map(one, (zenith, azimuth))
+
+
+def _views(
+    zenith: Any, azimuth: Any, dtype: Any
+) -> tuple[Float[Array, " view"], Float[Array, " view"]]:
+    zenith = as_floats("view_zenith", zenith, dtype)
+    azimuth = as_floats("view_azimuth", azimuth, dtype)
+    shapes = zenith.shape, azimuth.shape
+    if max(map(len, shapes)) > 1 or len(set(shapes) - {()}) > 1:
+        raise InputError(
+            "`view_zenith` and `view_azimuth` must be lists of equal length, or single numbers, "
+            f"but have shapes {shapes[0]} and {shapes[1]}: they are pairs, not the axes of a grid"
+        )
+    check_view(zenith, azimuth)
+    zenith, azimuth = jnp.broadcast_arrays(jnp.atleast_1d(zenith), jnp.atleast_1d(azimuth))
+    return zenith, azimuth

@@ -57,6 +57,13 @@ class Illumination(eqx.Module):
     included) and of azimuth from 0 to 360 (not included), for all bands or each; scaled so that
     the irradiance is `sky`. None: the same from everywhere."""
 
+    @property
+    def incident(self) -> Float[Array, " band"]:
+        """Irradiance above the canopy, which shares are counted of; 1 in a band without light,
+        where all shares are 0."""
+        total = self.sun + self.sky
+        return jnp.where(total > 0, total, 1.0)
+
 
 class VoxelScene(eqx.Module):
     """A canopy as a turbid medium on a voxel grid, over its ground."""

@@ -30,8 +30,6 @@ class SunField(eqx.Module):
     on_ground: Float[Array, "y x"]
     """Direct irradiance on the ground's surface in each voxel column, over that above the canopy
     on a level plane [-]."""
-    unshaded: Float[Array, "interface row column"] | None
-    """Share of each beam that terrain has not stopped above the plane [-]; None: level ground."""
     incidence: Float[Array, "y x"] | None
     """`on_ground` without the canopy; None: level ground."""
     cosine: Float[Array, ""]
@@ -71,8 +69,7 @@ def trace_sun(scene: VoxelScene, per_voxel: int, sublayers: int, margin: int) ->
 
     width = scene.horizontal / per_voxel
     pad = margin * per_voxel
-    columns = ((jnp.arange(-pad, nx * per_voxel + pad) + 0.5) * width).astype(dtype)
-    rows = ((jnp.arange(-pad, ny * per_voxel + pad) + 0.5) * width).astype(dtype)
+    columns, rows = _beams(scene, per_voxel, margin)
 
     # The path through a layer is split in sub-layers, each sampled where the beam is at its
     # middle: a slant beam changes voxel within a layer.
@@ -100,10 +97,9 @@ def trace_sun(scene: VoxelScene, per_voxel: int, sublayers: int, margin: int) ->
     mean = jnp.exp(-above) * mean_transmittance(pieces)
     mean = mean.reshape(nz, sublayers, *mean.shape[1:])
     interfaces = jnp.concatenate([below[::sublayers], jnp.zeros_like(below[:1])])
-    unshaded = None
     if scene.terrain is not None:
-        unshaded = _unshaded(scene, slope, columns, rows, width)
-        mean = mean * unshaded[1:, None]
+        tops = heights.ravel() + 0.5 * step
+        mean = mean * _unshaded(scene, slope, (columns, rows), width, tops).reshape(mean.shape)
     # The transpose of the sampling: light found on the beams goes back to the voxels that the
     # beams crossed, so that what the voxels take is what the beams lose.
     voxel = jnp.asarray(
@@ -112,30 +108,48 @@ def trace_sun(scene: VoxelScene, per_voxel: int, sublayers: int, margin: int) ->
             for sub, (wy, wx) in enumerate(weights)
         )
     ) / (sublayers * per_voxel**2)
-    if unshaded is None:
+    if scene.terrain is None:
         beams = jnp.exp(-interfaces[0])
         beams = beams[pad : beams.shape[0] - pad, pad : beams.shape[1] - pad]
         on_ground = beams.reshape(ny, per_voxel, nx, per_voxel).mean(axis=(1, 3))
-        return SunField(interfaces, voxel, on_ground, None, None, cosine, slope, pad, per_voxel)
+        return SunField(interfaces, voxel, on_ground, None, cosine, slope, pad, per_voxel)
     steps = max(margin, 2) if scene.boundary == "open" else max(ny, nx)
     incidence = sun_on_ground(scene, towards, steps)
-    field = SunField(
-        interfaces, voxel, incidence, unshaded, incidence, cosine, slope, pad, per_voxel
-    )
+    field = SunField(interfaces, voxel, incidence, incidence, cosine, slope, pad, per_voxel)
     on_ground = incidence * _canopy_above_ground(field, scene)
     return eqx.tree_at(lambda f: f.on_ground, field, on_ground)
+
+
+def _beams(
+    scene: VoxelScene, per_voxel: int, margin: int
+) -> tuple[Float[Array, " column"], Float[Array, " row"]]:
+    """Where the beams of the lattice meet the ground's plane [m]."""
+    _, ny, nx = scene.shape
+    pad, width = margin * per_voxel, scene.horizontal / per_voxel
+    columns, rows = (
+        ((jnp.arange(-pad, count * per_voxel + pad) + 0.5) * width).astype(scene.area_density.dtype)
+        for count in (nx, ny)
+    )
+    return columns, rows
+
+
+def unshaded_beams(
+    scene: VoxelScene, sun: SunField, heights: Float[Array, " plane"]
+) -> Float[Array, "plane row column"]:
+    """Share of each beam that terrain has not stopped above each of the rising `heights` [-]."""
+    beams = _beams(scene, sun.per_voxel, sun.margin // sun.per_voxel)
+    return _unshaded(scene, sun.slope, beams, scene.horizontal / sun.per_voxel, heights)
 
 
 def _unshaded(
     scene: VoxelScene,
     slope: Float[Array, " 2"],
-    columns: Float[Array, " column"],
-    rows: Float[Array, " row"],
+    beams: tuple[Float[Array, " column"], Float[Array, " row"]],
     width: float,
-) -> Float[Array, "interface row column"]:
-    """Share of each beam that the ground has not stopped on its way down to each plane."""
-    nz, ny, nx = scene.shape
-    heights = (jnp.arange(nz + 1) * scene.vertical).astype(columns.dtype)
+    heights: Float[Array, " plane"],
+) -> Float[Array, "plane row column"]:
+    _, ny, nx = scene.shape
+    columns, rows = beams
 
     def plane(open_above: Array, at: tuple[Array, Array]) -> tuple[Array, Array]:
         below_ground, height = at
@@ -159,27 +173,20 @@ def _canopy_above_ground(sun: SunField, scene: VoxelScene) -> Float[Array, "y x"
     below = covered(scene, heights)
     ends_here = jnp.concatenate([1.0 - below[1:2], below[1:-1] - below[2:], below[-1:]])
 
+    width = scene.horizontal / sun.per_voxel
+    shift = sun.margin * width
+
     def plane(total: Array, at: tuple[Array, Array, Array]) -> tuple[Array, None]:
         depth, share, height = at
-        depth = interface_depth(sun, depth, height, x, y, scene)
-        return total + share * jnp.exp(-depth), None
+        wx, wy = (
+            axis_weights(
+                points - height * slope + shift, scene.horizontal, count, width, scene.boundary
+            )
+            for points, slope, count in zip((x, y), sun.slope, depth.shape[::-1])
+        )
+        # The mean of what reaches the voxel's area, beam by beam: a beam of their mean depth
+        # would bring less. Beside the lattice nothing is in the way.
+        return total + share * (1.0 - sample(-jnp.expm1(-depth), wy, wx)), None
 
     total, _ = jax.lax.scan(plane, jnp.zeros((ny, nx), dtype), (sun.depth, ends_here, heights))
     return total
-
-
-def interface_depth(
-    sun: SunField,
-    interface: Float[Array, "row column"],
-    height: Float[Array, ""],
-    x: Float[Array, " column"],
-    y: Float[Array, " row"],
-    scene: VoxelScene,
-) -> Float[Array, "row column"]:
-    """Depth towards the sun at the points (x, y, `height`), from one plane of `sun.depth`."""
-    width = scene.horizontal / sun.per_voxel
-    shift = sun.margin * width
-    count_y, count_x = interface.shape
-    columns = axis_weights(x - height * sun.slope[0] + shift, width, count_x, width, scene.boundary)
-    rows = axis_weights(y - height * sun.slope[1] + shift, width, count_y, width, scene.boundary)
-    return sample(interface, rows, columns)

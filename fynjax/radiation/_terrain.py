@@ -89,6 +89,9 @@ def sun_on_ground(
     # The root is guarded: under a sun overhead nothing is shaded, and nothing is undefined.
     run = jnp.sqrt(jnp.maximum(jnp.sum(slope**2), 1e-6))
     step = scene.horizontal / run  # height gained per voxel of ground
+    # An edge of shadow is as soft as a voxel is wide: by so much the clearance of the beams varies
+    # over a voxel, level or tilted. (So a plane never shades itself.)
+    edge = step * jnp.maximum(cosine / normal[2], 1e-3)
     x = (jnp.arange(nx, dtype=height.dtype) + 0.5) * scene.horizontal
     y = (jnp.arange(ny, dtype=height.dtype) + 0.5) * scene.horizontal
     width = scene.horizontal
@@ -99,9 +102,7 @@ def sun_on_ground(
         rows = axis_weights(y + rise * slope[1], width, ny, width, scene.boundary)
         inside = rows.sum(axis=1)[:, None] * columns.sum(axis=1)
         clearance = height + rise - sample(height, rows, columns)
-        # An edge of shadow is as soft as a voxel; level ground never shades itself.
-        edge = jnp.minimum(0.5 * scene.vertical, rise)
-        share = jnp.clip(0.5 + 0.5 * clearance / edge, 0.0, 1.0)
+        share = jnp.clip(0.5 + clearance / edge, 0.0, 1.0)
         return jnp.minimum(lit, jnp.where(inside > 0.5, share, 1.0)), None
 
     # The first voxel is the ground's own slope, which the cosine has.

@@ -17,9 +17,17 @@ import numpy as np
 from jaxtyping import Array
 
 from fynjax._core.errors import InputError
+from fynjax.radiation._check import check_scene, check_whole, concrete, default_rim
 from fynjax.radiation._image import Radiance
 from fynjax.radiation._rays import RayLattice
-from fynjax.radiation._render import Accuracy, pieces, render, solve_light, sun_margin
+from fynjax.radiation._render import (
+    Accuracy,
+    check_fit,
+    pieces,
+    render,
+    solve_light,
+    sun_margin,
+)
 from fynjax.radiation._scene import VoxelScene
 
 
@@ -49,11 +57,17 @@ def render_tiles(
     backward pass solves each tile once more. Against the solve of the whole scene, see the rim
     in `tests/radiation/test_tiles.py`.
     """
+    check_scene(scene)
     _, ny, nx = scene.shape
-    if rim is None:
-        rim = _default_rim(scene, rays)
-    # The coarse grid and the tile's own must start together.
-    rim += -rim % 2
+    if not isinstance(rays, RayLattice):
+        raise InputError(
+            "`rays` must be those of `parallel_rays` or `nadir_rays`, whose pixels can be cut "
+            f"along the tiles, but are a {type(rays).__name__}: for a tilted camera render the "
+            "whole scene (`solve_light`, `render`)"
+        )
+    check_whole("tile", tile)
+    if rim is not None:
+        check_whole("rim", rim, 0)
     for size, axis in ((ny, "y"), (nx, "x")):
         if size % tile:
             raise InputError(
@@ -67,13 +81,19 @@ def render_tiles(
                 f"each tile must have the same number of pixels, but {pixels} along {axis} do "
                 f"not spread over {tiles} tiles"
             )
+        _check_cover(axis, getattr(rays, axis), scene.horizontal * tiles * tile)
     devices = 1 if mesh is None else mesh.size
     if rows * columns % devices:
         raise InputError(
             f"the number of devices must divide the tiles, but there are {devices} for "
             f"{rows * columns}"
         )
+    if mesh is not None and len(mesh.axis_names) != 1:
+        raise InputError(f"`mesh` must have one axis, but has {len(mesh.axis_names)}")
+    rim = _default_rim(scene, rays) if rim is None else rim + rim % 2
+    width = tile + 2 * rim
     accuracy = Accuracy() if accuracy is None else accuracy
+    check_fit(scene, accuracy, width)
     aspect = scene.vertical / scene.horizontal
     sublayers = accuracy.sublayers or pieces(scene.illumination.sun_zenith, aspect)
     accuracy = dataclasses.replace(
@@ -81,7 +101,6 @@ def render_tiles(
     )
     high, wide = rays.y.shape[0] // rows, rays.x.shape[0] // columns
     surrounded = _surrounded(scene, rim)
-    width = tile + 2 * rim
 
     def one(place: Array, surrounded: VoxelScene, rays: RayLattice) -> Radiance:
         row, column = place[0], place[1]
@@ -131,15 +150,31 @@ def render_tiles(
 
 
 def _default_rim(scene: VoxelScene, rays: RayLattice) -> int:
-    slants = [jnp.max(jnp.abs(rays.slope_x)), jnp.max(jnp.abs(rays.slope_y))]
     zenith = scene.illumination.sun_zenith
-    if any(isinstance(value, jax.core.Tracer) for value in (*slants, zenith)):
+    if not concrete(rays, zenith):
         raise InputError(
             "`rim` must be given where the sun or the view is a traced value: twice the height "
             "of the scene and the length of its longest shadow, in voxels"
         )
-    slant = max(math.tan(math.radians(float(zenith))), *map(float, slants))
-    return math.ceil(scene.height * (slant + 2.0) / scene.horizontal)
+    slants = np.abs([*np.asarray(rays.slope_x), *np.asarray(rays.slope_y)])
+    return default_rim(scene, max(math.tan(math.radians(float(zenith))), float(slants.max())))
+
+
+def _check_cover(axis: str, centres: Array, length: float) -> None:
+    """Raise `InputError` unless pixels, where they are known, divide `length` evenly."""
+    if not concrete(centres):
+        return
+    pitch = length / centres.shape[0]
+    place, wanted = np.asarray(centres), (np.arange(centres.shape[0]) + 0.5) * pitch
+    off = np.abs(place - wanted)
+    if off.max() > 0.05 * pitch:
+        worst = int(off.argmax())
+        raise InputError(
+            f"the pixels must cover the scene evenly from its south-west corner, but along {axis} "
+            f"pixel {worst} has its centre at {place[worst]:g} m in place of "
+            f"{wanted[worst]:g} m: are these edges of pixels, does the picture cover only a part, "
+            "or is its first row the northern one?"
+        )
 
 
 def _with_maps(scene: VoxelScene, change: Callable[[Array], Array]) -> VoxelScene:

@@ -1,5 +1,7 @@
 """The fit against a closed form: a linear model with a normal prior has a normal posterior."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -103,6 +105,31 @@ def test_slopes_by_chance_are_no_knowledge():
     assert float(wide.marginal(jnp.zeros((4, 10)), slopes_of_many[1:]).constrained.mean()) < 0.06
     repeated = result.marginal(jnp.zeros((8, size)), 1.0 + 0.3 * jnp.asarray(slopes[1:]))
     assert repeated.seen() == ("a.cover",)
+
+
+def test_of_a_hundred_slopes_by_chance_hardly_one_is_called_seen():
+    draw = np.random.default_rng(11)
+    names, free = tuple(f"s{i}" for i in range(4)), tuple(f"p{i}.cover" for i in range(3))
+    space = ParameterSpace(free, *(jnp.full(3, v) for v in (-1e4, 1e4, 1.0, 1.0)))
+    result = fit(
+        lambda x: x[:1] * jnp.zeros(4), Data(names, jnp.zeros(4), 0.1 * jnp.ones(4)), space
+    )
+
+    def called(others):
+        slopes = jnp.asarray(draw.normal(size=(others + 1, 4, 3)))
+        moved = dataclasses.replace(result, jacobian=slopes[0])
+        return len(moved.marginal(jnp.zeros((others, 4)), slopes[1:]).seen())
+
+    assert sum(called(4) for _ in range(100)) <= 18  # of 300
+    assert called(1) == 0
+
+
+def test_a_parameter_without_a_slope_stays_at_its_prior():
+    result = fit(predict, DATA, SPACE, tolerance=1e-8)
+    flat = dataclasses.replace(result, jacobian=result.jacobian.at[:, 0].set(0.0))
+    found = flat.marginal(jnp.zeros((3, 4)), jnp.repeat(flat.jacobian[None], 3, axis=0))
+    assert float(found.constrained[0]) == pytest.approx(0.0, abs=1e-12)
+    assert np.all(np.isfinite(found.covariance))
 
 
 def test_chance_in_one_slope_leaves_the_knowledge_of_another():

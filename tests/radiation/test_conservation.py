@@ -170,6 +170,35 @@ def test_single_precision_agrees_with_double():
     np.testing.assert_allclose(image, camera_factor(solver(CELLS)(patchy())), rtol=2e-4)
 
 
+@pytest.mark.parametrize("unit", [1e-18, 1e19])
+def test_light_in_any_unit(unit):
+    """In single precision too, where the squares of such numbers do not exist."""
+    scene = jax.tree.map(lambda a: a.astype(np.float32), patchy())
+    light = scene.illumination
+    other = eqx.tree_at(
+        lambda s: (s.illumination.sun, s.illumination.sky),
+        scene,
+        (light.sun * np.float32(unit), light.sky * np.float32(unit)),
+    )
+    one, two = solver(BLOCKS)(scene), solver(BLOCKS)(other)
+    np.testing.assert_allclose(fluxes_of(two).albedo, fluxes_of(one).albedo, rtol=1e-5)
+    np.testing.assert_allclose(two.residual, one.residual, rtol=1e-2)
+
+
+def test_a_band_without_light_reflects_nothing():
+    scene = patchy()
+    dark = eqx.tree_at(
+        lambda s: (s.illumination.sun, s.illumination.sky),
+        scene,
+        (scene.illumination.sun.at[1].set(0.0), scene.illumination.sky.at[1].set(0.0)),
+    )
+    light = solver(CELLS)(dark)
+    for share in jax.tree.leaves(fluxes_of(light)):
+        assert np.all(np.asarray(share)[0] > 0)
+        np.testing.assert_array_equal(share[1], 0.0)
+    np.testing.assert_array_equal(camera_factor(light)[1], 0.0)
+
+
 def test_the_solve_reports_what_it_left_over():
     cut_short = Accuracy(coarsening=(1, 1), tolerance=1e-7, margin=6, iterations=2)
     assert np.all(np.asarray(solver(CELLS)(patchy()).diffuse.residual) < 1.01e-7)

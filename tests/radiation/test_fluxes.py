@@ -107,9 +107,9 @@ def test_classes_and_voxels_against_photons(boundary):
     for band in range(2):
         want = reference.fluxes(scene, photons=60_000, seed=band, band=band)
         for name in ("absorbed", "albedo", "transmitted", "ground_absorbed"):
-            value, mean = np.asarray(getattr(flux, name)[band]), getattr(want, name).mean
-            print(boundary, band, name, 100 * (value / mean - 1))
-            np.testing.assert_allclose(value, mean, rtol=0.02, err_msg=name)
+            value, found = np.asarray(getattr(flux, name)[band]), getattr(want, name)
+            print(boundary, band, name, 100 * (value / found.mean - 1))
+            assert np.all(np.abs(value - found.mean) < 0.015 * found.mean + 3 * found.error), name
 
 
 @pytest.mark.parametrize("shape", [(5, 7, 9), (3, 6, 9), (1, 1, 1)])

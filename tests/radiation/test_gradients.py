@@ -71,6 +71,34 @@ def with_options(boundary):
     return dataclasses.replace(scene, illumination=light, ground_shape=shape)
 
 
+@pytest.mark.slow
+def test_derivatives_at_the_default_tolerance():
+    """Of the refined solve, whose parts are loose: forward and backward, against a tight one."""
+    scene = patchy(shape=(4, 8, 8))
+    # Area moved from voxel to voxel, much of it within the cells of the coarse grid.
+    step = jnp.asarray(np.random.default_rng(3).normal(size=scene.area_density.shape))
+    along = eqx.tree_at(
+        lambda s: s.area_density,
+        jax.tree.map(jnp.zeros_like, scene),
+        (step - step.mean()) * scene.area_density,
+    )
+    found = []
+    for accuracy in (Accuracy(levels=2), Accuracy(levels=2, tolerance=1e-11, iterations=400)):
+
+        def albedo(scene, accuracy=accuracy):
+            return fluxes(solve_light(scene, accuracy)).albedo @ jnp.array([1.0, 2.0])
+
+        value, forward = quick_jit(lambda at, d: jax.jvp(albedo, (at,), (d,)))(scene, along)
+        back = quick_jit(jax.grad(albedo))(scene)
+        backward = sum(
+            jnp.sum(a * b) for a, b in zip(jax.tree.leaves(back), jax.tree.leaves(along))
+        )
+        found.append((float(value), float(forward), float(backward)))
+    print(found)
+    for got, want, near in zip(*found, (1e-4, 2e-3, 2e-3)):
+        assert got == pytest.approx(want, rel=near)
+
+
 @pytest.fixture(scope="module", params=["periodic", "open"])
 def scene(request):
     return with_options(request.param)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 
 import equinox as eqx
 import jax
@@ -16,11 +17,14 @@ from fynjax.radiation import (
     RahmanPintyVerstraete,
     check_scene,
     nadir_rays,
+    parallel_rays,
     reflectance_factor,
+    render_tiles,
     solve_light,
     voxel_scene,
 )
-from tests.radiation.scenes import patchy
+from fynjax.radiation._render import check_fit
+from tests.radiation.scenes import patchy, quick_jit, solver
 
 
 def change(select, value, boundary="periodic"):
@@ -44,6 +48,10 @@ def with_owners(*owners):
 
 def with_pattern(pattern):
     return dataclasses.replace(patchy().illumination, sky_pattern=pattern)
+
+
+def rahman(k=0.9, theta=-0.1, rho_c=0.3):
+    return RahmanPintyVerstraete(*([value, value] for value in (k, theta, rho_c)))
 
 
 DENSITY = patchy().area_density
@@ -121,6 +129,26 @@ CASES = {
         lambda: change(lambda s: s.illumination.sun_zenith, jnp.array(jnp.nan)),
         "but is nan",
     ),
+    "sun of two zeniths": (
+        lambda: change(lambda s: s.illumination.sun_zenith, jnp.array([30.0, 40.0])),
+        r"sun_zenith` must be a single number, but has shape \(2,\): a scene has one sun",
+    ),
+    "sun of one azimuth in a list": (
+        lambda: change(lambda s: s.illumination.sun_azimuth, jnp.array([30.0])),
+        r"sun_azimuth` must be a single number, but has shape \(1,\)",
+    ),
+    "sun of no azimuth": (
+        lambda: change(lambda s: s.illumination.sun_azimuth, jnp.array(jnp.nan)),
+        "`sun_azimuth` must be finite, but is nan",
+    ),
+    "sun of endless azimuth": (
+        lambda: change(lambda s: s.illumination.sun_azimuth, jnp.array(jnp.inf)),
+        "`sun_azimuth` must be finite, but is inf",
+    ),
+    "no bands": (
+        lambda: change(lambda s: s.classes.reflectance, jnp.zeros((3, 0))),
+        r"with one band or more, but has shape \(3, 0\)",
+    ),
     "leaf diameters without owners": (
         lambda: with_owners((0, 0, 0), jnp.array([0.01, 0.02]), (0, 2, 1)),
         "points beyond the end of `leaf_diameter`",
@@ -132,6 +160,18 @@ CASES = {
     "a sky of other bands": (
         lambda: with_static(illumination=with_pattern(jnp.ones((3, 4, 8)))),
         r"sky_pattern` must have the axes .*\(3, 4, 8\)",
+    ),
+    "a sky without azimuths": (
+        lambda: with_static(illumination=with_pattern(jnp.ones((4, 0)))),
+        r"an azimuth and two zeniths or more, but has shape \(4, 0\)",
+    ),
+    "a sky of no light": (
+        lambda: with_static(illumination=with_pattern(jnp.zeros((4, 8)))),
+        "sky_pattern` must be bright somewhere.*set `sky` to zero",
+    ),
+    "a sky of no light in one band": (
+        lambda: with_static(illumination=with_pattern(jnp.ones((2, 4, 8)).at[1].set(0.0))),
+        "sky_pattern` must be bright somewhere in every band",
     ),
     "a sky of negative light": (
         lambda: with_static(illumination=with_pattern(-jnp.ones((4, 8)))),
@@ -149,6 +189,23 @@ CASES = {
         lambda: with_static(ground_shape=RahmanPintyVerstraete([1.0], [0.0], [1.0])),
         r"`ground_shape.k` must have one value for each of the 2 bands",
     ),
+    **{
+        f"ground shape of {name} = {value}": (
+            lambda name=name, value=value: with_static(ground_shape=rahman(**{name: value})),
+            f"`ground_shape.{name}` must be finite.*the first is {value}",
+        )
+        for name, value in (
+            ("k", math.nan),
+            ("theta", -1.0),
+            ("theta", 1.0),
+            ("rho_c", math.inf),
+            ("rho_c", 2.5),
+        )
+    },
+    "ground shape of another type": (
+        lambda: with_static(ground_shape="lambert"),
+        "`ground_shape` must be a `RahmanPintyVerstraete` or None, but is 'lambert'",
+    ),
     "no light": (
         lambda: change(
             lambda s: (s.illumination.sun, s.illumination.sky), (jnp.zeros(2), jnp.zeros(2))
@@ -158,6 +215,14 @@ CASES = {
     "unknown boundary": (
         lambda: with_static(boundary="mirror"),
         "`boundary` must be 'periodic' or 'open', but is 'mirror'",
+    ),
+    "boundary of another type": (
+        lambda: with_static(boundary=["open"]),
+        r"`boundary` must be 'periodic' or 'open', but is \['open'\]",
+    ),
+    "voxel without end": (
+        lambda: with_static(vertical=math.inf),
+        "`vertical` must be a positive length in m, but is inf",
     ),
     "voxel without width": (
         lambda: with_static(horizontal=0.0),
@@ -200,6 +265,14 @@ def test_an_open_scene_with_a_traced_sun_needs_a_margin():
         jax.eval_shape(solve_light, patchy("open"))
 
 
+def test_a_sky_bright_only_between_the_directions_of_the_light():
+    pattern = jnp.zeros((91, 36)).at[0].set(1.0)
+    scene = with_static(illumination=with_pattern(pattern))
+    check_scene(scene)  # it has light
+    with pytest.raises(InputError, match="zero in all directions of 3 zeniths and 6 azimuths"):
+        solve_light(scene)
+
+
 def test_shapes_are_checked_under_jit_too():
     with pytest.raises(InputError, match=r"`classes.reflectance` must have shape"):
         jax.eval_shape(solve_light, change(lambda s: s.area_density, DENSITY[:2]))
@@ -229,7 +302,31 @@ def test_a_scene_from_plain_arrays():
     ("changes", "message"),
     [
         ({"voxel": (0.1, 0.2, 0.1)}, "the first two equal.*resample the grid to square columns"),
-        ({"voxel": 0.1}, "must be the edges in x, y and z"),
+        ({"voxel": 0.1}, r"`voxel` must be 3 numbers.*edges in x, y and z"),
+        ({"voxel": ("0.1", "0.1", "0.1")}, "`voxel` must be a number or an array of numbers"),
+        ({"voxel": (0.1, 0.1, math.inf)}, r"`voxel \[m\]` must be finite .* \(0, inf\).* is inf"),
+        ({"voxel": (0.1, 0.1, 0.0)}, r"`voxel \[m\]` must be finite .* first is 0.0 at"),
+        ({"area_density": "dense"}, "`area_density` must be a number or.*'dense': is it text"),
+        ({"area_density": [[1.0], [1.0, 2.0]]}, "`area_density`.*in rows of equal length"),
+        ({"area_density": np.ones((1, 2, 3, 4), complex)}, "must be real numbers.*complex128"),
+        ({"reflectance": np.zeros((1, 0))}, r"one band or more, but has shape \(1, 0\)"),
+        ({"sun_zenith": [30.0]}, r"sun_zenith` must be a single number, but has shape \(1,\)"),
+        ({"sun_zenith": None}, "`sun_zenith` must be a number .* but is None"),
+        ({"sun_zenith": "30"}, "`sun_zenith` must be a number .* but is '30': is it text"),
+        ({"sun_azimuth": "west"}, "`sun_azimuth` must be a number .* but is 'west'"),
+        ({"sun_azimuth": [180.0]}, "sun_azimuth` must be a single number"),
+        ({"sun_azimuth": math.nan}, "`sun_azimuth` must be finite, but is nan"),
+        ({"sky": "blue"}, "`sky` must be a number or"),
+        ({"sky_pattern": "clear"}, "`sky_pattern` must be a number or"),
+        ({"sky": 0.2, "sky_pattern": np.zeros((4, 8))}, "must be bright somewhere"),
+        ({"terrain": "hill"}, "`terrain` must be a number or"),
+        ({"leaf_diameter": [0.01, 0.02]}, r"one value for each of the 1 classes.* shape \(2,\)"),
+        ({"leaf_diameter": "small"}, "`leaf_diameter` must be a number or"),
+        ({"leaf_angles": [3]}, r"`leaf_angles` must be a name or a distribution .* is \[3\]"),
+        ({"leaf_angles": None}, "`leaf_angles` must be a name or a distribution .* is None"),
+        ({"leaf_angles": 57.0}, "`leaf_angles` must be a name or a distribution .* is 57"),
+        ({"leaf_angles": []}, "each of the 1 classes, but has 0"),
+        ({"ground_shape": 0.9}, "`ground_shape` must be a `RahmanPintyVerstraete` or None"),
         ({"area_density": np.ones((2, 3, 4))}, r"axes \[class, z, y, x\].*\(2, 3, 4\)"),
         ({"reflectance": [0.1, 0.4]}, r"`reflectance` \[class, band\]"),
         ({"transmittance": [[0.9, 0.9]]}, "must not exceed 1"),
@@ -245,30 +342,52 @@ def test_plain_arrays_refused(changes, message):
         plain(**changes)
 
 
-def test_a_grid_too_large_is_refused_before_it_is_tried(monkeypatch):
-    monkeypatch.setattr("fynjax.radiation._check._memory", lambda: 2**24)
+def centres(count, pixel=0.1):
+    return (np.arange(count) + 0.5) * pixel
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(240, 240), (240, 360)])
+def test_a_grid_too_large_is_refused_before_it_is_tried(monkeypatch, rows, columns):
+    monkeypatch.setattr("fynjax.radiation._check._memory", lambda: 2**28)
+    scene = plain(area_density=np.ones((1, 10, rows, columns)))
     with pytest.raises(
-        InputError, match=r"20 x 60 x 60 voxels in 2 bands needs about .* GiB.*"
+        InputError, match=rf"10 x {rows} x {columns} voxels in 2 bands needs about .* GiB.*"
     ) as e:
-        solve_light(plain(area_density=np.ones((1, 20, 60, 60))))
-    side = int(str(e.value).split("at most ")[1].split()[0])
-    assert 0 < side < 60
-    solve = lambda n: jax.eval_shape(  # noqa: E731
-        lambda: solve_light(plain(area_density=np.ones((1, 20, n, n)))).diffuse.top
-    )
-    solve(side - side % 2)  # what it says would fit
+        solve_light(scene)
+    tile, rim = (int(re.search(rf"`{name}=(\d+)`", str(e.value))[1]) for name in ("tile", "rim"))
+    # The sun at 30 degrees, and twice the height; even.
+    assert rim == 2 * math.ceil(10 * (math.tan(math.radians(30.0)) + 2) / 2)
+    assert rows % tile == columns % tile == 0
+    edge = tile + 2 * rim
+    assert f"{edge} x {edge} voxels are solved at once" in str(e.value)
+    # What it says fits, counting the rim; the next tile that divides the grid does not.
+    check = lambda edge: check_fit(scene, Accuracy(), edge)  # noqa: E731
+    check(edge)
+    common = math.gcd(rows, columns)
+    larger = min(t for t in range(tile + 2, common + 1, 2) if common % t == 0)
+    with pytest.raises(InputError, match="GiB"):
+        check(larger + 2 * rim)
+    view = parallel_rays(*(centres(n) for n in (columns, rows)), 0.1, 0.0, 0.0)
+    with pytest.raises(InputError, match=rf"{larger + 2 * rim} voxels in 2 bands.*tile={tile}"):
+        render_tiles(scene, view, tile=larger, rim=rim)
 
 
-def test_a_camera_in_the_canopy_is_refused():
-    x = jnp.array([0.1, 0.2])
-    light = solve_light(plain(), Accuracy(refine=False, levels=1, azimuths=2))
-    with pytest.raises(InputError, match=r"above the grid, which is 0.2 m high, but is at 0.15 m"):
-        reflectance_factor(light, nadir_rays(x, x, 0.1, (0.1, 0.1, 0.15)))
+@pytest.mark.parametrize(
+    ("shape", "memory", "advice"),
+    [
+        ((10, 241, 241), 2**28, "no tile that divides its 241 x 241 columns fits.*crop"),
+        ((10, 240, 240), 2**22, "not even a tile with its rim of 26 voxels fits"),
+    ],
+)
+def test_a_grid_too_large_for_tiles(monkeypatch, shape, memory, advice):
+    monkeypatch.setattr("fynjax.radiation._check._memory", lambda: memory)
+    with pytest.raises(InputError, match=advice):
+        solve_light(plain(area_density=np.ones((1, *shape))))
 
 
 def test_an_empty_grid_is_the_bare_ground():
     scene = plain(area_density=np.zeros((1, 2, 4, 4)), sky=0.3)
     x = (jnp.arange(4) + 0.5) * 0.1
-    light = solve_light(scene, Accuracy(levels=1, azimuths=2))
-    image = reflectance_factor(light, nadir_rays(x, x, 0.1, (0.2, 0.2, math.inf)))
+    light = solver(Accuracy(levels=1, azimuths=2))(scene)
+    image = quick_jit(reflectance_factor)(light, nadir_rays(x, x, 0.1, (0.2, 0.2, math.inf)))
     np.testing.assert_allclose(image, np.broadcast_to([[[0.2]], [[0.3]]], (2, 4, 4)), rtol=1e-12)

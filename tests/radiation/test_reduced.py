@@ -364,7 +364,7 @@ def test_memory_does_not_grow_with_the_bands():
 
             return jnp.sum(jax.lax.map(jax.checkpoint(of_band), jnp.arange(scene.ground.shape[0])))
 
-        compiled = quick_jit(jax.value_and_grad(total)).lower(scene).compile()
+        compiled = jax.jit(jax.value_and_grad(total)).lower(scene).compile()
         plans.append((scene.ground.shape[0], compiled.memory_analysis().temp_size_in_bytes / 8))
     (few, small), (many, large) = plans
     assert (large - small) / (many - few) < 1296

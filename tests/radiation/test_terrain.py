@@ -78,14 +78,15 @@ def test_level_bare_ground_higher_up_is_bare_ground(height):
 def test_terrain_of_zeros_is_level_ground():
     scene = patchy()
     level = with_fields(scene, terrain=jnp.zeros((6, 8)))
-    np.testing.assert_allclose(seen(level), seen(scene), rtol=1e-3)
+    np.testing.assert_allclose(seen(level), seen(scene), rtol=1e-12)
     one, two = (fluxes_of(solver(ACCURACY)(s)) for s in (level, scene))
     for got, want in zip(jax.tree.leaves(one), jax.tree.leaves(two)):
-        np.testing.assert_allclose(got, want, rtol=1e-3)
+        np.testing.assert_allclose(got, want, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("azimuth", "rise"), [(270.0, 0.3), (90.0, 0.3), (270.0, -0.2), (0.0, 0.5), (270.0, 1.5)]
+    ("azimuth", "rise"),
+    [(270.0, 0.3), (90.0, 0.3), (90.0, 1.1), (270.0, -0.2), (0.0, 0.5), (270.0, 1.5)],
 )
 def test_tilted_plane(azimuth, rise):
     check_tilted_plane(azimuth, rise, 0.1)
@@ -111,18 +112,14 @@ def check_tilted_plane(azimuth, rise, vertical):
     np.testing.assert_allclose(got, want, rtol=2e-3, atol=1e-9)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="the soft edge of cast shadows dims a plane turned from the sun where a layer is "
-    "several times as high as a voxel is wide",
-)
 def test_tilted_plane_in_tall_voxels():
+    """The height of the layers does not soften what the heights of the ground tell."""
     check_tilted_plane(90.0, 0.3, 1.0)
 
 
 def test_a_wall_throws_its_shadow_away_from_the_sun():
     """Sun in the west at 30 degrees of height: 1.5 m of wall shade tan(60) times as much east.
-    The edge of the shadow is as soft as a layer is high."""
+    The edge of the shadow is as soft as a voxel is wide."""
     heights = jnp.full((SIZE, SIZE), 0.5, float).at[:, 2].set(2.0)
     scene = level_area(sun=(60.0, 270.0), soil=1e-3, terrain=heights)
     row = nadir(scene)[0, 6] / 1e-3
@@ -143,8 +140,8 @@ def test_white_furnace(amplitude):
     view, image = seen(scene), nadir(scene)
     print("views", view.ravel(), "image", image.min(), image.max())
     print("albedo", fluxes_of(solver(ACCURACY)(scene)).albedo)
-    np.testing.assert_allclose(view, 1.0, atol=0.02)
-    np.testing.assert_allclose(image, 1.0, atol=0.05)
+    np.testing.assert_allclose(view, 1.0, atol=1e-6)
+    np.testing.assert_allclose(image, 1.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("sky", [0.0, 0.3])
