@@ -28,18 +28,26 @@ from fynjax.canopy._mesh import plant_model_from_mesh, read_plant_mesh
 from fynjax.canopy._mesh_plant import MeshPlant, PlantMaterial, PlantMesh
 from fynjax.canopy._pattern import VegetationPattern, even_levels, vegetation_pattern
 from fynjax.canopy._plant import Organ, PlantModel
+from fynjax.canopy._recovery import (
+    SURVEY_YEAR,
+    GroundAfterFire,
+    ground_after_fire,
+    table_after_fire,
+)
 from fynjax.canopy._scan import plant_model_from_points, read_scan
 from fynjax.canopy._sites import assign_sites, poisson_disk, site_weight, soft_weights
 from fynjax.canopy._table import table1_2006
 
 __all__ = [
     "FORM_DEFAULTS",
+    "SURVEY_YEAR",
     "AbstractLeafAngle",
     "CrownPacking",
     "EllipsoidalLeafAngle",
     "FormDefaults",
     "GeneratedPlant",
     "Greenness",
+    "GroundAfterFire",
     "MeshPlant",
     "Organ",
     "PlantMaterial",
@@ -58,6 +66,7 @@ __all__ = [
     "deposit",
     "even_levels",
     "generate_plant",
+    "ground_after_fire",
     "hard_count",
     "instance_area",
     "instantiate",
@@ -78,6 +87,7 @@ __all__ = [
     "soft_weights",
     "stack_plants",
     "table1_2006",
+    "table_after_fire",
     "target_area",
     "unit_shapes",
     "vegetation_pattern",

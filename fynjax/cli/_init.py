@@ -20,6 +20,12 @@ FILES = {
     "README.txt": "what to do with them",
 }
 
+PUBLISHED = 2006
+ASSUMED = (
+    "only the plot burnt in 2006 is published: sizes, covers and ground of another year are "
+    "assumptions about recovery after fire, not measurements"
+)
+
 Folder = Annotated[Path | None, typer.Argument(metavar="DIR", help="Folder to make.")]
 
 
@@ -28,6 +34,14 @@ def init(
     output: Annotated[
         Path | None, typer.Option(metavar="DIR", help="The same as the argument DIR.")
     ] = None,
+    burnt: Annotated[
+        int,
+        typer.Option(
+            metavar="YEAR",
+            help="Year of the plot's last fire. 2006 is the published plot; 2016, 2019 and others "
+            "are built on assumptions about recovery, which their files state.",
+        ),
+    ] = 2006,
     seed: Seed = 0,
     json: Json = False,
     quiet: Quiet = False,
@@ -44,18 +58,23 @@ def init(
     if folder is not None and output is not None and folder != output:
         raise InputError(f"expected one folder, but got {str(folder)!r} and {str(output)!r}")
     target = folder or output or Path("fynjax_plot")
-    there = [name for name in FILES if (target / name).exists()]
+    # What the drone saw of the published plot is no target for another.
+    files = {k: v for k, v in FILES.items() if burnt == PUBLISHED or k != "statistics.csv"}
+    there = [name for name in files if (target / name).exists()]
     if there:
         raise InputError(
             f"expected a folder without {there[0]!r}; `init` overwrites nothing. Name another.",
             file=target,
         )
     with staged_folder(target) as staged:
-        for name in FILES:
+        for name in files:
             shutil.copyfile(example_folder() / name, staged / name)
         plot = staged / "plot.toml"
         text = plot.read_text(encoding="utf-8")
-        plot.write_text(re.sub(r"(?m)^seed = 0 ", f"seed = {seed} ", text), encoding="utf-8")
+        text = re.sub(r"(?m)^seed = 0 ", f"seed = {seed} ", text)
+        if burnt != PUBLISHED:
+            text = _at_another_age(burnt, text, staged)
+        plot.write_text(text, encoding="utf-8")
     summary = {
         "command": "init",
         "version": fynjax.__version__,
@@ -63,11 +82,54 @@ def init(
         "seed": seed,
         "status": "ok",
         "headline": [],
-        "files": FILES,
-        "warnings": [],
+        "files": files,
+        "warnings": [] if burnt == PUBLISHED else [ASSUMED],
     }
     if json:
         print(json_text.dumps(summary, indent=2))
     elif not quiet:
         tell(summary)
         print(f"Next: fynjax render {target / 'plot.toml'}")
+
+
+def _at_another_age(burnt: int, text: str, folder: Path) -> str:
+    """The plot file of a plot that burnt in another year; writes its species table beside it."""
+    from fynjax.canopy import SURVEY_YEAR, ground_after_fire, table_after_fire
+
+    age = SURVEY_YEAR - burnt
+    try:
+        table = table_after_fire(age)
+    except InputError as error:
+        raise InputError(
+            f"`--burnt` must be a year from {SURVEY_YEAR - 40} to {SURVEY_YEAR - 1}, since plots "
+            f"are as of {SURVEY_YEAR}, but is {burnt}"
+        ) from error
+    table["packing_percent"] = [0 if way == "dead" else 50 for way in table["after_fire"]]
+    columns = ["taxon", "mean_diameter_cm", "cover_percent", "height_max_m", "growth_form"]
+    rows = table[[*columns, "packing_percent"]].to_csv(
+        index=False, float_format="%.3g", lineterminator="\n"
+    )
+    head = (
+        f"# A plot burnt in {burnt}, {age} years old. ASSUMED, not measured: the table of the plot "
+        "burnt\n# in 2006 with sizes and covers scaled by curves of recovery after fire\n"
+        "# (fynjax.canopy.table_after_fire). Packing is assumed as in the plot of 2006.\n"
+    )
+    (folder / "species.csv").write_text(head + rows, encoding="utf-8")
+    guide = folder / "README.txt"
+    lines = guide.read_text(encoding="utf-8").splitlines(keepends=True)
+    guide.write_text("".join(x for x in lines if "calibrate" not in x), encoding="utf-8")
+    litter = float(re.search(r"(?m)^litter_fraction = ([0-9.]+)", text)[1])  # type: ignore[index]
+    ground = ground_after_fire(age, litter)
+    text = re.sub(
+        r"(?s)^# A plot of fynbos that burnt in 2006.*?\n#\n",
+        f"# A plot of fynbos as it may look {age} years after a fire of {burnt}. Only the plot\n"
+        "# burnt in 2006 is published; species table, litter and char of this one are assumptions."
+        "\n#\n",
+        text,
+    )
+    text = text.replace("burnt 2006", f"burnt {burnt} (assumed)")
+    text = text.replace("#   fynjax calibrate plot.toml --target statistics.csv\n", "")
+    text = re.sub(
+        r"(?m)^litter_fraction = [0-9.]+ ", f"litter_fraction = {ground.litter:.2f} ", text
+    )
+    return re.sub(r"(?m)^# char_fraction = [0-9.]+ ", f"char_fraction = {ground.char:.2f} ", text)

@@ -258,6 +258,23 @@ def test_output_that_is_a_file_is_refused(capsys, calls, tmp_path):
     assert (tmp_path / "o").read_text() == "mine"
 
 
+@pytest.mark.parametrize("year", [2016, 2019])
+def test_init_writes_a_plot_of_another_fire_and_says_what_is_assumed(capsys, tmp_path, year):
+    from fynjax.io import read_plot
+
+    target = tmp_path / "plot"
+    status, out, _ = call(capsys, "init", target, "--burnt", year, "--json")
+    assert status == 0
+    assert "assumptions" in json.loads(out)["warnings"][0]
+    plot = read_plot(target / "plot.toml")
+    assert f"burnt {year} (assumed)" in plot.name
+    assert sum(s.cover for s in plot.species) < 0.9
+    assert plot.ground.fractions[1] > 0.05
+    assert "ASSUMED" in (target / "species.csv").read_text()
+    assert not (target / "statistics.csv").exists()
+    assert "--burnt" in one_line(*call(capsys, "init", tmp_path / "b", "--burnt", 2022))
+
+
 def test_init_writes_a_plot_that_reads_and_overwrites_nothing(capsys, tmp_path):
     target = tmp_path / "plot"
     status, out, err = call(capsys, "init", target, "--seed", 9)
