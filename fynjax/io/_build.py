@@ -5,7 +5,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import FORM_DEFAULTS
-from fynjax.io._build_ground import cover_patches, cover_spectra, soil_spectra
+from fynjax.io._build_ground import cover_patches, cover_spectra, ground_heights, soil_spectra
 from fynjax.io._plot import Plot, Species
 from fynjax.io._probability import read_probability_map
 from fynjax.io._spectra import reflectances
@@ -72,6 +72,7 @@ def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[PlotModel, PlotP
         soil=soil_spectra(plot, wavelength),
         covers=cover_spectra(plot, wavelength),
         patches=patches,
+        terrain=ground_heights(plot),
         diffuse=_diffuse(plot, bands, wavelength),
     )
     return model, parameters

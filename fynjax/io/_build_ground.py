@@ -7,6 +7,7 @@ from jaxtyping import Float64
 
 from fynjax._core.errors import InputError
 from fynjax.io._cover_map import read_cover_map
+from fynjax.io._over_plot import read_over_plot
 from fynjax.io._plot import Plot
 from fynjax.io._spectra import reflectances
 from fynjax.scene import COVERS, random_patches, shipped_covers
@@ -48,6 +49,41 @@ def cover_patches(plot: Plot, seed: int) -> Float64[np.ndarray, "kind y x"] | No
         return None
     scale = ground.patch_m / plot.voxel_m
     return random_patches((rows, columns), scale, periodic=plot.boundary == "periodic", seed=seed)
+
+
+def ground_heights(plot: Plot) -> Float64[np.ndarray, "y x"] | None:
+    """Height of the ground in the voxel columns above its lowest, y to the north [m]; `None`:
+    level."""
+    if plot.terrain is None:
+        return None
+
+    def only_band(names: list[str | None], path: Path) -> list[int]:
+        if len(names) != 1:
+            raise InputError(
+                f"expected a raster of one band, the height of the ground, but it has "
+                f"{len(names)}. Make one with `fynjax terrain {path.name}`.",
+                file=path,
+            )
+        return [0]
+
+    part = read_over_plot(
+        plot.terrain,
+        "a raster of heights",
+        plot.size_m,
+        only_band,
+        origin_m=plot.map_origin_m,
+        option="map_origin_m",
+    )
+    columns, rows = (round(side / plot.voxel_m) for side in plot.size_m)
+    height = part.in_cells((rows, columns))[0]
+    relief = float(np.ptp(height))
+    if relief > 2.0 * max(plot.size_m):
+        raise InputError(
+            f"expected heights of the ground in metres, but over the plot they differ by "
+            f"{relief:g} m. Another unit, or a no-data value that the file does not declare?",
+            file=plot.terrain,
+        )
+    return height - height.min()
 
 
 def _one_spectrum(path: Path, what: str, wavelength: np.ndarray) -> np.ndarray:

@@ -160,6 +160,8 @@ class Plot:
     """In the order of the species table."""
     probability_map: Path | None
     """GeoTIFF, 0 to 255."""
+    terrain: Path | None
+    """GeoTIFF of the height of the ground [m]; `None`: level."""
     map_origin_m: tuple[float, float] | None
     """South-west corner of the plot in the coordinates of its maps [m]; `None`: that of the map."""
     sun: Sun

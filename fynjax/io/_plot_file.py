@@ -186,6 +186,7 @@ def read_plot(path: str | Path) -> Plot:
     assert species_path is not None
     leaf_path = named("plot", "leaf_table", parsed.plot.leaf_table, "a leaf table")
     map_path = named("plot", "probability_map", parsed.plot.probability_map, "a GeoTIFF")
+    terrain_path = named("plot", "terrain", parsed.plot.terrain, "a GeoTIFF")
     sky_path = named("sky", "table", parsed.sky.table, "a sky table")
     own_soil = None if parsed.ground.soil in ("dry", "wet") else parsed.ground.soil
     soil_path = named("ground", "soil", own_soil, "'dry', 'wet' or a soil spectrum")
@@ -249,6 +250,7 @@ def read_plot(path: str | Path) -> Plot:
     spectra = [leaf.spectrum for leaf in leaves.values()]
     inputs = (
         *(path, species_path, leaf_path, map_path, sky_path, soil_path, cover_map),
+        terrain_path,
         *cover_paths,
         *spectra,
     )
@@ -262,6 +264,7 @@ def read_plot(path: str | Path) -> Plot:
         boundary=parsed.plot.boundary,
         species=tuple(species),
         probability_map=map_path,
+        terrain=terrain_path,
         map_origin_m=parsed.plot.map_origin_m,
         sun=Sun(parsed.sun.zenith_deg, parsed.sun.azimuth_deg),
         sky=Sky(parsed.sky.aerosol_optical_depth, wavelength, diffuse),

@@ -42,12 +42,26 @@ class PlotTable(Strict):
     probability_map: str | None = Field(
         default=None, description="GeoTIFF, 0 to 255: where plants are likely to stand."
     )
+    terrain: str | None = Field(
+        default=None,
+        description="GeoTIFF of the height of the ground [m], such as `fynjax terrain` makes; for "
+        "a plot with an open boundary.",
+    )
     map_origin_m: tuple[float, float] | None = Field(
         default=None,
         description="South-west corner of the plot (x, y) in the coordinates of its maps [m]. Left "
         "out: that of a map as large as the plot.",
         json_schema_extra={"unit": "m"},
     )
+
+    @model_validator(mode="after")
+    def _hills_do_not_repeat(self) -> "PlotTable":
+        if self.terrain is not None and self.boundary == "periodic":
+            raise ValueError(
+                'expected boundary = "open" with a terrain, but it is "periodic": hills that '
+                "repeat themselves would meet in cliffs"
+            )
+        return self
 
 
 class SunTable(Strict):

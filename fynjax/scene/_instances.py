@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import hard_count
-from fynjax.scene._model import PlotModel
+from fynjax.scene._model import PlotModel, ground_at
 from fynjax.scene._parameters import PlotParameters
 
 
@@ -28,7 +28,7 @@ class Instances:
     y: Float[np.ndarray, " plant"]
     """Foot, northward [m]."""
     z: Float[np.ndarray, " plant"]
-    """Foot, upward [m]; 0 on flat ground."""
+    """Foot, upward from the lowest ground [m]."""
     azimuth: Float[np.ndarray, " plant"]
     """Turn about the vertical, clockwise from above [degrees]."""
     tilt: Float[np.ndarray, " plant"]
@@ -81,7 +81,7 @@ def hard_instances(model: PlotModel, parameters: PlotParameters) -> Instances:
         species,
         foot[:, 0],
         foot[:, 1],
-        np.zeros(len(foot)),
+        np.asarray(ground_at(model, planting.foot[chosen]), float),
         np.asarray(planting.azimuth, float)[chosen],
         np.asarray(planting.tilt, float)[chosen],
         own["diameter"] * np.asarray(planting.size, float)[chosen],

@@ -58,7 +58,7 @@ class Camera(eqx.Module):
 
     bands: BandSet = eqx.field(static=True)
     altitude: float = eqx.field(static=True)
-    """Above the ground [m]."""
+    """Above the ground, in a `PlotModel` above its lowest [m]."""
     pixel: float = eqx.field(static=True)
     """Edge of a pixel on the ground [m]."""
 
@@ -91,6 +91,8 @@ class PlotModel(eqx.Module):
     """Reflectance of litter, char and rock on `wavelength` [-]."""
     patches: Float[np.ndarray, "kind y x"] | None
     """Relative density of soil, litter, char and rock in the voxel columns; None: mixed alike."""
+    terrain: Float[np.ndarray, "y x"] | None
+    """Height of the ground in the voxel columns above the bottom of the grid [m]; None: level."""
     diffuse: Float[np.ndarray, " wavelength"] | None
     """A user's diffuse fraction instead of the clear-sky model."""
     dtype: str = eqx.field(static=True)
@@ -136,8 +138,10 @@ class PlotModel(eqx.Module):
         leaf = leaf * (1.0 - species.shoot_clumping)[owner]
         area = jnp.stack([leaf, crown * species.wood_area_index[owner], flower], axis=-1)
         plant = planting.plant
+        foot = jnp.pad(ground_at(self, planting.foot)[:, None], ((0, 0), (2, 0)))
         return deposit(
             planting.site
+            + foot[plant]
             + diameter[plant][:, None] * planting.per_diameter
             + height[plant][:, None] * planting.per_height,
             area[plant, planting.organ] * planting.fraction,
@@ -194,6 +198,7 @@ class PlotModel(eqx.Module):
             self.grid.horizontal_size,
             self.grid.vertical_size,
             self.boundary,
+            terrain=None if self.terrain is None else jnp.asarray(self.terrain, self.dtype),
         )
 
     def ground_map(self, parameters: PlotParameters) -> Float[Array, " band *yx"]:
@@ -237,6 +242,16 @@ class PlotModel(eqx.Module):
         )
         rays = nadir_rays(x, y, self.camera.pixel, (lx / 2, ly / 2, self.camera.altitude))
         return reflectance_factor(light, rays)
+
+
+def ground_at(model: PlotModel, foot: Float[Array, "plant 2"]) -> Float[Array, " plant"]:
+    """Height of the ground under plants at `foot` [m]."""
+    if model.terrain is None:
+        return jnp.zeros(foot.shape[0], foot.dtype)
+    ny, nx = model.terrain.shape
+    at = jnp.floor(foot / model.grid.horizontal_size).astype(jnp.int32)
+    heights = jnp.asarray(model.terrain, foot.dtype)
+    return heights[jnp.clip(at[:, 1], 0, ny - 1), jnp.clip(at[:, 0], 0, nx - 1)]
 
 
 def _shoot_optics(
@@ -285,6 +300,7 @@ def build_model(
     soil: Float[np.ndarray, "2 wavelength"] | None = None,
     covers: Float[np.ndarray, "cover wavelength"] | None = None,
     patches: Float[np.ndarray, "kind y x"] | None = None,
+    terrain: Float[np.ndarray, "y x"] | None = None,
     diffuse: Float[np.ndarray, " wavelength"] | None = None,
     dtype: str = "float32",
 ) -> PlotModel:
@@ -301,7 +317,8 @@ def build_model(
     - `size_variation`: coefficient of variation of the crown diameters of a species [-]. An
       assumption, as is the stature: heights lie evenly between 0.6 and 1 times the greatest.
     - `probability`: map of 0-255 over the plot, row 0 south, or none.
-    - `softness`, `width`, `flowering`, `soil`, `covers`, `patches`, `diffuse`: see `PlotModel`;
+    - `softness`, `width`, `flowering`, `soil`, `covers`, `patches`, `terrain`, `diffuse`: see
+      `PlotModel`;
       without them litter and char are the shipped spectra and rock is as the dry soil.
 
     Raises `InputError` where the plants do not fit.
@@ -309,8 +326,16 @@ def build_model(
     count = len(taxa)
     species = parameters.species
     top = 1.1 * float(np.max(np.asarray(species.height)))
+    if terrain is not None:
+        top += float(np.max(terrain))
+        camera = dataclasses.replace(camera, altitude=camera.altitude + float(np.mean(terrain)))
     grid = VoxelGrid.cover(extent, top, voxel)
     accuracy, layers = _fitting(DRONE if accuracy is None else accuracy, grid)
+    if boundary == "open" and accuracy.margin is None:
+        # Room for the sun to stand a little lower than it does.
+        lowest = min(float(parameters.light.sun_zenith) + 5.0, 85.0)
+        reach = float(np.ceil(layers * np.tan(np.deg2rad(lowest))))
+        accuracy = dataclasses.replace(accuracy, margin=int(reach))
     spread = tuple(rotation_spread or [0.0] * count)
     model = PlotModel(
         planting=no_plants(dtype),
@@ -329,6 +354,7 @@ def build_model(
         soil=soil,
         covers=shipped_covers(band_wavelengths(camera.bands)) if covers is None else covers,
         patches=patches,
+        terrain=terrain,
         diffuse=diffuse,
         dtype=dtype,
     )

@@ -1,0 +1,218 @@
+"""Atmospheres that a user computed elsewhere (MODTRAN, libRadtran, 6S), from CSV or NetCDF."""
+
+import csv
+import io
+import re
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from fynjax._core.errors import InputError
+from fynjax._core.spectral import check_wavelength
+from fynjax.io._tables import existing_file, read_text
+from fynjax.io._validate import did_you_mean
+from fynjax.sensors._atmosphere import Atmosphere
+
+_KINDS = {
+    "wavelength": "length",
+    "direct": "irradiance",
+    "diffuse": "irradiance",
+    "upward_transmittance": "share",
+    "path_radiance": "radiance",
+    "spherical_albedo": "share",
+}
+_EXAMPLES = {
+    "length": "nm",
+    "irradiance": "W m-2 um-1",
+    "radiance": "W m-2 sr-1 um-1",
+    "share": "1",
+}
+_POWER = {"w": 1.0, "mw": 1e-3, "uw": 1e-6}
+_AREA = {"m-2": 1.0, "cm-2": 1e4}
+_WIDTH = {"um-1": 1.0, "nm-1": 1e3, "micron-1": 1.0}
+_SHARES = {"": 1.0, "1": 1.0, "-": 1.0, "fraction": 1.0, "%": 0.01, "percent": 0.01}
+_LARGEST = {"irradiance": 4000.0, "radiance": 1500.0, "share": 1.0}
+_BELOW = re.compile(r"(nm|um|micron|sr|cm|m)-?(\d?)")
+_HEADER = re.compile(r"^\s*([A-Za-z_ ]+?)\s*(?:[\[(](.*)[\])])?\s*$")
+
+
+def read_atmosphere(path: str | Path) -> Atmosphere:
+    """Read the curves of an atmosphere from CSV, or from NetCDF (`.nc`).
+
+    A CSV file has one header row, `name [unit]` in each column, and rows in increasing wavelength;
+    a NetCDF file has variables of the same names with an attribute `units`:
+
+        wavelength [nm], direct [W m-2 um-1], diffuse [W m-2 um-1], upward_transmittance [1],
+        path_radiance [W m-2 sr-1 um-1], spherical_albedo [1]
+
+    `direct` and `diffuse` are irradiances of a horizontal black ground. Irradiance and radiance
+    may be in W, mW or µW, m-2 or cm-2, nm-1 or µm-1, written with exponents or with `/`; shares
+    as fractions or in %. Lines that start with `#` are skipped.
+
+    **Raises:** `InputError` with file, row and column: a missing curve, a missing or unknown unit,
+    wavelengths in µm or out of order, a value that is no number, negative, or impossibly large.
+    """
+    path = existing_file(path, "a file of atmospheric curves")
+    suffix = path.suffix.lower()
+    if suffix in (".nc", ".nc4", ".cdf"):
+        columns, rows = _from_netcdf(path)
+    else:
+        columns, rows = _from_csv(path)
+    missing = [name for name in _KINDS if name not in columns]
+    if missing:
+        near = did_you_mean(missing[0], [name for name in columns if name not in _KINDS])
+        hint = (
+            " A column of zeros leaves the light between ground and air out."
+            if missing[0] == "spherical_albedo"
+            else ""
+        )
+        raise InputError(
+            f"expected a curve {missing[0]!r}, but the file has {', '.join(columns)}.{near}{hint}",
+            file=path,
+            column=missing[0],
+        )
+    curves = {name: _converted(name, *columns[name], rows, path) for name in _KINDS}
+    try:
+        check_wavelength(curves["wavelength"])
+    except InputError as error:
+        raise InputError(str(error), file=path, column="wavelength") from error
+    wavelength = curves.pop("wavelength")
+    return Atmosphere(tuple(wavelength), **{k: jnp.asarray(v) for k, v in curves.items()})
+
+
+def _from_csv(path: Path) -> tuple[dict[str, tuple[str | None, np.ndarray]], list[int]]:
+    header: list[str] | None = None
+    rows: list[int] = []
+    cells: list[list[float]] = []
+    for number, line in enumerate(io.StringIO(read_text(path)), start=1):
+        if not line.strip(" ,\r\n") or line.lstrip().startswith("#"):
+            continue
+        row = [cell.strip() for cell in next(csv.reader([line], skipinitialspace=True))]
+        if header is None:
+            header = row
+            continue
+        if len(row) != len(header):
+            raise InputError(
+                f"expected {len(header)} cells as in the header, but this row has {len(row)}",
+                file=path,
+                row=number,
+            )
+        cells.append([_number(c, path, number, name) for c, name in zip(row, header, strict=True)])
+        rows.append(number)
+    if header is None or not cells:
+        raise InputError("expected a header and rows of curves, but there are none", file=path)
+    values = np.array(cells)
+    columns: dict[str, tuple[str | None, np.ndarray]] = {}
+    for index, label in enumerate(header):
+        match = _HEADER.match(label)
+        name, unit = (match[1], match[2]) if match else (label, None)
+        name = name.lower().replace(" ", "_")
+        if name in columns:
+            raise InputError("this column is there twice", file=path, row=1, column=label)
+        columns[name] = (unit, values[:, index])
+    return columns, rows
+
+
+def _number(cell: str, path: Path, row: int, column: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        raise InputError(
+            f"expected a number, but found {cell!r}", file=path, row=row, column=column
+        ) from None
+
+
+def _from_netcdf(path: Path) -> tuple[dict[str, tuple[str | None, np.ndarray]], list[int]]:
+    try:
+        with xr.open_dataset(path, engine="netcdf4") as data:
+            columns = {
+                str(name): (variable.attrs.get("units"), np.asarray(variable.values, np.float64))
+                for name, variable in data.variables.items()
+                if str(name) in _KINDS or variable.ndim == 1
+            }
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            f"expected a NetCDF file, but cannot read it: {error}", file=path
+        ) from error
+    for name, (_, values) in columns.items():
+        if name in _KINDS and values.ndim != 1:
+            raise InputError(
+                f"expected one value for each wavelength, but it has shape {values.shape}: choose "
+                "one sun and sensor first",
+                file=path,
+                column=name,
+            )
+    return columns, []
+
+
+def _converted(
+    name: str, unit: str | None, values: np.ndarray, rows: list[int], path: Path
+) -> np.ndarray:
+    """Values in the record's unit, checked."""
+    kind = _KINDS[name]
+    values = values * _factor(kind, unit, name, path)
+    largest = _LARGEST.get(kind, np.inf)
+    wrong = ~np.isfinite(values) | (values < 0.0) | (values > largest)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        hint = " Is the unit right?" if values[at] > largest else ""
+        wanted = "0 or more" if np.isinf(largest) else f"0 to {largest:g}"
+        raise InputError(
+            f"expected {wanted} {_EXAMPLES[kind]}, but found {values[at]:g} {_EXAMPLES[kind]}."
+            f"{hint}",
+            file=path,
+            row=rows[at] if rows else None,
+            column=name,
+        )
+    return values
+
+
+def _factor(kind: str, unit: str | None, name: str, path: Path) -> float:
+    """What one of the file's units is in the record's."""
+    example = _EXAMPLES[kind]
+    if unit is None and kind != "share":
+        raise InputError(
+            f"expected a unit, such as '{name} [{example}]', but there is none",
+            file=path,
+            column=name,
+        )
+    plain = (unit or "").strip().lower().replace("µ", "u").replace("μ", "u")
+    if kind == "share":
+        factor = _SHARES.get(plain)
+    elif kind == "length":
+        if plain in ("um", "micron", "microns", "micrometer", "micrometre"):
+            raise InputError(
+                "expected wavelengths in nm, but the unit is µm: multiply by 1000",
+                file=path,
+                column=name,
+            )
+        factor = 1.0 if plain in ("nm", "nanometer", "nanometre", "nanometers") else None
+    else:
+        factor = _spectral_factor(plain, kind)
+    if factor is None:
+        raise InputError(
+            f"unknown unit {unit!r} of {kind if kind != 'share' else 'a share'}: write it like "
+            f"'{example}'",
+            file=path,
+            column=name,
+        )
+    return factor
+
+
+def _spectral_factor(unit: str, kind: str) -> float | None:
+    """Factor of a spectral irradiance or radiance, or none if the unit is not one."""
+    above, _, below = re.sub(r"[()^*]", "", unit).partition("/")
+    parts = above.split() + [f"{m[1]}-{m[2] or 1}" for m in _BELOW.finditer(below)]
+    steradians = parts.count("sr-1")
+    parts = [part for part in parts if part != "sr-1"]
+    if len(parts) != 3 or steradians != (1 if kind == "radiance" else 0):
+        return None
+    factor = 1.0
+    for table in (_POWER, _AREA, _WIDTH):
+        found = [part for part in parts if part in table]
+        if len(found) != 1:
+            return None
+        factor *= table[found[0]]
+    return factor

@@ -1,0 +1,88 @@
+"""Plots on ground that is not level."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+from rasterio import Affine
+
+from fynjax._core.errors import InputError
+from fynjax.io import build_plot, read_plot
+from fynjax.scene import hard_instances
+from tests.helpers import write_raster
+
+SPECIES = (
+    "taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form\n"
+    "Erica,30,{cover},0.5,rounded_shrub\n"
+)
+TOML = """
+[plot]
+size_m = 3.0
+voxel_m = 0.1
+boundary = "open"
+{line}
+[sun]
+zenith_deg = 40.0
+azimuth_deg = 270.0
+[sky]
+table = "sky.csv"
+[ground]
+litter_fraction = 0.0
+[sensor]
+pixel_m = 0.1
+[scene]
+softness = 0.0
+softness_plants = 0.0
+"""
+RISE = 0.3
+LINE = 'terrain = "hill.tif"\nmap_origin_m = [500000.5, 6000000.5]'
+
+
+def plot(folder, line="", cover=20.0):
+    """A plot of one species, with a raster of ground that rises eastward beside it."""
+    (folder / "species.csv").write_text(SPECIES.format(cover=cover))
+    (folder / "sky.csv").write_text("wavelength_nm,diffuse_fraction\n400,0\n1000,0\n")
+    height = np.tile(120.0 + RISE * (np.arange(40) + 0.5) * 0.1, (1, 40, 1))
+    place = Affine(0.1, 0.0, 500_000.0, 0.0, -0.1, 6_000_004.0)
+    write_raster(folder / "hill.tif", height, transform=place, crs="EPSG:32734")
+    (folder / "plot.toml").write_text(TOML.format(line=line))
+    return read_plot(folder / "plot.toml")
+
+
+def test_plants_stand_on_the_ground(tmp_path):
+    level = build_plot(plot(tmp_path))
+    hill = build_plot(plot(tmp_path, LINE))
+    flat, raised = (hard_instances(*each) for each in (level, hill))
+    np.testing.assert_array_equal(raised.x, flat.x)
+    # The lowest voxel column counts as 0.
+    column = np.floor(raised.x / 0.1)
+    np.testing.assert_allclose(raised.z, RISE * 0.1 * column, atol=1e-4)
+    low, high = (np.asarray(model.area_density(parameters)) for model, parameters in (level, hill))
+    assert high.sum() == pytest.approx(low.sum(), rel=1e-5)
+    z = [(np.arange(d.shape[1]) + 0.5) @ d.sum(axis=(0, 2, 3)) * 0.1 / d.sum() for d in (low, high)]
+    area = np.pi / 4 * flat.diameter**2  # of a crown, to which its leaf area is proportional
+    assert z[1] - z[0] == pytest.approx(np.average(raised.z, weights=area), rel=0.05)
+
+
+def test_bare_ground_is_lit_as_its_slope_has_it(tmp_path):
+    """A plane that rises eastward, the sun in the west: r cos(incidence) / cos(sun zenith), and up
+    to r / 50 of it again from ground nearby."""
+    model, parameters = build_plot(plot(tmp_path, LINE, cover=0.0))
+    image = np.asarray(eqx.filter_jit(lambda m, p: m.image(p))(model, parameters))
+    level = np.asarray(model.ground_map(parameters))
+    sun = np.array([-np.sin(np.deg2rad(40.0)), 0.0, np.cos(np.deg2rad(40.0))])
+    facing = sun @ np.array([-RISE, 0.0, 1.0]) / np.hypot(RISE, 1.0) / sun[2]
+    middle = image[:, 8:-8, 8:-8]
+    np.testing.assert_allclose(
+        middle, np.broadcast_to(facing * level[:, None, None], middle.shape), rtol=0.02
+    )
+
+
+def test_terrain_that_cannot_serve_is_refused(tmp_path):
+    plot(tmp_path)
+    text = TOML.format(line=LINE)
+    (tmp_path / "plot.toml").write_text(text.replace("open", "periodic"))
+    with pytest.raises(InputError, match='boundary = "open" with a terrain'):
+        read_plot(tmp_path / "plot.toml")
+    (tmp_path / "plot.toml").write_text(text.replace("500000.5", "500002.5"))
+    with pytest.raises(InputError, match="covers the plot"):
+        build_plot(read_plot(tmp_path / "plot.toml"))
