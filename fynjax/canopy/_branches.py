@@ -8,6 +8,7 @@ then stands upright as a full-plant model does.
 
 from typing import Any, TypeVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -18,6 +19,7 @@ from fynjax.canopy._mesh_plant import MeshPlant, PlantMaterial, PlantMesh, mesh_
 from fynjax.canopy._plant import Organ
 
 _Branch = TypeVar("_Branch", MeshPlant, PlantMesh)
+_MOST_PARTS = 5_000_000
 
 
 def branch_rotation_spread(
@@ -27,8 +29,17 @@ def branch_rotation_spread(
 
     `asymptote` (1 - exp(-(branches - 1) / `growth`)): 0 for one branch, `asymptote` [degrees, 0
     to 90] for very many; `growth` [branches, positive] is how many it takes. Form and numbers
-    are assumptions, see this module. Differentiable in every argument.
+    are assumptions, see this module. Differentiable in every argument. Raises `InputError` for an
+    asymptote or a growth out of range, or `branches` that are not finite (if they are known before
+    tracing).
     """
+    for name, value, words, right in (
+        ("branches", branches, "finite", np.isfinite),
+        ("asymptote", asymptote, "0 to 90 degrees", lambda x: (x >= 0.0) & (x <= 90.0)),
+        ("growth", growth, "a positive number of branches", lambda x: (x > 0.0) & np.isfinite(x)),
+    ):
+        if not isinstance(value, jax.core.Tracer) and not np.all(right(np.asarray(value, float))):
+            raise InputError(f"`{name}` must be {words}, but is {value}")
     more = jnp.maximum(jnp.asarray(branches, float) - 1.0, 0.0)
     return -jnp.asarray(asymptote) * jnp.expm1(-more / growth)
 
@@ -57,13 +68,23 @@ def plant_from_branches(
     and `depth` suit eq. (5) to (9) with sigma_rot = 0. To instance the branch itself in a scene
     instead, give `CrownPacking` its `branches` and `rotation_spread`.
 
-    Raises `InputError` for fewer than one branch or a spread out of range.
+    Raises `InputError` for fewer than one branch, a spread out of range, or more than 5 million
+    triangles or elements in all.
     """
     if int(branches) != branches or branches < 1:
         raise InputError(f"`branches` must be a whole number of at least 1, but is {branches}")
     spread = float(branch_rotation_spread(branches)) if rotation_spread is None else rotation_spread
     if not 0.0 <= spread <= 90.0:
         raise InputError(f"`rotation_spread` must be 0 to 90 degrees, but is {spread}")
+    is_mesh = isinstance(branch, PlantMesh)
+    each = len(branch.faces if isinstance(branch, PlantMesh) else branch.material)
+    if branches * each > _MOST_PARTS:
+        parts = "triangles" if is_mesh else "elements"
+        raise InputError(
+            f"the copies of a branch may have {_MOST_PARTS} {parts} in all, but {branches} of "
+            f"{each} make {branches * each}: lower `branches` to {max(_MOST_PARTS // each, 1)}, or "
+            "take a coarser branch"
+        )
     turns = _rotations(*random_orientation(int(branches), seed=seed, rotation_spread=spread))
     if isinstance(branch, PlantMesh):
         return _copy_mesh(branch, turns)
@@ -123,4 +144,5 @@ def _copy_elements(branch: MeshPlant, turns: np.ndarray) -> MeshPlant:
         materials,
         np.minimum(point.min(axis=0), foot),
         point.max(axis=0),
+        branch.solid_share,
     )

@@ -6,37 +6,18 @@ mesh adds to the parametric form is the leaf as a body of its own, on a twig of 
 the same plant can stand in a mesh renderer and, voxelised, in this one.
 """
 
-from dataclasses import dataclass
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.canopy._angles import leaf_angle
 from fynjax.canopy._counts import modelled_diameter
-from fynjax.canopy._forms import (
-    _FLOWERS_ABOVE,
-    _QUANTILES,
-    FORM_DEFAULTS,
-    _quantile,
-    quasi_random,
-)
+from fynjax.canopy._forms import FORM_DEFAULTS
 from fynjax.canopy._generate_forms import Skeleton, climber, deadwood, shrub, tussock
-from fynjax.canopy._generate_parts import (
-    EMPTY,
-    OUTLINES,
-    Surface,
-    blades,
-    frames,
-    join,
-    outline_area,
-    outline_triangles,
-    tubes_of_area,
-    unit,
-)
+from fynjax.canopy._generate_organs import GREEN_SIDES, Foliage, Leaf, build_organs, lay_out
+from fynjax.canopy._generate_parts import OUTLINES, Surface, join, outline_area, outline_triangles
 from fynjax.canopy._mesh_plant import PlantMesh
 from fynjax.canopy._plant import Organ
 from fynjax.canopy._table import table1_2006
@@ -44,18 +25,12 @@ from fynjax.canopy._table import table1_2006
 if TYPE_CHECKING:
     import pandas as pd
 
-_GOLDEN_ANGLE = 2.399963  # rad: the usual spiral of leaves along a stem
 _LEAVES_PER_TWIG = {"upright_ericoid": 100, "rounded_shrub": 45, "broad_leaved": 12}
-_ANGLE_TO_TWIG = {"upright_ericoid": 25.0, "rounded_shrub": 50.0, "broad_leaved": 55.0}
 _MOST_TWIGS = 900
-_FLOWER_SIDE = 0.004
-_SPIKELET = (0.006, 0.0012)
-_LEAF_SIZE_SPREAD = 0.15
-_FIT_STEPS = 12
+_FIT_STEPS = 24
+_LARGEST_MISS = 1e-3
 _TRIAL = 100
 _GREEN = {"climber": climber, "tussock": tussock}
-_GREEN_SIDES = {"climber": 3, "tussock": 4}
-_LEAVES, _FLOWERS = 21, 22
 
 
 class GeneratedPlant(eqx.Module):
@@ -75,17 +50,10 @@ class GeneratedPlant(eqx.Module):
     """Leaf blades, or culms or threads where those count as leaf."""
     leaf_scale: float = eqx.field(static=True)
     """Length of a modelled leaf (or thickness of a culm) per that of the table of leaf sizes [-].
-    1 but for rounding, more where `max_triangles` asked for fewer and larger leaves."""
+    Near 1, but more where `max_triangles` asked for fewer and larger leaves, and less or more for
+    plants so small, or area indices so low, that the least number of leaves is reached."""
     twig_radius: float = eqx.field(static=True)
     """Radius of the thinnest stems [m]; 0 without wood."""
-
-
-@dataclass(frozen=True)
-class _Leaf:
-    kind: str
-    outline: str
-    length: float
-    width: float
 
 
 def leaf_sizes() -> "pd.DataFrame":
@@ -134,7 +102,7 @@ def generate_plant(
     normals of level cylinders.
 
     The areas are met to rounding, diameter and height to 1e-3. Raises `InputError` for an unknown
-    taxon or sizes and areas out of range.
+    taxon, sizes and areas out of range, and areas that do not fit into the size.
     """
     table = table1_2006().set_index("taxon")
     if taxon not in table.index:
@@ -152,7 +120,7 @@ def generate_plant(
     wood_area = wood_index * disc if defaults.wood_area_index > 0.0 else 0.0
     flower_area = leaf_area * defaults.flower_fraction * flowering
     size: dict[Any, Any] = leaf_sizes().set_index("taxon").loc[taxon].to_dict()
-    leaf = _Leaf(
+    leaf = Leaf(
         size["organ_form"],
         size["outline"],
         float(size["length_mm"] or 0.0) / 1000.0,
@@ -162,10 +130,10 @@ def generate_plant(
     n_leaves = _leaf_count(leaf, leaf_area, max_triangles)
     skeleton = _skeleton(form, crown, tall, n_leaves, leaf, leaf_area, max_triangles, seed)
     # Laid out once on the plain skeleton, so that fitting it to its size only moves them.
-    foliage = _lay_out(form, skeleton, n_leaves, leaf, leaf_area, seed)
+    foliage = lay_out(form, skeleton, n_leaves, leaf, leaf_area, seed)
     stretch = np.ones(3)
     for _ in range(_FIT_STEPS):
-        surfaces, scale, radius = _build(
+        surfaces, scale, radius = build_organs(
             form, skeleton, foliage, stretch, leaf, leaf_area, wood_area, flower_area, seed
         )
         vertices = np.concatenate([surface.vertices for surface in surfaces.values()])
@@ -175,6 +143,7 @@ def generate_plant(
         if np.abs(miss - 1.0).max() < 1e-4:
             break
         stretch = stretch * miss
+    _check_size(taxon, surfaces, wide, float(high[2] - low[2]), crown, tall, row)
     middle = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
     whole = join(list(surfaces.values()))
     counts = [len(surface.faces) for surface in surfaces.values()]
@@ -208,7 +177,32 @@ def _check(
         raise InputError(f"`max_triangles` must be at least 2000, but is {triangles}")
 
 
-def _leaf_count(leaf: _Leaf, leaf_area: float, max_triangles: int) -> int:
+def _check_size(
+    taxon: str,
+    surfaces: dict[Organ, Surface],
+    wide: float,
+    high: float,
+    diameter: float,
+    height: float,
+    row: dict[Any, Any],
+) -> None:
+    """Raise `InputError` where the plant came out larger or smaller than it should."""
+    if max(abs(wide / diameter - 1.0), abs(high / height - 1.0)) <= _LARGEST_MISS:
+        return
+    reach = {}
+    for organ, surface in surfaces.items():
+        size = np.ptp(surface.vertices, axis=0)
+        reach[organ] = max((size[0] + size[1]) / 2.0 / diameter, size[2] / height)
+    what = max(reach, key=lambda organ: reach[organ]).name.lower()
+    raise InputError(
+        f"a {taxon} {diameter:g} m wide and {height:g} m tall has no room for its {what} area: "
+        f"with it the plant is {wide:.3g} m wide and {high:.3g} m tall. Take a lower "
+        f"`leaf_area_index` or `wood_area_index`, or a `diameter` and `height` nearer those of "
+        f"table 1 ({row['mean_diameter_cm'] / 100.0:g} m and {row['height_max_m']:g} m)"
+    )
+
+
+def _leaf_count(leaf: Leaf, leaf_area: float, max_triangles: int) -> int:
     if leaf.kind != "blade" or leaf_area == 0.0:
         return 0
     outline = OUTLINES[leaf.outline]
@@ -234,7 +228,7 @@ def _skeleton(
     diameter: float,
     height: float,
     n_leaves: int,
-    leaf: _Leaf,
+    leaf: Leaf,
     leaf_area: float,
     max_triangles: int,
     seed: int,
@@ -245,10 +239,10 @@ def _skeleton(
         # As many as make the area at the thickness of the table, by the lines of a trial.
         trial = _GREEN[form](diameter, height, _TRIAL, seed)
         area = sum(
-            0.25 * leaf.width * _perimeter(_GREEN_SIDES[form]) * (_lengths(paths) * radii).sum()
+            0.25 * leaf.width * _perimeter(GREEN_SIDES[form]) * (_lengths(paths) * radii).sum()
             for paths, radii in trial.green
         )
-        faces = sum(2 * _GREEN_SIDES[form] * paths[..., 0].size for paths, _ in trial.green)
+        faces = sum(2 * GREEN_SIDES[form] * paths[..., 0].size for paths, _ in trial.green)
         most = 0.8 * max_triangles * _TRIAL / faces
         number = int(np.clip(round(_TRIAL * leaf_area / area), 8, max(8.0, most)))
         return _GREEN[form](diameter, height, number, seed)
@@ -257,140 +251,7 @@ def _skeleton(
     return shrub(form, diameter, height, n_twigs, seed)
 
 
-@dataclass(frozen=True)
-class _Foliage:
-    """Where each leaf sits: twig and place along it; how it points; its relative size."""
-
-    twig: np.ndarray
-    place: np.ndarray
-    axis: np.ndarray
-    normal: np.ndarray
-    size: np.ndarray
-
-
-def _lay_out(
-    form: str, skeleton: Skeleton, n_leaves: int, leaf: _Leaf, leaf_area: float, seed: int
-) -> _Foliage | None:
-    """Leaves in a spiral along the twigs, whose normals have the angle distribution of the form."""
-    if skeleton.leafy is None or n_leaves == 0 or leaf_area == 0.0:
-        return None
-    paths = skeleton.leafy
-    length = np.linalg.norm(np.diff(paths, axis=1), axis=2).sum(axis=1)
-    # In proportion to the twigs' lengths, but for a part each gets alike.
-    mass = np.cumsum(length + 0.3 * length.mean())
-    position = (np.arange(n_leaves) + 0.5) / n_leaves * mass[-1]
-    twig = np.minimum(np.searchsorted(mass, position), len(mass) - 1)
-    before = np.concatenate([[0.0], mass])[twig]
-    share = (position - before) / np.diff(np.concatenate([[0.0], mass]))[twig]
-    place = 0.15 + 0.85 * share  # a twig is bare at its foot
-    rng = np.random.default_rng([seed, _LEAVES])
-
-    along, side, second = (_at(vectors, twig, place) for vectors in frames(paths))
-    roll = _GOLDEN_ANGLE * np.arange(n_leaves) + rng.normal(0.0, 0.3, n_leaves)
-    out = np.cos(roll)[:, None] * side + np.sin(roll)[:, None] * second
-    opening = np.deg2rad(_ANGLE_TO_TWIG[form] * np.exp(rng.normal(0.0, 0.25, n_leaves)))
-    cos, sin = np.cos(opening)[:, None], np.sin(opening)[:, None]
-    natural = unit(sin * along - cos * out)
-    natural = np.where(natural[:, 2:] < 0.0, -natural, natural)
-
-    # The steepest leaf gets the steepest inclination of the distribution, and so on.
-    tilt = np.empty(n_leaves)
-    rank = (np.arange(n_leaves) + 0.5) / n_leaves
-    tilts = _inclinations(rank, FORM_DEFAULTS[form].leaf_angle)
-    tilt[np.argsort(-natural[:, 2], kind="stable")] = tilts
-    azimuth = np.arctan2(natural[:, 1], natural[:, 0])
-    normal = np.stack(
-        [np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)], axis=-1
-    )
-    axis = cos * along + sin * out
-    axis = unit(axis - (axis * normal).sum(axis=1, keepdims=True) * normal)
-    size = np.exp(rng.normal(0.0, _LEAF_SIZE_SPREAD, n_leaves))
-    return _Foliage(twig, place, axis, normal, size)
-
-
-def _inclinations(uniform: np.ndarray, name: str) -> np.ndarray:
-    """Quantiles of the inclination of the normal of a leaf angle distribution [rad]."""
-    grid = np.linspace(0.0, 0.5 * np.pi, _QUANTILES)
-    density = np.asarray(leaf_angle(name).inclination_density(jnp.asarray(grid)), float)
-    return _quantile(uniform, grid, np.maximum(density, 0.0))
-
-
-def _at(values: np.ndarray, path: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Values [path, point, 3] at parts of the way along paths."""
-    last = values.shape[1] - 1
-    low = np.minimum((place * last).astype(int), last - 1)
-    share = (place * last - low)[:, None]
-    return (1.0 - share) * values[path, low] + share * values[path, low + 1]
-
-
-def _build(
-    form: str,
-    skeleton: Skeleton,
-    foliage: _Foliage | None,
-    stretch: np.ndarray,
-    leaf: _Leaf,
-    leaf_area: float,
-    wood_area: float,
-    flower_area: float,
-    seed: int,
-) -> tuple[dict[Organ, Surface], float, float]:
-    """Surfaces of the organs, the size of the leaves per that of the table, the thinnest radius."""
-    lines = skeleton.scaled(stretch)
-    surfaces: dict[Organ, Surface] = {}
-    scale, radius = 1.0, 0.0
-    if lines.green and leaf_area > 0.0:
-        surfaces[Organ.LEAF], factor = tubes_of_area(lines.green, _GREEN_SIDES[form], leaf_area)
-        scale = factor / (0.5 * leaf.width)
-    elif foliage is not None and lines.leafy is not None:
-        base = _at(lines.leafy, foliage.twig, foliage.place)
-        one = outline_area(OUTLINES[leaf.outline]) * leaf.length * leaf.width
-        scale = float(np.sqrt(leaf_area / (one * (foliage.size**2).sum())))
-        for _ in range(2):  # the arch adds a little area, in proportion
-            long, wide = (scale * foliage.size * side for side in (leaf.length, leaf.width))
-            made = blades(base, foliage.axis, foliage.normal, long, wide, OUTLINES[leaf.outline])
-            surfaces[Organ.LEAF] = made
-            scale *= float(np.sqrt(leaf_area / made.area))
-    if lines.stems and wood_area > 0.0:
-        surfaces[Organ.WOOD], factor = tubes_of_area(lines.stems, 4, wood_area)
-        radius = factor * min(float(radii.min()) for _, radii in lines.stems)
-    if flower_area > 0.0:
-        surfaces[Organ.FLOWER] = _flowers(form, lines, flower_area, seed)
-    return surfaces, scale, radius
-
-
-def _flowers(form: str, lines: Skeleton, area: float, seed: int) -> Surface:
-    """Spikelets at the tips of culms, or level petals about the upper tips of twigs."""
-    rng = np.random.default_rng([seed, _FLOWERS])
-    if form == "tussock":
-        tips = np.concatenate([paths[:, -2:] for paths, _ in lines.green])
-        length, width = _SPIKELET
-        number = int(np.clip(round(area / (0.7 * length * 2.0 * width)), 3, len(tips)))
-        tips = tips[rng.choice(len(tips), number, replace=False)]
-        ahead = unit(tips[:, 1] - tips[:, 0])
-        part = np.array([0.0, 0.4, 1.0])[None, :, None]
-        paths = tips[:, 1:] + length * part * ahead[:, None, :] - 0.8 * length * ahead[:, None, :]
-        return tubes_of_area([(paths, np.tile([0.3, 1.0, 0.2], (number, 1)))], 5, area)[0]
-    if lines.leafy is None:
-        return EMPTY
-    tips = lines.leafy[:, -1]
-    tips = tips[tips[:, 2] >= _FLOWERS_ABOVE * tips[:, 2].max()]
-    number = max(3, round(area / _FLOWER_SIDE**2))
-    middle = tips[np.arange(number) % len(tips)]
-    middle = middle + rng.normal(0.0, _FLOWER_SIDE, (number, 3)) * [1.0, 1.0, 0.3]
-    uniform = quasi_random(number, 3, [seed, _FLOWERS])
-    tilt = _inclinations(uniform[:, 0], "planophile")
-    azimuth, roll = 2.0 * np.pi * uniform[:, 1], 2.0 * np.pi * uniform[:, 2:]
-    down = np.stack(
-        [np.cos(tilt) * np.cos(azimuth), np.cos(tilt) * np.sin(azimuth), -np.sin(tilt)], axis=-1
-    )
-    level = np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros(number)], axis=-1)
-    normal = np.cross(down, level)
-    axis = np.cos(roll) * down + np.sin(roll) * level
-    side = np.full(number, np.sqrt(area / number))
-    return blades(middle - 0.5 * side[:, None] * axis, axis, normal, side, side, OUTLINES["petal"])
-
-
-def _number(skeleton: Skeleton, foliage: _Foliage | None) -> int:
+def _number(skeleton: Skeleton, foliage: Foliage | None) -> int:
     if foliage is not None:
         return len(foliage.size)
     return sum(len(paths) for paths, _ in skeleton.green)

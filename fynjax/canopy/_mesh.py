@@ -6,6 +6,7 @@ enters it also leaves it: half of it intercepts, whatever its shape (for a conve
 Cauchy's mean silhouette times two; Chen and Black 1992). Both are the areas of `FORM_DEFAULTS`.
 """
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -14,37 +15,34 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.canopy._forms import quasi_random, split_elements
-from fynjax.canopy._mesh_facets import (
-    check_vertex_normals,
-    draw_evenly,
-    facets,
-    is_closed,
-    volume,
-)
+from fynjax.canopy._mesh_facets import closed_faces, draw_evenly, facets, volume
+from fynjax.canopy._mesh_names import organ_named, organ_of_name
 from fynjax.canopy._mesh_plant import (
     MeshPlant,
     PlantMaterial,
     PlantMesh,
     check_extent,
     mesh_plant,
-    organ_named,
-    organ_of_name,
 )
+from fynjax.canopy._mesh_read import default_up, plant_mesh_of
 from fynjax.canopy._plant import Organ
 
 
-def read_plant_mesh(mesh: Any, *, up: Literal["y", "z"] = "z") -> PlantMesh:
+def read_plant_mesh(mesh: Any, *, up: Literal["y", "z"] | None = None) -> PlantMesh:
     """The triangles and material names of a mesh, upright and in one frame.
 
     `mesh`: a file trimesh reads (OBJ with MTL, PLY, STL, GLB), a `trimesh.Trimesh`, a
-    `trimesh.Scene` or a `PlantMesh`; in metres. `up`: its vertical axis. A geometry without a
-    material goes by its own name, a single mesh by "". Raises `InputError` for a mesh that cannot
+    `trimesh.Scene` or a `PlantMesh`; in metres. `up`: its vertical axis; if left out y in
+    a GLB or glTF file, as that standard says, else z (trimesh exports a mesh to GLB as it is, z
+    upwards if it was so). A geometry without a material goes by its own name, a single mesh by
+    "". An OBJ's names are read without its MTL. Raises `InputError` for a mesh that cannot
     be read, has no faces, or whose stored vertex normals are zero or point against its faces.
     """
+    up = default_up(mesh) if up is None else up
     if up not in ("y", "z"):
         raise InputError(f"`up` must be 'y' or 'z', but is {up!r}")
     if not isinstance(mesh, PlantMesh):
-        mesh = _from_trimesh(mesh)
+        mesh = plant_mesh_of(mesh)
     if up == "z":
         return mesh
     # A quarter turn about x: (x, y, z) -> (x, -z, y).
@@ -58,7 +56,7 @@ def plant_model_from_mesh(
     organ_of_material: Mapping[str, Organ | str | PlantMaterial] | None = None,
     seed: int = 0,
     *,
-    up: Literal["y", "z"] = "z",
+    up: Literal["y", "z"] | None = None,
     solid_materials: tuple[str, ...] | Literal["closed"] = (),
     maximum_extent: float = 10.0,
 ) -> MeshPlant:
@@ -73,18 +71,20 @@ def plant_model_from_mesh(
     - `n_elements`: number of elements, shared among the materials by area, at least one each.
       None makes every facet an element: its centre, its area, its normal.
     - `organ_of_material`: organ ("leaf", "wood", "flower" or `Organ`) or `PlantMaterial` of each
-      material name. Without it a material whose name begins with an organ's ("wood", "leaf.001")
-      is that organ; where none does, everything is leaf.
+      material name. Without it the words of a name tell ("Bark", "leaves.001", "petal"); a mesh
+      of a single material that tells nothing is all leaf.
     - `seed`: fixes the draw.
-    - `up`: the vertical axis of the mesh; "y" turns it upright first.
+    - `up`: the vertical axis of the mesh, as in `read_plant_mesh`.
     - `solid_materials`: materials modelled as closed surfaces (a stem as a tube), of which half
       the area counts (see the note on one-sided area of this module). "closed" takes every
-      material none of whose edges is open.
+      surface (triangles of a material that share edges) none of whose edges is open, and warns
+      where wood has others.
     - `maximum_extent`: a mesh larger than this [m] is taken to be in other units.
 
     x and y are centred on the bounding box and divided by the modelled diameter (eq. 7), z by
     the depth. Raises `InputError` for a mesh without faces or with no area, flat, not finite, in
-    other units, with zero or inverted normals, or with a material that has no organ.
+    other units (or smaller than 5 mm), with zero or inverted normals, or with a material that has
+    no organ, or several of which none is recognised.
     """
     file = str(mesh) if isinstance(mesh, str | Path) else None
     read = read_plant_mesh(mesh, up=up)
@@ -94,10 +94,11 @@ def plant_model_from_mesh(
     if not area.sum() > 0.0:
         raise InputError("a plant mesh must have area, but all its faces are degenerate", file=file)
     used = _materials(read, organ_of_material, file)
-    for index, one in enumerate(used):
-        if _is_solid(read, index, one, solid_materials, file):
-            area = np.where(material == index, 0.5 * area, area)
-
+    solid = _solid_faces(read, used, solid_materials, file)
+    whole = np.bincount(material, weights=area, minlength=len(used))
+    of_solid = np.bincount(material, weights=area * solid, minlength=len(used))
+    solid_share = of_solid / np.where(whole > 0.0, whole, 1.0)
+    area = np.where(solid, 0.5 * area, area)
     share = np.bincount(material, weights=area, minlength=len(used))
     if n_elements is None:
         chosen = np.flatnonzero(area > 0.0)
@@ -115,6 +116,7 @@ def plant_model_from_mesh(
         used,
         low,
         high,
+        tuple(solid_share.tolist()),
     )
 
 
@@ -147,67 +149,39 @@ def _sample(
     return facet, np.einsum("nc,ncd->nd", np.concatenate(weights), triangles[facet])
 
 
-def _from_trimesh(mesh: Any) -> PlantMesh:
-    import trimesh
-
-    file = str(mesh) if isinstance(mesh, str | Path) else None
-    if file is not None:
-        try:
-            mesh = trimesh.load(file, process=False)
-        except Exception as error:  # trimesh's readers raise whatever they stumble over
-            raise InputError(f"the mesh cannot be read: {error}", file=file) from error
-    pieces: list[tuple[str, Any, np.ndarray]] = []
-    if isinstance(mesh, trimesh.Trimesh):
-        pieces = [("", mesh, np.eye(4))]
-    elif isinstance(mesh, trimesh.Scene):
-        for node in mesh.graph.nodes_geometry:
-            frame, name = mesh.graph[node]
-            pieces.append((str(name), mesh.geometry[name], np.asarray(frame, float)))
-    vertices, faces, material, names, first = [], [], [], list[str](), 0
-    for own_name, geometry, frame in pieces:
-        if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
-            continue
-        name = str(getattr(getattr(geometry.visual, "material", None), "name", None) or own_name)
-        corners = np.asarray(geometry.faces)
-        check_vertex_normals(geometry, name, file)
-        if name not in names:
-            names.append(name)
-        vertices.append(np.asarray(geometry.vertices, float) @ frame[:3, :3].T + frame[:3, 3])
-        # A frame that mirrors turns the triangles over.
-        faces.append(first + (corners if np.linalg.det(frame[:3, :3]) > 0 else corners[:, ::-1]))
-        material.append(np.full(len(corners), names.index(name)))
-        first += len(geometry.vertices)
-    if not faces:
-        raise InputError(
-            "a plant mesh must have faces, but has none; is it a point cloud? A cloud with "
-            "normals goes through `plant_model_from_points`",
-            file=file,
-        )
-    return PlantMesh(
-        np.concatenate(vertices), np.concatenate(faces), np.concatenate(material), tuple(names)
-    )
-
-
-def _is_solid(
+def _solid_faces(
     mesh: PlantMesh,
-    index: int,
-    one: PlantMaterial,
+    used: list[PlantMaterial],
     solid_materials: tuple[str, ...] | Literal["closed"],
     file: str | None,
-) -> bool:
-    name = mesh.materials[index]
-    if one.solid is not None:
-        solid = one.solid
-    elif solid_materials == "closed":
-        solid = mesh.is_closed(name)
-    else:
-        solid = name in solid_materials
-    triangles = mesh.triangles[mesh.material == index]
-    if solid and len(triangles) and is_closed(triangles) and volume(triangles) < 0.0:
-        raise InputError(
-            f"the closed surfaces of material {name!r} must have their normals outwards, but they "
-            "are inverted: flip the faces",
-            file=file,
+) -> np.ndarray:
+    """Which triangles bound bodies [face]. Warns where wood is taken for a sheet."""
+    solid = np.zeros(len(mesh.faces), bool)
+    open_wood = []
+    for index, one in enumerate(used):
+        name = mesh.materials[index]
+        mine = np.flatnonzero(mesh.material == index)
+        given = one.solid
+        if given is None and solid_materials != "closed":
+            given = name in solid_materials
+        if given is False or not len(mine):
+            continue
+        triangles = mesh.triangles[mine]
+        closed = closed_faces(triangles)
+        solid[mine] = closed if given is None else True
+        if closed.any() and volume(triangles[closed]) < 0.0:
+            raise InputError(
+                f"the closed surfaces of material {name!r} must have their normals outwards, but "
+                "they are inverted: flip the faces",
+                file=file,
+            )
+        if given is None and one.organ == Organ.WOOD and not closed.all():
+            open_wood.append(f"{np.mean(~closed):.0%} of the triangles of {name!r}")
+    if open_wood:
+        warnings.warn(
+            f"{' and '.join(open_wood)} are wood with open edges and count as sheets, with all of "
+            "their area instead of half: close the surfaces, or say that the material is solid",
+            stacklevel=3,
         )
     return solid
 
@@ -221,16 +195,20 @@ def _materials(
     if organ_of_material is None:
         by_name = {name: organ_of_name(name) for name in mesh.materials}
         if not any(organ is not None for organ in by_name.values()):
-            return [PlantMaterial(Organ.LEAF) for _ in mesh.materials]
+            if len(mesh.materials) > 1:
+                raise InputError(
+                    f"the materials {', '.join(map(repr, mesh.materials))} tell of no organ: say "
+                    "which are leaf, wood or flower in `organ_of_material`",
+                    file=file,
+                )
+            return [PlantMaterial(Organ.LEAF)]
         organ_of_material = {k: organ for k, organ in by_name.items() if organ is not None}
     used = []
     for name in mesh.materials:
         if name not in organ_of_material:
             known = ", ".join(repr(key) for key in organ_of_material)
             raise InputError(
-                f"material {name!r} must have an organ in `organ_of_material`, which has {known}; "
-                "if that is no material of the plant, is the material file (MTL) missing beside "
-                "the mesh?",
+                f"material {name!r} must have an organ in `organ_of_material`; known are {known}",
                 file=file,
             )
         given = organ_of_material[name]

@@ -1,4 +1,4 @@
-"""Facets of meshes: their areas and normals, whether they close, and an even draw of them."""
+"""Facets of meshes: their areas and normals, which of them close, and an even draw of them."""
 
 from typing import Any
 
@@ -18,16 +18,34 @@ def facets(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return cross / np.where(double > 0.0, double, 1.0)[:, None], 0.5 * double
 
 
-def is_closed(triangles: np.ndarray) -> bool:
-    """Whether no edge of the triangles [face, 3, 3] is open, the rim of a sheet."""
+def closed_faces(triangles: np.ndarray) -> np.ndarray:
+    """Which of the triangles [face, 3, 3] belong to a closed surface [face].
+
+    Triangles that share edges are one surface; it is closed if none of its edges is open, as the
+    rim of a sheet is. Corners at the same place are one corner.
+    """
+    from scipy.sparse import coo_array  # late: the parametric forms do without
+    from scipy.sparse.csgraph import connected_components
+
     points = triangles.reshape(-1, 3)
     step = 1e-9 * max(float(np.ptp(points, axis=0).max()), 1e-30)
     grid = np.round((points - points.min(axis=0)) / step).astype(np.int64)
     _, corner = np.unique(grid, axis=0, return_inverse=True)
     faces = corner.reshape(-1, 3)
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    _, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
-    return bool((count % 2 == 0).all())
+    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    _, edge, count = np.unique(
+        sides[:, 0] * len(points) + sides[:, 1], return_inverse=True, return_counts=True
+    )
+    # Triangles and edges are the nodes of a graph; each triangle is tied to its three edges.
+    owner = np.tile(np.arange(len(faces)), 3)
+    ties = coo_array(
+        (np.ones(len(owner), bool), (owner, len(faces) + edge)),
+        shape=(len(faces) + len(count),) * 2,
+    )
+    number, surface = connected_components(ties, directed=False)
+    is_open = np.zeros(number, bool)
+    is_open[surface[len(faces) :][count % 2 == 1]] = True
+    return ~is_open[surface[: len(faces)]]
 
 
 def volume(triangles: np.ndarray) -> float:

@@ -9,11 +9,14 @@ from jaxtyping import Array, Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax.canopy._counts import modelled_diameter
-from fynjax.canopy._mesh_facets import facets, is_closed
+from fynjax.canopy._mesh_facets import closed_faces, facets
+from fynjax.canopy._mesh_names import organ_named, organ_of_name
 from fynjax.canopy._plant import Organ, PlantModel
 
 _COLOURS = {Organ.LEAF: (0.24, 0.42, 0.14), Organ.WOOD: (0.36, 0.27, 0.20)}
 _FLOWER_COLOUR = (0.85, 0.55, 0.65)
+_SMALLEST_EXTENT = 0.005
+"""No plant of a plot is smaller [m]."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ class PlantMesh(eqx.Module):
     def is_closed(self, material: str) -> bool:
         """Whether the triangles of a material bound bodies: no edge is left open."""
         triangles = self.triangles[self.material == self.materials.index(material)]
-        return len(triangles) > 0 and is_closed(triangles)
+        return len(triangles) > 0 and bool(closed_faces(triangles).all())
 
     def obj(self, material_file: str) -> tuple[str, str]:
         """The mesh as Wavefront OBJ (lengths to 1 nm) and the MTL text it names.
@@ -95,6 +98,8 @@ class MeshPlant(eqx.Module):
     """Names of the materials."""
     optics: tuple[str, ...] = eqx.field(static=True)
     """Name of the optical class of each material."""
+    solid_share: tuple[float, ...] = eqx.field(static=True)
+    """Part of each material's area that bounds bodies, so that half of it counted [-]."""
 
     @property
     def modelled_diameter(self) -> float:
@@ -122,11 +127,21 @@ def mesh_plant(
     materials: list[PlantMaterial],
     low: np.ndarray,
     high: np.ndarray,
+    solid_share: tuple[float, ...],
 ) -> MeshPlant:
-    """Record of elements in metres, whose plant fills the box from `low` to `high` [m]."""
+    """Record of elements in metres, whose plant fills the box from `low` to `high` [m].
+
+    Raises `InputError` where the elements of an organ have no area.
+    """
     organs = [int(organ_named(one.organ, name)) for one, name in zip(materials, names)]
     organ = np.array(organs)[material]
     organ_area = np.bincount(organ, weights=area, minlength=len(Organ))
+    for one in np.unique(organ):
+        if not organ_area[one] > 0.0:
+            raise InputError(
+                f"the {Organ(one).name.lower()} of a plant must have area, but all of it is "
+                f"{organ_area[one]:g} m2: duplicate points?"
+            )
     width, height, depth = (float(side) for side in high - low)
     diameter = modelled_diameter(width, height)
     axis = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
@@ -146,6 +161,7 @@ def mesh_plant(
         jnp.asarray(material, jnp.int32),
         names,
         optics,
+        solid_share,
     )
 
 
@@ -161,28 +177,15 @@ def check_extent(
     if size.max() > maximum_extent:
         raise InputError(
             f"{what} must be in metres and at most {maximum_extent:g} m large, but is {box}: is "
-            "it in centimetres or millimetres?",
+            "it in centimetres or millimetres? Where it is so large, raise `maximum_extent`",
+            file=file,
+        )
+    if 0.0 < size.max() < _SMALLEST_EXTENT:
+        raise InputError(
+            f"{what} must be in metres and at least {_SMALLEST_EXTENT:g} m large, but is {box}: is "
+            "it in kilometres?",
             file=file,
         )
     if size.min() <= 0.0:
         raise InputError(f"{what} must extend in x, y and z, but is flat: {box} m", file=file)
     return low, high
-
-
-def organ_of_name(name: str) -> Organ | None:
-    """The organ a material's name begins with."""
-    for organ in Organ:
-        if name.lower().startswith(organ.name.lower()):
-            return organ
-    return None
-
-
-def organ_named(organ: Organ | str, name: str) -> Organ:
-    """The organ of the material `name`, which may be given as a word."""
-    if isinstance(organ, str):
-        if organ.upper() not in Organ.__members__:
-            raise InputError(
-                f"the organ of material {name!r} must be leaf, wood or flower, but is {organ!r}"
-            )
-        return Organ[organ.upper()]
-    return Organ(organ)

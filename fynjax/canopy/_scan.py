@@ -14,14 +14,22 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Int
 
+from fynjax._core.columns import TextColumns, read_columns
 from fynjax._core.errors import InputError
 from fynjax.canopy._forms import split_elements
 from fynjax.canopy._mesh_facets import draw_evenly
+from fynjax.canopy._mesh_names import organ_named, organ_of_name
 from fynjax.canopy._mesh_plant import MeshPlant, PlantMaterial, check_extent, mesh_plant
 from fynjax.canopy._plant import Organ
 
 _LARGEST_LENGTH_MISS = 0.01
 _COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
+_ALIASES = {
+    **{name: (name,) for name in "xyz"},
+    **{f"n{name}": (f"n{name}", f"normal_{name}", f"normal{name}") for name in "xyz"},
+    "organ": ("organ", "scalar_organ"),
+}
+"""Names of the columns in files, in lower case; CloudCompare adds "scalar_"."""
 
 
 def read_scan(
@@ -31,9 +39,11 @@ def read_scan(
 ]:
     """Points [m], normals and organs (None if the file has none) of a scanned plant.
 
-    PLY with the vertex properties x, y, z, nx, ny, nz, or text (CSV, TXT, XYZ) with these columns
-    under a header, or in this order without one; a column `organ` holds 0 for leaf, 1 for wood, 2
-    for flower. Raises `InputError` for a file without normals or that cannot be read.
+    PLY with the vertex properties x, y, z, nx, ny, nz, or text (CSV, TXT, XYZ; commas, semicolons,
+    tabs or blanks between) with these columns under a header, which may be a comment as
+    CloudCompare writes it, or in this order without one. A column `organ` holds leaf, wood,
+    flower or 0, 1, 2. Raises `InputError` for a file without normals or that cannot be read, and
+    with the row of a cell that is wrong.
     """
     file = str(path)
     is_ply = Path(path).suffix.lower() == ".ply"
@@ -78,7 +88,8 @@ def plant_model_from_points(
     - `seed`: fixes which points are drawn.
 
     Raises `InputError` for normals that are zero or not of unit length, points that are not
-    finite, too few, flat or in other units, and organs or areas out of range.
+    finite, too few, flat or in other units, organs or areas out of range, and an organ whose
+    points have no area.
     """
     points, normals = np.asarray(points, float), np.asarray(normals, float)
     if points.ndim != 2 or points.shape[1] != 3 or normals.shape != points.shape:
@@ -101,7 +112,7 @@ def plant_model_from_points(
     of_point = _organs(organ, len(points))
 
     area = np.zeros(len(points))
-    known = {_one_organ(key): float(value) for key, value in (organ_area or {}).items()}
+    known = {organ_named(key): float(value) for key, value in (organ_area or {}).items()}
     for one in Organ:
         mine = of_point == one
         if one in known and not (np.isfinite(known[one]) and known[one] > 0.0 and mine.any()):
@@ -111,6 +122,11 @@ def plant_model_from_points(
             )
         if mine.any():
             area[mine] = _point_areas(points[mine], normals[mine], neighbours)
+            if not area[mine].sum() > 0.0:
+                raise InputError(
+                    f"the points of the {one.name.lower()} must spread over an area, but all "
+                    f"{mine.sum()} lie at one place: duplicate points?"
+                )
         if one in known:
             area[mine] *= known[one] / area[mine].sum()
     chosen, portion = _thin(points, normals, of_point, area, n_elements, seed)
@@ -125,6 +141,7 @@ def plant_model_from_points(
         [PlantMaterial(one) for one in present],
         low,
         high,
+        (0.0,) * len(present),
     )
 
 
@@ -184,17 +201,9 @@ def _check_normals(normals: np.ndarray) -> None:
         )
 
 
-def _one_organ(organ: Organ | str | int) -> Organ:
-    if isinstance(organ, str):
-        if organ.upper() not in Organ.__members__:
-            raise InputError(f"an organ must be leaf, wood or flower, but is {organ!r}")
-        return Organ[organ.upper()]
-    return Organ(organ)
-
-
 def _organs(organ: Any, count: int) -> np.ndarray:
     if isinstance(organ, str | Organ):
-        return np.full(count, int(_one_organ(organ)))
+        return np.full(count, int(organ_named(organ)))
     organ = np.asarray(organ)
     if organ.shape != (count,) or not np.isin(organ, [int(one) for one in Organ]).all():
         raise InputError(
@@ -211,31 +220,61 @@ def _ply_columns(file: str) -> dict[str, np.ndarray]:
         cloud = trimesh.load(file, process=False)
         data = cloud.metadata["_ply_raw"]["vertex"]["data"]
         names = data.dtype.names if hasattr(data, "dtype") else list(data)
-        return {str(name): np.asarray(data[name], float).reshape(-1) for name in names}
+        return {
+            wanted: np.asarray(data[names[place]], float).reshape(-1)
+            for wanted, place in _places(tuple(map(str, names))).items()
+        }
     except Exception as error:  # trimesh's readers raise whatever they stumble over
         raise InputError(f"the scan cannot be read: {error}", file=file) from error
 
 
 def _text_columns(file: str) -> dict[str, np.ndarray]:
-    try:
-        lines = Path(file).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"the scan cannot be read: {error}", file=file) from error
-    rows = [(number, line.replace(",", " ").split()) for number, line in enumerate(lines, 1)]
-    rows = [(number, cells) for number, cells in rows if cells and not cells[0].startswith("#")]
-    if not rows:
-        raise InputError("a scanned plant must have points, but the file is empty", file=file)
-    header = [cell.strip('"').lower() for cell in rows[0][1]]
-    named = "x" in header
-    names = header if named else [*_COLUMNS, "organ"][: len(header)]
-    values = np.empty((len(rows) - named, len(names)))
-    for index, (number, cells) in enumerate(rows[int(named) :]):
-        try:
-            values[index] = [float(cell) for cell in cells[: len(names)]]
-        except ValueError as error:
+    known = tuple(name for names in _ALIASES.values() for name in names)
+    table = read_columns(file, "a scanned plant", known)
+    count = len(table.cells.columns)
+    header = table.header
+    if header is None:
+        if count > len(_COLUMNS) + 1:
             raise InputError(
-                f"expected {len(names)} numbers, but found {' '.join(cells)[:60]!r}",
+                f"a scanned plant of {count} columns must name them in a header (x, y, z, nx, ny, "
+                "nz and, if wanted, organ), but has none",
                 file=file,
-                row=number,
-            ) from error
-    return {name: values[:, column] for column, name in enumerate(names)}
+            )
+        header = (*_COLUMNS, "organ")[:count]
+    found = {}
+    for name, place in _places(header).items():
+        if name == "organ":
+            found[name] = _organ_column(table, place)
+        else:
+            found[name] = table.numbers(place, header[place])
+    return found
+
+
+def _places(names: tuple[str, ...]) -> dict[str, int]:
+    """Where the columns of a scan stand among `names`."""
+    plain = [name.strip().lower() for name in names]
+    return {
+        wanted: next(plain.index(alias) for alias in aliases if alias in plain)
+        for wanted, aliases in _ALIASES.items()
+        if any(alias in plain for alias in aliases)
+    }
+
+
+def _organ_column(table: TextColumns, place: int) -> np.ndarray:
+    """Organs written as numbers or as words."""
+    values, index = np.unique(np.asarray(table.cells[place], str), return_inverse=True)
+    organs = np.empty(len(values))
+    for k, value in enumerate(values):
+        try:
+            organ: float | None = float(value)
+        except ValueError:
+            organ = organ_of_name(value)
+        if organ is None or organ not in list(Organ):
+            raise InputError(
+                f"expected 0 or leaf, 1 or wood, 2 or flower, but found {str(value)!r}",
+                file=table.path,
+                row=int(table.rows[np.argmax(index == k)]),
+                column="organ",
+            )
+        organs[k] = organ
+    return organs[index]

@@ -111,3 +111,23 @@ def test_upright_copies_surround_the_axis_and_tilted_ones_spread() -> None:
 def test_bad_input(branches: int, spread: float, word: str) -> None:
     with pytest.raises(InputError, match=word):
         plant_from_branches(branch(), branches, seed=0, rotation_spread=spread)
+
+
+def test_too_many_copies_say_so() -> None:
+    for one in (branch(), elements(branch())):
+        with pytest.raises(InputError, match=r"5000000 (triangles|elements) .*lower `branches` to"):
+            plant_from_branches(one, 1_000_000, seed=0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        ((5, 95.0), "`asymptote` must be 0 to 90"),
+        ((5, -1.0), "`asymptote`"),
+        ((5, 35.0, 0.0), "`growth`"),
+        ((np.nan,), "`branches`"),
+    ],
+)
+def test_a_spread_out_of_range(arguments: tuple[float, ...], word: str) -> None:
+    with pytest.raises(InputError, match=word):
+        branch_rotation_spread(*arguments)

@@ -7,7 +7,14 @@ import pytest
 import trimesh
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import Organ, instantiate, plant_model_from_mesh
+from fynjax.canopy import (
+    Organ,
+    PlantMaterial,
+    instantiate,
+    plant_model_from_mesh,
+    read_plant_mesh,
+)
+from fynjax.canopy._mesh_names import organ_of_name
 
 
 def bush() -> trimesh.Trimesh:
@@ -54,9 +61,9 @@ def test_points_are_uniform_in_a_facet_and_parts_stand_in_their_frame() -> None:
     """First and second moments of two unit boxes, one lifted and shifted by the scene graph."""
     scene = trimesh.Scene()
     box = trimesh.creation.box([1.0, 1.0, 1.0])
-    scene.add_geometry(box, geom_name="a")
+    scene.add_geometry(box, geom_name="leaf a")
     scene.add_geometry(
-        box, geom_name="b", transform=trimesh.transformations.translation_matrix([4, 0, 2])
+        box, geom_name="leaf b", transform=trimesh.transformations.translation_matrix([4, 0, 2])
     )
     result = plant_model_from_mesh(scene, 6000, seed=0)
     assert (result.width, result.height, result.depth) == pytest.approx((5.0, 1.0, 3.0))
@@ -92,9 +99,20 @@ def test_materials_become_organs(tmp_path: Path) -> None:
     np.testing.assert_allclose(read.organ_area, direct.organ_area, rtol=1e-6)
     with pytest.raises(InputError, match=r"plant.obj: material 'petals' must have an organ"):
         plant_model_from_mesh(path, 100, {"leaves": "leaf", "bark": "wood"})
+    # The names stand in the OBJ, and say the same without the MTL and without a mapping.
     (tmp_path / "material.mtl").unlink()
-    with pytest.raises(InputError, match="material file"):
-        plant_model_from_mesh(path, 100, organs)
+    for given in (organs, None):
+        bare = plant_model_from_mesh(path, 100, given, solid_materials=("bark",))
+        np.testing.assert_allclose(bare.organ_area, direct.organ_area, rtol=1e-6)
+    path.write_text(path.read_text().replace("petals", "oddity"))
+    with pytest.raises(InputError, match="material 'oddity' must have an organ"):
+        plant_model_from_mesh(path, 100)
+    for name in ("leaves", "bark"):
+        path.write_text(path.read_text().replace(name, f"my {name[:2]}"))
+    with pytest.raises(
+        InputError, match=r"plant.obj: the materials .*'my ba'.*`organ_of_material`"
+    ):
+        plant_model_from_mesh(path, 100)
     with pytest.raises(InputError, match="must be leaf, wood or flower"):
         plant_model_from_mesh(scene, 100, organs | {"bark": "stem"})
 
@@ -113,9 +131,81 @@ def test_a_mesh_with_y_upwards() -> None:
     np.testing.assert_allclose(same.plant.position, upright.plant.position, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("name", "organ"),
+    [
+        *((name, Organ.LEAF) for name in ("leaf", "Leaves", "LEAVES_02", "oak.foliage", "Needles")),
+        *(
+            (name, Organ.WOOD)
+            for name in ("Bark", "Twigs", "OakBarkMat", "wood.001", "branch_dead")
+        ),
+        *((name, Organ.FLOWER) for name in ("petals", "Blossom", "FlowerMaterial")),
+        *((name, None) for name in ("", "Material.001", "leaf_stem", "believable", "None")),
+    ],
+)
+def test_names_tell_of_organs(name: str, organ: Organ | None) -> None:
+    assert organ_of_name(name) is organ
+
+
+def named(**parts: trimesh.Trimesh) -> trimesh.Scene:
+    scene = trimesh.Scene()
+    for name, part in parts.items():
+        scene.add_geometry(part, geom_name=name)
+    return scene
+
+
+def test_each_connected_surface_is_closed_or_not() -> None:
+    """Two boxes and a triangle of wood: the boxes count half, whatever stands beside them."""
+    box = trimesh.creation.box([0.1, 0.1, 0.5])
+    other = box.copy()
+    other.apply_translation([0.1, 0.1, 0.5])  # touches the first in a corner
+    stray = trimesh.Trimesh([[0, 0, 1], [0.2, 0, 1], [0, 0.2, 1]], [[0, 1, 2]])
+    wood = trimesh.util.concatenate([box, other, stray])
+    with pytest.warns(UserWarning, match="4% of the triangles of 'wood' are wood with open edges"):
+        model = plant_model_from_mesh(named(wood=wood), None, solid_materials="closed")
+    assert float(model.organ_area[1]) == pytest.approx(0.5 * 2 * box.area + 0.02)
+    assert model.solid_share == pytest.approx([2 * box.area / (2 * box.area + 0.02)])
+    # A box that lacks a triangle is open, all of it; leaves may be.
+    lacking = trimesh.Trimesh(box.vertices, box.faces[1:], process=False)
+    model = plant_model_from_mesh(named(leaf=lacking, wood=other), 50, solid_materials="closed")
+    np.testing.assert_allclose(model.organ_area[:2], [lacking.area, 0.5 * box.area])
+    assert model.solid_share == (0.0, 1.0)
+    # What the user says of a material holds for all of it.
+    for solid, part in ((True, 0.5), (False, 1.0)):
+        said = {"wood": PlantMaterial("wood", solid=solid)}
+        model = plant_model_from_mesh(named(wood=wood), None, said, solid_materials="closed")
+        assert float(model.organ_area[1]) == pytest.approx(part * wood.area)
+        assert model.solid_share == (float(solid),)
+
+
+def test_a_mirroring_frame_turns_the_faces_over(tmp_path: Path) -> None:
+    """Else the mirrored closed body would be inside out, an error."""
+    scene = trimesh.Scene()
+    mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
+    scene.add_geometry(bush(), geom_name="wood", transform=mirror)
+    mesh = read_plant_mesh(scene)
+    triangles = mesh.triangles
+    a, b, c = np.moveaxis(triangles - triangles.mean(axis=(0, 1)), 1, 0)
+    assert np.einsum("fi,fi->", a, np.cross(b, c)) / 6.0 == pytest.approx(bush().volume)
+    assert mesh.vertices[:, 0].mean() == pytest.approx(-3.0)
+    model = plant_model_from_mesh(scene, 50, solid_materials="closed")
+    assert float(model.organ_area[1]) == pytest.approx(0.5 * bush().area)
+
+
+def test_gltf_has_y_upwards(tmp_path: Path) -> None:
+    tall = trimesh.creation.box([0.2, 0.9, 0.3])
+    tall.export(tmp_path / "plant.glb")
+    tall.export(tmp_path / "plant.ply")
+    assert plant_model_from_mesh(tmp_path / "plant.glb", 20).depth == pytest.approx(0.9)
+    assert plant_model_from_mesh(tmp_path / "plant.glb", 20, up="z").depth == pytest.approx(0.3)
+    assert plant_model_from_mesh(tmp_path / "plant.ply", 20).depth == pytest.approx(0.3)
+
+
 def test_bad_meshes(tmp_path: Path) -> None:
     big = bush()
     big.apply_scale(100.0)
+    tiny = bush()
+    tiny.apply_scale(0.001)
     flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     lines = trimesh.Trimesh(
         [[0, 0, 0], [1, 1, 1], [2, 2, 2]], [[0, 1, 2]], process=False, validate=False
@@ -127,6 +217,7 @@ def test_bad_meshes(tmp_path: Path) -> None:
         (trimesh.Scene(), "must have faces"),
         (trimesh.PointCloud(np.eye(3)), "point cloud"),
         (big, "centimetres"),
+        (tiny, "kilometres"),
         (flat, "flat"),
         (lines, "degenerate"),
         (broken, "finite"),

@@ -22,7 +22,7 @@ from fynjax.canopy import (
 from fynjax.canopy._generate import GeneratedPlant, generate_plant, leaf_sizes
 from fynjax.canopy._generate_parts import OUTLINES, blades, outline_area, tubes
 from fynjax.canopy._mesh import plant_model_from_mesh
-from fynjax.canopy._mesh_plant import MeshPlant, PlantMaterial, PlantMesh
+from fynjax.canopy._mesh_plant import PlantMaterial, PlantMesh
 
 TABLE = table1_2006().set_index("taxon")
 TAXA = list(TABLE.index)
@@ -204,31 +204,30 @@ def facet_projection(piece: trimesh.Trimesh, towards: np.ndarray) -> np.ndarray:
     return np.abs(towards @ piece.face_normals.T) @ piece.area_faces / piece.area_faces.sum()
 
 
-def deposited_projection(model: MeshPlant, organ: Organ, towards: np.ndarray) -> np.ndarray:
-    """G of the elements as they lie on a grid: projected area over area, summed over voxels."""
-    cosine = jnp.abs(jnp.asarray(towards) @ model.plant.normal.T)
-    mine = jnp.where(model.plant.organ == organ, model.area, 0.0)
-    sums = np.asarray(areas_on_grid(model.position, jnp.vstack([cosine * mine, mine])))
-    return sums[:-1] / sums[-1]
-
-
-@pytest.mark.parametrize("taxon", ["Erica irregularis", "Restio eleocharis", "Euclea racemosa"])
-def test_projection_of_the_deposited_elements_is_that_of_the_facets(
-    taxon: str, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("taxon", TAXA)
+def test_projection_of_leaves_and_wood_is_that_of_the_facets(taxon: str, tmp_path: Path) -> None:
+    """G of the drawn leaves within 1 %, of few drawn pieces of wood within 2 %, of all facets."""
     path = file_of(plant(taxon).mesh, tmp_path)
-    leaf = parts_of(path)["leaf"]
     towards = directions()
-    facets = facet_projection(leaf, towards)
-    sampled = plant_model_from_mesh(path, 4000, solid_materials="closed")
-    np.testing.assert_allclose(
-        deposited_projection(sampled, Organ.LEAF, towards), facets, rtol=0.01
-    )
     every = plant_model_from_mesh(path, None, solid_materials="closed").plant
-    share = np.where(np.asarray(every.organ) == Organ.LEAF, np.asarray(every.area_fraction), 0.0)
-    np.testing.assert_allclose(
-        np.abs(towards @ np.asarray(every.normal).T) @ share, facets, rtol=1e-6
-    )
+    sampled = plant_model_from_mesh(path, 8000, solid_materials="closed").plant
+    for name, piece in parts_of(path).items():
+        facets = facet_projection(piece, towards)
+        for model, rtol in ((every, 1e-6), (sampled, 0.01 if name == "leaf" else 0.02)):
+            mine = np.asarray(model.organ) == Organ[name.upper()]
+            cosine = np.abs(towards @ np.asarray(model.normal)[mine].T)
+            share = np.asarray(model.area_fraction)[mine]
+            np.testing.assert_allclose(cosine @ share, facets, rtol=rtol)
+
+
+def test_depositing_keeps_the_projection_of_the_elements() -> None:
+    """Projected area over area, summed over the voxels: nothing falls beside the grid."""
+    model = plant_model_from_mesh(plant("Euclea racemosa").mesh, 2000, solid_materials="closed")
+    cosine = jnp.abs(jnp.asarray(directions()) @ model.plant.normal.T)
+    mine = jnp.where(model.plant.organ == Organ.LEAF, model.area, 0.0)
+    sums = np.asarray(areas_on_grid(model.position, jnp.vstack([cosine * mine, mine])))
+    wanted = np.asarray(cosine @ mine) / float(mine.sum())
+    np.testing.assert_allclose(sums[:-1] / sums[-1], wanted, rtol=1e-9)
 
 
 @pytest.mark.parametrize("taxon", ["Clutia alaternoides", "Chironia baccifera", "Euclea racemosa"])
@@ -298,14 +297,12 @@ def test_other_formats_keep_the_area(suffix: str, tmp_path: Path) -> None:
         scene.add_geometry(piece, geom_name=name)
     path = tmp_path / f"plant{suffix}"
     (scene if suffix == ".glb" else scene.to_mesh()).export(path)
-    model = plant_model_from_mesh(path, 300, solid_materials="closed")
+    model = plant_model_from_mesh(path, 300, up="z", solid_materials="closed")
     direct = plant_model_from_mesh(mesh, 300, solid_materials="closed")
     if suffix == ".glb":
         np.testing.assert_allclose(model.organ_area, direct.organ_area, rtol=1e-5)
-    else:  # these know no materials: all of it is one sheet
-        np.testing.assert_allclose(
-            model.organ_area, [mesh.material_area.sum(), 0.0, 0.0], rtol=1e-5
-        )
+    else:  # these know no materials: all of it is leaf, but the stems are closed still
+        np.testing.assert_allclose(model.organ_area, [direct.organ_area.sum(), 0.0, 0.0], rtol=1e-5)
     assert model.depth == pytest.approx(0.5, rel=1e-3)
 
 
@@ -349,6 +346,9 @@ def test_bad_normals_and_surfaces_inside_out(tmp_path: Path) -> None:
         ({"leaf_area_index": 0.0, "wood_area_index": 0.0}, "both area indices"),
         ({"flowering": 1.2}, "`flowering`"),
         ({"max_triangles": 10}, "`max_triangles`"),
+        ({"taxon": "Pterocelastrus tricuspidatus", "diameter": 0.05}, "no room for its leaf area"),
+        ({"taxon": "Deadwood", "diameter": 10.0}, "no room for its wood area.*1.25 m tall"),
+        ({"taxon": "Erica irregularis", "height": 0.01, "max_triangles": 3000}, "no room"),
     ],
 )
 def test_bad_input(options: dict[str, object], word: str) -> None:

@@ -61,6 +61,26 @@ def test_a_scan_of_a_mesh_has_its_projection() -> None:
         assert seen[0] == pytest.approx(seen[1], rel=0.03)
 
 
+def test_roughness_along_the_normal_adds_no_area() -> None:
+    """Noise across a level sheet of 1 m2, nearly as large as the points' spacing of 3 cm."""
+    rng = np.random.default_rng(3)
+    points = np.column_stack([rng.random((1000, 2)), rng.normal(0.0, 0.02, 1000)])
+    inner = (np.abs(points[:, :2] - 0.5) < 0.4).all(axis=1)
+    model = plant_model_from_points(points, np.tile([0.0, 0.0, 1.0], (1000, 1)))
+    area = np.asarray(model.area)[inner].sum()
+    assert area == pytest.approx(0.64, rel=0.03)
+
+
+def test_points_all_at_one_place_have_no_area() -> None:
+    points, normals = ball(100)
+    points[:20] = points[0]
+    organ = np.r_[np.ones(20, int), np.zeros(80, int)]
+    areas: tuple[dict[Organ | str, float], ...] = ({}, {"wood": 0.1})
+    for known in areas:
+        with pytest.raises(InputError, match=r"points of the wood .* duplicate points"):
+            plant_model_from_points(points, normals, organ=organ, organ_area=known)
+
+
 def test_organs_and_upright_turn() -> None:
     points, normals = ball(2000)
     organ = (points[:, 2] < 0.15).astype(int)
@@ -114,6 +134,56 @@ def test_files(tmp_path: Path) -> None:
         read_scan(tmp_path / "none.ply")
     with pytest.raises(InputError, match="cannot be read"):
         read_scan(tmp_path / "none.xyz")
+
+
+POINT = "1 2 3 0 0 1"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "//X Y Z R G B Nx Ny Nz\n1 2 3 90 80 70 0 0 1\n4 5 6 90 80 70 0 1 0\n",
+        "//X Y Z R G B Nx Ny Nz\n2\n1 2 3 90 80 70 0 0 1\n4 5 6 nan 80 70 0 1 0\n",
+        "x;y;z;nx;ny;nz\n1;2;3;0;0;1\n4;5;6;0;1;0\n",
+        "\ufeff# a scan\nX,Y,Z,NX,NY,NZ,\r\n1,2,3,0,0,1,\r\n\r\n4,5,6,0,1,0,\r\n",
+        "normal_z\tnormal_y\tnormal_x\tz\ty\tx\n1\t0\t0\t3\t2\t1\n0\t1\t0\t6\t5\t4\n",
+        "  1  2 3 0 0 1\n  4 5 6 0 1 0",
+    ],
+)
+def test_text_as_other_programs_write_it(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "scan.txt"
+    path.write_text(text, encoding="utf-8")
+    points, normals, organ = read_scan(path)
+    np.testing.assert_array_equal(points, [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_array_equal(normals, [[0, 0, 1], [0, 1, 0]])
+    assert organ is None
+
+
+def test_organs_as_words(tmp_path: Path) -> None:
+    path = tmp_path / "scan.csv"
+    path.write_text("x,y,z,nx,ny,nz,organ\n0,0,0,0,0,1,Leaf\n0,0,0,0,0,1,bark\n0,0,0,0,0,1,2\n")
+    organ = read_scan(path)[2]
+    assert organ is not None
+    assert organ.tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        (f"{POINT}\n{POINT}\n0 0 1\n", r"row 3: expected 6 cells .* has 3: '0 0 1'"),
+        (f"{POINT}\n\n5\n", r"row 3: expected 6 cells .* has 1"),
+        (f"{POINT}\n{POINT} 1\n", "row 2: expected 6 cells .* has 7"),
+        ("x;y;z;nx;ny;nz\n1;2;3,5;0;0;1\n", r"row 2, column 'z': .*3,5.*Write 3\.5"),
+        ("x,y,z,nx,ny,nz,organ\n0,0,0,0,0,1,0\n0,0,0,0,0,1,sky\n", r"row 3, column 'organ'.*sky"),
+        ("x,y,z,nx,ny,nz\n", "only a header"),
+        ("1 2 3 9 9 9 0 0 1\n", "9 columns must name them in a header"),
+    ],
+)
+def test_wrong_rows_are_named(text: str, word: str, tmp_path: Path) -> None:
+    path = tmp_path / "scan.xyz"
+    path.write_text(text)
+    with pytest.raises(InputError, match=f"scan.xyz.*{word}"):
+        read_scan(path)
 
 
 def test_bad_clouds() -> None:
