@@ -1,6 +1,7 @@
 """Files in and out: plot files and their tables, images, runs."""
 
 from fynjax.io._asd import read_asd
+from fynjax.io._atmosphere_file import read_atmosphere
 from fynjax.io._atomic import atomic_path, staged_folder, write_text
 from fynjax.io._band_stack import BandStack, read_band_stack
 from fynjax.io._bioscape import BioscapePlot, BioscapeSpecies, read_bioscape
@@ -56,6 +57,7 @@ __all__ = [
     "load_sensor",
     "provenance",
     "read_asd",
+    "read_atmosphere",
     "read_band_stack",
     "read_bioscape",
     "read_image",

@@ -1,5 +1,15 @@
 """Sensors: bands, lines of sight, point spread and noise."""
 
+from fynjax.sensors._atmosphere import (
+    SPACE,
+    Atmosphere,
+    ClearAir,
+    at_sensor_radiance,
+    band_atmosphere,
+    ground_irradiance,
+    is_transparent,
+    surface_reflectance,
+)
 from fynjax.sensors._bands import BandSet, band_set_of_curves
 from fynjax.sensors._camera import (
     AbstractCamera,
@@ -27,14 +37,19 @@ from fynjax.sensors._shipped import (
     shipped_sensor,
     shipped_sensors,
 )
+from fynjax.sensors._sixs_table import table_limits, tabulated_atmosphere
+from fynjax.sensors._spectrl2 import clear_sky_atmosphere
 from fynjax.sensors._sun import SunPosition, sun_position
 
 __all__ = [
     "RADIANCE_UNITS",
+    "SPACE",
     "AbstractCamera",
     "AbstractNoise",
+    "Atmosphere",
     "BandSet",
     "CameraNoise",
+    "ClearAir",
     "FrameCamera",
     "OrthographicCamera",
     "PointSpread",
@@ -42,10 +57,15 @@ __all__ = [
     "RadiometricNoise",
     "Sensor",
     "SunPosition",
+    "at_sensor_radiance",
+    "band_atmosphere",
     "band_set_of_curves",
     "build_sensor",
     "camera_rays",
     "check_ground_sample_distance",
+    "clear_sky_atmosphere",
+    "ground_irradiance",
+    "is_transparent",
     "mavic_3m",
     "mavic_3m_camera",
     "mavic_3m_paper_camera",
@@ -54,4 +74,7 @@ __all__ = [
     "shipped_sensor",
     "shipped_sensors",
     "sun_position",
+    "surface_reflectance",
+    "table_limits",
+    "tabulated_atmosphere",
 ]

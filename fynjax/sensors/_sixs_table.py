@@ -1,0 +1,278 @@
+"""Atmospheres interpolated in a table that 6SV computed (`data/make_sixs_table.py`).
+
+6SV multiplies a scattering part by a gas part, and so does this. Every axis is a cubic spline in a
+variable that makes the tabulated function nearly straight: ln T of gas in the square root of the
+water column and of the air mass, scattering in the cosine of the sun's zenith angle, in the
+aerosol's optical depth and in the share of the air that lies below the sensor, and in the logarithm
+of the wavelength.
+"""
+
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jaxtyping import Array, Float
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from fynjax._core.errors import InputError
+from fynjax.sensors._atmosphere import Atmosphere, ClearAir
+
+_AIR_SCALE_HEIGHT = 8.0  # km; aerosol, of 2 km, is then a polynomial of the share of air below
+_GAS_SCALE_HEIGHT = 4.0  # between those of water vapour and air
+_SMALL = 1e-6  # keeps logarithms finite where 6SV prints zero
+
+Constants = NDArray[np.float64]
+
+
+class _Spline(NamedTuple):
+    """Cubic spline through values not yet known: weights of the nodes at any point."""
+
+    nodes: Constants
+    coefficients: Constants
+    """[power, interval, node], highest power first."""
+
+    def weights(self, x: Float[Array, ""]) -> Float[Array, " node"]:
+        """Weight of each node at x, which is moved to the nodes' range. Differentiable in x."""
+        dtype = jnp.asarray(x).dtype
+        nodes = jnp.asarray(self.nodes, dtype)
+        x = jnp.clip(x, nodes[0], nodes[-1])
+        at = jnp.clip(jnp.searchsorted(nodes, x, side="right") - 1, 0, len(self.nodes) - 2)
+        piece = jnp.asarray(self.coefficients, dtype)[:, at]
+        t = x - nodes[at]
+        return ((piece[0] * t + piece[1]) * t + piece[2]) * t + piece[3]
+
+
+def _spline(nodes: Any) -> _Spline:
+    nodes = np.asarray(nodes, np.float64)
+    spline = CubicSpline(nodes, np.eye(nodes.size))
+    return _Spline(nodes, spline.c)
+
+
+class _Table(NamedTuple):
+    """The table's values in the variables that they are interpolated in."""
+
+    wavelength: Constants
+    gas: Constants
+    """-ln T of gases but ozone, down and up [height, water, sun, wavelength]."""
+    gas_axes: tuple[_Spline, _Spline, _Spline]
+    """Splines in the share below the sensor, root of water, root of air mass."""
+    ozone: Constants
+    """Absorption coefficient [1/(cm-atm)]."""
+    ozone_below: tuple[Constants, Constants]
+    """Heights [km] and the share of ozone below them."""
+    solar: Constants
+    rayleigh: Constants
+    """Optical depth of air at the two pressures [pressure, scattering wavelength]."""
+    extinction: Constants
+    """Aerosol's optical depth over that at 550 nm."""
+    low: dict[str, Constants]
+    """Scattering curves at the first pressure [aerosol, ..., scattering wavelength]."""
+    step: dict[str, Constants]
+    """Without aerosol, the second pressure's curves less the first's."""
+    pressure: Constants
+    sun: _Spline
+    aerosol: _Spline
+    height: _Spline
+    to_fine: Constants
+    """Spline in ln wavelength, from scattering wavelengths to all [wavelength, scattering]."""
+
+
+@lru_cache
+def _load(path: Path | None) -> _Table:
+    if path is None:
+        with resources.as_file(resources.files("fynjax.sensors") / "data") as folder:
+            return _read(folder / "sixs_continental.nc")
+    if not path.is_file():
+        raise InputError("expected a table of atmospheres, but there is no such file", file=path)
+    return _read(path)
+
+
+def _read(path: Path) -> _Table:
+    try:
+        with xr.open_dataset(path, engine="netcdf4") as data:
+            table = {str(k): np.asarray(v.values, np.float64) for k, v in data.variables.items()}
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"expected a NetCDF table, but cannot read it: {error}", file=path
+        ) from error
+    try:
+        return _prepare(table)
+    except KeyError as error:
+        raise InputError(
+            f"expected a table made by make_sixs_table.py, but it has no variable {error}",
+            file=path,
+        ) from error
+
+
+def _prepare(table: dict[str, Constants]) -> _Table:
+    cosine = np.cos(np.deg2rad(table["sun"]))
+    below = -np.expm1(-table["height"] / _AIR_SCALE_HEIGHT)
+    below[-1] = 1.0
+    extinction = table["aerosol_extinction"]
+    rayleigh = np.stack([table["rayleigh_depth"], table["rayleigh_depth_high"]])
+    depth = rayleigh[0] + table["aerosol"][:, None] * extinction
+
+    def curves(suffix: str, depth: Constants) -> dict[str, Constants]:
+        beam = np.exp(-depth[..., None, :] / cosine[:, None])
+        return {
+            # Light that scattering sends to the ground, for one through its top.
+            "diffuse": np.maximum(table[f"scattering_down{suffix}"] - beam, 0.0),
+            # Per share of air below the sensor, finite for a sensor on the ground.
+            "up": -np.log(table[f"scattering_up{suffix}"]) / below[:, None],
+            "path": table[f"path_reflectance{suffix}"] / below[:, None, None] * cosine[:, None],
+            "albedo": table[f"spherical_albedo{suffix}"],
+        }
+
+    low, high = curves("", depth), curves("_high", rayleigh[1])
+    gas_below = -np.expm1(-table["gas_height"] / _GAS_SCALE_HEIGHT)
+    gas_below[-1] = 1.0
+    coarse = np.log(table["scattering_wavelength"])
+    return _Table(
+        wavelength=table["wavelength"],
+        gas=table["gas"],
+        gas_axes=(
+            _spline(gas_below),
+            _spline(np.sqrt(table["water"])),
+            _spline(np.cos(np.deg2rad(table["gas_sun"])) ** -0.5),
+        ),
+        ozone=table["ozone_coefficient"],
+        ozone_below=(table["ozone_height"], table["ozone_below"]),
+        solar=table["solar"],
+        rayleigh=rayleigh,
+        extinction=extinction,
+        low=low,
+        step={name: high[name] - low[name][0] for name in low},
+        pressure=table["pressure"],
+        sun=_spline(cosine[::-1]),
+        aerosol=_spline(table["aerosol"]),
+        height=_spline(below),
+        to_fine=CubicSpline(coarse, np.eye(coarse.size))(np.log(table["wavelength"])),
+    )
+
+
+def table_limits(path: str | Path | None = None) -> dict[str, tuple[float, float]]:
+    """Range of each of `ClearAir`'s fields that a table covers, in the fields' units."""
+    table = _load(None if path is None else Path(path))
+    _, water, mass = table.gas_axes
+    zenith = min(
+        np.rad2deg(np.arccos(mass.nodes[-1] ** -2)), np.rad2deg(np.arccos(table.sun.nodes[0]))
+    )
+    return {
+        "sun_zenith": (0.0, float(zenith)),
+        "water_vapour": (0.0, float(water.nodes[-1] ** 2)),
+        "aerosol_optical_depth": (0.0, float(table.aerosol.nodes[-1])),
+        "pressure": (600.0, 1080.0),
+    }
+
+
+def tabulated_atmosphere(air: ClearAir, path: str | Path | None = None) -> Atmosphere:
+    """Atmosphere interpolated in a table of 6SV, every 2.5 nm from 400 to 2500 nm.
+
+    All five curves, for a sensor that looks straight down from any height. Sunlight is that of the
+    table's solar spectrum (shipped: TSIS-1) times `air.solar_factor`. The upward transmittance is
+    what the sensor gains per light on the ground, so it knows which lines are dark already and may
+    exceed that of a fresh beam. Aerosol is one type (shipped: 6SV's continental). Pressure changes
+    scattering by air, and oxygen, carbon dioxide and methane in proportion.
+
+    **Arguments:** `air`, within `table_limits()`; `path` of a table made by
+    `data/make_sixs_table.py`, the shipped one if left out.
+
+    **Raises:** `InputError` for a field outside the table, where it is known before tracing; a
+    traced one is moved to the nearest end, with slope zero. Differentiable in all fields of `air`;
+    twice, but for height in ozone. Vermote et al. (1997), IEEE Transactions on Geoscience and
+    Remote Sensing 35, 675-686; Kotchenova et al. (2006), Applied Optics 45, 6762-6774.
+    """
+    path = None if path is None else Path(path)
+    table = _load(path)
+    for name, (low, high) in table_limits(path).items():
+        value = getattr(air, name)
+        known = not isinstance(value, jax.core.Tracer)
+        if known and not low - 1e-4 <= float(value) <= high + 1e-4:
+            raise InputError(
+                f"`{name}` must be within the table, {low:g} to {high:g}, but is {float(value):g}."
+            )
+    dtype = jnp.result_type(*vars(air).values())
+
+    def constant(values: Constants) -> Array:
+        return jnp.asarray(values, dtype)
+
+    cosine = jnp.cos(jnp.deg2rad(air.sun_zenith)).astype(dtype)
+    height = (air.sensor_height / 1000.0).astype(dtype)
+    down, both, half, dry = _gas(table, air, cosine, height, dtype)
+
+    # Scattering, at the few wavelengths of the table.
+    sea, high = (float(p) for p in table.pressure)
+    thinner = (air.pressure - sea) / (high - sea)
+    share = -jnp.expm1(-height / _AIR_SCALE_HEIGHT)
+    sun = table.sun.weights(cosine)[::-1]
+    layer = table.height.weights(share)
+    haze = table.aerosol.weights(air.aerosol_optical_depth.astype(dtype))
+    lower, upper = constant(table.rayleigh)
+    particles = air.aerosol_optical_depth * constant(table.extinction)
+    depth = lower + thinner * (upper - lower) + particles
+
+    def curve(name: str, *axes: Array, change: Any = thinner) -> tuple[Array, Array]:
+        """A curve with and without aerosol; `change` is the way to the second pressure."""
+        step, low = constant(table.step[name]), constant(table.low[name])
+        for weights in axes:
+            step = jnp.tensordot(weights, step, axes=(0, 0))
+            low = jnp.tensordot(weights, low, axes=(0, 1))
+        return jnp.tensordot(haze, low, axes=(0, 0)) + change * step, low[0] + change * step
+
+    diffuse, diffuse_air = curve("diffuse", sun, change=0.0)
+    # Thinner air lets the same factor more of all light through, under any aerosol.
+    through = [diffuse_air + jnp.exp(-lower / cosine)]
+    step = jnp.tensordot(sun, constant(table.step["diffuse"]), axes=(0, 0))
+    through.append(diffuse_air + step + jnp.exp(-upper / cosine))
+    gain = jnp.exp(thinner * jnp.log(through[1] / through[0]))
+    beam = jnp.exp(-(lower + particles) / cosine)
+    diffuse = (diffuse + beam) * gain - jnp.exp(-depth / cosine)
+
+    def fine(values: Array) -> Float[Array, " wavelength"]:
+        return jnp.exp(constant(table.to_fine) @ jnp.log(jnp.maximum(values, _SMALL)))
+
+    path_all, path_air = (fine(v) / cosine * share for v in curve("path", layer, sun))
+    solar = constant(table.solar) * air.solar_factor
+    on_top = solar * cosine
+    # Water vapour lies among the aerosol: half of it dims the light that aerosol sends up (6SV).
+    reflectance = (path_all - path_air) * jnp.exp(-half) + path_air * jnp.exp(-dry)
+    return Atmosphere(
+        tuple(table.wavelength),
+        on_top * jnp.exp(-fine(depth) / cosine - down),
+        on_top * fine(diffuse) * jnp.exp(-down),
+        jnp.exp(-share * fine(curve("up", layer)[0]) - (both - down)),
+        on_top * reflectance / jnp.pi,
+        fine(curve("albedo")[0]),
+    )
+
+
+def _gas(
+    table: _Table, air: ClearAir, cosine: Array, height: Array, dtype: Any
+) -> tuple[Array, Array, Array, Array]:
+    """-ln T of gas: to the ground; and up again with all, half and none of the water."""
+    below, root_water, root_mass = table.gas_axes
+    mass = root_mass.weights(cosine**-0.5)
+    level = below.weights(-jnp.expm1(-height / _GAS_SCALE_HEIGHT))
+    ground = jnp.zeros_like(level).at[0].set(1.0)
+    gas = jnp.tensordot(jnp.asarray(table.gas, dtype), mass, axes=(2, 0))
+    gas = jnp.stack([ground, level]) @ gas.transpose(1, 0, 2)  # [water, path, wavelength]
+    share = jnp.interp(height, *(jnp.asarray(v, dtype) for v in table.ozone_below))
+    ozone = jnp.asarray(table.ozone, dtype) * air.ozone
+    # Oxygen and others grow in number and in width of lines with the pressure. Water's lines only
+    # grow wider: where they are dark, that is like more water.
+    relative = (air.pressure / float(table.pressure[0])).astype(dtype)
+    other = gas[0] * (relative - 1.0)
+
+    def at(water: Any, path: int) -> Array:
+        column = jnp.maximum(water * relative, 1e-6)  # the root's slope stays finite
+        masses = 1.0 / cosine + (share if path else 0.0)
+        return root_water.weights(jnp.sqrt(column)) @ gas[:, path] + other[path] + ozone * masses
+
+    water = air.water_vapour
+    return at(water, 0), at(water, 1), at(0.5 * water, 1), at(0.0 * water, 1)
