@@ -1,11 +1,15 @@
 """`fynjax terrain`."""
 
+import inspect
+import re
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from fynjax._core.errors import InputError
 from fynjax.cli._runtime import Json, Output, Quiet, run_job
 
 
@@ -25,6 +29,21 @@ class Unit(StrEnum):
     millimetre = "millimetre"
     foot = "foot"
     us_survey_foot = "us_survey_foot"
+
+
+def _naming_options(
+    job: Callable[..., dict[str, Any]], *given: Any, **named: Any
+) -> dict[str, Any]:
+    """What `job` returns; its errors name options instead of arguments: `--largest-gap`."""
+    try:
+        return job(*given, **named)
+    except InputError as error:
+        names = "|".join(inspect.signature(job).parameters)
+        message = re.sub(
+            f"`({names})`", lambda found: f"`--{found[1].replace('_', '-')}`", str(error)
+        )
+        error.args = (message,)
+        raise
 
 
 InputPath = Annotated[
@@ -51,21 +70,28 @@ def terrain(
         typer.Option(metavar="W S E N", help="Edges of the plot, in the file's coordinates [m]."),
     ] = None,
     method: Annotated[
-        Method,
-        typer.Option(help="Ground by a filter (smrf, cloth) or by the file's own labels."),
-    ] = Method.smrf,
+        Method | None,
+        typer.Option(help="Ground by a filter (smrf, the usual, or cloth) or the file's labels."),
+    ] = None,
     tolerance: Annotated[
-        float, typer.Option(metavar="M", help="Ground lies this near to the lowest points [m].")
-    ] = 0.3,
+        float | None,
+        typer.Option(metavar="M", help="Ground is this near to the lowest points [m]; 0.3."),
+    ] = None,
     slope: Annotated[
-        float, typer.Option(help="How much steeper than the plot its ground may be (smrf).")
-    ] = 0.15,
+        float | None,
+        typer.Option(help="How much steeper than the plot its ground may be (smrf); 0.15."),
+    ] = None,
     window: Annotated[
-        float, typer.Option(metavar="M", help="Radius of the widest closed stand [m] (smrf).")
-    ] = 5.0,
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Radius of the widest closed stand [m] (smrf); 5, or half of a smaller cloud.",
+        ),
+    ] = None,
     largest_gap: Annotated[
-        float, typer.Option(metavar="M", help="Farthest that a cell may be from ground seen [m].")
-    ] = 10.0,
+        float | None,
+        typer.Option(metavar="M", help="Farthest that a cell may be from ground seen [m]; 10."),
+    ] = None,
     unit: Annotated[
         Unit | None, typer.Option(help="Unit of a cloud's coordinates, if not metres.")
     ] = None,
@@ -77,6 +103,9 @@ def terrain(
     fill_gaps: Annotated[
         bool, typer.Option("--fill-gaps", help="Interpolate cells of a raster without height.")
     ] = False,
+    band: Annotated[
+        int | None, typer.Option(metavar="N", help="Band of a raster that has the heights, from 1.")
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -90,13 +119,14 @@ def terrain(
 
     run_job(
         "terrain",
-        lambda folder, progress: run_terrain(
+        lambda folder, progress: _naming_options(
+            run_terrain,
             file,
             folder,
             cell=cell,
             bounds=bounds,
             size=size,
-            method=method.value,
+            method=None if method is None else method.value,
             tolerance=tolerance,
             slope=slope,
             window=window,
@@ -105,6 +135,7 @@ def terrain(
             height_unit=None if height_unit is None else height_unit.value,
             crs=crs,
             fill_gaps=fill_gaps,
+            band=band,
             progress=progress,
         ),
         output,

@@ -17,6 +17,7 @@ from fynjax.terrain._units import (
     Bounds,
     check_bounds,
     check_coordinates,
+    check_height_range,
     check_metric,
     parse_crs,
     unit_factor,
@@ -71,9 +72,9 @@ class PointCloud:
         if not inside.any():
             w, s, e, n = self.bounds
             raise InputError(
-                f"the plot ({west:g}, {south:g}) to ({east:g}, {north:g}) has no point of the "
-                f"cloud, which covers ({w:.1f}, {s:.1f}) to ({e:.1f}, {n:.1f}). Are both in the "
-                "same coordinate reference system, x first?"
+                f"the plot ({west:.2f}, {south:.2f}) to ({east:.2f}, {north:.2f}) has no point of "
+                f"the cloud, which covers ({w:.1f}, {s:.1f}) to ({e:.1f}, {n:.1f}). Are both in "
+                "the same coordinate reference system, x first?"
             )
         return self.select(inside)
 
@@ -104,6 +105,7 @@ def read_cloud(
     in degrees or in another unit than metres that was not stated. Units are told from the
     reference system, the header, and numbers that cannot be metres of a plot (a point in 25 m2,
     relief of twice the plot's width); feet without any of these cannot be told from metres.
+    Single heights below -500 or above 9000 m are refused; if all are, that is a warning.
     `MissingExtraError` for LAS without the extra `terrain`.
     """
     path = existing_file(path, "a point cloud")
@@ -146,6 +148,8 @@ def read_cloud(
         good = ~np.isin(labels, _NOISE_CLASSES)
         x, y, z, labels = x[good], y[good], z[good], labels[good]
     check_coordinates(x, y, z, path, unit_stated=stated)
+    # Another unit than that of x and y would show in the relief.
+    check_height_range(z, path, "Take these points out.", unit_known=True)
     return PointCloud(x, y, z, labels, None if system is None else system.to_wkt())
 
 

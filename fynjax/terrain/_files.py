@@ -1,8 +1,6 @@
 """Terrain in files: GeoTIFF in and out, OBJ out."""
 
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,42 +8,57 @@ import numpy as np
 import rasterio
 from numpy.typing import NDArray
 from rasterio.crs import CRS
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from fynjax._core.errors import InputError
-from fynjax.io._atomic import write_text
+from fynjax.io._atomic import atomic_path, write_text
+from fynjax.io._frame import open_raster
 from fynjax.io._raster_checks import check_north_up, check_square
 from fynjax.io._rasters import write_geotiff
-from fynjax.io._tables import existing_file
 from fynjax.terrain._raster import Terrain
-from fynjax.terrain._surface import interpolate, terrain_mesh
+from fynjax.terrain._surface import fill, terrain_mesh
 from fynjax.terrain._units import (
     UNITS,
     Bounds,
     check_bounds,
+    check_height_range,
     check_metric,
+    check_positive,
     parse_crs,
     unit_factor,
 )
 
-_TALLEST = 9000.0
-_DEEPEST = -500.0
 _STEEPEST = 2.0
-_METRES = ("", "m", "metre", "meter", "metres", "meters")
+_METRES = ("m", "metre", "meter", "metres", "meters")
+_WHAT = "a terrain raster"
+# Heights this large [m] move in steps of half a millimetre in single precision.
+_LARGE = 4096.0
+# How far above the usual step between neighbours the jump around missing data is.
+_JUMP = 10.0
 
 
 def write_terrain(path: str | Path, terrain: Terrain) -> None:
-    """Write the heights as a GeoTIFF of one band, whole or not at all; northern row first."""
-    write_geotiff(
-        path,
-        terrain.heights[None],
-        ["ground_height"],
-        pixel_m=terrain.cell,
-        origin_m=terrain.origin,
-        crs=terrain.crs,
-        tags={"quantity": "height of the ground", "unit": "m"},
-    )
+    """Write the heights as a GeoTIFF of one band, whole or not at all; northern row first.
+
+    In single precision, in metres. Where heights are beyond 4096 m, the band's offset (which GDAL,
+    GIS and `read_terrain` add) is the lowest of them, so that steps stay below half a millimetre.
+    """
+    low = float(terrain.heights.min())
+    offset = low if np.abs(terrain.heights).max() > _LARGE else 0.0
+    with atomic_path(path) as partial:
+        write_geotiff(
+            partial,
+            terrain.heights[None] - offset,
+            ["ground_height"],
+            pixel_m=terrain.cell,
+            origin_m=terrain.origin,
+            crs=terrain.crs,
+            tags={"quantity": "height of the ground", "unit": "m"},
+        )
+        with rasterio.open(partial, "r+") as file:
+            file.units = ("m",)
+            if offset:
+                file.offsets = (offset,)
 
 
 def write_mesh(path: str | Path, terrain: Terrain) -> None:
@@ -59,7 +72,8 @@ def write_mesh(path: str | Path, terrain: Terrain) -> None:
     x, y = terrain.origin
     header = (
         "ground, metres, x east, y north, z up\n"
-        f"add ({x:.3f}, {y:.3f}, {terrain.heights.min():.3f}) for map coordinates"
+        f"add ({x:.3f}, {y:.3f}, {terrain.heights.min():.3f}) for map coordinates\n"
+        "0 is the height of the lowest cell's centre; corners of cells may lie below"
     )
     text = export_obj(terrain_mesh(terrain), include_normals=False, digits=4, header=header)
     write_text(path, text if text.endswith("\n") else text + "\n")
@@ -72,71 +86,112 @@ def read_terrain(
     crs: str | None = None,
     height_unit: str | None = None,
     fill_gaps: bool = False,
+    largest_gap: float = 10.0,
+    band: int | None = None,
 ) -> Terrain:
     """Read a digital terrain model.
 
     **Arguments:**
 
-    - `path`: a raster of one band that GDAL reads; GeoTIFF is usual.
+    - `path`: a raster that GDAL reads; GeoTIFF is usual.
     - `bounds`: the plot, in the raster's coordinates; the cells that touch it are read. The whole
       raster unless given.
     - `crs`: reference system of a raster that states none, such as "EPSG:32734".
     - `height_unit`: one of `UNITS`, where heights are not in metres.
     - `fill_gaps`: interpolate cells without a height (Laplace, as `terrain_from_points`).
+    - `largest_gap`: how far a cell that is filled may be from one with a height [m].
+    - `band`: number of the band with the heights, from 1, in a raster of several.
 
     **Raises:** `InputError` for a file that is missing or cut short, has no reference system, is
-    in degrees or feet, is rotated, does not cover the plot, or has cells without a height there.
+    in degrees or feet, is rotated, does not cover the plot, has cells without a height there, or
+    a value that stands for missing data and is not declared (a whole number, the lowest or the
+    highest, with a jump all around; a warning where the file declares another).
     """
-    path = existing_file(path, "a terrain raster")
-    with _opened(path) as file:
+    return read_filled(
+        path,
+        bounds,
+        crs=crs,
+        height_unit=height_unit,
+        fill_gaps=fill_gaps,
+        largest_gap=largest_gap,
+        band=band,
+    )[0]
+
+
+def read_filled(
+    path: str | Path,
+    bounds: Bounds | None,
+    *,
+    crs: str | None,
+    height_unit: str | None,
+    fill_gaps: bool,
+    largest_gap: float,
+    band: int | None,
+) -> tuple[Terrain, float]:
+    """`read_terrain`, and the share of cells that had no height [-]."""
+    path = Path(path)
+    check_positive("largest_gap", largest_gap)
+    with open_raster(path, _WHAT) as file:
+        band = _band(file, path, band)
         cell, system = _frame(file, path, crs, height_unit is not None)
-        unit = height_unit or _stated_unit(file, path)
+        unit = height_unit or _stated_unit(file, path, band)
         window, corner = _window(file, path, cell, bounds)
-        values = file.read(1, window=window).astype(np.float64)
-        values = values * file.scales[0] + file.offsets[0]
-        valid = file.read_masks(1, window=window) > 0
+        raw = file.read(band, window=window)[::-1].astype(np.float64)
+        values = raw * file.scales[band - 1] + file.offsets[band - 1]
+        valid = file.read_masks(band, window=window)[::-1] > 0
+        declared = file.nodatavals[band - 1] is not None
     valid &= np.isfinite(values)
-    values, valid = values[::-1] * unit_factor(unit), valid[::-1]
+    values = values * unit_factor(unit or "metre")
     values[~valid] = np.nan
-    _check_heights(values, cell, path)
-    if not valid.all():
-        values = _filled(values, valid, cell, corner, fill_gaps, path)
-    wkt = system.to_wkt()
-    return Terrain(values, cell, corner, None if "fynjax plot frame" in wkt else wkt)
-
-
-def raster_bounds(path: str | Path) -> Bounds:
-    """West, south, east and north edge of a raster, in its coordinates."""
-    with _opened(existing_file(path, "a terrain raster")) as file:
-        west, south, east, north = (float(edge) for edge in file.bounds)
-    return west, south, east, north
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """A raster; what GDAL cannot read is an `InputError`."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path) as file:
-                yield file
-    except RasterioError as error:
-        reason = " ".join(str(error.__cause__ or error).split())
+    if min(valid.shape) < 2:
         raise InputError(
-            f"cannot be read as a raster ({reason}). Is it cut short, or not a GeoTIFF? Copy it "
-            "again.",
+            f"expected at least two rows and columns of cells over the plot, but got "
+            f"{valid.shape[1]} by {valid.shape[0]}. Choose a larger plot.",
             file=path,
-        ) from error
+        )
+    if not valid.any():
+        raise InputError(
+            "expected heights over the plot, but all its cells are without data", file=path
+        )
+    _check_missing(raw, values, cell, path, declared)
+    _check_heights(values, cell, path, unit_known=unit is not None)
+    if not valid.all():
+        values = _filled(values, valid, cell, corner, fill_gaps, largest_gap, path)
+    wkt = system.to_wkt()
+    terrain = Terrain(values, cell, corner, None if "fynjax plot frame" in wkt else wkt)
+    return terrain, float((~valid).mean())
+
+
+def middle_of_raster(path: str | Path, size: float) -> Bounds:
+    """A square of `size` [m] in the middle of a raster, its corner on that of a cell."""
+    with open_raster(path, _WHAT) as file:
+        west, south, east, north = (float(edge) for edge in file.bounds)
+        cell = float(abs(file.transform.a))
+    x = west + cell * round((east - west - size) / 2.0 / cell)
+    y = south + cell * round((north - south - size) / 2.0 / cell)
+    return x, y, x + size, y + size
+
+
+def _band(file: Any, path: Path, band: int | None) -> int:
+    """Number of the band to read."""
+    if band is None and file.count == 1:
+        return 1
+    if band is None or band not in file.indexes:
+        named = (
+            f"{number} {name}" if name else str(number)
+            for number, name in zip(file.indexes, file.descriptions, strict=True)
+        )
+        asked = "none was chosen" if band is None else f"{band} was chosen"
+        raise InputError(
+            f"expected the number of the band with the heights (`band`): it has {file.count} "
+            f"({', '.join(named)}), and {asked}",
+            file=path,
+        )
+    return band
 
 
 def _frame(file: Any, path: Path, stated: str | None, height_stated: bool) -> tuple[float, CRS]:
     """Side of a cell [m] and reference system."""
-    if file.count != 1:
-        raise InputError(
-            f"expected a raster of one band, the height of the ground, but it has {file.count}. "
-            "Choose one: gdal_translate -b 1",
-            file=path,
-        )
     t = file.transform
     system = parse_crs(stated, path) if stated is not None else file.crs
     if system is None or t.is_identity:
@@ -152,9 +207,11 @@ def _frame(file: Any, path: Path, stated: str | None, height_stated: bool) -> tu
     return float(t.a), system
 
 
-def _stated_unit(file: Any, path: Path) -> str:
-    """The unit of heights that the band states; metres if none."""
-    unit = (file.units[0] or "").strip()
+def _stated_unit(file: Any, path: Path, band: int) -> str | None:
+    """The unit of heights that the band states."""
+    unit = (file.units[band - 1] or "").strip()
+    if not unit:
+        return None
     if unit.lower() not in _METRES:
         raise InputError(
             f"expected heights in metres, but the band says {unit!r}. State the height unit "
@@ -190,21 +247,62 @@ def _window(
     return Window(left, top, right - left, bottom - top), corner
 
 
-def _check_heights(heights: NDArray[np.float64], cell: float, path: Path) -> None:
-    """Refuse what no ground can be: missing values not declared, or another unit."""
-    if not np.isfinite(heights).any():
-        raise InputError(
-            "expected heights over the plot, but all its cells are without data", file=path
+def _check_missing(
+    raw: NDArray[np.float64], heights: NDArray[np.float64], cell: float, path: Path, declared: bool
+) -> None:
+    """Refuse a value for missing data that the file does not declare.
+
+    It is a whole number and the lowest or the highest there is, with a jump around its cells that
+    is far above the steps elsewhere and steeper than ground. `raw` are the numbers in the file,
+    `heights` what they mean [m], NaN where they are declared missing.
+    """
+    used = raw[np.isfinite(heights)]
+    steps = [np.abs(np.diff(heights, axis=axis)) for axis in (0, 1)]
+    for value in (float(used.min()), float(used.max())):
+        if value != round(value):
+            continue
+        same = raw == value
+        # How many of the two neighbours have the value: one at its edge, none elsewhere.
+        count = [same[1:].astype(int) + same[:-1], same[:, 1:].astype(int) + same[:, :-1]]
+        edge, rest = (
+            np.concatenate(
+                [s[(c == n) & np.isfinite(s)] for s, c in zip(steps, count, strict=True)]
+            )
+            for n in (1, 0)
         )
-    low, high = float(np.nanmin(heights)), float(np.nanmax(heights))
-    if low < _DEEPEST or high > _TALLEST:
-        value = low if low < _DEEPEST else high
+        if not (edge.size and rest.size):
+            continue
+        usual, jump = float(np.percentile(rest, 95.0)), float(np.median(edge))
+        if jump <= max(_JUMP * usual, _STEEPEST * cell):
+            continue
+        said = (
+            f"{value:g} in {int(same.sum())} cells, {jump:.1f} m off their neighbours, where "
+            f"others differ by {usual:.2g} m"
+        )
+        if declared or usual == 0.0:  # it may be a wall after all
+            warnings.warn(
+                f"{path.name} has {said}. Does it stand for missing data? Then declare it: "
+                f"gdal_edit.py -a_nodata {value:g} {path.name}",
+                stacklevel=4,
+            )
+            return
         raise InputError(
-            f"expected heights in metres, but got {value:g}. A no-data value that the file does "
-            f"not declare (gdal_edit.py -a_nodata {value:g} {path.name}), or centimetres or feet "
-            "(state the height unit)?",
+            f"expected heights, but got {said}. Does it stand for missing data? Then declare it: "
+            f"gdal_edit.py -a_nodata {value:g} {path.name}. If it is a height, declare another "
+            "value.",
             file=path,
         )
+
+
+def _check_heights(
+    heights: NDArray[np.float64], cell: float, path: Path, *, unit_known: bool
+) -> None:
+    """Refuse what no ground can be: heights of no place, or in another unit."""
+    known = heights[np.isfinite(heights)]
+    remedy = f"Then declare it: gdal_edit.py -a_nodata VALUE {path.name}"
+    check_height_range(known, path, remedy, unit_known=unit_known)
+    if unit_known:
+        return
     steps = np.abs(np.concatenate([np.diff(heights).ravel(), np.diff(heights, axis=0).ravel()]))
     steps = steps[np.isfinite(steps)]
     if steps.size and (slope := float(np.median(steps)) / cell) > _STEEPEST:
@@ -221,6 +319,7 @@ def _filled(
     cell: float,
     corner: tuple[float, float],
     fill_gaps: bool,
+    largest_gap: float,
     path: Path,
 ) -> NDArray[np.float64]:
     """`values` with its gaps interpolated, or an `InputError` that says where they are."""
@@ -230,11 +329,13 @@ def _filled(
         raise InputError(
             f"expected a height in every cell of the plot, but {len(missing)} of {valid.size} "
             f"cells have none (no data or NaN), the first at ({x:.2f}, {y:.2f}). Fill the gaps "
-            "(--fill-gaps), or choose another plot.",
+            "(`fill_gaps`), or choose another plot.",
             file=path,
         )
     known = np.argwhere(valid)
     points = np.column_stack([known[:, ::-1] * cell, values[valid]])
     filled = values.copy()
-    filled[~valid] = interpolate(points, np.asarray(missing[:, ::-1] * cell, np.float64))
+    places = np.asarray(missing[:, ::-1] * cell, np.float64)
+    first = (corner[0] + 0.5 * cell, corner[1] + 0.5 * cell)
+    filled[~valid] = fill(points, places, first, cell, largest_gap, valid.size)
     return filled

@@ -14,8 +14,13 @@ from numpy.typing import NDArray
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax.terrain._cloud import GROUND_CLASSES, PointCloud
+from fynjax.terrain._units import check_positive
 
 GroundMethod = Literal["smrf", "cloth", "labels"]
+
+WINDOW = 5.0
+TOLERANCE = 0.3
+"""What `find_ground` takes unless told [m]."""
 
 _FEWEST = 10
 """Ground points below which there is no ground to speak of."""
@@ -28,9 +33,9 @@ def find_ground(
     method: GroundMethod = "smrf",
     *,
     cell: float | None = None,
-    window: float = 5.0,
+    window: float | None = None,
     slope: float = 0.15,
-    tolerance: float = 0.3,
+    tolerance: float = TOLERANCE,
 ) -> NDArray[np.bool_]:
     """Tell the points on the ground from those on plants.
 
@@ -42,8 +47,9 @@ def find_ground(
       turned upside down (Zhang et al. 2016). "labels" takes `GROUND_CLASSES` of the file.
     - `cell`: side of the filter's cells [m]; about a point in every cell is enough. `None` is
       twice the mean distance of points, and 0.5 to 2 m.
-    - `window`: radius [m] of the widest closed stand of plants with no ground seen inside it;
-      "smrf" only.
+    - `window`: radius [m] of the widest closed stand of plants with no ground seen inside it, at
+      most half of the cloud's diagonal, since no stand in it is wider; `None` is 5 or, in a
+      smaller cloud, that half; "smrf" only.
     - `slope`: how much steeper than the cloud as a whole the ground may be over a window's radius,
       as rise over run [-]; "smrf" only. 0.15 is what Pingel et al. use for all scenes alike.
     - `tolerance`: how far above or below the surface of the lowest points ground may lie [m]; for
@@ -61,19 +67,25 @@ def find_ground(
     """
     if method not in ("smrf", "cloth", "labels"):
         raise InputError(f"`method` must be 'smrf', 'cloth' or 'labels', but is {method!r}")
+    west, south, east, north = cloud.bounds
+    widest = 0.5 * float(np.hypot(east - west, north - south))
+    window = min(WINDOW, widest) if window is None else window
     for name, value in (("window", window), ("slope", slope), ("tolerance", tolerance)):
-        if not (np.isfinite(value) and value > 0.0):
-            raise InputError(f"`{name}` must be positive, but is {value}")
+        check_positive(name, value)
     if method == "labels":
         return _labelled(cloud)
     size = _default_cell(cloud) if cell is None else float(cell)
-    if not (np.isfinite(size) and size > 0.0):
-        raise InputError(f"`cell` must be positive [m], but is {size}")
-    west, south, east, north = cloud.bounds
+    check_positive("cell", size)
+    if window > 1.01 * widest:  # points never reach the very corners of their plot
+        raise InputError(
+            f"`window` must be at most half of the cloud's diagonal, {widest:.2f} m, but is "
+            f"{window:g} m: it is the radius of the widest closed stand of plants"
+        )
     if min(east - west, north - south) < 3.0 * size:
         raise InputError(
             f"expected a cloud wider than three cells of {size:g} m, but it is "
-            f"{east - west:.2f} by {north - south:.2f} m. Name a smaller `cell` for the filter."
+            f"{east - west:.2f} by {north - south:.2f} m. The filter needs more points, or "
+            "smaller cells."
         )
     points = _levelled(cloud, window)
     if method == "smrf":

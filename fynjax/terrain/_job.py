@@ -10,16 +10,22 @@ from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.io._rasters import write_geotiff
 from fynjax.terrain._cloud import PointCloud, read_cloud
-from fynjax.terrain._files import raster_bounds, read_terrain, write_mesh, write_terrain
-from fynjax.terrain._filter import GroundMethod, find_ground
+from fynjax.terrain._files import middle_of_raster, read_filled, write_mesh, write_terrain
+from fynjax.terrain._filter import TOLERANCE, WINDOW, GroundMethod, find_ground
 from fynjax.terrain._picture import write_picture
-from fynjax.terrain._raster import Terrain
-from fynjax.terrain._surface import canopy_height, heights_above_ground, terrain_from_points
-from fynjax.terrain._units import Bounds, check_bounds
+from fynjax.terrain._raster import Terrain, whole_cells
+from fynjax.terrain._surface import (
+    canopy_height,
+    check_covered,
+    heights_above_ground,
+    terrain_from_points,
+)
+from fynjax.terrain._units import Bounds, check_bounds, check_positive
 
 _RASTERS = (".tif", ".tiff", ".img", ".vrt", ".asc")
 # Points all through a layer as thick as the tolerance scatter by 0.29 of it about their mean.
 _ROUGH = 0.27
+_LARGEST_GAP = 10.0
 _AROUND = 10.0
 """Points this far around the plot [m] are kept: the filter is worst at the edge of what it sees."""
 
@@ -31,15 +37,16 @@ def run_terrain(
     cell: float | None = None,
     bounds: Bounds | None = None,
     size: float | None = None,
-    method: GroundMethod = "smrf",
-    tolerance: float = 0.3,
-    slope: float = 0.15,
-    window: float = 5.0,
-    largest_gap: float = 10.0,
+    method: GroundMethod | None = None,
+    tolerance: float | None = None,
+    slope: float | None = None,
+    window: float | None = None,
+    largest_gap: float | None = None,
     unit: str | None = None,
     height_unit: str | None = None,
     crs: str | None = None,
     fill_gaps: bool = False,
+    band: int | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Write the terrain of a plot from a point cloud or a height raster.
@@ -52,57 +59,66 @@ def run_terrain(
     - `path`: a raster (.tif, .tiff, .img, .vrt, .asc), or a cloud as `read_cloud` takes it.
     - `cell`: side of a cell [m]; 0.25 for a cloud and the raster's own unless given.
     - `bounds`: west, south, east, north of the plot in the file's coordinates [m].
-    - `size`: instead, the side of a square plot in the middle of the file [m].
-    - `method`, `tolerance`, `slope`, `window`: see `find_ground`.
-    - `largest_gap`: see `terrain_from_points`.
-    - `unit`, `height_unit`, `crs`: see `read_cloud`; `fill_gaps`: see `read_terrain`.
+    - `size`: instead, the side of a square plot in the middle of the file [m]; of a raster, its
+      corner is that of a cell, and cells must divide it.
+    - `method`, `tolerance`, `slope`, `window`: see `find_ground`, also for what `None` is.
+    - `largest_gap`: see `terrain_from_points` and `read_terrain`; 10 unless given.
+    - `unit`, `height_unit`, `crs`: see `read_cloud`; `fill_gaps`, `band`: see `read_terrain`.
 
     **Returns:** the summary: headline, files, and figures of the terrain in metres. Warns where
     the ground found is so rough that it may be the inside of plants.
 
-    **Raises:** what these functions raise.
+    **Raises:** what these functions raise, and `InputError` for settings that the file or the
+    method does not use.
     """
     progress = NullProgress() if progress is None else progress
     path, output = Path(path), Path(output)
-    if bounds is not None and size is not None:
-        raise InputError("expected `bounds` or `size` of the plot, but got both")
-    if size is not None and not (np.isfinite(size) and size > 0.0):
-        raise InputError(f"`size` must be positive [m], but is {size}")
+    is_raster = path.suffix.lower() in _RASTERS
+    if bounds is not None:
+        if size is not None:
+            raise InputError("expected `bounds` or `size` of the plot, but got both")
+        check_bounds(bounds)
+    lengths = {"tolerance": tolerance, "slope": slope, "window": window}
+    for name, value in {**lengths, "cell": cell, "size": size, "largest_gap": largest_gap}.items():
+        if value is not None:
+            check_positive(name, value)
+    _check_used(
+        is_raster,
+        fill_gaps,
+        {
+            **{"method": method, **lengths, "largest_gap": largest_gap, "unit": unit},
+            **{"fill_gaps": fill_gaps or None, "band": band},
+        },
+    )
+    gap = _LARGEST_GAP if largest_gap is None else largest_gap
+    try:
+        if is_raster:
+            with progress.stage("Read the raster"):
+                terrain, figures = _from_raster(
+                    path, bounds, size, cell, crs=crs, height_unit=height_unit,
+                    fill_gaps=fill_gaps, largest_gap=gap, band=band,
+                )  # fmt: skip
+            canopy = None
+        else:
+            with progress.stage("Read the cloud"):
+                cloud = read_cloud(path, unit=unit, height_unit=height_unit, crs=crs)
+            terrain, canopy, figures = _from_cloud(
+                cloud,
+                bounds if size is None else _middle(cloud.bounds, size),
+                0.25 if cell is None else cell,
+                gap,
+                progress,
+                **{k: v for k, v in {"method": method, **lengths}.items() if v is not None},
+            )
+    except InputError as error:
+        if error.file is not None:
+            raise
+        raise InputError(str(error), file=path) from error
     files = {
         "terrain.tif": "height of the ground [m]",
         "terrain.obj": "the same as a mesh, in the plot's frame",
         "terrain.png": "picture of it",
     }
-    figures: dict[str, float] = {}
-    canopy = None
-    if path.suffix.lower() in _RASTERS:
-        if unit is not None:
-            raise InputError(
-                "`unit` is for point clouds; a raster's cells must be in metres. Reproject it, or "
-                "state `height_unit` if heights alone are in another unit.",
-                file=path,
-            )
-        with progress.stage("Read the raster"):
-            plot = _middle(raster_bounds(path), size) if size is not None else bounds
-            terrain = read_terrain(
-                path, plot, crs=crs, height_unit=height_unit, fill_gaps=fill_gaps
-            )
-            if cell is not None:
-                terrain = terrain.resample(cell, plot)
-    else:
-        with progress.stage("Read the cloud"):
-            cloud = read_cloud(path, unit=unit, height_unit=height_unit, crs=crs)
-        terrain, canopy, figures = _from_cloud(
-            cloud,
-            bounds if size is None else _middle(cloud.bounds, size),
-            0.25 if cell is None else cell,
-            largest_gap,
-            progress,
-            method=method,
-            tolerance=tolerance,
-            slope=slope,
-            window=window,
-        )
     with progress.stage("Write"):
         write_terrain(output / "terrain.tif", terrain)
         write_mesh(output / "terrain.obj", terrain)
@@ -121,8 +137,38 @@ def run_terrain(
     return _summary(terrain, files, figures)
 
 
+def _check_used(is_raster: bool, fill_gaps: bool, settings: dict[str, Any]) -> None:
+    """Refuse settings that do nothing: who gives one believes that it does something."""
+    method = settings["method"]
+    unused = {
+        "point clouds": ("method", "tolerance", "slope", "window", "unit") if is_raster else (),
+        "rasters": () if is_raster else ("fill_gaps", "band"),
+        "rasters whose gaps are filled (`fill_gaps`)": (
+            ("largest_gap",) if is_raster and not fill_gaps else ()
+        ),
+        "the method 'smrf'": ("slope", "window") if method in ("cloth", "labels") else (),
+        "methods that filter": ("tolerance",) if method == "labels" else (),
+    }
+    for kind, names in unused.items():
+        for name in names:
+            if settings[name] is not None:
+                raise InputError(f"`{name}` is for {kind} and does nothing here: leave it out")
+
+
+def _from_raster(
+    path: Path, bounds: Bounds | None, size: float | None, cell: float | None, **options: Any
+) -> tuple[Terrain, dict[str, float]]:
+    plot = bounds if size is None else middle_of_raster(path, size)
+    terrain, filled = read_filled(path, plot, **options)
+    if cell is not None:
+        terrain = terrain.resample(cell, plot)
+    elif size is not None and plot is not None:
+        whole_cells(plot, terrain.cell)  # else the terrain would be wider than asked for
+    return terrain, {"cells_filled": filled}
+
+
 def _middle(bounds: Bounds, size: float) -> Bounds:
-    """A square in the middle of `bounds`, its corner on whole decimetres."""
+    """A square in the middle of a cloud, its corner on whole decimetres."""
     west, south, east, north = check_bounds(bounds)
     x = round((west + east - size) / 2.0, 1)
     y = round((south + north - size) / 2.0, 1)
@@ -138,7 +184,8 @@ def _from_cloud(
     **options: Any,
 ) -> tuple[Terrain, Any, dict[str, float]]:
     if bounds is not None:
-        cloud = cloud.crop(bounds, max(_AROUND, options["window"]))
+        check_covered(cloud.bounds, bounds, cell)
+        cloud = cloud.crop(bounds, max(_AROUND, options.get("window", WINDOW), largest_gap))
     with progress.stage("Find the ground"):
         ground = find_ground(cloud, **options)
     with progress.stage("Fill the surface"):
@@ -153,7 +200,7 @@ def _from_cloud(
     j = np.minimum(((points.y - south) / cell).astype(int), rows - 1)
     seen = len(np.unique(j * columns + i)) / (rows * columns)
     scatter = float(np.sqrt(np.mean(heights_above_ground(points, terrain) ** 2)))
-    if scatter > _ROUGH * options["tolerance"]:
+    if scatter > _ROUGH * options.get("tolerance", TOLERANCE):
         warnings.warn(
             f"the ground found scatters by {100 * scatter:.0f} cm about its surface, nearly as "
             "much as the tolerance allows: the cloud may have no points on the ground there. Look "
@@ -179,7 +226,11 @@ def _summary(terrain: Terrain, files: dict[str, str], figures: dict[str, float])
         f"{east - west:g} m x {north - south:g} m in cells of {terrain.cell:g} m; the ground spans "
         f"{terrain.relief:.2f} m, slope {slope:.1f} degrees in the median."
     ]
-    if figures:
+    if figures.get("cells_filled"):
+        headline.append(
+            f"{100 * figures['cells_filled']:.1f} % of the cells had no height and were filled."
+        )
+    if "ground_share" in figures:
         headline.append(
             f"Ground is {100 * figures['ground_share']:.0f} % of the points and seen in "
             f"{100 * figures['cells_with_ground']:.0f} % of the cells; it scatters by "

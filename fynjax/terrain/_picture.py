@@ -32,6 +32,7 @@ def write_picture(
 ) -> None:
     """Write heights over a shaded relief as PNG, and beside it the height of the canopy."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import ScalarFormatter
 
     west, south, east, north = terrain.bounds
     extent = (0.0, east - west, 0.0, north - south)
@@ -40,7 +41,10 @@ def write_picture(
     show: dict[str, Any] = {"origin": "lower", "extent": extent, "interpolation": "nearest"}
     axes[0].imshow(hillshade(terrain), cmap="gray", vmin=0.0, vmax=1.0, **show)
     heights = axes[0].imshow(terrain.heights, cmap="viridis", alpha=0.45, **show)
-    figure.colorbar(heights, ax=axes[0], label="Height of the ground [m]", shrink=0.85)
+    whole = ScalarFormatter(useOffset=False)  # 350.2 m, and not 0.2 with "+3.5e2" above the bar
+    figure.colorbar(
+        heights, ax=axes[0], label="Height of the ground [m]", shrink=0.85, format=whole
+    )
     axes[0].set_title("Ground, shaded from the north-west", loc="left", fontsize=9.5)
     if canopy is not None:
         top = float(np.nanpercentile(canopy, 99.5)) if np.isfinite(canopy).any() else 1.0

@@ -8,7 +8,7 @@ from jaxtyping import Float, Float64
 from numpy.typing import ArrayLike, NDArray
 
 from fynjax._core.errors import InputError
-from fynjax.terrain._units import Bounds, check_bounds
+from fynjax.terrain._units import Bounds, check_bounds, check_positive
 
 if TYPE_CHECKING:
     from fynjax.canopy import VoxelGrid
@@ -34,8 +34,7 @@ class Terrain:
                 f"`heights` must be [y, x] with at least two rows and columns, but has shape "
                 f"{values.shape}"
             )
-        if not (np.isfinite(self.cell) and self.cell > 0.0):
-            raise InputError(f"`cell` must be positive [m], but is {self.cell}")
+        check_positive("cell", self.cell)
         if not np.isfinite(values).all():
             row, column = np.argwhere(~np.isfinite(values))[0]
             raise InputError(

@@ -1,5 +1,6 @@
 """From ground points to a surface without gaps, and from the surface to heights and a mesh."""
 
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,13 +11,17 @@ from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax.terrain._cloud import PointCloud
 from fynjax.terrain._raster import Terrain, whole_cells
-from fynjax.terrain._units import Bounds, check_bounds
+from fynjax.terrain._units import Bounds, check_bounds, check_positive
 
 if TYPE_CHECKING:
     import trimesh
 
 _MOST_CELLS = 100_000_000
 _NEIGHBOURS = 12
+# Cells by which a plot may stick out of a cloud, whose outermost points stand inside their cells.
+_SLACK_CELLS = 2.0
+# Share of cells outside the hull of what was measured from which a user should know.
+_MANY_OUTSIDE = 0.01
 
 
 def terrain_from_points(
@@ -32,13 +37,15 @@ def terrain_from_points(
     Points are averaged in each cell (position and height, so that a slope stays exact), and the
     heights of all cells' centres are interpolated between the averages by Laplace's variant of
     natural neighbours (Belikov et al. 1997) in their Delaunay triangulation. Cells outside its
-    hull, at the edges, continue the plane through the nearest averages.
+    hull, at the edges, continue the plane through the nearest averages; more than 1 % of them
+    farther out than two cells are warned of.
 
     **Arguments:**
 
     - `cloud`, `ground`: points, and which of them are ground, as `find_ground` tells.
     - `cell`: side of a cell [m].
-    - `bounds`: the plot, which `cell` must divide; unless given, the whole cells inside the cloud.
+    - `bounds`: the plot, which `cell` must divide, and which may stick out of the cloud by two
+      cells; unless given, the whole cells inside the cloud.
     - `largest_gap`: how far a cell may be from ground that was seen [m].
 
     **Raises:** `InputError` for a cloud without ground, one that does not cover the plot, or a
@@ -52,28 +59,27 @@ def terrain_from_points(
         )
     if ground.sum() < 3:
         raise InputError(f"expected ground, but {int(ground.sum())} points of the cloud are ground")
-    if not (np.isfinite(largest_gap) and largest_gap > 0.0):
-        raise InputError(f"`largest_gap` must be positive [m], but is {largest_gap}")
+    check_positive("largest_gap", largest_gap)
     plot = _whole_cells_inside(cloud.bounds, cell) if bounds is None else check_bounds(bounds)
     rows, columns = whole_cells(plot, cell)
     if rows * columns > _MOST_CELLS:
         raise InputError(
             f"{columns} x {rows} cells of {cell} m are more than {_MOST_CELLS}: take larger cells"
         )
+    check_covered(cloud.bounds, plot, cell)
     # Ground around the plot holds its edges.
     points = _cell_means(cloud.select(ground).crop(plot, largest_gap), plot, cell)
     x = (np.arange(columns) + 0.5) * cell
     y = (np.arange(rows) + 0.5) * cell
     centres = np.stack([a.ravel() for a in np.meshgrid(x, y)], axis=1)
-    _check_gaps(points, centres, plot, largest_gap)
-    heights = interpolate(points, centres).reshape(rows, columns)
+    heights = fill(points, centres, plot[:2], cell, largest_gap, len(centres))
+    heights = heights.reshape(rows, columns)
     return Terrain(heights, float(cell), (plot[0], plot[1]), cloud.crs)
 
 
 def _whole_cells_inside(bounds: Bounds, cell: float) -> Bounds:
     """The largest rectangle of whole cells, on multiples of the cell, inside `bounds`."""
-    if not (np.isfinite(cell) and cell > 0.0):
-        raise InputError(f"`cell` must be positive [m], but is {cell}")
+    check_positive("cell", cell)
     west, south = (float(np.ceil(v / cell - 1e-6) * cell) for v in bounds[:2])
     east, north = (float(np.floor(v / cell + 1e-6) * cell) for v in bounds[2:])
     if east - west < 1.5 * cell or north - south < 1.5 * cell:
@@ -82,6 +88,19 @@ def _whole_cells_inside(bounds: Bounds, cell: float) -> Bounds:
             f"{bounds[2] - bounds[0]:.2f} by {bounds[3] - bounds[1]:.2f} m. Take smaller cells."
         )
     return west, south, east, north
+
+
+def check_covered(cloud: Bounds, plot: Bounds, cell: float) -> None:
+    """Refuse a plot that sticks out of a cloud: ground there would be a guess."""
+    w, s, e, n = cloud
+    west, south, east, north = plot
+    slack = _SLACK_CELLS * cell * (1.0 + 1e-6)
+    if west < w - slack or south < s - slack or east > e + slack or north > n + slack:
+        raise InputError(
+            f"the cloud covers ({w:.2f}, {s:.2f}) to ({e:.2f}, {n:.2f}), but the plot is "
+            f"({west:.2f}, {south:.2f}) to ({east:.2f}, {north:.2f}). Choose a smaller plot. Are "
+            "both in the same coordinate reference system?"
+        )
 
 
 def _cell_means(cloud: PointCloud, plot: Bounds, cell: float) -> NDArray[np.float64]:
@@ -94,8 +113,50 @@ def _cell_means(cloud: PointCloud, plot: Bounds, cell: float) -> NDArray[np.floa
     return np.stack([np.bincount(which, v) / count for v in (x, y, cloud.z)], axis=1)
 
 
+def fill(
+    points: NDArray[np.float64],
+    centres: NDArray[np.float64],
+    corner: tuple[float, float],
+    cell: float,
+    largest_gap: float,
+    cells: int,
+) -> NDArray[np.float64]:
+    """Heights at the centres of cells [n, 2] from points [m, 3], counted from `corner` [m].
+
+    As `interpolate`; refuses centres farther than `largest_gap` from any point, and warns where
+    many of all the plot's `cells` lie outside the hull of the points.
+    """
+    _check_gaps(points, centres, corner, largest_gap)
+    outside = int((_beyond_hull(points[:, :2], centres) > _SLACK_CELLS * cell).sum())
+    if outside > _MANY_OUTSIDE * cells:
+        warnings.warn(
+            f"{100 * outside / cells:.0f} % of the plot's cells lie outside of all ground that was "
+            "seen; their heights continue the slope of the nearest ground, and may be wrong. "
+            "Choose a smaller plot.",
+            stacklevel=3,
+        )
+    return interpolate(points, centres)
+
+
+def _beyond_hull(points: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far places lie outside the convex hull of points at least [m]; negative inside."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        sides = ConvexHull(points).equations
+    except (QhullError, ValueError):  # fewer than three points, or all in a row
+        return np.full(len(places), np.inf)
+    beyond = np.full(len(places), -np.inf)
+    for east, north, offset in sides:  # one at a time, as there may be millions of places
+        np.maximum(beyond, places[:, 0] * east + places[:, 1] * north + offset, out=beyond)
+    return beyond
+
+
 def _check_gaps(
-    points: NDArray[np.float64], centres: NDArray[np.float64], plot: Bounds, largest: float
+    points: NDArray[np.float64],
+    centres: NDArray[np.float64],
+    corner: tuple[float, float],
+    largest: float,
 ) -> None:
     from scipy.spatial import cKDTree
 
@@ -103,12 +164,13 @@ def _check_gaps(
     worst = int(np.argmax(distance))
     if distance[worst] <= largest:
         return
-    x, y = centres[worst] + plot[:2]
+    x, y = centres[worst] + corner
     far = float((distance > largest).mean())
     raise InputError(
         f"expected ground within {largest:g} m of every cell, but none was seen within "
-        f"{distance[worst]:.1f} m of ({x:.1f}, {y:.1f}); {100 * far:.1f} % of the plot is so far "
-        "from it. Does the cloud cover the plot? Choose a smaller plot, or allow a larger gap."
+        f"{distance[worst]:.1f} m of ({x:.1f}, {y:.1f}); {100 * far:.1f} % of the cells to fill "
+        "are so far from it. Does the file cover the plot? Choose a smaller plot, or allow a "
+        "larger `largest_gap`."
     )
 
 
@@ -171,8 +233,9 @@ def terrain_mesh(terrain: Terrain) -> "trimesh.Trimesh":
     """The ground as triangles, two for each cell, facing up.
 
     In the plot's frame: x east and y north from the raster's south-west corner, z above its
-    lowest cell [m]. Vertices are the corners of cells, each the mean of the cells that meet there
-    (at the edges, their slope goes on): the mesh has the extent of the raster.
+    lowest cell's centre [m]. Vertices are the corners of cells, each the mean of the cells that
+    meet there (at the edges, their slope goes on, which may lead below 0): the mesh has the
+    extent of the raster.
     """
     import trimesh
 

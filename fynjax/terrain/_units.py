@@ -1,6 +1,7 @@
 """Metres and nothing else inside: what a file says of its units, and what its numbers betray."""
 
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,9 @@ _THINNEST = 0.04
 _NARROWEST = 0.05
 # Relief and plants over the diagonal of the cloud.
 _STEEPEST = 2.0
+# No ground above water is lower or higher [m].
+_DEEPEST = -500.0
+_TALLEST = 9000.0
 
 
 def unit_factor(unit: str) -> float:
@@ -35,6 +39,12 @@ def unit_factor(unit: str) -> float:
     if unit not in UNITS:
         raise InputError(f"`unit` must be one of {', '.join(UNITS)}, but is {unit!r}")
     return UNITS[unit]
+
+
+def check_positive(name: str, value: float) -> None:
+    """`InputError` for a setting that is not a positive number."""
+    if not (np.isfinite(value) and value > 0.0):
+        raise InputError(f"`{name}` must be positive, but is {value:g}")
 
 
 def named_unit(factor: float) -> str:
@@ -145,15 +155,49 @@ def check_coordinates(
         )
 
 
+def check_height_range(
+    heights: NDArray[np.float64], file: Path | None, remedy: str, *, unit_known: bool
+) -> None:
+    """Refuse finite heights [m] of which some, or all where their unit is a guess, are of no place.
+
+    `remedy` says what to do about a value that stands for missing data. Where all of them are too
+    low or too high and the unit is known, the level that they count from is another than the sea:
+    that is a warning.
+    """
+    low, high = float(heights.min()), float(heights.max())
+    if low >= _DEEPEST and high <= _TALLEST:
+        return
+    middle = float(np.median(heights))
+    if _DEEPEST <= middle <= _TALLEST:
+        value = low if low < _DEEPEST else high
+        raise InputError(
+            f"expected heights in metres, but got {value:g} among heights of about {middle:.0f}. "
+            f"Does it stand for missing data? {remedy}",
+            file=file,
+        )
+    if not unit_known:
+        raise InputError(
+            f"expected heights in metres, but got {middle:g} in the middle. Are they in "
+            "centimetres or feet, or above another level than the sea? State `height_unit` "
+            "(metre, if it is).",
+            file=file,
+        )
+    warnings.warn(
+        f"{file.name if file is not None else 'the ground'} lies at {middle:.0f} m, which is no "
+        "height above the sea. Shapes are kept, but check the file where its level matters.",
+        stacklevel=3,
+    )
+
+
 def check_bounds(bounds: Bounds) -> Bounds:
     """The four numbers, or an `InputError` for those that are no rectangle."""
     values = tuple(float(value) for value in bounds)
     if len(values) != 4 or not np.all(np.isfinite(values)):
-        raise InputError(f"bounds must be (west, south, east, north) [m], but are {bounds}")
+        raise InputError(f"`bounds` must be (west, south, east, north) [m], but are {bounds}")
     west, south, east, north = values
     if west >= east or south >= north:
         raise InputError(
-            f"bounds must be (west, south, east, north) [m] with west < east and south < north, "
+            f"`bounds` must be (west, south, east, north) [m] with west < east and south < north, "
             f"but are {values}"
         )
     return west, south, east, north

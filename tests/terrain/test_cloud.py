@@ -214,6 +214,7 @@ def text(rows, head="", separator=","):
         (text([*GRID[:3], (1, 2, "nan"), *GRID[3:]]), "expected a number, but got 'nan'", 4),
         (text([*GRID[:3], (1, 2, "tree"), *GRID], "x,y,z\n"), "number, but got 'tree'", 5),
         (text([*GRID[:3], (1, 2), *GRID]), "expected a number", 4),
+        ("# a\nx y z\n\n1 2 3\n# b\n\n1 2 tree\n" + text(GRID, "", " "), "got 'tree'", 7),
         (text(GRID, "a,b,c\n"), "columns x, y and z, but the header has a, b, c", 1),
         (text(GRID, "longitude,latitude,z\n"), "Longitude and latitude", 1),
         (text(GRID, "x [cm],y [cm],z [cm]\n"), "header says 'cm'. State the unit", 1),
@@ -266,7 +267,8 @@ def test_numbers_that_are_no_metres(tmp_path):
         read_cloud(saved(path, centimetres))
     cloud = read_cloud(path, unit="centimetre")
     np.testing.assert_allclose(np.stack([cloud.x, cloud.y, cloud.z], axis=1), local, atol=1e-9)
-    assert len(read_cloud(path, unit="metre")) == 400
+    with pytest.warns(UserWarning, match="no height above the sea"):
+        assert len(read_cloud(path, unit="metre")) == 400
     mixed = local * [1.0, 1.0, 100.0]
     with pytest.raises(InputError, match="Are heights in another unit"):
         read_cloud(saved(path, mixed))
@@ -275,6 +277,13 @@ def test_numbers_that_are_no_metres(tmp_path):
         read_cloud(path, unit="cm")
     with pytest.raises(InputError, match="EPSG:32734"):
         read_cloud(saved(path, local), crs="EPSG:1")
+
+
+def test_a_height_that_stands_for_missing_data(tmp_path):
+    points = POINTS.copy()
+    points[7, 2] = -9999.0
+    with pytest.raises(InputError, match=r"a\.xyz: .*got -9999 among heights of about 351"):
+        read_cloud(saved(tmp_path / "a.xyz", points))
 
 
 def test_crop_keeps_what_is_inside():
@@ -286,6 +295,8 @@ def test_crop_keeps_what_is_inside():
     np.testing.assert_array_equal(part.classification, np.flatnonzero(inside).astype(np.uint8))
     with pytest.raises(InputError, match="no point of the cloud"):
         cloud.crop((0.0, 0.0, 10.0, 10.0))
+    with pytest.raises(InputError, match=r"\(6191200\.25, 412300\.50\) to"):
+        cloud.crop((6191200.25, 412300.5, 6191210.25, 412310.5))
     with pytest.raises(InputError, match="west < east"):
         cloud.crop((1.0, 0.0, 0.0, 1.0))
 

@@ -115,6 +115,7 @@ def test_gaps_are_refused_or_filled(tmp_path):
         ({"transform": Affine(0.5, 0.0, 0.0, 0.0, -0.4, 3.0)}, "square cells"),
         ({"heights": np.stack([HEIGHTS] * 3)}, "it has 3"),
         ({"heights": np.where(HEIGHTS > 20.0, HEIGHTS, np.float32(-9999.0))}, "got -9999"),
+        ({"heights": HEIGHTS[:1, :1]}, "at least two rows and columns .* got 1 by 1"),
         ({"heights": np.full_like(HEIGHTS, np.nan)}, "all its cells are without data"),
     ],
 )
@@ -124,6 +125,73 @@ def test_rasters_that_are_wrong(tmp_path, changes, said):
     with pytest.raises(InputError, match=said) as caught:
         read_terrain(path)
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("value", [0.0, -32.0, -99.0, 255.0])
+@pytest.mark.parametrize("smeared", [False, True])
+def test_a_value_for_missing_data_that_is_not_declared(tmp_path, value, smeared):
+    """An 8 m plane with a corner and a hole without data; also as a warp smears their edges."""
+    heights = plane(*np.meshgrid(412300.0 + np.arange(40.0), 6191230.0 - np.arange(30.0)))
+    heights += np.random.default_rng(0).normal(0.0, 0.05, heights.shape)
+    missing = np.add(*np.meshgrid(np.arange(40), np.arange(30))) < 12
+    missing[14:19, 20:27] = True
+    heights[missing] = value
+    if smeared:
+        heights[:, 1:] = np.where(
+            missing[:, 1:] & ~missing[:, :-1], 0.4 * heights[:, :-1], heights[:, 1:]
+        )
+    place = Affine(1.0, 0.0, 412300.0, 0.0, -1.0, 6191230.0)
+    path = raster(tmp_path / "a.tif", heights, transform=place)
+    with pytest.raises(
+        InputError, match=rf"got {value:g} in 1\d\d? cells.*-a_nodata {value:g} a.tif"
+    ):
+        read_terrain(path)
+    other = raster(tmp_path / "b.tif", heights, transform=place, nodata=-9999.0)
+    with pytest.warns(UserWarning, match=rf"b\.tif has {value:g} in"):
+        read_terrain(other)
+    if not smeared:
+        right = raster(tmp_path / "c.tif", heights, transform=place, nodata=value)
+        beside = (412310.0, 6191200.0, 412340.0, 6191218.0)
+        assert np.ptp(read_terrain(right, beside, fill_gaps=True).heights) < 13.0
+
+
+def test_lakes_cliffs_and_whole_metres_are_ground(tmp_path):
+    x, y = np.meshgrid(np.arange(60.0), np.arange(50.0))
+    lake = np.maximum(0.2 * np.hypot(x - 30.0, y - 25.0), 2.0)
+    cliff = 10.0 + 0.1 * x + np.where(y > 25.0, 8.0, 0.0)
+    place = Affine(1.0, 0.0, 412300.0, 0.0, -1.0, 6191230.0)
+    for heights in (lake, cliff, np.round(lake), np.round(cliff)):
+        back = read_terrain(raster(tmp_path / "a.tif", heights, transform=place))
+        np.testing.assert_array_equal(back.heights[::-1], heights)
+
+
+def test_heights_far_from_the_sea(tmp_path):
+    """Fractions of a millimetre survive single precision, and any GIS that adds the offset."""
+    high = replace(terrain_of(), heights=terrain_of().heights + 7000.0)
+    write_terrain(tmp_path / "a.tif", high)
+    assert np.abs(read_terrain(tmp_path / "a.tif").heights - high.heights).max() < 1e-6
+    with rasterio.open(tmp_path / "a.tif") as file:
+        assert file.units == ("m",)
+        value = float(file.read(1)[-1, 0]) * file.scales[0] + file.offsets[0]
+        assert value == pytest.approx(high.heights[0, 0], abs=1e-6)
+    odd = raster(tmp_path / "b.tif", HEIGHTS * np.float32(0.1) + np.float32(20_000.0))
+    with pytest.raises(InputError, match=r"b\.tif: .*got 2000\d.* State `height_unit`"):
+        read_terrain(odd)
+    with pytest.warns(UserWarning, match="no height above the sea"):
+        read_terrain(odd, height_unit="metre")
+    np.testing.assert_allclose(read_terrain(odd, height_unit="centimetre").heights, 200.0, atol=0.1)
+
+
+def test_a_band_is_chosen(tmp_path):
+    path = raster(tmp_path / "a.tif", np.stack([HEIGHTS + 50.0, HEIGHTS, HEIGHTS * np.nan]))
+    with rasterio.open(path, "r+") as file:
+        file.scales, file.offsets = (1.0, 0.5, 1.0), (0.0, 3.0, 0.0)
+        file.set_band_description(2, "ground")
+    back = read_terrain(path, band=2)
+    np.testing.assert_allclose(back.heights, 0.5 * terrain_of().heights + 3.0, atol=1e-5)
+    for band in (None, 0, 4):
+        with pytest.raises(InputError, match=r"a\.tif: .*`band`.*it has 3 \(1, 2 ground, 3\)"):
+            read_terrain(path, band=band)
 
 
 def test_the_user_may_state_the_system(tmp_path):

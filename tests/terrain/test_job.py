@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 import rasterio
 import typer
+from rasterio import Affine
 from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
 from fynjax.cli._terrain import terrain as command
 from fynjax.terrain import Terrain, read_terrain, run_terrain, write_terrain
 from fynjax.terrain._picture import hillshade
+from tests.helpers import write_raster
 from tests.terrain.synthetic import CORNER, ground_height, shrubland
 
 needs_cloth = pytest.mark.skipif(
@@ -91,6 +93,46 @@ def test_raster_is_cut_out_and_resampled(tmp_path):
     assert np.abs(part.heights - ground_height(x[None, :], y[:, None])).max() < 0.02
 
 
+def plain_raster(path, heights, cell=1.0):
+    transform = Affine(cell, 0.0, CORNER[0], 0.0, -cell, CORNER[1] + cell * heights.shape[0])
+    return write_raster(path, heights[None], crs=CRS.from_epsg(32734), transform=transform)
+
+
+def sloping(rows, columns):
+    return 200.0 + 0.1 * np.arange(columns) + 0.05 * np.arange(rows)[:, None]
+
+
+@pytest.mark.parametrize(("columns", "size"), [(101, 66), (100, 66), (101, 65), (100, 65)])
+def test_a_plot_of_a_raster_is_as_large_as_asked(tmp_path, columns, size):
+    path = plain_raster(tmp_path / "a.tif", sloping(80, columns))
+    summary = run_terrain(path, tmp_path / "out", size=float(size))
+    west, south, east, north = summary["terrain"]["bounds_m"]
+    assert (east - west, north - south) == (size, size)
+    middle = np.array([0.5 * (west + east), 0.5 * (south + north)]) - CORNER
+    assert np.abs(middle - [0.5 * columns, 40.0]).max() <= 0.5
+    finer = run_terrain(path, tmp_path / "out", size=12.5, cell=0.5)["terrain"]["bounds_m"]
+    assert finer[2] - finer[0] == 12.5
+    with pytest.raises(InputError, match=r"a\.tif: `cell` must .* divide 12\.5"):
+        run_terrain(path, tmp_path / "out", size=12.5)
+
+
+def test_filled_cells_are_counted_and_not_far(tmp_path):
+    heights = sloping(20, 60)
+    heights[:, 30:41] = np.nan
+    path = plain_raster(tmp_path / "a.tif", heights)
+    summary = run_terrain(path, tmp_path / "out", fill_gaps=True)
+    assert summary["terrain"]["cells_filled"] == pytest.approx(11 / 60)
+    assert "18.3 % of the cells had no height" in summary["headline"][1]
+    with pytest.raises(InputError, match=r"a\.tif: expected ground within 5 m of every cell"):
+        run_terrain(path, tmp_path / "out", fill_gaps=True, largest_gap=5.0)
+    heights[:, 11:] = np.nan
+    path = plain_raster(tmp_path / "b.tif", heights)
+    with pytest.raises(InputError, match="expected ground within 10 m of every cell"):
+        run_terrain(path, tmp_path / "out", fill_gaps=True)
+    with pytest.warns(UserWarning, match="78 % of the plot's cells lie outside of all ground"):
+        run_terrain(path, tmp_path / "out", fill_gaps=True, largest_gap=60.0)
+
+
 def test_rough_ground_is_warned_of(tmp_path):
     """A layer of plants whose lowest points are no surface."""
     rng = np.random.default_rng(3)
@@ -105,17 +147,66 @@ def test_what_does_not_go_together(cloud_file, tmp_path):
         run_terrain(cloud_file, tmp_path, size=3.0, bounds=(0.0, 0.0, 1.0, 1.0))
     with pytest.raises(InputError, match="`size` must be positive"):
         run_terrain(cloud_file, tmp_path, size=-3.0)
-    with pytest.raises(InputError, match="`unit` is for point clouds"):
-        run_terrain(tmp_path / "a.tif", tmp_path, unit="foot")
-    with pytest.raises(InputError, match="Does the cloud cover the plot"):
-        run_terrain(cloud_file, tmp_path, size=66.0)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_failed_command_writes_nothing(cloud_file, tmp_path):
-    with pytest.raises(InputError):
-        invoke(cloud_file, "--size", 66, "--output", tmp_path / "out")
+@pytest.mark.parametrize(
+    ("name", "settings", "said"),
+    [
+        ("a.tif", {"method": "smrf"}, "`method` is for point clouds"),
+        ("a.tif", {"tolerance": 0.2}, "`tolerance` is for point clouds"),
+        ("a.tif", {"slope": 0.2}, "`slope` is for point clouds"),
+        ("a.tif", {"window": 3.0}, "`window` is for point clouds"),
+        ("a.tif", {"unit": "foot"}, "`unit` is for point clouds"),
+        ("a.tif", {"largest_gap": 3.0}, r"`largest_gap` is for .*\(`fill_gaps`\)"),
+        ("a.las", {"fill_gaps": True}, "`fill_gaps` is for rasters"),
+        ("a.las", {"band": 1}, "`band` is for rasters"),
+        ("a.las", {"method": "cloth", "window": 2.0}, "`window` is for the method 'smrf'"),
+        ("a.las", {"method": "labels", "slope": 0.2}, "`slope` is for the method 'smrf'"),
+        ("a.las", {"method": "labels", "tolerance": 0.2}, "`tolerance` is for methods that"),
+        ("a.tif", {"tolerance": -1.0}, "`tolerance` must be positive, but is -1"),
+        ("a.tif", {"largest_gap": -3.0}, "`largest_gap` must be positive, but is -3"),
+        ("a.las", {"cell": 0.0}, "`cell` must be positive, but is 0"),
+        ("a.las", {"bounds": (1.0, 0.0, 0.0, 1.0)}, "`bounds` must be"),
+    ],
+)
+def test_settings_that_do_nothing_or_are_out_of_range(tmp_path, name, settings, said):
+    """Before the file is looked for."""
+    with pytest.raises(InputError, match=said):
+        run_terrain(tmp_path / name, tmp_path, **settings)
+
+
+def test_a_failed_command_writes_nothing_and_names_its_options(cloud_file, tmp_path):
+    for options, said in {
+        ("--size", 42): r"plot\.csv: the cloud covers \(412300\.0.* the plot is \(412294\.0",
+        ("--window", 100): r"plot\.csv: `--window` must be at most half",
+        ("--largest-gap", -3): "`--largest-gap` must be positive",
+        ("--cell", 0.3, "--size", 20): r"plot\.csv: `--cell` must be positive and divide",
+        ("--bounds", 0, 0, 5, 5): r"plot\.csv: the cloud covers",
+        ("--cell", 40): r"plot\.csv: expected a cloud of more than two cells",
+    }.items():
+        with pytest.raises(InputError, match=said):
+            invoke(cloud_file, *options, "--output", tmp_path / "out")
     assert not list(tmp_path.iterdir())
+
+
+def test_ground_around_the_plot_is_used(tmp_path):
+    """Hedges along its edges, on a hilltop that no plane through the middle would continue."""
+    x, y = np.random.default_rng(4).uniform(0.0, 30.0, (2, 18_000))
+
+    def height(x, y):
+        return -0.01 * ((x - 15.0) ** 2 + (y - 15.0) ** 2)
+
+    hedge = (np.maximum(np.abs(x - 15.0), np.abs(y - 15.0)) > 4.0) & (
+        np.maximum(np.abs(x - 15.0), np.abs(y - 15.0)) < 6.0
+    )
+    z = height(x, y) + np.where(hedge, 1.5, 0.0)
+    np.savetxt(tmp_path / "a.xyz", np.stack([x, y, z], axis=1), "%.4f")
+    run_terrain(tmp_path / "a.xyz", tmp_path, size=10.0)
+    ground = read_terrain(tmp_path / "terrain.tif")
+    x, y = ground.centres
+    error = ground.heights - height(x[None, :], y[:, None])
+    assert np.abs(error).max() < 0.08
 
 
 def test_shade_is_lamberts_cosine():

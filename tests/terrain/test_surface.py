@@ -120,7 +120,9 @@ def test_no_ground_is_said(plot):
     with pytest.raises(InputError, match=r"none was seen within 7\.\d m of \(41231\d"):
         terrain_from_points(cloud, truth & ~inside, largest_gap=5.0)
     west, south = CORNER
-    with pytest.raises(InputError, match="Does the cloud cover the plot"):
+    with pytest.raises(
+        InputError, match=r"covers .* \(412330\.00, .* but the plot is .*412360\.00"
+    ):
         terrain_from_points(cloud, truth, bounds=(west, south, west + 60.0, south + 30.0))
 
 
@@ -133,6 +135,7 @@ def test_no_ground_is_said(plot):
         ({"window": -1.0}, "`window` must be positive"),
         ({"cell": -1.0}, "`cell` must be positive"),
         ({"cell": 20.0}, "wider than three cells"),
+        ({"window": 15.0}, r"half of the cloud's diagonal, 14\.1\d m, but is 15 m"),
     ],
 )
 def test_settings_of_the_filter(options, said):
@@ -146,8 +149,12 @@ def test_settings_of_the_filter(options, said):
         ({"cell": 0.0}, "`cell` must be positive"),
         ({"cell": 15.0}, "more than two cells"),
         ({"bounds": (0.0, 0.0, 10.1, 10.0)}, "does not divide 10.1 m along x"),
-        ({"bounds": (0.0, 0.0, 10.0, np.nan)}, "bounds must be"),
-        ({"bounds": (90.0, 90.0, 95.0, 95.0)}, "no point of the cloud"),
+        ({"bounds": (0.0, 0.0, 10.0, np.nan)}, "`bounds` must be"),
+        ({"bounds": (90.0, 90.0, 95.0, 95.0)}, r"the cloud covers \(0\.0.*is \(90\.00, 90\.00\)"),
+        ({"bounds": (-0.75, 0.0, 10.0, 10.0)}, r"plot is \(-0\.75, 0\.00\)"),
+        ({"bounds": (12.0, 0.0, 20.75, 10.0)}, "the cloud covers"),
+        ({"bounds": (0.0, -0.75, 10.0, 10.0)}, "the cloud covers"),
+        ({"bounds": (0.0, 12.0, 10.0, 20.75)}, "the cloud covers"),
         ({"largest_gap": 0.0}, "`largest_gap` must be positive"),
         ({"cell": 0.001}, "take larger cells"),
     ],
@@ -175,16 +182,32 @@ def test_a_plane_is_kept_through_gaps_and_at_the_edges():
     """Laplace interpolation is exact on planes, and so are means and what continues them."""
     cloud = cloud_of(plane)
     seen = (np.hypot(cloud.x - 9.0, cloud.y - 11.0) > 4.0) & (cloud.x > 1.0) & (cloud.y < 18.5)
-    terrain = terrain_from_points(cloud, seen, cell=0.5, bounds=(0.0, 0.0, 20.0, 20.0))
+    with pytest.warns(UserWarning, match="3 % of the plot's cells lie outside of all ground"):
+        terrain = terrain_from_points(cloud, seen, cell=0.5, bounds=(0.0, 0.0, 20.0, 20.0))
     x, y = terrain.centres
     np.testing.assert_allclose(terrain.heights, plane(x[None, :], y[:, None]), atol=1e-3)
 
 
+def test_ground_around_the_plot_holds_its_edges():
+    """A bowl, with a point in each square metre: beyond the outer ones a plane would be wrong."""
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(20.0), np.arange(20.0)))
+    cloud = PointCloud(x, y, 0.1 * ((x - 10.0) ** 2 + (y - 10.0) ** 2))
+    terrain = terrain_from_points(
+        cloud, np.ones(400, bool), cell=0.25, bounds=(5.5, 5.5, 14.5, 14.5)
+    )
+    cx, cy = terrain.centres
+    error = terrain.heights - 0.1 * ((cx[None, :] - 10.0) ** 2 + (cy[:, None] - 10.0) ** 2)
+    # A surface through the points lies above the bowl, by 0.1 * 2 * 0.5^2 at most.
+    assert error.min() > -1e-6
+    assert error.max() <= 0.05 + 1e-6
+
+
 def test_three_points_in_a_row_give_no_wild_slope():
     cloud = PointCloud(np.array([1.0, 2.0, 3.0]), np.full(3, 1.0), np.array([5.0, 5.1, 5.2]))
-    terrain = terrain_from_points(
-        cloud, np.ones(3, bool), cell=0.5, bounds=(0.0, 0.0, 4.0, 2.0), largest_gap=3.0
-    )
+    with pytest.warns(UserWarning, match="100 % of the plot's cells"):
+        terrain = terrain_from_points(
+            cloud, np.ones(3, bool), cell=0.5, bounds=(0.0, 0.0, 4.0, 2.0), largest_gap=3.0
+        )
     x, _ = terrain.centres
     np.testing.assert_allclose(terrain.heights, np.broadcast_to(4.9 + 0.1 * x, (4, 8)), atol=1e-9)
 
