@@ -17,12 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from rasterio import Affine
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from fynjax._core.errors import InputError
 from fynjax.io._atomic import atomic_path
+from fynjax.io._frame import open_raster
 from fynjax.io._raster_checks import check_north_up, check_square
-from fynjax.io._tables import existing_file
 from fynjax.io._validate import did_you_mean
 
 LOCAL_FRAME = 'LOCAL_CS["fynjax plot frame, origin south-west",UNIT["metre",1]]'
@@ -217,30 +216,20 @@ def read_image(
     **Raises:** `InputError` if the file is missing, cut short, has other bands, is not in
     fractions, or has no pixel that can be used.
     """
-    path = existing_file(path, "an image")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path) as file:
-                pixel, origin, north_up = _placement(file, path)
-                alpha = [k for k, c in enumerate(file.colorinterp) if c == ColorInterp.alpha]
-                data = [k for k in range(file.count) if k not in alpha]
-                descriptions = [file.descriptions[k] for k in data]
-                order = _choose_bands(descriptions, len(data), expected_bands, path)
-                numbers = [data[k] + 1 for k in order]
-                raw = file.read(numbers)
-                valid = (file.read_masks(numbers) > 0).all(axis=0)
-                scales = np.array([file.scales[n - 1] for n in numbers])[:, None, None]
-                offsets = np.array([file.offsets[n - 1] for n in numbers])[:, None, None]
-                tags = {str(k): str(v) for k, v in file.tags().items()}
-                crs = file.crs.to_wkt() if file.crs else None
-    except RasterioError as error:
-        reason = " ".join(str(error.__cause__ or error).split())
-        raise InputError(
-            f"cannot be read as an image ({reason}). Is it cut short, or not a GeoTIFF? Copy it "
-            "again.",
-            file=path,
-        ) from error
+    path = Path(path)
+    with open_raster(path, "an image") as file:
+        pixel, origin, north_up = _placement(file, path)
+        alpha = [k for k, c in enumerate(file.colorinterp) if c == ColorInterp.alpha]
+        data = [k for k in range(file.count) if k not in alpha]
+        descriptions = [file.descriptions[k] for k in data]
+        order = _choose_bands(descriptions, len(data), expected_bands, path)
+        numbers = [data[k] + 1 for k in order]
+        raw = file.read(numbers)
+        valid = (file.read_masks(numbers) > 0).all(axis=0)
+        scales = np.array([file.scales[n - 1] for n in numbers])[:, None, None]
+        offsets = np.array([file.offsets[n - 1] for n in numbers])[:, None, None]
+        tags = {str(k): str(v) for k, v in file.tags().items()}
+        crs = file.crs.to_wkt() if file.crs else None
     values = raw.astype(np.float64) * scales + offsets
     finite = np.isfinite(values).all(axis=0)
     # Mosaics fill their border with zeros and rarely declare it; no ground reflects nothing.
