@@ -1,17 +1,27 @@
 """Tables of numbers as text: XYZ, CSV and their like, as scanners and their programs write them."""
 
+import csv
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
 
-_HEAD = 50
+if TYPE_CHECKING:
+    import pandas as pd
+
+_BLANKS = r"\s+"
+_COMMENT = re.compile(r"\s*(#|//)\s*")
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
+_HEAD_LINES = 50
+_LONGEST_LINE = 100_000
+_CHUNK_ROWS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -30,85 +40,157 @@ class TextTable:
     skip: int
     """Lines before the first numbers."""
 
-    def columns(self, places: Mapping[str, int]) -> dict[str, NDArray[np.float64]]:
-        """Finite numbers of the columns at `places` (from 0), under the names given.
+    def columns(
+        self, places: Mapping[str, int], words: Collection[str] = ()
+    ) -> dict[str, NDArray[Any]]:
+        """The columns at `places` (from 0), under the names given: finite numbers as float64.
 
-        **Raises:** `InputError` with the row and column of a cell that is no number.
+        Columns named in `words` come as text. Rows whose cells are all empty are left out.
+
+        **Raises:** `InputError` for a file without rows, with the row of a line that has more or
+        fewer cells than the first, and with the row and column of a cell that is no number.
         """
         import pandas as pd
 
-        try:
-            table = pd.read_csv(
-                self.path,
-                sep=self.separator,
-                header=None,
-                skiprows=self.skip,
-                usecols=sorted(set(places.values())),
-                encoding="utf-8-sig",
-                comment="#",
-                low_memory=False,
-            )
-        except (ValueError, UnicodeDecodeError) as error:  # pandas' own errors are ValueErrors
-            reason = " ".join(str(error).split())
-            raise InputError(
-                f"cannot be read as columns of numbers ({reason})", file=self.path
-            ) from error
-        found = {}
+        table = self._read(set(places.values()), {places[name] for name in words if name in places})
+        found: dict[str, NDArray[Any]] = {}
         for name, place in places.items():
+            if name in words:
+                found[name] = table[place].to_numpy(str)
+                continue
             values = pd.to_numeric(table[place], errors="coerce").to_numpy(np.float64)
             bad = ~np.isfinite(values)
             if bad.any():
-                row = int(np.argmax(bad))
+                index = int(np.argmax(bad))
+                cell = str(table[place].iloc[index]).strip()
+                comma = _DECIMAL_COMMA.fullmatch(cell)
                 raise InputError(
-                    f"expected a number, but got {str(table[place].iloc[row])!r}"
-                    f" ({int(bad.sum())} such rows)",
+                    f"expected a number, but got {cell!r} ({int(bad.sum())} such rows)"
+                    + (
+                        f". Are these decimal commas? Write {cell.replace(',', '.')}"
+                        if comma
+                        else ""
+                    ),
                     file=self.path,
-                    row=self._row(row),
-                    column=name,
+                    row=self.row_of(index),
+                    column=self.names[place] if self.names else name,
                 )
             found[name] = values
         return found
 
-    def _row(self, index: int) -> int:
-        """Row in the file of numbers counted from 0, without blank lines and comments."""
+    def row_of(self, index: int) -> int:
+        """Row in the file, from 1, of what stands at `index` in the columns, from 0."""
+        return next(islice(self._rows(), index, None))[0]
+
+    def _read(self, needed: Collection[int], words: Collection[int]) -> "pd.DataFrame":
+        """Cells of the columns `needed`.
+
+        One column more than the first row has is read: it is empty, for a separator may end a row.
+        """
+        import pandas as pd
+
+        wanted, last = sorted(needed), self.width - 1
+        parts, may_be_short, fault = [], False, ""
+        try:
+            with pd.read_csv(
+                self.path,
+                sep=self.separator,
+                header=None,
+                names=range(self.width + 1),
+                skiprows=self.skip,
+                dtype=dict.fromkeys(words, str),
+                na_filter=False,  # a cell that is missing or empty is then ""
+                encoding="utf-8-sig",
+                comment="#",
+                skipinitialspace=True,
+                low_memory=False,
+                chunksize=_CHUNK_ROWS,
+            ) as chunks:
+                for chunk in chunks:
+                    # pandas makes an index of the cells too many in the first row.
+                    if (
+                        not isinstance(chunk.index, pd.RangeIndex)
+                        or not _is_empty(chunk[last + 1]).all()
+                    ):
+                        fault = "rows differ in their cells"
+                        break
+                    empty = chunk[_is_empty(chunk[last])]
+                    if len(empty):
+                        may_be_short = True
+                        blank = empty.apply(_is_empty).all(axis=1)
+                        chunk = chunk.drop(index=empty.index[blank])
+                    parts.append(chunk[wanted])
+        except ValueError as error:  # as are pandas' own errors, and those of decoding
+            fault = " ".join(str(error).split())
+        if fault or may_be_short:
+            self._check_widths()
+        if fault:
+            raise InputError(f"cannot be read as columns of numbers ({fault})", file=self.path)
+        table = pd.concat(parts)
+        if not len(table):
+            raise InputError("expected rows of numbers, but there is only a header", file=self.path)
+        return table
+
+    def _check_widths(self) -> None:
+        """`InputError` at the first row with more or fewer cells than the first."""
+        for row, cells in self._rows():
+            count = len(cells) - (not cells[-1])
+            if not count <= self.width <= len(cells):  # the last may be empty, or not there
+                line = (" " if self.separator == _BLANKS else self.separator).join(cells)
+                raise InputError(
+                    f"expected {self.width} cells as in the first row, but this row has {count}: "
+                    f"{line[:60]!r}",
+                    file=self.path,
+                    row=row,
+                )
+
+    def _rows(self) -> Iterator[tuple[int, list[str]]]:
+        """Row in the file and cells of each line of numbers, without empty ones and comments."""
         with self.path.open(encoding="utf-8-sig", errors="replace") as file:
-            lines = enumerate(islice(file, self.skip, None), self.skip + 1)
-            rows = (row for row, line in lines if line.split("#")[0].strip())
-            return next(islice(rows, index, None))
+            for row, line in enumerate(islice(file, self.skip, None), self.skip + 1):
+                cells = _split(line.split("#")[0], self.separator)
+                if any(cells):
+                    yield row, cells
 
 
 def open_text_table(
-    path: Path, what: str = "a point cloud", needed: Collection[str] = ("x", "y", "z")
+    path: str | Path, what: str = "a point cloud", needed: Collection[str] = ("x", "y", "z")
 ) -> TextTable:
     """Tell how a table of numbers is written, from its first lines.
 
-    Commas, semicolons, tabs or blanks separate; points are decimal; a byte-order mark may stand
-    first. Lines that start with `#` are comments, and those with `//` too before the first
-    numbers. The last comment there is the header, if it has all the columns `needed` and one name
-    for each number. A first row that is not all numbers is the header otherwise.
+    Commas, semicolons, tabs or blanks separate, and may end a row; points are decimal; a
+    byte-order mark may stand first. Lines that start with `#` are comments, and those with `//`
+    too before the first numbers. The last comment there is the header, if it has all the columns
+    `needed` and one name for each number. Otherwise a first row that starts with a word or has the
+    columns needed is the header. A whole number alone on a line before the first row, as
+    CloudCompare writes it, is the number of points.
 
-    **Raises:** `InputError`, which calls the file `what`, for one that is binary, has no numbers,
-    has decimal commas, or fewer columns than needed and no header.
+    **Raises:** `InputError`, which calls the file `what`, for one that cannot be read, is binary,
+    has no numbers, or fewer columns than needed and no header.
     """
+    path = Path(path)
     lines = _head(path, what)
-    start = next((k for k, line in enumerate(lines) if not re.match(r"\s*(#|//|$)", line)), None)
-    if start is None:
-        raise InputError(f"expected {what} as text, but it has no numbers", file=path)
-    first = lines[start]
-    separator = next((mark for mark in (";", "\t", ",") if mark in first), r"\s+")
-    tokens = _split(first, separator)
-    if not all(_is_number(token) for token in tokens if token):
-        if separator != "," and any(re.fullmatch(r"-?\d+,\d+", token) for token in tokens):
-            raise InputError(
-                "expected points in numbers, but these have decimal commas",
-                file=path,
-                row=start + 1,
-            )
-        return TextTable(path, tuple(tokens), len(tokens), start + 1, separator, start + 1)
-    if start and (comment := re.sub(r"^\s*(#|//)\s*", "", lines[start - 1])):
-        named = _split(comment, separator)
-        if len(named) == len(tokens) and set(needed) <= {name_and_unit(n)[0] for n in named}:
-            return TextTable(path, tuple(named), len(tokens), start, separator, start)
+    filled = [k for k, line in enumerate(lines) if line.strip() and not _COMMENT.match(line)]
+    if [lines[k].strip().isdigit() for k in filled[:2]] == [True, False]:
+        del filled[0]
+    if not filled:
+        raise InputError(f"expected {what} as text, but it has no numbers: is it empty?", file=path)
+    start, first = filled[0], lines[filled[0]]
+    separator = next((mark for mark in (";", "\t", ",") if mark in first), _BLANKS)
+    if len(first.split()) > 1 and all(map(_DECIMAL_COMMA.fullmatch, first.split())):
+        separator = _BLANKS
+    tokens = _trimmed(_split(first.split("#")[0], separator))
+    if not all(map(_is_number, tokens)):
+        named = _trimmed(_split(first, separator))
+        starts_with_word = not _is_number(next(filter(None, tokens)))
+        if starts_with_word or set(needed) <= _plain(named):
+            return TextTable(path, tuple(named), len(named), start + 1, separator, start + 1)
+    above = next((k for k in reversed(range(start)) if _COMMENT.match(lines[k])), None)
+    if above is not None:
+        comment = _COMMENT.sub("", lines[above], count=1)
+        for named in (_trimmed(_split(comment, separator)), comment.split()):
+            if len(named) == len(tokens) and set(needed) <= _plain(named):
+                return TextTable(path, tuple(named), len(tokens), above + 1, separator, start)
     if len(tokens) < len(needed):
         *most, last = needed
         raise InputError(
@@ -117,6 +199,16 @@ def open_text_table(
             row=start + 1,
         )
     return TextTable(path, None, len(tokens), start + 1, separator, start)
+
+
+def places_of(names: Iterable[str], aliases: Mapping[str, Iterable[str]]) -> dict[str, int]:
+    """Where columns stand among `names`: the first of its `aliases` that is there, in any case."""
+    plain = [name_and_unit(name)[0] for name in names]
+    return {
+        wanted: next(plain.index(alias) for alias in known if alias in plain)
+        for wanted, known in aliases.items()
+        if not set(plain).isdisjoint(known)
+    }
 
 
 def name_and_unit(header: str) -> tuple[str, str]:
@@ -128,23 +220,46 @@ def name_and_unit(header: str) -> tuple[str, str]:
     return (found.group(1).strip(), found.group(2)) if found else (header.strip().lower(), "")
 
 
+def _plain(names: Iterable[str]) -> set[str]:
+    return {name_and_unit(name)[0] for name in names}
+
+
 def _is_number(token: str) -> bool:
+    """Whether this is meant as a number: it may be missing, or have a decimal comma."""
     try:
-        float(token)
+        float(token or "0")
     except ValueError:
-        return False
+        return bool(_DECIMAL_COMMA.fullmatch(token))
     return True
 
 
+def _is_empty(cells: "pd.Series[Any]") -> NDArray[np.bool_]:
+    if cells.dtype.kind in "iuf":
+        return np.zeros(len(cells), bool)
+    return (cells.astype(str).str.strip() == "").to_numpy(bool)
+
+
 def _split(line: str, separator: str) -> list[str]:
-    tokens = line.split() if separator == r"\s+" else line.split(separator)
-    return [token.strip().strip('"') for token in tokens]
+    """Cells of a line; the last is empty where a separator ends it."""
+    if '"' not in line:  # the usual, and faster
+        return [cell.strip() for cell in line.split(None if separator == _BLANKS else separator)]
+    if separator == _BLANKS:
+        line, separator = " ".join(line.split()), " "
+    reader = csv.reader([line[:_LONGEST_LINE]], delimiter=separator, skipinitialspace=True)
+    return [cell.strip() for cell in next(reader, [])]
+
+
+def _trimmed(cells: list[str]) -> list[str]:
+    return cells[:-1] if cells and not cells[-1] else cells
 
 
 def _head(path: Path, what: str) -> list[str]:
     """The first lines; `InputError` for a file that is no text."""
-    with path.open("rb") as file:
-        raw = b"".join(file.readline(10_000) for _ in range(_HEAD))
+    try:
+        with path.open("rb") as file:
+            raw = b"".join(file.readline(_LONGEST_LINE) for _ in range(_HEAD_LINES))
+    except OSError as error:
+        raise InputError(f"{what} cannot be read: {error.strerror}", file=path) from error
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from fynjax._core.columns import TextColumns, read_columns
 from fynjax._core.errors import InputError
+from fynjax._core.text_columns import TextTable, name_and_unit, open_text_table, places_of
 from fynjax.canopy._forms import split_elements
 from fynjax.canopy._mesh_facets import draw_evenly
 from fynjax.canopy._mesh_names import organ_named, organ_of_name
@@ -222,58 +222,53 @@ def _ply_columns(file: str) -> dict[str, np.ndarray]:
         names = data.dtype.names if hasattr(data, "dtype") else list(data)
         return {
             wanted: np.asarray(data[names[place]], float).reshape(-1)
-            for wanted, place in _places(tuple(map(str, names))).items()
+            for wanted, place in places_of(map(str, names), _ALIASES).items()
         }
     except Exception as error:  # trimesh's readers raise whatever they stumble over
         raise InputError(f"the scan cannot be read: {error}", file=file) from error
 
 
 def _text_columns(file: str) -> dict[str, np.ndarray]:
-    known = tuple(name for names in _ALIASES.values() for name in names)
-    table = read_columns(file, "a scanned plant", known)
-    count = len(table.cells.columns)
-    header = table.header
-    if header is None:
-        if count > len(_COLUMNS) + 1:
+    table = open_text_table(file, "a scanned plant")
+    names = table.names
+    if names is None:
+        if table.width > len(_COLUMNS) + 1:
             raise InputError(
-                f"a scanned plant of {count} columns must name them in a header (x, y, z, nx, ny, "
-                "nz and, if wanted, organ), but has none",
+                f"a scanned plant of {table.width} columns must name them in a header (x, y, z, "
+                "nx, ny, nz and, if wanted, organ), but has none",
                 file=file,
             )
-        header = (*_COLUMNS, "organ")[:count]
-    found = {}
-    for name, place in _places(header).items():
-        if name == "organ":
-            found[name] = _organ_column(table, place)
-        else:
-            found[name] = table.numbers(place, header[place])
+        names = (*_COLUMNS, "organ")[: table.width]
+    places = places_of(names, _ALIASES)
+    for axis in set(_COLUMNS[:3]) & set(places):
+        unit = name_and_unit(names[places[axis]])[1]
+        if unit not in ("", "m", "metre", "metres", "meter", "meters"):
+            raise InputError(
+                f"expected metres, but the header says {unit!r}. Convert the coordinates.",
+                file=file,
+                row=table.row,
+                column=names[places[axis]],
+            )
+    found = table.columns(places, words=("organ",))
+    if "organ" in found:
+        found["organ"] = _organ_column(table, found["organ"])
     return found
 
 
-def _places(names: tuple[str, ...]) -> dict[str, int]:
-    """Where the columns of a scan stand among `names`."""
-    plain = [name.strip().lower() for name in names]
-    return {
-        wanted: next(plain.index(alias) for alias in aliases if alias in plain)
-        for wanted, aliases in _ALIASES.items()
-        if any(alias in plain for alias in aliases)
-    }
-
-
-def _organ_column(table: TextColumns, place: int) -> np.ndarray:
+def _organ_column(table: TextTable, cells: np.ndarray) -> np.ndarray:
     """Organs written as numbers or as words."""
-    values, index = np.unique(np.asarray(table.cells[place], str), return_inverse=True)
+    values, index = np.unique(cells, return_inverse=True)
     organs = np.empty(len(values))
-    for k, value in enumerate(values):
+    for k, value in enumerate(map(str, values)):
         try:
             organ: float | None = float(value)
         except ValueError:
             organ = organ_of_name(value)
         if organ is None or organ not in list(Organ):
             raise InputError(
-                f"expected 0 or leaf, 1 or wood, 2 or flower, but found {str(value)!r}",
+                f"expected 0 or leaf, 1 or wood, 2 or flower, but found {value!r}",
                 file=table.path,
-                row=int(table.rows[np.argmax(index == k)]),
+                row=table.row_of(int(np.argmax(index == k))),
                 column="organ",
             )
         organs[k] = organ

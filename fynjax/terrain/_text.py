@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax._core.text_columns import name_and_unit, open_text_table
+from fynjax._core.text_columns import name_and_unit, open_text_table, places_of
 
 _NAMES = {
     "x": ("x", "easting", "east", "e"),
@@ -20,11 +20,7 @@ _DEGREES = ("lon", "longitude", "lat", "latitude", "long")
 def _columns(names: tuple[str, ...], path: Path, row: int, unit_stated: bool) -> dict[str, int]:
     """Where x, y, z (and the class) stand, by the header's names."""
     plain = [name_and_unit(name) for name in names]
-    places: dict[str, int] = {}
-    for wanted, known in _NAMES.items():
-        for k, (name, _) in enumerate(plain):
-            if name in known and wanted not in places:
-                places[wanted] = k
+    places = places_of(names, _NAMES)
     missing = [axis for axis in "xyz" if axis not in places]
     if missing:
         degrees = any(name in _DEGREES for name, _ in plain)

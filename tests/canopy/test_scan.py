@@ -146,6 +146,7 @@ POINT = "1 2 3 0 0 1"
         "//X Y Z R G B Nx Ny Nz\n2\n1 2 3 90 80 70 0 0 1\n4 5 6 nan 80 70 0 1 0\n",
         "x;y;z;nx;ny;nz\n1;2;3;0;0;1\n4;5;6;0;1;0\n",
         "\ufeff# a scan\nX,Y,Z,NX,NY,NZ,\r\n1,2,3,0,0,1,\r\n\r\n4,5,6,0,1,0,\r\n",
+        "x (m), y (m), z (m), nx, ny, nz, h\n1, 2, 3, 0, 0, 1, a\n4, 5, 6, 0, 1, 0,\n",
         "normal_z\tnormal_y\tnormal_x\tz\ty\tx\n1\t0\t0\t3\t2\t1\n0\t1\t0\t6\t5\t4\n",
         "  1  2 3 0 0 1\n  4 5 6 0 1 0",
     ],
@@ -176,6 +177,10 @@ def test_organs_as_words(tmp_path: Path) -> None:
         ("x;y;z;nx;ny;nz\n1;2;3,5;0;0;1\n", r"row 2, column 'z': .*3,5.*Write 3\.5"),
         ("x,y,z,nx,ny,nz,organ\n0,0,0,0,0,1,0\n0,0,0,0,0,1,sky\n", r"row 3, column 'organ'.*sky"),
         ("x,y,z,nx,ny,nz\n", "only a header"),
+        ("a,b\n1,2\n", "has no x, y, z, nx"),
+        ("x,y,z,nx,ny,nz,organ\n0,0,0,0,0,1,\n0,0,0,0,0,1\n", "row 3: expected 7 cells .* has 6"),
+        (f"{POINT}\n{POINT}\n1,5 2,5 3,5 0 0 1\n", r"row 3, column 'x': .* Write 1\.5"),
+        ("x [cm],y,z,nx,ny,nz\n1,2,3,0,0,1\n", r"row 1, column 'x \[cm\]': expected metres"),
         ("1 2 3 9 9 9 0 0 1\n", "9 columns must name them in a header"),
     ],
 )

@@ -10,6 +10,7 @@ import trimesh
 from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError, MissingExtraError
+from fynjax._core.text_columns import open_text_table
 from fynjax.terrain import PointCloud, read_cloud
 from tests.helpers import write_ply
 from tests.terrain.synthetic import CORNER
@@ -183,6 +184,9 @@ def test_binary_ply_in_single_precision(tmp_path):
         ("a.txt", "# a comment\n//X Y Z\n", " "),
         ("a.csv", "X;Y;Z\n", ";"),
         ("a.csv", "\ufeffx,y,z\n", ","),
+        ("a.xyz", "400\n", " "),
+        ("a.txt", "//X Y Z\n\n400\n", "\t"),
+        ("a.txt", "# x y z\n", ";"),
     ],
 )
 def test_text_clouds(tmp_path, name, head, separator):
@@ -194,11 +198,43 @@ def test_text_clouds(tmp_path, name, head, separator):
 
 
 def test_text_columns_go_by_name(tmp_path):
-    rows = [f"{k % 4},{z!r},{y!r},{x!r}" for k, (x, y, z) in enumerate(POINTS.tolist())]
-    (tmp_path / "a.csv").write_text("Classification,Z,Y,X\n" + "\n".join(rows) + "\n")
-    cloud = read_cloud(tmp_path / "a.csv")
+    rows = [f"9,{k % 4},{z!r},{y!r},{x!r}" for k, (x, y, z) in enumerate(POINTS.tolist())]
+    path = tmp_path / "a.csv"
+    for header in ("450,Classification,Z,Y,X", "#450 Classification Z Y X"):
+        path.write_text(header + "\n" + "\n".join(rows) + "\n")
+        cloud = read_cloud(path)
+        np.testing.assert_array_equal(np.stack([cloud.x, cloud.y, cloud.z], axis=1), POINTS)
+        np.testing.assert_array_equal(cloud.classification, np.arange(400) % 4)
+
+
+@pytest.mark.parametrize("rows_at_once", [3, 1000])
+def test_text_with_words_and_gaps_beside_the_numbers(tmp_path, monkeypatch, rows_at_once):
+    """Labels with a separator, empty or missing numbers; separators that end rows; blank rows."""
+    monkeypatch.setattr("fynjax._core.text_columns._CHUNK_ROWS", rows_at_once)
+    labels = [' "a, b"', "", "nan", " # said", "7,", "tree\n\n,,,,\n \n  # said"]
+    rows = [
+        f"{k},{x!r}, {y!r},{z!r},{labels[k % len(labels)]}\n"
+        for k, (x, y, z) in enumerate(POINTS.tolist())
+    ]
+    path = tmp_path / "a.csv"
+    path.write_text(",Easting,Northing,Height,Tree,\n" + "".join(rows))
+    cloud = read_cloud(path)
     np.testing.assert_array_equal(np.stack([cloud.x, cloud.y, cloud.z], axis=1), POINTS)
-    np.testing.assert_array_equal(cloud.classification, np.arange(400) % 4)
+    for bad, said in (
+        ("1,2,3,4", "expected 5 cells .* has 4"),
+        ("1,2,?,4,5", "'Northing': .*got '.'"),
+    ):
+        path.write_text(",Easting,Northing,Height,Tree,\n" + "".join([*rows, bad]))
+        with pytest.raises(InputError, match=said) as caught:
+            read_cloud(path)
+        assert caught.value.row == path.read_text().count("\n") + 1
+
+
+def test_text_columns_of_words_stay_as_written(tmp_path):
+    (tmp_path / "a.csv").write_text("tree,x,y,z\n007,1,2,3\n012, 4,5,6\n")
+    found = open_text_table(tmp_path / "a.csv").columns({"z": 3, "tree": 0}, words=("tree",))
+    assert found["tree"].tolist() == ["007", "012"]
+    assert found["z"].tolist() == [3.0, 6.0]
 
 
 GRID = [(x, y, 0.1 * x) for x in range(5) for y in range(5)]
@@ -213,7 +249,20 @@ def text(rows, head="", separator=","):
     [
         (text([*GRID[:3], (1, 2, "nan"), *GRID[3:]]), "expected a number, but got 'nan'", 4),
         (text([*GRID[:3], (1, 2, "tree"), *GRID], "x,y,z\n"), "number, but got 'tree'", 5),
-        (text([*GRID[:3], (1, 2), *GRID]), "expected a number", 4),
+        (text([*GRID[:3], (1, 2), *GRID]), "expected 3 cells .* has 2: '1,2'", 4),
+        (text([*GRID[:3], (1, 2, ""), *GRID]), "column 'z': expected a number, but got ''", 4),
+        (text([*GRID[:3], (1, "", 2), *GRID]), "column 'y': expected a number, but got ''", 4),
+        (text([*GRID, (5,)], "", " "), "expected 3 cells .* has 1: '5'", 26),
+        (text([*GRID, (1, 2, 3, 4)]), "expected 3 cells .* has 4", 26),
+        (text([*GRID, (1, 2, 3, "", 4)]), "expected 3 cells .* has 5", 26),
+        (text([(*row, "", 4) for row in GRID], "x,y,z\n"), "expected 3 cells .* has 5", 2),
+        (text([(*row, 4, "") for row in GRID], "x,y,z\n"), "expected 3 cells .* has 4", 2),
+        (text([(1, 2, 3, "p"), (1, 2, 3, ""), (1, 2)], "x,y,z,name\n"), "4 cells .* has 2", 4),
+        ("25\n" + text([*GRID, (5,)], "", " "), "expected 3 cells .* has 1", 27),
+        (text([*GRID, (1, 2, "tree")], "1,tree,3\n"), "column 'y': .* got 'tree'", 1),
+        ("x,y,z\n1,2,3\n,,\n  # b\n1,2,tree\n", "got 'tree'", 5),
+        (text([("1,5", "2,5", "3,5")] * 9, "", " "), r"decimal commas\? Write 1\.5", 1),
+        ("x,y,z\n", "only a header", None),
         ("# a\nx y z\n\n1 2 3\n# b\n\n1 2 tree\n" + text(GRID, "", " "), "got 'tree'", 7),
         (text(GRID, "a,b,c\n"), "columns x, y and z, but the header has a, b, c", 1),
         (text(GRID, "longitude,latitude,z\n"), "Longitude and latitude", 1),
@@ -221,7 +270,8 @@ def text(rows, head="", separator=","):
         (text(GRID, "x_ft,y_ft,z_ft\n"), "header says 'ft'", 1),
         (text([(1, 2), (3, 4), (5, 6)]), "x, y and z in each row", 1),
         (text([("1,5", "2,5", "3,5")] * 9, separator=";"), "decimal commas", 1),
-        (text(GRID) + '"1,2,3\n', "columns of numbers", None),
+        (text(GRID) + '"1,2,3\n', "expected 3 cells .* has 1: '1,2,3'", 26),
+        ('x,y,z\n1,2,3\n1,2,"3', "columns of numbers", None),
         ("# nothing\n", "no numbers", None),
         ("", "empty", None),
         (text(GRID[:2]), "has 2 points", None),
