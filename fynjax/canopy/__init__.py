@@ -27,7 +27,7 @@ from fynjax.canopy._instances import instantiate, random_orientation, stack_plan
 from fynjax.canopy._mesh import plant_model_from_mesh, read_plant_mesh
 from fynjax.canopy._mesh_plant import MeshPlant, PlantMaterial, PlantMesh
 from fynjax.canopy._pattern import VegetationPattern, even_levels, vegetation_pattern
-from fynjax.canopy._plant import Organ, PlantModel
+from fynjax.canopy._plant import Organ, PlantModel, thin_plant
 from fynjax.canopy._recovery import (
     SURVEY_YEAR,
     GroundAfterFire,
@@ -89,6 +89,7 @@ __all__ = [
     "table1_2006",
     "table_after_fire",
     "target_area",
+    "thin_plant",
     "unit_shapes",
     "vegetation_pattern",
 ]

@@ -3,6 +3,8 @@
 import enum
 
 import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 
@@ -28,3 +30,31 @@ class PlantModel(eqx.Module):
     """Unit normal, z upward or level."""
     organ: Int[Array, " element"]
     """`Organ` of each element."""
+
+
+def thin_plant(plant: PlantModel, n_elements: int, *, seed: int) -> PlantModel:
+    """The same plant of fewer elements; each organ keeps its share of them, at least one.
+
+    Drawn in even steps along the elements, in proportion to their areas; those of an organ are
+    alike afterwards. A plant of no more than `n_elements` stays as it is.
+    """
+    organ = np.asarray(plant.organ)
+    if len(organ) <= n_elements:
+        return plant
+    rng = np.random.default_rng([seed, 401])
+    chosen, fraction = [], []
+    for one in np.unique(organ):
+        mine = np.flatnonzero(organ == one)
+        count = max(1, round(n_elements * len(mine) / len(organ)))
+        share = np.asarray(plant.area_fraction, float)[mine]
+        steps = (np.arange(count) + rng.random()) / count
+        found = np.searchsorted(np.cumsum(share) / share.sum(), steps)
+        chosen.append(mine[np.minimum(found, len(mine) - 1)])
+        fraction.append(np.full(count, 1.0 / count))
+    index = np.concatenate(chosen)
+    return PlantModel(
+        plant.position[index],
+        jnp.asarray(np.concatenate(fraction), plant.area_fraction.dtype),
+        plant.normal[index],
+        plant.organ[index],
+    )

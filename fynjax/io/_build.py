@@ -1,11 +1,14 @@
 """From a plot's files to a plot that can be rendered."""
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import FORM_DEFAULTS
+from fynjax.canopy import FORM_DEFAULTS, MeshPlant, Organ
 from fynjax.io._build_ground import cover_patches, cover_spectra, ground_heights, soil_spectra
+from fynjax.io._plant import read_plant
 from fynjax.io._plot import Plot, Species
 from fynjax.io._probability import read_probability_map
 from fynjax.io._spectra import reflectances
@@ -38,6 +41,9 @@ USUAL_LEAF = {
 """Leaves of a species for which nothing is given: an evergreen, sclerophyllous leaf."""
 
 
+AREA_INDICES = {"leaf_area_index": Organ.LEAF, "wood_area_index": Organ.WOOD}
+
+
 def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[PlotModel, PlotParameters]:
     """The model of a plot and its parameters as the files state them.
 
@@ -50,8 +56,9 @@ def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[PlotModel, PlotP
     fractions = plot.ground.fractions
     if plot.ground.map is not None and patches is not None:
         fractions = tuple(patches[1:].mean(axis=(1, 2)).tolist())
-    parameters = plot_parameters(plot, fractions)
     species = plot.species
+    plants = [None if s.plant is None else read_plant(s.plant, s.growth_form) for s in species]
+    parameters = plot_parameters(plot, fractions, plants)
     bands = SENSORS[plot.sensor.name]()
     wavelength = band_wavelengths(bands)
     model = build_model(
@@ -66,6 +73,7 @@ def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[PlotModel, PlotP
         branches=[float(s.branches or 1) for s in species],
         rotation_spread=[s.rotation_spread_deg or 0.0 for s in species],
         minimum_area=[s.minimum_object_area_m2 or 0.0 for s in species],
+        plants=[None if p is None else p.plant for p in plants],
         probability=_probability(plot),
         softness=plot.softness,
         width=plot.softness_plants,
@@ -78,17 +86,26 @@ def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[PlotModel, PlotP
     return model, parameters
 
 
-def plot_parameters(plot: Plot, fractions: tuple[float, ...] | None = None) -> PlotParameters:
+def plot_parameters(
+    plot: Plot,
+    fractions: tuple[float, ...] | None = None,
+    plants: Sequence[MeshPlant | None] | None = None,
+) -> PlotParameters:
     """The parameters that a plot's files state, defaults of the growth forms filled in.
 
-    `fractions` of litter, char and rock replace those of the plot file.
+    `fractions` of litter, char and rock replace those of the plot file; `plants`, the models of
+    species that have one, give the leaf and wood area that the tables leave out.
     """
     litter, char, rock = plot.ground.fractions if fractions is None else fractions
+    models = [None] * len(plot.species) if plants is None else plants
 
     def column(name: str, default: float | None = None) -> jnp.ndarray:
         values = []
-        for s in plot.species:
+        for s, model in zip(plot.species, models, strict=True):
             value = getattr(s, name)
+            if value is None and model is not None and name in AREA_INDICES:
+                crown = np.pi / 4.0 * model.modelled_diameter**2
+                value = float(model.organ_area[AREA_INDICES[name]]) / crown
             if value is None:
                 value = getattr(FORM_DEFAULTS[s.growth_form], name) if default is None else default
             values.append(float(value))

@@ -60,6 +60,8 @@ class Species:
     """One-sided leaf area over crown area [m2 m-2]."""
     wood_area_index: float | None
     """One-sided wood area over crown area [m2 m-2]."""
+    plant: Path | None
+    """Mesh or area elements of one plant; `None` takes the shape of the growth form."""
     shoot_clumping: float | None
     """Probability that scattered light meets another leaf of the same shoot [-]."""
 

@@ -234,6 +234,9 @@ def read_plot(path: str | Path) -> Plot:
                 minimum_object_area_m2=row.minimum_object_area_m2,
                 leaf_area_index=row.leaf_area_index,
                 wood_area_index=row.wood_area_index,
+                plant=_beside(species_path, row.plant, "a plant", number, "plant")
+                if row.plant
+                else None,
                 shoot_clumping=row.shoot_clumping,
             )
         )
@@ -252,6 +255,7 @@ def read_plot(path: str | Path) -> Plot:
         *(path, species_path, leaf_path, map_path, sky_path, soil_path, cover_map),
         terrain_path,
         *cover_paths,
+        *(one.plant for one in species),
         *spectra,
     )
     wet = 1.0 if parsed.ground.soil == "wet" else 0.0

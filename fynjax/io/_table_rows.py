@@ -72,6 +72,11 @@ class SpeciesRow(Strict):
     wood_area_index: float | None = number(
         "One-sided wood area over the crown's own ground area", "m2 m-2", default=None, ge=0, le=20
     )
+    plant: str | None = Field(
+        default=None,
+        description="Mesh of one plant (OBJ, PLY, STL, GLB; metres), or the elements.csv that "
+        "`fynjax plant` writes; a path from the table's folder. Left out: the growth form's shape.",
+    )
     shoot_clumping: float | None = number(
         "Probability that light which a leaf scatters meets another leaf of its shoot",
         "-",

@@ -215,7 +215,9 @@ def _read_materials(
 def _write_elements(path: Path, model: MeshPlant) -> None:
     with path.open("w", newline="", encoding="utf-8") as table:
         writer = csv.writer(table)
-        writer.writerow(["x_m", "y_m", "z_m", "nx", "ny", "nz", "area_m2", "organ", "optics"])
+        names = ["x_m", "y_m", "z_m", "nx", "ny", "nz", "area_m2", "organ", "optics"]
+        writer.writerow([*names, "crown_diameter_m", "plant_height_m"])
+        size = [f"{value:.9g}" for value in (model.modelled_diameter, model.depth)]
         for place, normal, area, organ, material in zip(
             model.position.tolist(),
             model.plant.normal.tolist(),
@@ -225,7 +227,7 @@ def _write_elements(path: Path, model: MeshPlant) -> None:
             strict=True,
         ):
             numbers = [f"{value:.9g}" for value in (*place, *normal, area)]
-            writer.writerow([*numbers, _ORGANS[organ], model.optics[material]])
+            writer.writerow([*numbers, _ORGANS[organ], model.optics[material], *size])
 
 
 def _summary(

@@ -17,37 +17,31 @@ from jaxtyping import Array, Float
 
 from fynjax.canopy import (
     FORM_DEFAULTS,
+    AbstractLeafAngle,
     CrownPacking,
+    PlantModel,
     VoxelGrid,
     deposit,
     instance_area,
-    leaf_angle,
     site_weight,
     soft_count,
     target_area,
 )
-from fynjax.leaf import LeafParameters, prospect
 from fynjax.radiation import (
     Accuracy,
     Illumination,
-    OpticalClasses,
     VoxelScene,
     nadir_rays,
     reflectance_factor,
     solve_light,
 )
 from fynjax.scene._ground import COVERS, ground_shares
+from fynjax.scene._optics import inclination, optical_classes
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._planting import Planting, draw_planting, leafy_species, no_plants
 from fynjax.scene._spectra import background_spectrum, shipped_covers
 from fynjax.sensors import BandSet
 from fynjax.sensors._sky import clear_sky_diffuse_fraction
-
-# Petals as leaves without chlorophyll: an assumption, for want of measured fynbos petals.
-_PETAL = LeafParameters.many(
-    structure=2.0, chlorophyll=0.0, carotenoids=0.5, anthocyanins=1.0, water=0.008, dry_matter=0.003
-)
-
 
 DRONE = Accuracy(sublayers=1, coarsening=(2, 2), levels=2, refine=False)
 """Accuracy of a drone's image, seen from close to nadir under a high sun."""
@@ -77,6 +71,8 @@ class PlotModel(eqx.Module):
     """Standard deviation of the plants' lean [degrees]."""
     minimum_area: tuple[float, ...] = eqx.field(static=True)
     """Least ground area that a plant may count for [m2]."""
+    leaf_angles: tuple[AbstractLeafAngle | None, ...]
+    """How the leaves of each species are inclined; None: as its form has it."""
     boundary: Literal["periodic", "open"] = eqx.field(static=True)
     softness: float = eqx.field(static=True)
     """Share of a species' plants over which the last ones fade in [-]; see `site_weight`."""
@@ -155,32 +151,8 @@ class PlotModel(eqx.Module):
         """The voxel scene of `parameters`: what the radiation layer renders."""
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
         average = jnp.asarray(self.camera.bands.weights(self.wavelength), self.dtype)
-        leafy = np.array(list(leafy_species(self.forms)), int)
-        leaves = jax.tree.map(lambda x: x[leafy], parameters.leaf)
-        petal = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), _PETAL)
-        leaves = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), leaves, petal)
-        optics = jax.vmap(lambda leaf: prospect(leaf, self.wavelength))(leaves)
-        clumping = jnp.pad(parameters.species.shoot_clumping[leafy], (0, 1))[:, None]
-        reflectance, transmittance = (
-            spectrum @ average.T
-            for spectrum in _shoot_optics(optics.reflectance, optics.transmittance, clumping)
-        )
-        ground = parameters.ground
-        bark = average @ jnp.asarray(background_spectrum("bark", self.wavelength), self.dtype)
-        bark = jnp.clip(ground.wood_brightness * bark, 0.0, 1.0)
-        # Class order: leaves of the species, wood, flowers.
-        reflectance = jnp.concatenate([reflectance[:-1], bark[None], reflectance[-1:]])
-        transmittance = jnp.concatenate(
-            [transmittance[:-1], jnp.zeros_like(bark)[None], transmittance[-1:]]
-        )
-        names = [FORM_DEFAULTS[self.forms[i]].leaf_angle for i in leafy]
-        names += ["spherical", "spherical"]
-        distinct = tuple(dict.fromkeys(names))
-        classes = OpticalClasses(
-            reflectance,
-            transmittance,
-            tuple(leaf_angle(name) for name in distinct),
-            tuple(distinct.index(name) for name in names),
+        classes = optical_classes(
+            self.forms, parameters, average, self.wavelength, self.leaf_angles
         )
         light = parameters.light
         if self.diffuse is None:
@@ -254,21 +226,6 @@ def ground_at(model: PlotModel, foot: Float[Array, "plant 2"]) -> Float[Array, "
     return heights[jnp.clip(at[:, 1], 0, ny - 1), jnp.clip(at[:, 0], 0, nx - 1)]
 
 
-def _shoot_optics(
-    reflectance: Float[Array, "leaf wavelength"],
-    transmittance: Float[Array, "leaf wavelength"],
-    clumping: Float[Array, "leaf one"],
-) -> tuple[Float[Array, "leaf wavelength"], Float[Array, "leaf wavelength"]]:
-    """Reflectance and transmittance of shoots of such leaves, each as one scattering element.
-
-    With p the `clumping`, the single scattering albedo w becomes w (1 - p) / (1 - p w) and the
-    area that counts becomes 1 - p of the leaves' (Smolander and Stenberg 2003, 2005). What does
-    not absorb still loses nothing.
-    """
-    escaping = (1.0 - clumping) / (1.0 - clumping * (reflectance + transmittance))
-    return reflectance * escaping, transmittance * escaping
-
-
 def band_wavelengths(bands: BandSet) -> Float[np.ndarray, " wavelength"]:
     """A grid fine enough for the responses of `bands`, inside 400-2500 nm [nm]."""
     centre, width = np.asarray(bands.centre), np.asarray(bands.fwhm)
@@ -290,6 +247,7 @@ def build_model(
     branches: Sequence[float] | None = None,
     rotation_spread: Sequence[float] | None = None,
     minimum_area: Sequence[float] | None = None,
+    plants: Sequence[PlantModel | None] | None = None,
     probability: Float[np.ndarray, "y x"] | None = None,
     room: float = 2.5,
     size_variation: float = 0.2,
@@ -316,6 +274,8 @@ def build_model(
       that asks for more gets no more.
     - `size_variation`: coefficient of variation of the crown diameters of a species [-]. An
       assumption, as is the stature: heights lie evenly between 0.6 and 1 times the greatest.
+    - `plants`: shape of the plants of each species, for instance of a mesh; None, or without any,
+      that of its form. Their leaves then are inclined as the shape's.
     - `probability`: map of 0-255 over the plot, row 0 south, or none.
     - `softness`, `width`, `flowering`, `soil`, `covers`, `patches`, `terrain`, `diffuse`: see
       `PlotModel`;
@@ -337,6 +297,7 @@ def build_model(
         reach = float(np.ceil(layers * np.tan(np.deg2rad(lowest))))
         accuracy = dataclasses.replace(accuracy, margin=int(reach))
     spread = tuple(rotation_spread or [0.0] * count)
+    shapes = tuple(plants or [None] * count)
     model = PlotModel(
         planting=no_plants(dtype),
         camera=camera,
@@ -346,6 +307,7 @@ def build_model(
         branches=tuple(branches or [1.0] * count),
         rotation_spread=spread,
         minimum_area=tuple(minimum_area or [0.0] * count),
+        leaf_angles=tuple(None if p is None else inclination(p) for p in shapes),
         boundary=boundary,
         softness=softness,
         width=width,
@@ -364,6 +326,7 @@ def build_model(
         np.asarray(species.diameter),
         np.asarray(species.height),
         spread,
+        shapes,
         extent=extent,
         voxel=voxel,
         periodic=boundary == "periodic",

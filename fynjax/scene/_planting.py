@@ -21,6 +21,7 @@ from fynjax.canopy import (
     plant_model,
     poisson_disk,
     random_orientation,
+    thin_plant,
     unit_shapes,
 )
 
@@ -118,6 +119,7 @@ def draw_planting(
     diameter: Float[np.ndarray, " species"],
     height: Float[np.ndarray, " species"],
     rotation_spread: Sequence[float],
+    models: Sequence[PlantModel | None],
     *,
     extent: tuple[float, float],
     voxel: float,
@@ -164,7 +166,11 @@ def draw_planting(
                 "stature": (0.6 + 0.4 * rng.random(n)).astype(dtype),
             }
         )
-        shapes.append(plant_model(form, _elements(diameter[i], height[i], voxel), seed=seed + i))
+        number, model = _elements(diameter[i], height[i], voxel), models[i]
+        if model is None:
+            shapes.append(plant_model(form, number, seed=seed + i))
+        else:
+            shapes.append(thin_plant(model, number, seed=seed + i))
         k = len(shapes[-1].organ)
         elements.append(
             {

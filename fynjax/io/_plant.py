@@ -1,0 +1,92 @@
+"""Plants of a plot's species from files: meshes, or the area elements of `fynjax plant`."""
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from fynjax._core.errors import InputError
+from fynjax.canopy import FORM_DEFAULTS, MeshPlant, Organ, PlantMaterial, plant_model_from_mesh
+from fynjax.canopy._mesh_plant import mesh_plant
+from fynjax.io._strict import Strict, number
+from fynjax.io._tables import read_rows
+
+_ELEMENTS = 3000
+"""As many as a plant on a plot has at most."""
+_LARGEST = 20.0
+"""A plant larger than this is in other units [m]."""
+
+
+class ElementRow(Strict):
+    """One area element of a plant."""
+
+    x_m: float = number("Place, east of the axis", "m")
+    y_m: float = number("Place, north of the axis", "m")
+    z_m: float = number("Place, above the ground", "m")
+    nx: float = number("Unit normal", "-", ge=-1.001, le=1.001)
+    ny: float = number("Unit normal", "-", ge=-1.001, le=1.001)
+    nz: float = number("Unit normal", "-", ge=-1.001, le=1.001)
+    area_m2: float = number("One-sided area", "m2", ge=0)
+    organ: Literal["leaf", "wood", "flower"] = Field(description="What it is part of.")
+    optics: str = Field(default="", description="Name of its optical class.")
+    crown_diameter_m: float = number("Crown diameter of the plant", "m", gt=0, le=_LARGEST)
+    plant_height_m: float = number("Height of the plant", "m", gt=0, le=_LARGEST)
+
+
+def read_plant(path: Path, form: str) -> MeshPlant:
+    """The shape and areas of a species' plants.
+
+    From a mesh in metres (closed surfaces count half, as for `fynjax plant`), or from the
+    `elements.csv` that `fynjax plant` writes.
+
+    **Raises:** `InputError` for a file that is neither, and a plant with leaves where the growth
+    `form` has none or the other way round.
+    """
+    try:
+        if path.suffix.lower() == ".csv":
+            plant = _from_elements(path)
+        else:
+            plant = plant_model_from_mesh(
+                path, _ELEMENTS, solid_materials="closed", maximum_extent=_LARGEST
+            )
+    except InputError as error:
+        if error.file is not None:
+            raise
+        raise InputError(str(error), file=path) from error
+    leafy = FORM_DEFAULTS[form].leaf_area_index > 0
+    if leafy != (float(plant.organ_area[Organ.LEAF]) > 0):
+        raise InputError(
+            f"expected a plant {'with' if leafy else 'without'} leaves for the growth form "
+            f"{form!r}, but this one has {'none' if leafy else 'some'}. Do the names of its "
+            "materials say what they are? `fynjax plant --materials` tells them.",
+            file=path,
+        )
+    return plant
+
+
+def _from_elements(path: Path) -> MeshPlant:
+    rows = [row for _, row in read_rows(path, ElementRow, "the elements of a plant")]
+    point = np.array([(r.x_m, r.y_m, r.z_m) for r in rows])
+    normal = np.array([(r.nx, r.ny, r.nz) for r in rows])
+    length = np.linalg.norm(normal, axis=1)
+    if np.any(np.abs(length - 1.0) > 0.01):
+        wrong = int(np.argmax(np.abs(length - 1.0)))
+        raise InputError(
+            f"expected unit normals, but that of element {wrong + 1} has length "
+            f"{length[wrong]:.3g}",
+            file=path,
+        )
+    radius, height = 0.5 * rows[0].crown_diameter_m, rows[0].plant_height_m
+    organs = list(Organ)
+    return mesh_plant(
+        point,
+        normal / length[:, None],
+        np.array([r.area_m2 for r in rows]),
+        np.array([Organ[r.organ.upper()] for r in rows], int),
+        tuple(one.name.lower() for one in organs),
+        [PlantMaterial(one) for one in organs],
+        np.array([-radius, -radius, 0.0]),
+        np.array([radius, radius, height]),
+        (0.0,) * len(organs),
+    )

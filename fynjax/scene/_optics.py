@@ -1,0 +1,94 @@
+"""Optics of the classes of a plot: the leaves of each species, wood, flowers."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax.canopy import (
+    FORM_DEFAULTS,
+    AbstractLeafAngle,
+    Organ,
+    PlantModel,
+    TabulatedLeafAngle,
+    leaf_angle,
+)
+from fynjax.leaf import LeafParameters, prospect
+from fynjax.radiation import OpticalClasses
+from fynjax.scene._parameters import PlotParameters
+from fynjax.scene._planting import leafy_species
+from fynjax.scene._spectra import background_spectrum
+
+# Petals as leaves without chlorophyll: an assumption, for want of measured fynbos petals.
+_PETAL = LeafParameters.many(
+    structure=2.0, chlorophyll=0.0, carotenoids=0.5, anthocyanins=1.0, water=0.008, dry_matter=0.003
+)
+
+
+def optical_classes(
+    forms: Sequence[str],
+    parameters: PlotParameters,
+    average: Float[Array, "band wavelength"],
+    wavelength: Float[np.ndarray, " wavelength"],
+    leaf_angles: Sequence[AbstractLeafAngle | None],
+) -> OpticalClasses:
+    """Reflectance, transmittance and inclination of each optical class of a plot.
+
+    `average` makes bands of spectra on `wavelength`; `leaf_angles` holds the inclinations of the
+    species that have their own, and None for those of their form. Differentiable in `parameters`.
+    """
+    dtype = average.dtype
+    leafy = np.array(list(leafy_species(forms)), int)
+    leaves = jax.tree.map(lambda x: x[leafy], parameters.leaf)
+    petal = jax.tree.map(lambda x: jnp.asarray(x, dtype), _PETAL)
+    leaves = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), leaves, petal)
+    optics = jax.vmap(lambda leaf: prospect(leaf, wavelength))(leaves)
+    clumping = jnp.pad(parameters.species.shoot_clumping[leafy], (0, 1))[:, None]
+    reflectance, transmittance = (
+        spectrum @ average.T
+        for spectrum in _shoot_optics(optics.reflectance, optics.transmittance, clumping)
+    )
+    bark = average @ jnp.asarray(background_spectrum("bark", wavelength), dtype)
+    bark = jnp.clip(parameters.ground.wood_brightness * bark, 0.0, 1.0)
+    # Class order: leaves of the species, wood, flowers.
+    reflectance = jnp.concatenate([reflectance[:-1], bark[None], reflectance[-1:]])
+    transmittance = jnp.concatenate(
+        [transmittance[:-1], jnp.zeros_like(bark)[None], transmittance[-1:]]
+    )
+    keys: list[int | str] = []
+    for i in leafy.tolist():
+        keys.append(FORM_DEFAULTS[forms[i]].leaf_angle if leaf_angles[i] is None else i)
+    keys += ["spherical", "spherical"]
+    distinct = tuple(dict.fromkeys(keys))
+    own = [leaf_angles[key] if isinstance(key, int) else leaf_angle(key) for key in distinct]
+    return OpticalClasses(
+        reflectance,
+        transmittance,
+        tuple(angle for angle in own if angle is not None),
+        tuple(distinct.index(key) for key in keys),
+    )
+
+
+def inclination(plant: PlantModel) -> AbstractLeafAngle | None:
+    """How the leaves of a plant model are inclined; None if it has none."""
+    leaf = np.asarray(plant.organ) == Organ.LEAF
+    if not leaf.any():
+        return None
+    return TabulatedLeafAngle.from_normals(plant.normal[leaf], plant.area_fraction[leaf])
+
+
+def _shoot_optics(
+    reflectance: Float[Array, "leaf wavelength"],
+    transmittance: Float[Array, "leaf wavelength"],
+    clumping: Float[Array, "leaf one"],
+) -> tuple[Float[Array, "leaf wavelength"], Float[Array, "leaf wavelength"]]:
+    """Reflectance and transmittance of shoots of such leaves, each as one scattering element.
+
+    With p the `clumping`, the single scattering albedo w becomes w (1 - p) / (1 - p w) and the
+    area that counts becomes 1 - p of the leaves' (Smolander and Stenberg 2003, 2005). What does
+    not absorb still loses nothing.
+    """
+    escaping = (1.0 - clumping) / (1.0 - clumping * (reflectance + transmittance))
+    return reflectance * escaping, transmittance * escaping

@@ -1,0 +1,91 @@
+"""Plants of a plot's species from meshes and elements."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+from fynjax._core.errors import InputError
+from fynjax.canopy import (
+    Organ,
+    TabulatedLeafAngle,
+    generate_plant,
+    plant_model_from_mesh,
+    thin_plant,
+)
+from fynjax.io import build_plot, read_plot
+from fynjax.io._plant import read_plant
+from fynjax.report._plant import run_plant
+
+TOML = "[plot]\nsize_m = 2.0\n[scene]\nsoftness = 0.0\nsoftness_plants = 0.0\n"
+COLUMNS = "taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form,plant\n"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A generated plant as a mesh and as elements, with the generator's own record."""
+    folder = tmp_path_factory.mktemp("plant")
+    run_plant("Pterocelastrus tricuspidatus", folder, n_elements=1500, seed=0)
+    return folder, generate_plant("Pterocelastrus tricuspidatus", 0)
+
+
+@pytest.mark.parametrize("name", ["plant.obj", "elements.csv"])
+def test_area_and_angles_of_a_plot_are_those_of_the_plant(made, tmp_path, name):
+    folder, grown = made
+    whole = plant_model_from_mesh(grown.mesh, None, solid_materials="closed")
+    crown = np.pi / 4 * whole.modelled_diameter**2
+    (tmp_path / "species.csv").write_text(
+        COLUMNS + f"Pterocelastrus tricuspidatus,60,40,1.2,broad_leaved,{folder / name}\n"
+    )
+    (tmp_path / "plot.toml").write_text(TOML)
+    model, parameters = build_plot(read_plot(tmp_path / "plot.toml"))
+    index = float(whole.organ_area[Organ.LEAF]) / crown
+    assert float(parameters.species.leaf_area_index[0]) == pytest.approx(index, rel=0.05)
+    angle = model.leaf_angles[0]
+    leaf = np.asarray(whole.plant.organ) == Organ.LEAF
+    want = TabulatedLeafAngle.from_normals(
+        whole.plant.normal[leaf], whole.plant.area_fraction[leaf]
+    )
+    for cosine in (0.2, 0.6, 1.0):
+        got = float(angle.projection(np.array(cosine)))
+        assert got == pytest.approx(float(want.projection(np.array(cosine))), rel=0.02)
+    density = np.asarray(eqx.filter_jit(lambda m, p: m.area_density(p))(model, parameters))
+    # Leaf area of the voxels: the index over the crowns of whole plants, less what shoots hide.
+    count = int(np.ceil(float(model.counts(parameters)[0])))
+    crowns = np.pi / 4 * 0.6**2 * (np.asarray(model.planting.size)[:count] ** 2).sum()
+    seen = 1 - float(parameters.species.shoot_clumping[0])
+    assert density[0].sum() * 1e-3 == pytest.approx(index * crowns * seen, rel=0.05)
+
+
+def test_fewer_elements_keep_areas_places_and_angles(made):
+    plant = plant_model_from_mesh(made[1].mesh, 4000, solid_materials="closed").plant
+    thin = thin_plant(plant, 300, seed=1)
+    assert abs(len(thin.organ) - 300) <= 2
+    for organ in np.unique(plant.organ):
+        few, many = (np.asarray(p.organ) == organ for p in (thin, plant))
+        assert float(thin.area_fraction[few].sum()) == pytest.approx(1.0, rel=1e-6)
+        for name in ("position", "normal"):
+            of_few, of_many = (
+                np.asarray(p.area_fraction)[mine] @ np.abs(np.asarray(getattr(p, name))[mine])
+                for p, mine in ((thin, few), (plant, many))
+            )
+            np.testing.assert_allclose(of_few, of_many, atol=0.05)
+    assert thin_plant(plant, 10**6, seed=1) is plant
+
+
+def test_a_plant_that_cannot_serve_is_refused(made, tmp_path):
+    folder, _ = made
+    with pytest.raises(InputError, match="without leaves"):
+        read_plant(folder / "plant.obj", "deadwood")
+    text = (folder / "elements.csv").read_text().splitlines()
+    bad = tmp_path / "elements.csv"
+    cells = text[1].split(",")
+    bad.write_text("\n".join([text[0], ",".join([*cells[:6], "-1", *cells[7:]])]) + "\n")
+    with pytest.raises(InputError, match="area_m2"):
+        read_plant(bad, "broad_leaved")
+    bad.write_text("\n".join([text[0], *(line.replace("leaf", "twig") for line in text[1:])]))
+    with pytest.raises(InputError, match="organ"):
+        read_plant(bad, "broad_leaved")
+    (tmp_path / "plant.obj").write_text("# nothing\n")
+    with pytest.raises(InputError) as caught:
+        read_plant(tmp_path / "plant.obj", "broad_leaved")
+    assert "plant.obj" in str(caught.value)
