@@ -71,7 +71,7 @@ def with_options(boundary):
     return dataclasses.replace(scene, illumination=light, ground_shape=shape)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_derivatives_at_the_default_tolerance():
     """Of the refined solve, whose parts are loose: forward and backward, against a tight one."""
     scene = patchy(shape=(4, 8, 8))
