@@ -1,9 +1,17 @@
 """A plot whose ground is known: a slope with waves, and shrubs of known outline on it."""
 
+import sys
+
 import numpy as np
+import pytest
 from scipy.spatial import cKDTree
 
 from fynjax.terrain import PointCloud
+
+needs_cloth = pytest.mark.skipif(
+    sys.version_info >= (3, 13), reason="cloth-simulation-filter has no wheel for this Python"
+)
+"""Elsewhere it is among the tests' dependencies: its absence is a failure."""
 
 CORNER = (412300.0, 6191200.0)
 """South-west corner, as in UTM zone 34 south [m]."""

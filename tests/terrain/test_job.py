@@ -1,7 +1,6 @@
 """`fynjax terrain`: from a file to the files of a terrain."""
 
 import json
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -15,11 +14,7 @@ from fynjax.cli._terrain import terrain as command
 from fynjax.terrain import Terrain, read_terrain, run_terrain, write_terrain
 from fynjax.terrain._picture import hillshade
 from tests.helpers import write_raster
-from tests.terrain.synthetic import CORNER, ground_height, shrubland
-
-needs_cloth = pytest.mark.skipif(
-    find_spec("CSF") is None, reason="cloth-simulation-filter has no wheel for this Python"
-)
+from tests.terrain.synthetic import CORNER, ground_height, needs_cloth, shrubland
 
 
 @pytest.fixture(scope="module")

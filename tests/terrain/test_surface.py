@@ -1,7 +1,6 @@
 """Ground of a plot whose ground is known, and what is made of it."""
 
 import sys
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -18,14 +17,9 @@ from fynjax.terrain import (
     terrain_from_points,
     terrain_mesh,
 )
-from tests.terrain.synthetic import CORNER, SIDE, ground_height, shrubland
+from tests.terrain.synthetic import CORNER, SIDE, ground_height, needs_cloth, shrubland
 
 PLOT = (CORNER[0], CORNER[1], CORNER[0] + SIDE, CORNER[1] + SIDE)
-
-
-needs_cloth = pytest.mark.skipif(
-    find_spec("CSF") is None, reason="cloth-simulation-filter has no wheel for this Python"
-)
 
 
 def plane(x, y):
