@@ -12,6 +12,7 @@ def fill(
 ) -> np.ndarray:
     """Points [n, 2] on [0, lx) x [0, ly), all at least `radius` apart, until none fits.
 
+    Each point is the centre once, of `attempts` candidates; all that fit become points.
     The background grid holds one point a cell at most: its cells have a diagonal of at most
     `radius`. On a periodic extent they shrink a little so that whole cells fit.
     """
@@ -45,12 +46,16 @@ def fill(
 
     while n_active > 0:
         pick = int(rng.random() * n_active)
-        px = points[active[pick], 0]
-        py = points[active[pick], 1]
-        found = False
+        centre = active[pick]
+        n_active -= 1
+        active[pick] = active[n_active]
+        px = points[centre, 0]
+        py = points[centre, 1]
         for _ in range(attempts):
-            # Uniform by area in the annulus from r to 2 r.
-            distance = radius * np.sqrt(1.0 + 3.0 * rng.random())
+            # Uniform by area in the disc of 2 r; within r of the centre none fits.
+            distance = 2.0 * radius * np.sqrt(rng.random())
+            if distance < radius:
+                continue
             angle = 2.0 * np.pi * rng.random()
             x = px + distance * np.cos(angle)
             y = py + distance * np.sin(angle)
@@ -98,9 +103,4 @@ def fill(
                 active[n_active] = n_points
                 n_points += 1
                 n_active += 1
-                found = True
-                break
-        if not found:
-            n_active -= 1
-            active[pick] = active[n_active]
     return points[:n_points].copy()

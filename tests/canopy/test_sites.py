@@ -80,7 +80,8 @@ def test_blue_noise_like_scipy() -> None:
     packing = np.mean(own_n) * RADIUS**2 / SIDE**2
     # 30 rings of border on 6 m: edges hold more points than the 0.60-0.62 of a large plot.
     assert 0.60 < packing < 0.66
-    assert np.mean(own_n) == pytest.approx(np.mean(peer_n), rel=0.04)
+    # Counts of 560 on 6 m scatter by 1 % between seeds; the slow test below is sharper.
+    assert np.mean(own_n) == pytest.approx(np.mean(peer_n), rel=0.015)
     ours, theirs = np.mean(own, 0), np.mean(peer, 0)
     # A ring of m independent frequencies has a relative scatter of 1 / sqrt(m seeds) (times
     # sqrt 2 for the difference): 40 frequencies at least beyond the first ring.
@@ -282,10 +283,8 @@ def test_radial_spectrum_of_a_whole_plot_is_that_of_the_oracle() -> None:
             total = np.bincount(ring[inside], power[inside], 16)
             rings.append(total / np.bincount(ring[inside], minlength=16))
     packing = np.mean(counts, axis=0)
-    # Ours keeps a point active until all its candidates fail, as Bridson does; the peer tries
-    # them once. That leaves it 3 % fewer points.
-    assert packing[0] == pytest.approx(packing[1], rel=0.04)
+    # One plot's packing scatters by 0.3 %.
+    assert packing[0] == pytest.approx(packing[1], rel=0.01)
     ours, theirs = np.mean(own, axis=0), np.mean(peer, axis=0)
     scatter = np.sqrt(2.0 / (seeds * np.bincount(ring[(ring >= 0) & (ring < 16)], minlength=16)))
-    # The denser points shift the steep shoulder below 1 / r a little: 0.04 of white noise's 1.
-    assert np.all(np.abs(ours - theirs) < 0.04 + (0.03 + 4.0 * scatter) * theirs), ours / theirs
+    assert np.all(np.abs(ours - theirs) < 4.0 * scatter * theirs), ours / theirs

@@ -130,6 +130,8 @@ def draw(folder: Path | None, title: str, curves: dict[str, Curve], x: str, y: s
 
     folder.mkdir(parents=True, exist_ok=True)
     figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
+    # More curves than colours: the second ten are dashed.
+    axes.set_prop_cycle(plt.cycler(linestyle=["-", "--"]) * plt.rcParams["axes.prop_cycle"])
     for name, points in curves.items():
         axes.loglog(*zip(*[(a, max(b, 1e-4)) for a, b in points]), marker="o", label=name)
     axes.set(xlabel=x, ylabel=y, title=title)

@@ -32,17 +32,19 @@ TIGHT = Accuracy(margin=6, tolerance=1e-12, iterations=400)
 RAYS = nadir_rays(jnp.linspace(0.05, 0.75, 7), jnp.linspace(0.05, 0.55, 5), 0.05, (0.4, 0.3, 5.0))
 
 
-def whole_scene(boundary: str) -> VoxelScene:
-    """A scene in which every optional field that has an effect is filled."""
+def whole_scene(boundary: str, ground: str) -> VoxelScene:
+    """Every optional field filled; the ground has a `shape` of its own or `terrain`, not both."""
     plain = patchy(boundary)
-    filled = {
+    filled: dict[str, Any] = {
         "classes.leaf_diameter": jnp.array([0.03]),
         "illumination.sky_pattern": jnp.asarray(np.random.default_rng(5).uniform(0.5, 1.5, (4, 6))),
-        "terrain": 0.05 * jnp.asarray(np.random.default_rng(6).random((6, 8))),
-        "ground_shape": RahmanPintyVerstraete(
-            jnp.array([0.8, 0.9]), jnp.array([-0.1, -0.05]), jnp.array([0.9, 0.8])
-        ),
     }
+    if ground == "terrain":
+        filled["terrain"] = 0.05 * jnp.asarray(np.random.default_rng(6).random((6, 8)))
+    else:
+        filled["ground_shape"] = RahmanPintyVerstraete(
+            jnp.array([0.8, 0.9]), jnp.array([-0.1, -0.05]), jnp.array([0.9, 0.8])
+        )
     scene = plain
     for path, value in filled.items():
         *parents, name = path.split(".")
@@ -71,10 +73,10 @@ def outcome(scene: VoxelScene) -> jax.Array:
     )
 
 
-def slopes(boundary: str) -> Iterator[tuple[str, float, float]]:
+def slopes(boundary: str, ground: str) -> Iterator[tuple[str, float, float]]:
     """Name, derivative and central difference: each entry of a small array, three random
     directions of a large one."""
-    scene = whole_scene(boundary)
+    scene = whole_scene(boundary, ground)
     value, gradient = jax.jit(outcome), jax.jit(jax.grad(outcome))(scene)
     leaves = jax.tree_util.tree_flatten_with_path(scene)[0]
     slope = jax.tree.leaves(gradient)
@@ -105,18 +107,21 @@ def slopes(boundary: str) -> Iterator[tuple[str, float, float]]:
 
 def gradients(setting: Setting) -> Iterator[Row]:
     """Every array of the scene, then the shrubs' density beside a peer's derivative."""
-    for boundary in ("periodic",) if setting.quick else ("periodic", "open"):
+    kinds = [("periodic", "shape"), ("open", "terrain")]
+    kinds += [] if setting.quick else [("open", "shape"), ("periodic", "terrain")]
+    for boundary, ground in kinds:
+        case = f"gradient, {boundary}, {ground}"
         found: dict[str, list[tuple[float, float]]] = {}
-        for name, got, want in slopes(boundary):
+        for name, got, want in slopes(boundary, ground):
             found.setdefault(name, []).append((got, want))
         for name, pairs in found.items():
             largest = max(abs(want) for _, want in pairs)
             if largest < 1e-12 and all(abs(got) < 1e-12 for got, _ in pairs):
-                yield Row(f"gradient, {boundary}", name, 0.0, unit="rel", note="no effect")
+                yield Row(case, name, 0.0, unit="rel", note="no effect")
                 continue
             # An entry without effect of its own is measured by its neighbours.
             off = max(abs(got - want) / max(abs(want), 1e-3 * largest) for got, want in pairs)
-            yield Row(f"gradient, {boundary}", name, off, 1e-4, unit="rel")
+            yield Row(case, name, off, 1e-4, unit="rel")
     yield from density_beside_peer(setting)
 
 
