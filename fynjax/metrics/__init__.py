@@ -18,13 +18,19 @@ from fynjax.metrics._indices import (
     smooth_vegetation_indices,
     vegetation_indices,
 )
+from fynjax.metrics._matching import MATCHING_METHODS, WavelengthMatch, match_wavelengths
+from fynjax.metrics._misfit import Misfit, misfit_decomposition
 from fynjax.metrics._reference import (
     BandReference,
+    Figure12Row,
     Table4Row,
+    Table5Row,
     Target,
     bands_2006,
     consistent_targets,
+    figure12_2006,
     table4_2006,
+    table5_2006,
 )
 from fynjax.metrics._spectral import (
     SPECTRAL_REGIONS,
@@ -38,30 +44,97 @@ from fynjax.metrics._spectral import (
     spectral_angle,
     spectral_mask,
 )
+from fynjax.metrics._spectrometer_indices import (
+    SPECTROMETER_BANDS,
+    SPECTROMETER_INDICES,
+    SpectrometerIndex,
+    spectrometer_indices,
+)
 from fynjax.metrics._statistics import check_statistics, image_statistics
+from fynjax.metrics._structure import (
+    BinnedReturns,
+    CellGrid,
+    CellStructure,
+    bin_returns,
+    cell_grid,
+    cell_structure,
+)
+from fynjax.metrics._structure_compare import (
+    GrainCheck,
+    bootstrap_interval,
+    central_interval,
+    choose_grain,
+    height_intersection,
+    height_percentiles,
+    height_shares,
+    thinnings,
+)
+from fynjax.metrics._structure_profile import foliage_height_diversity
+from fynjax.metrics._structure_reference import PublishedStructure, structure_2006
+from fynjax.metrics._structure_settings import (
+    STRUCTURE_METRICS,
+    STRUCTURE_PRESETS,
+    StructureSettings,
+)
+from fynjax.metrics._structure_smooth import (
+    SmoothStructure,
+    smooth_cell_structure,
+    voxel_structure,
+)
 
 __all__ = [
     "BANDS",
+    "MATCHING_METHODS",
     "SPECTRAL_REGIONS",
+    "SPECTROMETER_BANDS",
+    "SPECTROMETER_INDICES",
+    "STRUCTURE_METRICS",
+    "STRUCTURE_PRESETS",
     "VEGETATION_INDICES",
     "WATER_WINDOWS",
     "BandReference",
+    "BinnedReturns",
+    "CellGrid",
+    "CellStructure",
+    "Figure12Row",
+    "GrainCheck",
+    "Misfit",
+    "PublishedStructure",
+    "SmoothStructure",
     "SpectralAgreement",
+    "SpectrometerIndex",
+    "StructureSettings",
     "Table4Row",
+    "Table5Row",
     "Target",
     "VegetationIndex",
+    "WavelengthMatch",
     "bands_2006",
+    "bin_returns",
+    "bootstrap_interval",
+    "cell_grid",
+    "cell_structure",
+    "central_interval",
     "check_statistics",
+    "choose_grain",
     "consistent_targets",
+    "figure12_2006",
+    "foliage_height_diversity",
+    "height_intersection",
+    "height_percentiles",
+    "height_shares",
     "histogram_intersection",
     "image_statistics",
     "ks_distance",
+    "match_wavelengths",
     "mean",
+    "misfit_decomposition",
     "nrmse",
     "pearson_correlation",
     "quantiles",
     "relative_mean_difference",
     "rmse",
+    "smooth_cell_structure",
     "smooth_histogram_intersection",
     "smooth_ks_distance",
     "smooth_vegetation_indices",
@@ -69,8 +142,13 @@ __all__ = [
     "spectral_agreement",
     "spectral_angle",
     "spectral_mask",
+    "spectrometer_indices",
     "standard_deviation",
+    "structure_2006",
     "table4_2006",
+    "table5_2006",
+    "thinnings",
     "vegetation_indices",
+    "voxel_structure",
     "wasserstein_distance",
 ]

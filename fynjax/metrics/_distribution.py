@@ -68,6 +68,7 @@ def histogram_intersection(
     simulated: Sample,
     *,
     bins: int = 256,
+    limits: tuple[Any, Any] | None = None,
     real_valid: Mask | None = None,
     simulated_valid: Mask | None = None,
 ) -> Scalar:
@@ -77,11 +78,17 @@ def histogram_intersection(
     one closed); 256 of them reproduce the equal values that the paper prints for indices that are
     monotone functions of each other. One minus it is the total variation distance of the
     histograms. Piecewise constant, so its gradient is zero: see `smooth_histogram_intersection`.
+    With `limits`, the lower and upper edge in the values' unit, the bins span these instead, and
+    pixels beyond count in the outermost bins.
     Swain and Ballard (1991).
     """
     x, wx = _flat(real, real_valid)
     y, wy = _flat(simulated, simulated_valid)
-    low, high = _pooled_range(x, wx, y, wy)
+    low, high = (
+        _pooled_range(x, wx, y, wy)
+        if limits is None
+        else (jnp.asarray(limit, x.dtype) for limit in limits)
+    )
     edges = jnp.arange(bins + 1, dtype=low.dtype) * ((high - low) / bins) + low
     edges = edges.at[-1].set(high)
 

@@ -37,6 +37,8 @@ class VegetationIndex:
     """What the literature means by this name, where the paper's form differs; else empty."""
     literature: IndexFunction | None = None
     """The literature's form, where it differs and the four bands allow it."""
+    literature_formula: str = ""
+    """The same in the bands' letters."""
     root_of: IndexFunction | None = None
     """For an index that is a square root: what the root is taken of."""
 
@@ -55,6 +57,7 @@ _ALL = (
         "tried forms to the paper's real mean (0.412 for 0.419); how the paper did it is not "
         "stated, so EVI is no calibration target. The literature's two-band form is EVI2.",
         lambda g, r, e, n: 2.5 * (n - r) / (n + 2.4 * r + 1.0),
+        "2.5*(N-R)/(N+2.4*R+1)",
     ),
     VegetationIndex("GCI", lambda g, r, e, n: n / g - 1.0, "N/G-1"),
     VegetationIndex(
@@ -64,6 +67,7 @@ _ALL = (
         "The generalized difference index with exponent 2 (Wu 2014); the paper's caption says "
         "green difference index, which is N-G.",
         lambda g, r, e, n: n - g,
+        "N-G",
     ),
     VegetationIndex("GNDVI", lambda g, r, e, n: (n - g) / (n + g), "(N-G)/(N+G)"),
     VegetationIndex("GRNDVI", lambda g, r, e, n: (n - g - r) / (n + g + r), "(N-G-R)/(N+G+R)"),
@@ -79,6 +83,7 @@ _ALL = (
         "(N/R-1)/sqrt(N/R+1)",
         "As the index databases have it; Chen (1996) printed (N/R-1)/(sqrt(N/R)+1).",
         lambda g, r, e, n: (n / r - 1.0) / (jnp.sqrt(n / r) + 1.0),
+        "(N/R-1)/(sqrt(N/R)+1)",
     ),
     VegetationIndex("NDVI", lambda g, r, e, n: _ndvi(r, n), "(N-R)/(N+R)"),
     VegetationIndex("NDWI", lambda g, r, e, n: (g - n) / (g + n), "(G-N)/(G+N)"),
@@ -91,6 +96,7 @@ _ALL = (
         "(N-R)/(N+R+0.16)",
         "Without the factor 1.16 that some tools apply (Rondeaux 1996 has both).",
         lambda g, r, e, n: 1.16 * (n - r) / (n + r + 0.16),
+        "1.16*(N-R)/(N+R+0.16)",
     ),
     VegetationIndex(
         "RDVI",
@@ -99,6 +105,7 @@ _ALL = (
         "The square root of NDVI, undefined where NDVI < 0 (such pixels are dropped); Roujean and "
         "Breon (1995) have (N-R)/sqrt(N+R).",
         lambda g, r, e, n: (n - r) / jnp.sqrt(n + r),
+        "(N-R)/sqrt(N+R)",
         root_of=lambda g, r, e, n: _ndvi(r, n),
     ),
     VegetationIndex(
@@ -107,6 +114,7 @@ _ALL = (
         "N/G",
         "Near infrared over green, GCI + 1; the literature's ratio index is N/R.",
         lambda g, r, e, n: n / r,
+        "N/R",
     ),
     VegetationIndex("SR", lambda g, r, e, n: n / r, "N/R"),
     VegetationIndex(
@@ -121,6 +129,7 @@ _ALL = (
         "(0.05*N-R)/(0.05*N+R)",
         "With the coefficient 0.05; Gitelson (2004) uses 0.1 to 0.2.",
         lambda g, r, e, n: (0.1 * n - r) / (0.1 * n + r),
+        "(0.1*N-R)/(0.1*N+R)",
     ),
 )
 

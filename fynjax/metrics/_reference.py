@@ -40,6 +40,35 @@ class BandReference:
 
 
 @dataclass(frozen=True)
+class Table5Row:
+    """Published agreement of the simulated with the real spectrometer spectrum in one region."""
+
+    region: str
+    """Name in `SPECTRAL_REGIONS`."""
+    spectral_angle: float
+    """[degrees]"""
+    rmse: float
+    """[-]"""
+    nrmse: float
+    """RMSE over the range of the real spectrum [-]."""
+    correlation: float
+    """[-]"""
+
+
+@dataclass(frozen=True)
+class Figure12Row:
+    """Published difference of one index between the real and the simulated mean spectrum."""
+
+    index: str
+    lower: float
+    """Smallest absolute difference that the text allows, over the real value [-]."""
+    upper: float
+    """Largest one; equal to `lower` where the text gives one number."""
+    simulated_higher: bool | None
+    """None where the text gives no sign."""
+
+
+@dataclass(frozen=True)
 class Target:
     """One number of the real image that a simulation can be calibrated against."""
 
@@ -87,6 +116,33 @@ def bands_2006() -> dict[str, BandReference]:
             sim_abs_difference=float(row["sim_abs_difference_percent"]) / 100.0,
         )
         for row in _read("bands_2006.csv")
+    }
+
+
+def table5_2006() -> dict[str, Table5Row]:
+    """Table 5 of the paper (AVIRIS-NG over the 2006 burn plot), by region."""
+    return {
+        row["region"]: Table5Row(
+            region=row["region"],
+            spectral_angle=float(row["spectral_angle_deg"]),
+            rmse=float(row["rmse"]),
+            nrmse=float(row["nrmse_percent"]) / 100.0,
+            correlation=float(row["correlation"]),
+        )
+        for row in _read("table5_2006.csv")
+    }
+
+
+def figure12_2006() -> dict[str, Figure12Row]:
+    """What the text says of figure 12's index differences, by index."""
+    return {
+        row["index"]: Figure12Row(
+            index=row["index"],
+            lower=float(row["lower_percent"]) / 100.0,
+            upper=float(row["upper_percent"]) / 100.0,
+            simulated_higher={"true": True, "": None}[row["simulated_higher"]],
+        )
+        for row in _read("figure12_2006.csv")
     }
 
 

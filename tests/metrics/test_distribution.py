@@ -289,3 +289,12 @@ def test_bad_samples() -> None:
         mean(jnp.zeros(0))
     with pytest.raises(InputError, match="shape"):
         mean(jnp.zeros(4), jnp.ones(3, bool))
+
+
+def test_intersection_between_limits_counts_the_rest_in_the_edge_bins() -> None:
+    rng = np.random.default_rng(8)
+    x, y = rng.normal(size=4000), rng.normal(0.4, 1.2, size=3000)
+    edges = np.linspace(-1.0, 1.5, 33)
+    shares = [np.histogram(np.clip(v, -1.0, 1.5), edges)[0] / v.size for v in (x, y)]
+    got = histogram_intersection(x, y, bins=32, limits=(-1.0, 1.5))
+    assert float(got) == pytest.approx(np.minimum(*shares).sum(), rel=1e-12)

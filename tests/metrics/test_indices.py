@@ -86,6 +86,10 @@ def test_literature_forms_are_spyndex_own(image: np.ndarray) -> None:
         if index.literature is not None:
             other = index.literature(green, red, red_edge, nir)
             assert not np.allclose(other, by_name(image)[index.name], rtol=0.02)
+            space = {"G": green, "R": red, "RE": red_edge, "N": nir, "sqrt": np.sqrt}
+            text = index.literature_formula.replace("^", "**")
+            written = eval(text, {"__builtins__": {}}, space)
+            np.testing.assert_allclose(other, written, rtol=1e-12)
 
 
 def test_identities_between_indices(image: np.ndarray) -> None:

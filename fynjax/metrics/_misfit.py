@@ -1,0 +1,102 @@
+"""What a misfit is made of: an offset, a gain, and what neither repairs."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from fynjax.metrics._spectral import Mask, Scalar, Spectrum, _pair
+
+
+class Misfit(eqx.Module):
+    """A squared error in parts, and what single corrections would leave of it.
+
+    The regression line `simulated = offset + gain * real` splits the mean squared error into three
+    parts that are orthogonal and add up to it (Gauch, Hwang and Fick 2003, eq. 7-9):
+
+        level    = (mean(simulated) - mean(real))^2
+        contrast = (gain - 1)^2 var(real)
+        shape    = (1 - r^2) var(simulated)
+
+    An offset can repair the level and nothing else; after it, a gain about the mean the contrast;
+    neither the shape. Where a spectrum's mean is large beside its range an offset and a gain
+    through zero change its level alike, so the level alone does not tell them apart. What does are
+    the two paths by which the line moves the mean,
+
+        mean(simulated) - mean(real) = offset + (gain - 1) mean(real),
+
+    and the errors that are left when one correction is fitted alone. The spectral angle and the
+    correlation tell neither: the first is blind to a gain, the second to gain and offset.
+    """
+
+    mean_squared_error: Scalar
+    """Squared RMSE, in the squared unit of the spectra."""
+    gain: Scalar
+    """Slope of the regression of simulated on real [-]."""
+    offset: Scalar
+    """Its value at real = 0, in the spectra's unit."""
+    level: Scalar
+    """Squared difference of the means, in the squared unit."""
+    contrast: Scalar
+    """Squared error by a gain about the mean, in the squared unit."""
+    shape: Scalar
+    """Squared error that no gain and offset can repair, in the squared unit."""
+    mean_by_offset: Scalar
+    """Difference of the means that goes by the offset: `offset`, in the spectra's unit."""
+    mean_by_gain: Scalar
+    """Difference of the means that goes by the gain: (gain - 1) mean(real), in that unit."""
+    rmse_without_offset: Scalar
+    """RMSE left when the best offset is taken off the simulated spectrum."""
+    rmse_without_gain: Scalar
+    """RMSE left of simulated = k real with the best k: no offset allowed."""
+    rmse_without_both: Scalar
+    """RMSE left of the regression line, the root of `shape`."""
+
+    @property
+    def shares(self) -> Float[Array, "3"]:
+        """Level, contrast and shape over the mean squared error [-]; they sum to one.
+
+        Zero where the two spectra are equal.
+        """
+        parts = jnp.stack([self.level, self.contrast, self.shape])
+        some = self.mean_squared_error > 0.0
+        return jnp.where(some, parts / jnp.where(some, self.mean_squared_error, 1.0), 0.0)
+
+
+def misfit_decomposition(real: Spectrum, simulated: Spectrum, valid: Mask | None = None) -> Misfit:
+    """Split the squared error of a simulated spectrum into level, contrast and shape (`Misfit`).
+
+    Both spectra are on one grid; `valid` is a mask on it, and a masked value may be NaN.
+    Differentiable in both spectra, but for the roots where the error left is exactly zero: there
+    they are 0 with the gradient 0. A constant real spectrum has no slope: its gain is NaN, and all
+    that rests on it. Raises `InputError` if the shapes differ.
+
+    Source: Gauch, Hwang and Fick (2003), Agronomy Journal 95, 1442-1446, with the real spectrum as
+    the independent variable.
+    """
+    x, y, count = _pair(real, simulated, valid)
+    keep: Bool[Array, " wavelength"] = (
+        jnp.ones(x.shape, bool) if valid is None else jnp.asarray(valid, dtype=bool)
+    )
+    mean_x, mean_y = jnp.sum(x) / count, jnp.sum(y) / count
+    dx, dy = jnp.where(keep, x - mean_x, 0.0), jnp.where(keep, y - mean_y, 0.0)
+    gain = jnp.sum(dx * dy) / jnp.sum(dx**2)
+    through_zero = jnp.sum(x * y) / jnp.sum(x**2)
+    shape = jnp.sum((dy - gain * dx) ** 2) / count
+    return Misfit(
+        mean_squared_error=jnp.sum((y - x) ** 2) / count,
+        gain=gain,
+        offset=mean_y - gain * mean_x,
+        level=(mean_y - mean_x) ** 2,
+        contrast=(gain - 1.0) ** 2 * jnp.sum(dx**2) / count,
+        shape=shape,
+        mean_by_offset=mean_y - gain * mean_x,
+        mean_by_gain=(gain - 1.0) * mean_x,
+        rmse_without_offset=_root(jnp.sum((dy - dx) ** 2) / count),
+        rmse_without_gain=_root(jnp.sum((y - through_zero * x) ** 2) / count),
+        rmse_without_both=_root(shape),
+    )
+
+
+def _root(square: Scalar) -> Scalar:
+    some = ~(square == 0.0)  # true for NaN, which must show
+    return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)

@@ -1,0 +1,181 @@
+"""What comparing two clouds takes besides metrics: grain, density, intervals, distributions."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fynjax._core.errors import InputError
+from fynjax.metrics._structure import CellGrid, CellStructure
+
+LEAST_RETURNS = 5
+"""Returns with which a cell counts, in the paper's rule."""
+LEAST_CELLS = 0.9
+"""Share of a plot's cells that must count, in the paper's rule [-]."""
+MEDIAN_RETURNS = 30
+"""Median of the returns of cells, at least, in the paper's rule."""
+
+
+@dataclass(frozen=True)
+class GrainCheck:
+    """One grain size under the paper's rule."""
+
+    grain: float
+    """Side of a cell [m]."""
+    cells: int
+    """Whole cells in the plot."""
+    counted_share: float
+    """Share of cells with enough returns [-]."""
+    least_returns: int
+    """Returns in the emptiest cell."""
+    median_returns: float
+    """Median of the returns of cells."""
+    fits: bool
+    """Whether enough cells count and their median is high enough."""
+    median_change: float | None
+    """Median over metrics of the change of their mean to the next larger grain, over its value
+    here [-]; none for the largest grain."""
+    largest_change: float | None
+    """The largest of these changes [-]."""
+
+
+def choose_grain(
+    structures: Sequence[CellStructure],
+    *,
+    least_returns: int = LEAST_RETURNS,
+    least_cells: float = LEAST_CELLS,
+    median_returns: float = MEDIAN_RETURNS,
+    largest_change: float | None = None,
+) -> tuple[CellGrid, tuple[GrainCheck, ...]]:
+    """The grain by the paper's rule, and how each of those tried did.
+
+    A grain fits if at least `least_cells` of its cells have `least_returns` or more, and the median
+    cell `median_returns` or more. Of those that fit, the one whose metrics change least, in the
+    median over metrics, to the next larger grain is taken, the smaller one of equals; with
+    `largest_change` [-], which the paper does not state, the smallest whose metrics change no more
+    than that. The largest grain has no next one: it is taken where no other fits.
+
+    **Arguments:** `structures` of one cloud with grains that grow.
+
+    **Raises:** `InputError` if no grain fits; the message says what each of them lacks.
+    """
+    grains = [one.grid.grain for one in structures]
+    if not grains or any(b <= a for a, b in pairwise(grains)):
+        raise InputError(f"grains must grow, but are {grains}")
+    means = [one.means(least_returns) for one in structures]
+    checks = []
+    for i, one in enumerate(structures):
+        number = one.returns
+        share = float(one.counted(least_returns).mean())
+        middle = float(np.median(number))
+        changes = []
+        if i + 1 < len(structures):
+            for name, value in means[i].items():
+                change = abs(means[i + 1][name] - value)
+                if np.isfinite(change) and value != 0.0:
+                    changes.append(change / abs(value))
+        checks.append(
+            GrainCheck(
+                grain=grains[i],
+                cells=number.size,
+                counted_share=share,
+                least_returns=int(number.min()),
+                median_returns=middle,
+                fits=share >= least_cells and middle >= median_returns,
+                median_change=float(np.median(changes)) if changes else None,
+                largest_change=max(changes) if changes else None,
+            )
+        )
+    fitting = [c for c in checks if c.fits]
+    if not fitting:
+        tried = "; ".join(
+            f"{c.grain:g} m: {100 * c.counted_share:.0f} % of {c.cells} cells have "
+            f"{least_returns}, median {c.median_returns:g}"
+            for c in checks
+        )
+        raise InputError(
+            f"no grain has {least_returns} returns in {100 * least_cells:.0f} % of its cells and "
+            f"a median of {median_returns:g} ({tried}). Try larger grains (`grains`), or state one "
+            "(`grain`)."
+        )
+    known = [c for c in fitting if c.median_change is not None]
+    if largest_change is not None:
+        known = [c for c in known if c.median_change <= largest_change][:1]  # type: ignore[operator]
+    chosen = min(known, key=lambda c: c.median_change or 0.0) if known else fitting[-1]
+    return structures[checks.index(chosen)].grid, tuple(checks)
+
+
+def thinnings(
+    returns: int, target: int, repetitions: int, rng: np.random.Generator
+) -> Iterator[NDArray[np.int64]]:
+    """Numbers of `target` of `returns` returns, drawn without replacement, in order, repeatedly.
+
+    Raises `InputError` if there are fewer than `target`.
+    """
+    if not 0 < target <= returns:
+        raise InputError(f"cannot thin {returns} returns to {target}")
+    for _ in range(repetitions):
+        yield np.sort(rng.choice(returns, target, replace=False, shuffle=False))
+
+
+def central_interval(values: ArrayLike, confidence: float = 0.95) -> tuple[float, float]:
+    """The central part of the values, by quantiles; `confidence` is its share [-]."""
+    tail = 50.0 * (1.0 - confidence)
+    low, high = np.percentile(np.asarray(values, np.float64), [tail, 100.0 - tail])
+    return float(low), float(high)
+
+
+def bootstrap_interval(
+    values: ArrayLike,
+    *,
+    resamples: int = 1000,
+    confidence: float = 0.95,
+    rng: np.random.Generator,
+) -> tuple[float, float] | None:
+    """Percentile interval of the mean over cells, by resampling cells; none for less than two.
+
+    Cells are taken as independent; neighbours that are alike make the interval too narrow.
+    """
+    from scipy.stats import bootstrap
+
+    cells = np.asarray(values, np.float64)
+    if cells.size < 2:
+        return None
+    found = bootstrap(
+        (cells,),
+        np.mean,
+        n_resamples=resamples,
+        confidence_level=confidence,
+        method="percentile",
+        rng=rng,
+        batch=max(1, 10_000_000 // cells.size),
+    ).confidence_interval
+    return float(found.low), float(found.high)
+
+
+def height_percentiles(height: ArrayLike, percents: Sequence[float]) -> NDArray[np.float64]:
+    """Percentiles of heights [m] by linear interpolation (type 7 of R, NumPy's own)."""
+    return np.percentile(np.asarray(height, np.float64), percents)
+
+
+def height_shares(height: ArrayLike, width: float, bins: int) -> NDArray[np.float64]:
+    """Share of returns in each of `bins` bins of `width` [m] from the ground; higher ones in the
+    last."""
+    # As for layers, what is a rounding error below an edge is on it.
+    index = np.floor(np.asarray(height, np.float64) / width + 1e-6).astype(np.int64)
+    counts = np.bincount(np.clip(index, 0, bins - 1), minlength=bins)
+    return counts / counts.sum()
+
+
+def height_intersection(real: ArrayLike, simulated: ArrayLike, width: float) -> float:
+    """Sum of the smaller share of both in bins of heights [-]; `width` of a bin [m].
+
+    Bins begin at the ground. The value depends on the width, and on the number of returns where
+    they are few for each bin.
+    """
+    both = [np.asarray(h, np.float64) for h in (real, simulated)]
+    bins = int(np.floor(max(h.max() for h in both) / width + 1e-6)) + 1
+    one, other = (height_shares(h, width, bins) for h in both)
+    return float(np.minimum(one, other).sum())

@@ -1,0 +1,359 @@
+"""Structure metrics that an inversion can use: smooth in heights, weights or area density."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from fynjax._core.errors import InputError
+from fynjax.metrics._structure_profile import leaf_area_gap, profile_metrics, ratio, root
+from fynjax.metrics._structure_settings import STRUCTURE_METRICS, StructureSettings
+
+# Added to shares before their logarithm is taken: the slope of -p ln p is infinite at 0.
+_FLOOR = 1e-5
+# Counts below this hardly make a layer of returns present: a real return, 1, does to 5e-5.
+_PRESENCE = 0.1
+_SUBDIVISIONS = 8
+
+
+class SmoothStructure(eqx.Module):
+    """Structure in each cell, smooth; finite everywhere."""
+
+    metrics: dict[str, Float[Array, " cell"]]
+    """By name, as in `STRUCTURE_METRICS`, in their units; some number where undefined."""
+    defined: dict[str, Float[Array, " cell"]]
+    """How far each is defined [-], 0 to 1: its weight in a mean over cells."""
+
+    def means(self) -> dict[str, Float[Array, ""]]:
+        """Mean of each metric over the cells where it is defined; 0 where it is so in none."""
+        return {
+            name: ratio(jnp, jnp.sum(self.defined[name] * value), jnp.sum(self.defined[name]))
+            for name, value in self.metrics.items()
+        }
+
+
+def smooth_cell_structure(
+    height: Float[Array, " return"],
+    cell: Int[Array, " return"],
+    canopy: Int[Array, " return"],
+    settings: StructureSettings,
+    *,
+    cells: int,
+    layers: int,
+    canopy_cells: int,
+    weight: Float[Array, " return"] | None = None,
+    width: float = 0.02,
+) -> SmoothStructure:
+    """Smooth counterpart of `cell_structure`, for returns whose heights or weights move.
+
+    **Arguments:**
+
+    - `height`: above ground [m].
+    - `cell`, `canopy`: number of each return's cell, and of its canopy cell, as in
+      `BinnedReturns`; they are fixed.
+    - `cells`, `layers`, `canopy_cells`: numbers of these, as there; returns above the highest
+      layer count in it.
+    - `weight`: what each return counts [-], at least 0; 1 unless given.
+    - `width`: height over which a return moves from one layer to the next, or past a threshold
+      [m], at most a layer.
+
+    Differentiable in `height` and `weight` to second order everywhere, with the slope 0 where a
+    metric is undefined. For `width` 0.02 m and fynbos-like heights, plot means are within 2 % of
+    the exact ones (measured: see the tests), the more so the smaller the width. Undefined layers
+    and cells fade out where exactly they would drop out. Rugosity is that of the canopy, where
+    the highest return is a mean weighted by exp(height / `width`).
+
+    **Raises:** `InputError` for a width out of range or settings without a smooth form
+    (`rugosity_of` "columns", `gap_of` "canopy").
+    """
+    if not 0.0 < width <= settings.layer:
+        raise InputError(f"`width` must be positive and at most a layer, but is {width}")
+    if settings.rugosity_of != "canopy" or settings.gap_of == "canopy":
+        raise InputError(
+            "the smooth metrics of returns need `rugosity_of` 'canopy' and `gap_of` 'returns' or "
+            f"'leaf_area', but have {settings.rugosity_of!r} and {settings.gap_of!r}"
+        )
+    h = jnp.maximum(height, 0.0)
+    w = jnp.ones_like(h) if weight is None else weight
+    ground = 1.0 - _above(h, settings.ground_height, width)
+    plant = w * (1.0 - ground)
+    place = (h - settings.base) / settings.layer
+    edge = jnp.floor(place + 0.5)
+    share = _step(0.5 + (place - edge) * (settings.layer / width))
+    if settings.base <= 0.0:
+        share = jnp.where(edge <= 0.0, 1.0, share)  # nothing lies below the ground
+    upper = jnp.clip(edge.astype(int) + 1, 0, layers)
+    lower = jnp.clip(edge.astype(int), 0, layers)
+    bins = jnp.zeros((cells, layers + 1), h.dtype)
+    bins = bins.at[cell, upper].add(plant * share).at[cell, lower].add(plant * (1.0 - share))
+    bins = bins.at[cell, 0].add(settings.ground_weight * w * ground)
+    all_weight = settings.ground_weight * w * ground + plant
+    low = 1.0 - _above(h, settings.gap_height, width)
+    total = _sum(all_weight, cell, cells)
+    gap = ratio(jnp, _sum(all_weight * low, cell, cells), total)
+    high = w * _above(h, settings.cv_lowest, width)
+    mean, spread, number = _moments(h, high, cell, cells, settings.degrees_lost)
+    return _assemble(
+        bins[:, 1:],
+        bins[:, 0],
+        settings,
+        _PRESENCE,
+        {
+            "gap_fraction": (gap, _present(total, _PRESENCE)),
+            "height_cv": (ratio(jnp, spread, mean), _present(number - 1.0, _PRESENCE)),
+            "rugosity": _soft_rugosity(h, w, canopy, cells, canopy_cells, settings, width),
+        },
+    )
+
+
+def voxel_structure(
+    density: Float[Array, "z y x"],
+    settings: StructureSettings,
+    *,
+    voxel: tuple[float, float],
+    grain: float,
+    pulses: float,
+    layers: int,
+    projection: float = 0.5,
+    ground: Float[Array, "y x"] | None = None,
+) -> SmoothStructure:
+    """Structure that a LiDAR at nadir is expected to see of an area density on voxels.
+
+    Pulses fall evenly on the columns and return from the first thing they hit, by the law of Beer
+    and Lambert: `pulses` times the loss of gap probability in a layer return from it. The metrics
+    are those of the expected counts. The canopy's height is the expected highest return of the
+    pulses on a canopy cell, and its variance includes that of the highest return.
+
+    **Arguments:**
+
+    - `density`: area density [m2 m-3], not negative; index 0 is the lowest voxel.
+    - `voxel`: side and height of a voxel [m].
+    - `grain`: side of a cell [m], a whole number of canopy cells, and these of voxels; what is
+      left over at the eastern and northern edge is left out, as in `cell_grid`.
+    - `pulses`: for each square metre [m-2].
+    - `layers`: number of layers from `settings.base` up; what returns from above them is in the
+      highest.
+    - `projection`: G, projected over leaf area [-]; `settings.extinction` is what the analyst
+      takes for it.
+    - `ground`: height of the ground in each column above the floor of the voxels [m]; 0 unless
+      given.
+
+    Differentiable in `density` and `ground` to any order but where the ground crosses a voxel's
+    edge. Means over cells are within 2 % of the mean of many drawn clouds at the 693 pulses of
+    the paper's simulation, and within 6 % at 40 (rugosity, gap fraction and coefficient of
+    variation 2 %), where the logarithm of few returns is not that of their mean (tested on 4 m by
+    4 m of shrubs). Returns beyond the first of a pulse are not modelled.
+
+    **Raises:** `InputError` for sizes that do not divide each other, or for `rugosity_of`
+    "columns".
+    """
+    side, thick = voxel
+    if settings.rugosity_of != "canopy":
+        raise InputError("voxels have the rugosity of the canopy alone (`rugosity_of` 'canopy')")
+    canopy_cells = max(1, round(grain / settings.canopy_cell))
+    across = grain / canopy_cells / side
+    if abs(across - round(across)) > 1e-6 or round(across) < 1:
+        raise InputError(
+            f"canopy cells of {grain / canopy_cells:g} m must be whole numbers of voxels of "
+            f"{side:g} m. Take another `canopy_cell` or `grain`."
+        )
+    wide = round(across) * canopy_cells
+    rows, columns = (n // wide for n in density.shape[1:])
+    if min(rows, columns) < 1:
+        raise InputError(
+            f"expected voxels over at least one cell of {grain:g} m, but they cover "
+            f"{density.shape[2] * side:g} by {density.shape[1] * side:g} m"
+        )
+    dtype = density.dtype
+    floor = jnp.zeros(density.shape[1:], dtype) if ground is None else ground
+    # Area above each level of the grid; linear between levels, as density is even in a voxel.
+    inside = jnp.cumsum(density[::-1], axis=0)[::-1] * thick
+    above = jnp.concatenate([inside, jnp.zeros((1, *density.shape[1:]), dtype)])
+    levels = jnp.arange(density.shape[0] + 1, dtype=dtype) * thick
+
+    def gap_at(heights: Float[Array, " level"]) -> Float[Array, "level canopy pixel"]:
+        """Gap probability from the sky to heights above the ground, for canopy cells."""
+        one = jax.vmap(lambda g, a: jnp.interp(g + heights, levels, a), in_axes=(0, 1))
+        area = one(floor.ravel(), above.reshape(len(levels), -1))
+        gaps = jnp.exp(-projection * area).reshape(*density.shape[1:], -1)
+        gaps = gaps[: rows * wide, : columns * wide]
+        pixel = round(across)
+        shape = (rows, canopy_cells, pixel, columns, canopy_cells, pixel, -1)
+        mean = gaps.reshape(shape).mean(axis=(2, 5))  # row, pixel row, column, pixel column, level
+        mean = mean.transpose(0, 2, 1, 3, 4).reshape(rows * columns, canopy_cells**2, -1)
+        return mean
+
+    def gap_of_cell(*heights: float) -> Float[Array, "cell level"]:
+        return gap_at(jnp.asarray(heights, dtype)).mean(axis=1)
+
+    number = pulses * grain**2
+    # From the ground up: what returns from below the ground's threshold lies under all layers.
+    low = max(settings.base, settings.ground_height)
+    steps = settings.base + settings.layer * jnp.arange(layers + 1, dtype=dtype)
+    gaps = gap_at(jnp.maximum(steps, low)).mean(axis=1).at[:, -1].set(1.0)
+    if low <= 0.0:
+        gaps = gaps.at[:, 0].set(0.0)  # returns from the ground are in the lowest layer
+    counts = number * jnp.diff(gaps, axis=1)
+    soil = gap_of_cell(settings.ground_height)[:, 0] if settings.ground_height > 0.0 else 0.0
+    weighted = (settings.ground_weight - 1.0) * soil
+    under = number * (gaps[:, 0] + weighted)
+    gap = gap_of_cell(settings.gap_height)[:, 0]
+    least = min(settings.ground_height, settings.gap_height)
+    weighted_low = (settings.ground_weight - 1.0) * (
+        gap_of_cell(least)[:, 0] if settings.ground_height > 0.0 else 0.0
+    )
+    share = (gap + weighted_low) / (1.0 + weighted)
+    fine = jnp.arange(density.shape[0] * _SUBDIVISIONS + 1, dtype=dtype) * (thick / _SUBDIVISIONS)
+    column = gap_at(fine)
+    hit = pulses * (grain / canopy_cells) ** 2
+    top_mean, top_square = _height_moments(column**hit, fine, 0.0)
+    many = canopy_cells**2
+    between = jnp.sum((top_mean - top_mean.mean(axis=1, keepdims=True)) ** 2, axis=1)
+    own = jnp.mean(jnp.maximum(top_square - top_mean**2, 0.0), axis=1)
+    # The sample variance expected of independent values with unequal means.
+    lost = settings.degrees_lost
+    variance = between / max(many - lost, 1) + own * (1.0 if lost else (many - 1) / many)
+    if settings.gap_of == "canopy":
+        share = jnp.mean(gap_at(jnp.asarray([settings.gap_height], dtype))[..., 0] ** hit, axis=1)
+    mean, square = _height_moments(column.mean(axis=1), fine, settings.cv_lowest)
+    mass = number * (
+        1.0 - gap_of_cell(settings.cv_lowest)[:, 0]
+        if settings.cv_lowest > 0.0
+        else jnp.ones(rows * columns, dtype)
+    )
+    seen = ratio(jnp, mass, jnp.asarray(number, dtype))
+    mean, square = ratio(jnp, mean, seen), ratio(jnp, square, seen)
+    spread = root(jnp, square - mean**2)
+    return _assemble(
+        counts,
+        under,
+        settings,
+        1.0,
+        {
+            "gap_fraction": (share, jnp.ones_like(share)),
+            "height_cv": (ratio(jnp, spread, mean), _present(mass - 1.0, 1.0)),
+            "rugosity": (
+                root(jnp, variance) * (many > 1),
+                jnp.full_like(variance, float(many > 1)),
+            ),
+        },
+    )
+
+
+def _assemble(
+    counts: Float[Array, "cell layer"],
+    under: Float[Array, " cell"],
+    settings: StructureSettings,
+    presence: float,
+    found: dict[str, tuple[Any, Any]],
+) -> SmoothStructure:
+    """The metrics of layers beside those found already."""
+    reached = jnp.cumsum(counts[:, ::-1], axis=1)[:, ::-1]
+    if settings.top == "plot":
+        present = _present(jnp.sum(reached, axis=0), presence)
+        present = present * _present(under + reached[:, 0], presence)[:, None]
+    else:
+        present = _present(reached, presence)
+    left = under[:, None] + jnp.cumsum(counts, axis=1) - counts
+    layered, density, defined = profile_metrics(
+        jnp, counts, under, present, _present(left, presence), settings, _FLOOR
+    )
+    total = under + reached[:, 0]
+    if settings.gap_of == "leaf_area":
+        gap, _ = leaf_area_gap(jnp, density, defined, settings, total)
+        found["gap_fraction"] = (gap, _present(total, presence))
+    first = settings.first_layer(settings.lowest)
+    number = jnp.sum(defined[:, first:], axis=1)
+    start = settings.first_layer(settings.diversity_lowest)
+    found["leaf_area_density_mean"] = (
+        layered["leaf_area_density_mean"][0],
+        _present(number, presence),
+    )
+    found["leaf_area_density_std"] = (
+        layered["leaf_area_density_std"][0],
+        _present(number - settings.degrees_lost, presence),
+    )
+    value, good = layered["foliage_height_diversity"]
+    found["foliage_height_diversity"] = (
+        value,
+        _present(reached[:, start], presence) * jnp.where(good, 1.0, 0.0),
+    )
+    return SmoothStructure(
+        {name: found[name][0] for name in STRUCTURE_METRICS},
+        {name: found[name][1].astype(counts.dtype) for name in STRUCTURE_METRICS},
+    )
+
+
+def _height_moments(
+    gap: Float[Array, "*cell level"], level: Float[Array, " level"], lowest: float
+) -> tuple[Float[Array, "*cell"], Float[Array, "*cell"]]:
+    """Mean and mean square of heights above `lowest` [m], times the share that is above it.
+
+    With 1 - `gap` as the probability to be higher than `level`. By the trapezoidal rule.
+    """
+    start = jnp.asarray(lowest, level.dtype)
+    at = jnp.maximum(level, start)
+    higher = 1.0 - gap
+    low = jax.vmap(lambda g: jnp.interp(start, level, g))(higher.reshape(-1, len(level)))
+    low = low.reshape(higher.shape[:-1])
+    higher = jnp.where(level < start, low[..., None], higher)
+    mean = start * low + jnp.trapezoid(higher, at, axis=-1)
+    return mean, start**2 * low + jnp.trapezoid(2.0 * at * higher, at, axis=-1)
+
+
+def _soft_rugosity(
+    h: Float[Array, " return"],
+    w: Float[Array, " return"],
+    canopy: Int[Array, " return"],
+    cells: int,
+    canopy_cells: int,
+    settings: StructureSettings,
+    width: float,
+) -> tuple[Any, Any]:
+    """Standard deviation of the soft maxima of canopy cells."""
+    number = cells * canopy_cells**2
+    highest = jax.ops.segment_max(jax.lax.stop_gradient(h), canopy, number)
+    lift = w * jnp.exp((h - highest[canopy]) / width)
+    top = ratio(jnp, _sum(lift * h, canopy, number), _sum(lift, canopy, number))
+    seen = _present(_sum(w, canopy, number), _PRESENCE)
+    cell = jnp.repeat(jnp.arange(cells), canopy_cells**2)
+    _, deviation, weight = _moments(top, seen, cell, cells, settings.degrees_lost)
+    return deviation, _present(weight - 1.0, _PRESENCE)
+
+
+def _moments(
+    value: Float[Array, " n"],
+    weight: Float[Array, " n"],
+    group: Int[Array, " n"],
+    groups: int,
+    degrees_lost: int,
+) -> tuple[Float[Array, " g"], Float[Array, " g"], Float[Array, " g"]]:
+    """Mean, standard deviation and sum of weights in each group."""
+    total = _sum(weight, group, groups)
+    mean = ratio(jnp, _sum(weight * value, group, groups), total)
+    squares = _sum(weight * (value - mean[group]) ** 2, group, groups)
+    return mean, root(jnp, ratio(jnp, squares, total - degrees_lost)), total
+
+
+def _sum(value: Float[Array, " n"], group: Int[Array, " n"], groups: int) -> Float[Array, " g"]:
+    return jnp.zeros(groups, value.dtype).at[group].add(value)
+
+
+def _present(count: Any, scale: float) -> Any:
+    """How sure something is there, of which `count` are expected: 0 for none, to 1 for many."""
+    return -jnp.expm1(-jnp.maximum(count, 0.0) / scale)
+
+
+def _above(height: Any, threshold: float, width: float) -> Any:
+    """1 above a threshold, 0 below, smooth over `width`; 1 for a threshold of 0."""
+    if threshold <= 0.0:
+        return jnp.ones_like(height)
+    return _step(0.5 + (height - threshold) / width)
+
+
+def _step(t: Any) -> Any:
+    """From 0 to 1 over t from 0 to 1, with two continuous derivatives."""
+    t = jnp.clip(t, 0.0, 1.0)
+    return t**3 * (10.0 - 15.0 * t + 6.0 * t**2)

@@ -1,0 +1,387 @@
+"""Two clouds in, their structure compared at one density of returns."""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fynjax._core.errors import InputError
+from fynjax._core.progress import NullProgress, Progress
+from fynjax.metrics import (
+    STRUCTURE_METRICS,
+    BinnedReturns,
+    CellGrid,
+    CellStructure,
+    GrainCheck,
+    StructureSettings,
+    bin_returns,
+    bootstrap_interval,
+    cell_grid,
+    cell_structure,
+    central_interval,
+    choose_grain,
+    height_percentiles,
+    height_shares,
+    thinnings,
+)
+from fynjax.report._structure_cloud import (
+    CloudSettings,
+    HeightCloud,
+    common_plot,
+    height_cloud,
+    open_cloud,
+)
+from fynjax.report._structure_result import (
+    CloudSide,
+    CloudStructure,
+    DistributionComparison,
+    Estimate,
+    MetricComparison,
+    StructureComparison,
+)
+from fynjax.terrain import Bounds, PointCloud
+
+
+@dataclass(frozen=True)
+class ComparisonSettings:
+    """How clouds are compared; the paper's numbers unless given."""
+
+    structure: StructureSettings = field(default_factory=StructureSettings)
+    """What the metrics are; see `STRUCTURE_PRESETS` for those of known tools."""
+    grain: float | None = None
+    """Side of a cell [m]; by the paper's rule unless given."""
+    grains: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0, 5.0)
+    """Grains that the rule chooses from [m]; those wider than the plot are passed over."""
+    least_returns: int = 5
+    """Returns with which a cell counts."""
+    least_cells: float = 0.9
+    """Share of cells that must count, for a grain to fit [-]."""
+    median_returns: float = 30.0
+    """Median of the returns of cells, for a grain to fit."""
+    largest_change: float | None = None
+    """See `fynjax.metrics.choose_grain`."""
+    repetitions: int = 100
+    """Thinnings of the denser cloud, without replacement, to the returns of the sparser."""
+    resamples: int = 1000
+    """Resamples of the cells for the bootstrap intervals."""
+    confidence: float = 0.95
+    """Share inside intervals [-]."""
+    percents: tuple[float, ...] = tuple(float(p) for p in range(5, 100, 5))
+    """Percentiles of height that are compared [%]."""
+    histogram_bin: float = 0.1
+    """Width of the bins of the height histograms [m]."""
+    bounds: Bounds | None = None
+    """The plot, in the real cloud's coordinates [m]; what both clouds cover unless given."""
+    simulated_shift: tuple[float, float] | None = None
+    """Added to x and y of the simulated cloud [m]. Unless given: nothing where the clouds overlap;
+    else, if one has no reference system, its middle is put on the middle of the plot."""
+    real: CloudSettings = field(default_factory=CloudSettings)
+    simulated: CloudSettings = field(default_factory=CloudSettings)
+
+    def __post_init__(self) -> None:
+        for name in ("repetitions", "resamples", "least_returns"):
+            if getattr(self, name) < 1:
+                raise InputError(f"`{name}` must be at least 1, but is {getattr(self, name)}")
+        if not 0.0 < self.confidence < 1.0:
+            raise InputError(f"`confidence` must be between 0 and 1, but is {self.confidence:g}")
+        if not self.histogram_bin > 0.0:
+            raise InputError(f"`histogram_bin` must be positive, but is {self.histogram_bin:g}")
+        if not self.percents or min(self.percents) < 0.0 or max(self.percents) > 100.0:
+            raise InputError(f"`percents` must be between 0 and 100, but are {self.percents}")
+
+    def options(self) -> dict[str, Any]:
+        """All but the definitions of metrics, by name, as outputs carry them."""
+        plain: dict[str, Any] = {}
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if isinstance(value, CloudSettings):
+                plain |= {f"{one.name}_{f.name}": getattr(value, f.name) for f in fields(value)}
+            elif not isinstance(value, StructureSettings) and one.name != "grain":
+                plain[one.name] = list(value) if isinstance(value, tuple) else value
+        return plain
+
+
+def compare_clouds(
+    real_path: str | Path,
+    simulated_path: str | Path,
+    *,
+    settings: ComparisonSettings | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> StructureComparison:
+    """Compare the structure of a real and a simulated cloud as the paper does in figure 13.
+
+    Heights are taken above each cloud's own ground. Both are cut to the whole cells of the plot
+    that they share. The grain is chosen on the sparser cloud. The denser one is thinned to its
+    number of returns, repeatedly; its value is the median over thinnings, and its interval their
+    central part. Both have a bootstrap interval over cells too. Cells with too few returns, and
+    those where a metric is undefined, do not count for its mean.
+
+    **Arguments:**
+
+    - `real_path`, `simulated_path`: clouds, as `fynjax.terrain.read_cloud` reads them. They may
+      differ in density and in the level of their heights. A cloud without ground classes is
+      filtered, and returns far below its ground are left out as noise and counted.
+    - `seed`: of thinnings and bootstrap.
+
+    **Raises:** `InputError`, with the file where it is one's fault: no common plot, different
+    reference systems, no ground, no grain that fits.
+    """
+    settings = ComparisonSettings() if settings is None else settings
+    progress = NullProgress() if progress is None else progress
+    paths = Path(real_path), Path(simulated_path)
+    with progress.stage("Read the clouds"):
+        real = open_cloud(paths[0], settings.real)
+        simulated = open_cloud(paths[1], settings.simulated)
+    bounds, shift, notes = common_plot(
+        real, simulated, settings.bounds, settings.simulated_shift, paths[1]
+    )
+    simulated = replace(simulated, x=simulated.x + shift[0], y=simulated.y + shift[1])
+    slack = 0.0 if settings.bounds else max(_spacing(c) for c in (real, simulated))
+    with progress.stage("Find the ground", total=2):
+        heights = []
+        for cloud, path, how in zip((real, simulated), paths, (settings.real, settings.simulated)):
+            heights.append(height_cloud(cloud, path, how, bounds, slack))
+            progress.advance()
+    sparser = int(len(heights[1]) < len(heights[0]))
+    with progress.stage("Choose the grain"):
+        grid, grains = _grain(heights[sparser], bounds, slack, settings)
+        binned = [_binned(one, grid, settings.structure) for one in heights]
+    target = min(len(one) for one in binned)
+    denser = int(len(binned[1]) > len(binned[0]))
+    thinned = "neither" if len(binned[0]) == len(binned[1]) else ("real", "simulated")[denser]
+    full = [cell_structure(one) for one in binned]
+    rng = np.random.default_rng(seed)
+    repeated: list[CellStructure] = []
+    rounds: list[tuple[np.ndarray, float, float]] = []
+    other = binned[1 - denser].height
+    percentiles = height_percentiles(other, settings.percents)
+    bins = _bins(binned, settings)
+    shares = height_shares(other, settings.histogram_bin, bins)
+    draws = settings.repetitions if thinned != "neither" else 1
+    with progress.stage("Thin the denser cloud", total=draws):
+        for index in thinnings(len(binned[denser]), target, draws, rng):
+            part = binned[denser].take(index)
+            repeated.append(cell_structure(part))
+            rounds.append(_agreement(part.height, percentiles, shares, bins, settings))
+            progress.advance()
+    with progress.stage("Resample the cells"):
+        sides, estimates = [], []
+        for i, (above, one) in enumerate(zip(heights, full)):
+            parts = repeated if i == denser and thinned != "neither" else None
+            cells, found = _estimates(one, parts, settings, rng)
+            estimates.append(found)
+            sides.append(
+                _side(
+                    above,
+                    binned[i],
+                    one,
+                    cells,
+                    np.median([r[0] for r in rounds], axis=0) if i == denser else percentiles,
+                    bins,
+                    settings,
+                )
+            )
+    whole = _agreement(binned[denser].height, percentiles, shares, bins, settings)
+    layers = max(len(one.edges) for one in full)
+    edges = max((one.edges for one in full), key=len)
+    sides = [replace(s, profile=_padded(s.profile, layers - 1)) for s in sides]
+    if sides[0].ground != sides[1].ground:
+        notes.append(
+            f"the ground was found in two ways ({sides[0].ground} in the real cloud, "
+            f"{sides[1].ground} in the simulated one), which may shift heights by centimetres "
+            "against each other; `ground` states one for each"
+        )
+    for side in sides:
+        if side.below_ground:
+            notes.append(
+                f"{Path(side.file).name}: {side.below_ground} returns more than the stated depth "
+                "below the ground were left out as noise"
+            )
+    return StructureComparison(
+        settings=settings.structure,
+        options=settings.options(),
+        seed=seed,
+        grain=grid.grain,
+        bounds=grid.bounds,
+        grains=grains,
+        matched_returns=target,
+        thinned=thinned,
+        real=sides[0],
+        simulated=sides[1],
+        metrics=tuple(
+            MetricComparison(name, unit, estimates[0][name], estimates[1][name])
+            for name, unit in STRUCTURE_METRICS.items()
+        ),
+        percents=settings.percents,
+        percentile_rmse=_distribution([r[1] for r in rounds], whole[1], settings),
+        height_intersection=_distribution([r[2] for r in rounds], whole[2], settings),
+        edges=edges,
+        histogram_edges=settings.histogram_bin * np.arange(bins + 1),
+        notes=tuple(notes),
+    )
+
+
+def cloud_structure(
+    path: str | Path,
+    settings: ComparisonSettings | None = None,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> CloudStructure:
+    """The structure of one cloud: its ground, grain, metrics in each cell and their means.
+
+    Of `settings`, those of thinning and of the simulated cloud are not used; `real` is how the
+    cloud is read. Raises what `compare_clouds` does.
+    """
+    settings = ComparisonSettings() if settings is None else settings
+    progress = NullProgress() if progress is None else progress
+    path = Path(path)
+    with progress.stage("Read the cloud"):
+        cloud = open_cloud(path, settings.real)
+    bounds = cloud.bounds if settings.bounds is None else settings.bounds
+    slack = 0.0 if settings.bounds else _spacing(cloud)
+    with progress.stage("Find the ground"):
+        heights = height_cloud(cloud, path, settings.real, bounds, slack)
+    with progress.stage("Choose the grain"):
+        grid, grains = _grain(heights, bounds, slack, settings)
+    binned = _binned(heights, grid, settings.structure)
+    structure = cell_structure(binned)
+    cells, estimates = _estimates(structure, None, settings, np.random.default_rng(seed))
+    percentiles = height_percentiles(binned.height, settings.percents)
+    bins = _bins([binned], settings)
+    side = _side(heights, binned, structure, cells, percentiles, bins, settings)
+    return CloudStructure(side, grid.grain, grains, structure, estimates)
+
+
+def _spacing(cloud: PointCloud) -> float:
+    """Mean distance of returns [m]: by so much a cloud falls short of its plot's edges."""
+    west, south, east, north = cloud.bounds
+    return float(np.sqrt((east - west) * (north - south) / len(cloud)))
+
+
+def _binned(cloud: HeightCloud, grid: CellGrid, settings: StructureSettings) -> BinnedReturns:
+    return bin_returns(cloud.x, cloud.y, cloud.height, grid, settings)
+
+
+def _grain(
+    cloud: HeightCloud, bounds: Bounds, slack: float, settings: ComparisonSettings
+) -> tuple[CellGrid, tuple[GrainCheck, ...]]:
+    """The cells of the plot, and how their size was found."""
+    try:
+        if settings.grain is not None:
+            return cell_grid(bounds, settings.grain, slack=slack), ()
+        side = min(bounds[2] - bounds[0], bounds[3] - bounds[1]) + slack
+        grains = [g for g in sorted(settings.grains) if g <= side]
+        if not grains:
+            raise InputError(
+                f"expected a plot wider than the grains to choose from, {settings.grains} m, but "
+                f"it is {side:.2f} m. State a smaller one (`grain`)."
+            )
+        found = [
+            cell_structure(_binned(cloud, cell_grid(bounds, g, slack=slack), settings.structure))
+            for g in grains
+        ]
+        return choose_grain(
+            found,
+            least_returns=settings.least_returns,
+            least_cells=settings.least_cells,
+            median_returns=settings.median_returns,
+            largest_change=settings.largest_change,
+        )
+    except InputError as error:
+        raise InputError(str(error), file=cloud.file) from error
+
+
+def _bins(binned: list[BinnedReturns], settings: ComparisonSettings) -> int:
+    """Bins of height up to the highest return of all."""
+    highest = max(float(one.height.max()) for one in binned)
+    return int(np.floor(highest / settings.histogram_bin + 1e-6)) + 1
+
+
+def _agreement(
+    height: np.ndarray,
+    percentiles: np.ndarray,
+    shares: np.ndarray,
+    bins: int,
+    settings: ComparisonSettings,
+) -> tuple[np.ndarray, float, float]:
+    """Percentiles of heights, and how far they and the histogram are from another cloud's."""
+    own = height_percentiles(height, settings.percents)
+    both = np.minimum(height_shares(height, settings.histogram_bin, bins), shares)
+    return own, float(np.sqrt(np.mean((own - percentiles) ** 2))), float(both.sum())
+
+
+def _distribution(
+    values: list[float], full: float, settings: ComparisonSettings
+) -> DistributionComparison:
+    interval = central_interval(values, settings.confidence)
+    return DistributionComparison(float(np.median(values)), interval, full)
+
+
+def _estimates(
+    full: CellStructure,
+    repeated: list[CellStructure] | None,
+    settings: ComparisonSettings,
+    rng: np.random.Generator,
+) -> tuple[dict[str, np.ndarray], dict[str, Estimate]]:
+    """Each metric in cells, and its mean over them with intervals."""
+    least = settings.least_returns
+    parts = [full] if repeated is None else repeated
+    cells, estimates = {}, {}
+    means = [one.means(least) for one in parts]
+    whole = full.means(least)
+    for name in STRUCTURE_METRICS:
+        stack = np.stack([np.where(one.counted(least), one.metrics[name], np.nan) for one in parts])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # cells without any value stay NaN
+            cells[name] = np.nanmedian(stack, axis=0)
+        series = np.array([m[name] for m in means])
+        series = series[np.isfinite(series)]
+        defined = cells[name][np.isfinite(cells[name])]
+        estimates[name] = Estimate(
+            value=float(np.median(series)) if series.size else None,
+            full=whole[name] if np.isfinite(whole[name]) else None,
+            thinning_interval=(
+                central_interval(series, settings.confidence)
+                if repeated is not None and series.size
+                else None
+            ),
+            bootstrap_interval=bootstrap_interval(
+                defined, resamples=settings.resamples, confidence=settings.confidence, rng=rng
+            ),
+        )
+    return cells, estimates
+
+
+def _side(
+    cloud: HeightCloud,
+    binned: BinnedReturns,
+    structure: CellStructure,
+    cells: Mapping[str, np.ndarray],
+    percentiles: np.ndarray,
+    bins: int,
+    settings: ComparisonSettings,
+) -> CloudSide:
+    west, south, east, north = structure.grid.bounds
+    return CloudSide(
+        file=str(cloud.file),
+        returns=len(binned),
+        density=len(binned) / ((east - west) * (north - south)),
+        ground=cloud.ground,
+        ground_share=cloud.ground_share,
+        below_ground=cloud.below_ground,
+        too_high=cloud.too_high,
+        cells=dict(cells),
+        profile=structure.profile(settings.least_returns),
+        percentiles=percentiles,
+        histogram=height_shares(binned.height, settings.histogram_bin, bins),
+    )
+
+
+def _padded(profile: np.ndarray, layers: int) -> np.ndarray:
+    """A profile up to the other cloud's highest layer; nothing is known above its own."""
+    return np.pad(profile, (0, layers - len(profile)), constant_values=np.nan)

@@ -1,0 +1,292 @@
+"""What a comparison of two clouds found, as numbers, tables and data sets."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from jaxtyping import Float
+
+from fynjax.metrics import (
+    STRUCTURE_METRICS,
+    CellStructure,
+    GrainCheck,
+    StructureSettings,
+    structure_2006,
+)
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One number of one cloud. `None` where it is undefined."""
+
+    value: float | None
+    """Mean over cells; of a cloud that was thinned, the median over thinnings."""
+    full: float | None
+    """Of all returns, without thinning."""
+    thinning_interval: Interval | None
+    """Central part of the thinnings; none for a cloud that was not thinned."""
+    bootstrap_interval: Interval | None
+    """Percentile interval of the mean over resampled cells; none with less than two cells."""
+
+
+@dataclass(frozen=True)
+class MetricComparison:
+    """One structure metric of both clouds."""
+
+    name: str
+    unit: str
+    real: Estimate
+    simulated: Estimate
+
+    @property
+    def difference_percent(self) -> float | None:
+        """Simulated minus real, over real [%]."""
+        real, simulated = self.real.value, self.simulated.value
+        if real is None or simulated is None or real == 0.0:
+            return None
+        return 100.0 * (simulated - real) / real
+
+
+@dataclass(frozen=True)
+class CloudSide:
+    """One of the clouds, over the plot's cells."""
+
+    file: str
+    returns: int
+    """In the plot's cells, before thinning."""
+    density: float
+    """Returns for each square metre, before thinning [m-2]."""
+    ground: str
+    """How the ground was found."""
+    ground_share: float | None
+    below_ground: int
+    """Returns left out as noise below the ground."""
+    too_high: int
+    cells: dict[str, Float[np.ndarray, "y x"]]
+    """Each metric in each cell, the median over thinnings; NaN where undefined."""
+    profile: Float[np.ndarray, " layer"]
+    """Leaf area density, mean over cells of all returns [m2 m-3]; NaN where undefined."""
+    percentiles: Float[np.ndarray, " percent"]
+    """Of heights [m], the median over thinnings."""
+    histogram: Float[np.ndarray, " bin"]
+    """Share of returns in bins of height [-], all returns."""
+
+
+@dataclass(frozen=True)
+class DistributionComparison:
+    """One number of how two distributions of heights agree."""
+
+    value: float
+    """Median over thinnings."""
+    interval: Interval
+    """Central part of the thinnings."""
+    full: float
+    """Of all returns, without thinning."""
+
+
+@dataclass(frozen=True)
+class StructureComparison:
+    """Structure of a real and a simulated cloud at one density of returns."""
+
+    settings: StructureSettings
+    options: dict[str, Any]
+    """All other settings by name: repetitions, resamples, confidence, rule of the grain, bins."""
+    seed: int
+    grain: float
+    """Side of a cell [m]."""
+    bounds: tuple[float, float, float, float]
+    """Edges of the cells in the real cloud's coordinates [m]."""
+    grains: tuple[GrainCheck, ...]
+    """The grains that were tried, on the sparser cloud; empty where the grain was given."""
+    matched_returns: int
+    """Returns of both clouds after matching."""
+    thinned: str
+    """"simulated", "real", or "neither" where both have as many."""
+    real: CloudSide
+    simulated: CloudSide
+    metrics: tuple[MetricComparison, ...]
+    percents: tuple[float, ...]
+    percentile_rmse: DistributionComparison
+    """Between the percentiles of height [m]."""
+    height_intersection: DistributionComparison
+    """Of the histograms of height [-]."""
+    edges: Float[np.ndarray, " edge"]
+    """Of the layers [m]."""
+    histogram_edges: Float[np.ndarray, " edge"]
+    """Of the bins of height [m]."""
+    notes: tuple[str, ...]
+    """What a reader should know of how the two were brought together."""
+
+    def table(self) -> pd.DataFrame:
+        """A row for each metric, with intervals and the paper's values where they are printed.
+
+        Empty fields are undefined or not printed.
+        """
+        paper = structure_2006()
+        rows = [
+            {
+                "metric": one.name,
+                "unit": one.unit,
+                **_columns("real", one.real),
+                **_columns("simulated", one.simulated),
+                "difference_percent": one.difference_percent,
+                "paper_real": paper[one.name].real,
+                "paper_simulated": paper[one.name].simulated,
+                "paper_difference_percent": paper[one.name].difference_percent,
+            }
+            for one in self.metrics
+        ]
+        for name, unit, found in (
+            ("height_percentile_rmse", "m", self.percentile_rmse),
+            ("height_intersection", "1", self.height_intersection),
+        ):
+            low, high = found.interval
+            rows.append(
+                {
+                    "metric": name,
+                    "unit": unit,
+                    "simulated": found.value,
+                    "simulated_full": found.full,
+                    "simulated_thinning_low": low,
+                    "simulated_thinning_high": high,
+                    "paper_simulated": paper[name].simulated,
+                }
+            )
+        return pd.DataFrame(rows)
+
+    def settings_table(self) -> pd.DataFrame:
+        """Every setting that the numbers depend on, as name and value."""
+        everything = {**self.settings.as_dict(), **self.options, "seed": self.seed}
+        everything |= {"grain": self.grain, "matched_returns": self.matched_returns}
+        everything["thinned"] = self.thinned
+        return pd.DataFrame({"setting": list(everything), "value": list(everything.values())})
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and words, for JSON: what is undefined is `None`."""
+        return {
+            "settings": self.settings.as_dict(),
+            "options": self.options,
+            "seed": self.seed,
+            "grain_m": self.grain,
+            "bounds_m": list(self.bounds),
+            "grains": [asdict(one) for one in self.grains],
+            "matched_returns": self.matched_returns,
+            "thinned": self.thinned,
+            "clouds": {
+                name: {
+                    key: getattr(side, key)
+                    for key in (
+                        *("file", "returns", "density", "ground", "ground_share"),
+                        *("below_ground", "too_high"),
+                    )
+                }
+                for name, side in self._sides()
+            },
+            "metrics": [
+                {**asdict(one), "difference_percent": one.difference_percent}
+                for one in self.metrics
+            ],
+            "height_percentile_rmse_m": asdict(self.percentile_rmse),
+            "height_intersection": asdict(self.height_intersection),
+            "notes": list(self.notes),
+        }
+
+    def dataset(self) -> xr.Dataset:
+        """Maps, profiles, percentiles and histograms of both clouds, with all settings."""
+        west, south, _, _ = self.bounds
+        rows, columns = next(iter(self.real.cells.values())).shape
+        cloud = [name for name, _ in self._sides()]
+        middle = 0.5 * (self.edges[1:] + self.edges[:-1])
+        bins = 0.5 * (self.histogram_edges[1:] + self.histogram_edges[:-1])
+
+        def both(field: str) -> np.ndarray:
+            return np.stack([getattr(side, field) for _, side in self._sides()])
+
+        data: dict[str, Any] = {
+            name: (
+                ("cloud", "y", "x"),
+                np.stack([side.cells[name] for _, side in self._sides()]),
+                {"units": unit, "long_name": name.replace("_", " ")},
+            )
+            for name, unit in STRUCTURE_METRICS.items()
+        }
+        data["leaf_area_density"] = (
+            ("cloud", "layer"),
+            both("profile"),
+            {"units": "m2 m-3", "long_name": "leaf area density, mean over cells"},
+        )
+        data["height_percentile"] = (
+            ("cloud", "percent"),
+            both("percentiles"),
+            {"units": "m", "long_name": "percentile of height above ground"},
+        )
+        data["height_share"] = (
+            ("cloud", "bin"),
+            both("histogram"),
+            {"units": "1", "long_name": "share of returns"},
+        )
+        metres = {"units": "m"}
+        return xr.Dataset(
+            data,
+            coords={
+                "cloud": cloud,
+                "x": ("x", west + (np.arange(columns) + 0.5) * self.grain, metres),
+                "y": ("y", south + (np.arange(rows) + 0.5) * self.grain, metres),
+                "layer": ("layer", middle, {**metres, "long_name": "middle of the layer"}),
+                "bin": ("bin", bins, {**metres, "long_name": "middle of the bin"}),
+                "percent": ("percent", np.asarray(self.percents)),
+            },
+            attrs={
+                str(name): _plain(value)
+                for name, value in self.settings_table().itertuples(index=False)
+            },
+        )
+
+    def _sides(self) -> tuple[tuple[str, CloudSide], ...]:
+        return ("real", self.real), ("simulated", self.simulated)
+
+
+@dataclass(frozen=True)
+class CloudStructure:
+    """Structure of one cloud."""
+
+    side: CloudSide
+    grain: float
+    """Side of a cell [m]."""
+    grains: tuple[GrainCheck, ...]
+    """The grains that were tried; empty where the grain was given."""
+    structure: CellStructure
+    """Every metric in each cell, with its settings."""
+    metrics: dict[str, Estimate]
+    """Mean over cells and its bootstrap interval."""
+
+    def table(self) -> pd.DataFrame:
+        """A row for each metric; empty fields are undefined."""
+        return pd.DataFrame(
+            [
+                {"metric": name, "unit": STRUCTURE_METRICS[name], **_columns("cloud", one)}
+                for name, one in self.metrics.items()
+            ]
+        ).rename(columns={"cloud": "value"})
+
+
+def _columns(prefix: str, one: Estimate) -> dict[str, float | None]:
+    found: dict[str, float | None] = {prefix: one.value, f"{prefix}_full": one.full}
+    for kind, interval in (
+        ("thinning", one.thinning_interval),
+        ("bootstrap", one.bootstrap_interval),
+    ):
+        low, high = interval or (None, None)
+        found |= {f"{prefix}_{kind}_low": low, f"{prefix}_{kind}_high": high}
+    return found
+
+
+def _plain(value: Any) -> str | float | int:
+    """A value that NetCDF takes as an attribute."""
+    if isinstance(value, bool):
+        return int(value)
+    return value if isinstance(value, str | float | int) else str(value)
