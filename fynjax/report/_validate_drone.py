@@ -1,0 +1,226 @@
+"""Two drone images in numbers: figure 9, table 4 and figure 10 of the fynbos scene paper."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float
+
+from fynjax._core.progress import Progress
+from fynjax.metrics import (
+    BANDS,
+    VEGETATION_INDICES,
+    bands_2006,
+    histogram_intersection,
+    ks_distance,
+    table4_2006,
+    vegetation_indices,
+)
+from fynjax.report._validate_images import DroneImage
+
+BINS = 256
+"""Bins of a histogram, on the pooled range of both images."""
+
+PERCENTILES = (5, 25, 50, 75, 95)
+_CENTRAL = (0.5, 99.5)
+"""Percentiles of the pooled pixels between which the second histogram intersection is taken."""
+
+_SHOWN_BINS = 60
+
+_Values = Float[np.ndarray, " pixel"]
+
+
+@dataclass(frozen=True)
+class DroneComparison:
+    """All numbers of a pair of drone images."""
+
+    real: DroneImage
+    simulated: DroneImage
+    bands: pd.DataFrame
+    """A row for each band: means, spreads, percentiles, differences, and the paper's."""
+    indices: pd.DataFrame
+    """A row for each index of table 4."""
+    edges: Float[np.ndarray, "index edge"]
+    """Edges of each index's histogram."""
+    shares: Float[np.ndarray, "sample index bin"]
+    """Share of the pixels in each bin [-], of the real and the simulated image."""
+    shown_edges: Float[np.ndarray, "index shown_edge"]
+    """Edges of fewer bins, without the outermost half percent of either image, for a picture."""
+    shown: Float[np.ndarray, "sample index shown_bin"]
+    """Density of the pixels in these."""
+    notes: tuple[str, ...]
+    """What a reader must know to judge the numbers."""
+
+
+def compare_drone_images(
+    real: DroneImage, simulated: DroneImage, progress: Progress
+) -> DroneComparison:
+    """Compare the bands and the twenty indices of two images, pixel distributions all.
+
+    A pixel where an index is undefined (a black band, the root of a negative NDVI) is left out of
+    that index alone, and counted.
+    """
+    samples = (real.pixels, simulated.pixels)
+    published = table4_2006()
+    rows, full, shown = [], [], []
+    with progress.stage("Compare the drone images", len(VEGETATION_INDICES)):
+        bands = _band_table(*samples)
+        for name, index in VEGETATION_INDICES.items():
+            x, y = (np.asarray(_index(s, name)) for s in samples)
+            row = {"index": name, "formula": index.formula, **_pair_row(x, y)}
+            row["departure"] = index.departure
+            row["literature_formula"] = index.literature_formula
+            if index.literature is not None:
+                with np.errstate(all="ignore"):
+                    for side, sample in zip(("real", "simulated"), samples, strict=True):
+                        other = np.asarray(index.literature(*map(jnp.asarray, sample)))
+                        other = other[np.isfinite(other)]
+                        row[f"literature_{side}_mean"] = other.mean() if other.size else np.nan
+            paper = published[name]
+            row |= {
+                "paper_real_mean": paper.real_mean,
+                "paper_simulated_mean": paper.sim_mean,
+                "paper_real_std": paper.real_std,
+                "paper_real_std_consistent": _told(paper.std_consistent),
+                "paper_simulated_std": paper.sim_std,
+                "paper_histogram_intersection": paper.histogram_intersection,
+                "paper_ks": paper.ks,
+                "paper_formula_confidence": paper.formula_confidence,
+            }
+            rows.append(row)
+            full.append(_histograms(x, y, BINS, 0.0))
+            shown.append(_histograms(x, y, _SHOWN_BINS, _CENTRAL[0]))
+            progress.advance()
+    return DroneComparison(
+        real=real,
+        simulated=simulated,
+        bands=bands,
+        indices=pd.DataFrame(rows),
+        edges=np.stack([edges for edges, _ in full]),
+        shares=np.stack([shares for _, shares in full], axis=1),
+        shown_edges=np.stack([edges for edges, _ in shown]),
+        shown=np.stack([shares / np.diff(edges) for edges, shares in shown], axis=1),
+        notes=tuple(_notes(real, simulated)),
+    )
+
+
+def _told(consistent: bool | None) -> str:
+    return {True: "yes", False: "no", None: "open"}[consistent]
+
+
+def _index(pixels: Float[np.ndarray, "band pixel"], name: str) -> jax.Array:
+    return vegetation_indices(jnp.asarray(pixels), [name])[0]
+
+
+def _band_table(
+    real: Float[np.ndarray, "band pixel"], simulated: Float[np.ndarray, "band pixel"]
+) -> pd.DataFrame:
+    published = bands_2006()
+    rows = []
+    for k, band in enumerate(BANDS):
+        row = {"band": band, **_pair_row(real[k], simulated[k])}
+        for side, values in (("real", real[k]), ("simulated", simulated[k])):
+            levels = np.percentile(values, PERCENTILES)
+            row |= {f"{side}_p{p}": v for p, v in zip(PERCENTILES, levels, strict=True)}
+        row["paper_real_mean_derived"] = published[band].real_mean
+        row["paper_abs_difference_percent"] = 100.0 * published[band].sim_abs_difference
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _pair_row(x: _Values, y: _Values) -> dict[str, object]:
+    """Means, spreads and distances of two samples; NaN is left out and counted."""
+    keep_x, keep_y = np.isfinite(x), np.isfinite(y)
+    a, b = x[keep_x], y[keep_y]
+    row: dict[str, object] = {}
+    for side, part in (("real", a), ("simulated", b)):
+        row[f"{side}_mean"] = part.mean() if part.size else np.nan
+        row[f"{side}_std"] = part.std() if part.size else np.nan
+    if not (a.size and b.size):
+        names = ("difference_percent", "histogram_intersection", "ks", "central_intersection")
+        return {**row, **dict.fromkeys(names, np.nan), **_undefined(keep_x, keep_y)}
+    start = a.mean()
+    row["difference_percent"] = 100.0 * (b.mean() - start) / abs(start) if start else np.nan
+    both = (*map(jnp.asarray, (x, y, keep_x, keep_y)),)
+    row["histogram_intersection"] = float(_overlap(*both))
+    row["ks"] = float(_ks(*both))
+    pooled = np.concatenate([a, b])
+    low, high = np.percentile(pooled, _CENTRAL)
+    row["central_intersection"] = float(_overlap(*both, (low, high))) if high > low else np.nan
+    return {**row, **_undefined(keep_x, keep_y)}
+
+
+def _undefined(
+    real: Bool[np.ndarray, " pixel"], simulated: Bool[np.ndarray, " pixel"]
+) -> dict[str, float]:
+    return {
+        "real_undefined_percent": 100.0 * float(np.mean(~real)),
+        "simulated_undefined_percent": 100.0 * float(np.mean(~simulated)),
+    }
+
+
+@jax.jit
+def _overlap(
+    x: jax.Array,
+    y: jax.Array,
+    keep_x: jax.Array,
+    keep_y: jax.Array,
+    limits: tuple[float, float] | None = None,
+) -> jax.Array:
+    return histogram_intersection(
+        x, y, bins=BINS, limits=limits, real_valid=keep_x, simulated_valid=keep_y
+    )
+
+
+@jax.jit
+def _ks(x: jax.Array, y: jax.Array, keep_x: jax.Array, keep_y: jax.Array) -> jax.Array:
+    return ks_distance(x, y, real_valid=keep_x, simulated_valid=keep_y)
+
+
+def _histograms(
+    x: _Values, y: _Values, bins: int, tail: float
+) -> tuple[Float[np.ndarray, " edge"], Float[np.ndarray, "2 bin"]]:
+    """Edges, and shares of both samples, without `tail` percent at each end of either."""
+    a, b = x[np.isfinite(x)], y[np.isfinite(y)]
+    if not (a.size and b.size):
+        return np.full(bins + 1, np.nan), np.zeros((2, bins))
+    ends = np.percentile(a, [tail, 100.0 - tail]), np.percentile(b, [tail, 100.0 - tail])
+    limits = np.array([min(e[0] for e in ends), max(e[1] for e in ends)])
+    edges = np.histogram_bin_edges(limits, bins)
+    return edges, np.stack([np.histogram(v, edges)[0] / v.size for v in (a, b)])
+
+
+def _notes(real: DroneImage, simulated: DroneImage) -> list[str]:
+    notes = [f"Real image: {real.told()}", f"Simulated image: {simulated.told()}"]
+    p, q = real.pixel_m, simulated.pixel_m
+    if p is not None and q is not None:
+        if max(p, q) > 1.2 * min(p, q):
+            notes.append(
+                f"The pixels differ in size ({p:g} m and {q:g} m): smaller ones see deeper shadows "
+                "and brighter tops, so spreads and histograms differ for that alone. Means do not."
+            )
+        areas = [i.shape[0] * i.shape[1] * s**2 for i, s in ((real, p), (simulated, q))]
+        if max(areas) > 4.0 * min(areas):
+            notes.append(
+                f"The images cover {areas[0]:.4g} and {areas[1]:.4g} m²: is the larger one all of "
+                "the same vegetation? Cut it to the plot first (gdalwarp -te)."
+            )
+    elif (p is None) != (q is None):
+        notes.append(
+            "One image does not say how large its pixels are; spreads and histograms can only be "
+            "compared between pixels of one size."
+        )
+    if real.crs is not None and simulated.crs is not None and real.crs != simulated.crs:
+        notes.append(
+            "The images are in different coordinate systems, which does not matter: distributions "
+            "are compared, not places."
+        )
+    for which, image in (("real", real), ("simulated", simulated)):
+        if image.chosen_by == "order":
+            notes.append(
+                f"The {which} image names no band: they are taken to be {', '.join(BANDS)}, in "
+                "this order."
+            )
+    return notes

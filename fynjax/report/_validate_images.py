@@ -1,0 +1,280 @@
+"""Drone images as a comparison needs them: the four bands, by blocks, thinned where they are large.
+
+Two images are compared by the distributions of their pixels, not pixel by pixel. They may differ in
+size, place and coordinate system, and need none.
+"""
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
+from rasterio.enums import ColorInterp
+from rasterio.windows import Window
+
+from fynjax._core.errors import InputError
+from fynjax._core.progress import Progress
+from fynjax.io._band_stack import _wavelength
+from fynjax.io._frame import open_raster
+from fynjax.io._rasters import _check_scale
+from fynjax.metrics import BANDS
+
+_ROWS = 512
+"""Rows of a block."""
+
+# Names of each band in the wild, and the wavelengths [nm] that are taken for it: lowest, highest,
+# wanted.
+_KNOWN: dict[str, tuple[frozenset[str], tuple[float, float, float]]] = {
+    "green": (frozenset({"green", "g", "grn"}), (530.0, 585.0, 560.0)),
+    "red": (frozenset({"red", "r"}), (625.0, 690.0, 650.0)),
+    "red_edge": (frozenset({"red_edge", "rededge", "re", "edge"}), (700.0, 750.0, 730.0)),
+    "nir": (
+        frozenset({"nir", "n", "near_infrared", "nearinfrared", "nir1"}),
+        (780.0, 900.0, 860.0),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class DroneImage:
+    """The pixels of an image that are compared, and what was left out."""
+
+    file: Path
+    values: Float[np.ndarray, "band y x"]
+    """Reflectance [-] in the order of `BANDS`, y to the north; NaN where masked."""
+    mask: Bool[np.ndarray, "y x"]
+    """True where a pixel is compared."""
+    taken: tuple[str, ...]
+    """What the file calls each band."""
+    chosen_by: str
+    """How the bands were found: 'option', 'names', 'wavelengths' or 'order'."""
+    shape: tuple[int, int]
+    """Rows and columns of the file."""
+    step: int
+    """Every `step`-th row and column was read."""
+    pixel_m: float | None
+    """Side of the file's pixels [m], where it says."""
+    crs: str | None
+    without_data: int
+    """Read pixels that are no data, not finite, or zero in every band."""
+    saturated: int
+    """Read pixels that reach the saturation in a band."""
+    not_positive: int
+    """Compared pixels with a reflectance of zero or less in a band."""
+
+    @property
+    def pixels(self) -> Float[np.ndarray, "band pixel"]:
+        """The compared pixels."""
+        return self.values[:, self.mask]
+
+    def told(self) -> str:
+        """What was read, in sentences."""
+        rows, columns = self.shape
+        place = "" if self.pixel_m is None else f" of {self.pixel_m:g} m"
+        text = f"{columns} x {rows} pixels{place}; bands by {self.chosen_by}"
+        text += f" ({', '.join(self.taken)}); "
+        if self.step > 1:
+            text += f"every {self.step}th row and column read; "
+        text += f"{int(self.mask.sum())} pixels compared"
+        left = [
+            f"{count} {what}"
+            for count, what in (
+                (self.without_data, "without data"),
+                (self.saturated, "saturated"),
+            )
+            if count
+        ]
+        text += f", {' and '.join(left)} left out" if left else ""
+        if self.not_positive:
+            text += f"; {self.not_positive} of them have a band at or below 0"
+        return text + "."
+
+
+def read_drone_image(
+    path: str | Path,
+    progress: Progress,
+    *,
+    bands: Sequence[str] | None = None,
+    saturation: float | None = None,
+    most_pixels: int = 1_000_000,
+) -> DroneImage:
+    """Read green, red, red edge and near infrared of an image, in blocks of rows.
+
+    **Arguments:**
+
+    - `path`: any raster that GDAL reads. Its scale and offset tags are applied, no scale is
+      guessed.
+    - `bands`: what each band of the file is, in its order, such as "blue", "green", "red", "nir",
+      "red_edge"; any other name is a band that is not used. If not given, bands are known by
+      their names, else by their wavelengths, else, of exactly four bands without either, by the
+      order green, red, red edge, near infrared.
+    - `saturation`: reflectance [-] from which on a pixel is saturated and left out. In files of
+      integers the largest value of their type always is, unless it is their no-data value.
+    - `most_pixels`: of a larger image every k-th row and column is read, with the smallest k that
+      gives no more.
+
+    Warns where pixels pile up at a band's largest value, as clipped ones do.
+
+    **Raises:** `InputError` for a file that is missing or cut short, where a band cannot be found,
+    for values that are no fractions, or without a pixel to compare.
+    """
+    path = Path(path)
+    with open_raster(path, "a drone image") as file:
+        alpha = [n for n in file.indexes if file.colorinterp[n - 1] == ColorInterp.alpha]
+        data = [n for n in file.indexes if n not in alpha or file.count == len(BANDS)]
+        found, taken, how = _find_bands(file, data, bands, path)
+        step = thinning(file.height, file.width, most_pixels)
+        values, valid, full = _read(file, found, step, progress)
+        t = file.transform
+        pixel = None
+        if not t.is_identity and not (file.crs is not None and file.crs.is_geographic):
+            pixel = float(np.hypot(t.a, t.d))
+        crs = None if file.crs is None else file.crs.to_string()
+        shape, north_up = (file.height, file.width), t.is_identity or t.e < 0
+    saturated = valid & full
+    if saturation is not None:
+        with np.errstate(invalid="ignore"):
+            saturated = valid & (full | (values >= saturation).any(axis=0))
+    used = valid & ~saturated
+    if not used.any():
+        raise InputError(
+            f"expected an image, but of {valid.size} pixels {int((~valid).sum())} are without data "
+            f"and {int(saturated.sum())} saturated: none is left",
+            file=path,
+        )
+    _check_scale(values, used, path)
+    _warn_of_clipping(values[:, used], path)
+    values[:, ~used] = np.nan
+    if north_up:
+        values, used = values[:, ::-1], used[::-1]
+    return DroneImage(
+        file=path,
+        values=np.ascontiguousarray(values),
+        mask=np.ascontiguousarray(used),
+        taken=taken,
+        chosen_by=how,
+        shape=shape,
+        step=step,
+        pixel_m=pixel,
+        crs=crs,
+        without_data=int((~valid).sum()),
+        saturated=int(saturated.sum()),
+        not_positive=int((values[:, used] <= 0.0).any(axis=0).sum()),
+    )
+
+
+def thinning(rows: int, columns: int, most: int) -> int:
+    """The smallest k for which every k-th row and column make no more than `most` pixels."""
+    step = max(1, int(np.floor(np.sqrt(rows * columns / most))))
+    while -(-rows // step) * -(-columns // step) > most:
+        step += 1
+    return step
+
+
+def _read(
+    file: Any, numbers: Sequence[int], step: int, progress: Progress
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Reflectance, which pixels are data, and which are at the top of an integer type."""
+    kinds = {np.dtype(file.dtypes[n - 1]) for n in numbers}
+    scales = np.array([file.scales[n - 1] for n in numbers])[:, None, None]
+    offsets = np.array([file.offsets[n - 1] for n in numbers])[:, None, None]
+    block = max(_ROWS // step, 1) * step
+    values, valid, full = [], [], []
+    starts = range(0, file.height, block)
+    with progress.stage(f"Read {Path(file.name).name}", len(starts)):
+        for start in starts:
+            window = Window(0, start, file.width, min(block, file.height - start))
+            raw = file.read(list(numbers), window=window)[:, ::step, ::step]
+            data = (file.read_masks(list(numbers), window=window)[:, ::step, ::step] > 0).all(0)
+            top = np.zeros(raw.shape[1:], bool)
+            if all(kind.kind in "iu" for kind in kinds):
+                top = (raw == np.iinfo(raw.dtype).max).any(axis=0)
+            part = raw.astype(np.float64) * scales + offsets
+            # Mosaics fill their border with zeros and rarely declare it.
+            data &= np.isfinite(part).all(axis=0) & ~(raw == 0).all(axis=0)
+            values.append(part)
+            valid.append(data)
+            full.append(top)
+            progress.advance()
+    return np.concatenate(values, axis=1), np.concatenate(valid), np.concatenate(full)
+
+
+def _plain(name: str) -> str:
+    text = re.sub(r"[\s\-]+", "_", name.strip().lower())
+    return re.sub(r"^(band_)?|(_band|_reflectance)$", "", text)
+
+
+def _role(name: str) -> str | None:
+    plain = _plain(name)
+    return next((role for role, (names, _) in _KNOWN.items() if plain in names), None)
+
+
+def _find_bands(
+    file: Any, data: Sequence[int], stated: Sequence[str] | None, path: Path
+) -> tuple[list[int], tuple[str, ...], str]:
+    """Number in the file of each of `BANDS`, what the file calls it, and how it was found."""
+    described = [file.descriptions[n - 1] or "" for n in data]
+    labels = [d or f"band {n}" for d, n in zip(described, data, strict=True)]
+    option = "--real-bands or --simulated-bands green,red,red_edge,nir"
+    if stated is not None:
+        if len(stated) != len(data):
+            raise InputError(
+                f"expected names of {len(data)} bands, but got {len(stated)} ({', '.join(stated)})",
+                file=path,
+            )
+        roles = [_role(name) for name in stated]
+        missing = [band for band in BANDS if roles.count(band) != 1]
+        if missing:
+            raise InputError(
+                f"expected each of {', '.join(BANDS)} once among the stated bands, but "
+                f"{missing[0]} is there {roles.count(missing[0])} times in {', '.join(stated)}",
+                file=path,
+            )
+        return [data[roles.index(b)] for b in BANDS], tuple(BANDS), "option"
+    roles = [_role(name) for name in described]
+    if all(roles.count(band) == 1 for band in BANDS):
+        at = [roles.index(band) for band in BANDS]
+        return [data[k] for k in at], tuple(labels[k] for k in at), "names"
+    waves = [_wavelength(file, n, "") for n in data]
+    near: dict[str, int] = {}
+    for band, (_, (low, high, wanted)) in _KNOWN.items():
+        inside = [
+            (abs(w - wanted), k) for k, w in enumerate(waves) if w is not None and low <= w <= high
+        ]
+        if inside:
+            near[band] = min(inside)[1]
+    if set(near) == set(BANDS):
+        at = [near[band] for band in BANDS]
+        return [data[k] for k in at], tuple(f"{waves[k]:g} nm" for k in at), "wavelengths"
+    if len(data) == len(BANDS) and not any(roles) and not any(w is not None for w in waves):
+        return list(data), tuple(labels), "order"
+    absent = next(b for b in BANDS if roles.count(b) != 1 and b not in near)
+    shown = [
+        label if w is None else f"{label} {w:g} nm" for label, w in zip(labels, waves, strict=True)
+    ]
+    raise InputError(
+        f"expected the bands {', '.join(BANDS)}, but no single band is known as {absent} among "
+        f"{', '.join(shown[:8])}{', ...' if len(shown) > 8 else ''}. Say what each band of the "
+        f"file is: {option}",
+        file=path,
+    )
+
+
+def _warn_of_clipping(pixels: Float[np.ndarray, "band pixel"], path: Path) -> None:
+    piled = []
+    for name, band in zip(BANDS, pixels, strict=True):
+        top = band.max()
+        share = float(np.mean(band == top))
+        if share > 1e-3 and band.min() < top and band.size * share > 20:
+            piled.append(f"{name} {100 * share:.2g} % at {top:.4g}")
+    if piled:
+        warnings.warn(
+            f"{path}: many pixels have a band's largest value ({', '.join(piled)}). Are they "
+            "clipped? --saturation leaves those out that reach a reflectance",
+            stacklevel=3,
+        )

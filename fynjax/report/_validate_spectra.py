@@ -1,0 +1,346 @@
+"""Spectra as a comparison needs them: from tables, libraries, ASD files, cubes and NetCDF."""
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from numpy.typing import NDArray
+from rasterio.windows import Window
+
+from fynjax._core.errors import InputError
+from fynjax._core.progress import Progress
+from fynjax._core.spectral import check_wavelength
+from fynjax.io._band_stack import _wavelength
+from fynjax.io._frame import open_raster
+from fynjax.io._spectra import read_usable_spectra
+from fynjax.io._spectra_envi import envi_pair, header_wavelengths, read_header
+from fynjax.io._tables import existing_file
+from fynjax.metrics import WATER_WINDOWS
+from fynjax.report._validate_images import thinning
+
+_RASTERS = (".img", ".bil", ".bip", ".bsq", ".dat", ".tif", ".tiff")
+_NETCDF = {".nc", ".nc4", ".h5", ".hdf5"}
+_ROWS = 64
+
+
+@dataclass(frozen=True)
+class SpectraSample:
+    """Spectra of one side of a comparison, all on one grid."""
+
+    files: tuple[Path, ...]
+    wavelength: Float[np.ndarray, " wavelength"]
+    """Band centres [nm], increasing; bands without any value are left out."""
+    values: Float[np.ndarray, "spectrum wavelength"]
+    """Reflectance [-]; every value is finite."""
+    fwhm: Float[np.ndarray, " wavelength"] | None
+    """Full widths at half maximum [nm], where the file states them."""
+    left_out: int
+    """Spectra with a missing value where most others have one."""
+    dead: int
+    """Bands without a value in most spectra."""
+    step: int = 1
+    """Of a cube, every `step`-th row and column was read."""
+
+    def told(self) -> str:
+        """What was read, in sentences."""
+        grid = self.wavelength
+        text = (
+            f"{len(self.values)} spectra of {grid.size} bands, {grid[0]:.0f} to {grid[-1]:.0f} nm"
+        )
+        if self.step > 1:
+            text += f"; every {self.step}th row and column of the cube read"
+        if self.left_out:
+            text += f"; {self.left_out} with missing values left out"
+        if self.dead:
+            text += f"; {self.dead} bands without values left out"
+        return text + "."
+
+
+def read_spectra_sample(
+    paths: Sequence[str | Path],
+    progress: Progress,
+    *,
+    most_spectra: int = 20_000,
+) -> SpectraSample:
+    """Read the spectra of one or several files, all on one grid of wavelengths.
+
+    Tables, ASD files and spectral libraries as `fynjax.io.read_spectra` (but single spectra that
+    cannot be used are left out, with a warning); cubes as ENVI files (with
+    their header beside them) or GeoTIFF with the wavelengths in its tags, in blocks of rows; NetCDF
+    with a variable over a dimension that has wavelengths. Of a cube with more than `most_spectra`
+    pixels every k-th row and column is read.
+
+    A band is left out in which fewer than half of the spectra have a value, or all have the same
+    one of zero or less, with which products fill bands that the air hides; or that the header's
+    bad-band list (`bbl`) names. Then a spectrum is left out that still misses a value.
+
+    **Raises:** `InputError` for files that are missing or cut short, have no wavelengths, differ in
+    their grids, are no fractions, or leave nothing to compare.
+    """
+    files = tuple(Path(path) for path in paths)
+    parts = [_read(path, most_spectra, progress) for path in files]
+    grid, _, fwhm, step = parts[0]
+    for path, (other, *_) in zip(files[1:], parts[1:], strict=True):
+        _check_grid(grid, other, path, files[0].name)
+    values = np.concatenate([rows for _, rows, _, _ in parts])
+    finite = np.isfinite(values)
+    some = finite.any(axis=1)
+    alive = finite[some].mean(axis=0) >= 0.5 if some.any() else np.zeros(grid.size, bool)
+    if some.sum() > 1:
+        first = values[some][0]
+        alive &= ~((first <= 0.0) & (values[some] == first).all(axis=0))
+    whole = finite[:, alive].all(axis=1) & some
+    if alive.sum() < 2 or not whole.any():
+        raise InputError(
+            f"expected reflectance spectra, but none of {len(values)} has values in most bands",
+            file=files[0],
+        )
+    values = values[whole][:, alive]
+    _check_fractions(grid[alive], values, files[0])
+    return SpectraSample(
+        files=files,
+        wavelength=grid[alive],
+        values=values,
+        fwhm=None if fwhm is None else fwhm[alive],
+        left_out=int(some.sum() - whole.sum()),
+        dead=int((~alive).sum()),
+        step=step,
+    )
+
+
+_Part = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None, int]
+"""Wavelengths, spectra, widths, and the step of rows and columns."""
+
+
+def _read(path: Path, most: int, progress: Progress) -> _Part:
+    existing_file(path, "spectra")
+    suffix = path.suffix.lower()
+    if suffix in _NETCDF:
+        return _read_netcdf(path, most)
+    header = _header_of(path)
+    if header is not None and "librar" not in read_header(header).get("file type", "").lower():
+        return _read_cube(path, most, progress, header)
+    if header is None and suffix in _RASTERS:
+        return _read_cube(path, most, progress, None)
+    with progress.stage(f"Read {path.name}"):
+        spectra, refused = read_usable_spectra(path)
+    if refused and not spectra:
+        raise refused[0][1]
+    if refused:
+        name, reason = refused[0]
+        warnings.warn(
+            f"{path}: {len(refused)} of {len(refused) + len(spectra)} spectra cannot be used and "
+            f"are left out, such as {name!r}: {reason}",
+            stacklevel=2,
+        )
+    rows = [(s.wavelength, s.reflectance) for s in spectra if s.reflectance is not None]
+    if not rows:
+        raise InputError("expected reflectance, but the file has only transmittance", file=path)
+    for (wave, _), spectrum in zip(rows, spectra, strict=False):
+        _check_grid(rows[0][0], wave, path, f"spectrum {spectra[0].name!r}", spectrum.name)
+    return rows[0][0], np.stack([values for _, values in rows]), None, 1
+
+
+def _header_of(path: Path) -> Path | None:
+    """The ENVI header that belongs to a data file, or the file itself if it is one."""
+    if path.suffix.lower() == ".hdr":
+        return path
+    beside = [path.with_name(path.name + ".hdr")]
+    if path.suffix.lower() in (*_RASTERS, ".sli", ".slb"):  # a.csv has nothing to do with a.hdr
+        beside.append(path.with_suffix(".hdr"))
+    return next((p for p in beside if p.is_file()), None)
+
+
+def _check_grid(
+    grid: NDArray[np.float64], other: NDArray[np.float64], path: Path, first: str, name: str = ""
+) -> None:
+    if grid.shape != other.shape or np.abs(grid - other).max() > 0.1:
+        raise InputError(
+            f"expected the wavelengths of {first} ({grid.size} bands, {grid[0]:g} to "
+            f"{grid[-1]:g} nm), but {name or 'this file'} has {other.size}, {other[0]:g} to "
+            f"{other[-1]:g} nm. Compare spectra of one instrument at a time.",
+            file=path,
+        )
+
+
+def _check_fractions(grid: NDArray[np.float64], values: NDArray[np.float64], path: Path) -> None:
+    """Refuse values that are no reflectance, where the air lets one see."""
+    clear = (grid >= 400.0) & (grid <= 2450.0)
+    for low, high in WATER_WINDOWS:
+        clear &= ~((grid >= low) & (grid <= high))
+    shown = np.median(values[:, clear], axis=0) if clear.any() else np.zeros(1)
+    if shown.max() > 1.5:
+        scale = "percent" if shown.max() <= 100.0 else "integers of 0 to 10000"
+        raise InputError(
+            f"expected reflectance as a fraction, but the median of the brightest band is "
+            f"{shown.max():g}. Is it in {scale}, or radiance? Divide first, or state the scale in "
+            "the header (reflectance scale factor).",
+            file=path,
+        )
+    if shown.min() < -0.2:
+        raise InputError(
+            f"expected reflectance of at least 0, but the median of a band is {shown.min():g}. "
+            "Is it a no-data value? State it in the header (data ignore value).",
+            file=path,
+        )
+
+
+# -- cubes ----------------------------------------------------------------------------------
+
+
+def _read_cube(path: Path, most: int, progress: Progress, header_path: Path | None) -> _Part:
+    header: dict[str, str] = {}
+    if header_path is not None:
+        header = read_header(header_path)
+        path = envi_pair(path, _RASTERS, "cube")[1]
+    with open_raster(path, "an image cube") as file:
+        waves = [_wavelength(file, n, "") for n in file.indexes]
+        widths = _tagged_widths(file)
+        if header_path is not None and "wavelength" in header:
+            found, factor = header_wavelengths(header, header_path)
+            waves = list(found)
+            widths = factor * np.array(_numbers(header.get("fwhm", "")))
+        known = [w for w in waves if w is not None]
+        if len(known) != file.count or file.count < 2:
+            raise InputError(
+                f"expected a cube with a wavelength for each of {file.count} bands, but "
+                f"{len(known)} are stated (ENVI: `wavelength` in the header; GeoTIFF: the tag "
+                "`wavelength` of each band)",
+                file=path,
+            )
+        grid = np.array(known, float)
+        step = thinning(file.height, file.width, most)
+        scales = np.array(file.scales)[:, None, None]
+        offsets = np.array(file.offsets)[:, None, None]
+        divisor = _divisor(header, file)
+        block = max(_ROWS // step, 1) * step
+        rows = []
+        starts = range(0, file.height, block)
+        with progress.stage(f"Read {path.name}", len(starts)):
+            for start in starts:
+                window = Window(0, start, file.width, min(block, file.height - start))
+                raw = file.read(window=window, masked=True)[:, ::step, ::step]
+                part = raw.astype(float).filled(np.nan) * scales + offsets
+                part = np.where((part == 0.0).all(axis=0), np.nan, part) / divisor
+                rows.append(part.reshape(file.count, -1).T)
+                progress.advance()
+    values = np.concatenate(rows)
+    good = np.array(_numbers(header.get("bbl", "")))
+    if good.size == grid.size:
+        values[:, good == 0.0] = np.nan
+    order = np.argsort(grid, kind="stable")
+    fwhm = widths[order] if widths.size == grid.size else None
+    grid = check_wavelength(grid[order], f"{path}: the wavelengths")
+    return grid, values[:, order], fwhm, step
+
+
+def _tagged_widths(file: Any) -> NDArray[np.float64]:
+    """Full widths at half maximum [nm] as the tags of a GeoTIFF state them; empty where not."""
+    stated = [file.tags(n, ns="IMAGERY").get("FWHM_UM") for n in file.indexes]
+    if any(width is None for width in stated):
+        return np.array([])
+    return 1000.0 * np.array(stated, float)
+
+
+def _divisor(header: dict[str, str], file: Any) -> float:
+    """What the header says to divide by, unless GDAL has done so already."""
+    stated = _numbers(header.get("reflectance scale factor", ""))
+    applied = any(scale != 1.0 for scale in file.scales)
+    return stated[0] if stated and stated[0] > 0.0 and not applied else 1.0
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(v) for v in re.findall(r"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?", text)]
+
+
+# -- NetCDF ---------------------------------------------------------------------------------
+
+
+def _read_netcdf(path: Path, most: int) -> _Part:
+    try:
+        with xr.open_datatree(path, engine="netcdf4") as tree:
+            nodes = [node.to_dataset(inherit=True) for node in tree.subtree]
+            waves = _wavelengths_in(nodes)
+            if waves is None:
+                raise InputError(
+                    "expected NetCDF with a variable `wavelength` in nm (or µm), but none has that "
+                    "name or standard name",
+                    file=path,
+                )
+            name, grid, widths = waves
+            return _spectra_in(nodes, name, grid, widths, most, path)
+    except OSError as error:
+        raise InputError(
+            f"cannot be read as NetCDF ({error}). Is it cut short?", file=path
+        ) from error
+
+
+def _wavelengths_in(
+    nodes: Sequence[xr.Dataset],
+) -> tuple[str, NDArray[np.float64], NDArray[np.float64] | None] | None:
+    """Dimension, wavelengths [nm] and widths [nm], wherever in the file they stand."""
+    found, width = None, None
+    for node in nodes:
+        for name, variable in node.variables.items():
+            if variable.ndim != 1 or variable.dtype.kind not in "fiu":
+                continue
+            standard = str(variable.attrs.get("standard_name", ""))
+            plain = str(name).lower().rstrip("s")
+            is_wave = plain in ("wavelength", "band_center", "band_centre", "wavelength_center")
+            if is_wave or "radiation_wavelength" in standard:
+                found = found or (str(variable.dims[0]), _nanometres(variable))
+            if plain == "fwhm":
+                width = width if width is not None else _nanometres(variable, 0.5)
+    if found is None:
+        return None
+    fits = width is not None and width.shape == found[1].shape
+    return found[0], found[1], width if fits else None
+
+
+def _nanometres(variable: Any, largest_micro: float = 100.0) -> NDArray[np.float64]:
+    values = np.asarray(variable.values, float)
+    return values * 1000.0 if values.size and np.nanmax(values) < largest_micro else values
+
+
+def _spectra_in(
+    nodes: Sequence[xr.Dataset],
+    dimension: str,
+    grid: NDArray[np.float64],
+    widths: NDArray[np.float64] | None,
+    most: int,
+    path: Path,
+) -> _Part:
+    candidates = [
+        (str(name), variable)
+        for node in nodes
+        for name, variable in node.variables.items()
+        if variable.dtype.kind in "fiu"
+        and dimension in variable.dims
+        and variable.sizes[dimension] == grid.size
+        and "wavelength" not in str(name).lower()
+        and str(name).lower() not in ("fwhm", dimension.lower())
+    ]
+    named = [c for c in candidates if "reflectance" in c[0].lower()]
+    choice = named[:1] or (candidates if len(candidates) == 1 else [])
+    if not choice:
+        listed = ", ".join(name for name, _ in candidates) or "none"
+        raise InputError(
+            f"expected a variable called reflectance over {dimension!r}, but those over it are: "
+            f"{listed}",
+            file=path,
+        )
+    variable = choice[0][1].transpose(..., dimension)
+    step = 1
+    if variable.ndim == 3:
+        step = thinning(variable.shape[0], variable.shape[1], most)
+        variable = variable[::step, ::step]
+    values = np.asarray(variable.values, float).reshape(-1, grid.size)
+    order = np.argsort(grid, kind="stable")
+    grid = check_wavelength(grid[order], f"{path}: the wavelengths")
+    return grid, values[:, order], None if widths is None else widths[order], step

@@ -1,0 +1,236 @@
+"""Two sets of spectra in numbers: figure 11, table 5 and figure 12 of the fynbos scene paper."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+
+from fynjax._core.errors import InputError
+from fynjax.metrics import (
+    SPECTRAL_REGIONS,
+    SPECTROMETER_INDICES,
+    WATER_WINDOWS,
+    Misfit,
+    WavelengthMatch,
+    figure12_2006,
+    match_wavelengths,
+    misfit_decomposition,
+    spectral_agreement,
+    spectral_mask,
+    spectrometer_indices,
+    table5_2006,
+)
+from fynjax.metrics._matching import Method
+from fynjax.report._validate_spectra import SpectraSample
+
+PAPER_SWIR2_MEANS = (0.063, 0.008)
+"""Mean reflectance in SWIR2, real and of the paper's simulation, as its text gives them [-]."""
+
+LEFT_OUT = "MEVI and SARE are left out: no published formula of these names was found."
+
+
+@dataclass(frozen=True)
+class SpectralComparison:
+    """All numbers of a pair of sets of spectra."""
+
+    real: SpectraSample
+    simulated: SpectraSample
+    match: WavelengthMatch
+    windows: tuple[tuple[float, float], ...]
+    """Wavelengths that are left out [nm]."""
+    spectra: pd.DataFrame
+    """A row for each common band: means and standard deviations, and whether it is used."""
+    regions: pd.DataFrame
+    """A row for each region that both cover: table 5."""
+    misfit: pd.DataFrame
+    """A row for each of them: what the error is made of."""
+    indices: pd.DataFrame
+    """A row for each index of figure 12."""
+    notes: tuple[str, ...]
+
+
+def compare_spectra(
+    real: SpectraSample,
+    simulated: SpectraSample,
+    *,
+    method: Method = "auto",
+    windows: Sequence[tuple[float, float]] = WATER_WINDOWS,
+) -> SpectralComparison:
+    """Compare the mean spectra of two sets, by region, and their indices.
+
+    **Arguments:** `method` as `match_wavelengths` has it; `windows`, wavelengths to leave out [nm].
+    The edges of the sensor (below 400 and above 2450 nm) always are.
+
+    **Raises:** `InputError` where the grids have too little in common.
+    """
+    match = match_wavelengths(
+        real.wavelength,
+        simulated.wavelength,
+        real_fwhm=real.fwhm,
+        simulated_fwhm=simulated.fwhm,
+        method=method,
+    )
+    x, y = real.values @ match.real.T, simulated.values @ match.simulated.T
+    means = x.mean(axis=0), y.mean(axis=0)
+    grid = match.wavelength
+    used = spectral_mask(grid, "full", windows)
+    spectra = pd.DataFrame(
+        {
+            "wavelength_nm": grid,
+            "used": used,
+            "real_mean": means[0],
+            "real_std": _spread(x),
+            "simulated_mean": means[1],
+            "simulated_std": _spread(y),
+        }
+    )
+    regions, misfits, uncovered = [], [], []
+    for name in SPECTRAL_REGIONS:
+        try:
+            mask = spectral_mask(grid, name, windows)
+        except InputError:
+            uncovered.append(name)
+            continue
+        regions.append(_region_row(name, means, mask, grid))
+        misfits.append(_misfit_row(name, _misfit(means, mask)))
+    notes = [f"Real: {real.told()}", f"Simulated: {simulated.told()}", match.statement]
+    notes.append(
+        "Left out: below 400 and above 2450 nm"
+        + "".join(f", {low:g} to {high:g} nm" for low, high in windows)
+        + f"; {int(used.sum())} bands are compared."
+    )
+    full = SPECTRAL_REGIONS["full"]
+    if grid[0] > full[0] + 50.0 or grid[-1] < full[1] - 50.0:
+        notes.append(
+            f"Both cover {grid[0]:.0f} to {grid[-1]:.0f} nm only, so 'full' here is less than the "
+            "paper's 400 to 2450 nm."
+        )
+    if uncovered:
+        notes.append(f"Not covered: {', '.join(uncovered)}.")
+    return SpectralComparison(
+        real=real,
+        simulated=simulated,
+        match=match,
+        windows=tuple((float(a), float(b)) for a, b in windows),
+        spectra=spectra,
+        regions=pd.DataFrame(regions),
+        misfit=pd.DataFrame(misfits),
+        indices=_index_table(grid, x, y),
+        notes=tuple(notes),
+    )
+
+
+def _spread(values: np.ndarray) -> np.ndarray:
+    """Standard deviation over the spectra; of a single one there is none."""
+    if len(values) < 2:
+        return np.full(values.shape[1], np.nan)
+    return np.asarray(values.std(axis=0))
+
+
+def _region_row(
+    name: str, means: tuple[np.ndarray, np.ndarray], mask: np.ndarray, grid: np.ndarray
+) -> dict[str, object]:
+    agreement = spectral_agreement(jnp.asarray(means[0]), jnp.asarray(means[1]), mask)
+    paper = table5_2006()[name]
+    swir2 = name == "swir2"
+    return {
+        "region": name,
+        "lower_nm": float(grid[mask][0]),
+        "upper_nm": float(grid[mask][-1]),
+        "bands": int(mask.sum()),
+        "real_mean": means[0][mask].mean(),
+        "simulated_mean": means[1][mask].mean(),
+        "difference_percent": 100.0 * float(agreement.relative_mean_difference),
+        "spectral_angle_deg": float(agreement.spectral_angle),
+        "rmse": float(agreement.rmse),
+        "nrmse_percent": 100.0 * float(agreement.nrmse),
+        "correlation": float(agreement.correlation),
+        "paper_spectral_angle_deg": paper.spectral_angle,
+        "paper_rmse": paper.rmse,
+        "paper_nrmse_percent": 100.0 * paper.nrmse,
+        "paper_correlation": paper.correlation,
+        "paper_real_mean": PAPER_SWIR2_MEANS[0] if swir2 else np.nan,
+        "paper_simulated_mean": PAPER_SWIR2_MEANS[1] if swir2 else np.nan,
+    }
+
+
+def _misfit(means: tuple[np.ndarray, np.ndarray], mask: np.ndarray) -> Misfit:
+    return misfit_decomposition(jnp.asarray(means[0]), jnp.asarray(means[1]), mask)
+
+
+def _misfit_row(name: str, misfit: Misfit) -> dict[str, object]:
+    level, contrast, shape = (100.0 * float(v) for v in misfit.shares)
+    rmse = float(misfit.mean_squared_error) ** 0.5
+    row = {
+        "region": name,
+        "rmse": rmse,
+        "level_percent": level,
+        "contrast_percent": contrast,
+        "shape_percent": shape,
+        "gain": float(misfit.gain),
+        "offset": float(misfit.offset),
+        "mean_by_offset": float(misfit.mean_by_offset),
+        "mean_by_gain": float(misfit.mean_by_gain),
+        "rmse_without_offset": float(misfit.rmse_without_offset),
+        "rmse_without_gain": float(misfit.rmse_without_gain),
+        "rmse_without_both": float(misfit.rmse_without_both),
+    }
+    return {**row, "reading": _reading(row)}
+
+
+def _reading(row: dict[str, object]) -> str:
+    """In words: which single correction explains the error, if one does."""
+    rmse, offset, gain, both = (
+        float(row[k])  # type: ignore[arg-type]
+        for k in ("rmse", "rmse_without_offset", "rmse_without_gain", "rmse_without_both")
+    )
+    if not np.isfinite([rmse, offset, gain, both]).all():
+        return "not defined: the real spectrum is constant"
+    if rmse < 1e-6:
+        return "no error"
+    if both > 0.7 * rmse:
+        return "shape: neither offset nor gain repairs it"
+    if min(offset, gain) > 1.5 * both and min(offset, gain) > 0.5 * rmse:
+        return "offset and gain together"
+    if offset < 0.67 * gain:
+        return "an offset explains it better than a gain"
+    if gain < 0.67 * offset:
+        return "a gain explains it better than an offset"
+    return "offset or gain: these spectra do not tell which"
+
+
+def _index_table(grid: np.ndarray, x: np.ndarray, y: np.ndarray) -> pd.DataFrame:
+    """Indices of the mean spectra, and mean and spread of the single ones."""
+    real, simulated = (
+        spectrometer_indices(grid, jnp.asarray(np.vstack([v.mean(axis=0), v]))) for v in (x, y)
+    )
+    published = figure12_2006()
+    rows = []
+    for name, values in real.items():
+        index = SPECTROMETER_INDICES[name]
+        a, b = np.asarray(values), np.asarray(simulated[name])
+        paper = published.get(name)
+        sign = {None: np.nan, True: 1.0, False: -1.0}[paper.simulated_higher if paper else None]
+        rows.append(
+            {
+                "index": name,
+                "formula": index.formula,
+                "source": index.source,
+                "real": a[0],
+                "simulated": b[0],
+                "difference_percent": 100.0 * (b[0] - a[0]) / abs(a[0]) if a[0] else np.nan,
+                "real_std": _finite_std(a[1:]),
+                "simulated_std": _finite_std(b[1:]),
+                "paper_lower_percent": 100.0 * paper.lower if paper else np.nan,
+                "paper_upper_percent": 100.0 * paper.upper if paper else np.nan,
+                "paper_sign": sign,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _finite_std(values: np.ndarray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(finite.std()) if finite.size > 1 else float("nan")

@@ -1,0 +1,75 @@
+"""The part of a validation that is about point clouds: tables, figures and files of it."""
+
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from fynjax.io import write_run, write_text
+from fynjax.report._figure_style import save_figure
+from fynjax.report._figures_structure import structure_figure, structure_maps
+from fynjax.report._page import Page
+from fynjax.report._structure_result import StructureComparison
+from fynjax.report._validate_page import Files
+
+
+def structure_section(
+    page: Page, folder: Path, structure: StructureComparison, record: dict[str, str | int]
+) -> Files:
+    """Figure 13 and its numbers."""
+    page.section("Structure")
+    for note in structure.notes:
+        page.paragraph(note)
+    for name, figure, caption in (
+        (
+            "structure.png",
+            structure_figure(structure),
+            "Structure metrics and distributions of heights, as figure 13.",
+        ),
+        ("structure_maps.png", structure_maps(structure), "Each metric in each cell."),
+    ):
+        save_figure(figure, folder / name)
+        page.figure(folder / name, caption)
+    table, settings = structure.table(), structure.settings_table()
+    numbers = table.columns.drop(["metric", "unit"])
+    table[numbers] = table[numbers].astype(float)
+    page.table(
+        table,
+        caption="Structure metrics: means over cells at one density of returns, with the central "
+        "part over thinnings and the bootstrap interval over cells; 'full' is of all returns. The "
+        "paper does not print its layer thickness or conventions, so its numbers need not compare.",
+    )
+    page.table(settings.astype(str), caption="Settings of all these numbers.", folded=True)
+    write_text(folder / "structure.csv", table.to_csv(index=False, float_format="%.9g"))
+    write_text(folder / "structure_settings.csv", settings.to_csv(index=False))
+    write_run(folder / "structure.nc", _named(structure.dataset()), record)
+    return {
+        "structure.png": "structure metrics and heights (fig. 13)",
+        "structure_maps.png": "structure metrics in each cell",
+        "structure.csv": "structure metrics with their intervals",
+        "structure_settings.csv": "what the structure metrics depend on",
+        "structure.nc": "maps, profiles and histograms of both clouds, NetCDF",
+    }
+
+
+def structure_headline(structure: StructureComparison) -> list[str]:
+    """The result in a sentence."""
+    found = [
+        f"{one.name.replace('_', ' ')} {one.difference_percent:+.0f} %"
+        for one in structure.metrics
+        if one.difference_percent is not None and np.isfinite(one.difference_percent)
+    ]
+    return [
+        f"Structure at {structure.grain:g} m, simulated against real: {', '.join(found)}; heights "
+        f"overlap by {structure.height_intersection.value:.2f}, their percentiles differ by "
+        f"{structure.percentile_rmse.value:.3f} m RMSE."
+    ]
+
+
+def _named(dataset: xr.Dataset) -> xr.Dataset:
+    """With a name and a unit for every variable, as the run files of fynjax have them."""
+    for name, variable in dataset.variables.items():
+        variable.attrs.setdefault("long_name", str(name).replace("_", " "))
+        if variable.dtype.kind in "fiu":
+            variable.attrs.setdefault("units", "1")
+    return dataset

@@ -1,0 +1,104 @@
+"""Drone images as `fynjax validate` reads them: bands, thinning, no data, saturation."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rasterio import Affine
+
+from fynjax._core.errors import InputError
+from fynjax._core.progress import NullProgress
+from fynjax.io import write_geotiff
+from fynjax.report._validate_images import DroneImage, read_drone_image, thinning
+from tests.helpers import write_raster
+
+PLACE = Affine(0.05, 0, 100.0, 0, -0.05, 200.0)
+
+
+def values(rows: int = 30, columns: int = 20) -> np.ndarray:
+    """Four bands, all pixels different, [band, row, column] from the north."""
+    place = np.arange(rows * columns, dtype=float).reshape(rows, columns) / (rows * columns)
+    return np.stack([0.03 + 0.02 * place, 0.04 + 0.01 * place, 0.1 + 0.05 * place, 0.3 + place / 9])
+
+
+def read(path: Path, **options) -> DroneImage:  # type: ignore[no-untyped-def]
+    return read_drone_image(path, NullProgress(), **options)
+
+
+def test_bands_are_found_by_name_wavelength_option_and_order(tmp_path: Path) -> None:
+    image = values()
+    blue = np.full((1, 30, 20), 0.02)
+    mixed = np.concatenate([blue, image[[3, 0, 2, 1]]])[:, ::-1]
+    write_geotiff(
+        tmp_path / "names.tif", mixed, ["Blue", "NIR", "Green", "Red edge", "Red"], pixel_m=0.05
+    )
+    write_geotiff(
+        tmp_path / "waves.tif", mixed, list("abcde"), pixel_m=0.05,
+        wavelengths=[475, 840, 560, 717, 668],
+    )  # fmt: skip
+    write_raster(tmp_path / "plain.tif", mixed[:, ::-1], transform=PLACE)
+    write_raster(tmp_path / "order.tif", image, transform=PLACE)
+    for name, how, options in (
+        ("names", "names", {}),
+        ("waves", "wavelengths", {}),
+        ("plain", "option", {"bands": ["x", "nir", "green", "rededge", "red"]}),
+        ("order", "order", {}),
+    ):
+        got = read(tmp_path / f"{name}.tif", **options)
+        assert got.chosen_by == how
+        np.testing.assert_allclose(got.values, image[:, ::-1], rtol=1e-6)
+        assert got.mask.all()
+        assert got.pixel_m == pytest.approx(0.05)
+    for path, options, word in (
+        ("plain.tif", {}, "known as green.*--real-bands"),
+        ("plain.tif", {"bands": ["red"] * 5}, "green is there 0 times"),
+        ("plain.tif", {"bands": ["red", "nir"]}, "names of 5 bands"),
+        ("nothing.tif", {}, "no such file"),
+    ):
+        with pytest.raises(InputError, match=word):
+            read(tmp_path / path, **options)
+
+
+def test_scaled_integers_no_data_border_and_saturation(tmp_path: Path) -> None:
+    raw = np.round(values() * 10000).astype(np.uint16)
+    raw[:, 0, :] = 0  # a border that the file does not declare
+    raw[1, 5, 3] = 7777  # declared
+    raw[3, 9, 9] = 65535  # the type's largest
+    raw[3, 9, 10] = 9000
+    raw[0, 12, 12] = 1
+    path = write_raster(tmp_path / "a.tif", raw, transform=PLACE, scale=1e-4, nodata=7777)
+    got = read(path)
+    assert (got.without_data, got.saturated, got.not_positive) == (21, 1, 0)
+    assert got.mask.sum() == 600 - 22
+    assert not got.mask[-1].any()  # y to the north
+    np.testing.assert_allclose(got.pixels.max(axis=1)[3], 0.9)
+    assert np.isnan(got.values[:, 30 - 1 - 9, 9]).all()
+    limited = read(path, saturation=0.9)
+    assert (limited.saturated, limited.mask.sum()) == (2, 600 - 23)
+    assert "2 saturated left out" in limited.told()
+    with pytest.raises(InputError, match="none is left"):
+        read(path, saturation=0.01)
+    with pytest.raises(InputError, match=r"gdal_edit\.py -scale 0\.0001"):
+        read(write_raster(tmp_path / "b.tif", raw[:, 1:], transform=PLACE))
+
+
+def test_a_large_image_is_thinned_evenly_across_blocks(tmp_path: Path) -> None:
+    image = values(1300, 70)
+    path = write_raster(tmp_path / "a.tif", image, transform=PLACE)
+    whole = read(path, most_pixels=10**6)
+    np.testing.assert_array_equal(whole.values, image[:, ::-1])
+    for most in (91_000, 40_000, 5000, 100):
+        got = read(path, most_pixels=most)
+        step = thinning(1300, 70, most)
+        np.testing.assert_array_equal(got.values, image[:, ::step, ::step][:, ::-1])
+        assert got.mask.size <= most
+        assert step == 1 or -(-1300 // (step - 1)) * -(-70 // (step - 1)) > most
+        assert (f"every {step}th row" in got.told()) == (step > 1)
+
+
+def test_clipped_values_are_told_and_a_missing_system_is_no_matter(tmp_path: Path) -> None:
+    image = np.minimum(values(), 0.35)
+    path = write_raster(tmp_path / "a.tif", image, transform=Affine(2, 0, 0, 0, -2, 0))
+    with pytest.warns(UserWarning, match=r"nir 5\d % at 0.35.*clipped"):
+        got = read(path)
+    assert got.crs is None

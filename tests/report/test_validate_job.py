@@ -1,0 +1,221 @@
+"""The numbers of a validation against SciPy and NumPy, and the files of a run."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from scipy import stats
+
+from fynjax._core.errors import InputError
+from fynjax._core.progress import NullProgress
+from fynjax.io import write_geotiff
+from fynjax.metrics import BANDS, VEGETATION_INDICES
+from fynjax.report._validate_drone import DroneComparison, compare_drone_images
+from fynjax.report._validate_images import read_drone_image
+from fynjax.report._validate_job import ValidationData, run_validate
+from fynjax.report._validate_spectra import SpectraSample
+from fynjax.report._validate_spectral import SpectralComparison, compare_spectra
+from tests.report.test_validate_spectra import WAVE, cube, write_csv, write_envi
+
+
+def drawn(seed: int, rows: int, columns: int, spread: float = 0.3) -> np.ndarray:
+    """Lognormal bands; a few pixels have more red than near infrared, one no red at all."""
+    rng = np.random.default_rng(seed)
+    means = np.array([0.033, 0.032, 0.086, 0.226])[:, None, None]
+    image = means * np.exp(spread * rng.normal(size=(4, rows, columns)))
+    image[1, 0, :5] = 2.0 * image[3, 0, :5]
+    image[1, 1, 1] = 0.0
+    return image.astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two images that differ in size, place, pixel and order of bands; and two sets of spectra."""
+    path = tmp_path_factory.mktemp("pair")
+    write_geotiff(path / "real.tif", drawn(1, 40, 50), BANDS, pixel_m=0.05, crs="EPSG:32734")
+    write_geotiff(
+        path / "simulated.tif", drawn(2, 30, 30, 0.2)[::-1], BANDS[::-1], pixel_m=0.1,
+        origin_m=(5e5, 6e6), crs="EPSG:32735",
+    )  # fmt: skip
+    write_csv(path / "real.csv", cube().reshape(len(WAVE), -1).T)
+    write_envi(path / "simulated", (0.8 * cube() + 0.01)[:, :2])
+    return path
+
+
+@pytest.fixture(scope="module")
+def drone(folder: Path) -> DroneComparison:
+    quiet = NullProgress()
+    real, simulated = (read_drone_image(folder / f"{n}.tif", quiet) for n in ("real", "simulated"))
+    return compare_drone_images(real, simulated, quiet)
+
+
+def written(name: str, image: np.ndarray) -> np.ndarray:
+    """An index by its formula as the table prints it; NaN where it is not finite."""
+    green, red, edge, nir = image.astype(float)
+    space = {"G": green, "R": red, "RE": edge, "N": nir, "sqrt": np.sqrt}
+    with np.errstate(all="ignore"):
+        value = eval(
+            VEGETATION_INDICES[name].formula.replace("^", "**"), {"__builtins__": {}}, space
+        )
+    value = value.ravel()
+    return value[np.isfinite(value)]
+
+
+def test_every_number_of_table_4_by_scipy_and_numpy(drone: DroneComparison) -> None:
+    images = drawn(1, 40, 50), drawn(2, 30, 30, 0.2)
+    table = drone.indices.set_index("index")
+    assert list(table.index) == list(VEGETATION_INDICES)
+    for name, row in table.iterrows():
+        x, y = (written(str(name), image) for image in images)
+        assert row["real_mean"] == pytest.approx(x.mean(), rel=1e-5)
+        assert row["simulated_std"] == pytest.approx(y.std(), rel=1e-5)
+        assert row["ks"] == pytest.approx(stats.ks_2samp(x, y).statistic, abs=1e-12)
+        edges = np.histogram_bin_edges(np.concatenate([x, y]), 256)
+        shares = [np.histogram(v, edges)[0] / v.size for v in (x, y)]
+        overlap = np.minimum(*shares).sum()
+        assert row["histogram_intersection"] == pytest.approx(overlap, abs=0.003), name
+        assert row["histogram_intersection"] <= 1.0 - row["ks"] + 1e-9
+        k = list(table.index).index(name)
+        np.testing.assert_allclose(drone.shares[:, k].sum(axis=1), 1.0)
+        assert np.minimum(*drone.shares[:, k]).sum() == pytest.approx(overlap, abs=0.003)
+        change = 100 * (y.mean() - x.mean()) / abs(x.mean())
+        assert row["difference_percent"] == pytest.approx(change, rel=1e-4)
+        lost = 100 * (1 - x.size / 2000)
+        assert row["real_undefined_percent"] == pytest.approx(lost, abs=1e-9)
+    assert table.loc["RDVI", "real_undefined_percent"] == pytest.approx(0.25)
+    assert table.loc["SR", "simulated_undefined_percent"] == pytest.approx(100 / 900)
+    assert np.isfinite(table.loc["EVI", ["literature_real_mean"]].astype(float)).all()
+    assert "Roujean" in table.loc["RDVI", "departure"]
+
+
+def test_bands_and_what_a_reader_must_know(drone: DroneComparison) -> None:
+    images = drawn(1, 40, 50), drawn(2, 30, 30, 0.2)
+    for k, row in drone.bands.iterrows():
+        x, y = (image[k].astype(float).ravel() for image in images)  # type: ignore[index]
+        assert row["difference_percent"] == pytest.approx(100 * (y.mean() / x.mean() - 1))
+        assert row["real_p75"] == pytest.approx(np.percentile(x, 75))
+        assert row["simulated_p5"] == pytest.approx(np.percentile(y, 5))
+        assert row["ks"] == pytest.approx(stats.ks_2samp(x, y).statistic)
+    said = " ".join(drone.notes)
+    assert "differ in size (0.05 m and 0.1 m)" in said
+    assert "different coordinate systems" in said
+    assert "50 x 40 pixels" in said
+
+
+def sample(values: np.ndarray, wave: np.ndarray = WAVE) -> SpectraSample:
+    return SpectraSample((), wave, values, None, 0, 0)
+
+
+def test_spectra_by_hand() -> None:
+    rng = np.random.default_rng(4)
+    spectra = cube().reshape(len(WAVE), -1).T
+    other = 0.7 * spectra[:5] + 0.02 + 0.003 * rng.normal(size=(5, len(WAVE)))
+    got = compare_spectra(sample(spectra), sample(other), windows=[(1340, 1460), (1790, 2100)])
+    x, y = spectra.mean(axis=0), other.mean(axis=0)
+    used = ~(((WAVE >= 1340) & (WAVE <= 1460)) | ((WAVE >= 1790) & (WAVE <= 2100)))
+    used &= WAVE <= 2450
+    limits = {"full": (400, 2450), "vnir": (400, 1000), "swir1": (1000, 1790)}
+    limits["swir2"] = (2100, 2450)
+    misfit = got.misfit.set_index("region")
+    for name, row in got.regions.set_index("region").iterrows():
+        low, high = limits[str(name)]
+        keep = used & (low <= WAVE) & (high >= WAVE)
+        a, b = x[keep], y[keep]
+        angle = np.degrees(np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b)))
+        rmse = np.sqrt(np.mean((a - b) ** 2))
+        assert row["bands"] == keep.sum()
+        assert row["spectral_angle_deg"] == pytest.approx(angle, rel=1e-6)
+        assert row["rmse"] == pytest.approx(rmse)
+        assert row["nrmse_percent"] == pytest.approx(100 * rmse / np.ptp(a))
+        assert row["correlation"] == pytest.approx(np.corrcoef(a, b)[0, 1])
+        parts = misfit.loc[name, ["level_percent", "contrast_percent", "shape_percent"]]
+        assert parts.astype(float).sum() == pytest.approx(100.0)
+        assert misfit.loc[name, "gain"] == pytest.approx(np.polyfit(a, b, 1)[0], rel=1e-6)
+    np.testing.assert_allclose(got.spectra["simulated_std"], other.std(axis=0), rtol=1e-9)
+    np.testing.assert_array_equal(got.spectra["used"], used)
+    narrower = compare_spectra(sample(spectra), sample(other), windows=[(800, 900)])
+    assert not narrower.spectra["used"][(WAVE >= 800) & (WAVE <= 900)].any()
+
+
+def test_readings_name_the_cause() -> None:
+    spectra = cube().reshape(len(WAVE), -1).T
+    rng = np.random.default_rng(0)
+
+    def reading(other: np.ndarray) -> dict[str, str]:
+        got: SpectralComparison = compare_spectra(sample(spectra), sample(other))
+        return dict(zip(got.misfit["region"], got.misfit["reading"], strict=True))
+
+    assert reading(spectra)["full"] == "no error"
+    assert "an offset" in reading(spectra - 0.03)["full"]
+    assert "a gain" in reading(0.6 * spectra)["full"]
+    assert "together" in reading(2.0 * spectra - 0.18)["full"]
+    assert "shape" in reading(spectra + 0.03 * rng.normal(size=(1, len(WAVE))))["full"]
+    assert reading(spectra[:1] - 0.05)["swir2"].startswith("an offset")
+
+
+def test_only_a_part_of_the_range(tmp_path: Path) -> None:
+    spectra = cube().reshape(len(WAVE), -1).T
+    short = WAVE < 1000
+    got = compare_spectra(sample(spectra), sample(spectra[:1, short], WAVE[short]))
+    assert list(got.regions["region"]) == ["full", "vnir"]
+    said = " ".join(got.notes)
+    assert "Not covered: swir1, swir2" in said
+    assert "less than the paper's" in said
+    assert got.spectra["simulated_std"].isna().all()
+
+
+def test_a_run_writes_every_number_once(folder: Path, tmp_path: Path) -> None:
+    data = ValidationData(
+        real_drone=folder / "real.tif",
+        simulated_drone=folder / "simulated.tif",
+        real_spectra=[folder / "real.csv"],
+        simulated_spectra=[folder / "simulated"],
+    )
+    summary = run_validate(data, tmp_path)
+    assert sorted(summary["files"]) == sorted(p.name for p in tmp_path.iterdir())
+    table = pd.read_csv(tmp_path / "drone_indices.csv")
+    with xr.open_dataset(tmp_path / "validation.nc") as file:
+        np.testing.assert_allclose(file["index_ks"], table["ks"], rtol=1e-8)
+        np.testing.assert_allclose(file["histogram"].sum("bin"), 1.0)
+        assert list(file["index_formula"].values) == list(table["formula"])
+        agreement = pd.read_csv(tmp_path / "spectral_agreement.csv")
+        np.testing.assert_allclose(file["agreement_rmse"], agreement["rmse"], rtol=1e-8)
+        assert file["agreement_spectral_angle_deg"].attrs["units"] == "degree"
+        assert "real.tif" in json.loads(file.attrs["input_sha256"])
+    assert summary["drone"]["indices"][9]["ks"] == pytest.approx(table["ks"][9])
+    assert summary["spectra"]["matching"] == "same"
+    html = (tmp_path / "report.html").read_text("utf-8")
+    assert html.count("<img") == 6
+    for words in ("0.885", "48.31", "sqrt((N-R)/(N+R))", "Gauch", "MEVI"):
+        assert words in html, words
+    assert any("a gain" in line or "gain" in line for line in summary["headline"])
+
+
+def test_against_the_published_statistics(folder: Path, tmp_path: Path) -> None:
+    data = ValidationData(real_drone="published", simulated_drone=folder / "simulated.tif")
+    summary = run_validate(data, tmp_path)
+    table = pd.read_csv(tmp_path / "drone_published.csv").set_index("statistic")
+    ndvi = written("NDVI", drawn(2, 30, 30, 0.2))
+    row = table.loc["NDVI.mean"]
+    assert (row["real"], row["dirsig"]) == (0.7462, 0.7198)
+    assert row["simulated"] == pytest.approx(ndvi.mean(), rel=1e-5)
+    assert row["simulated_error_percent"] == pytest.approx(100 * (ndvi.mean() / 0.7462 - 1))
+    assert table.loc["IPVI.std", "status"] == "contradicts its formula"
+    assert table.loc["EVI.mean", "status"] == "form not known"
+    assert table.loc["nir.mean", "dirsig_abs_error_percent"] == pytest.approx(22.19)
+    assert len(table) == 44
+    assert "of 37" in summary["headline"][0]
+
+
+def test_pairs_must_be_pairs() -> None:
+    for given, word in (
+        ({}, "at least one pair"),
+        ({"simulated_drone": "a.tif"}, "--real-drone published"),
+        ({"real_spectra": ["a.csv"]}, "needs --simulated-spectra"),
+        ({"real_cloud": "a.laz"}, "needs --simulated-cloud"),
+    ):
+        with pytest.raises(InputError, match=word):
+            ValidationData(**given)  # type: ignore[arg-type]
