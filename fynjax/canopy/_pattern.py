@@ -118,7 +118,8 @@ def vegetation_pattern(
     if not np.isfinite(green).all():
         raise InputError(
             f"the greenness {greenness.formula} of a cluster is not defined, since its mean bands "
-            "do not add up to a positive number. Was an offset subtracted twice?"
+            "do not add up to a positive number. Was an offset subtracted twice, or does a number "
+            "such as -9999 stand for missing data? Declare it: gdal_edit.py -a_nodata -9999"
         )
     order = np.argsort(green, kind="stable")
     rank = np.empty(clusters, np.int16)

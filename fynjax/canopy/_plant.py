@@ -48,9 +48,13 @@ def thin_plant(plant: PlantModel, n_elements: int, *, seed: int) -> PlantModel:
         count = max(1, round(n_elements * len(mine) / len(organ)))
         share = np.asarray(plant.area_fraction, float)[mine]
         steps = (np.arange(count) + rng.random()) / count
-        found = np.searchsorted(np.cumsum(share) / share.sum(), steps)
+        total = share.sum()
+        if total > 0.0:
+            found = np.searchsorted(np.cumsum(share) / total, steps)
+        else:  # an organ without area stays one
+            found = (steps * len(mine)).astype(int)
         chosen.append(mine[np.minimum(found, len(mine) - 1)])
-        fraction.append(np.full(count, 1.0 / count))
+        fraction.append(np.full(count, 1.0 / count if total > 0.0 else 0.0))
     index = np.concatenate(chosen)
     return PlantModel(
         plant.position[index],

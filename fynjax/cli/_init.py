@@ -81,7 +81,7 @@ def init(
         "output": str(target),
         "seed": seed,
         "status": "ok",
-        "headline": [],
+        "headline": [] if burnt == PUBLISHED else [f"Assumed: {ASSUMED}."],
         "files": files,
         "warnings": [] if burnt == PUBLISHED else [ASSUMED],
     }
@@ -117,14 +117,20 @@ def _at_another_age(burnt: int, text: str, folder: Path) -> str:
     (folder / "species.csv").write_text(head + rows, encoding="utf-8")
     guide = folder / "README.txt"
     lines = guide.read_text(encoding="utf-8").splitlines(keepends=True)
-    guide.write_text("".join(x for x in lines if "calibrate" not in x), encoding="utf-8")
+    told = "".join(x for x in lines if "calibrate" not in x and not x.startswith("statistics.csv"))
+    told = told.replace(
+        "Sources: species.csv and statistics.csv hold facts from tables 1 and 4 of",
+        f"ASSUMED: species.csv, litter and char in plot.toml are for an age of {age} years, by\n"
+        "curves of recovery after fire; nobody measured them. They start from table 1 of",
+    )
+    guide.write_text(told, encoding="utf-8")
     litter = float(re.search(r"(?m)^litter_fraction = ([0-9.]+)", text)[1])  # type: ignore[index]
     ground = ground_after_fire(age, litter)
     text = re.sub(
-        r"(?s)^# A plot of fynbos that burnt in 2006.*?\n#\n",
+        r"^# A plot of fynbos that burnt in 2006, at Grootbos, South Africa. ",
         f"# A plot of fynbos as it may look {age} years after a fire of {burnt}. Only the plot\n"
         "# burnt in 2006 is published; species table, litter and char of this one are assumptions."
-        "\n#\n",
+        "\n# ",
         text,
     )
     text = text.replace("burnt 2006", f"burnt {burnt} (assumed)")

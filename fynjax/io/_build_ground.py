@@ -7,6 +7,7 @@ from jaxtyping import Float64
 
 from fynjax._core.errors import InputError
 from fynjax.io._cover_map import read_cover_map
+from fynjax.io._frame import METRES
 from fynjax.io._over_plot import read_over_plot
 from fynjax.io._plot import Plot
 from fynjax.io._spectra import reflectances
@@ -52,8 +53,12 @@ def cover_patches(plot: Plot, seed: int) -> Float64[np.ndarray, "kind y x"] | No
 
 
 def ground_heights(plot: Plot) -> Float64[np.ndarray, "y x"] | None:
-    """Height of the ground in the voxel columns above its lowest, y to the north [m]; `None`:
-    level."""
+    """Height of the ground in the middles of the voxel columns above its lowest, y to the north
+    [m]; `None`: level.
+
+    **Raises:** `InputError` for a raster that cannot be read or placed, has several bands, states
+    another unit than metres, or differs by more than twice the plot's side.
+    """
     if plot.terrain is None:
         return None
 
@@ -74,8 +79,14 @@ def ground_heights(plot: Plot) -> Float64[np.ndarray, "y x"] | None:
         origin_m=plot.map_origin_m,
         option="map_origin_m",
     )
+    if part.units[0].lower() not in ("", *METRES):
+        raise InputError(
+            f"expected heights in metres, but the band says {part.units[0]!r}. `fynjax terrain "
+            f"{plot.terrain.name} --height-unit ...` makes a raster in metres.",
+            file=plot.terrain,
+        )
     columns, rows = (round(side / plot.voxel_m) for side in plot.size_m)
-    height = part.in_cells((rows, columns))[0]
+    height = part.at_centres((rows, columns))[0]
     relief = float(np.ptp(height))
     if relief > 2.0 * max(plot.size_m):
         raise InputError(

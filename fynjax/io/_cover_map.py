@@ -55,6 +55,6 @@ def read_cover_map(
         )
     shares = np.zeros((len(COVERS) + 1, *shape))
     for name, values in zip(found, part.in_cells(shape), strict=True):
-        shares[1 + COVERS.index(name)] = values
+        shares[1 + COVERS.index(name)] = np.clip(values, 0.0, 1.0)  # but for rounding
     shares[0] = np.maximum(1.0 - shares[1:].sum(axis=0), 0.0)
     return shares

@@ -13,6 +13,9 @@ from fynjax._core.errors import InputError
 from fynjax.io._raster_checks import check_north_up
 from fynjax.io._tables import existing_file
 
+METRES = ("m", "metre", "metres", "meter", "meters")
+"""What a raster may call the unit of its heights."""
+
 
 @contextmanager
 def open_raster(path: str | Path, what: str) -> Iterator[Any]:

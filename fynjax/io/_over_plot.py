@@ -28,6 +28,8 @@ class OverPlot:
     """[band, row, column], rows from the north, all cells that the plot touches."""
     edges: tuple[Edges, Edges]
     """First and last edge of the plot in rows and in columns of `values`."""
+    units: tuple[str, ...]
+    """Unit of each band, as the file states it; empty where it states none."""
 
     def in_own_cells(self) -> NDArray[np.float64]:
         """[band, y, x], y to the north: the cells as they are where the plot's edges meet those of
@@ -41,6 +43,16 @@ class OverPlot:
         values = self.values
         for axis, (edges, number) in enumerate(zip(self.edges, shape, strict=True), start=1):
             values = _means(values, edges, axis, number)
+        return np.ascontiguousarray(values[:, ::-1])
+
+    def at_centres(self, shape: tuple[int, int]) -> NDArray[np.float64]:
+        """[band, y, x], y to the north: a smooth quantity at the middles of the cells of a grid of
+        `shape` over the plot. Linear between the middles of the raster's cells where these are
+        the larger ones (their means would make steps); means where they are the smaller ones."""
+        values = self.values
+        for axis, (edges, number) in enumerate(zip(self.edges, shape, strict=True), start=1):
+            finer = number > edges[1] - edges[0] + _TINY
+            values = (_between if finer else _means)(values, edges, axis, number)
         return np.ascontiguousarray(values[:, ::-1])
 
 
@@ -82,6 +94,7 @@ def read_over_plot(
         )
         values = values * scale + offset
         valid = (file.read_masks(bands, window=window) > 0).all(axis=0)
+        units = tuple((file.units[k - 1] or "").strip() for k in bands)
         t = file.transform
     valid &= np.isfinite(values).all(axis=0)
     if not valid.all():
@@ -94,7 +107,8 @@ def read_over_plot(
             file=path,
         )
     (r0, r1), (c0, c1) = rows, columns
-    return OverPlot(values, ((r0 - first[0], r1 - first[0]), (c0 - first[1], c1 - first[1])))
+    edges = (r0 - first[0], r1 - first[0]), (c0 - first[1], c1 - first[1])
+    return OverPlot(values, edges, units)
 
 
 def _corner(
@@ -166,3 +180,16 @@ def _means(
     until = make_interp_spline(np.arange(cells + 1.0), total, k=1, axis=axis)
     at = np.linspace(*edges, number + 1)
     return np.diff(until(at), axis=axis) / ((edges[1] - edges[0]) / number)
+
+
+def _between(
+    values: NDArray[np.float64], edges: tuple[float, float], axis: int, number: int
+) -> NDArray[np.float64]:
+    """Values at the middles of `number` cells that divide `edges`, linear between those of the
+    middles of cells, and straight on beyond the outermost."""
+    cells = values.shape[axis]
+    if cells == 1:
+        return np.repeat(values, number, axis)
+    linear = make_interp_spline(np.arange(cells) + 0.5, values, k=1, axis=axis)
+    at = np.linspace(*edges, number + 1)
+    return np.asarray(linear(0.5 * (at[1:] + at[:-1])), float)

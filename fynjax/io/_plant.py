@@ -14,6 +14,9 @@ from fynjax.io._tables import read_rows
 
 _ELEMENTS = 3000
 """As many as a plant on a plot has at most."""
+_BEYOND = 3.0
+"""Places farther out than so many crown radii or heights are in other units; the crown diameter is
+the mean of two sides, which may differ."""
 _LARGEST = 20.0
 """A plant larger than this is in other units [m]."""
 
@@ -77,7 +80,23 @@ def _from_elements(path: Path) -> MeshPlant:
             f"{length[wrong]:.3g}",
             file=path,
         )
+    sizes = {(r.crown_diameter_m, r.plant_height_m) for r in rows}
+    if len(sizes) > 1:
+        raise InputError(
+            f"expected the elements of one plant, with one crown diameter and one height, but they "
+            f"have {len(sizes)} pairs of these",
+            file=path,
+        )
     radius, height = 0.5 * rows[0].crown_diameter_m, rows[0].plant_height_m
+    reach = np.abs(point) / np.array([radius, radius, height])
+    if reach.max() > _BEYOND:
+        element, axis = np.unravel_index(int(reach.argmax()), reach.shape)
+        raise InputError(
+            f"expected places within the plant, whose crown is {2 * radius:g} m wide and which is "
+            f"{height:g} m tall, but element {element + 1} has {'xyz'[axis]} = "
+            f"{point[element, axis]:g} m. Other units, or another axis upwards?",
+            file=path,
+        )
     organs = list(Organ)
     return mesh_plant(
         point,

@@ -61,7 +61,7 @@ def run_build(
     **Arguments:**
 
     - `seed`: of everything random; the plot file's if left out.
-    - `size`: side of a square plot [m] instead of the file's; a probability map is stretched.
+    - `size`: side of a square plot [m] instead of the file's; its maps must cover it.
     - `cell`: side of the cells that cover is measured on [m].
     - `mesh`, `max_triangles`: write the scene as OBJ, of at most so many triangles.
     - `view`: what the oblique picture shows: clouds of area elements, or the generated meshes of
@@ -89,7 +89,7 @@ def run_build(
             shown, _ = scene_meshes(
                 instances, hard, parameters, max_triangles=_VIEW_TRIANGLES, seed=chosen
             )
-            paint = partial(mesh_image, instances, shown, hard.forms)
+            paint = partial(mesh_image, instances, shown, hard.forms, hard.terrain)
     if mesh:  # early: it may be refused
         with progress.stage("Grow the meshes"), _Clock(seconds, "meshes"):
             meshes, triangles = scene_meshes(
@@ -121,7 +121,7 @@ def run_build(
         write_run(output / "voxels.nc", voxel_dataset(hard, density), record)
         del density
     with progress.stage("Draw"), _Clock(seconds, "figures"):
-        edges = np.arange(hard.grid.shape[2] + 1) * hard.grid.vertical_size
+        edges = _layers(instances, hard)
         profile = height_profile(hard, parameters, edges)
         figures = {
             "plan": plan_view(
@@ -129,7 +129,7 @@ def run_build(
                 title=f"{read.name}: {len(instances)} plants from above",
             ),
             "oblique": oblique_view(
-                instances, hard.forms, periodic=periodic,
+                instances, hard.forms, periodic=periodic, ground=hard.terrain,
                 title=f"{read.name}: from the south-south-west", paint=paint,
             ),
             "profile": profile_view(profile, edges, instances, hard.forms),
@@ -162,6 +162,12 @@ def run_build(
     }
 
 
+def _layers(instances: Instances, model: PlotModel) -> np.ndarray:
+    """Borders of the voxel layers that plants reach from level ground [m]."""
+    step = model.grid.vertical_size
+    return np.arange(np.ceil(1.1 * instances.height.max(initial=step) / step) + 1.0) * step
+
+
 def _resized(plot: Plot, size: float) -> Plot:
     """The plot with another side; voxels must divide it and crowns fit."""
     widest = float(plot.diameter_m.max())
@@ -172,6 +178,8 @@ def _resized(plot: Plot, size: float) -> Plot:
         )
     if size < widest:
         raise InputError(f"`size` must be at least the widest crown, {widest:g} m, but is {size:g}")
+    if not 0.5 <= size <= 1000.0:
+        raise InputError(f"`size` must be 0.5 to 1000 m, but is {size:g} m")
     return dataclasses.replace(plot, size_m=(float(size), float(size)))
 
 
@@ -238,17 +246,24 @@ def voxel_dataset(model: PlotModel, density: Any) -> xr.Dataset:
         }
         return letter, values, {"units": "m", "axis": letter.upper(), "long_name": what} | standard
 
+    level = model.terrain is None
+    found: dict[str, Any] = {
+        "area_density": (
+            ("class", "z", "y", "x"),
+            np.asarray(density),
+            {"long_name": "one-sided area per volume", "units": "m2 m-3"},
+        )
+    }
+    if not level:
+        told = {"long_name": "height of the ground above its lowest", "units": "m"}
+        found["ground"] = (("y", "x"), model.terrain, told)
     return xr.Dataset(
-        {
-            "area_density": (
-                ("class", "z", "y", "x"),
-                np.asarray(density),
-                {"long_name": "one-sided area per volume", "units": "m2 m-3"},
-            )
-        },
+        found,
         coords={
             "class": ("class", names, {"long_name": "optical class"}),
-            "z": axis("z", z, "height of the voxel's centre above ground"),
+            "z": axis(
+                "z", z, f"height of the voxel's centre above {'' if level else 'the lowest '}ground"
+            ),
             "y": axis("y", y, "distance north of the south-west corner"),
             "x": axis("x", x, "distance east of the south-west corner"),
         },

@@ -57,18 +57,18 @@ def run_pattern(
         stack = read_band_stack(paths, bands=bands, pixel_m=pixel, align=align, progress=progress)
     try:
         green = choose_greenness(stack.names, stack.wavelengths, index=greenness)
+        with progress.stage("Cluster the pixels"):
+            pattern = vegetation_pattern(
+                stack.values,
+                green,
+                mask=stack.mask,
+                clusters=clusters,
+                levels=levels,
+                greenness_weight=greenness_weight,
+                seed=seed,
+            )
     except InputError as error:
         raise InputError(str(error), file=paths[0]) from error
-    with progress.stage("Cluster the pixels"):
-        pattern = vegetation_pattern(
-            stack.values,
-            green,
-            mask=stack.mask,
-            clusters=clusters,
-            levels=levels,
-            greenness_weight=greenness_weight,
-            seed=seed,
-        )
     masked = int((~stack.mask).sum())
     with progress.stage("Write"):
         write_probability_map(

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
+from scipy.ndimage import map_coordinates
 
 from fynjax.canopy import Organ, plant_model, unit_shapes
 from fynjax.report._figure_style import style
@@ -14,6 +15,7 @@ from fynjax.scene import Instances, projected_cover
 _WIDTH, _HEIGHT, _FINER = 1120, 840, 2
 _MOST_POINTS = 4_000_000
 BARK = "#5B4636"
+_SOIL = "#B08F68"
 SUN = np.array([-0.45, 0.35, 0.82])
 
 
@@ -66,6 +68,7 @@ class View:
 
 
 Painter = Callable[[View], Float[np.ndarray, "row column 4"]]
+Ground = Float[np.ndarray, "y x"] | None
 
 
 def oblique_view(
@@ -73,29 +76,57 @@ def oblique_view(
     forms: Sequence[str],
     *,
     periodic: bool,
+    ground: Ground = None,
     title: str = "",
     paint: Painter | None = None,
 ) -> Figure:
     """The plants from the south-south-west, as clouds of their area elements.
 
-    `paint` may draw them instead: red, green, blue and opacity of each pixel, rows from the
-    bottom, as a view sees them.
+    `ground` is its height in the middles of even cells over the plot [m]; None: level. `paint`
+    may draw the plants instead, and ground that is not level: red, green, blue and opacity of
+    each pixel, rows from the bottom, as a view sees them.
     """
     colours = species_colours(forms)
-    top = float(instances.height.max(initial=0.3))
-    view = View(instances.extent, top)
-    image = _ground_image(instances, view, periodic)
+    top = float((instances.z + instances.height).max(initial=0.3))
+    view = View(instances.extent, top if ground is None else max(top, float(ground.max())))
+    parts = []
+    if ground is None:
+        image = _ground_image(instances, view, periodic)
+    else:
+        image = np.ones((*view.size[::-1], 3))
     if paint is not None:
-        plants = paint(view)
-        image += plants[..., 3:] * (plants[..., :3] - image)
-    elif len(instances):
-        _draw(image, view, *_points(instances, forms, view, colours))
+        painted = paint(view)
+        image += painted[..., 3:] * (painted[..., :3] - image)
+    else:
+        if ground is not None:
+            parts.append(_relief(instances, view, ground, periodic))
+        if len(instances):
+            parts.append(_points(instances, forms, view, colours))
+    if parts:
+        _draw(image, view, *(np.concatenate(one) for one in zip(*parts, strict=True)))
     shape = (_HEIGHT, _FINER, _WIDTH, _FINER, 3)
-    return oblique_figure(image.reshape(shape).mean(axis=(1, 3)), view, instances, colours, title)
+    image = image.reshape(shape).mean(axis=(1, 3))
+    return oblique_figure(image, view, instances, colours, title, ground)
+
+
+def height_at(
+    ground: Ground, extent: tuple[float, float], x: np.ndarray, y: np.ndarray
+) -> np.ndarray:
+    """Height of the ground [m]: linear between the middles of its cells, level beyond them."""
+    if ground is None:
+        return np.zeros(np.broadcast(x, y).shape)
+    ny, nx = ground.shape
+    at = np.stack(np.broadcast_arrays(y / extent[1] * ny - 0.5, x / extent[0] * nx - 0.5))
+    return np.asarray(map_coordinates(ground, at, order=1, mode="nearest"), float)
 
 
 def oblique_figure(
-    image: np.ndarray, view: View, instances: Instances, colours: Sequence[str], title: str
+    image: np.ndarray,
+    view: View,
+    instances: Instances,
+    colours: Sequence[str],
+    title: str,
+    ground: Ground = None,
 ) -> Figure:
     """An image [row from the bottom, column, 3] with the plot's edges measured, and the legend."""
     lx, ly = instances.extent
@@ -108,7 +139,8 @@ def oblique_figure(
             spine.set_visible(False)
 
         def at(x: float, y: float) -> tuple[float, float]:
-            flat, _ = view.project(np.array([[x, y, 0.0]]))
+            z = height_at(ground, (lx, ly), np.array([x]), np.array([y]))[0]
+            flat, _ = view.project(np.array([[x, y, z]]))
             return float(flat[0, 0]) / _FINER, float(flat[0, 1]) / _FINER
 
         out = 0.035 * max(lx, ly)
@@ -135,16 +167,54 @@ def _ground_image(instances: Instances, view: View, periodic: bool) -> np.ndarra
     lx, ly = instances.extent
     x, y = view.ground()
     inside = (x >= 0) & (x < lx) & (y >= 0) & (y < ly)
+    image = np.ones((*x.shape, 3))
+    image[inside] = _sand(instances, x[inside], y[inside], periodic)
+    return image
+
+
+def _sand(instances: Instances, x: np.ndarray, y: np.ndarray, periodic: bool) -> np.ndarray:
+    """Colour of the ground at places on the plot, darker beneath the crowns."""
+    lx, ly = instances.extent
     count = 512
     cell = lx / count
     rows = max(1, round(ly / cell))
     shade = projected_cover(instances, (lx, rows * cell), cell=cell, periodic=periodic).top >= 0
     light = 1.0 - 0.42 * shade
-    image = np.ones((*x.shape, 3))
-    i = np.minimum((x[inside] / cell).astype(int), count - 1)
-    j = np.minimum((y[inside] / cell).astype(int), rows - 1)
-    image[inside] = rgb(_GROUND) * light[j, i, None]
-    return image
+    i = np.minimum((x / cell).astype(int), count - 1)
+    j = np.minimum((y / cell).astype(int), rows - 1)
+    return np.asarray(rgb(_GROUND) * light[j, i, None])
+
+
+def _relief(
+    instances: Instances, view: View, ground: np.ndarray, periodic: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of ground that is not level and of the faces below its edges, as `_points` has them.
+
+    Slopes are as bright as they face the sun.
+    """
+    lx, ly = instances.extent
+    step = 1.5 * float(np.linalg.norm(view.eye - view.target)) / view.scale  # [m], 1.5 pixels
+    east, north = (
+        (np.arange(int(np.ceil(side / step))) + 0.5) * side / np.ceil(side / step)
+        for side in (lx, ly)
+    )
+    x, y = (part.ravel() for part in np.meshgrid(east, north))
+    z = height_at(ground, (lx, ly), x, y)
+    to_north, to_east = np.gradient(z.reshape(len(north), len(east)), north, east)
+    facing = SUN[2] - SUN[0] * to_east - SUN[1] * to_north
+    facing /= np.sqrt(1.0 + to_east**2 + to_north**2) * np.linalg.norm(SUN)
+    light = 0.25 + 0.75 * np.clip(facing / SUN[2], 0.0, 1.3)
+    places = [np.stack([x, y, z], axis=-1)]
+    tints = [_sand(instances, x, y, periodic) * light.reshape(-1, 1)]
+    depth = np.arange(int(np.ceil(z.max() / step))) / max(np.ceil(z.max() / step), 1.0)
+    for a, b in ((east, np.zeros_like(east)), (np.zeros_like(north), north)):
+        edge = np.outer(depth, height_at(ground, (lx, ly), a, b))
+        face = np.stack([np.broadcast_to(a, edge.shape), np.broadcast_to(b, edge.shape), edge], -1)
+        places.append(face.reshape(-1, 3))
+        tints.append(np.broadcast_to(rgb(_SOIL), places[-1].shape))
+    place = np.concatenate(places).astype(np.float32)
+    tint = np.concatenate(tints).astype(np.float32)
+    return place, tint, np.full(len(place), 2.0 * step, np.float32)
 
 
 def _points(
@@ -171,6 +241,7 @@ def _points(
         place = diameter[:, None, None] * per_diameter + height[:, None, None] * per_height
         place[..., 0] += instances.x[mine, None]
         place[..., 1] += instances.y[mine, None]
+        place[..., 2] += instances.z[mine, None]
         organ = np.asarray(shape.organ)
         base = np.where((organ == Organ.WOOD)[:, None], rgb(BARK), rgb(colours[one]))
         if form == "deadwood":

@@ -9,8 +9,8 @@ from jaxtyping import Float
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax.canopy import Organ, PlantMesh
-from fynjax.report._scene_figures import rgb, species_colours
-from fynjax.report._scene_oblique import BARK, SUN, View
+from fynjax.report._scene_figures import _GROUND, rgb, species_colours
+from fynjax.report._scene_oblique import BARK, SUN, View, height_at
 from fynjax.scene import Instances
 
 _MOST_TRIANGLES = 30_000_000
@@ -22,11 +22,16 @@ def check_view() -> None:
 
 
 def mesh_image(
-    instances: Instances, meshes: Sequence[PlantMesh | None], forms: Sequence[str], view: View
+    instances: Instances,
+    meshes: Sequence[PlantMesh | None],
+    forms: Sequence[str],
+    ground: Float[np.ndarray, "y x"] | None,
+    view: View,
 ) -> Float[np.ndarray, "row column 4"]:
     """The plants as `view` sees them, each a copy of its species' mesh: RGBA, rows from the bottom.
 
-    `meshes` holds one for each species that has plants. Raises `MissingExtraError` without
+    `meshes` holds one for each species that has plants. `ground` that is not level is drawn too:
+    its height in the middles of even cells over the plot [m]. Raises `MissingExtraError` without
     PyVista and `InputError` where the copies have more than 3e7 triangles.
     """
     triangles = sum(len(m.faces) * n for m, n in zip(meshes, instances.counts) if m is not None)
@@ -49,6 +54,11 @@ def mesh_image(
             colour = rgb(BARK if wood else colours[one])
             faces = mesh.faces[mesh.material == index]
             plotter.add_actor(_copies(pyvista, vtk, mesh, faces, instances, mine, colour))
+    if ground is not None:
+        lx, ly = instances.extent
+        x, y = np.meshgrid(np.linspace(0, lx, 400), np.linspace(0, ly, 400))
+        surface = pyvista.StructuredGrid(x, y, height_at(ground, (lx, ly), x, y))
+        plotter.add_mesh(surface, color=rgb(_GROUND), ambient=0.1, diffuse=0.62)
     light = pyvista.Light(position=tuple(1e3 * SUN), light_type="scene light", intensity=0.85)
     plotter.add_light(light)
     plotter.add_light(pyvista.Light(light_type="headlight", intensity=0.35))

@@ -121,6 +121,7 @@ def draw_planting(
     rotation_spread: Sequence[float],
     models: Sequence[PlantModel | None],
     *,
+    taxa: Sequence[str],
     extent: tuple[float, float],
     voxel: float,
     periodic: bool,
@@ -141,7 +142,9 @@ def draw_planting(
         crowd *= 2.0 * 255.0 / max(float(np.mean(probability)), 1.0)
     radius = min(0.1, float(np.sqrt(0.55 * extent[0] * extent[1] / crowd)))
     points = poisson_disk(extent, radius, seed=seed, periodic=periodic)
-    sites = assign_sites(points, needed.tolist(), probability=probability, extent=extent, seed=seed)
+    sites = assign_sites(
+        points, needed.tolist(), probability=probability, extent=extent, names=taxa, seed=seed
+    )
     shapes: list[PlantModel] = []
     plants: list[dict[str, np.ndarray]] = []
     elements: list[dict[str, np.ndarray]] = []
@@ -166,7 +169,7 @@ def draw_planting(
                 "stature": (0.6 + 0.4 * rng.random(n)).astype(dtype),
             }
         )
-        number, model = _elements(diameter[i], height[i], voxel), models[i]
+        number, model = element_count(diameter[i], height[i], voxel), models[i]
         if model is None:
             shapes.append(plant_model(form, number, seed=seed + i))
         else:
@@ -231,7 +234,7 @@ def no_plants(dtype: str) -> Planting:
     return Planting(index, none, pair, none, none, none, none, index, index, shapes, index)
 
 
-def _elements(diameter: float, height: float, voxel: float) -> int:
+def element_count(diameter: float, height: float, voxel: float) -> int:
     """Area elements of a plant: about one for every two voxels that its crown touches, since
     thousands of plants stand on a plot."""
     touched = (diameter / voxel + 0.5) ** 2 * (height / voxel + 0.5)

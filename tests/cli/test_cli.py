@@ -272,6 +272,9 @@ def test_init_writes_a_plot_of_another_fire_and_says_what_is_assumed(capsys, tmp
     assert plot.ground.fractions[1] > 0.05
     assert "ASSUMED" in (target / "species.csv").read_text()
     assert not (target / "statistics.csv").exists()
+    guide = (target / "README.txt").read_text()
+    assert "ASSUMED" in guide
+    assert "statistics.csv" not in guide
     assert "--burnt" in one_line(*call(capsys, "init", tmp_path / "b", "--burnt", 2022))
 
 

@@ -7,6 +7,7 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.canopy import (
     Organ,
+    PlantModel,
     TabulatedLeafAngle,
     generate_plant,
     plant_model_from_mesh,
@@ -72,18 +73,50 @@ def test_fewer_elements_keep_areas_places_and_angles(made):
     assert thin_plant(plant, 10**6, seed=1) is plant
 
 
+def test_fewer_elements_are_drawn_by_their_areas():
+    """A few large level leaves carry as much area as many small upright ones, and each half keeps
+    its area to one element's: so G is a half of that straight down. The foliage comes first, as
+    in no mesh of the generator; wood of no area stays of none."""
+    level, upright, wood = 7, 900, 20
+    normal = np.concatenate(
+        [np.tile([0.0, 0.0, 1.0], (level, 1)), np.tile([1.0, 0.0, 0.0], (upright + wood, 1))]
+    )
+    fraction = np.concatenate(
+        [np.full(level, 0.5 / level), np.full(upright, 0.5 / upright), np.zeros(wood)]
+    )
+    organ = np.concatenate([np.full(level + upright, Organ.LEAF), np.full(wood, Organ.WOOD)])
+    thin = thin_plant(PlantModel(np.zeros((len(organ), 3)), fraction, normal, organ), 100, seed=3)
+    leaf = np.asarray(thin.organ) == Organ.LEAF
+    down = np.asarray(thin.area_fraction)[leaf] @ np.abs(thin.normal[leaf, 2])
+    assert down == pytest.approx(0.5, abs=1.01 / leaf.sum())
+    assert np.all(np.asarray(thin.area_fraction)[~leaf] == 0.0)
+    assert (~leaf).any()
+
+
+def split(line):
+    return line.split(",")
+
+
 def test_a_plant_that_cannot_serve_is_refused(made, tmp_path):
     folder, _ = made
     with pytest.raises(InputError, match="without leaves"):
         read_plant(folder / "plant.obj", "deadwood")
     text = (folder / "elements.csv").read_text().splitlines()
     bad = tmp_path / "elements.csv"
-    cells = text[1].split(",")
+    cells = split(text[1])
     bad.write_text("\n".join([text[0], ",".join([*cells[:6], "-1", *cells[7:]])]) + "\n")
     with pytest.raises(InputError, match="area_m2"):
         read_plant(bad, "broad_leaved")
     bad.write_text("\n".join([text[0], *(line.replace("leaf", "twig") for line in text[1:])]))
     with pytest.raises(InputError, match="organ"):
+        read_plant(bad, "broad_leaved")
+    far = [",".join([str(100 * float(cells[0])), *cells[1:]]) for cells in map(split, text[1:])]
+    bad.write_text("\n".join([text[0], *far]) + "\n")
+    with pytest.raises(InputError, match=r"within the plant.*x = .*Other units"):
+        read_plant(bad, "broad_leaved")
+    two = [text[1], ",".join([*split(text[2])[:-1], "9.5"])]
+    bad.write_text("\n".join([text[0], *two]) + "\n")
+    with pytest.raises(InputError, match=r"one crown diameter and one height.* 2 pairs"):
         read_plant(bad, "broad_leaved")
     (tmp_path / "plant.obj").write_text("# nothing\n")
     with pytest.raises(InputError) as caught:

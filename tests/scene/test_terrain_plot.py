@@ -7,6 +7,7 @@ from rasterio import Affine
 
 from fynjax._core.errors import InputError
 from fynjax.io import build_plot, read_plot
+from fynjax.io._build_ground import ground_heights
 from fynjax.scene import hard_instances
 from tests.helpers import write_raster
 
@@ -33,17 +34,18 @@ pixel_m = 0.1
 softness = 0.0
 softness_plants = 0.0
 """
-RISE = 0.3
+RISE, NORTHWARD = 0.3, 0.1
 LINE = 'terrain = "hill.tif"\nmap_origin_m = [500000.5, 6000000.5]'
 
 
-def plot(folder, line="", cover=20.0):
-    """A plot of one species, with a raster of ground that rises eastward beside it."""
+def plot(folder, line="", cover=20.0, cell=0.1, **options):
+    """A plot of one species, with a raster of ground that rises to the east and north beside it."""
     (folder / "species.csv").write_text(SPECIES.format(cover=cover))
     (folder / "sky.csv").write_text("wavelength_nm,diffuse_fraction\n400,0\n1000,0\n")
-    height = np.tile(120.0 + RISE * (np.arange(40) + 0.5) * 0.1, (1, 40, 1))
-    place = Affine(0.1, 0.0, 500_000.0, 0.0, -0.1, 6_000_004.0)
-    write_raster(folder / "hill.tif", height, transform=place, crs="EPSG:32734")
+    middle = (np.arange(round(4.0 / cell)) + 0.5) * cell
+    height = 120.0 + RISE * middle + NORTHWARD * middle[::-1, None]  # rows from the north
+    place = Affine(cell, 0.0, 500_000.0, 0.0, -cell, 6_000_004.0)
+    write_raster(folder / "hill.tif", height[None], transform=place, crs="EPSG:32734", **options)
     (folder / "plot.toml").write_text(TOML.format(line=line))
     return read_plot(folder / "plot.toml")
 
@@ -54,8 +56,8 @@ def test_plants_stand_on_the_ground(tmp_path):
     flat, raised = (hard_instances(*each) for each in (level, hill))
     np.testing.assert_array_equal(raised.x, flat.x)
     # The lowest voxel column counts as 0.
-    column = np.floor(raised.x / 0.1)
-    np.testing.assert_allclose(raised.z, RISE * 0.1 * column, atol=1e-4)
+    column, row = np.floor(raised.x / 0.1), np.floor(raised.y / 0.1)
+    np.testing.assert_allclose(raised.z, 0.1 * (RISE * column + NORTHWARD * row), atol=1e-4)
     low, high = (np.asarray(model.area_density(parameters)) for model, parameters in (level, hill))
     assert high.sum() == pytest.approx(low.sum(), rel=1e-5)
     z = [(np.arange(d.shape[1]) + 0.5) @ d.sum(axis=(0, 2, 3)) * 0.1 / d.sum() for d in (low, high)]
@@ -64,17 +66,27 @@ def test_plants_stand_on_the_ground(tmp_path):
 
 
 def test_bare_ground_is_lit_as_its_slope_has_it(tmp_path):
-    """A plane that rises eastward, the sun in the west: r cos(incidence) / cos(sun zenith), and up
-    to r / 50 of it again from ground nearby."""
-    model, parameters = build_plot(plot(tmp_path, LINE, cover=0.0))
+    """A plane that rises mostly eastward, the sun in the west: r cos(incidence) / cos(sun zenith),
+    and up to r / 50 of it again from ground nearby. Cells of the raster wider than the voxels must
+    not make steps."""
+    model, parameters = build_plot(plot(tmp_path, LINE, cover=0.0, cell=0.5))
     image = np.asarray(eqx.filter_jit(lambda m, p: m.image(p))(model, parameters))
     level = np.asarray(model.ground_map(parameters))
     sun = np.array([-np.sin(np.deg2rad(40.0)), 0.0, np.cos(np.deg2rad(40.0))])
-    facing = sun @ np.array([-RISE, 0.0, 1.0]) / np.hypot(RISE, 1.0) / sun[2]
+    up = np.array([-RISE, -NORTHWARD, 1.0])
+    facing = sun @ up / np.linalg.norm(up) / sun[2]
     middle = image[:, 8:-8, 8:-8]
     np.testing.assert_allclose(
         middle, np.broadcast_to(facing * level[:, None, None], middle.shape), rtol=0.02
     )
+
+
+@pytest.mark.parametrize("cell", [0.05, 0.25, 0.5, 0.8])
+def test_a_plane_is_a_plane_whatever_the_cells_of_its_raster(tmp_path, cell):
+    heights = ground_heights(plot(tmp_path, LINE, cell=cell))
+    middle = (np.arange(30) + 0.5) * 0.1
+    want = RISE * middle + NORTHWARD * middle[:, None]
+    np.testing.assert_allclose(heights, want - want.min(), atol=1e-9)
 
 
 def test_terrain_that_cannot_serve_is_refused(tmp_path):
@@ -85,4 +97,7 @@ def test_terrain_that_cannot_serve_is_refused(tmp_path):
         read_plot(tmp_path / "plot.toml")
     (tmp_path / "plot.toml").write_text(text.replace("500000.5", "500002.5"))
     with pytest.raises(InputError, match="covers the plot"):
+        build_plot(read_plot(tmp_path / "plot.toml"))
+    plot(tmp_path, LINE, unit="ft")
+    with pytest.raises(InputError, match=r"band says 'ft'.*--height-unit"):
         build_plot(read_plot(tmp_path / "plot.toml"))

@@ -1,0 +1,36 @@
+"""Whether a plot fits into this machine's memory."""
+
+import os
+
+import numpy as np
+
+from fynjax._core.errors import InputError
+from fynjax.io._plot import Plot
+from fynjax.scene._planting import element_count
+
+_ROOM = 2.5
+"""Sites held ready for each plant, as `build_model` has it."""
+_ELEMENT_BYTES = 80
+"""Memory that an area element takes while a plot is built: measured at 100 m x 100 m."""
+
+
+def check_memory(plot: Plot) -> None:
+    """Refuse a plot whose plants this machine has no memory for, before it runs out of it."""
+    area, elements = float(np.prod(plot.size_m)), 0.0
+    for s in plot.species:
+        crown = np.pi / 4.0 * s.diameter_m**2 * (1.0 - (s.packing or 0.0)) * (s.fill or 1.0)
+        each = max(crown, s.minimum_object_area_m2 or 0.0)
+        count = _ROOM * (s.branches or 1) * area * s.cover / each
+        elements += count * element_count(s.diameter_m, s.height_m, plot.voxel_m)
+    try:
+        there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    except (AttributeError, ValueError, OSError):  # not every system tells
+        return
+    needed = _ELEMENT_BYTES * elements / 2**30
+    if needed > there:
+        raise InputError(
+            f"the plants of {plot.size_m[0]:g} m x {plot.size_m[1]:g} m in voxels of "
+            f"{plot.voxel_m:g} m need about {needed:.0f} GiB of memory, but this machine has "
+            f"{there:.0f} GiB. Take a smaller plot, or larger voxels.",
+            file=plot.file,
+        )
