@@ -1,0 +1,256 @@
+"""LiDAR files, read into LiDAR systems."""
+
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from fynjax.io._named import shipped_or_own
+from fynjax.io._sensor_tables import _nanometre_slip
+from fynjax.io._strict import Slip, Strict, number
+from fynjax.io._toml import read_toml
+from fynjax.sensors import Lidar, build_lidar, lidar_folder, shipped_lidars
+
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+_Range = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
+
+
+class LaserTable(Strict):
+    """The light that goes out."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        "wavelength_nm": _nanometre_slip,
+        "pulse_fwhm_ns": lambda v: (
+            f"Picoseconds? In ns this is {v / 1000:g}." if 100 < v < 1e6 else None
+        ),
+    }
+
+    wavelength_nm: float = number("Wavelength", "nm", ge=400, le=2500)
+    line_width_nm: float = number(
+        "Full width of the line at half maximum", "nm", default=1.0, gt=0, le=100
+    )
+    pulse_fwhm_ns: float = number(
+        "Full width of the Gaussian pulse at half maximum", "ns", ge=0.1, le=100
+    )
+
+
+LIDAR_KEYS = {
+    "flash": (
+        "altitude_m",
+        "columns",
+        "rows",
+        "pixel_pitch_um",
+        "focal_length_mm",
+        "half_divergence_rad",
+        "frame_step_m",
+        "pulse_rate_hz",
+    ),
+    "scan": (
+        "altitude_m",
+        "pulse_density_m2",
+        "divergence_mrad",
+        "half_scan_angle_deg",
+        "speed_m_s",
+        "pulse_rate_hz",
+    ),
+}
+"""Keys that each kind of LiDAR needs."""
+_OPTIONAL = {"flash": ("pencils",), "scan": ("pencils", "line_offsets_m", "heading_deg")}
+
+
+def _divergence_slip(value: float) -> str | None:
+    return f"Milliradians? In rad this is {value / 1000:g}." if 1.5 <= value < 1500 else None
+
+
+class LidarGeometryTable(Strict):
+    """Lines of sight."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        "half_divergence_rad": _divergence_slip,
+        "focal_length_mm": lambda v: (
+            f"Metres? In mm this is {v * 1000:g}." if 0 < v < 0.5 else None
+        ),
+        "divergence_mrad": lambda v: (
+            f"Radians? In mrad this is {v * 1000:g}." if 0 < v < 0.01 else None
+        ),
+    }
+
+    kind: Literal["flash", "scan"] = Field(
+        description="'flash', a camera of which each pixel times its own return; 'scan', single "
+        "pulses on straight flight lines."
+    )
+    altitude_m: float | None = number(
+        "Usual height above the ground", "m", default=None, gt=0, le=1e6
+    )
+    pulse_rate_hz: float | None = number(
+        "Pulses (of a flash: frames) in a second", "Hz", default=None, gt=0, le=1e8
+    )
+    pencils: int = Field(
+        default=3,
+        description="Pencils of light along each side of a pixel or footprint; where single "
+        "leaves are drawn, each pencil hits one [-].",
+        ge=1,
+        le=32,
+    )
+    columns: int | None = Field(
+        default=None, description="Pixels across, of a flash [-].", ge=1, le=4096
+    )
+    rows: int | None = Field(
+        default=None, description="Pixels along, of a flash [-].", ge=1, le=4096
+    )
+    pixel_pitch_um: float | None = number(
+        "Distance between pixels on the array, of a flash", "um", default=None, ge=0.1, le=1000
+    )
+    focal_length_mm: float | None = number(
+        "Focal length, of a flash", "mm", default=None, ge=0.5, le=1e4
+    )
+    half_divergence_rad: float | None = number(
+        "From the beam's axis to 1/e2 of the irradiance, of a flash",
+        "rad",
+        default=None,
+        gt=0,
+        lt=1.5,
+    )
+    frame_step_m: float | None = number(
+        "Distance between frames, as many as cover the plot, of a flash",
+        "m",
+        default=None,
+        gt=0,
+        le=1e5,
+    )
+    pulse_density_m2: float | None = number(
+        "Pulses of all flight lines together on level ground, of a scanner",
+        "m-2",
+        default=None,
+        gt=0,
+        le=1e5,
+    )
+    divergence_mrad: float | None = number(
+        "Full angle of the beam at 1/e2 of the irradiance, of a scanner",
+        "mrad",
+        default=None,
+        ge=0.01,
+        le=100,
+    )
+    half_scan_angle_deg: float | None = number(
+        "Largest angle from straight down, of a scanner", "degree", default=None, gt=0, le=60
+    )
+    line_offsets_m: list[_Finite] | None = Field(
+        default=None,
+        description="Of each flight line from the plot's middle, to the right of the heading; "
+        "left out, one line over the middle [m].",
+        min_length=1,
+        json_schema_extra={"unit": "m"},
+    )
+    heading_deg: float = number(
+        "Of the flight, clockwise from north, of a scanner", "degree", default=0.0, ge=-360, le=360
+    )
+    speed_m_s: float | None = number(
+        "Of the flight, of a scanner", "m s-1", default=None, gt=0, le=1000
+    )
+
+    @model_validator(mode="after")
+    def _keys_of_the_kind(self) -> "LidarGeometryTable":
+        needed = LIDAR_KEYS[self.kind]
+        if missing := [name for name in needed if getattr(self, name) is None]:
+            raise ValueError(
+                f"a LiDAR of kind {self.kind!r} needs {', '.join(needed)}, but "
+                f"{', '.join(missing)} is missing"
+            )
+        known = {"kind", *needed, *_OPTIONAL[self.kind]}
+        if strange := sorted(self.model_fields_set - known):
+            raise ValueError(
+                f"a LiDAR of kind {self.kind!r} has no {', '.join(strange)}. It takes "
+                f"{', '.join([*needed, *_OPTIONAL[self.kind]])}."
+            )
+        return self
+
+
+class ReceiverTable(Strict):
+    """What is recorded of the light that comes back, and what counts as a return."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        "sample_m": lambda v: f"Centimetres? In m this is {v / 100:g}." if 5 < v <= 500 else None,
+    }
+
+    sample_m: float = number("Length of a sample in range", "m", ge=0.001, le=5)
+    range_gate_m: tuple[_Range, _Range] | None = Field(
+        default=None,
+        description="Nearest and farthest range that is recorded; left out, from above the canopy "
+        "to below the ground of each pulse [m].",
+        json_schema_extra={"unit": "m"},
+    )
+    gate_margin_m: float = number(
+        "How far beyond the gate's end the record goes on", "m", default=0.0, ge=0, le=1000
+    )
+    threshold: float = number(
+        "What a return must stand out by, in standard deviations of the noise",
+        "-",
+        default=5.0,
+        gt=0,
+        le=1000,
+    )
+    max_returns: int = Field(
+        default=5, description="Most returns that are kept of one pulse [-].", ge=1, le=15
+    )
+
+    @model_validator(mode="after")
+    def _gate_rises(self) -> "ReceiverTable":
+        gate = self.range_gate_m
+        if gate is not None and gate[1] - gate[0] < self.sample_m:
+            raise ValueError(
+                f"expected range_gate_m = [nearest, farthest] at least one sample apart, but got "
+                f"[{gate[0]:g}, {gate[1]:g}]"
+            )
+        if gate is None and "gate_margin_m" in self.model_fields_set:
+            raise ValueError("gate_margin_m needs range_gate_m: give both or neither")
+        return self
+
+
+class LidarNoiseTable(Strict):
+    """Noise of the receiver."""
+
+    signal_electrons: float = number(
+        "Electrons, over all samples, of a white plate that fills the middle beam and faces it at "
+        "the usual altitude",
+        "-",
+        gt=0,
+        le=1e12,
+    )
+    background_electrons: float = number(
+        "Electrons of daylight and dark current in a sample", "-", default=0.0, ge=0, le=1e9
+    )
+    read_noise_electrons: float = number(
+        "Standard deviation of the reading of a sample", "electrons", gt=0, le=1e6
+    )
+
+
+class LidarFile(Strict):
+    """A LiDAR file: laser, lines of sight, receiver and noise."""
+
+    name: str = Field(description="Short name.", min_length=1)
+    description: str = Field(default="", description="What it is, in a sentence.")
+    source: str = Field(description="Where the numbers come from.", min_length=1)
+    licence: str = Field(default="", description="Terms of the numbers, where there are any.")
+    laser: LaserTable
+    geometry: LidarGeometryTable
+    receiver: ReceiverTable
+    noise: LidarNoiseTable
+
+
+def load_lidar(name_or_path: str | Path) -> Lidar:
+    """A shipped LiDAR by its name, or a LiDAR from a file.
+
+    **Arguments:**
+
+    - `name_or_path`: a name such as 'flash_lidar_paper' (see `fynjax.sensors.shipped_lidars`), or
+      the path of a LiDAR file (TOML; `data_schemas/lidar.schema.json`).
+
+    **Returns:** a `fynjax.sensors.Lidar`.
+
+    **Raises:** `InputError` with file, row and key for what cannot be used: unknown keys and
+    units, values out of range, keys of another kind of LiDAR.
+    """
+    path = shipped_or_own(name_or_path, "LiDAR", shipped_lidars(), lidar_folder())
+    description, _ = read_toml(path, LidarFile)
+    return build_lidar(description.model_dump(exclude_none=True))

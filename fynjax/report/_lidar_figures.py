@@ -1,0 +1,84 @@
+"""Pictures of a simulated point cloud: from the side, and its heights against what was planted."""
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
+
+from fynjax.report._figure_style import BLUE, GREEN, ORANGE, style
+from fynjax.report._lidar_heights import LEVELS, Heights
+from fynjax.sensors import LidarReturns
+from fynjax.sensors._lidar_returns import GROUND
+
+_STRIP = 1.0
+_GROUND_COLOUR = "#8C6D46"
+
+
+def side_view(
+    returns: LidarReturns,
+    height: Float[np.ndarray, " point"],
+    extent: tuple[float, float],
+    *,
+    title: str = "",
+) -> Figure:
+    """The cloud from the south, and from above, coloured by `height` above the ground [m].
+
+    From the south only a strip through the plot's middle is shown, so that plants stay apart.
+    """
+    lx, ly = extent
+    x, y, z = returns.position.T
+    ground = returns.classification == GROUND
+    deep = min(_STRIP, ly)
+    strip = np.abs(y - 0.5 * ly) <= 0.5 * deep
+    top = max(float(np.percentile(height, 99.9)), 0.1)
+    with style():
+        figure = Figure(figsize=(9.6, 8.2))
+        side, above = figure.subplots(2, 1, height_ratios=(1.0, 1.9))
+        low = strip & ground
+        side.scatter(x[low], z[low], s=1.5, c=_GROUND_COLOUR, lw=0, label="ground", rasterized=True)
+        high = strip & ~ground
+        shown = side.scatter(
+            x[high], z[high], s=2.5, c=height[high], cmap="viridis", vmin=0, vmax=top, lw=0,
+            rasterized=True,
+        )  # fmt: skip
+        side.set(
+            xlim=(0, lx), xlabel="East [m]", ylabel="Height [m]", aspect="equal",
+            title=f"{title}: strip of {deep:g} m through the middle, from the south",
+        )  # fmt: skip
+        side.legend(loc="upper right", markerscale=4)
+        order = np.argsort(height)
+        above.scatter(
+            x[order], y[order], s=1.0, c=height[order], cmap="viridis", vmin=0, vmax=top, lw=0,
+            rasterized=True,
+        )  # fmt: skip
+        above.set(
+            xlim=(0, lx), ylim=(0, ly), xlabel="East [m]", ylabel="North [m]", aspect="equal",
+            title="From above, the highest on top",
+        )  # fmt: skip
+        above.set_anchor("W")
+        figure.colorbar(shown, ax=[side, above], label="Height above ground [m]", shrink=0.7)
+    return figure
+
+
+def profile_view(compared: Heights) -> Figure:
+    """Shares of planted area, of first hits and of returns against height, and percentiles."""
+    edges = compared.edges
+    colours = dict(zip(compared.shares, (GREEN, ORANGE, BLUE)))
+    with style():
+        figure = Figure(figsize=(9.4, 4.6))
+        left, right = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
+        for number, (name, share) in enumerate(compared.shares.items()):
+            left.stairs(
+                share / np.diff(edges), edges, orientation="horizontal", color=colours[name],
+                fill=number == 0, alpha=0.35 if number == 0 else 1.0, lw=1.6, label=name,
+            )  # fmt: skip
+        for name, values in compared.percentiles.items():
+            right.plot(LEVELS, values, color=colours[name], lw=1.6, marker="o", ms=3, label=name)
+        left.set(xlabel="Share per height [m⁻¹]", ylabel="Height above ground [m]")
+        left.set_title("Plants against height")
+        left.set_xlim(0, None)
+        left.set_ylim(0, edges[-1])
+        left.legend(loc="upper right")
+        right.set(xlabel="Percentile", title="Percentiles of height")
+        for axes in (left, right):
+            axes.grid()
+    return figure

@@ -1,0 +1,105 @@
+"""Heights of a point cloud against what was planted."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from fynjax.io import Plot
+from fynjax.io._over_plot import read_over_plot
+from fynjax.radiation import VoxelScene
+from fynjax.scene import PlotModel, PlotParameters, height_profile
+from fynjax.scene._model import ground_at
+from fynjax.sensors import LidarBeams, LidarReturns, expected_returns
+from fynjax.sensors._lidar_returns import VEGETATION
+
+LEVELS = np.arange(5, 100, 5)
+"""Percentiles that are compared [%]."""
+_BEAMS = 8000
+PLANTED, FIRST, RETURNED = "planted area", "first hits", "vegetation returns"
+
+
+@dataclass(frozen=True)
+class Heights:
+    """Where plants are, where light first meets them, and where returns are."""
+
+    height: Float[np.ndarray, " point"]
+    """Of every return above the ground [m]."""
+    edges: Float[np.ndarray, " edge"]
+    """Borders of layers above the ground [m]."""
+    shares: dict[str, Float[np.ndarray, " layer"]]
+    """Share in each layer of planted area (leaf and wood), first hits and vegetation returns."""
+    percentiles: dict[str, Float[np.ndarray, " level"]]
+    """`LEVELS` of height of the same [m]; empty without vegetation returns."""
+
+    @property
+    def rmse(self) -> dict[str, float] | None:
+        """Root mean square distance of the returns' percentiles from the others' [m]."""
+        if RETURNED not in self.percentiles:
+            return None
+        own = self.percentiles[RETURNED]
+        return {
+            name: float(np.sqrt(np.mean((own - self.percentiles[name]) ** 2)))
+            for name in self.percentiles
+            if name != RETURNED
+        }
+
+    def table(self) -> pd.DataFrame:
+        """Percentiles by row, metres."""
+        columns = {f"{k.replace(' ', '_')}_m": v for k, v in self.percentiles.items()}
+        return pd.DataFrame({"percentile": LEVELS, **columns})
+
+
+def compare_heights(
+    model: PlotModel,
+    parameters: PlotParameters,
+    scene: VoxelScene,
+    beams: LidarBeams,
+    returns: LidarReturns,
+    *,
+    sublayers: int,
+) -> Heights:
+    """Heights of returns, planted area and first hits above the ground.
+
+    `model` is hard: all its plants stand. On sloping ground first hits are left out, as their
+    layers are level.
+    """
+    step = model.grid.vertical_size
+    edges = np.arange(model.grid.shape[2] + 1) * step
+    place = jnp.asarray(returns.position[:, :2])
+    height = returns.position[:, 2] - np.asarray(ground_at(model, place))
+    plants = returns.classification == VEGETATION
+    area = height_profile(model, parameters, edges).sum(axis=(0, 1)) * step
+    counts = {PLANTED: area}
+    if model.terrain is None:
+        # The mean needs no more of them.
+        some = beams.select(np.arange(0, len(beams), max(len(beams) // _BEAMS, 1)))
+        first, _ = expected_returns(scene, some, edges, sublayers=sublayers)
+        counts[FIRST] = np.asarray(first, float)
+    counts[RETURNED] = np.histogram(height[plants], edges)[0].astype(float)
+    shares = {name: c / c.sum() for name, c in counts.items() if c.sum() > 0}
+    percentiles = {
+        name: np.interp(LEVELS / 100.0, np.r_[0.0, np.cumsum(share)], edges)
+        for name, share in shares.items()
+        if name != RETURNED
+    }
+    if plants.any():
+        percentiles[RETURNED] = np.percentile(height[plants], LEVELS)
+    return Heights(height, edges, shares, percentiles)
+
+
+def lowest_ground(plot: Plot) -> float:
+    """Height of the plot's lowest voxel column on the map of its terrain [m]."""
+    assert plot.terrain is not None
+    part = read_over_plot(
+        plot.terrain,
+        "a raster of heights",
+        plot.size_m,
+        lambda names, path: [0],
+        origin_m=plot.map_origin_m,
+        option="map_origin_m",
+    )
+    columns, rows = (round(side / plot.voxel_m) for side in plot.size_m)
+    return float(part.at_centres((rows, columns)).min())

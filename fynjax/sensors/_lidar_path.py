@@ -1,0 +1,223 @@
+"""Along the pencils of a beam: what stops the light, what sends it back, where the ground is."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from fynjax._core.math import mean_transmittance
+from fynjax.canopy import AbstractLeafAngle
+from fynjax.radiation import RayField, VoxelScene
+from fynjax.radiation._rays import Lattice
+
+_BISECTIONS = 30
+_PLANES = 4  # in a layer: what is thinner than the distance of two may be missed
+
+
+class PencilPaths(eqx.Module):
+    """The canopy along each pencil, in even steps from the top of the grid down, and the ground."""
+
+    depth: Float[Array, "step pencil"]
+    """Optical depth of each step [-]."""
+    source: Float[Array, "step pencil"]
+    """What each step would send back without shade, as the reflectance of a plate [-]."""
+    top: Float[Array, " pencil"]
+    """Range of the grid's top [m]."""
+    step: Float[Array, " pencil"]
+    """Length of a step [m]."""
+    ground_range: Float[Array, " pencil"]
+    """Range of the ground [m]."""
+    ground: Float[Array, " pencil"]
+    """Reflectance of the ground times the cosine of incidence [-]."""
+
+    def _place(self, distance: Array) -> tuple[Array, Array]:
+        """Step and share of it at ranges [point, pencil]."""
+        steps = self.depth.shape[0]
+        place = (jnp.minimum(distance, self.ground_range) - self.top) / self.step
+        index = jnp.clip(jax.lax.stop_gradient(jnp.floor(place)).astype(int), 0, steps - 1)
+        return index, jnp.clip(place - index, 0.0, 1.0)
+
+    def depth_at(self, distance: Float[Array, "point pencil"]) -> Float[Array, "point pencil"]:
+        """Optical depth down to a range [m] or to the ground, whichever comes first [-]."""
+        index, share = self._place(distance)
+        above = jnp.cumsum(self.depth, axis=0) - self.depth
+        own = jnp.take_along_axis(self.depth, index, axis=0)
+        return jnp.take_along_axis(above, index, axis=0) + share * own
+
+    def returned(self, distance: Float[Array, "point pencil"]) -> Float[Array, "point pencil"]:
+        """What the canopy down to a range [m] sends back [-]: each leaf through the gap that the
+        light came by. Exact for even leaf area along a step."""
+        index, share = self._place(distance)
+        below = jnp.cumsum(self.depth, axis=0)
+        above = below - self.depth
+        gap = jnp.exp(-above)
+        whole = self.source * gap * mean_transmittance(self.depth)
+        before = jnp.cumsum(whole, axis=0) - whole
+        # One read for all: what lies side by side is fetched together.
+        table = jnp.stack([before, self.source * gap, self.depth], axis=-1)
+        at = jnp.take_along_axis(table, index[..., None], axis=0)
+        return at[..., 0] + share * at[..., 1] * mean_transmittance(share * at[..., 2])
+
+    def hit_by(self, depth: Float[Array, " pencil"]) -> tuple[Array, Array, Array]:
+        """Where the optical depth reaches `depth`: range [m], what a hit there sends back [-], and
+        whether that is above the ground."""
+        below = jnp.cumsum(self.depth, axis=0)
+        index = jnp.minimum(jnp.sum(below <= depth, axis=0), self.depth.shape[0] - 1)[None]
+        own = jnp.take_along_axis(self.depth, index, axis=0)[0]
+        above = jnp.take_along_axis(below, index, axis=0)[0] - own
+        some = own > 0
+        share = jnp.where(some, (depth - above) / jnp.where(some, own, 1.0), 1.0)
+        distance = self.top + self.step * (index[0] + share)
+        source = jnp.take_along_axis(self.source, index, axis=0)[0]
+        sent = jnp.where(some, source / jnp.where(some, own, 1.0), 0.0)
+        return distance, sent, depth < self.depth_at(self.ground_range[None])[0]
+
+
+def canopy_fields(scene: VoxelScene, straight: float) -> Float[Array, "field z y x"]:
+    """Area that stops light and area times reflectance, of each distribution of normals."""
+    rho, tau = scene.classes.reflectance[:, 0], scene.classes.transmittance[:, 0]
+    stopping = 1.0 - (straight * tau) ** 2
+    weights = jnp.stack([stopping, rho]).astype(scene.area_density.dtype)
+    weighted = weights[..., None, None, None] * scene.area_density
+    return jnp.concatenate([scene.classes.total_by_angle(part) for part in weighted])
+
+
+def backscatter(angle: AbstractLeafAngle, cosine: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Gamma_r back along the ray: the mean squared cosine between ray and leaf normal [-].
+
+    `cosine` of the ray's zenith angle. Equals `area_scattering` of a direction and its opposite,
+    where flat leaves send nothing that they transmit. Normals are even in azimuth, so the mean is
+    linear in the square of `cosine`.
+    """
+    normals, weight = angle.normals()
+    upright = jnp.sum(weight * normals[:, 2] ** 2).astype(cosine.dtype)
+    square = cosine**2
+    return square * upright + 0.5 * (1.0 - square) * (1.0 - upright)
+
+
+def trace_pencils(
+    scene: VoxelScene,
+    fields: Float[Array, "field z y x"],
+    origin: Float[Array, " 3"],
+    direction: Float[Array, " 3"],
+    pencils: Float[Array, "pencil 2"],
+    width: float,
+    sublayers: int,
+) -> PencilPaths:
+    """One beam through a scene. Differentiable in the scene, and in origin and direction."""
+    nz, ny, nx = scene.shape
+    dtype = scene.area_density.dtype
+    towards = -_pencil_directions(direction, pencils)
+    cosine, platform = towards[:, 2], origin[2]
+    slopes = towards[:, :2] / cosine[:, None]
+    foot = origin[:2] - platform * slopes
+    rays = RayField(
+        foot[None, :, 0],
+        foot[None, :, 1],
+        slopes[None, :, 0],
+        slopes[None, :, 1],
+        (width * platform / cosine)[None],
+    )
+    angles = scene.classes.angles
+    seen = jnp.stack([a.projection(cosine).astype(dtype) for a in angles])
+    back = jnp.stack([backscatter(a, cosine).astype(dtype) for a in angles])
+    lattice = Lattice(ny, nx, scene.horizontal, scene.boundary)
+    length = scene.vertical / sublayers / cosine
+
+    def piece(_: None, number: Array) -> tuple[None, tuple[Array, Array]]:
+        layer = nz - 1 - number // sublayers
+        height = (nz - (number + 0.5) / sublayers) * scene.vertical
+        here = jax.lax.dynamic_index_in_dim(fields, layer, 1, keepdims=False)
+        met = rays.sampler(height.astype(dtype), lattice)(here)[:, 0]
+        stop, send = jnp.split(met, 2)
+        return None, (jnp.sum(seen * stop, axis=0), jnp.sum(back * send, axis=0))
+
+    _, (stop, send) = jax.lax.scan(piece, None, jnp.arange(nz * sublayers))
+    height, cosine_in, column = _ground(scene, foot, slopes, towards)
+    ground = scene.ground_map[0].ravel()[column] * cosine_in
+    return PencilPaths(
+        stop * length,
+        send * length,
+        (platform - scene.height) / cosine,
+        length,
+        (platform - height) / cosine,
+        ground.astype(dtype),
+    )
+
+
+def _pencil_directions(direction: Array, pencils: Array) -> Float[Array, "pencil 3"]:
+    """Unit vectors of the pencils about the beam's axis."""
+    east = jnp.array([1.0, 0.0, 0.0], direction.dtype)
+    east = east - direction[0] * direction
+    east = east / jnp.linalg.norm(east)
+    north = jnp.cross(east, direction)
+    vectors = direction + pencils[:, :1] * east + pencils[:, 1:] * north
+    return vectors / jnp.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _ground(
+    scene: VoxelScene, foot: Array, slopes: Array, towards: Array
+) -> tuple[Array, Array, Array]:
+    """Height [m] at which pencils meet the ground, cosine of incidence, and voxel column."""
+    _, ny, nx = scene.shape
+
+    def column(height: Array) -> Array:
+        at = jnp.floor((foot + height[:, None] * slopes) / scene.horizontal).astype(int)
+        if scene.boundary == "periodic":
+            return (at[:, 1] % ny) * nx + at[:, 0] % nx
+        return jnp.clip(at[:, 1], 0, ny - 1) * nx + jnp.clip(at[:, 0], 0, nx - 1)
+
+    if scene.terrain is None:
+        height = jnp.zeros_like(foot[:, 0])
+        return height, towards[:, 2], column(height)
+    terrain = scene.terrain.astype(foot.dtype)
+
+    def surface(height: Array) -> tuple[Array, Array]:
+        return _bilinear(terrain, foot + height[:, None] * slopes, scene)
+
+    # The first plane from the top that lies below the ground, then the crossing by halves.
+    apart = scene.vertical / _PLANES
+    planes = jnp.arange(scene.shape[0] * _PLANES + 1, dtype=foot.dtype) * apart
+    under = jax.vmap(lambda z: z < surface(jnp.full_like(foot[:, 0], z))[0])(planes)
+    low = jnp.max(jnp.where(under, planes[:, None], 0.0), axis=0)
+
+    def halve(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = ends
+        middle = 0.5 * (low + high)
+        below = middle < surface(middle)[0]
+        return jnp.where(below, middle, low), jnp.where(below, high, middle)
+
+    low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (low, low + apart))
+    near = jax.lax.stop_gradient(0.5 * (low + high))
+    # One step of Newton from there has the right value, and the right derivative.
+    level, steep = surface(near)
+    facing = 1.0 - jnp.sum(jax.lax.stop_gradient(steep) * slopes, axis=1)
+    height = near + (level - near) / facing
+    _, gradient = surface(height)
+    normal = jnp.concatenate([-gradient, jnp.ones_like(gradient[:, :1])], axis=1)
+    normal = normal / jnp.linalg.norm(normal, axis=1, keepdims=True)
+    cosine = jnp.maximum(jnp.sum(normal * towards, axis=1), 0.0)
+    return height, cosine, column(jax.lax.stop_gradient(height))
+
+
+def _bilinear(terrain: Array, place: Array, scene: VoxelScene) -> tuple[Array, Array]:
+    """Height of the ground and its slopes (x, y) at places [pencil, 2]; beyond the last columns
+    of an open scene it goes on as it is there."""
+    ny, nx = terrain.shape
+    scaled = place / scene.horizontal - 0.5
+    first = jax.lax.stop_gradient(jnp.floor(scaled)).astype(int)
+    corners = []
+    if scene.boundary == "periodic":
+        corners = [(first[:, a] % n, (first[:, a] + 1) % n) for a, n in ((0, nx), (1, ny))]
+    else:
+        first = jnp.clip(first, 0, jnp.maximum(jnp.array([nx, ny]) - 2, 0))
+        corners = [
+            (first[:, a], jnp.minimum(first[:, a] + 1, n - 1)) for a, n in ((0, nx), (1, ny))
+        ]
+    (west, east), (south, north) = corners
+    fx, fy = (scaled - first).T
+    sw, se, nw, ne = (terrain[row, column] for row in (south, north) for column in (west, east))
+    height = (1 - fy) * ((1 - fx) * sw + fx * se) + fy * ((1 - fx) * nw + fx * ne)
+    slope_x = ((1 - fy) * (se - sw) + fy * (ne - nw)) / scene.horizontal
+    slope_y = ((1 - fx) * (nw - sw) + fx * (ne - se)) / scene.horizontal
+    return height, jnp.stack([slope_x, slope_y], axis=-1)

@@ -1,0 +1,286 @@
+"""Waveforms of a LiDAR over a voxel scene, and where its light first meets something.
+
+Single scattering: light that leaves or ground scatter once, straight back. Out and back it takes
+the same path, so a gap that let it in lets it out: the gap probability exp(-tau) counts once (the
+hot spot in full), where two separate directions would have exp(-2 tau). What flat leaves transmit
+goes on forward and is lost to single scattering; light scattered more than once, which arrives
+late and adds to the tail, is left out.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import erf
+from jaxtyping import Array, Float
+from scipy.special import ndtr
+
+from fynjax._core.errors import InputError
+from fynjax.radiation import VoxelScene
+from fynjax.sensors._lidar import Lidar
+from fynjax.sensors._lidar_beams import LidarBeams
+from fynjax.sensors._lidar_path import PencilPaths, canopy_fields, trace_pencils
+
+_TAIL = 4.0
+_FINE = 6.0  # bins in the pulse's standard deviation
+
+
+class Waveforms(eqx.Module):
+    """What comes back of each pulse, in samples of range.
+
+    In shares of what a white plate at that range sends back that fills the beam and faces it: the
+    sum over a waveform is the apparent reflectance of what the beam met.
+    """
+
+    canopy: Float[Array, "beam sample"]
+    """From leaves, wood and flowers [-]."""
+    ground: Float[Array, "beam sample"]
+    """From the ground [-]."""
+
+    @property
+    def total(self) -> Float[Array, "beam sample"]:
+        """From both [-]."""
+        return self.canopy + self.ground
+
+
+def lidar_waveforms(
+    scene: VoxelScene,
+    lidar: Lidar,
+    beams: LidarBeams,
+    *,
+    key: Array | None = None,
+    straight: float = 0.0,
+    sublayers: int = 2,
+    batch: int = 1024,
+) -> Waveforms:
+    """Waveforms of all beams, single scattering.
+
+    **Arguments:**
+
+    - `scene`: in one band, the laser's. Its sun and sky play no part.
+    - `beams`: of `lidar.beams`; known numbers, not traced.
+    - `key`: a JAX key. Left out, the result is the mean over all canopies of such leaf area, and
+      differentiable in everything of `scene`. With a key each pencil of a beam goes on until it
+      hits one leaf, drawn from the gap probability, or the ground: the echo of single leaves (or
+      shoots) about as wide as a pencil. The mean over keys is the result without one.
+    - `straight`: share of the transmitted light that goes on along the beam, 0 to 1. Leaves that
+      transmit diffusely (bi-Lambertian) have 0. A leaf that is crossed takes 1 - (straight tau)²
+      of the light, on its way in and out together.
+    - `sublayers`: steps in a layer of voxels; more where beams are far from upright.
+    - `batch`: beams at a time, which bounds the memory.
+
+    The receiver integrates over a sample; the pulse is Gaussian. Raises `InputError` for a scene
+    in several bands, a sensor inside the grid, and beams without samples.
+    """
+    _check(scene, beams, straight)
+    if beams.samples < 1:
+        raise InputError("`beams` must have samples: make them with `Lidar.beams`")
+    dtype = scene.area_density.dtype
+    hits = None
+    if key is not None:
+        hits = jax.random.exponential(key, (len(beams), len(beams.pencils)), dtype)
+    grid = _FineGrid(scene, lidar, beams)
+    receiver = _Receiver(
+        jnp.asarray(grid.to_samples, dtype),
+        grid.step,
+        grid.count,
+        grid.tail,
+        lidar.sample,
+        beams.samples,
+        lidar.pulse_sd,
+    )
+    canopy, ground = _map_beams(
+        _one_waveform,
+        batch,
+        beams,
+        (jnp.asarray(beams.start, dtype), jnp.asarray(grid.first), hits),
+        (scene, canopy_fields(scene, straight), receiver),
+        sublayers,
+    )
+    return Waveforms(canopy, ground)
+
+
+class _Receiver(eqx.Module):
+    """What happens to the light that a beam sends back."""
+
+    to_samples: Float[Array, "bin sample"]
+    step: float = eqx.field(static=True)
+    count: int = eqx.field(static=True)
+    tail: int = eqx.field(static=True)
+    sample: float = eqx.field(static=True)
+    samples: int = eqx.field(static=True)
+    pulse_sd: float = eqx.field(static=True)
+
+    def points(self, distance: Array, start: Array) -> Float[Array, "sample pencil"]:
+        """Share of the return of points that each sample holds."""
+        edges = start + jnp.arange(self.samples + 1, dtype=start.dtype) * self.sample
+        scaled = (edges[:, None] - distance) / (math.sqrt(2.0) * self.pulse_sd)
+        return 0.5 * jnp.diff(erf(scaled), axis=0)
+
+    def spread(self, path: PencilPaths, start: Array, first: Array) -> Float[Array, " sample"]:
+        """What the canopy sends back of all pencils."""
+        bins = jnp.arange(self.count + 1)
+        edges = start + (first + bins).astype(start.dtype) * self.step
+        energy = jnp.diff(path.returned(edges[:, None]).sum(axis=1))
+        place = first + self.tail + bins[:-1]
+        whole = jnp.zeros(self.to_samples.shape[0], energy.dtype)
+        place = jnp.where(place < 0, whole.shape[0], place)
+        return whole.at[place].add(energy, mode="drop") @ self.to_samples
+
+
+def _one_waveform(
+    path: PencilPaths,
+    own: tuple[Array, Array, Array | None],
+    common: tuple[VoxelScene, Array, _Receiver],
+) -> tuple[Array, Array]:
+    start, first, drawn = own
+    receiver = common[-1]
+    if drawn is None:
+        gap = jnp.exp(-path.depth_at(path.ground_range[None])[0])
+        ground = receiver.points(path.ground_range, start) @ (gap * path.ground)
+        canopy = receiver.spread(path, start, first)
+    else:
+        distance, sent, leaf = path.hit_by(drawn)
+        canopy = receiver.points(distance, start) @ jnp.where(leaf, sent, 0.0)
+        ground = receiver.points(path.ground_range, start) @ jnp.where(leaf, 0.0, path.ground)
+    pencils = path.top.shape[0]
+    return canopy / pencils, ground / pencils
+
+
+def expected_returns(
+    scene: VoxelScene,
+    beams: LidarBeams,
+    edges: Float[np.ndarray, " edge"],
+    *,
+    sublayers: int = 2,
+    batch: int = 1024,
+) -> tuple[Float[Array, " layer"], Float[Array, ""]]:
+    """Expected number of beams whose light first meets the canopy in each layer, and the ground.
+
+    **Arguments:** `edges`, borders of the layers above the bottom of the grid, rising [m]; the
+    rest as for `lidar_waveforms`.
+
+    **Returns:** hits of the canopy in each layer and hits of the ground [-]; with edges from 0 to
+    the top they sum to the number of beams. This is the gap law itself, without detector: of a
+    beam whose pencils hit different heights each height gets its share. Differentiable in the
+    area density and the inclination of leaves, and in the height of the ground.
+    """
+    _check(scene, beams, 0.0)
+    heights = jnp.asarray(edges, scene.area_density.dtype)
+    platform = jnp.asarray(beams.origin[:, 2], heights.dtype)
+    canopy, ground = _map_beams(
+        _one_beam_of_hits,
+        batch,
+        beams,
+        platform,
+        (scene, canopy_fields(scene, 0.0), heights),
+        sublayers,
+    )
+    return canopy.sum(axis=0), ground.sum()
+
+
+def _one_beam_of_hits(
+    path: PencilPaths, platform: Array, common: tuple[VoxelScene, Array, Array]
+) -> tuple[Array, Array]:
+    scene, _, heights = common
+    cosine = (platform - scene.height) / path.top
+    distance = (platform - heights[:, None]) / cosine
+    gap = jnp.exp(-path.depth_at(distance)).mean(axis=1)
+    return jnp.diff(gap), jnp.exp(-path.depth_at(path.ground_range[None])).mean()
+
+
+def _map_beams(
+    function: Callable[..., tuple[Array, Array]],
+    batch: int,
+    beams: LidarBeams,
+    own: Any,
+    common: tuple[VoxelScene, Array, Any],
+    sublayers: int,
+) -> tuple[Array, Array]:
+    """`function` of each beam's paths, so many beams at a time."""
+    dtype = common[0].area_density.dtype
+    batch = max(min(batch, len(beams)), 1)
+    spare = -len(beams) % batch
+
+    def padded(values: Array) -> Array:
+        return jnp.pad(values, [(0, spare)] + [(0, 0)] * (values.ndim - 1), mode="edge")
+
+    where = (jnp.asarray(beams.origin, dtype), jnp.asarray(beams.direction, dtype))
+    each = jax.tree.map(padded, (*where, own))
+    pencils = jnp.asarray(beams.pencils, dtype)
+    width, count = beams.pencil_width, len(beams)
+    found = _mapped(function, batch, width, sublayers, each, pencils, common)
+    return jax.tree.map(lambda a: a[:count], found)
+
+
+@eqx.filter_jit
+def _mapped(
+    function: Callable[..., tuple[Array, Array]],
+    batch: int,
+    width: float,
+    sublayers: int,
+    each: Any,
+    pencils: Array,
+    common: tuple[VoxelScene, Array, Any],
+) -> tuple[Array, Array]:
+    scene, fields, _ = common
+
+    def one(beam: Any) -> tuple[Array, Array]:
+        origin, direction, own = beam
+        path = trace_pencils(scene, fields, origin, direction, pencils, width, sublayers)
+        return function(path, own, common)
+
+    return jax.lax.map(jax.checkpoint(one), each, batch_size=batch)
+
+
+def _check(scene: VoxelScene, beams: LidarBeams, straight: float) -> None:
+    bands = scene.classes.reflectance.shape[1]
+    if bands != 1:
+        raise InputError(
+            f"a LiDAR has one band, its laser's, but the scene has {bands}: "
+            "take `scene.bands(k, 1)`"
+        )
+    if float(beams.origin[:, 2].min()) <= scene.height:
+        raise InputError(
+            f"the LiDAR must be above the grid, which is {scene.height:g} m high, but is at "
+            f"{float(beams.origin[:, 2].min()):g} m: pulses begin above the canopy"
+        )
+    if not 0.0 <= straight <= 1.0:
+        raise InputError(f"`straight` must be a share from 0 to 1, but is {straight}")
+
+
+class _FineGrid:
+    """Bins of range in which a canopy's return is gathered before pulse and samples blur it.
+
+    Counted from the first sample of each beam; they span the canopy of that beam.
+    """
+
+    def __init__(self, scene: VoxelScene, lidar: Lidar, beams: LidarBeams) -> None:
+        sigma = lidar.pulse_sd
+        per_sample = max(int(np.ceil(_FINE * lidar.sample / sigma)), 1)
+        self.step = lidar.sample / per_sample
+        self.tail = int(np.ceil(_TAIL * sigma / self.step))
+        slant = -beams.direction[:, 2]
+        tilt = np.sqrt(np.maximum(1.0 - slant**2, 0.0)) / slant
+        off = np.abs(beams.pencils).max()
+        # A pencil's slant range beyond that of the axis, to second order.
+        slack = beams.origin[:, 2] / slant * (2.0 * tilt * off + 4.0 * off**2)
+        near = (beams.origin[:, 2] - scene.height) / slant - slack
+        far = beams.origin[:, 2] / slant + slack
+        self.first = np.floor((near - beams.start) / self.step).astype(int)
+        self.count = int(np.ceil(np.max(far - near) / self.step)) + 1
+        count = beams.samples * per_sample + 2 * self.tail
+        bins = (np.arange(count + 1) - self.tail) * self.step
+        edges = np.arange(beams.samples + 1) * lidar.sample
+
+        def ramp(x: np.ndarray) -> np.ndarray:
+            """Integral of the distribution function of the pulse."""
+            density = np.exp(-0.5 * (x / sigma) ** 2) / np.sqrt(2.0 * np.pi)
+            return x * ndtr(x / sigma) + sigma * density
+
+        blurred = ramp(edges[None, :] - bins[:, None])
+        self.to_samples = np.diff(-np.diff(blurred, axis=0), axis=1) / self.step

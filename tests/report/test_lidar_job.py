@@ -1,0 +1,98 @@
+"""A LiDAR flown over a small plot: its files, opened by other readers."""
+
+import laspy
+import numpy as np
+import pytest
+import xarray as xr
+from rasterio import Affine
+
+from fynjax._core.errors import InputError
+from fynjax.report._lidar_job import run_lidar
+from tests.helpers import write_raster
+from tests.sensors.lidar_scenes import flash
+
+PLOT = """
+[plot]
+name = "small"
+size_m = 2.0
+voxel_m = 0.1
+species_table = "species.csv"
+"""
+SPECIES = """taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form
+Erica irregularis,40,30,0.6,rounded_shrub
+Restio eleocharis,30,15,0.5,tussock
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lidar")
+    (folder / "plot.toml").write_text(PLOT)
+    (folder / "species.csv").write_text(SPECIES)
+    (folder / "out").mkdir()
+    return run_lidar(folder / "plot.toml", "flash_lidar_paper", folder / "out", seed=4), folder
+
+
+def test_files_are_there_and_agree(run):
+    summary, folder = run
+    out = folder / "out"
+    assert sorted(p.name for p in out.iterdir()) == sorted(summary["files"])
+    cloud = laspy.read(out / "cloud.laz")
+    assert len(cloud) == summary["returns"]
+    assert int(np.sum(np.asarray(cloud.classification) == 2)) == summary["ground_returns"]
+    x, _, z = cloud.xyz.T
+    assert x.min() > -0.1
+    assert x.max() < 2.1
+    ground = np.asarray(cloud.classification) == 2
+    assert abs(np.median(z[ground])) < 0.03
+    assert 0.3 < np.percentile(z[~ground], 99) < 0.75
+    with xr.open_dataset(out / "waveforms.nc") as data:
+        assert data.attrs["Conventions"].startswith("CF")
+        assert data.attrs["seed"] == 4
+        assert data.waveform.dims == ("pulse", "sample")
+        peak = data.waveform.isel(pulse=np.asarray(cloud.pulse)[:50]).max("sample")
+        assert np.all(np.isfinite(data.waveform))
+        assert np.all(peak > 0)
+        # The highest sample of the first echo is where the point is.
+        first = int(np.asarray(cloud.pulse)[0])
+        one = data.isel(pulse=first)
+        distance = float(one.first_range + one.sample[int(np.argmax(one.waveform.values))])
+        found = one.origin_z + distance * one.direction_z
+        own = z[np.asarray(cloud.pulse) == first]
+        assert np.abs(own - float(found)).min() < 0.15
+
+
+def test_the_summary_says_what_was_measured(run):
+    summary, _ = run
+    assert summary["returns_per_m2"] == pytest.approx(summary["returns"] / 4.0)
+    assert summary["pulses_per_m2"] == pytest.approx(655.36, rel=0.04)  # whole pixels
+    assert summary["share_of_pulses_with_returns"] > 0.9
+    assert summary["percentile_rmse_m"]["first hits"] < 0.1
+    assert "small, flash_lidar_paper" in summary["headline"][0]
+
+
+def test_a_sensor_inside_the_canopy_is_refused(run):
+    _, folder = run
+    with pytest.raises(InputError, match="above the canopy"):
+        run_lidar(folder / "plot.toml", flash(altitude=0.5), folder / "none", seed=4)
+    assert not (folder / "none").exists()
+
+
+def test_a_slope_comes_out_on_its_map(run, tmp_path):
+    """A plane of 20 %, rising to the east, on a map in UTM."""
+    _, folder = run
+    east = (np.arange(8) + 0.5) * 0.25
+    height = np.broadcast_to(120.0 + 0.2 * east, (1, 8, 8)).astype(np.float32)
+    place = Affine(0.25, 0, 600000, 0, -0.25, 6180002)
+    write_raster(tmp_path / "terrain.tif", height, transform=place, crs="EPSG:32734")
+    terrain = 'boundary = "open"\nterrain = "terrain.tif"\nspecies_table'
+    (tmp_path / "plot.toml").write_text(PLOT.replace("species_table", terrain))
+    (tmp_path / "species.csv").write_text((folder / "species.csv").read_text())
+    run_lidar(tmp_path / "plot.toml", "flash_lidar_paper", tmp_path / "out", seed=4, noise=False)
+    cloud = laspy.read(tmp_path / "out" / "cloud.laz")
+    ground = np.asarray(cloud.classification) == 2
+    slope, level = np.polyfit(np.asarray(cloud.x)[ground] - 600000, np.asarray(cloud.z)[ground], 1)
+    assert slope == pytest.approx(0.2, abs=0.01)
+    assert level == pytest.approx(120.0, abs=0.03)
+    assert 6180000 - 0.1 < cloud.y.min() < cloud.y.max() < 6180002.1
+    assert "34S" in cloud.header.vlrs.get("WktCoordinateSystemVlr")[0].string
