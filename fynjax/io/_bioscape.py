@@ -9,6 +9,7 @@ from pathlib import Path
 from fynjax._core.errors import InputError
 from fynjax.io._bioscape_assumed import (
     OPEN_GROUND_LITTER,
+    STANDING_DEAD,
     PlantShape,
     PlantSize,
     plant_shape,
@@ -99,15 +100,30 @@ class BioscapePlot:
         return max(0.0, self.live - self.listed_cover)
 
     @property
+    def standing_dead(self) -> float:
+        """Cover of dead plants that stand between the live ones [-], by `STANDING_DEAD`. Dead
+        cover that exceeds what the live leaves free is under them."""
+        return STANDING_DEAD * max(0.0, min(self.dead, 1.0 - self.live))
+
+    @property
     def packing(self) -> float:
-        """Share of a crown over other crowns [-] with which all crowns cover `live`."""
-        return random_packing(self.listed_cover + self.other_cover, self.live)
+        """Share of a crown over other crowns [-] with which all crowns cover what is live or
+        stands dead."""
+        crowns = self.listed_cover + self.other_cover + self.standing_dead
+        return random_packing(crowns, self.live + self.standing_dead)
 
     @property
     def litter_fraction(self) -> float:
-        """Share of the ground under litter [-]: dead cover over dead and bare cover."""
-        ground = self.dead + self.soil + self.rock
-        return self.dead / ground if ground > 0 else OPEN_GROUND_LITTER
+        """Share of the ground under litter [-]: dead cover that does not stand, over it and bare
+        cover."""
+        litter = self.dead - self.standing_dead
+        ground = litter + self.soil + self.rock
+        return litter / ground if ground > 0 else OPEN_GROUND_LITTER
+
+    @property
+    def dominant(self) -> BioscapeSpecies:
+        """The species with the largest cover."""
+        return max(self.species, key=lambda s: s.cover)
 
     def trait_shares(self, trait: str = "leaf_mass_per_area") -> dict[str, float]:
         """Share of the listed cover for each source of a trait [-]."""

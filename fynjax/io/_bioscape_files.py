@@ -11,13 +11,23 @@ from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.io._atomic import write_text
 from fynjax.io._bioscape import BioscapePlot, BioscapeSpecies, Visit, read_bioscape
-from fynjax.io._bioscape_assumed import CLOSED_COVER, DOME, PLOT_SIDE_M, pigments, plant_size
+from fynjax.io._bioscape_assumed import (
+    CLOSED_COVER,
+    DOME,
+    PLOT_SIDE_M,
+    pigments,
+    plant_size,
+)
 from fynjax.io._bioscape_traits import SOURCES
 from fynjax.io._plot import PROSPECT_COLUMNS
 from fynjax.sensors import sun_position
 
 OTHER = "Other species"
 """Taxon of the live cover that no listed species makes up."""
+
+DEAD = "Standing dead plants"
+"""Taxon of the dead cover that stands: bare stems, as large as the dominant species, with the
+measured spectrum of bark. PROSPECT is no model of dead culms and stems."""
 
 LARGEST = {"water": 0.2, "dry_matter": 0.1}
 """Largest values that a leaf table takes [cm, g cm-2]; only succulents and thick culms pass it."""
@@ -128,8 +138,8 @@ def _plot_toml(plot: BioscapePlot) -> str:
         "",
         "[ground]",
         'soil = "dry"  # assumed; rock is taken to be as bright',
-        f"litter_fraction = {plot.litter_fraction:.4f}  # dead over dead and bare cover; dead "
-        "plants that still stand are read as litter",
+        f"litter_fraction = {plot.litter_fraction:.4f}  # dead over dead and bare cover, without "
+        "the dead that is read as standing",
         f"# rock_fraction = {plot.rock:.4f}",
         "",
     ]
@@ -145,10 +155,11 @@ def _species_csv(plot: BioscapePlot) -> str:
     notes = [
         f"Live cover of {plot.name} as the field crew noted it; the listed species sum to "
         f"{listed:g} %.",
-        f"Live cover seen from above is {plot.live * 100:g} %. Crowns are set at random: with "
-        f"{packing:.1f} % of each",
-        f"over others (packing_percent) they cover that much together, or {CLOSED_COVER:.0%} at "
-        "most.",
+        f"Live cover seen from above is {plot.live * 100:g} %, standing dead read as "
+        f"{plot.standing_dead * 100:g} %. Crowns are",
+        f"set at random: with {packing:.1f} % of each over others (packing_percent) they cover so "
+        "much",
+        f"together, or {CLOSED_COVER:.0%} at most.",
         *(
             [f"{OTHER!r} is the rest of the live cover, with the mean leaf of those listed."]
             if plot.other_cover > 0
@@ -168,6 +179,10 @@ def _species_csv(plot: BioscapePlot) -> str:
     if plot.other_cover > 0:
         size = plant_size("", DOME)
         rows.append((OTHER, size.crown_diameter_m, plot.other_cover, size.height_m, DOME))
+    if plot.standing_dead > 0:
+        like = plot.dominant
+        sizes = like.size.crown_diameter_m, plot.standing_dead, like.size.height_m
+        rows.append((DEAD, *sizes, "deadwood"))
     cells = [(t, d * 100, c * 100, h, form, round(packing, 3)) for t, d, c, h, form in rows]
     return "".join(f"# {note}\n" for note in notes) + _table([header, *cells])
 
@@ -217,6 +232,14 @@ def _sources(plot: BioscapePlot) -> list[tuple[Any, ...]]:
         rows.append((OTHER, "cover", cover, "%", "live cover less the listed species", ""))
         for name, value in mean_leaf(plot).items():
             rows.append((OTHER, name, value, _LEAF_UNITS[name], "mean of the listed species", ""))
+    if plot.standing_dead > 0:
+        size, like = plot.dominant.size, f"as {plot.dominant.taxon}"
+        rows += [
+            (DEAD, "cover", plot.standing_dead * 100, "%", "assumed", "half of the dead cover"),
+            (DEAD, "growth_form", "deadwood", "-", "assumed", ""),
+            (DEAD, "crown_diameter", size.crown_diameter_m, "m", "assumed", like),
+            (DEAD, "height", size.height_m, "m", "assumed", like),
+        ]
     return rows
 
 

@@ -14,7 +14,13 @@ from fynjax._core.errors import InputError
 from fynjax.cli import main
 from fynjax.io import read_plot
 from fynjax.io._bioscape import BioscapePlot, read_bioscape
-from fynjax.io._bioscape_files import leaf_parameters, run_bioscape, write_plot_files
+from fynjax.io._bioscape_files import (
+    DEAD,
+    OTHER,
+    leaf_parameters,
+    run_bioscape,
+    write_plot_files,
+)
 
 COVER = """Plot,PercentBareSoil,PercentBareRock,PercentDeadVegetation,PercentLiveVegetation
 A1,15,5,20,60
@@ -72,9 +78,10 @@ def test_covers_and_leaves_by_hand(tables: Path, tmp_path: Path) -> None:
     a1, b2 = read_bioscape(tables)
     assert (a1.live, a1.dead, a1.soil, a1.rock) == (0.6, 0.2, 0.15, 0.05)
     assert a1.other_cover == pytest.approx(0.2)
-    assert a1.litter_fraction == pytest.approx(0.5)  # 20 of 20 + 15 + 5
-    # Random crowns cover 60 % where their areas sum to -ln(0.4) of the ground.
-    assert a1.packing == pytest.approx(1 - 0.6 / -math.log(0.4))
+    assert a1.standing_dead == pytest.approx(0.1)  # half of 20 %
+    assert a1.litter_fraction == pytest.approx(1 / 3)  # 10 of 10 + 15 + 5
+    # Random crowns, live and dead, cover 70 % where their areas sum to -ln(0.3) of the ground.
+    assert a1.packing == pytest.approx(1 - 0.7 / -math.log(0.3))
     assert b2.packing == pytest.approx(
         1 - 1.2 / -math.log(0.05)
     )  # a closed plot is planted as 95 %
@@ -85,9 +92,11 @@ def test_covers_and_leaves_by_hand(tables: Path, tmp_path: Path) -> None:
 
     write_plot_files(a1, tmp_path / "A1")
     plot = read_plot(tmp_path / "A1" / "plot.toml")
-    assert plot.taxa == ("Protea repens", "Restio capensis", "Other species")
-    np.testing.assert_allclose(plot.cover, [0.3, 0.1, 0.2])
-    assert [s.growth_form for s in plot.species] == ["broad_leaved", "tussock", "rounded_shrub"]
+    assert plot.taxa == ("Protea repens", "Restio capensis", "Other species", DEAD)
+    np.testing.assert_allclose(plot.cover, [0.3, 0.1, 0.2, 0.1])
+    assert [s.growth_form for s in plot.species] == [
+        "broad_leaved", "tussock", "rounded_shrub", "deadwood",
+    ]  # fmt: skip
     leaves = [s.leaf.parameters for s in plot.species if s.leaf and s.leaf.parameters]
     # Flat leaf: 300 g/m2; half water. Culm: 700 g/m2 projected over pi/2; 50 % water.
     np.testing.assert_allclose([leaves[0]["dry_matter"], leaves[0]["water"]], 0.03, rtol=1e-5)
@@ -98,6 +107,14 @@ def test_covers_and_leaves_by_hand(tables: Path, tmp_path: Path) -> None:
     assert sources["Protea repens", "dry_matter"]["source"] == "measured"
     assert sources["Restio capensis", "dry_matter"]["source"] == "genus mean"
     assert sources["Protea repens", "chlorophyll"]["source"] == "growth form default"
+
+
+def test_dead_cover_under_live_cover_does_not_stand(tables: Path) -> None:
+    change(tables, "CleanCoverData.csv", "B2,0,0,0,100", "B2,0,0,40,100")
+    with pytest.warns(UserWarning, match="sum to 140"):
+        plot = read_bioscape(tables, ["B2"])[0]
+    assert plot.standing_dead == 0
+    assert plot.litter_fraction == 1  # all that is not live is litter
 
 
 def test_leaves_thicker_than_a_leaf_table_takes_are_cut(tables: Path, tmp_path: Path) -> None:
@@ -275,10 +292,10 @@ def test_every_real_plot_loads_and_its_mean_leaf_is_the_published_one(
         sources = sources_of(tmp_path / plot.name)
         mass = total = 0.0
         for species in written.species:
+            if species.taxon in (OTHER, DEAD):
+                continue
             assert species.leaf is not None
             assert species.leaf.parameters is not None
-            if species.taxon == "Other species":
-                continue
             total += species.cover
             # The published means leave species without traits out of the sum, but not of the
             # cover that they divide by.

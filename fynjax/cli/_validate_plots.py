@@ -1,0 +1,69 @@
+"""`fynjax validate-plots`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fynjax.cli._runtime import Json, Output, Quiet, Seed, run_job
+
+Tables = Annotated[
+    Path,
+    typer.Argument(
+        metavar="FOLDER",
+        help="Folder with *CoverData.csv, *VegData.csv, *TraitLibrary.csv and, for the measured "
+        "spectra, *VegCenters.csv and *waves.csv.",
+    ),
+]
+
+
+def validate_plots(
+    folder: Tables,
+    output: Output = Path("output/validate_plots"),
+    plot: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Only this plot; may be given again. All if left out."),
+    ] = None,
+    traits: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Trait library, if it is not in the folder."),
+    ] = None,
+    size: Annotated[
+        float, typer.Option(min=1.0, max=100.0, metavar="M", help="Side of a simulated plot [m].")
+    ] = 5.0,
+    voxel: Annotated[
+        float, typer.Option(min=0.02, max=1.0, metavar="M", help="Edge of a voxel [m].")
+    ] = 0.1,
+    seed: Seed = 0,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate plots from field tables alone, and compare with their measured spectra.
+
+    Writes a report page, tables, spectra as NetCDF, figures, and the plot files.
+
+    Example:  fynjax validate-plots tables --output validation
+    """
+    from fynjax._core.errors import InputError
+
+    if abs(round(size / voxel) * voxel - size) > 1e-6 * size:
+        raise InputError(f"`--voxel` must divide `--size`, but {voxel:g} does not divide {size:g}")
+    from fynjax.report._plots_job import run_validate_plots
+    from fynjax.report._plots_scenes import Resolution
+
+    run_job(
+        "validate-plots",
+        lambda target, progress: run_validate_plots(
+            folder,
+            target,
+            plots=plot or None,
+            traits=traits,
+            resolution=Resolution(size, voxel),
+            seed=seed,
+            progress=progress,
+        ),
+        output,
+        seed=seed,
+        as_json=json,
+        quiet=quiet,
+    )

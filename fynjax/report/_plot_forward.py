@@ -1,0 +1,74 @@
+"""What the jobs on a plot's parameters share: the plot, its free parameters, a forward model."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import pandas as pd
+
+from fynjax.inversion import COARSE, ParameterSpace, coarser, free_space
+from fynjax.io import Plot, read_plot
+from fynjax.io._build import build_plot
+from fynjax.io._plot_sensor import drone_bands
+from fynjax.report._run_tables import _SHOWN_UNITS
+from fynjax.scene import PlotModel, PlotParameters, parameter_units
+from fynjax.sensors import BandSet
+
+STRIDE = 9
+"""Every so many pixels are rendered, as in a calibration's search."""
+
+
+class Prepared(NamedTuple):
+    """A plot, ready to be asked."""
+
+    plot: Plot
+    model: PlotModel
+    quick: PlotModel
+    """The model that a search uses: coarse light, thick layers."""
+    parameters: PlotParameters
+    space: ParameterSpace
+
+
+def prepare(
+    path: Path,
+    free: Sequence[str] | None,
+    *,
+    seed: int,
+    bands: BandSet | None = None,
+) -> Prepared:
+    """Read and build a plot; `free` patterns replace those of its file."""
+    plot = read_plot(path)
+    model, parameters = build_plot(
+        plot, seed=seed, bands=drone_bands(plot) if bands is None else bands
+    )
+    patterns = plot.calibration.free if free is None else tuple(free)
+    space = free_space(model, parameters, patterns, plot.calibration.relative_sd)
+    return Prepared(plot, model, coarser(model, COARSE), parameters, space)
+
+
+def batch_for_device() -> int | None:
+    """Renders at once: as many as fit on an accelerator; on a processor one fills it."""
+    return 1 if jax.default_backend() == "cpu" else None
+
+
+def shown_unit(name: str) -> tuple[str, str, float]:
+    """Kind, unit as field crews write it, and the factor to it, of a parameter."""
+    kind = name.rsplit(".", 1)[-1]
+    unit, factor = _SHOWN_UNITS.get(kind, (parameter_units()[kind], 1.0))
+    return kind, unit, factor
+
+
+def parameter_columns(names: Sequence[str], columns: dict[str, Any]) -> pd.DataFrame:
+    """A table of parameters: name, kind, unit, and columns converted to that unit."""
+    units = [shown_unit(name) for name in names]
+    factor = np.array([f for _, _, f in units])
+    return pd.DataFrame(
+        {
+            "name": list(names),
+            "kind": [kind for kind, _, _ in units],
+            "unit": [unit for _, unit, _ in units],
+            **{key: factor * np.asarray(value, float) for key, value in columns.items()},
+        }
+    )

@@ -1,0 +1,136 @@
+"""`fynjax validate-plots`: field tables in, simulated against measured spectra out."""
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from fynjax._core.errors import InputError
+from fynjax._core.progress import NullProgress, Progress
+from fynjax.io import BioscapePlot, Plot, provenance, read_bioscape, read_plot
+from fynjax.io._bioscape_files import flights, run_bioscape
+from fynjax.io._bioscape_spectra import (
+    PlotSpectra,
+    Spectrometer,
+    read_plot_spectra,
+    read_spectrometer,
+)
+from fynjax.metrics import spectral_mask
+from fynjax.report._plots_compare import PlotSpectraPair
+from fynjax.report._plots_files import write_report
+from fynjax.report._plots_scenes import PlotSpectrum, Resolution, build_scenes, simulate
+from fynjax.sensors import BandSet
+
+_MODEL_NM = (400.0, 2500.0)
+"""Wavelengths that leaf and ground spectra cover [nm]."""
+
+
+def run_validate_plots(
+    folder: str | Path,
+    output: str | Path,
+    *,
+    plots: Sequence[str] | None = None,
+    traits: str | Path | None = None,
+    resolution: Resolution | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Simulate the spectra of a folder's plots from its tables and compare them with the measured.
+
+    **Arguments:** `folder`, `plots` and `traits` as `fynjax.io.read_bioscape` takes them; for the
+    measured spectra the folder has `*VegCenters.csv` and `*waves.csv`. `resolution`: see
+    `Resolution`. `seed` draws the places of the plants.
+
+    **Returns:** the summary: headline, files, mean agreement by predictor and region.
+
+    **Raises:** `InputError` for tables that are missing or cannot be read.
+    """
+    progress = NullProgress() if progress is None else progress
+    resolution = Resolution() if resolution is None else resolution
+    folder, output = Path(folder), Path(output)
+    read = read_bioscape(folder, plots, traits=traits)
+    spectrometer, measured = read_spectrometer(folder), read_plot_spectra(folder)
+    keep = used_bands(spectrometer)
+    bands = BandSet(
+        tuple(f"band_{i + 1}" for i in keep),
+        tuple(spectrometer.centre[keep]),
+        tuple(spectrometer.fwhm[keep]),
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # told once, above
+        run_bioscape(folder, output / "plots", plots=[p.name for p in read], traits=traits)
+    files = [read_plot(output / "plots" / p.name / "plot.toml") for p in read]
+    with progress.stage("Plant the plots"):
+        scenes = build_scenes(files, bands, resolution, seed)
+    with progress.stage("Simulate", total=len(read)):
+        spectra = simulate(scenes, lambda n: progress.advance(1, plot=read[n].name))
+    _check_finite(spectra, read)
+    pair = PlotSpectraPair(
+        tuple(p.name for p in read),
+        spectrometer.centre[keep],
+        np.stack([np.asarray(s.reflectance, float) for s in spectra]),
+        tuple(_flights(measured.get(p.name), keep) for p in read),
+    )
+    with progress.stage("Write"):
+        inputs = [*sorted(folder.glob("*.csv")), *([] if traits is None else [traits])]
+        record = provenance(seed=seed, inputs=inputs)
+        about = plot_table(read, files, spectra, measured)
+        summary = write_report(output, pair, about, resolution, record)
+    unknown = sorted(set(measured) - set(pair.plots)) if plots is None else []
+    if unknown:
+        summary["warnings"].append(
+            f"{len(unknown)} plots have spectra but no row in the table of cover, and are left "
+            f"out: {', '.join(unknown)}"
+        )
+    summary["validate_plots"]["largest_residual"] = max(float(s.residual) for s in spectra)
+    return summary
+
+
+def used_bands(spectrometer: Spectrometer) -> np.ndarray:
+    """Bands that are compared: outside the water windows and the sensor's edges, inside the
+    model's wavelengths with all of their response."""
+    centre, reach = spectrometer.centre, 2.2 * spectrometer.fwhm
+    inside = (centre - reach >= _MODEL_NM[0]) & (centre + reach <= _MODEL_NM[1])
+    return np.flatnonzero(spectral_mask(centre) & inside)
+
+
+def _flights(spectra: PlotSpectra | None, keep: np.ndarray) -> np.ndarray:
+    return np.zeros((0, keep.size)) if spectra is None else spectra.reflectance[:, keep]
+
+
+def _check_finite(spectra: Sequence[PlotSpectrum], read: Sequence[BioscapePlot]) -> None:
+    for plot, spectrum in zip(read, spectra):
+        if not np.isfinite(spectrum.reflectance).all():
+            raise InputError(f"the simulated spectrum of plot {plot.name!r} is not finite")
+
+
+def plot_table(
+    read: Sequence[BioscapePlot],
+    files: Sequence[Plot],
+    spectra: Sequence[PlotSpectrum],
+    measured: dict[str, PlotSpectra],
+) -> pd.DataFrame:
+    """What was assumed and found of each plot, one a row."""
+    rows = []
+    for plot, file, spectrum in zip(read, files, spectra):
+        found = measured.get(plot.name)
+        rows.append(
+            {
+                "plot": plot.name,
+                "species": len(plot.species),
+                "live_percent": 100 * plot.live,
+                "dead_percent": 100 * plot.dead,
+                "bare_percent": 100 * (plot.soil + plot.rock),
+                "ground_seen_percent": 100 * float(spectrum.ground_seen),
+                "sun_zenith_deg": file.sun.zenith_deg,
+                "sun_azimuth_deg": file.sun.azimuth_deg,
+                "sun_from": "flight" if flights(plot.visit) else "assumed",
+                "flights": 0 if found is None else len(found.times),
+                "flights_left_out": 0 if found is None else found.left_out,
+                "remark": "" if plot.visit is None else plot.visit.remark,
+            }
+        )
+    return pd.DataFrame(rows)

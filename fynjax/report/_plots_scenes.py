@@ -1,0 +1,171 @@
+"""Spectra of many plots as scenes, with one compilation for all of them.
+
+Plots differ in species, numbers of plants and heights. Here they get one shape: the species stand
+in slots, as many of each growth form as any plot needs, and what a plot does not fill is empty.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax.canopy import FORM_DEFAULTS, VoxelGrid
+from fynjax.io import Plot
+from fynjax.io._build import USUAL_LEAF, plot_parameters
+from fynjax.radiation import Accuracy, parallel_rays, render, solve_light
+from fynjax.scene import Camera, PlotModel, PlotParameters, build_model
+from fynjax.sensors import BandSet
+
+ALTITUDE_M = 1000.0
+ACCURACY = Accuracy(sublayers=2, coarsening=(2, 2), levels=2, refine=False, solves=25)
+
+
+class PlotSpectrum(eqx.Module):
+    """What is seen of a plot from straight above."""
+
+    reflectance: Float[Array, " band"]
+    """Mean reflectance factor [-]."""
+    ground_seen: Float[Array, ""]
+    """Share of the plot where the ground shows between leaves and stems [-]."""
+    residual: Float[Array, ""]
+    """Largest share of the source of the diffuse light that its solution leaves over [-]."""
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How finely plots are simulated."""
+
+    size_m: float = 5.0
+    """Side of the square that stands for a plot [m]; it repeats itself."""
+    voxel_m: float = 0.1
+    """Edge of a voxel [m]."""
+
+
+def slots_of(plots: Sequence[Plot]) -> tuple[str, ...]:
+    """Growth form of each slot: as many of a form as the plot with the most species of it has."""
+    most: dict[str, int] = {}
+    for plot in plots:
+        for form, group in groupby(sorted(s.growth_form for s in plot.species)):
+            most[form] = max(most.get(form, 0), len(list(group)))
+    return tuple(form for form in sorted(most) for _ in range(most[form]))
+
+
+def build_scenes(
+    plots: Sequence[Plot], bands: BandSet, resolution: Resolution, seed: int
+) -> list[tuple[PlotModel, PlotParameters]]:
+    """A model and the parameters of each plot, all of one shape and tree."""
+    slots = slots_of(plots)
+    built = [_build(plot, slots, bands, resolution, seed) for plot in plots]
+    layers = max(model.grid.shape[2] for model, _ in built)
+    sizes = [
+        tuple(len(a) for a in (p.species, p.plant, p.shapes.organ))
+        for p in (model.planting for model, _ in built)
+    ]
+    plants, elements, parts = (max(size) for size in zip(*sizes))
+    side = round(resolution.size_m / resolution.voxel_m)
+    grid = VoxelGrid((side, side, layers), resolution.voxel_m, resolution.voxel_m)
+    return [
+        (_padded(replace(model, grid=grid), plants, elements, parts), parameters)
+        for model, parameters in built
+    ]
+
+
+def _build(
+    plot: Plot, slots: tuple[str, ...], bands: BandSet, resolution: Resolution, seed: int
+) -> tuple[PlotModel, PlotParameters]:
+    read = plot_parameters(plot)
+    free = {form: [i for i, f in enumerate(slots) if f == form] for form in set(slots)}
+    place = jnp.asarray([free[s.growth_form].pop(0) for s in plot.species])
+
+    def fill(values: Array, empty: Sequence[float]) -> Array:
+        return jnp.asarray(empty, values.dtype).at[place].set(values)
+
+    count = len(slots)
+    nothing = {"cover": 0.0, "diameter": 1.0, "height": 0.1, "packing": 0.0, "fill": 1.0}
+    species, leaf = read.species, read.leaf
+    species = replace(
+        species,
+        **{name: fill(getattr(species, name), [value] * count) for name, value in nothing.items()},
+        **{
+            name: fill(getattr(species, name), [getattr(FORM_DEFAULTS[f], name) for f in slots])
+            for name in ("leaf_area_index", "wood_area_index", "shoot_clumping")
+        },
+    )
+    usual = {name: fill(getattr(leaf, name), [v] * count) for name, v in USUAL_LEAF.items()}
+    leaf = eqx.tree_at(lambda l: [getattr(l, n) for n in usual], leaf, list(usual.values()))
+    parameters = PlotParameters(species, leaf, read.ground, read.light)
+    model = build_model(
+        [f"slot {i}" for i in range(count)],
+        slots,
+        parameters,
+        extent=(resolution.size_m, resolution.size_m),
+        voxel=resolution.voxel_m,
+        camera=Camera(bands, ALTITUDE_M, resolution.voxel_m),
+        seed=seed,
+        room=1.0,
+        softness=0.0,
+        width=1.0,
+        accuracy=ACCURACY,
+    )
+    return model, parameters
+
+
+def _padded(model: PlotModel, plants: int, elements: int, parts: int) -> PlotModel:
+    """The same plot with room for more: plants that do not stand, elements without area."""
+    planting = model.planting
+
+    def longer(values: Array, length: int, fill: float = 0.0) -> Array:
+        missing = length - len(values)
+        return jnp.pad(
+            values, ((0, missing),) + ((0, 0),) * (values.ndim - 1), constant_values=fill
+        )
+
+    shapes = jax.tree.map(lambda a: longer(a, parts + 1), planting.shapes)
+    of_plants = ("species", "foot", "azimuth", "tilt", "size", "stature")
+    return replace(
+        model,
+        planting=replace(
+            planting,
+            **{name: longer(getattr(planting, name), plants) for name in of_plants},
+            place=longer(planting.place, plants, 1e9),
+            plant=longer(planting.plant, elements),
+            part=longer(planting.part, elements, parts),  # the last part has no area
+            shapes=shapes,
+            shape_class=longer(planting.shape_class, parts + 1),
+        ),
+    )
+
+
+@eqx.filter_jit
+def nadir_spectrum(model: PlotModel, parameters: PlotParameters) -> PlotSpectrum:
+    """Mean spectrum of a plot from straight above."""
+    scene = model.scene(parameters)
+    light = solve_light(scene, model.accuracy)
+    width = scene.horizontal
+    _, ny, nx = scene.shape
+    x, y = ((jnp.arange(n) + 0.5) * width for n in (nx, ny))
+    dtype = scene.area_density.dtype
+    x, y, down = x.astype(dtype), y.astype(dtype), jnp.zeros((), dtype)
+    seen = render(light, parallel_rays(x, y, width, down, down))
+    incident = scene.illumination.incident
+    return PlotSpectrum(
+        jnp.pi * seen.total.mean(axis=(1, 2)) / incident,
+        seen.gap.mean(),
+        jnp.max(light.residual),
+    )
+
+
+def simulate(
+    scenes: Sequence[tuple[PlotModel, PlotParameters]], done: Callable[[int], None]
+) -> list[PlotSpectrum]:
+    """The spectrum of each plot; `done` hears of each."""
+    spectra = []
+    for number, (model, parameters) in enumerate(scenes):
+        spectra.append(jax.tree.map(np.asarray, nadir_spectrum(model, parameters)))
+        done(number)
+    return spectra
