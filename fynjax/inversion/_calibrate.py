@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import VoxelGrid
-from fynjax.inversion._fit import Forward, evaluate, fit
+from fynjax.inversion._fit import Forward, Predict, evaluate, fit
 from fynjax.inversion._fit_result import Data, FitResult
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
 from fynjax.metrics import image_statistics
@@ -43,6 +43,10 @@ class Calibration(eqx.Module):
     statistics_before: Float[Array, " statistic"]
     """Of the full image at full accuracy."""
     statistics_after: Float[Array, " statistic"]
+    offset: Float[Array, " statistic"]
+    """What the search's cheap model lacks against the full one, at the estimate."""
+    data: Data
+    """The targets, their errors grown by what other plantings change."""
     seconds: dict[str, float] = eqx.field(static=True)
     """Wall time of a full render, of a step of the search (a value and the gradient of every
     statistic, for least squares) and of the whole search, compilation included [s]."""
@@ -119,17 +123,13 @@ def calibrate_plot(
     if rounds < 1:
         raise InputError(f"`rounds` must be at least 1, but is {rounds}")
     names = data.names
-    quick = _coarser(model, coarse)
+    quick = coarser(model, coarse)
     render = eqx.filter_jit(lambda m, p: _image_and_statistics(m, p, names))
 
     def full(values: PlotParameters, planted: PlotModel = model) -> tuple[Array, Array]:
         return jax.block_until_ready(render(planted, values))
 
-    def predict(values: Array, model: PlotModel) -> Array:
-        named = {name: values[i] for i, name in enumerate(space.names)}
-        plot = with_values(parameters, model.taxa, named)
-        return image_statistics(model.image(plot, stride), names).astype(values.dtype)
-
+    predict = plot_statistics(parameters, space.names, names, stride)
     forward = Forward(predict, space)
     u = jnp.zeros(len(space.names)) if start is None else start
     before = with_values(parameters, model.taxa, space.named(u))
@@ -152,7 +152,7 @@ def calibrate_plot(
     result: FitResult | None = None
     after, image_after, statistics_after = before, image_before, statistics
     predicted, _ = evaluate(forward, data, u, (quick,))
-    offset_before = statistics - predicted
+    offset_chosen = offset_before = statistics - predicted
     for turn in range(rounds):
         offset = statistics - predicted
         found = fit(
@@ -177,6 +177,7 @@ def calibrate_plot(
         if objective(u, statistics) < best:
             best, result, after = objective(u, statistics), found, plot
             image_after, statistics_after, chosen = image, statistics, u
+            offset_chosen = statistics - predicted
     if result is None:
         result = fit(
             predict, data, space, start=chosen, max_steps=1, offset=offset_before,
@@ -186,13 +187,16 @@ def calibrate_plot(
         result = dataclasses.replace(result, status=status, converged=False)
     seconds["search_s"] = time.perf_counter() - began
     seconds["render_s"] = float("nan")
+    grown = data
     if replants:
         plantings = range(1, replants + 1)
         clock = time.perf_counter()
         drawn = [full(after, replant(model, seed))[1] for seed in plantings]
         seconds["render_s"] = (time.perf_counter() - clock) / replants
         slopes = [evaluate(forward, data, chosen, (replant(quick, s),))[1] for s in plantings]
-        result = result.marginal(jnp.stack(drawn) - statistics_after, jnp.stack(slopes))
+        deviations = jnp.stack(drawn) - statistics_after
+        grown = data.with_scatter(deviations)
+        result = result.marginal(deviations, jnp.stack(slopes))
     result = dataclasses.replace(
         result, loss=np.concatenate(losses), gradient_norm=np.concatenate(norms)
     )
@@ -205,8 +209,30 @@ def calibrate_plot(
         image_after,
         statistics_before,
         statistics_after,
+        offset_chosen,
+        grown,
         seconds,
     )
+
+
+def plot_statistics(
+    parameters: PlotParameters,
+    free: tuple[str, ...],
+    statistics: tuple[str, ...],
+    stride: int = 1,
+) -> Predict:
+    """The forward model of a plot: statistics of its image from the values of the parameters that
+    `free` names, in their own units, and a `PlotModel`. The others are those of `parameters`.
+
+    Every `stride`-th pixel is rendered. Differentiable; `model` is the `context` of `fit`.
+    """
+
+    def predict(values: Array, model: PlotModel) -> Array:
+        named = {name: values[i] for i, name in enumerate(free)}
+        plot = with_values(parameters, model.taxa, named)
+        return image_statistics(model.image(plot, stride), statistics).astype(values.dtype)
+
+    return predict
 
 
 def _image_and_statistics(
@@ -216,7 +242,7 @@ def _image_and_statistics(
     return image, image_statistics(image, names).astype(float)
 
 
-def _coarser(model: PlotModel, accuracy: Accuracy) -> PlotModel:
+def coarser(model: PlotModel, accuracy: Accuracy) -> PlotModel:
     """The model that a fit searches with: thick layers, blocks that divide the grid."""
     grid = model.grid
     nx, ny, nz = grid.shape

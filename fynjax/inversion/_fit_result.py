@@ -104,46 +104,62 @@ class FitResult(eqx.Module):
         """The same estimate, with the uncertainty that chance in the model leaves.
 
         What a model draws at random is not what the data were drawn from, so only what another
-        draw would repeat is information. Errors of the data grow by the scatter of the statistics
-        (`Data.with_scatter`); and the information is the mean of the products of two
-        *different* draws' derivatives, since in the product of one with itself the chance part
-        of a slope counts as knowledge. That mean may have negative eigenvalues. They are set to
-        zero with each parameter in units of its slopes' size, lest one whose slopes are all chance
-        drown the others. Each is then scaled to its own mean, less what chance alone exceeds in one
-        case of forty: so many standard errors of the mean over the pairs (Student's t). One other
-        draw makes one pair, which says nothing of its error: then nothing counts as known.
+        draw would repeat is information (`repeated_information`). Errors of the data grow by the
+        scatter of the statistics (`Data.with_scatter`).
 
         **Arguments:** `deviations`, how far the statistics at the estimate lie from the model's in
         other draws; `jacobians`, their derivatives there, as in `jacobian`.
         """
         data = self.data.with_scatter(deviations)
         draws = jax.vmap(data.whiten)(jnp.concatenate([self.jacobian[None], jacobians]))
-        total, count = draws.sum(axis=0), draws.shape[0]
-        same = jnp.einsum("dsi,dsj->ij", draws, draws)
-        shared = (total.T @ total - same) / (count * (count - 1))
-        size = jnp.sqrt(jnp.diagonal(same) / count)
-        unit = jnp.where(size > 0, 1.0 / jnp.where(size > 0, size, 1.0), 0.0)
-        values, vectors = jnp.linalg.eigh(shared * unit * unit[:, None])
-        kept = (vectors * jnp.maximum(values, 0.0)) @ vectors.T
-        first, second = jnp.triu_indices(count, 1)
-        pairs = jnp.sum(draws[first] * draws[second], axis=1)  # [pair, free]
-        if count < 3:
-            own = jnp.zeros_like(size)
-        else:
-            error = jnp.std(pairs, axis=0, ddof=1) / np.sqrt(len(pairs))
-            own = jnp.maximum(jnp.diagonal(shared) - stdtrit(count - 1, 0.975) * error, 0.0)
-        raised = jnp.diagonal(kept)
-        scale = jnp.sqrt(own / jnp.where(raised > 0, raised, 1.0)) * (raised > 0)
-        information = kept * scale * scale[:, None]
+        information = repeated_information(draws)
         return dataclasses.replace(self, **posterior(self.space, self.whitened, information))
 
     def unseen_directions(self, count: int = 3) -> list[dict[str, float]]:
         """The combinations of parameters that the data say least about, main members only."""
-        found = []
-        for mode in np.asarray(self.modes)[::-1][:count]:
-            largest = np.argsort(-np.abs(mode))[:4]
-            found.append({self.names[i]: float(mode[i]) for i in largest})
-        return found
+        return main_members(self.names, np.asarray(self.modes)[::-1][:count])
+
+
+def main_members(
+    names: tuple[str, ...], modes: Float[np.ndarray, "mode free"], most: int = 4
+) -> list[dict[str, float]]:
+    """The parameters that a direction is mostly made of, with their weights."""
+    largest = [np.argsort(-np.abs(mode))[:most] for mode in modes]
+    return [{names[i]: float(mode[i]) for i in some} for mode, some in zip(modes, largest)]
+
+
+def repeated_information(
+    draws: Float[Array, "draw statistic free"],
+) -> Float[Array, "free free"]:
+    """Fisher information of what every draw of a random model repeats.
+
+    The mean of the products of two *different* draws' derivatives, since in the product of one
+    with itself the chance part of a slope counts as knowledge. That mean may have negative
+    eigenvalues. They are set to zero with each parameter in units of its slopes' size, lest one
+    whose slopes are all chance drown the others. Each is then scaled to its own mean, less what
+    chance alone exceeds in one case of forty: so many standard errors of the mean over the pairs
+    (Student's t). Two draws make one pair, which says nothing of its error: then nothing counts as
+    known.
+
+    **Arguments:** `draws`, derivatives of the whitened statistics in each draw.
+    """
+    total, count = draws.sum(axis=0), draws.shape[0]
+    same = jnp.einsum("dsi,dsj->ij", draws, draws)
+    shared = (total.T @ total - same) / (count * (count - 1))
+    size = jnp.sqrt(jnp.diagonal(same) / count)
+    unit = jnp.where(size > 0, 1.0 / jnp.where(size > 0, size, 1.0), 0.0)
+    values, vectors = jnp.linalg.eigh(shared * unit * unit[:, None])
+    kept = (vectors * jnp.maximum(values, 0.0)) @ vectors.T
+    first, second = jnp.triu_indices(count, 1)
+    pairs = jnp.sum(draws[first] * draws[second], axis=1)  # [pair, free]
+    if count < 3:
+        own = jnp.zeros_like(size)
+    else:
+        error = jnp.std(pairs, axis=0, ddof=1) / np.sqrt(len(pairs))
+        own = jnp.maximum(jnp.diagonal(shared) - stdtrit(count - 1, 0.975) * error, 0.0)
+    raised = jnp.diagonal(kept)
+    scale = jnp.sqrt(own / jnp.where(raised > 0, raised, 1.0)) * (raised > 0)
+    return kept * scale * scale[:, None]
 
 
 def posterior(space: ParameterSpace, u: Array, information: Array) -> dict[str, Any]:

@@ -74,6 +74,12 @@ class ParameterSpace(eqx.Module):
         share = jax.nn.sigmoid(self._centre + self._width * u)
         return (self.upper - self.lower) * share * (1.0 - share) * self._width
 
+    def log_slope(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
+        """log |d physical / d u|, finite far out; what a density over values gains over u."""
+        z = self._centre + self._width * u
+        both = jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)
+        return jnp.log(self.upper - self.lower) + jnp.log(self._width) + both
+
     def named(self, u: Float[Array, " free"]) -> dict[str, Array]:
         """Parameters by name."""
         values = self.physical(u)

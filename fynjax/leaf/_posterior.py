@@ -1,19 +1,18 @@
 """The posterior of a leaf by sampling, where the Gaussian about the best fit is in doubt."""
 
-import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Literal
 
-import emcee
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from fynjax._core.errors import MissingExtraError
 from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.sampling import ensemble, hamiltonian
 from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel
@@ -28,11 +27,7 @@ from fynjax.leaf._problem import (
     usable_bins,
 )
 
-_STRETCH_WALKERS = 32
-_CHECK_EVERY = 200
-# A chain shorter than this many autocorrelation times does not know its own autocorrelation time
-# (Goodman & Weare 2010; the emcee documentation asks for 50).
-_TIMES_TAU = 50.0
+_WALKERS, _CHAINS = 32, 4
 
 
 class LeafPosterior(eqx.Module):
@@ -50,77 +45,17 @@ class LeafPosterior(eqx.Module):
     """`converged`, or why the draws may not be the posterior."""
 
 
-@eqx.filter_jit
 def _log_density(
     z: Array, free: Array, problem: lm.Problem, system: Array, factors: Any, optics: lm.Optics
 ) -> Array:
-    """Log posterior density at z [walker, free parameter]; fixed parameters keep their prior."""
-
-    def one(z: Array) -> Array:
-        whole = problem.prior_mean.at[free].set(z)
-        return -lm.cost(whole, problem, factors, system, optics)
-
-    return jax.vmap(one)(z)
+    """Log posterior density at z [free parameter]; fixed parameters keep their prior."""
+    whole = problem.prior_mean.at[free].set(z)
+    return -lm.cost(whole, problem, factors, system, optics)
 
 
-def _emcee(
-    density: Callable[[Any], Array], start: np.ndarray, target: float, steps: int, seed: int
-) -> tuple[np.ndarray, float, str]:
-    """Chain [step, walker, parameter] without burn-in, its effective size, and a status."""
-    # Differential evolution and snooker moves (ter Braak & Vrugt 2008) instead of the stretch move,
-    # which mixes slowly where parameters are correlated.
-    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
-    sampler = emcee.EnsembleSampler(
-        *start.shape, lambda z: np.asarray(density(z)), vectorize=True, moves=moves
-    )
-    sampler.random_state = np.random.RandomState(seed).get_state()
-    state: Any = start
-    size, long_enough = 0.0, False
-    while sampler.iteration < steps:
-        state = sampler.run_mcmc(state, _CHECK_EVERY, skip_initial_state_check=True)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            tau = float(np.max(sampler.get_autocorr_time(tol=0, discard=_CHECK_EVERY // 2)))
-        kept = sampler.iteration - _CHECK_EVERY // 2
-        size = kept * len(start) / tau if np.isfinite(tau) else 0.0
-        long_enough = kept > _TIMES_TAU * tau
-        if long_enough and size >= target:
-            break
-    done = long_enough and size >= target
-    status = "converged" if done else "not converged: chain shorter than 50 autocorrelation times"
-    return sampler.get_chain(discard=_CHECK_EVERY // 2), size, status
-
-
-def _nuts(
-    density: Callable[[Any], Array], start: np.ndarray, target: float, steps: int, seed: int
-) -> tuple[np.ndarray, float, str]:
-    """The same by blackjax's NUTS, one chain; needs the extra `nuts`."""
-    try:
-        import blackjax
-    except ImportError as error:
-        raise MissingExtraError("blackjax", "nuts") from error
-
-    def one(z: Array) -> Array:
-        return density(z[None])[0]
-
-    warm_key, run_key = jax.random.split(jax.random.key(seed))
-    draws = int(min(steps, max(200, 2 * target)))
-    warmup = blackjax.window_adaptation(blackjax.nuts, one)
-    (state, tuned), _ = warmup.run(warm_key, jnp.asarray(start[0]), num_steps=300)
-    kernel = blackjax.nuts(one, **tuned)
-
-    def step(state: Any, key: Array) -> tuple[Any, Array]:
-        state, _ = kernel.step(key, state)
-        return state, state.position
-
-    _, positions = jax.lax.scan(step, state, jax.random.split(run_key, draws))
-    chain = np.asarray(positions)[:, None]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        tau = float(np.max(emcee.autocorr.integrated_time(chain, tol=0)))
-    size = draws / tau
-    status = "converged" if size >= 0.5 * target else "not converged: few effective draws"
-    return chain, size, status
+@eqx.filter_jit
+def _of_many(density: Callable[[Array], Array], z: Array) -> Array:
+    return jax.vmap(density)(z)
 
 
 def sample_leaf_posterior(
@@ -163,7 +98,6 @@ def sample_leaf_posterior(
     """
     if sampler not in ("emcee", "nuts"):
         raise ValueError(f'`sampler` must be "emcee" or "nuts", but is {sampler!r}')
-    run = _emcee if sampler == "emcee" else _nuts
     progress = NullProgress() if progress is None else progress
     data = binned_data(wavelength, reflectance, transmittance, detector_changes)
     use = usable_bins(data, domain, outdoor)
@@ -181,16 +115,24 @@ def sample_leaf_posterior(
                 continue
             problem = lm.Problem(*(jnp.asarray(part[i]) for part in problems))
             system = lm.factor_system(jnp.asarray(setup.factors), problem.precision)
-            density = partial(
+            density = Partial(
                 _log_density, free=jnp.asarray(columns), problem=problem, system=system,
                 factors=jnp.asarray(setup.factors), optics=setup.optics,
             )  # fmt: skip
             covariance = np.linalg.inv(state.hessian[i])[np.ix_(columns, columns)]
-            walkers = max(_STRETCH_WALKERS, 4 * columns.size)
-            start = random.multivariate_normal(state.z[i, columns], covariance, walkers)
-            chain, sizes[i], said = run(density, start, target, max_steps, seed + i)
-            status.append(said)
-            flat = chain.reshape(-1, columns.size)
+            count = max(_WALKERS, 4 * columns.size) if sampler == "emcee" else _CHAINS
+            start = random.multivariate_normal(state.z[i, columns], covariance, count)
+            limits: dict[str, Any] = {"target": target, "steps": max_steps, "seed": seed + i}
+            if sampler == "emcee":
+                many: Any = partial(_of_many, density)
+                found = ensemble(many, start, **limits)
+            else:
+                found = hamiltonian(density, start, covariance, **limits)
+            sizes[i] = found.effective_size
+            status.append(found.status)
+            if not len(found.chain):
+                continue
+            flat = found.chain.reshape(-1, columns.size)
             picked = flat[random.integers(0, len(flat), draws)]
             samples[i], spectra[i] = _finish(setup, problems, i, columns, picked, random)
             progress.advance(1)

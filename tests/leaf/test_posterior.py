@@ -1,6 +1,6 @@
 """The sampler against the closed form, the Laplace fit, and simulated truth."""
 
-import builtins
+import sys
 import time
 
 import jax
@@ -9,29 +9,10 @@ import pytest
 
 from fynjax._core.errors import MissingExtraError
 from fynjax.leaf import LeafParameters, fit_leaf, prospect, sample_leaf_posterior
-from fynjax.leaf._posterior import _emcee
 
 GRID = np.arange(400.0, 2501.0)
 LEAF = prospect(LeafParameters())
 R, T = np.asarray(LEAF.reflectance)[None], np.asarray(LEAF.transmittance)[None]
-
-
-def test_the_ensemble_samples_a_known_gaussian():
-    mean, covariance = np.array([1.0, -2.0, 0.5]), np.array([[1, 0.8, 0], [0.8, 1, 0], [0, 0, 4.0]])
-    inverse = np.linalg.inv(covariance)
-
-    def density(z):
-        return -0.5 * np.einsum("wi,ij,wj->w", z - mean, inverse, z - mean)
-
-    start = np.random.default_rng(0).normal(size=(32, 3))
-    chain, size, status = _emcee(density, start, 2000.0, 20_000, 1)
-    flat = chain.reshape(-1, 3)
-    assert status == "converged"
-    assert size >= 2000
-    np.testing.assert_allclose(flat.mean(0), mean, atol=5 * 2 / np.sqrt(size))
-    np.testing.assert_allclose(np.cov(flat.T), covariance, atol=0.5)
-    _, _, short = _emcee(density, start, 2000.0, 200, 1)
-    assert short.startswith("not converged")
 
 
 @pytest.mark.slow
@@ -59,27 +40,21 @@ def test_posterior_agrees_with_the_gaussian_of_the_fit_where_that_holds():
 @pytest.mark.slow
 def test_the_two_samplers_agree():
     """Ensemble and Hamiltonian draws share nothing but the density."""
-    pytest.importorskip("blackjax")
+    pytest.importorskip("blackjax", reason="the extra `nuts` is not installed")
     found = [
-        sample_leaf_posterior(GRID, R, T, draws=1500, target=250.0, sampler=name)
+        sample_leaf_posterior(GRID, R, T, draws=20_000, target=5000.0, sampler=name)
         for name in ("emcee", "nuts")
     ]
-    assert found[1].status == ("converged",)
+    assert found[0].status == found[1].status == ("converged",)
     for i in range(len(found[0].names)):
         one, other = (f.samples[0, :, i] for f in found)
-        assert abs(np.median(one) - np.median(other)) < 0.35 * one.std()
-        assert 0.7 < other.std() / one.std() < 1.4
+        # Two means of 5000 effective draws differ by 0.02 sd.
+        assert abs(one.mean() - other.mean()) < 0.1 * one.std()
+        assert 0.93 < other.std() / one.std() < 1.07
 
 
 def test_a_missing_extra_names_the_line_to_type(monkeypatch):
-    real = builtins.__import__
-
-    def absent(name, *arguments, **keywords):
-        if name == "blackjax":
-            raise ImportError(name)
-        return real(name, *arguments, **keywords)
-
-    monkeypatch.setattr(builtins, "__import__", absent)
+    monkeypatch.setitem(sys.modules, "blackjax", None)
     with pytest.raises(MissingExtraError, match=r'pip install "fynjax\[nuts\]"'):
         sample_leaf_posterior(GRID, R, sampler="nuts")
     with pytest.raises(ValueError, match="sampler"):

@@ -1,0 +1,90 @@
+"""`fynjax posterior`."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from fynjax.cli._calibrate import Target
+from fynjax.cli._render import PlotPath
+from fynjax.cli._runtime import Json, Output, OwnSeed, Quiet, run_job
+
+Free = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="PATTERN",
+        help="Parameters to free, such as species.*.cover; may be repeated. The plot file's if "
+        "left out.",
+    ),
+]
+
+
+def posterior(
+    plot: PlotPath,
+    target: Target,
+    method: Annotated[
+        Literal["emcee", "nuts", "laplace"],
+        typer.Option(
+            help="An ensemble of walkers, Hamiltonian sampling, or the Gaussian about the fit."
+        ),
+    ] = "emcee",
+    free: Free = None,
+    draws: Annotated[int, typer.Option(min=1, help="Effective draws to reach.")] = 400,
+    steps: Annotated[int, typer.Option(min=1, help="Most steps of the chain.")] = 5000,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of the unfinished chain; OUTPUT.checkpoint if left out. The same command "
+            "goes on from it.",
+        ),
+    ] = None,
+    output: Output = Path("output/posterior"),
+    seed: OwnSeed = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Sample which parameters of a plot a real image leaves possible.
+
+    Writes every draw (NetCDF), the parameters with their intervals, figures and a report page. An
+    interrupted run goes on when the same command is given again.
+
+    Example:  fynjax posterior plot.toml --target statistics.csv --method laplace
+    """
+    from fynjax.io._plot_file import read_plot
+    from fynjax.io._tables import existing_file
+
+    # Before the heavy imports: a slip in a file shows at once.
+    read = read_plot(plot)
+    number = read.seed if seed is None else seed
+    existing_file(target, "an image or a table of statistics")
+    own = output.with_name(f"{output.name}.checkpoint") if checkpoint is None else checkpoint
+    from fynjax.report._posterior_job import run_posterior
+
+    try:
+        run_job(
+            "posterior",
+            lambda folder, progress: run_posterior(
+                plot,
+                target,
+                folder,
+                method=method,
+                free=free,
+                target_size=draws,
+                max_steps=steps,
+                checkpoint=own,
+                seed=number,
+                progress=progress,
+            ),
+            output,
+            seed=number,
+            as_json=json,
+            quiet=quiet,
+        )
+    except KeyboardInterrupt:
+        print(
+            f"fynjax: interrupted; {own} keeps what was done, and the same command goes on with it",
+            file=sys.stderr,
+        )
+        sys.exit(130)

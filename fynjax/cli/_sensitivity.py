@@ -1,0 +1,68 @@
+"""`fynjax sensitivity`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fynjax.cli._posterior import Free
+from fynjax.cli._render import PlotPath
+from fynjax.cli._runtime import Json, Output, OwnSeed, Quiet, run_job
+
+
+def sensitivity(
+    plot: PlotPath,
+    metrics: Annotated[
+        str, typer.Option(metavar="NAME,...", help="Statistics of the image.")
+    ] = "red.mean,nir.mean,NDVI.mean,NDVI.std",
+    free: Free = None,
+    derivatives: Annotated[
+        int,
+        typer.Option(
+            min=0, metavar="N", help="Renders with slopes over the priors, a power of two; 0: none."
+        ),
+    ] = 0,
+    sobol: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Points of the Sobol design, a power of two; takes N (parameters + 2) renders.",
+        ),
+    ] = 0,
+    output: Output = Path("output/sensitivity"),
+    seed: OwnSeed = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Tell which parameters of a plot move which figures of its image.
+
+    Writes slopes and elasticities at the plot's parameters, shares of variance over the priors if
+    asked for, figures and a report page.
+
+    Example:  fynjax sensitivity plot.toml --metrics NDVI.mean,nir.mean --derivatives 64
+    """
+    from fynjax.io._plot_file import read_plot
+
+    # Before the heavy imports: a slip in a file shows at once.
+    read = read_plot(plot)
+    number = read.seed if seed is None else seed
+    from fynjax.report._sensitivity_job import run_sensitivity
+
+    run_job(
+        "sensitivity",
+        lambda folder, progress: run_sensitivity(
+            plot,
+            folder,
+            metrics=[name.strip() for name in metrics.split(",")],
+            free=free,
+            derivative_samples=derivatives,
+            sobol_samples=sobol,
+            seed=number,
+            progress=progress,
+        ),
+        output,
+        seed=number,
+        as_json=json,
+        quiet=quiet,
+    )

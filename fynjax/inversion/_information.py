@@ -1,0 +1,117 @@
+"""What data can tell about parameters at best: Fisher information and Cramér-Rao bounds."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from fynjax._core.errors import InputError
+from fynjax.inversion._fit_result import main_members
+
+_NOTHING = 1e-10
+"""Information below this share of the largest counts as none: rounding leaves as much."""
+
+
+class Information(eqx.Module):
+    """Bounds on the standard deviation of any unbiased estimate, parameter by parameter."""
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    prior_sd: Float[np.ndarray, " free"]
+    """In the parameters' own units, as are the bounds."""
+    fisher: Float[np.ndarray, "free free"]
+    """Fisher information, per product of the parameters' units."""
+    alone: Float[np.ndarray, " free"]
+    """Bound where every other parameter is known; infinite where the data say nothing."""
+    unaided: Float[np.ndarray, " free"]
+    """Cramér-Rao bound where nothing is known of any parameter; infinite for one that takes part
+    in a direction which the data cannot see."""
+    bound: Float[np.ndarray, " free"]
+    """Cramér-Rao bound from the data where the others are known as well as their priors: what the
+    data add on this one."""
+    with_prior: Float[np.ndarray, " free"]
+    """Bound with the priors of all (van Trees 1968); at most the prior's standard deviation."""
+    information: Float[np.ndarray, " mode"]
+    """Eigenvalues of the information in prior units, largest first: below one, a direction is
+    known from the prior rather than from the data."""
+    modes: Float[np.ndarray, "mode free"]
+    """Their directions, in prior units."""
+
+    @property
+    def constrained(self) -> Float[np.ndarray, " free"]:
+        """1 - variance with the data over that of the prior [-]."""
+        return 1.0 - (self.with_prior / self.prior_sd) ** 2
+
+    def unseen(self, below: float = 0.01) -> list[dict[str, float]]:
+        """Directions with less information than `below`, in prior units: the sensor cannot see
+        them. Least seen first, main members only."""
+        hidden = self.modes[self.information < below][::-1]
+        return main_members(self.names, hidden)
+
+
+def fisher_information(
+    names: tuple[str, ...],
+    jacobian: Float[np.ndarray, "observation free"],
+    covariance: Float[np.ndarray, " observation *observation"],
+    prior_sd: Float[np.ndarray, " free"],
+) -> Information:
+    """Information of data with normal errors about parameters: J^T C^-1 J.
+
+    **Arguments:**
+
+    - `names` of the parameters.
+    - `jacobian`: derivatives of what is observed by the parameters, in their own units.
+    - `covariance` of its errors; or, where they are independent, their variances [observation].
+    - `prior_sd`: standard deviations of the parameters' priors, in their own units.
+
+    Raises `InputError` for shapes that do not match, and a covariance that is not positive.
+    """
+    slopes, noise = np.asarray(jacobian, float), np.asarray(covariance, float)
+    count = slopes.shape[0]
+    if slopes.ndim != 2 or slopes.shape[1] != len(names) or np.shape(prior_sd) != (len(names),):
+        raise InputError(
+            f"{len(names)} parameters are named, but `jacobian` has shape {slopes.shape} and "
+            f"`prior_sd` {np.shape(prior_sd)}"
+        )
+    if noise.shape not in ((count,), (count, count)):
+        raise InputError(f"{count} observations need as many errors, but got {noise.shape}")
+    try:
+        if noise.ndim == 1:
+            if not np.all(noise > 0):
+                raise np.linalg.LinAlgError
+            whitened = slopes / np.sqrt(noise)[:, None]
+        else:
+            whitened = np.linalg.solve(np.linalg.cholesky(noise), slopes)
+    except np.linalg.LinAlgError as error:
+        raise InputError("the covariance of the errors must be positive definite") from error
+    scaled = whitened * prior_sd
+    return bounds_of(names, scaled.T @ scaled, np.asarray(prior_sd, float))
+
+
+def bounds_of(
+    names: tuple[str, ...],
+    matrix: Float[np.ndarray, "free free"],
+    prior_sd: Float[np.ndarray, " free"],
+) -> Information:
+    """Bounds from a Fisher information in prior units (each parameter counted in `prior_sd`)."""
+    values, vectors = np.linalg.eigh(np.asarray(matrix, float))
+    values = np.maximum(values[::-1], 0.0)
+    modes = vectors[:, ::-1].T
+    hidden = values <= _NOTHING * max(values[0], np.finfo(float).tiny)
+    share = modes**2
+    variance = share[~hidden].T @ (1.0 / values[~hidden])
+    touched = share[hidden].sum(axis=0) > 1e-9
+    known = share.T @ (1.0 / (1.0 + values))  # posterior over prior variance
+    with np.errstate(divide="ignore"):
+        added = np.maximum(1.0 / known - 1.0, 0.0)
+        added[added < _NOTHING] = 0.0
+        alone = np.diagonal(matrix)
+        return Information(
+            names=tuple(names),
+            prior_sd=prior_sd,
+            fisher=matrix / np.outer(prior_sd, prior_sd),
+            alone=prior_sd / np.sqrt(np.maximum(alone, 0.0)),
+            unaided=np.where(touched, np.inf, prior_sd * np.sqrt(variance)),
+            bound=prior_sd / np.sqrt(added),
+            with_prior=prior_sd * np.sqrt(known),
+            information=values,
+            modes=modes,
+        )

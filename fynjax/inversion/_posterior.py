@@ -1,0 +1,243 @@
+"""The posterior of parameters by sampling, or by the Gaussian about the best fit."""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax._core.errors import InputError
+from fynjax._core.extras import require
+from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.sampling import Draws, ensemble, hamiltonian
+from fynjax.inversion._fit import Predict, fit
+from fynjax.inversion._fit_result import Data, FitResult
+from fynjax.inversion._posterior_result import Posterior
+from fynjax.inversion._space import ParameterSpace
+from fynjax.inversion._vectorised import evaluate_many, memory_batch
+
+Method = Literal["emcee", "nuts", "laplace"]
+_WALKERS, _CHAINS = 32, 4
+_FLAT = 0.01
+"""Information, in units of the prior's, below which a direction counts as flat."""
+
+
+class LogPosterior(eqx.Module):
+    """Logarithm of the posterior density over whitened coordinates, up to a constant.
+
+    The prior of a `ParameterSpace` is a unit normal in its whitened coordinates u. Over a
+    parameter's own values it is that density over |d value / d u|, a logit-normal one. A prior
+    stated over values, `log_prior`, is carried to u by the same factor.
+
+    Differentiable in u; jit and vmap work.
+    """
+
+    predict: Predict = eqx.field(static=True)
+    space: ParameterSpace
+    data: Data
+    offset: Float[Array, " statistic"]
+    """Added to the predicted statistics."""
+    context: tuple[Any, ...] = ()
+    """Further arguments of `predict`."""
+    log_prior: Callable[[Float[Array, " free"]], Array] | None = eqx.field(
+        static=True, default=None
+    )
+    """Log density of a prior over values in their own units, instead of the space's."""
+
+    def statistics(self, u: Float[Array, " free"]) -> Float[Array, " statistic"]:
+        """What the model predicts."""
+        return self.predict(self.space.physical(u), *self.context).astype(u.dtype) + self.offset
+
+    def __call__(self, u: Float[Array, " free"]) -> Float[Array, ""]:
+        rest = self.data.whiten(self.statistics(u) - self.data.value)
+        if self.log_prior is None:
+            prior = -0.5 * u @ u
+        else:
+            prior = self.log_prior(self.space.physical(u)) + jnp.sum(self.space.log_slope(u))
+        return prior - 0.5 * rest @ rest
+
+
+def sample_posterior(
+    predict: Predict,
+    data: Data,
+    space: ParameterSpace,
+    *,
+    method: Method = "emcee",
+    start: FitResult | None = None,
+    offset: Float[Array, " statistic"] | None = None,
+    context: tuple[Any, ...] = (),
+    log_prior: Callable[[Float[Array, " free"]], Array] | None = None,
+    target: float = 400.0,
+    max_steps: int = 10_000,
+    chains: int | None = None,
+    warmup: int = 200,
+    seed: int = 0,
+    batch: int | None = None,
+    predictive: int = 100,
+    checkpoint: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Posterior:
+    """Sample the posterior of the free parameters.
+
+    Works in whitened coordinates (`LogPosterior`), from draws of the Gaussian about the best fit.
+
+    **Arguments:**
+
+    - `predict`, `data`, `space`, `offset`, `context`: as `fit` has them; `log_prior` as
+      `LogPosterior` has it.
+    - `method`: "emcee", an ensemble of walkers (Foreman-Mackey et al. 2013), for up to some ten
+      parameters; "nuts", Hamiltonian (Hoffman & Gelman 2014; extra `nuts`), which needs a
+      gradient and stands many; "laplace", the Gaussian about the fit, no sampling.
+    - `start`: a fit of the same problem; made here if left out.
+    - `target`: effective draws to reach, on a chain longer than 50 autocorrelation times;
+      `max_steps`: where to give up.
+    - `chains`: walkers of the ensemble (32, or four a parameter) or chains of NUTS (4); `warmup`:
+      steps in which NUTS tunes its step size.
+    - `seed`: of all random numbers. The same seed gives the same draws.
+    - `batch`: parameter sets computed at once; what the memory holds if left out.
+    - `predictive`: draws whose statistics are computed.
+    - `checkpoint`: file that keeps the chain (HDF5 for "emcee", extra `posterior`). A run that was
+      interrupted or killed goes on from it, and ends as if it had not been.
+
+    **Returns:** `Posterior`. Its `status` says whether the chain converged, and names directions
+    that the data say nothing about. A posterior that is not finite gives no draws and the reason.
+
+    **Raises:** `InputError` for wrong arguments, or a checkpoint of another problem;
+    `MissingExtraError` without the packages of the method.
+    """
+    if method not in ("emcee", "nuts", "laplace"):
+        raise InputError(f"`method` must be 'emcee', 'nuts' or 'laplace', but is {method!r}")
+    if max_steps < 1 or warmup < 1 or predictive < 1 or not target > 0:
+        raise InputError("`max_steps`, `warmup`, `predictive` and `target` must be positive")
+    if method == "laplace" and log_prior is not None:
+        raise InputError("the Gaussian about the fit is that of the space's prior: no `log_prior`")
+    if method == "nuts":
+        require("blackjax", "nuts")
+    progress = NullProgress() if progress is None else progress
+    shift = jnp.zeros_like(data.value) if offset is None else jnp.asarray(offset)
+    density = LogPosterior(predict, space, data, shift, context, log_prior)
+    if start is None:
+        with progress.stage("Fit"):
+            start = fit(predict, data, space, offset=shift, context=context)
+    centre, covariance = np.asarray(start.whitened, float), np.asarray(start.covariance, float)
+    if not (np.isfinite(centre).all() and np.isfinite(covariance).all()):
+        return _result(density, method, start, _none("the fit to start from is not finite", space))
+    if batch is None:
+        batch = memory_batch(density, centre)
+    random = np.random.default_rng(seed)
+    if method == "laplace":
+        count = max(int(np.ceil(target)), 2)
+        found = _gaussian(centre, covariance, count, random, start)
+    else:
+        size = _chain_count(method, chains, centre.size)
+        begin = random.multivariate_normal(centre, covariance, size, method="eigh")
+        path = None if checkpoint is None else Path(checkpoint)
+        mark = _signature(density, begin, f"{method} {seed} {warmup}")
+        limits: dict[str, Any] = {
+            "target": target, "steps": max_steps, "seed": seed, "checkpoint": path,
+            "signature": mark,
+        }  # fmt: skip
+        total = max_steps + (warmup if method == "nuts" else 0)
+        with progress.stage(f"Sample by {method}", total):
+            limits["report"] = _reporter(progress)
+            if method == "emcee":
+                found = ensemble(lambda u: evaluate_many(density, u, batch=batch), begin, **limits)
+            else:
+                found = hamiltonian(density, begin, covariance, warmup=warmup, **limits)
+    if not len(found.chain):
+        return _result(density, method, start, found)
+    flat = found.chain.reshape(-1, centre.size)
+    picked = flat[random.integers(0, len(flat), predictive)]
+    with progress.stage("Predict", predictive):
+        statistics = evaluate_many(
+            eqx.Partial(_statistics, density), picked, batch=batch, advance=progress.advance
+        )
+    return _result(density, method, start, found, statistics)
+
+
+def _statistics(density: LogPosterior, u: Array) -> Array:
+    return density.statistics(u)
+
+
+def _reporter(progress: Progress) -> Callable[[int, dict[str, float]], None]:
+    done = 0
+
+    def report(steps: int, figures: dict[str, float]) -> None:
+        nonlocal done
+        progress.advance(steps - done, **figures)  # after a resumption, all that was done before
+        done = steps
+
+    return report
+
+
+def _chain_count(method: str, chains: int | None, free: int) -> int:
+    if chains is None:
+        return max(_WALKERS, 4 * free) if method == "emcee" else _CHAINS
+    if method == "emcee" and chains < 2 * free + 2:
+        raise InputError(
+            f"an ensemble for {free} parameters needs at least {2 * free + 2} walkers, but "
+            f"`chains` is {chains}"
+        )
+    if chains < 1:
+        raise InputError(f"`chains` must be at least 1, but is {chains}")
+    return chains
+
+
+def _signature(density: LogPosterior, begin: np.ndarray, settings: str) -> str:
+    """Differs where the problem, the start or the settings do."""
+    total = hashlib.sha256(settings.encode())
+    total.update("\n".join(density.space.names + density.data.names).encode())
+    for leaf in (*jax.tree.leaves(eqx.filter(density, eqx.is_array_like)), begin):
+        total.update(np.ascontiguousarray(leaf).tobytes())
+    return total.hexdigest()
+
+
+def _gaussian(
+    centre: np.ndarray, covariance: np.ndarray, count: int, random: Any, start: FitResult
+) -> Draws:
+    chain = random.multivariate_normal(centre, covariance, count, method="eigh")[:, None]
+    off = chain[:, 0] - centre
+    level = -0.5 * np.einsum("di,di->d", off, np.linalg.solve(covariance, off.T).T)[:, None]
+    status = "converged" if start.converged else f"not converged: {start.status}"
+    return Draws(chain, level, float(count), 1.0, 1.0, status)
+
+
+def _none(why: str, space: ParameterSpace) -> Draws:
+    chain = np.empty((0, 1, len(space.names)))
+    return Draws(chain, np.empty((0, 1)), 0.0, np.inf, 0.0, f"failed: {why}")
+
+
+def _result(
+    density: LogPosterior,
+    method: str,
+    start: FitResult,
+    found: Draws,
+    predicted: np.ndarray | None = None,
+) -> Posterior:
+    # What lies closer than half an autocorrelation time repeats its neighbour.
+    thin = max(1, int(found.autocorrelation / 2)) if np.isfinite(found.autocorrelation) else 1
+    information = np.asarray(start.information)
+    flat = start.unseen_directions(int((information < _FLAT).sum()))
+    status = found.status
+    if flat and len(found.chain):
+        shown = "; ".join(", ".join(f"{n} {w:+.2f}" for n, w in one.items()) for one in flat[:3])
+        more = f" and {len(flat) - 3} more" if len(flat) > 3 else ""
+        status += f"; flat, the data say nothing along {shown}{more}"
+    return Posterior(
+        space=density.space,
+        data=density.data,
+        whitened=np.swapaxes(found.chain[::thin], 0, 1),
+        log_density=found.log_density[::thin].T,
+        predicted=np.empty((0, density.data.value.size)) if predicted is None else predicted,
+        flat=tuple(tuple(one.items()) for one in flat),
+        method=method,
+        effective_size=found.effective_size,
+        acceptance=found.acceptance,
+        converged=found.status.startswith("converged"),
+        status=status,
+    )

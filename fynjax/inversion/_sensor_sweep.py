@@ -1,0 +1,238 @@
+"""What sensors of other pixels, bands and noise could know about a plot."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax._core.errors import InputError
+from fynjax._core.progress import NullProgress, Progress
+from fynjax.inversion._calibrate import COARSE, coarser
+from fynjax.inversion._fit_result import Data, repeated_information
+from fynjax.inversion._information import Information, bounds_of
+from fynjax.inversion._space import ParameterSpace
+from fynjax.inversion._vectorised import value_and_jacobian
+from fynjax.metrics import mean, quantiles, standard_deviation
+from fynjax.radiation import Accuracy
+from fynjax.scene import PlotModel, PlotParameters, replant, with_values
+from fynjax.sensors import BandSet
+
+_SHARES = (0.1, 0.5, 0.9)
+_SPREAD_FROM, _TAILS_FROM = 4, 25
+"""Pixels from which a standard deviation, and quantiles, are worth computing."""
+
+
+class SensorSetting(NamedTuple):
+    """One sensor of a sweep."""
+
+    gsd: float
+    """Side of a pixel on the ground [m]."""
+    bands: int
+    noise: float
+    """Standard deviation of a pixel's noise over its reflectance [-]."""
+    sun_zenith: float
+    """[degrees]"""
+    pixels: int
+    """Pixels over the plot."""
+
+
+def even_bands(count: int, lowest: float, highest: float) -> BandSet:
+    """Adjacent box-shaped bands of equal width from `lowest` to `highest` [nm]."""
+    if count < 1 or not 400.0 < lowest < highest < 2500.0:
+        raise InputError(
+            "expected one band or more between 400 and 2500 nm, but got "
+            f"{count} from {lowest:g} to {highest:g} nm"
+        )
+    width = (highest - lowest) / count
+    centre = lowest + width * (np.arange(count) + 0.5)
+    return BandSet(
+        tuple(f"b{c:.0f}" for c in centre),
+        tuple(centre.tolist()),
+        (width,) * count,
+        response="box",
+    )  # fmt: skip
+
+
+def sweep_sensors(
+    model: PlotModel,
+    parameters: PlotParameters,
+    space: ParameterSpace,
+    *,
+    gsd: Sequence[float],
+    bands: Sequence[int],
+    noise: Sequence[float] = (0.01,),
+    sun_zenith: Sequence[float] | None = None,
+    error: float = 0.01,
+    replants: int = 4,
+    draws: int = 4,
+    coarse: Accuracy = COARSE,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> list[tuple[SensorSetting, Information]]:
+    """Bounds on the parameters of a plot, for each combination of sensor properties.
+
+    What a sensor gives are statistics of its image: of each band the mean and, with four pixels or
+    more, the standard deviation; with 25 or more also the quantiles 10, 50 and 90 %. Errors are
+    the noise of the pixels, an error of `error` times each statistic (calibration, the model),
+    and where the plants stand: that is nobody's knowledge, so it is measured on `replants` other
+    plantings as in `calibrate_plot`, and only slopes that all plantings share are information.
+
+    Each planting and sun is rendered once with its derivatives by forward mode, in the finest
+    pixels and the model's bands; coarser pixels and wider bands are averages of those. Light has
+    the accuracy `coarse`.
+
+    **Arguments:**
+
+    - `model`: its camera's bands must be adjacent and of equal width, as `even_bands` makes them.
+    - `parameters`, `space`: the plot, and the parameters in question with their priors.
+    - `gsd`: sides of a pixel [m], multiples of the smallest; what is left of the plot beyond whole
+      pixels is cut off.
+    - `bands`: numbers of bands, which divide the model's number; they share its range.
+    - `noise`: of a pixel, over its reflectance [-].
+    - `sun_zenith`: [degrees]; the plot's own if left out.
+    - `draws`: realisations of the noise.
+
+    Raises `InputError` for settings that do not fit the model.
+    """
+    fine = min(gsd)
+    steps = _check(model, gsd, bands, noise, replants)
+    progress = NullProgress() if progress is None else progress
+    camera = dataclasses.replace(model.camera, pixel=fine)
+    quick = coarser(dataclasses.replace(model, camera=camera), coarse)
+    plantings = [quick, *(replant(quick, one) for one in range(1, replants + 1))]
+    centre = np.asarray(parameters.light.sun_zenith, float)
+    suns = [float(centre)] if sun_zenith is None else [float(s) for s in sun_zenith]
+    at = space.physical(jnp.zeros(len(space.names)))
+    found = []
+    for sun in suns:
+        lit = eqx.tree_at(lambda p: p.light.sun_zenith, parameters, jnp.asarray(sun))
+        with progress.stage(f"Render, sun at {sun:g} degrees", len(plantings)):
+            images = []
+            for planted in plantings:
+                images.append(jax.device_get(_image_and_slopes(planted, lit, space.names, at)))
+                progress.advance()
+        with progress.stage("Bounds", len(steps) * len(bands) * len(noise)):
+            for step, size in zip(steps, gsd):
+                for count in bands:
+                    seen = [_degrade(image, slopes, step, count) for image, slopes in images]
+                    for level in noise:
+                        information, pixels = _bounds(seen, space, level, error, draws, seed)
+                        setting = SensorSetting(float(size), count, float(level), sun, pixels)
+                        found.append((setting, information))
+                        progress.advance()
+    return found
+
+
+def _check(
+    model: PlotModel,
+    gsd: Sequence[float],
+    bands: Sequence[int],
+    noise: Sequence[float],
+    replants: int,
+) -> list[int]:
+    """Finest pixels on the side of each pixel."""
+    if not gsd or not bands or not noise or min(gsd) <= 0 or min(noise) <= 0:
+        raise InputError("`gsd`, `bands` and `noise` must be given and positive")
+    if replants < 2:
+        raise InputError(
+            "slopes that plantings share need three of them: `replants` must be at least 2, but is "
+            f"{replants}"
+        )
+    fine, most = min(gsd), len(model.camera.bands)
+    steps = [round(size / fine) for size in gsd]
+    for size, step in zip(gsd, steps):
+        if abs(size - step * fine) > 1e-6 * size:
+            raise InputError(
+                f"pixels must be multiples of the finest, {fine:g} m; {size:g} m is not"
+            )
+        if size > min(model.grid.extent[:2]) * (1 + 1e-9):
+            raise InputError(f"a pixel of {size:g} m is larger than the plot")
+    for count in bands:
+        if count < 1 or most % count:
+            raise InputError(f"the number of bands must divide {most}, but {count} does not")
+    return steps
+
+
+@eqx.filter_jit
+def _image_and_slopes(
+    model: PlotModel, parameters: PlotParameters, names: tuple[str, ...], at: Array
+) -> tuple[Float[Array, "band y x"], Float[Array, "band y x free"]]:
+    def image(values: Array) -> Array:
+        named = {name: values[i] for i, name in enumerate(names)}
+        return model.image(with_values(parameters, model.taxa, named))
+
+    return value_and_jacobian(image, at, mode="forward")
+
+
+def _degrade(image: np.ndarray, slopes: np.ndarray, step: int, count: int) -> Any:
+    """Image and slopes in pixels of `step` finer ones, in `count` bands."""
+
+    def average(values: np.ndarray) -> np.ndarray:
+        bands, ny, nx = values.shape[:3]
+        ny, nx = ny // step, nx // step
+        cut = values[:, : ny * step, : nx * step]
+        rest = values.shape[3:]
+        blocks = cut.reshape(count, bands // count, ny, step, nx, step, *rest)
+        return blocks.mean(axis=(1, 3, 5))
+
+    return average(image), average(slopes)
+
+
+@jax.jit
+def _statistics(
+    image: Float[Array, "band y x"], noisy: Float[Array, "draw band y x"]
+) -> Float[Array, "draw statistic"]:
+    """Statistics of an image with each draw of its noise (relative, unit mean)."""
+    pixels = image.shape[1] * image.shape[2]
+
+    def of_band(band: Array) -> Array:
+        parts = [mean(band)[None]]
+        if pixels >= _SPREAD_FROM:
+            parts.append(standard_deviation(band)[None])
+        if pixels >= _TAILS_FROM:
+            parts.append(quantiles(band, jnp.asarray(_SHARES, band.dtype)))
+        return jnp.concatenate(parts)
+
+    return jax.vmap(lambda one: jax.vmap(of_band)(image * one).ravel())(noisy)
+
+
+@jax.jit
+def _statistics_and_slopes(image: Array, slopes: Array, noisy: Array) -> tuple[Array, Array]:
+    """Of the noisy images, and the slopes of their mean."""
+    found, push = jax.linearize(lambda x: _statistics(x, noisy), image)
+    columns = jax.lax.map(lambda t: push(t).mean(axis=0), jnp.moveaxis(slopes, -1, 0))
+    return found, columns.T
+
+
+def _bounds(
+    seen: Sequence[tuple[np.ndarray, np.ndarray]],
+    space: ParameterSpace,
+    noise: float,
+    error: float,
+    draws: int,
+    seed: int,
+) -> tuple[Information, int]:
+    shape = seen[0][0].shape
+    random = np.random.default_rng(seed)
+    noisy = jnp.asarray(1.0 + noise * random.normal(size=(draws, *shape)))
+    values, slopes, own = [], [], []
+    for image, change in seen:
+        every, slope = _statistics_and_slopes(
+            jnp.asarray(image, float), jnp.asarray(change, float), noisy
+        )
+        values.append(every.mean(axis=0))
+        slopes.append(slope)
+        own.append(every.var(axis=0, ddof=1))
+    value = values[0]
+    sd = jnp.sqrt(jnp.stack(own).mean(axis=0) + (error * jnp.abs(value)) ** 2)
+    names = tuple(f"s{i}" for i in range(value.size))
+    data = Data(names, value, sd).with_scatter(jnp.stack(values[1:]) - value)
+    scale = space.slope(jnp.zeros(len(space.names)))
+    whitened = jnp.stack([data.whiten(one * scale) for one in slopes])
+    matrix = np.asarray(repeated_information(whitened))
+    return bounds_of(space.names, matrix, np.asarray(scale, float)), int(np.prod(shape[1:]))

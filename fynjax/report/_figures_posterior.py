@@ -1,0 +1,254 @@
+"""Figures of posteriors, sensitivities and bounds, from plain arrays and tables."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
+
+from fynjax.report._figure_style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    REAL,
+    SKY,
+    VERMILION,
+    style,
+    words,
+)
+
+_SERIES = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, GREY)
+
+
+def short_name(name: str) -> str:
+    """`Erica irregularis cover` for `species.Erica irregularis.cover`."""
+    return words(name.removeprefix("species.").replace(".leaf.", " ").replace(".", " "))
+
+
+def corner_plot(
+    draws: ArrayLike,
+    names: Sequence[str],
+    *,
+    prior: tuple[ArrayLike, ArrayLike] | None = None,
+    most: int = 7,
+) -> Figure:
+    """Each parameter's distribution on the diagonal, each pair's below it (50 and 90 % of draws).
+
+    **Arguments:** `draws` [draw, parameter]; `names`; `prior`, its centres and standard
+    deviations, drawn as a grey curve. Of more than `most` parameters the first are shown.
+    """
+    values = np.asarray(draws, float)[:, :most]
+    size = values.shape[1]
+    low, high = np.quantile(values, [0.002, 0.998], axis=0)
+    room = np.where(high > low, 0.06 * (high - low), 1e-6)
+    low, high = low - room, high + room
+    with style():
+        figure = Figure(figsize=(1.45 * size + 1.2, 1.45 * size + 0.9))
+        grid: Any = figure.subplots(size, size, squeeze=False)
+        for row in range(size):
+            for column in range(size):
+                axes = grid[row, column]
+                if column > row:
+                    axes.set_axis_off()
+                    continue
+                axes.set_xlim(low[column], high[column])
+                axes.locator_params(nbins=3)
+                axes.tick_params(labelsize=6.5)
+                if row == column:
+                    _marginal(axes, values[:, row], prior, row)
+                else:
+                    axes.set_ylim(low[row], high[row])
+                    _pair(axes, values[:, column], values[:, row])
+                if row < size - 1:
+                    axes.set_xticklabels([])
+                else:
+                    axes.set_xlabel(_broken(names[column]), fontsize=7)
+                    axes.tick_params(axis="x", rotation=35)
+                if column == 0 and row > 0:
+                    axes.set_ylabel(_broken(names[row]), fontsize=7)
+                elif column > 0 or row == 0:
+                    axes.set_yticklabels([])
+    return figure
+
+
+def _broken(name: str) -> str:
+    """A label on as many lines as it has words, so that it stays beside its panel."""
+    return short_name(name).replace(" ", "\n")
+
+
+def _marginal(
+    axes: Any, values: NDArray[np.float64], prior: tuple[ArrayLike, ArrayLike] | None, at: int
+) -> None:
+    left, right = axes.get_xlim()
+    axes.hist(values, np.linspace(left, right, 41), density=True, color=SKY)
+    if prior is not None:
+        centre, sd = (np.asarray(part, float)[at] for part in prior)
+        x = np.linspace(left, right, 200)
+        curve = np.exp(-0.5 * ((x - centre) / sd) ** 2) / (sd * np.sqrt(2 * np.pi))
+        axes.plot(x, curve, color=GREY, lw=1.0)
+    for share in np.quantile(values, [0.05, 0.5, 0.95]):
+        axes.axvline(share, color=BLUE, lw=0.8, ls="--")
+    axes.set_yticks([])
+
+
+def _pair(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+    limits = (axes.get_xlim(), axes.get_ylim())
+    count, east, north = np.histogram2d(x, y, bins=24, range=limits)
+    padded = np.pad(count, 1, mode="edge")
+    smooth = sum(
+        padded[1 + i : 25 + i, 1 + j : 25 + j] * (2 - abs(i)) * (2 - abs(j)) / 16.0
+        for i in (-1, 0, 1)
+        for j in (-1, 0, 1)
+    )
+    assert isinstance(smooth, np.ndarray)
+    order = np.sort(smooth.ravel())[::-1]
+    held = np.cumsum(order) / max(order.sum(), 1e-300)
+    levels = sorted({float(order[np.searchsorted(held, share)]) for share in (0.9, 0.5)})
+    levels = [*levels, float(order[0]) * 1.001]
+    if len(levels) > 2 and levels[0] > 0:
+        middle = (0.5 * (east[1:] + east[:-1]), 0.5 * (north[1:] + north[:-1]))
+        axes.contourf(*middle, smooth.T, levels=levels, colors=["#CFE6F5", SKY])
+    else:
+        axes.plot(x, y, ",", color=SKY)
+
+
+def predictive_plot(
+    predicted: ArrayLike,
+    observed: ArrayLike,
+    sd: ArrayLike,
+    names: Sequence[str],
+) -> Figure:
+    """What the posterior predicts of each statistic against what was measured, in its errors.
+
+    **Arguments:** `predicted` [draw, statistic], without error; `observed` and `sd` [statistic].
+    """
+    error = np.asarray(sd, float)
+    off = (np.asarray(predicted, float) - np.asarray(observed, float)) / error
+    y = np.arange(len(names))
+    with style():
+        figure = Figure(figsize=(6.0, 0.19 * len(names) + 1.1))
+        axes = figure.subplots()
+        axes.axvspan(-1.0, 1.0, color="#EFEFEF", lw=0)
+        axes.axvline(0.0, color=REAL, lw=0.8)
+        low, middle, high = np.quantile(off, [0.05, 0.5, 0.95], axis=0)
+        axes.errorbar(middle, y, xerr=[middle - low, high - middle], fmt="o", ms=3.5, color=BLUE,
+                      lw=1.2, label="predicted, 90 % of the draws")  # fmt: skip
+        axes.set_yticks(y, [words(n) for n in names], fontsize=7.5)
+        axes.set_ylim(len(names) - 0.4, -0.6)
+        axes.set_xlabel("Predicted less measured, in standard errors of the measured (grey: one)")
+        axes.grid(axis="x")
+        figure.legend(loc="outside upper left")
+    return figure
+
+
+def tornado_plot(table: pd.DataFrame, *, most: int = 15) -> Figure:
+    """Elasticities of each metric, largest first, one panel a metric.
+
+    **Arguments:** `table` with the columns metric, parameter, elasticity.
+    """
+    metrics = list(dict.fromkeys(table["metric"]))
+    columns = min(2, len(metrics))
+    rows = -(-len(metrics) // columns)
+    shown = min(most, table["parameter"].nunique())
+    with style():
+        figure = Figure(figsize=(4.6 * columns, (0.17 * shown + 0.55) * rows + 0.5))
+        grid: Any = figure.subplots(rows, columns, squeeze=False)
+        for axes, metric in zip(grid.ravel(), metrics):
+            part = table[(table["metric"] == metric) & table["elasticity"].notna()]
+            order = part["elasticity"].abs().sort_values(ascending=False).index[:most]
+            part = part.loc[order]
+            value = part["elasticity"].to_numpy(float)
+            y = np.arange(len(part))
+            axes.barh(y, value, color=[BLUE if v > 0 else VERMILION for v in value], height=0.7)
+            axes.axvline(0.0, color=REAL, lw=0.7)
+            axes.set_yticks(y, [short_name(str(n)) for n in part["parameter"]], fontsize=7)
+            axes.set_ylim(shown - 0.4, -0.6)
+            axes.tick_params(axis="y", length=0)
+            axes.set_title(words(metric))
+            axes.grid(axis="x")
+        for axes in grid.ravel()[len(metrics) :]:
+            axes.set_axis_off()
+        figure.supxlabel("Change of the metric [%] for 1 % more of the parameter", fontsize=8.5)
+    return figure
+
+
+def indices_plot(table: pd.DataFrame, *, most: int = 15) -> Figure:
+    """First and total Sobol indices with their 95 % intervals, and the derivative-based bound.
+
+    **Arguments:** `table` with the columns metric, parameter, first, first_error, total,
+    total_error, bound (NaN where unknown).
+    """
+    metrics = list(dict.fromkeys(table["metric"]))
+    columns = min(2, len(metrics))
+    rows = -(-len(metrics) // columns)
+    shown = min(most, table["parameter"].nunique())
+    with style():
+        figure = Figure(figsize=(4.6 * columns, (0.24 * shown + 0.6) * rows + 0.7))
+        grid: Any = figure.subplots(rows, columns, squeeze=False)
+        for axes, metric in zip(grid.ravel(), metrics):
+            part = table[table["metric"] == metric]
+            key = part["total"].fillna(part["bound"])
+            part = part.loc[key.sort_values(ascending=False).index[:most]]
+            y = np.arange(len(part))
+            for kind, colour, shift in (("first", SKY, -0.18), ("total", BLUE, 0.18)):
+                if part[kind].notna().any():
+                    error = part[f"{kind}_error"].to_numpy(float)
+                    axes.barh(y + shift, part[kind].clip(lower=0.0), 0.34, color=colour,
+                              xerr=error, error_kw={"lw": 0.8, "ecolor": REAL})  # fmt: skip
+            axes.plot(np.minimum(part["bound"].to_numpy(float), 1.0), y, "|", ms=9, mew=1.6,
+                      color=VERMILION)  # fmt: skip
+            axes.set_yticks(y, [short_name(str(n)) for n in part["parameter"]], fontsize=7)
+            axes.set_ylim(shown - 0.4, -0.6)
+            axes.set_xlim(0.0, 1.05)
+            axes.set_title(words(metric))
+            axes.grid(axis="x")
+        for axes in grid.ravel()[len(metrics) :]:
+            axes.set_axis_off()
+        handles = [
+            matplotlib.patches.Patch(color=SKY, label="alone"),
+            matplotlib.patches.Patch(color=BLUE, label="with interactions"),
+            matplotlib.lines.Line2D([], [], marker="|", ls="", ms=9, mew=1.6, color=VERMILION,
+                                    label="bound by slopes (cut at 1)"),
+        ]  # fmt: skip
+        figure.legend(handles=handles, loc="outside upper left", ncols=3)
+        figure.supxlabel("Share of the metric's variance [-]", fontsize=8.5)
+    return figure
+
+
+def bound_plot(
+    table: pd.DataFrame, species: Sequence[str], *, labels: Mapping[int, str] | None = None
+) -> Figure:
+    """Bound on each species' cover over the cover, against the pixel, a line a number of bands.
+
+    **Arguments:** `table` with the columns parameter, gsd_m, bands, bound, value; `species`, the
+    parameters to show; `labels` of the numbers of bands. Infinite bounds leave the panel.
+    """
+    columns = min(3, len(species))
+    rows = -(-len(species) // columns)
+    with style():
+        figure = Figure(figsize=(2.7 * columns + 0.4, 1.9 * rows + 1.0))
+        grid: Any = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        for axes, name in zip(grid.ravel(), species):
+            part = table[table["parameter"] == name]
+            for k, (count, line) in enumerate(part.groupby("bands")):
+                line = line.sort_values("gsd_m")
+                ratio = (line["bound"] / line["value"]).replace(np.inf, np.nan)
+                label = (labels or {}).get(int(str(count)), f"{count} bands")
+                axes.loglog(line["gsd_m"], np.clip(ratio, 0, 90.0), "-o", ms=3, lw=1.2,
+                            color=_SERIES[k % len(_SERIES)], label=label)  # fmt: skip
+            axes.axhspan(1.0, 100.0, color="#F3E3DC", lw=0)
+            axes.set_title(short_name(name.removesuffix(".cover")), fontsize=8)
+            axes.grid(which="major")
+        grid[0, 0].set_ylim(0.02, 100.0)
+        for axes in grid.ravel()[len(species) :]:
+            axes.set_axis_off()
+        handles, names = grid[0, 0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside upper left", ncols=len(names))
+        figure.supxlabel("Pixel on the ground [m]", fontsize=8.5)
+        figure.supylabel("Bound over cover [-]; shaded: lost", fontsize=8.5)
+    return figure

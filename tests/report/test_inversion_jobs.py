@@ -1,0 +1,122 @@
+"""What the jobs on posteriors, sensitivities and bounds tell, and one of each on a tiny plot."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fynjax._core.errors import InputError
+from fynjax.report._figures_posterior import (
+    bound_plot,
+    corner_plot,
+    indices_plot,
+    predictive_plot,
+    tornado_plot,
+)
+from fynjax.report._information_job import limit_table, run_information
+from fynjax.report._posterior_job import run_posterior
+from fynjax.report._sensitivity_job import run_sensitivity
+
+PLOT = """
+[plot]
+name = "tiny"
+size_m = 2.0
+voxel_m = 0.1
+species_table = "species.csv"
+[sensor]
+pixel_m = 0.1
+[calibration]
+free = ["species.*.cover", "ground.brightness"]
+max_iterations = 2
+"""
+SPECIES = """taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form
+Erica irregularis,40,30,0.5,rounded_shrub
+Restio eleocharis,30,15,0.5,tussock
+"""
+TARGET = "statistic,value,sd\nred.mean,0.06,0.002\nnir.mean,0.22,0.005\nNDVI.std,0.2,0.05\n"
+
+
+@pytest.fixture(scope="module")
+def plot(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plot")
+    (folder / "plot.toml").write_text(PLOT)
+    (folder / "species.csv").write_text(SPECIES)
+    (folder / "target.csv").write_text(TARGET)
+    return folder / "plot.toml"
+
+
+def bounds(values):
+    """A table of bounds on one cover of 10 % for pixels of 0.1, 1 and 5 m."""
+    rows = [
+        {"parameter": "species.A.cover", "bands": 4, "noise": 0.01, "sun_zenith": 30.0,
+         "gsd_m": gsd, "bound": bound, "value": 10.0}
+        for gsd, bound in zip((0.1, 1.0, 5.0), values)
+    ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ((1.0, 5.0, 9.0), np.nan),
+        ((1.0, 5.0, 11.0), 5.0),
+        ((1.0, 12.0, np.inf), 1.0),
+        ((20.0, 12.0, np.inf), 0.1),
+        ((20.0, 5.0, 11.0), 5.0),  # a loss that a larger pixel does not share is chance
+    ],
+)
+def test_a_cover_is_lost_from_where_no_larger_pixel_tells_it(values, expected):
+    table = limit_table(bounds(values), ["species.A.cover"])
+    assert table["lost_from_gsd_m"].tolist() == pytest.approx([expected], nan_ok=True)
+
+
+def test_figures_stand_what_data_bring():
+    """A constant parameter, an infinite bound, an elasticity that is not there."""
+    draws = np.random.default_rng(0).normal(size=(300, 3)) * np.array([1.0, 2.0, 0.0])
+    names = ["species.A.cover [%]", "ground.brightness [-]", "species.A.leaf.water [cm]"]
+    assert len(corner_plot(draws, names, prior=(np.zeros(3), np.ones(3))).axes) == 9
+    assert predictive_plot(draws, np.zeros(3), np.ones(3), ["a.mean", "b.mean", "c.std"]).axes
+    table = pd.DataFrame(
+        {"metric": ["red.mean"] * 2, "parameter": names[:2], "elasticity": [0.3, np.nan],
+         "first": [0.2, 0.1], "first_error": [0.1, 0.1], "total": [np.nan] * 2,
+         "total_error": [np.nan] * 2, "bound": [0.4, 2.0]}
+    )  # fmt: skip
+    for figure in (tornado_plot(table), indices_plot(table)):
+        figure.canvas.draw()
+    bound_plot(bounds((1.0, 12.0, np.inf)), ["species.A.cover"]).canvas.draw()
+
+
+@pytest.mark.slow
+def test_a_plot_tells_what_moves_its_metrics(plot, tmp_path):
+    told = run_sensitivity(plot, tmp_path, metrics=["nir.mean"], derivative_samples=4, seed=0)
+    assert all((tmp_path / name).stat().st_size for name in told["files"])
+    slope = {row["parameter"]: row["slope"] for row in told["slopes"]}
+    assert slope["ground.brightness"] > 0
+    assert all(row["bound"] >= 0 for row in told["variance"])
+    with pytest.raises(InputError, match="a statistic must be"):
+        run_sensitivity(plot, tmp_path, metrics=["nir.middle"], seed=0)
+
+
+@pytest.mark.slow
+def test_the_posterior_of_a_plot_goes_on_from_its_checkpoint(plot, tmp_path):
+    pytest.importorskip("h5py", reason="the extra `posterior` is not installed")
+    keep = tmp_path / "checkpoint"
+    target = plot.with_name("target.csv")
+    options = {"checkpoint": keep, "target_size": 50.0, "seed": 0}
+    for output in ("first", "second", "gauss"):
+        (tmp_path / output).mkdir()
+    run_posterior(plot, target, tmp_path / "first", method="emcee", max_steps=4, **options)
+    told = run_posterior(plot, target, tmp_path / "second", method="emcee", max_steps=8, **options)
+    assert not told["converged"]
+    assert "50 autocorrelation times" in told["status"]
+    gauss = run_posterior(plot, target, tmp_path / "gauss", method="laplace", **options)
+    assert all((tmp_path / "gauss" / name).stat().st_size for name in gauss["files"])
+    assert all(0 < row["sd"] <= 1.3 * row["prior_sd"] for row in gauss["parameters"])
+    with pytest.raises(InputError, match="another seed"):
+        run_posterior(plot, target, tmp_path / "gauss", method="laplace", **(options | {"seed": 1}))
+
+
+@pytest.mark.slow
+def test_a_plot_tells_what_sensors_could_know_of_it(plot, tmp_path):
+    told = run_information(plot, tmp_path, gsd=[0.2, 1.0], bands=[1, 2], replants=2, seed=0)
+    assert all((tmp_path / name).stat().st_size for name in told["files"])
+    assert len(told["limits"]) == 4
