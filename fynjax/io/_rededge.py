@@ -1,0 +1,195 @@
+"""Captures of a MicaSense camera: the files of their bands, and their radiance."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from fynjax._core.errors import InputError
+from fynjax._core.progress import NullProgress, Progress
+from fynjax.io._align import Alignment, align_bands
+from fynjax.io._rededge_metadata import RedEdgeBand, read_rededge_band
+from fynjax.io._validate import did_you_mean
+from fynjax.sensors import counts_to_radiance
+
+_NAME = re.compile(r"(?P<capture>.+)_(?P<band>\d+)\.tiff?", re.IGNORECASE)
+_CLOSE = 0.98
+"""Share of the radiance of full pixels from which an aligned pixel counts as full: alignment mixes
+neighbours, and moves corners by some pixels more than the middle, by which full pixels there
+differ by up to 1 %."""
+
+
+@dataclass(frozen=True)
+class Capture:
+    """All bands of one moment."""
+
+    name: str
+    """What its files are called, such as 'IMG_0001'."""
+    bands: tuple[RedEdgeBand, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(band.name for band in self.bands)
+
+    @property
+    def paths(self) -> list[Path]:
+        return [band.path for band in self.bands]
+
+    def radiance(self) -> Float[np.ndarray, "band row column"]:
+        """Of each band on its own pixels [W m-2 sr-1 um-1], row 0 at the top; as float32."""
+        read = jax.jit(counts_to_radiance)
+        with jax.enable_x64(True):
+            return np.stack(
+                [np.asarray(read(b.counts.astype(float), b.camera), np.float32) for b in self.bands]
+            )
+
+    def full_radiance(self) -> Float[np.ndarray, "band row column"]:
+        """Radiance [W m-2 sr-1 um-1] from which pixels are full."""
+        read = jax.jit(counts_to_radiance)
+        with jax.enable_x64(True):
+            full = [np.full(b.counts.shape, float(b.saturation)) for b in self.bands]
+            return np.stack(
+                [np.asarray(read(f, b.camera), np.float32) for f, b in zip(full, self.bands)]
+            )
+
+
+@dataclass(frozen=True)
+class AlignedCapture:
+    """Radiance of a capture with all bands on the pixels of the first."""
+
+    radiance: Float[np.ndarray, "band y x"]
+    """[W m-2 sr-1 um-1]; row 0 at the bottom of the picture."""
+    full: Bool[np.ndarray, "band y x"]
+    """True where a pixel is saturated, or next to one that is."""
+    alignment: tuple[Alignment, ...] | None
+    """`None` where the bands were left as they are."""
+
+
+def find_captures(paths: Sequence[str | Path]) -> dict[str, list[Path]]:
+    """The files of each capture, by the capture's name and in order of their bands.
+
+    **Arguments:** `paths`: folders, of which all files called `NAME_1.tif`, `NAME_2.tif`, ... are
+    taken; or files, of which only those given are.
+
+    **Raises:** `InputError` for a path that does not exist, a file that is not called so, or a
+    folder without such files.
+    """
+    found: dict[str, list[tuple[int, Path]]] = {}
+    for given in map(Path, paths):
+        if given.is_dir():
+            files = [p for p in sorted(given.iterdir()) if _NAME.fullmatch(p.name)]
+            if not files:
+                raise InputError(
+                    "expected pictures of a multispectral camera called NAME_1.tif, NAME_2.tif, "
+                    "..., but this folder has none",
+                    file=given,
+                )
+        else:
+            files = [given]
+        for path in files:
+            name = _NAME.fullmatch(path.name)
+            if name is None:
+                raise InputError(
+                    "expected a picture of one band, called NAME_1.tif, NAME_2.tif, ..., as the "
+                    "camera names them",
+                    file=path,
+                )
+            if not path.is_file():
+                beside = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
+                raise InputError(f"no such file.{did_you_mean(path.name, beside)}", file=path)
+            entry = (int(name["band"]), path)
+            group = found.setdefault(name["capture"], [])
+            if entry not in group:
+                group.append(entry)
+    for name_of, group in found.items():
+        numbers = [number for number, _ in group]
+        if len(set(numbers)) != len(numbers):
+            raise InputError(
+                f"expected one file for each band of capture {name_of}, but band "
+                f"{max(numbers, key=numbers.count)} is there more than once, in several folders",
+                file=group[0][1],
+            )
+    return {name: [path for _, path in sorted(group)] for name, group in found.items()}
+
+
+def same_capture(path: str | Path, captures: dict[str, list[Path]]) -> tuple[str, list[Path]]:
+    """A capture by its name among `captures`, or by one of its files, with the others beside it.
+
+    **Raises:** `InputError` where there is none.
+    """
+    given = Path(path)
+    if str(path) in captures:
+        return str(path), captures[str(path)]
+    name = _NAME.fullmatch(given.name)
+    if given.is_file() and name is not None:
+        beside = find_captures([given.parent])
+        return name["capture"], beside[name["capture"]]
+    raise InputError(
+        f"expected the name of a capture or one of its files, but got {str(path)!r}."
+        f"{did_you_mean(str(path), list(captures))} There are: {', '.join(captures)}."
+    )
+
+
+def read_capture(name: str, paths: Sequence[Path]) -> Capture:
+    """Read the files of one capture (`read_rededge_band`).
+
+    **Raises:** `InputError` where they are not of one capture, of one size, or of different bands.
+    """
+    bands = tuple(read_rededge_band(path) for path in paths)
+    first = bands[0]
+    for band in bands[1:]:
+        if band.capture != first.capture:
+            raise InputError(
+                f"expected all files of one capture, but this is of {band.capture} "
+                f"({band.time}) and {first.path.name} of {first.capture} ({first.time})",
+                file=band.path,
+            )
+        if band.counts.shape != first.counts.shape:
+            raise InputError(
+                f"expected {first.counts.shape[1]} x {first.counts.shape[0]} pixels as in "
+                f"{first.path.name}, but this has {band.counts.shape[1]} x "
+                f"{band.counts.shape[0]}. Leave the thermal band out.",
+                file=band.path,
+            )
+    names = [band.name for band in bands]
+    if len(set(names)) != len(names):
+        raise InputError(f"expected different bands, but got {', '.join(names)}", file=first.path)
+    return Capture(name, bands)
+
+
+def aligned_radiance(
+    capture: Capture, *, align: bool = True, progress: Progress | None = None
+) -> AlignedCapture:
+    """Radiance of a capture, its bands laid on the first (`align_bands`).
+
+    **Raises:** `InputError` as `align_bands`; `MissingExtraError` without scikit-image.
+    """
+    radiance, full = capture.radiance()[:, ::-1], capture.full_radiance()[:, ::-1]
+    if not align or len(capture.bands) == 1:
+        return AlignedCapture(radiance, radiance >= full * (1.0 - 1e-6), None)
+    progress = NullProgress() if progress is None else progress
+    with progress.stage(f"Align the bands of {capture.name}", len(capture.bands) - 1):
+        try:
+            values, cut, told = align_bands(radiance, progress=progress)
+        except InputError as error:
+            raise InputError(str(error), file=capture.bands[0].path) from error
+    near = np.empty(values.shape, bool)
+    for k, band in enumerate(told):
+        # Where the first band's pixels lie in this one: the rest of the map moves it too little.
+        rows, columns = (
+            np.clip(np.arange(s.start, s.stop) - round(shift), 0, size - 1)
+            for s, shift, size in zip(cut, band.shift[::-1], full.shape[1:], strict=True)
+        )
+        near[k] = values[k] >= _CLOSE * full[k][np.ix_(rows, columns)]
+    return AlignedCapture(values, _grown(near), tuple(told))
+
+
+def _grown(mask: Bool[np.ndarray, "band y x"]) -> Bool[np.ndarray, "band y x"]:
+    """Every marked pixel with its eight neighbours."""
+    from scipy.ndimage import binary_dilation
+
+    return binary_dilation(mask, np.ones((1, 3, 3), bool))

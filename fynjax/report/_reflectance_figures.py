@@ -1,0 +1,112 @@
+"""Pictures of calibrated captures, and of the panels they rest on."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+from numpy.typing import NDArray
+
+from fynjax.io._products import Cube
+from fynjax.io._rededge_panel import PanelSeen
+from fynjax.report._figure_style import VERMILION, style
+
+_THIN = 640
+"""Pixels of a picture's longer side; larger ones are thinned for it."""
+_COLOURS = {
+    "True colour": (660.0, 560.0, 475.0),
+    "False colour (NIR, red, green)": (850.0, 660.0, 560.0),
+}
+"""Red, green and blue of a picture, and where they lie [nm]."""
+_FAR = 45.0  # nm from there to a band, up to which it serves
+
+
+def _band(cube: Cube, wavelength: float) -> NDArray[np.float64] | None:
+    assert cube.wavelength is not None
+    away = np.abs(cube.wavelength - wavelength)
+    return cube.values[int(away.argmin())] if away.min() <= _FAR else None
+
+
+def capture_figure(cube: Cube, title: str, *, pixels: bool) -> Figure:
+    """Reflectance of a capture: composites and NDVI, as far as its bands reach.
+
+    **Arguments:** `pixels`: whether its coordinates are pixels, not metres.
+    """
+    pictures: dict[str, NDArray[np.float64]] = {}
+    told = []
+    for name, waves in _COLOURS.items():
+        bands = [band for wave in waves if (band := _band(cube, wave)) is not None]
+        if len(bands) < 3:
+            continue
+        stack = np.stack(bands, axis=-1)
+        high = np.nanpercentile(stack, 99, axis=(0, 1))
+        pictures[name] = np.sqrt(np.clip(np.nan_to_num(stack / high, nan=1.0), 0.0, 1.0))
+        told.append(f"{name.split(' (')[0].lower()} 0 to {', '.join(f'{v:.2f}' for v in high)}")
+    red, nir = _band(cube, 660.0), _band(cube, 850.0)
+    if red is not None and nir is not None:
+        total = nir + red
+        dark = ~(total > 0.0)
+        pictures["NDVI"] = np.where(dark, np.nan, (nir - red) / np.where(dark, 1.0, total))
+    if not pictures:  # a camera of few bands
+        pictures = dict(zip(cube.names, cube.values, strict=True))
+    rows, columns = cube.values.shape[1:]
+    step = max(1, max(rows, columns) // _THIN)
+    side = cube.pixel_m or 1.0
+    extent = (0.0, columns * side, 0.0, rows * side)
+    with style():
+        figure = Figure(figsize=(3.9 * len(pictures) + 0.5, 3.9 * rows / columns + 0.9))
+        grid = figure.subplots(1, len(pictures), squeeze=False)[0]
+        for axes, (name, picture) in zip(grid, pictures.items(), strict=True):
+            flat = picture.ndim == 2
+            image = axes.imshow(
+                picture[::step, ::step], origin="lower", extent=extent, interpolation="nearest",
+                cmap="RdYlGn" if name == "NDVI" else "gray" if flat else None,
+                vmin=-1.0 if name == "NDVI" else None, vmax=1.0 if name == "NDVI" else None,
+            )  # fmt: skip
+            axes.set(title=f"{title}: {name}" if axes is grid[0] else name)
+            if flat:
+                figure.colorbar(image, ax=axes, label=f"{name} [-]", shrink=0.85)
+            axes.set_xlabel("x [pixel]" if pixels else "x [m]")
+        grid[0].set_ylabel("y [pixel]" if pixels else "y [m]")
+        if told:
+            figure.supxlabel(
+                f"Reflectance shown: {'; '.join(told)} (99th percentiles), square root. "
+                "Saturated pixels white.",
+                fontsize=7.5,
+                color="#333333",
+            )
+    return figure
+
+
+def panel_figure(seen: Sequence[PanelSeen], known: Sequence[NDArray[np.float64]]) -> Figure:
+    """Every panel in every band, with the outline of the pixels that were read."""
+    columns = max(len(one.areas) for one in seen)
+    with style():
+        figure = Figure(figsize=(2.3 * columns + 0.3, 2.15 * len(seen) + 0.25))
+        grid = figure.subplots(len(seen), columns, squeeze=False)
+        for axes in grid.flat:
+            axes.set_axis_off()
+        for row, one, rho in zip(grid, seen, known, strict=True):
+            for k, axes in enumerate(row[: len(one.areas)]):
+                _draw_panel(axes, one, k, float(rho[k]))
+        figure.supxlabel(
+            "Counts of each band's own picture, with the pixels that were read (outlined), their "
+            "spread and the panel's reflectance.",
+            fontsize=7.5,
+            color="#333333",
+        )
+    return figure
+
+
+def _draw_panel(axes: Axes, one: PanelSeen, k: int, known: float) -> None:
+    band = one.capture.bands[k]
+    step = max(1, max(band.counts.shape) // _THIN)
+    rows, columns = band.counts.shape
+    axes.imshow(band.counts[::step, ::step], cmap="gray", extent=(0, columns, rows, 0))
+    axes.add_patch(Polygon(one.areas[k], closed=True, fill=False, ec=VERMILION, lw=1.6))
+    axes.set_title(
+        f"{one.capture.name} {band.name}\nreflectance {known:.3g}, "
+        f"spread {100 * one.spread[k] / one.mean[k]:.1f} %",
+        fontsize=8,
+    )

@@ -1,0 +1,317 @@
+"""From raw pictures of a multispectral camera to reflectance: what `fynjax reflectance` does."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from fynjax._core.errors import InputError
+from fynjax._core.progress import NullProgress, Progress
+from fynjax.io import provenance, write_text
+from fynjax.io._products import Cube, write_cube_geotiff
+from fynjax.io._rededge import (
+    AlignedCapture,
+    Capture,
+    aligned_radiance,
+    find_captures,
+    read_capture,
+    same_capture,
+)
+from fynjax.io._rededge_panel import PanelSeen, panel_reflectance, read_panel
+from fynjax.report._figure_style import save_figure
+from fynjax.report._reflectance_figures import capture_figure, panel_figure
+from fynjax.report._reflectance_record import (
+    calibration_table,
+    panel_sentences,
+    sentence_of,
+    told_of_capture,
+    told_of_panel,
+    warnings_of,
+)
+from fynjax.sensors import EmpiricalLine, empirical_line, irradiance_line, one_panel_line
+
+LIGHTS = ("panel", "sensor", "both")
+"""Where the light comes from that reflectance is relative to."""
+
+
+def run_reflectance(
+    images: Sequence[str | Path],
+    output: str | Path,
+    *,
+    panels: Sequence[str | Path] = (),
+    reflectances: Sequence[str] = (),
+    areas: Sequence[str] = (),
+    light: str | None = None,
+    panel_sd: float = 0.02,
+    light_sd: float = 0.05,
+    height: float | None = None,
+    pixel: float | None = None,
+    align: bool = True,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Write the reflectance of raw captures into the folder `output`.
+
+    **Arguments:**
+
+    - `images`: folders or files (`find_captures`); every capture that is no panel's is converted.
+    - `panels`: captures that show a panel, by name or by one of their files; the same one again
+      for a second panel in it. One panel makes a line through zero, more an empirical line. Left
+      out, captures whose metadata say that they show one.
+    - `reflectances`, `areas`: of each panel in the same order, as `panel_reflectance` has the
+      first, the second as text "x,y x,y x,y ..."; one reflectance serves for all.
+    - `light`: 'panel' (steady since the panel was seen), 'sensor' (pi L / E by the downwelling
+      light sensor) or 'both' (the panel, and the sensor for changes since). 'panel' if left out,
+      or 'sensor' where there is no panel.
+    - `panel_sd`, `light_sd`: standard deviation of the panel's reflectance and of the light,
+      relative [-].
+    - `height` of flight above the ground [m], or `pixel` on the ground [m]; with neither,
+      coordinates are in pixels.
+
+    **Returns:** the summary: headline, files, the calibration.
+
+    **Raises:** `InputError` as the readers, and for panels, light and captures that do not fit.
+    """
+    progress = NullProgress() if progress is None else progress
+    output = Path(output)
+    _check(panels, reflectances, areas, light, panel_sd, light_sd, height, pixel)
+    found = find_captures(images)
+    with progress.stage("Read the panels"):
+        seen = _panels(found, panels, areas, light)
+        known = [
+            panel_reflectance(_nth(reflectances, k), one.capture) for k, one in enumerate(seen)
+        ]
+    light = light or ("panel" if seen else "sensor")
+    shown = {one.capture.name for one in seen}
+    wanted = {name: paths for name, paths in found.items() if name not in shown}
+    if not wanted:
+        raise InputError(
+            f"expected captures to convert, but there are only those of panels: {', '.join(shown)}"
+        )
+    line = _line(seen, known, light, panel_sd) if seen and light != "sensor" else None
+    files: dict[str, str] = {}
+    headline, record, sharp = [], {}, []
+    inputs = [path for one in seen for path in one.capture.paths]
+    with progress.stage("Convert", len(wanted)):
+        for name, paths in wanted.items():
+            capture = read_capture(name, paths)
+            inputs += paths
+            own, change = _own_line(capture, line, seen, light, light_sd)
+            aligned = aligned_radiance(capture, align=align, progress=progress)
+            side = _pixel(capture, height, pixel)
+            told = provenance(inputs=paths)
+            cube, doubt = _cubes(capture, aligned, own, side or 1.0)
+            tags = {
+                **told,
+                "calibration": f"light: {light}",
+                "coordinates": "metres" if side else "pixels: no height or size was given",
+            }
+            write_cube_geotiff(output / f"{name}_reflectance.tif", cube, tags)
+            tags["quantity_of"] = "standard deviation by panel and light, noise of pixels left out"
+            write_cube_geotiff(output / f"{name}_reflectance_sd.tif", doubt, tags)
+            save_figure(capture_figure(cube, name, pixels=side is None), output / f"{name}.png")
+            files |= {
+                f"{name}_reflectance.tif": f"reflectance of {len(cube.names)} bands",
+                f"{name}_reflectance_sd.tif": "its standard deviation, by panel and light",
+                f"{name}.png": "picture: true and false colour, vegetation index",
+            }
+            record[name] = told_of_capture(capture, aligned, own, change, cube, side)
+            headline.append(sentence_of(name, record[name]))
+            sharp += warnings_of(name, record[name], light)
+            progress.advance()
+    if seen:
+        save_figure(panel_figure(seen, known), output / "panels.png")
+        files["panels.png"] = "picture: the panels in every band, and the area that was read"
+    run = {
+        "light": light,
+        "panel_sd": panel_sd,
+        "light_sd": light_sd,
+        "panels": [told_of_panel(one, rho) for one, rho in zip(seen, known, strict=True)],
+        "captures": record,
+    }
+    write_text(output / "calibration.csv", calibration_table(record))
+    text = json.dumps({**provenance(inputs=dict.fromkeys(inputs)), **run}, indent=2)
+    write_text(output / "provenance.json", text + "\n")
+    files["calibration.csv"] = "gain, offset and their uncertainty, for each capture and band"
+    files["provenance.json"] = "what was read, how, and what came of it"
+    return {
+        "headline": [*panel_sentences(seen, known, light), *headline],
+        "files": files,
+        **run,
+        "warnings": sharp,
+    }
+
+
+def _check(
+    panels: Sequence[str | Path],
+    reflectances: Sequence[str],
+    areas: Sequence[str],
+    light: str | None,
+    panel_sd: float,
+    light_sd: float,
+    height: float | None,
+    pixel: float | None,
+) -> None:
+    if light not in (None, *LIGHTS):
+        raise InputError(f"`light` must be one of {', '.join(LIGHTS)}, but is {light!r}")
+    if areas and len(areas) != len(panels):
+        raise InputError(f"expected one --panel-area for each --panel, but got {len(areas)}")
+    if len(reflectances) > 1 and len(reflectances) != len(panels):
+        raise InputError(
+            f"expected one --panel-reflectance, or one for each of {len(panels)} --panel, but got "
+            f"{len(reflectances)}"
+        )
+    for what, value in (("panel_sd", panel_sd), ("light_sd", light_sd)):
+        if not 0.0 <= value < 1.0:
+            raise InputError(f"`{what}` must be a fraction from 0 to below 1, but is {value:g}")
+    if height is not None and pixel is not None:
+        raise InputError("expected the height of flight or the size of a pixel, but got both")
+    for what, size in (("height", height), ("pixel", pixel)):
+        if size is not None and not (np.isfinite(size) and size > 0.0):
+            raise InputError(f"`{what}` must be positive [m], but is {size:g}")
+
+
+def _nth(values: Sequence[str], k: int) -> str | None:
+    return None if not values else values[0] if len(values) == 1 else values[k]
+
+
+def _corners(text: str) -> NDArray[np.float64]:
+    try:
+        corners = np.array([[float(v) for v in pair.split(",")] for pair in text.split()])
+        if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
+            raise ValueError
+    except ValueError:
+        raise InputError(
+            'expected corners of a panel\'s area as "x,y x,y x,y ...", columns and rows of three '
+            f"pixels or more, but got {text!r}"
+        ) from None
+    return corners
+
+
+def _panels(
+    found: dict[str, list[Path]],
+    panels: Sequence[str | Path],
+    areas: Sequence[str],
+    light: str | None,
+) -> list[PanelSeen]:
+    if light == "sensor" and not panels:
+        return []
+    if panels:
+        named = [same_capture(panel, found) for panel in panels]
+        captures = {name: read_capture(name, paths) for name, paths in named}
+        return [
+            read_panel(captures[name], _corners(areas[k]) if areas else None)
+            for k, (name, _) in enumerate(named)
+        ]
+    every = [read_capture(name, paths) for name, paths in found.items()]
+    marked = [c for c in every if all(band.panel_reflectance is not None for band in c.bands)]
+    if not marked and light is not None:
+        raise InputError(
+            f"expected a picture of a panel for light from {light!r}, but no capture says that it "
+            f"shows one. Name it: --panel {next(iter(found))}"
+        )
+    return [read_panel(capture) for capture in marked]
+
+
+def _line(
+    seen: Sequence[PanelSeen], known: Sequence[NDArray[np.float64]], light: str, panel_sd: float
+) -> EmpiricalLine:
+    """The line through the panels, under the light of the first one's picture."""
+    first = seen[0].capture
+    for one in seen[1:]:
+        _check_bands(one.capture, first)
+    change = [
+        _light_ratio(one.capture, first) if light == "both" else np.ones(len(first.bands))
+        for one in seen
+    ]
+    signal = jnp.array([one.mean / by for one, by in zip(seen, change, strict=True)])
+    error = jnp.array(
+        [one.spread / np.sqrt(one.count) / by for one, by in zip(seen, change, strict=True)]
+    )
+    rho = jnp.array(known)
+    if len(seen) == 1:
+        return one_panel_line(
+            signal[0], rho[0], signal_sd=error[0], reflectance_sd=panel_sd * rho[0]
+        )
+    return empirical_line(signal, rho, signal_sd=error, reflectance_sd=panel_sd * rho)
+
+
+def _check_bands(capture: Capture, first: Capture) -> None:
+    if capture.names != first.names:
+        raise InputError(
+            f"expected the bands {', '.join(first.names)} as in {first.name}, but got "
+            f"{', '.join(capture.names)}",
+            file=capture.bands[0].path,
+        )
+
+
+def _sensor_light(capture: Capture) -> NDArray[np.float64]:
+    """What the downwelling light sensor says [W m-2 um-1]."""
+    for band in capture.bands:
+        if band.irradiance is None:
+            raise InputError(
+                "expected irradiance of a downwelling light sensor in the metadata, but there is "
+                "none. Was it plugged in? Use a panel: --panel NAME --panel-reflectance ...",
+                file=band.path,
+            )
+    return np.array([band.irradiance for band in capture.bands], dtype=float)
+
+
+def _light_ratio(capture: Capture, first: Capture) -> NDArray[np.float64]:
+    return _sensor_light(capture) / _sensor_light(first)
+
+
+def _own_line(
+    capture: Capture,
+    line: EmpiricalLine | None,
+    seen: Sequence[PanelSeen],
+    light: str,
+    light_sd: float,
+) -> tuple[EmpiricalLine, NDArray[np.float64] | None]:
+    """The line under a capture's own light, and how the sensor saw light change since the panel."""
+    if line is None:
+        level = jnp.asarray(_sensor_light(capture))
+        return irradiance_line(level, irradiance_sd=light_sd * level), None
+    first = seen[0].capture
+    _check_bands(capture, first)
+    stated = all(b.irradiance is not None for b in (*capture.bands, *first.bands))
+    change = _light_ratio(capture, first) if stated or light == "both" else None
+    ratio = change if light == "both" and change is not None else np.ones(len(capture.bands))
+    return line.relit(jnp.asarray(ratio), jnp.asarray(light_sd * ratio)), change
+
+
+def _pixel(capture: Capture, height: float | None, pixel: float | None) -> float | None:
+    if height is None:
+        return pixel
+    focal = capture.bands[0].focal_length
+    if focal is None:
+        raise InputError(
+            "expected the focal length in the metadata (EXIF), but it has none. Give the size of a "
+            "pixel instead: --pixel METRES",
+            file=capture.bands[0].path,
+        )
+    return height / focal
+
+
+def _cubes(
+    capture: Capture, aligned: AlignedCapture, line: EmpiricalLine, side: float
+) -> tuple[Cube, Cube]:
+    signal = jnp.moveaxis(jnp.asarray(aligned.radiance), 0, -1)
+    values = np.moveaxis(np.asarray(line.reflectance(signal)), -1, 0)
+    doubt = np.moveaxis(np.asarray(line.standard_deviation(signal)), -1, 0)
+
+    def cube(data: NDArray[Any]) -> Cube:
+        return Cube(
+            np.where(aligned.full, np.nan, data),
+            capture.names,
+            np.array([band.wavelength for band in capture.bands]),
+            np.array([band.fwhm for band in capture.bands]),
+            np.ones(len(capture.bands), bool),
+            side,
+            (0.0, 0.0),
+        )
+
+    return cube(values), cube(doubt)

@@ -1,0 +1,104 @@
+"""What a frame camera's counts mean as radiance: dark level, exposure, gain, fall-off to corners.
+
+The model is that which MicaSense publishes for its RedEdge and Altum cameras ("RedEdge Camera
+Radiometric Calibration Model"), and with other settings that of DJI's multispectral cameras.
+"""
+
+from typing import Any, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from fynjax._core.errors import InputError
+from fynjax.sensors._atmosphere import _real
+
+
+class CameraRadiometry(eqx.Module):
+    """How one band of a camera counted light in one picture.
+
+    One instance is one picture; many are made by `jax.vmap`. Rows count from the top of the
+    picture, columns from its left, both from 0.
+    """
+
+    sensitivity: Float[Array, ""] = eqx.field(converter=_real)
+    """Coefficient a1: radiance that fills the scale at gain 1 in one second, at the centre of
+    `vignetting` and in row 0 [W m-2 sr-1 um-1 s]."""
+    exposure: Float[Array, ""] = eqx.field(converter=_real)
+    """Time of exposure t [s]."""
+    black_level: Float[Array, ""] = eqx.field(converter=_real)
+    """What covered pixels read [counts]."""
+    gain: Float[Array, ""] = eqx.field(converter=_real, default=1.0)
+    """Gain of the amplifier g [-]; ISO speed / 100."""
+    full_scale: float = eqx.field(static=True, converter=float, default=65536.0)
+    """2 to the number of bits [counts]."""
+    row_gradient: Float[Array, "2"] = eqx.field(converter=_real, default=(0.0, 0.0))
+    """Coefficients a2 [s per row] and a3 [per row]: rows are read one after the other."""
+    vignetting_centre: Float[Array, "2"] = eqx.field(converter=_real, default=(0.0, 0.0))
+    """Column and row from which distance r is counted [pixel]."""
+    vignetting: Float[Array, " order"] = eqx.field(converter=_real, default=(0.0,))
+    """Coefficients k0, k1, ... of 1 + k0 r + k1 r^2 + ... [pixel^-1, pixel^-2, ...]."""
+    vignetting_is: Literal["response", "correction"] = eqx.field(static=True, default="response")
+    """Whether that polynomial is the response of the pixels (MicaSense), or what their counts are
+    to be multiplied with (DJI)."""
+
+    def __check_init__(self) -> None:
+        shapes: dict[str, Any] = {
+            "sensitivity": (), "exposure": (), "black_level": (), "gain": (),
+            "row_gradient": (2,), "vignetting_centre": (2,),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            if (found := jnp.shape(getattr(self, name))) != shape:
+                raise InputError(
+                    f"`{name}` must have shape {shape}, but has {found}. For many pictures use "
+                    "`jax.vmap`."
+                )
+        if self.vignetting_is not in ("response", "correction"):
+            raise InputError(
+                f"`vignetting_is` must be 'response' or 'correction', not {self.vignetting_is!r}."
+            )
+        if not self.full_scale > 1.0:
+            raise InputError(f"`full_scale` must be 2 to the bits, but is {self.full_scale:g}.")
+
+    def response(self, shape: tuple[int, ...]) -> Float[Array, "row column"]:
+        """Response of each pixel over that of the centre's in row 0 [-]. Differentiable."""
+        dtype = jnp.result_type(self.vignetting, self.sensitivity)
+        row = jnp.arange(shape[0], dtype=dtype)[:, None]
+        column = jnp.arange(shape[1], dtype=dtype)[None, :]
+        square = (column - self.vignetting_centre[0]) ** 2 + (row - self.vignetting_centre[1]) ** 2
+        away = square > 0.0  # the root has no slope at zero
+        r = jnp.where(away, jnp.sqrt(jnp.where(away, square, 1.0)), 0.0)
+        falloff = jnp.zeros_like(r)
+        for k in self.vignetting[::-1]:
+            falloff = (falloff + k) * r
+        falloff = 1.0 + falloff
+        if self.vignetting_is == "correction":
+            falloff = 1.0 / falloff
+        a2, a3 = self.row_gradient
+        return falloff * (1.0 + a2 * row / self.exposure - a3 * row)
+
+
+def counts_to_radiance(
+    counts: Float[Array, "row column"], camera: CameraRadiometry
+) -> Float[Array, "row column"]:
+    """Radiance [W m-2 sr-1 um-1] of a picture in counts.
+
+    L = a1 / g V (p - p_black) / (t + a2 y - a3 t y), p = counts / full scale, V = 1 / (1 + k0 r +
+    ... + k5 r^6). Pixels darker than the dark level come out negative: they are noise, and cutting
+    them off would make shadows too bright. Differentiable in all arguments.
+    """
+    counts = _real(counts)
+    scale = camera.sensitivity / (camera.gain * camera.exposure * camera.full_scale)
+    return scale * (counts - camera.black_level) / camera.response(counts.shape)
+
+
+def radiance_to_counts(
+    radiance: Float[Array, "row column"], camera: CameraRadiometry
+) -> Float[Array, "row column"]:
+    """Counts of a picture of this radiance [W m-2 sr-1 um-1]; inverse of `counts_to_radiance`.
+
+    Neither rounded nor cut off at the full scale, so differentiable in all arguments.
+    """
+    radiance = _real(radiance)
+    scale = camera.sensitivity / (camera.gain * camera.exposure * camera.full_scale)
+    return radiance * camera.response(radiance.shape) / scale + camera.black_level

@@ -1,0 +1,189 @@
+"""`fynjax reflectance`: known reflectance through counts and back, its files, and its errors."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+import typer
+from typer.testing import CliRunner
+
+from fynjax._core.errors import InputError
+from fynjax.cli._reflectance import reflectance
+from fynjax.io import read_cube
+from tests.io.rededge_files import BANDS, IRRADIANCE, lit, panel_scene, write_rededge
+
+app = typer.Typer()
+app.command()(reflectance)
+
+
+def run(*arguments: object) -> dict:
+    """The summary of a successful run."""
+    result = CliRunner().invoke(app, [*map(str, arguments), "--json"], catch_exceptions=False)
+    assert result.exit_code == 0
+    return json.loads(result.stdout)
+
+
+def ground(seed: int = 0) -> np.ndarray:
+    """Reflectance [row, column] of ground without panels."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform(0.03, 0.6, (12, 16)).repeat(10, axis=0).repeat(10, axis=1)
+
+
+@pytest.fixture
+def flight(tmp_path: Path) -> Path:
+    """A panel, a capture in its light, and one in 0.6 of it, which the light sensor knows."""
+    folder = tmp_path / "flight"
+    folder.mkdir()
+    write_rededge(folder, "IMG_0000", lit(panel_scene()[0]))
+    write_rededge(folder, "IMG_0001", lit(ground()))
+    write_rededge(folder, "IMG_0002", lit(ground(), 0.6), light=0.6 * IRRADIANCE)
+    return folder
+
+
+PANEL = ("--panel", "IMG_0000", "--panel-reflectance", "0.5", "--no-align")
+NEAR = {"atol": 3e-4, "rtol": 2e-3}
+"""A step of the counts is 3e-4 of reflectance in the NIR; the panel averages it out."""
+
+
+def product(out: Path, name: str = "IMG_0001") -> np.ndarray:
+    """Reflectance [band, row, column] as another program reads it."""
+    with rasterio.open(out / f"{name}_reflectance.tif") as file:
+        return file.read()
+
+
+def test_reflectance_by_a_panel(flight: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    summary = run(flight, *PANEL, "--height", "60", "--output", out)
+    for band in product(out):
+        np.testing.assert_allclose(band, ground(), **NEAR)
+    np.testing.assert_allclose(product(out, "IMG_0002")[1], 0.6 * ground(), **NEAR)
+    assert len(summary["warnings"]) == 1
+    assert (
+        "IMG_0002: the light sensor says that the light changed by a factor of 0.60 to 0.60"
+        in (summary["warnings"][0])
+    )
+    assert {p.name for p in out.iterdir()} == {*summary["files"], "summary.json"}
+    assert all((out / name).stat().st_size > 20_000 for name in ("IMG_0001.png", "panels.png"))
+    assert not (out / "IMG_0000_reflectance.tif").exists()
+    # The place, the bands and the record.
+    with rasterio.open(out / "IMG_0001_reflectance.tif") as file:
+        assert file.descriptions == tuple(name for name, _, _ in BANDS)
+        assert [float(file.tags(k)["wavelength"]) for k in (1, 2, 3)] == [475.0, 668.0, 840.0]
+        assert file.transform.a == pytest.approx(60.0 / (5.5 * 266.667))
+        assert file.transform.f == pytest.approx(120 * file.transform.a)
+        assert file.tags()["units"] == "1"
+        assert json.loads(file.tags()["input_sha256"]).keys() == {
+            f"IMG_0001_{k}.tif" for k in (1, 2, 3)
+        }
+    cube = read_cube(out / "IMG_0001_reflectance_sd.tif")
+    sd = np.hypot(0.02, 0.05) * ground()[::-1]  # of the panel and of the light
+    np.testing.assert_allclose(cube.values[0], sd, atol=1e-4, rtol=3e-3)
+    record = json.loads((out / "provenance.json").read_text("utf-8"))
+    assert len(json.loads(record["input_sha256"])) == 9
+    panel = record["panels"][0]["bands"][2]
+    assert panel["reflectance_by_light_sensor"] == pytest.approx(0.5, rel=1e-3)
+    rows = list(csv.DictReader((out / "calibration.csv").read_text().splitlines()[1:]))
+    assert [(r["capture"], r["band"]) for r in rows[:3]] == [("IMG_0001", b) for b, _, _ in BANDS]
+    assert float(rows[0]["gain"]) == pytest.approx(np.pi / 1300.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("light", ["sensor", "both"])
+def test_reflectance_by_the_light_sensor(flight: Path, tmp_path: Path, light: str) -> None:
+    """The same, in full light and in less of it."""
+    out = tmp_path / "out"
+    summary = run(flight, *PANEL, "--light", light, "--output", out)
+    for name in ("IMG_0001", "IMG_0002"):
+        np.testing.assert_allclose(product(out, name)[2], ground(), **NEAR)
+    assert summary["warnings"] == []
+    assert summary["captures"]["IMG_0001"]["pixel_m"] is None
+    # Without a panel the sensor is what there is.
+    alone = run(flight / "IMG_0001_1.tif", "--no-align", "--output", tmp_path / "alone")
+    assert alone["light"] == "sensor"
+    np.testing.assert_allclose(product(tmp_path / "alone")[0], ground(), **NEAR)
+
+
+def test_two_panels_take_the_haze_off(tmp_path: Path) -> None:
+    haze = np.array([9.0, 4.0, 2.0])[:, None, None]
+    scene, corners = panel_scene((0.55, 0.06))
+    folder = tmp_path / "flight"
+    folder.mkdir()
+    write_rededge(folder, "IMG_0000", lit(scene) + haze)
+    write_rededge(folder, "IMG_0001", lit(ground()) + haze)
+    panels = []
+    for area, rho in zip(corners, ("0.55", "0.06"), strict=True):
+        text = " ".join(f"{x:g},{y:g}" for x, y in area)
+        panels += ["--panel", "IMG_0000", "--panel-reflectance", rho, "--panel-area", text]
+    run(folder, *panels, "--no-align", "--output", tmp_path / "out")
+    for band in product(tmp_path / "out"):
+        np.testing.assert_allclose(band, ground(), atol=6e-4, rtol=3e-3)
+    run(folder, *panels[:6], "--no-align", "--output", tmp_path / "one")
+    # One panel takes the haze for light from the ground: dark ground comes out too bright.
+    veil = np.pi * haze[0, 0, 0] / IRRADIANCE[0]
+    wrong = 0.55 * (ground() + veil) / (0.55 + veil)
+    np.testing.assert_allclose(product(tmp_path / "one")[0], wrong, atol=6e-4, rtol=3e-3)
+
+
+def test_what_is_refused(flight: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    for arguments, message in (
+        ((*PANEL, "--light", "sun"), "must be one of panel, sensor, both"),
+        ((*PANEL, "--panel-area", "1,2 3"), "expected corners of a panel's area"),
+        ((*PANEL, "--panel", "IMG_0001", "--panel-area", "1,2 3,4 5,1"), "one --panel-area for ea"),
+        ((*PANEL, "--height", "50", "--pixel", "0.1"), "but got both"),
+        ((*PANEL, "--pixel", "0"), "`pixel` must be positive"),
+        ((*PANEL, "--panel-sd", "5"), "`panel_sd` must be a fraction"),
+        (("--panel", "IMG_0009"), r"'IMG_0009'\. Did you mean 'IMG_000"),
+        (("--light", "panel"), "no capture says that it shows one. Name it: --panel IMG_0000"),
+        (("--panel", "IMG_0000"), "pictures do not state it"),
+        (("--panel", "IMG_0001", "--panel-reflectance", "0.5"), "--panel-area"),
+        (("--panel", "IMG_0000", "--panel", "IMG_0000", "--panel-reflectance", "0.5"),
+         "panels must differ in reflectance, but in band 1"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=message):
+            run(flight, *arguments, "--output", out)
+    dark = write_rededge(tmp_path, "D", lit(ground()), light=None)
+    with pytest.raises(InputError, match="light sensor in the metadata, but there is none"):
+        run(*dark, "--output", out)
+    only = [flight / f"IMG_0000_{k}.tif" for k in (1, 2, 3)]
+    with pytest.raises(InputError, match="only those of panels: IMG_0000"):
+        run(*only, *PANEL, "--output", out)
+    assert not out.exists()
+
+
+@pytest.mark.slow
+def test_a_real_flight(shared_data: Path, tmp_path: Path) -> None:
+    """Rows of bushes and trees on dry soil, with the reflectance of the panel that its maker gives
+    in the tutorial for these pictures (micasense/imageprocessing): 0.69, 0.68 and 0.61."""
+    pytest.importorskip("skimage", reason="needs the extra `pattern`")
+    folder = shared_data / "eco" / "uas_micasense"
+    files = [folder / f"IMG_000{capture}_{band}.tif" for capture in (0, 1) for band in (2, 3, 4)]
+    out = tmp_path / "out"
+    summary = run(
+        *files, "--panel", "IMG_0000", "--panel-reflectance", "0.69,0.68,0.61", "--height", "72.7",
+        "--output", out,
+    )  # fmt: skip
+    for band, line in zip(
+        summary["panels"][0]["bands"], summary["captures"]["IMG_0001"]["bands"], strict=True
+    ):
+        assert line["gain"] * band["radiance"] == pytest.approx(band["reflectance"], rel=1e-9)
+    assert summary["captures"]["IMG_0001"]["alignment_residual_px"] < 1.0
+    cube = read_cube(out / "IMG_0001_reflectance.tif")
+    green, red, nir = cube.values
+    ndvi = (nir - red) / (nir + red)
+    known = np.isfinite(ndvi)
+    assert known.mean() > 0.98
+    leaves = known & (ndvi > 0.6) & (nir > 0.3)
+    soil = known & (ndvi < 0.25)
+    assert leaves.mean() > 0.2
+    assert soil.mean() > 0.15
+    # Sunlit leaves absorb red, reflect half of the NIR, and are green; dry soil rises with the
+    # wavelength (Jensen 2007, fig. 10-6 and 11-1).
+    assert 0.02 < np.median(red[leaves]) < 0.08
+    assert 0.05 < np.median(green[leaves]) < 0.15
+    assert 0.35 < np.median(nir[leaves]) < 0.65
+    assert np.median(green[soil]) < np.median(red[soil]) < np.median(nir[soil])
+    assert 0.12 < np.median(red[soil]) < 0.4
+    assert np.nanpercentile(cube.values, 0.1) > 0.0
