@@ -28,3 +28,9 @@ def forget_compiled() -> Iterator[None]:
     """Frees what a file's tests have compiled, which else grows to many gigabytes."""
     yield
     jax.clear_caches()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests go first, so that no worker is left alone with one at the end."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)

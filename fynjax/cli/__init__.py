@@ -2,6 +2,7 @@
 
 import logging
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from typing import Annotated
@@ -15,11 +16,18 @@ from fynjax.cli._build import build
 from fynjax.cli._calibrate import calibrate
 from fynjax.cli._demo import demo
 from fynjax.cli._fit_leaf import fit_leaf
+from fynjax.cli._information import information
 from fynjax.cli._init import init
 from fynjax.cli._pattern import pattern
 from fynjax.cli._plant import plant
+from fynjax.cli._posterior import posterior
+from fynjax.cli._reflectance import reflectance
 from fynjax.cli._render import render
+from fynjax.cli._sensitivity import sensitivity
+from fynjax.cli._simulate import simulate
 from fynjax.cli._terrain import terrain
+from fynjax.cli._validate import validate
+from fynjax.cli._validate_plots import validate_plots
 
 __all__ = ["app", "main"]
 
@@ -33,13 +41,20 @@ app = typer.Typer(
 )
 app.command()(demo)
 app.command()(render)
+app.command()(simulate)
 app.command()(build)
 app.command()(calibrate)
+app.command()(posterior)
+app.command()(sensitivity)
+app.command()(information)
 app.command("fit-leaf")(fit_leaf)
 app.command()(plant)
 app.command()(terrain)
+app.command()(reflectance)
 app.command()(bioscape)
 app.command()(pattern)
+app.command()(validate)
+app.command("validate-plots")(validate_plots)
 app.command()(init)
 
 
@@ -63,6 +78,8 @@ def _root(
 
 _INTERRUPTED = 130
 """Exit status of Ctrl-C, as shells have it."""
+_TERMINATED = 143
+"""Exit status of `kill`."""
 
 
 def _fail(message: str, status: int) -> None:
@@ -73,9 +90,12 @@ def _fail(message: str, status: int) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit.
 
-    Exit status 0, 2 for wrong arguments or input, 1 for anything else, 130 for Ctrl-C; other than
-    0 comes with one line on stderr. `FYNJAX_DEBUG=1` shows the traceback instead.
+    Exit status 0, 2 for wrong arguments or input, 1 for anything else, 130 for Ctrl-C, 143 for
+    `kill`; other than 0 comes with one line on stderr, except the last. `FYNJAX_DEBUG=1` shows the
+    traceback instead.
     """
+    # An exit, unlike the signal itself, lets unfinished results be cleared away.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(_TERMINATED))
     # GDAL reports through logging, and a logger without a handler prints to stderr.
     logging.getLogger("rasterio").addHandler(logging.NullHandler())
     status: object = 0

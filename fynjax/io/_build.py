@@ -8,8 +8,10 @@ import numpy as np
 from fynjax._core.errors import InputError
 from fynjax.canopy import FORM_DEFAULTS, MeshPlant, Organ
 from fynjax.io._build_ground import cover_patches, cover_spectra, ground_heights, soil_spectra
+from fynjax.io._build_memory import check_memory
 from fynjax.io._plant import read_plant
 from fynjax.io._plot import Plot, Species
+from fynjax.io._plot_sensor import plot_instrument
 from fynjax.io._probability import read_probability_map
 from fynjax.io._spectra import reflectances
 from fynjax.leaf import LeafParameters, fit_leaf
@@ -24,10 +26,7 @@ from fynjax.scene import (
     band_wavelengths,
     build_model,
 )
-from fynjax.sensors import BandSet, mavic_3m
-
-SENSORS = {"mavic_3m": mavic_3m}
-"""Band sets by the name a plot file gives."""
+from fynjax.sensors import BandSet
 
 USUAL_LEAF = {
     "structure": 1.8,
@@ -44,14 +43,17 @@ USUAL_LEAF = {
 AREA_INDICES = {"leaf_area_index": Organ.LEAF, "wood_area_index": Organ.WOOD}
 
 
-def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[PlotModel, PlotParameters]:
+def build_plot(
+    plot: Plot, *, seed: int | None = None, bands: BandSet | None = None
+) -> tuple[PlotModel, PlotParameters]:
     """The model of a plot and its parameters as the files state them.
 
     Fits PROSPECT to the measured spectra that the leaf table names. `seed` replaces the plot
-    file's. Raises `InputError` for a spectrum or map that cannot be used, and where the plants
-    find no room.
+    file's, `bands` those of its sensor. Raises `InputError` for a spectrum or map that cannot be
+    used, and where the plants find no room.
     """
     seed = plot.seed if seed is None else seed
+    check_memory(plot)
     patches = cover_patches(plot, seed)
     fractions = plot.ground.fractions
     if plot.ground.map is not None and patches is not None:
@@ -59,7 +61,7 @@ def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[PlotModel, PlotP
     species = plot.species
     plants = [None if s.plant is None else read_plant(s.plant, s.growth_form) for s in species]
     parameters = plot_parameters(plot, fractions, plants)
-    bands = SENSORS[plot.sensor.name]()
+    bands = plot_instrument(plot).bands if bands is None else bands
     wavelength = band_wavelengths(bands)
     model = build_model(
         plot.taxa,

@@ -65,13 +65,15 @@ def image_array(
     wavelengths: Sequence[float],
     *,
     pixel_m: float,
+    origin_m: tuple[float, float] = (0.0, 0.0),
     long_name: str,
     standard_name: str | None = "surface_bidirectional_reflectance",
     units: str = "1",
 ) -> xr.DataArray:
     """An image [band, y, x], y to the north, with CF coordinates: band, wavelength, y, x.
 
-    **Arguments:** `wavelengths` in nm, `pixel_m` in m. Coordinates are pixel centres.
+    **Arguments:** `wavelengths` in nm, `pixel_m` in m, `origin_m` (x, y) of the image's
+    south-west corner. Coordinates are pixel centres.
     """
     values = np.asarray(image)
     attributes = {"long_name": long_name, "units": units}
@@ -81,12 +83,12 @@ def image_array(
     def axis(count: int, letter: str, name: str) -> tuple[str, Any, dict[str, str]]:
         return (
             letter,
-            (np.arange(count) + 0.5) * pixel_m,
+            origin_m["xy".index(letter)] + (np.arange(count) + 0.5) * pixel_m,
             {
                 "units": "m",
                 "axis": letter.upper(),
                 "standard_name": f"projection_{letter}_coordinate",
-                "long_name": f"distance {name} of the south-west corner",
+                "long_name": f"distance {name} of the plot's south-west corner",
             },
         )
 

@@ -74,6 +74,8 @@ class Sun:
     """From straight up [degree]."""
     azimuth_deg: float
     """Clockwise from north [degree]."""
+    solar_factor: float = 1.0
+    """Sunlight of the day over that at one astronomical unit [-]; 1 where no time is given."""
 
 
 @dataclass(frozen=True)
@@ -110,13 +112,46 @@ class Ground:
 
 @dataclass(frozen=True)
 class Sensor:
-    """Which camera looks, and from where."""
+    """Which sensor looks, and from where. `None` means: as the sensor's file has it."""
 
     name: str
+    """Name of a shipped sensor, or that in the sensor's own file."""
     altitude_m: float
     """Above the ground [m]."""
     pixel_m: float
     """Side of a pixel on the ground [m]."""
+    path: Path | None = None
+    """Sensor file of the user, instead of a shipped one."""
+    stated_altitude_m: float | None = None
+    """What the plot file says of `altitude_m`."""
+    stated_pixel_m: float | None = None
+    """What the plot file says of `pixel_m`."""
+    tilt_deg: float | None = None
+    """Of the optical axis from straight down, towards the heading [degree]."""
+    heading_deg: float | None = None
+    """Clockwise from north [degree]."""
+    noise: bool | None = None
+    """Whether to draw noise; `None`: if the sensor has a model of it."""
+    point_spread: bool = True
+    """Whether the optics blur."""
+
+
+@dataclass(frozen=True)
+class Air:
+    """The air between sun, plot and sensor."""
+
+    model: str = "table"
+    """'table' (6S), 'clear-sky' (SPCTRL2), 'file' (the user's curves) or 'none'."""
+    file: Path | None = None
+    """The user's curves."""
+    water_vapour_cm: float = 1.5
+    """Column of water vapour [cm]."""
+    aerosol_optical_depth: float | None = None
+    """At 550 nm [-]; `None`: that of the sky."""
+    ozone_cm_atm: float = 0.3
+    """Column of ozone [cm-atm]."""
+    pressure_hpa: float = 1013.25
+    """At the ground [hPa]."""
 
 
 @dataclass(frozen=True)
@@ -178,6 +213,8 @@ class Plot:
     calibration: Calibration
     inputs: tuple[Path, ...]
     """Every file that was read or is named, for the provenance record."""
+    air: Air | None = None
+    """The plot file's [atmosphere]; `None` where it has none."""
 
     @property
     def taxa(self) -> tuple[str, ...]:

@@ -18,11 +18,10 @@ from fynjax.io._plot import (
     Ground,
     LeafSource,
     Plot,
-    Sensor,
     Sky,
     Species,
-    Sun,
 )
+from fynjax.io._plot_sensor import DRONE, plot_air, plot_sensor, plot_sun
 from fynjax.io._plot_tables import DEFAULT_RELATIVE_SD, PlotFile
 from fynjax.io._table_rows import LeafRow, SkyRow, SpeciesRow
 from fynjax.io._tables import existing_file, read_rows
@@ -168,14 +167,6 @@ def read_plot(path: str | Path) -> Plot:
     path = existing_file(path, "a plot file").resolve()
     parsed, text = read_toml(path, PlotFile)
     size = _size(parsed.plot.size_m, parsed.plot.voxel_m, path, text)
-    if parsed.sensor.pixel_m > min(size):
-        raise InputError(
-            f"expected a pixel of at most the plot's side, {min(size):g} m, but got "
-            f"{parsed.sensor.pixel_m:g} m",
-            file=path,
-            row=line_of(text, ("sensor", "pixel_m")),
-            column="sensor.pixel_m",
-        )
 
     def named(table: str, key: str, name: str | None, what: str) -> Path | None:
         if name is None:
@@ -196,6 +187,9 @@ def read_plot(path: str | Path) -> Plot:
         for cover in ("litter", "char", "rock")
     ]
     cover_map = named("ground", "map", parsed.ground.map, "a GeoTIFF")
+    sensor_path = named("sensor", "path", parsed.sensor.path, "a sensor file")
+    air = parsed.atmosphere
+    air_path = None if air is None else named("atmosphere", "file", air.file, "curves of the air")
 
     rows = _read_species(species_path)
     shipped = shipped_growth_forms()
@@ -240,20 +234,31 @@ def read_plot(path: str | Path) -> Plot:
                 shoot_clumping=row.shoot_clumping,
             )
         )
+    sensor = plot_sensor(parsed.sensor, sensor_path, path, text)
     tallest = max(s.height_m for s in species)
-    if parsed.sensor.altitude_m <= tallest:
+    if sensor.altitude_m <= tallest:
         raise InputError(
-            f"expected a sensor above the plants ({tallest:g} m), but got "
-            f"{parsed.sensor.altitude_m:g} m",
+            f"expected a sensor above the plants ({tallest:g} m), but got {sensor.altitude_m:g} m",
             file=path,
             row=line_of(text, ("sensor", "altitude_m")),
             column="sensor.altitude_m",
+        )
+    # A drone's pixel as wide as the plot is a slip, a satellite's is not: the plot goes on.
+    slip = '. A plot with boundary = "periodic" goes on for ever, and fills any pixel.'
+    if sensor.pixel_m > min(size) and (sensor.name == DRONE or parsed.plot.boundary == "open"):
+        raise InputError(
+            f"expected a pixel of at most the plot's side, {min(size):g} m, but got "
+            f"{sensor.pixel_m:g} m"
+            f"{'' if sensor.name == DRONE else slip}",
+            file=path,
+            row=line_of(text, ("sensor", "pixel_m")),
+            column="sensor.pixel_m",
         )
     wavelength, diffuse = (None, None) if sky_path is None else _read_sky(sky_path)
     spectra = [leaf.spectrum for leaf in leaves.values()]
     inputs = (
         *(path, species_path, leaf_path, map_path, sky_path, soil_path, cover_map),
-        terrain_path,
+        *(terrain_path, sensor_path, air_path),
         *cover_paths,
         *(one.plant for one in species),
         *spectra,
@@ -270,7 +275,7 @@ def read_plot(path: str | Path) -> Plot:
         probability_map=map_path,
         terrain=terrain_path,
         map_origin_m=parsed.plot.map_origin_m,
-        sun=Sun(parsed.sun.zenith_deg, parsed.sun.azimuth_deg),
+        sun=plot_sun(parsed.sun, path, text),
         sky=Sky(parsed.sky.aerosol_optical_depth, wavelength, diffuse),
         ground=Ground(
             soil_path,
@@ -285,7 +290,8 @@ def read_plot(path: str | Path) -> Plot:
             parsed.ground.patch_m,
             cover_map,
         ),
-        sensor=Sensor(parsed.sensor.name, parsed.sensor.altitude_m, parsed.sensor.pixel_m),
+        sensor=sensor,
+        air=plot_air(air, air_path),
         seed=parsed.scene.seed,
         softness=parsed.scene.softness,
         softness_plants=parsed.scene.softness_plants,

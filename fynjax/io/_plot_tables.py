@@ -1,5 +1,6 @@
 """`plot.toml` and its tables, as pydantic models."""
 
+from datetime import datetime
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, model_validator
@@ -64,8 +65,11 @@ class PlotTable(Strict):
         return self
 
 
+PLACE_AND_TIME = ("latitude_deg", "longitude_deg", "time")
+
+
 class SunTable(Strict):
-    """Where the sun stands."""
+    """Where the sun stands: its angles, or a place and a time."""
 
     slips: ClassVar[dict[str, Slip]] = {
         "zenith_deg": lambda v: "At or below the horizon. Is it the elevation?" if v >= 89 else None
@@ -78,6 +82,35 @@ class SunTable(Strict):
         ge=0,
         le=360,
     )
+    latitude_deg: float | None = number(
+        "Of the plot, north; with longitude_deg and time instead of the angles",
+        "degree",
+        default=None,
+        ge=-90,
+        le=90,
+    )
+    longitude_deg: float | None = number(
+        "Of the plot, east; west is negative", "degree", default=None, ge=-180, le=180
+    )
+    time: datetime | None = Field(
+        default=None,
+        description="Date and time with its zone, such as 2024-10-30T11:00:00+02:00.",
+    )
+
+    @model_validator(mode="after")
+    def _angles_or_place_and_time(self) -> "SunTable":
+        missing = [name for name in PLACE_AND_TIME if getattr(self, name) is None]
+        if 0 < len(missing) < len(PLACE_AND_TIME):
+            raise ValueError(
+                f"expected {', '.join(PLACE_AND_TIME)} together, but {missing[0]} is missing"
+            )
+        angles = [n for n in ("zenith_deg", "azimuth_deg") if n in self.model_fields_set]
+        if not missing and angles:
+            raise ValueError(
+                f"expected {angles[0]}, or place and time, but got both: they give the sun. Leave "
+                "one out."
+            )
+        return self
 
 
 class SkyTable(Strict):
@@ -165,11 +198,100 @@ class GroundTable(Strict):
 
 
 class SensorTable(Strict):
-    """The camera."""
+    """The sensor, and from where it looks."""
 
-    name: Literal["mavic_3m"] = Field(default="mavic_3m", description="Which sensor.")
-    altitude_m: float = number("Height above the ground", "m", default=50.0, ge=5, le=500)
-    pixel_m: float = number("Side of a pixel on the ground", "m", default=0.025, ge=0.001, le=5)
+    slips: ClassVar[dict[str, Slip]] = {
+        "tilt_deg": lambda v: "A gimbal pitch? Straight down is 0 here." if v == -90 else None
+    }
+
+    name: str = Field(
+        default="mavic_3m", description="A shipped sensor, such as 'mavic_3m' or 'aviris_ng'."
+    )
+    path: str | None = Field(
+        default=None,
+        description="Sensor file of your own, instead of a name; a path from this file's folder.",
+    )
+    altitude_m: float | None = number(
+        "Height above the ground; left out, that of the sensor (mavic_3m: 50)",
+        "m",
+        default=None,
+        ge=1,
+        le=1e6,
+    )
+    pixel_m: float | None = number(
+        "Side of a pixel on the ground; left out, from the optics (mavic_3m: 0.025)",
+        "m",
+        default=None,
+        ge=0.001,
+        le=1e5,
+    )
+    tilt_deg: float | None = number(
+        "Angle of the optical axis from straight down, towards the heading",
+        "degree",
+        default=None,
+        gt=-90,
+        lt=90,
+    )
+    heading_deg: float | None = number(
+        "Direction of flight or of the image's upper edge, clockwise from north",
+        "degree",
+        default=None,
+        ge=-360,
+        le=360,
+    )
+    noise: bool | None = Field(
+        default=None, description="Whether to draw noise; left out, if the sensor has a model."
+    )
+    point_spread: bool = Field(
+        default=True, description="Whether the optics blur, if the sensor says how."
+    )
+
+    @model_validator(mode="after")
+    def _a_name_or_a_path(self) -> "SensorTable":
+        if self.path is not None and "name" in self.model_fields_set:
+            raise ValueError("expected name or path, but got both: leave one out")
+        return self
+
+
+class AtmosphereTable(Strict):
+    """The air between sun, plot and sensor; `render` and `calibrate` do not use it."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        "water_vapour_cm": lambda v: "In mm? Divide by 10." if v > 12 else None,
+        "ozone_cm_atm": lambda v: "In Dobson units? Divide by 1000." if v > 1 else None,
+        "pressure_hpa": lambda v: "In Pa? Divide by 100." if v > 1100 else None,
+    }
+
+    model: Literal["table", "clear-sky", "none"] = Field(
+        default="table",
+        description="'table', computed with 6S; 'clear-sky', the simple model SPCTRL2; 'none', "
+        "reflectance without air.",
+    )
+    file: str | None = Field(
+        default=None,
+        description="Curves of your own (CSV or NetCDF, such as of MODTRAN), instead of a model; a "
+        "path from this file's folder.",
+    )
+    water_vapour_cm: float = number("Column of water vapour", "cm", default=1.5, ge=0, le=12)
+    aerosol_optical_depth: float | None = number(
+        "At 550 nm; left out, that of [sky]", "-", default=None, ge=0, le=2
+    )
+    ozone_cm_atm: float = number("Column of ozone", "cm-atm", default=0.3, ge=0, le=1)
+    pressure_hpa: float = number(
+        "Air pressure at the ground, not reduced to sea level",
+        "hPa",
+        default=1013.25,
+        ge=300,
+        le=1100,
+    )
+
+    @model_validator(mode="after")
+    def _a_model_or_a_file(self) -> "AtmosphereTable":
+        if self.file is not None and (others := sorted(self.model_fields_set - {"file"})):
+            raise ValueError(
+                f"expected no {others[0]!r} beside a file of curves, which says all of the air"
+            )
+        return self
 
 
 class SceneTable(Strict):
@@ -245,5 +367,8 @@ class PlotFile(Strict):
     sky: SkyTable = SkyTable()
     ground: GroundTable = GroundTable()
     sensor: SensorTable = SensorTable()
+    atmosphere: AtmosphereTable | None = Field(
+        default=None, description="The air; left out, a clear one computed with 6S."
+    )
     scene: SceneTable = SceneTable()
     calibration: CalibrationTable = CalibrationTable()

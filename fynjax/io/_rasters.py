@@ -55,6 +55,7 @@ def write_geotiff(
     *,
     pixel_m: float,
     wavelengths: Sequence[float] | None = None,
+    widths: Sequence[float] | None = None,
     origin_m: tuple[float, float] = (0.0, 0.0),
     crs: str | None = None,
     nodata: float = float("nan"),
@@ -67,7 +68,7 @@ def write_geotiff(
     - `image`: [band, y, x], y increasing to the north; reflectance [-].
     - `band_names`: one for each band; they become the band descriptions.
     - `pixel_m`: side of a pixel [m].
-    - `wavelengths`: band centres [nm].
+    - `wavelengths`: band centres; `widths`: full widths at half maximum, with them [nm].
     - `origin_m`: (x, y) of the south-west corner [m].
     - `crs`: anything rasterio reads, such as "EPSG:32734"; `None` is the plot's local frame.
     - `nodata`: value of pixels without data. Non-finite pixels are written as it.
@@ -110,7 +111,12 @@ def write_geotiff(
             if wavelengths is not None:
                 centre = float(wavelengths[number - 1])
                 file.update_tags(number, wavelength=f"{centre:g}", wavelength_units="Nanometers")
-                file.update_tags(number, ns="IMAGERY", CENTRAL_WAVELENGTH_UM=f"{centre / 1e3:g}")
+                imagery = {"CENTRAL_WAVELENGTH_UM": f"{centre / 1e3:.7g}"}
+                if widths is not None:
+                    width = float(widths[number - 1])
+                    file.update_tags(number, fwhm=f"{width:g}")
+                    imagery["FWHM_UM"] = f"{width / 1e3:.7g}"
+                file.update_tags(number, ns="IMAGERY", **imagery)
         file.update_tags(**{key: _tag(value) for key, value in (tags or {}).items()})
 
 

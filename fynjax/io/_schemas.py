@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from fynjax.io._atomic import write_text
+from fynjax.io._lidar_file import LidarFile
 from fynjax.io._plot_tables import PlotFile
 from fynjax.io._run_summary import RunSummary
 from fynjax.io._sensor_tables import BandRow, CurveRow, NoiseRow, SensorFile
@@ -22,6 +23,7 @@ SCHEMAS: dict[str, type[BaseModel]] = {
     "leaf_table_row": LeafRow,
     "sky_table_row": SkyRow,
     "statistics_row": StatisticRow,
+    "lidar": LidarFile,
     "sensor": SensorFile,
     "sensor_band_row": BandRow,
     "sensor_curve_row": CurveRow,

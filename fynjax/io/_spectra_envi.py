@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
 from fynjax.io._spectra_record import Spectrum, note
@@ -11,12 +12,65 @@ from fynjax.io._spectra_record import Spectrum, note
 _DTYPES = {"1": "u1", "2": "i2", "3": "i4", "4": "f4", "5": "f8", "12": "u2", "13": "u4"}
 
 
-def _header(path: Path) -> dict[str, str]:
+_MICROMETRES = ("micro", "um", "µm")
+_NANOMETRES = ("nano", "nm")
+_UNSAID = ("", "unknown", "index")
+
+
+def read_header(path: Path) -> dict[str, str]:
     text = path.read_text(encoding="utf-8", errors="replace")
     if not text.lstrip().upper().startswith("ENVI"):
         raise InputError("expected an ENVI header, which starts with the word ENVI", file=path)
     pairs = re.findall(r"^\s*([^=\n{}]+?)\s*=\s*(\{.*?\}|[^\n]*)", text, re.M | re.S)
     return {key.strip().lower(): value.strip().strip("{}").strip() for key, value in pairs}
+
+
+def envi_pair(path: str | Path, suffixes: tuple[str, ...], what: str) -> tuple[Path, Path]:
+    """Header and data file of an ENVI file, given one of them; raises `InputError` for a lost one.
+
+    `suffixes` are those that a data file may have, `what` it is.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".hdr":
+        options = [path.with_suffix(".hdr"), path.with_name(path.name + ".hdr")]
+        found = [p for p in options if p.is_file()]
+        if not found:
+            raise InputError(f"the ENVI header (.hdr) is missing beside this {what}", file=path)
+        if not path.is_file():
+            raise InputError("no such file", file=path)
+        return found[0], path
+    stem = path.with_suffix("")
+    names = [stem, *(path.with_suffix(s) for s in suffixes)]
+    names += [stem.with_suffix(s) for s in suffixes]
+    data = next((p for p in names if p.is_file()), None)
+    if data is None:
+        raise InputError(f"the data file ({suffixes[0]}) is missing beside this header", file=path)
+    if not path.is_file():
+        raise InputError("no such file", file=path)
+    return path, data
+
+
+def header_wavelengths(header: dict[str, str], path: Path) -> tuple[NDArray[np.float64], float]:
+    """Band centres of a header [nm], and the factor that made them nm of the file's numbers.
+
+    Raises `KeyError` or `ValueError` where there are none, `InputError` for an unknown unit.
+    """
+    wavelength = np.array([float(x) for x in header["wavelength"].split(",")])
+    unit = header.get("wavelength units", "").lower()
+    if unit.startswith(_MICROMETRES) or (unit in _UNSAID and wavelength.max() < 100):
+        return wavelength * 1000.0, 1000.0
+    if not unit.startswith(_NANOMETRES) and unit not in _UNSAID:
+        raise InputError(
+            f"expected wavelengths in Nanometers or Micrometers, but the unit is {unit!r}",
+            file=path,
+            column="wavelength units",
+        )
+    if wavelength.max() < 100:
+        raise InputError(
+            f"the header says {unit!r}, but wavelengths end at {wavelength.max():g}; are they µm?",
+            file=path,
+        )
+    return wavelength, 1.0
 
 
 def read_envi_library(path: str | Path) -> list[Spectrum]:
@@ -25,25 +79,12 @@ def read_envi_library(path: str | Path) -> list[Spectrum]:
     **Raises:** `InputError` if one of the two files is missing, the header lacks a needed field, or
     the data are cut short.
     """
-    path = Path(path)
-    if path.suffix.lower() == ".hdr":
-        header_path = path
-        stems = [path.with_suffix(""), *(path.with_suffix(s) for s in (".sli", ".slb"))]
-        stems += [path.with_suffix("").with_suffix(s) for s in (".sli", ".slb")]
-    else:
-        options = [path.with_suffix(".hdr"), path.with_name(path.name + ".hdr")]
-        found = [p for p in options if p.is_file()]
-        if not found:
-            raise InputError("the ENVI header (.hdr) is missing beside this library", file=path)
-        header_path, stems = found[0], [path]
-    data_path = next((p for p in stems if p.is_file()), None)
-    if data_path is None:
-        raise InputError("the data file (.sli) is missing beside this header", file=path)
-    header = _header(header_path)
+    header_path, data_path = envi_pair(path, (".sli", ".slb"), "library")
+    header = read_header(header_path)
     try:
         bands, lines = int(header["samples"]), int(header["lines"])
         dtype = np.dtype(_DTYPES[header["data type"]])
-        centres = [float(x) for x in header["wavelength"].split(",")]
+        wavelength, converted = header_wavelengths(header, header_path)
     except (KeyError, ValueError) as error:
         raise InputError(
             f"the header needs samples, lines, data type and wavelength; wrong: {error}",
@@ -62,24 +103,16 @@ def read_envi_library(path: str | Path) -> list[Spectrum]:
             f"{bands * lines * dtype.itemsize} bytes, but it has {len(raw)}",
             file=data_path,
         )
-    if len(centres) != bands:
-        raise InputError(f"{len(centres)} wavelengths for {bands} bands", file=header_path)
+    if len(wavelength) != bands:
+        raise InputError(f"{len(wavelength)} wavelengths for {bands} bands", file=header_path)
     values = np.frombuffer(raw, dtype, bands * lines).reshape(lines, bands).astype(float)
     meta: dict = {"format": "ENVI spectral library"}
     scale = float(header.get("reflectance scale factor", "1") or 1)
     if scale != 1:
         values = values / scale
         note(meta, f"divided by the header's reflectance scale factor {scale:g}")
-    wavelength = np.array(centres)
-    unit = header.get("wavelength units", "").lower()
-    if unit.startswith(("micro", "um", "µm")) or (not unit and wavelength.max() < 100):
-        wavelength = wavelength * 1000.0
+    if converted != 1.0:
         note(meta, "wavelengths converted from µm to nm")
-    elif wavelength.max() < 100:
-        raise InputError(
-            f"the header says {unit!r}, but wavelengths end at {wavelength.max():g}; are they µm?",
-            file=header_path,
-        )
     names = [n.strip() for n in header.get("spectra names", "").split(",") if n.strip()]
     names = names if len(names) == lines else [f"{data_path.stem}_{i + 1}" for i in range(lines)]
     ignore = header.get("data ignore value")

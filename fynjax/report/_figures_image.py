@@ -3,6 +3,7 @@
 Every function returns a matplotlib figure that belongs to no window; `save_figure` writes it.
 """
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
@@ -104,11 +105,9 @@ def composites(
             )
             + " (1st to 99th percentile)"
         )
-        figure.supxlabel(
-            f"{what}.\nReflectance shown: {ranges}, square root. North up.",
-            fontsize=7.5,
-            color="#333333",
-        )
+        shown = f"Reflectance shown: {ranges}, square root. North up."
+        lines = [textwrap.fill(line, 68 * count) for line in (f"{what}.", shown)]
+        figure.supxlabel("\n".join(lines), fontsize=7.5, color="#333333")
     return figure
 
 

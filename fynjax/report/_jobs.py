@@ -18,6 +18,7 @@ from fynjax._core.progress import NullProgress, Progress
 from fynjax.inversion import IMAGE_STATISTICS, Data, calibrate_plot, free_space, weigh_targets
 from fynjax.io import Plot, example_folder, provenance, read_image, read_plot, read_statistics
 from fynjax.io._build import build_plot
+from fynjax.io._plot_sensor import drone_bands
 from fynjax.metrics import (
     BANDS,
     VEGETATION_INDICES,
@@ -39,7 +40,7 @@ def run_render(
     read = read_plot(plot)
     seconds: dict[str, float] = {}
     with progress.stage("Build the plot"), _Clock(seconds, "build"):
-        model, parameters = build_plot(read, seed=seed)
+        model, parameters = build_plot(read, seed=seed, bands=drone_bands(read))
     render = eqx.filter_jit(lambda m, p: (m.image(p), m.counts(p)))
     with progress.stage("Render"):
         with _Clock(seconds, "first_render_with_compilation"):
@@ -151,7 +152,7 @@ def _calibrate(
     seconds: dict[str, float] = {}
     began = time.perf_counter()
     with progress.stage("Build the plot"), _Clock(seconds, "build"):
-        model, parameters = build_plot(plot, seed=seed)
+        model, parameters = build_plot(plot, seed=seed, bands=drone_bands(plot))
         space = free_space(model, parameters, plot.calibration.free, plot.calibration.relative_sd)
     steps = plot.calibration.max_iterations
     evaluations = steps + (steps + 1) // 2

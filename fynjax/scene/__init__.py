@@ -16,6 +16,7 @@ from fynjax.scene._parameters import (
 )
 from fynjax.scene._planting import Planting, draw_planting
 from fynjax.scene._profile import height_profile
+from fynjax.scene._sensing import Observation, PlotAir, PlotSensing, plot_sensing
 from fynjax.scene._spectra import background_spectrum, shipped_covers
 
 __all__ = [
@@ -25,9 +26,12 @@ __all__ = [
     "GroundParameters",
     "Instances",
     "LightParameters",
+    "Observation",
     "Planting",
+    "PlotAir",
     "PlotModel",
     "PlotParameters",
+    "PlotSensing",
     "ProjectedCover",
     "SpeciesParameters",
     "background_spectrum",
@@ -42,6 +46,7 @@ __all__ = [
     "height_profile",
     "named_values",
     "parameter_units",
+    "plot_sensing",
     "projected_cover",
     "random_patches",
     "replant",

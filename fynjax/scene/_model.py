@@ -230,6 +230,9 @@ def band_wavelengths(bands: BandSet) -> Float[np.ndarray, " wavelength"]:
     """A grid fine enough for the responses of `bands`, inside 400-2500 nm [nm]."""
     centre, width = np.asarray(bands.centre), np.asarray(bands.fwhm)
     low, high = (centre - 2.2 * width).min(), (centre + 2.2 * width).max()
+    if bands.curves is not None:
+        low = min(points[0] for points, _ in bands.curves)
+        high = max(points[-1] for points, _ in bands.curves)
     step = max(1.0, round(float(width.min()) / 10))
     return np.arange(max(400.0, np.floor(low)), min(2500.0, np.ceil(high)) + step / 2, step)
 
@@ -327,6 +330,7 @@ def build_model(
         np.asarray(species.height),
         spread,
         shapes,
+        taxa=taxa,
         extent=extent,
         voxel=voxel,
         periodic=boundary == "periodic",

@@ -161,17 +161,18 @@ def is_transparent(atmosphere: Atmosphere, threshold: float = 0.01) -> Float[Arr
 def surface_reflectance(
     atmosphere: Atmosphere,
     radiance: Float[Array, "*batch wavelength"],
+    background: Float[Array, "*batch wavelength"] | None = None,
     *,
     threshold: float = 0.01,
     opaque: float = 0.0,
 ) -> Float[Array, "*batch wavelength"]:
     """Reflectance of the ground from the radiance at the sensor; inverse of `at_sensor_radiance`.
 
-    y = pi (L - path) / (T_up E), rho = y / (1 + S y).
+    y = pi (L - path) / (T_up E), rho = y / (1 + S y), or y (1 - S background).
 
-    **Arguments:** `radiance` [W m-2 sr-1 um-1], wavelengths on the last axis. Where the air is
-    opaque (see `is_transparent`, `threshold`) nothing is known of the ground and the value
-    `opaque` is given.
+    **Arguments:** `radiance` [W m-2 sr-1 um-1], wavelengths on the last axis; `background`, the
+    reflectance of the wide surroundings, the pixel's own if left out. Where the air is opaque (see
+    `is_transparent`, `threshold`) nothing is known of the ground and the value `opaque` is given.
 
     Differentiable; the slope is zero where the air is opaque.
     """
@@ -181,7 +182,11 @@ def surface_reflectance(
     signal = jnp.where(clear, signal, 1.0)  # the branch not taken must be finite too
     scaled = jnp.pi * (radiance - atmosphere.path_radiance) / signal
     scaled = jnp.where(clear, scaled, 0.0)
-    value = scaled / (1.0 + atmosphere.spherical_albedo * scaled)
+    if background is None:
+        value = scaled / (1.0 + atmosphere.spherical_albedo * scaled)
+    else:
+        around = _on_grid(atmosphere, background, "background")
+        value = scaled * (1.0 - atmosphere.spherical_albedo * around)
     return jnp.where(clear, value, jnp.asarray(opaque, value.dtype))
 
 

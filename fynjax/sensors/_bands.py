@@ -64,6 +64,33 @@ class BandSet(eqx.Module):
     def __len__(self) -> int:
         return len(self.names)
 
+    def select(self, places: Sequence[int]) -> "BandSet":
+        """The bands at `places`, in that order."""
+
+        def taken(values: Sequence[Any]) -> tuple[Any, ...]:
+            return tuple(values[i] for i in places)
+
+        return BandSet(
+            taken(self.names),
+            taken(self.centre),
+            taken(self.fwhm),
+            self.response,
+            None if self.curves is None else taken(self.curves),
+        )
+
+    def covered(self, wavelength: ArrayLike, *, max_loss: float = 1e-3) -> tuple[int, ...]:
+        """Places of the bands of which no more than `max_loss` lies outside `wavelength` [nm]."""
+
+        def fits(place: int) -> bool:
+            try:
+                self.select([place]).weights(wavelength, max_loss=max_loss)
+            except InputError:
+                return False
+            return True
+
+        check_wavelength(wavelength)
+        return tuple(place for place in range(len(self)) if fits(place))
+
     def weights(
         self, wavelength: ArrayLike, *, max_loss: float = 1e-3
     ) -> Float[np.ndarray, "band wavelength"]:

@@ -73,3 +73,9 @@ class PushbroomCamera(AbstractCamera):
 
     def pixel_widths(self) -> Float[Array, "y x"]:
         return jnp.broadcast_to(self.line.pixel_widths(), self.shape)
+
+
+def frame_of(camera: AbstractCamera) -> FrameCamera | None:
+    """The optics of a frame camera, or of a pushbroom sensor's line; None for another kind."""
+    frame = camera.line if isinstance(camera, PushbroomCamera) else camera
+    return frame if isinstance(frame, FrameCamera) else None

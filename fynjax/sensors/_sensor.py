@@ -1,7 +1,12 @@
 """A sensor as a whole: bands, geometry, point spread and noise."""
 
+import dataclasses
+from collections.abc import Sequence
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
@@ -80,6 +85,16 @@ class Sensor(eqx.Module):
         """The same sensor above the point (`x`, `y`) [m]; see `AbstractCamera.over`."""
         camera = self.camera.over(x, y, altitude=altitude, shape=shape)
         return eqx.tree_at(lambda s: s.camera, self, camera)
+
+    def select(self, places: Sequence[int]) -> "Sensor":
+        """The same sensor with the bands at `places` alone, in that order."""
+        count, at = len(self.bands), np.asarray(places, int)
+        # What noise models know of each band has as many values as there are bands.
+        noise = jax.tree.map(lambda v: v[at] if np.shape(v) == (count,) else v, self.noise)
+        pixel = None if self.band_pixel is None else tuple(self.band_pixel[i] for i in at)
+        return dataclasses.replace(
+            self, bands=self.bands.select(at.tolist()), noise=noise, band_pixel=pixel
+        )
 
     def rays(self) -> AbstractRays:
         """Rays of all pixels, for `fynjax.radiation.render`; see `camera_rays`."""

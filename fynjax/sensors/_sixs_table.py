@@ -171,6 +171,17 @@ def table_limits(path: str | Path | None = None) -> dict[str, tuple[float, float
     }
 
 
+def check_within_table(air: ClearAir, path: str | Path | None = None) -> None:
+    """Raise `InputError` for a field outside a table, where it is known before tracing."""
+    for name, (low, high) in table_limits(path).items():
+        value = getattr(air, name)
+        known = not isinstance(value, jax.core.Tracer)
+        if known and not low - 1e-4 <= float(value) <= high + 1e-4:
+            raise InputError(
+                f"`{name}` must be within the table, {low:g} to {high:g}, but is {float(value):g}."
+            )
+
+
 def tabulated_atmosphere(air: ClearAir, path: str | Path | None = None) -> Atmosphere:
     """Atmosphere interpolated in a table of 6SV, every 2.5 nm from 400 to 2500 nm.
 
@@ -188,15 +199,8 @@ def tabulated_atmosphere(air: ClearAir, path: str | Path | None = None) -> Atmos
     twice, but for height in ozone. Vermote et al. (1997), IEEE Transactions on Geoscience and
     Remote Sensing 35, 675-686; Kotchenova et al. (2006), Applied Optics 45, 6762-6774.
     """
-    path = None if path is None else Path(path)
-    table = _load(path)
-    for name, (low, high) in table_limits(path).items():
-        value = getattr(air, name)
-        known = not isinstance(value, jax.core.Tracer)
-        if known and not low - 1e-4 <= float(value) <= high + 1e-4:
-            raise InputError(
-                f"`{name}` must be within the table, {low:g} to {high:g}, but is {float(value):g}."
-            )
+    check_within_table(air, path)
+    table = _load(None if path is None else Path(path))
     dtype = jnp.result_type(*vars(air).values())
 
     def constant(values: Constants) -> Array:

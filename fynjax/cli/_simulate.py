@@ -1,0 +1,128 @@
+"""`fynjax simulate`."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fynjax._core.errors import InputError
+from fynjax.cli._render import PlotPath
+from fynjax.cli._runtime import Json, Output, OwnSeed, Quiet, run_job
+
+
+class Product(StrEnum):
+    """Which images to write."""
+
+    both = "both"
+    reflectance = "reflectance"
+    radiance = "radiance"
+
+
+def simulate(
+    plot: PlotPath,
+    sensor: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Shipped sensor (aviris_ng, emit, mavic_3m, flash_lidar_paper, ...) or a sensor "
+            "file; the plot file's if left out.",
+        ),
+    ] = None,
+    output: Output = Path("output/simulate"),
+    altitude: Annotated[
+        float | None, typer.Option(metavar="M", help="Height above the ground [m].")
+    ] = None,
+    pixel: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Side of a pixel; from the optics if left out."),
+    ] = None,
+    atmosphere: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="table (6S), clear-sky, none, or curves of your own (CSV, NetCDF).",
+        ),
+    ] = None,
+    noise: Annotated[
+        bool | None,
+        typer.Option("--noise/--no-noise", help="Draw noise; if the sensor has a model, yes."),
+    ] = None,
+    product: Annotated[Product, typer.Option(help="Images to write.")] = Product.both,
+    seed: OwnSeed = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate what any sensor measures over a plot.
+
+    Writes radiance at the sensor and calibrated reflectance (GeoTIFF, ENVI, NetCDF), pictures and
+    a record of the run; of a LiDAR the point cloud.
+
+    Example:  fynjax simulate plot.toml --sensor aviris_ng --pixel 3 --output aviris
+    """
+    from fynjax.io import read_plot
+
+    # Before the heavy imports: a slip in a file shows at once.
+    read = read_plot(plot)
+    number = read.seed if seed is None else seed
+    if sensor is not None and _is_lidar(sensor):
+        given = {"--altitude": altitude, "--pixel": pixel, "--atmosphere": atmosphere}
+        if product != Product.both:
+            given["--product"] = product
+        if wrong := [name for name, value in given.items() if value is not None]:
+            raise InputError(
+                f"expected no {wrong[0]} with the LiDAR {sensor!r}: its file says all of it"
+            )
+        from fynjax.report._lidar_job import run_lidar
+
+        run_job(
+            "simulate",
+            lambda folder, progress: run_lidar(
+                plot,
+                sensor,
+                folder,
+                seed=number,
+                progress=progress,
+                noise=True if noise is None else noise,
+            ),
+            output,
+            seed=number,
+            as_json=json,
+            quiet=quiet,
+        )
+        return
+    from fynjax.report._simulate_job import PRODUCTS, run_simulate
+
+    run_job(
+        "simulate",
+        lambda folder, progress: run_simulate(
+            plot,
+            folder,
+            sensor=sensor,
+            altitude=altitude,
+            pixel=pixel,
+            atmosphere=atmosphere,
+            noise=noise,
+            products=PRODUCTS if product == Product.both else (product.value,),
+            seed=number,
+            progress=progress,
+        ),
+        output,
+        seed=number,
+        as_json=json,
+        quiet=quiet,
+    )
+
+
+def _is_lidar(sensor: str) -> bool:
+    """Whether a sensor's name or file is that of a LiDAR, which has a laser."""
+    import tomllib
+
+    from fynjax.sensors import shipped_lidars
+
+    if sensor in shipped_lidars():
+        return True
+    try:
+        return "laser" in tomllib.loads(Path(sensor).read_text("utf-8"))
+    except (OSError, ValueError):  # whoever reads it next says what is wrong
+        return False

@@ -1,0 +1,112 @@
+"""From a plot's files and a sensor to a simulation of what it measures."""
+
+import warnings
+
+from fynjax._core.errors import InputError
+from fynjax.io._atmosphere_file import read_atmosphere
+from fynjax.io._build import build_plot
+from fynjax.io._plot import Air, Plot
+from fynjax.io._plot_sensor import optical_pixel, sensor_altitude, visible_sensor
+from fynjax.scene import PlotAir, PlotParameters, PlotSensing, plot_sensing
+from fynjax.sensors import Atmosphere, OrthographicCamera, Sensor
+
+_DISAGREE = 0.02  # share by which a pixel may differ from the optics before that is told
+
+
+def build_sensing(
+    plot: Plot,
+    instrument: Sensor,
+    *,
+    seed: int | None = None,
+    altitude: float | None = None,
+    pixel: float | None = None,
+    air: Air | None = None,
+    quiet: bool = False,
+) -> tuple[PlotSensing, PlotParameters]:
+    """A sensor over a plot, and the plot's parameters as its files state them.
+
+    **Arguments:** `instrument`, from `load_sensor`; `altitude` above the ground and `pixel` on it
+    [m], and `air`, instead of the plot file's; `quiet`, without warnings. What the plot file says
+    of its sensor counts where the two have the same name.
+
+    Bands that the spectra of a plot do not cover are left out. Warns where altitude and pixel are
+    both given and the optics disagree; the pixel is used. Raises `InputError` as `build_plot` and
+    `fynjax.scene.plot_sensing`.
+    """
+    own = plot.sensor if plot.sensor.name == instrument.name else None
+    if own is not None:
+        altitude = own.stated_altitude_m if altitude is None else altitude
+        pixel = own.stated_pixel_m if pixel is None else pixel
+    height = sensor_altitude(instrument) if altitude is None else altitude
+    optics = optical_pixel(instrument, height)
+    fixed = isinstance(instrument.camera, OrthographicCamera)
+    if not quiet and pixel is not None and not fixed and abs(pixel / optics - 1.0) > _DISAGREE:
+        warnings.warn(
+            f"{instrument.name}: the pixel of {pixel:g} m is used, but the optics give "
+            f"{optics:.4g} m at {height:g} m above the ground; the pixel would need an altitude "
+            f"of {height * pixel / optics:.4g} m.",
+            UserWarning,
+            stacklevel=2,
+        )
+    sensor = visible_sensor(instrument)
+    air = air or plot.air or Air()
+    model, parameters = build_plot(plot, seed=seed, bands=sensor.bands)
+    if air.model != "none" and model.diffuse is not None and plot.air is not None:
+        raise InputError(
+            "expected a table of the sky's share in [sky] or an [atmosphere], which has its own, "
+            "but got both: leave one out",
+            file=plot.file,
+            column="sky.table",
+        )
+    try:
+        sensing = plot_sensing(
+            model,
+            sensor,
+            altitude=altitude,
+            pixel=pixel,
+            tilt=None if own is None else own.tilt_deg,
+            heading=None if own is None else own.heading_deg,
+            air=_air(plot, air),
+            point_spread=plot.sensor.point_spread,
+        )
+        sensing.check(parameters)
+    except InputError as error:
+        if error.file is not None:
+            raise
+        raise InputError(str(error), file=plot.file) from error
+    if not quiet:
+        _check_swath(plot, instrument, sensing.pixel)
+    return sensing, parameters
+
+
+def _check_swath(plot: Plot, instrument: Sensor, pixel: float) -> None:
+    """Warn where a plot is wider than the sensor's image."""
+    if isinstance(instrument.camera, OrthographicCamera):
+        return
+    rows, columns = instrument.camera.shape
+    across = pixel * columns
+    along = across if rows == 1 else pixel * rows
+    if plot.size_m[0] > across + pixel or plot.size_m[1] > along + pixel:
+        warnings.warn(
+            f"{instrument.name}: the plot of {plot.size_m[0]:g} m x {plot.size_m[1]:g} m is larger "
+            f"than an image of the sensor, {across:.4g} m x {along:.4g} m; what lies beyond is "
+            "simulated as if its field of view were wider.",
+            UserWarning,
+            stacklevel=3,
+        )
+
+
+def _air(plot: Plot, air: Air) -> PlotAir | Atmosphere | None:
+    if air.model == "none":
+        return None
+    if air.model == "file":
+        assert air.file is not None
+        return read_atmosphere(air.file)
+    return PlotAir(
+        model=air.model,  # type: ignore[arg-type]
+        water_vapour=air.water_vapour_cm,
+        ozone=air.ozone_cm_atm,
+        pressure=air.pressure_hpa,
+        solar_factor=plot.sun.solar_factor,
+        aerosol=air.aerosol_optical_depth,
+    )

@@ -1,0 +1,87 @@
+"""Pictures of an image product: quick looks and spectra."""
+
+from collections.abc import Mapping, Sequence
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from fynjax.io._products import QUANTITIES, Cube
+from fynjax.report._figure_style import BLUE, GREY, style
+from fynjax.report._figures_image import composites
+
+_SEEN = {"green": 560.0, "red": 660.0, "nir": 860.0}
+"""Colours of a picture and where they lie [nm]."""
+_FAR = 45.0  # nm from there to the nearest band, up to which it serves
+_FEW = 25  # bands of which each is drawn
+
+
+def colour_bands(cube: Cube) -> dict[str, int]:
+    """Place of the good band nearest to green, red and near infrared; only those that are near."""
+    places = np.flatnonzero(cube.good)
+    if cube.wavelength is None or places.size == 0:
+        return {}
+    found = {}
+    for name, wanted in _SEEN.items():
+        away = np.abs(cube.wavelength[places] - wanted)
+        if away.min() <= _FAR:
+            found[name] = int(places[away.argmin()])
+    return found
+
+
+def quick_looks(cube: Cube, title: str) -> dict[str, Figure]:
+    """Pictures of a reflectance image by file name; none of bands that the sensor lacks."""
+    bands = colour_bands(cube)
+    if cube.pixel_m is None or not {"green", "red"} <= set(bands):
+        return {}
+    image = cube.values[list(bands.values())]
+    kinds = ("true_like", "false_colour") if "nir" in bands else ("true_like",)
+    return {
+        f"{kind}.png": composites({title: image}, list(bands), pixel_m=cube.pixel_m, kind=kind)  # type: ignore[arg-type]
+        for kind in kinds
+    }
+
+
+def spectrum_figure(cubes: Mapping[str, Cube]) -> Figure:
+    """Mean and range over the pixels of each cube against wavelength; gaps where bands are bad."""
+    with style():
+        figure = Figure(figsize=(6.4, 1.0 + 2.1 * len(cubes)))
+        grid = figure.subplots(len(cubes), 1, squeeze=False, sharex=True)[:, 0]
+        for axes, (name, cube) in zip(grid, cubes.items(), strict=True):
+            _draw(axes, cube)
+            unit = QUANTITIES[cube.quantity][0]
+            axes.set_ylabel(f"{name} [{'-' if unit == '1' else _typeset(unit)}]")
+            axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+            axes.grid(True)
+        rows, columns = next(iter(cubes.values())).values.shape[1:]
+        spread = "" if rows * columns == 1 else ", and the range of 5 to 95 % of them"
+        grid[0].set_title(f"Mean of {columns} x {rows} pixels{spread}")
+        grid[-1].set_xlabel("wavelength [nm]")
+    return figure
+
+
+def _draw(axes: matplotlib.axes.Axes, cube: Cube) -> None:
+    assert cube.wavelength is not None
+    order = np.argsort(cube.wavelength)
+    x = cube.wavelength[order]
+    values = np.where(cube.good[:, None, None], cube.values, np.nan)[order]
+    flat = values.reshape(len(x), -1)
+    known = np.isfinite(flat).any(axis=1)
+    mean, low, high = (np.full(len(x), np.nan) for _ in range(3))
+    mean[known] = np.nanmean(flat[known], axis=1)
+    low[known], high[known] = np.nanpercentile(flat[known], [5, 95], axis=1)
+    if len(x) > _FEW:
+        axes.fill_between(x, low, high, color=BLUE, alpha=0.25, lw=0)
+        axes.plot(x, mean, color=BLUE, lw=1.1)
+        return
+    spread = np.stack([mean - low, high - mean])
+    axes.errorbar(
+        x, mean, yerr=spread, fmt="o", ms=4.5, color=BLUE, ecolor=GREY, elinewidth=1.2, capsize=2
+    )
+
+
+def _typeset(unit: str) -> str:
+    parts: Sequence[str] = unit.replace("um", "µm").split()
+    return " ".join(
+        p if "-" not in p else f"{p.split('-')[0]}$^{{-{p.split('-')[1]}}}$" for p in parts
+    )

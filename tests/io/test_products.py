@@ -1,0 +1,185 @@
+"""Image products: what is written is what other readers find, and what is read back."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import rasterio
+import spectral
+import xarray as xr
+
+from fynjax._core.errors import InputError
+from fynjax.io import Cube, read_cube, read_image
+from fynjax.io._products import NODATA, write_cube_envi, write_cube_geotiff, write_cubes_netcdf
+
+RECORD = {"source": "fynjax 0", "seed": 3, "note": '{"a": [1, 2]}'}
+NAMES = ("blue", "green", "red", "cirrus", "nir")
+CENTRES, WIDTHS = (
+    np.array([450.5, 560.25, 650.0, 1375.0, 860.0]),
+    np.array([20.0, 32, 16, 30, 5.57]),
+)
+
+
+def cube(quantity="reflectance"):
+    """Five bands of 3 x 4 pixels of 3 m; band 4 is bad, one pixel of the others has no data."""
+    values = np.random.default_rng(0).uniform(0.05, 0.5, (5, 3, 4))
+    values[3] = np.nan
+    values[:, 0, 1] = np.nan
+    good = np.array([True, True, True, False, True])
+    return Cube(values, NAMES, CENTRES, WIDTHS, good, 3.0, (0.5, -1.0), quantity)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("products")
+    for quantity in ("reflectance", "radiance"):
+        write_cube_geotiff(path / f"{quantity}.tif", cube(quantity), RECORD)
+        write_cube_envi(path / f"{quantity}.hdr", cube(quantity), RECORD)
+    both = {q: cube(q) for q in ("reflectance", "radiance")}
+    write_cubes_netcdf(path / "product.nc", both, RECORD)
+    return path
+
+
+def north_first(values):
+    return np.where(np.isfinite(values), values, NODATA)[:, ::-1].astype(np.float32)
+
+
+@pytest.mark.parametrize("file", ["reflectance.tif", "radiance.dat"])
+def test_gdal_finds_values_place_and_no_data(folder, file):
+    with rasterio.open(folder / file) as found:
+        np.testing.assert_array_equal(found.read(), north_first(cube().values))
+        assert found.transform.to_gdal() == (0.5, 3.0, 0.0, 8.0, 0.0, -3.0)
+        assert found.nodatavals == (NODATA,) * 5
+        assert found.descriptions[0].startswith("blue")
+        assert found.xy(2, 0) == (2.0, 0.5)  # the pixel in the south-west
+        wavelengths = [float(found.tags(n)["wavelength"]) for n in range(1, 6)]
+    np.testing.assert_allclose(wavelengths, CENTRES)
+
+
+def test_geotiff_says_widths_in_both_manners(folder):
+    with rasterio.open(folder / "reflectance.tif") as found:
+        assert [float(found.tags(n)["fwhm"]) for n in range(1, 6)] == WIDTHS.tolist()
+        assert float(found.tags(5, ns="IMAGERY")["FWHM_UM"]) == pytest.approx(0.00557)
+        assert float(found.tags(2, ns="IMAGERY")["CENTRAL_WAVELENGTH_UM"]) == 0.56025
+        assert found.tags()["seed"] == "3"
+        assert found.tags()["units"] == "1"
+
+
+def test_spy_finds_values_wavelengths_and_bad_bands(folder):
+    image = spectral.open_image(str(folder / "radiance.hdr"))
+    np.testing.assert_array_equal(
+        np.asarray(image.load()), north_first(cube().values).transpose(1, 2, 0)
+    )
+    assert image.bands.centers == CENTRES.tolist()
+    assert image.bands.bandwidths == WIDTHS.tolist()
+    assert image.bands.band_unit == "Nanometers"
+    header = image.metadata
+    assert header["interleave"] == "bil"
+    assert header["band names"] == list(NAMES)
+    assert [int(b) for b in header["bbl"]] == [1, 1, 1, 0, 1]
+    assert float(header["data ignore value"]) == NODATA
+    assert header["map info"][:7] == ["Arbitrary", "1", "1", "0.5", "8", "3", "3"]
+    assert header["data units"] == "W m-2 sr-1 um-1"
+    assert header["fynjax seed"] == "3"
+    assert not list(folder.glob(".*"))  # nothing is left of the writing
+
+
+def test_xarray_finds_units_coordinates_and_no_data(folder):
+    with xr.open_dataset(folder / "product.nc") as data:
+        assert data.radiance.attrs["units"] == "W m-2 sr-1 um-1"
+        assert data.reflectance.attrs["standard_name"] == "surface_bidirectional_reflectance"
+        np.testing.assert_allclose(data.reflectance, cube().values, rtol=1e-6)
+        np.testing.assert_allclose(data.x, [2.0, 5.0, 8.0, 11.0])
+        np.testing.assert_allclose(data.y, [0.5, 3.5, 6.5])
+        np.testing.assert_allclose(data.wavelength, CENTRES)
+        np.testing.assert_allclose(data.fwhm, WIDTHS)
+        assert data.wavelength.attrs["units"] == data.fwhm.attrs["units"] == "nm"
+        assert data.reflectance_good.values.tolist() == [1, 1, 1, 0, 1]
+        assert data.attrs["Conventions"].startswith("CF-")
+        assert data.attrs["seed"] == 3
+
+
+@pytest.mark.parametrize("file", ["radiance.tif", "radiance.hdr", "radiance.dat", "product.nc"])
+def test_what_was_written_is_read_back(folder, file):
+    found, truth = read_cube(folder / file, "radiance"), cube("radiance")
+    np.testing.assert_allclose(found.values, truth.values, rtol=1e-6)
+    for name in ("wavelength", "fwhm", "good", "pixel_m", "origin_m"):
+        np.testing.assert_allclose(getattr(found, name), getattr(truth, name))
+    assert found.names == NAMES
+    assert found.quantity == "radiance"
+
+
+def test_the_reader_of_drone_images_takes_a_product(folder):
+    with pytest.warns(UserWarning, match="1 of 12 pixels are masked"):
+        image, mask, meta = read_image(folder / "reflectance.tif", ("green", "red", "nir"))
+    np.testing.assert_allclose(image, cube().values[[1, 2, 4]], rtol=1e-6)
+    assert not mask[0, 1]
+    assert (meta.pixel_m, meta.origin_m) == (3.0, (0.5, -1.0))
+
+
+def copy_of(folder, tmp_path, old="", new=""):
+    text = (folder / "reflectance.hdr").read_text()
+    assert old in text
+    (tmp_path / "a.hdr").write_text(text.replace(old, new))
+    (tmp_path / "a.dat").write_bytes((folder / "reflectance.dat").read_bytes())
+    return tmp_path / "a.hdr"
+
+
+SLIPS = [
+    ("wavelength units = Nanometers", "wavelength units = Furlongs", "the unit is 'furlongs'"),
+    ("450.5 , ", "0.4505 , 0.5 , ", "expected 5 values, one for each band, but got 6"),
+    ("bbl = { 1 , ", "bbl = { yes , ", "expected lists of numbers"),
+    ("lines = 3", "lines = three", "needs samples, lines, bands and data type"),
+    ("samples = 4", "samples = 0", "at least one pixel"),
+    ("lines = 3", "lines = 30", "cut short: 30 lines of 4 samples in 5 bands need 2400 bytes"),
+    ("ENVI\n", "GIF\n", "starts with the word ENVI"),
+    ("bands = 5\n", "", "needs samples, lines, bands"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "words"), SLIPS)
+def test_a_corrupt_envi_file_is_explained(folder, tmp_path, old, new, words):
+    path = copy_of(folder, tmp_path, old, new)
+    with pytest.raises(InputError, match=words) as caught:
+        read_cube(path)
+    assert caught.value.file.stem == "a"
+
+
+def test_lost_halves_of_an_envi_file_are_named(folder, tmp_path):
+    path = copy_of(folder, tmp_path)
+    path.with_suffix(".dat").unlink()
+    with pytest.raises(InputError, match=r"data file .* missing"):
+        read_cube(path)
+    with pytest.raises(InputError, match="no such file"):
+        read_cube(tmp_path / "nothing.tif")
+
+
+def test_wavelengths_in_micrometres_become_nanometres(folder, tmp_path):
+    path = copy_of(folder, tmp_path, "Nanometers", "Micrometers")
+    text = path.read_text()
+    for line in text.splitlines():
+        if line.startswith(("wavelength =", "fwhm =")):
+            numbers = [float(v) / 1000 for v in line.split("{")[1].strip(" }").split(",")]
+            text = text.replace(line, f"{line.split('=')[0]}= {{ {', '.join(map(str, numbers))} }}")
+    path.write_text(text)
+    found = read_cube(path)
+    np.testing.assert_allclose(found.wavelength, CENTRES)
+    np.testing.assert_allclose(found.fwhm, WIDTHS)
+
+
+def test_a_cube_without_a_place_is_not_written(tmp_path):
+    lost = dataclasses.replace(cube(), pixel_m=None)
+    with pytest.raises(ValueError, match="must have a place"):
+        write_cube_envi(tmp_path / "a.hdr", lost, {})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_real_emit_cube_is_read_as_spy_reads_it(shared_data):
+    path = shared_data / "eco" / "satellite" / "emit20250324t221005_jpl_unmix_ex.hdr"
+    found, spy = read_cube(path), spectral.open_image(str(path))
+    assert found.values.shape == (285, 10, 10)
+    np.testing.assert_allclose(found.wavelength, spy.bands.centers, rtol=1e-6)
+    np.testing.assert_allclose(found.fwhm, spy.bands.bandwidths, rtol=1e-6)
+    truth = np.asarray(spy.load()).transpose(2, 0, 1)[:, ::-1]
+    np.testing.assert_allclose(found.values, np.where(truth == -9999, np.nan, truth), rtol=1e-6)
+    assert found.good.sum() == sum(int(float(b)) for b in spy.metadata["bbl"])

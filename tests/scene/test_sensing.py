@@ -1,0 +1,221 @@
+"""A sensor over a plot: pixels on the ground, air, noise, calibration, derivatives."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax._core.errors import InputError
+from fynjax.radiation import Accuracy, reflectance_factor, solve_light
+from fynjax.scene import Camera, PlotAir, band_wavelengths, plot_sensing
+from fynjax.scene._sensing_grid import axis_pixels, footprint_shares
+from fynjax.sensors import (
+    BandSet,
+    CameraNoise,
+    OrthographicCamera,
+    PointSpread,
+    Sensor,
+    at_sensor_radiance,
+    mavic_3m,
+    shipped_sensor,
+)
+from tests.helpers import assert_gradients
+from tests.scene.plots import render, small_parameters, small_plot
+
+FAST = Accuracy(sublayers=1, levels=2, refine=False, tolerance=1e-9, iterations=200)
+observe = eqx.filter_jit(lambda s, p, key=None, air=None: s.observe(p, key=key, air=air))
+
+
+@pytest.fixture(scope="module")
+def model():
+    return small_plot(accuracy=FAST)
+
+
+@pytest.fixture(scope="module")
+def drone():
+    return shipped_sensor("mavic_3m")
+
+
+def test_pixels_lie_in_the_middle_of_the_plot():
+    assert axis_pixels(10.0, 0.025, periodic=True) == (400, 0.0)
+    assert axis_pixels(10.0, 3.0, periodic=True) == (3, 0.5)
+    assert axis_pixels(10.0, 3.0, periodic=False) == (3, 0.5)
+    assert axis_pixels(10.0, 60.0, periodic=True) == (1, -25.0)  # the plot goes on for ever
+    with pytest.raises(InputError, match=r"pixel of 60 m, but is 10 m wide.*periodic"):
+        axis_pixels(10.0, 60.0, periodic=False)
+
+
+@pytest.mark.parametrize("width", [0.35, 1.0, 2.0, 7.3])
+def test_shares_of_a_periodic_axis_are_means_over_its_copies(width):
+    """Against the mean of 100 000 points of the tiled axis."""
+    cells = np.array([0.3, 1.0, 0.2, 0.8, 0.5])
+    centres = np.array([0.4, 0.4 + width])
+    points = centres[:, None] + width * ((np.arange(100_000) + 0.5) / 100_000 - 0.5)
+    truth = cells[np.floor(points / 0.4).astype(int) % 5].mean(axis=1)
+    shares = footprint_shares(centres, width, 5, 2.0, periodic=True)
+    np.testing.assert_allclose(shares @ cells, truth, atol=2e-5)
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("periodic", [True, False])
+def test_point_spread_of_wide_pixels_is_that_of_the_image(periodic):
+    psf = PointSpread("gaussian", 1.3)
+    cells = np.random.default_rng(0).uniform(size=(12, 12))
+    centres = 0.3 * (np.arange(4) + 0.5)
+    image = cells.reshape(4, 3, 4, 3).mean((1, 3))
+    truth = psf.blur(image, boundary="periodic" if periodic else "edge")
+    rows, columns = (
+        footprint_shares(centres, 0.3, 12, 1.2, periodic=periodic, kernel=psf.kernel(axis))
+        for axis in ("y", "x")
+    )
+    np.testing.assert_allclose(rows @ cells @ columns.T, truth, rtol=1e-12)
+
+
+def test_a_nadir_frame_is_the_image_of_render(model, drone):
+    sensing = plot_sensing(model, drone, altitude=50.0, pixel=0.1)
+    seen = observe(sensing, small_parameters())
+    np.testing.assert_allclose(seen.reflectance, render(model, small_parameters()), rtol=1e-12)
+    assert seen.radiance is None
+    assert sensing.origin == (0.0, 0.0)
+
+
+def test_a_wide_pixel_is_the_mean_of_small_ones(model, drone):
+    """Rays half a voxel apart, against pixels of an eighth: what is left is 0.1 %."""
+    light = eqx.filter_jit(solve_light)(model.scene(small_parameters()), model.accuracy)
+    fine = plot_sensing(model, drone, altitude=1000.0, pixel=0.0125)
+    small = np.asarray(reflectance_factor(light, fine.rays)).reshape(4, 4, 32, 4, 32).mean((2, 4))
+    wide = plot_sensing(model, drone, altitude=1000.0, pixel=0.4)
+    seen = observe(wide, small_parameters()).reflectance
+    assert seen.shape == (4, 4, 4)
+    np.testing.assert_allclose(seen, small, rtol=5e-3)
+    np.testing.assert_allclose(seen.mean((1, 2)), small.mean((1, 2)), rtol=1e-3)
+    whole = plot_sensing(model, drone, altitude=1000.0, pixel=4.8)  # nine copies of the plot
+    assert whole.shape == (1, 1)
+    shares = footprint_shares(np.array([0.8]), 4.8, 32, 1.6, periodic=True)
+    np.testing.assert_allclose(shares, 1 / 32, rtol=1e-12)
+
+
+PANELS = BandSet(("blue", "red", "nir", "cirrus", "swir"), (450, 660, 860, 1900, 2200), (20,) * 5)
+
+
+def bare(soil, **changes):
+    """A plot without plants over even ground, and its parameters."""
+    parameters = small_parameters()
+    none = jnp.zeros_like(parameters.species.cover)
+    parameters = eqx.tree_at(lambda p: p.species.cover, parameters, none)
+    ground = dataclasses.replace(
+        parameters.ground, brightness=jnp.asarray(1.0), litter_fraction=jnp.asarray(0.0)
+    )
+    parameters = dataclasses.replace(parameters, ground=ground)
+    grid = band_wavelengths(PANELS)
+    model = small_plot(
+        camera=Camera(PANELS, 1000.0, 0.4),
+        accuracy=FAST,
+        soil=np.full((2, grid.size), soil),
+        **changes,
+    )
+    return model, parameters
+
+
+@pytest.mark.parametrize("kind", ["table", "clear-sky"])
+def test_even_panels_come_back_through_the_air(kind):
+    """And their radiance is that of the spectrum itself, band by band."""
+    camera = OrthographicCamera((-0.2, -0.2, 0.2, 0.2), 0.4)
+    sensor = Sensor("panel", PANELS, camera, psf=PointSpread("gaussian", 1.0))
+    air = PlotAir(kind, water_vapour=2.0)
+    run = None
+    for soil in (0.05, 0.5):
+        model, parameters = bare(soil)
+        sensing = plot_sensing(model, sensor, air=air)
+        run = eqx.filter_jit(lambda s, p: s.observe(p)) if run is None else run
+        seen = run(sensing, parameters)
+        clear = np.asarray(seen.transparent)
+        assert clear.tolist() == [True, True, True, False, True]
+        assert seen.reflectance.shape == (5, 4, 4)
+        np.testing.assert_allclose(seen.reflectance[clear], soil, rtol=1e-3)
+        assert np.all(np.asarray(seen.reflectance)[~clear] == 0.0)
+        curves = air.atmosphere(parameters.light, sensing.sensor_height)
+        spectrum = at_sensor_radiance(curves, jnp.full(len(curves.wavelength), soil))
+        truth = PANELS.average(curves.wavelength, spectrum)
+        np.testing.assert_allclose(
+            seen.radiance, np.broadcast_to(truth[:, None, None], (5, 4, 4)), rtol=1e-3
+        )
+
+
+def test_noise_is_seeded_and_as_large_as_its_model_says(model, drone):
+    noise = CameraNoise(300.0, 8000.0, 4.0, 12)
+    noisy = dataclasses.replace(drone, noise=noise)
+    sensing = plot_sensing(model, noisy, altitude=50.0, pixel=0.1, air=PlotAir("clear-sky"))
+    clean = observe(sensing, small_parameters())
+    first, again, other = (
+        observe(sensing, small_parameters(), jax.random.key(k)) for k in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(first.radiance, again.radiance)
+    assert not np.array_equal(first.radiance, other.radiance)
+    sd = np.moveaxis(noise.standard_deviation(jnp.moveaxis(clean.radiance, 0, -1)), -1, 0)
+    scaled = (np.asarray(first.radiance) - clean.radiance) / sd
+    assert scaled.std() == pytest.approx(1.0, abs=0.08)  # 1024 draws: 2.2 % is one deviation
+    gain = clean.radiance.std((1, 2)) / clean.reflectance.std((1, 2))
+    np.testing.assert_allclose(
+        (first.reflectance - clean.reflectance) * gain[:, None, None],
+        first.radiance - clean.radiance,
+        rtol=1e-6,
+    )
+
+
+@pytest.mark.slow
+def test_radiance_has_the_derivative_of_differences(model, drone):
+    """In cover, chlorophyll, the sun and the water in the air; wide pixels, a point spread."""
+    psf = PointSpread("gaussian", 1.2)
+    sensor = dataclasses.replace(drone, psf=psf)
+    sensing = plot_sensing(model, sensor, altitude=1000.0, pixel=0.4)
+    parameters = small_parameters()
+
+    @jax.jit
+    def radiance(free):
+        cover, chlorophyll, zenith, water = free
+        moved = eqx.tree_at(
+            lambda p: (p.species.cover, p.leaf.chlorophyll, p.light.sun_zenith),
+            parameters,
+            (
+                parameters.species.cover.at[0].set(cover),
+                parameters.leaf.chlorophyll.at[0].set(chlorophyll),
+                zenith,
+            ),
+        )
+        return sensing.observe(moved, air=PlotAir("table", water_vapour=water)).radiance
+
+    assert_gradients(radiance, jnp.array([0.25, 55.0, 31.3, 1.7]), step=1e-4, rtol=2e-4)
+
+
+def test_an_oblique_view_is_followed_voxel_by_voxel(model, drone):
+    straight = plot_sensing(model, drone, altitude=50.0, pixel=0.1)
+    tilted = plot_sensing(model, drone, altitude=50.0, pixel=0.1, tilt=50.0, heading=90.0)
+    assert straight.model.accuracy.sublayers == 1
+    assert tilted.model.accuracy.sublayers == 2
+    # The camera stands west of the plot and looks east at its middle.
+    place = np.asarray(tilted.sensor.camera.position)
+    np.testing.assert_allclose(place, [0.8 - 50.0 * np.tan(np.deg2rad(50.0)), 0.8, 50.0])
+    assert np.all(np.asarray(tilted.rays.slope_x) < -1.0)
+
+
+def test_what_cannot_be_simulated_is_refused(model, drone):
+    with pytest.raises(InputError, match=r"above the plants.* 0\.8.* but is at 0\.5 m"):
+        plot_sensing(model, drone, altitude=0.5, pixel=0.1)
+    with pytest.raises(InputError, match="built with the sensor's bands"):
+        plot_sensing(model, shipped_sensor("rededge_3"), altitude=50.0)
+    with pytest.raises(InputError, match=r"pixel of 5 m, but is 1\.6 m wide"):
+        plot_sensing(dataclasses.replace(model, boundary="open"), drone, altitude=50.0, pixel=5.0)
+    with pytest.raises(InputError, match="no air to make radiance of"):
+        plot_sensing(model, drone).observe(small_parameters(), key=0)
+    with pytest.raises(InputError, match="no noise model"):
+        plot_sensing(model, drone, air=PlotAir()).observe(small_parameters(), key=0)
+    view = Sensor("view", mavic_3m(), OrthographicCamera((0, 0, 1, 1), 0.1))
+    with pytest.raises(InputError, match="no tilt or heading"):
+        plot_sensing(model, view, tilt=10.0)
+    low = eqx.tree_at(lambda p: p.light.sun_zenith, small_parameters(), jnp.asarray(88.0))
+    with pytest.raises(InputError, match="`sun_zenith` must be within the table"):
+        plot_sensing(model, drone, air=PlotAir()).check(low)
