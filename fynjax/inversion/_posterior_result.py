@@ -1,6 +1,8 @@
 """Draws from a posterior, what they say, and how they mix."""
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import equinox as eqx
@@ -63,7 +65,8 @@ class Posterior(eqx.Module):
         other, so `effective_size` is the stricter figure there. Needs the extra `posterior`.
         """
         arviz = _arviz()
-        draws = arviz.convert_to_dataset({"u": self.whitened})
+        with _many_chains():
+            draws = arviz.convert_to_dataset({"u": self.whitened})
         found = {
             "ess_bulk": arviz.ess(draws, method="bulk"),
             "ess_tail": arviz.ess(draws, method="tail"),
@@ -83,25 +86,26 @@ class Posterior(eqx.Module):
         """
         arviz = _arviz()
         parameter, statistic = ["parameter"], ["statistic"]
-        found = arviz.from_dict(
-            posterior={"value": self.values, "whitened": self.whitened},
-            posterior_predictive={"prediction": self.predicted[None]},
-            sample_stats={"lp": self.log_density},
-            observed_data={"observation": np.asarray(self.data.value)},
-            constant_data={
-                "observation_sd": np.asarray(self.data.sd),
-                "prior": np.asarray(self.space.prior),
-                "prior_sd": np.asarray(self.space.prior_sd),
-                "lower": np.asarray(self.space.lower),
-                "upper": np.asarray(self.space.upper),
-            },
-            coords={"parameter": list(self.names), "statistic": list(self.data.names)},
-            dims={
-                **dict.fromkeys(("value", "whitened"), parameter),
-                **dict.fromkeys(("prior", "prior_sd", "lower", "upper"), parameter),
-                **dict.fromkeys(("prediction", "observation", "observation_sd"), statistic),
-            },
-        )
+        with _many_chains():
+            found = arviz.from_dict(
+                posterior={"value": self.values, "whitened": self.whitened},
+                posterior_predictive={"prediction": self.predicted[None]},
+                sample_stats={"lp": self.log_density},
+                observed_data={"observation": np.asarray(self.data.value)},
+                constant_data={
+                    "observation_sd": np.asarray(self.data.sd),
+                    "prior": np.asarray(self.space.prior),
+                    "prior_sd": np.asarray(self.space.prior_sd),
+                    "lower": np.asarray(self.space.lower),
+                    "upper": np.asarray(self.space.upper),
+                },
+                coords={"parameter": list(self.names), "statistic": list(self.data.names)},
+                dims={
+                    **dict.fromkeys(("value", "whitened"), parameter),
+                    **dict.fromkeys(("prior", "prior_sd", "lower", "upper"), parameter),
+                    **dict.fromkeys(("prediction", "observation", "observation_sd"), statistic),
+                },
+            )
         found.posterior.attrs |= {
             "method": self.method,
             "status": self.status,
@@ -110,6 +114,14 @@ class Posterior(eqx.Module):
             **(attributes or {}),
         }
         return found
+
+
+@contextmanager
+def _many_chains() -> Iterator[None]:
+    """Walkers count as chains, of which there are often more than draws of each."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "More chains", UserWarning)
+        yield
 
 
 def _arviz() -> Any:
