@@ -8,6 +8,7 @@ import os
 import shutil
 import time
 import warnings
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,6 +31,8 @@ _BURN_IN = 100
 # A chain shorter than this many autocorrelation times does not know its own autocorrelation time
 # (Goodman & Weare 2010; the emcee documentation asks for 50).
 _TIMES_TAU = 50.0
+_R_HAT = 1.1
+"""Largest disagreement of chains that count as converged."""
 _SAVE_SECONDS = 20.0
 """A kill loses at most so much work (and the step under way); a resumed chain is the same."""
 _DIVERGENT = 0.01
@@ -152,7 +155,9 @@ class _EnsembleFile:
             shutil.copyfile(self._path, self._work)
         try:
             with self._h5py.File(self._work, "a") as file:
-                known = file.attrs.setdefault("signature", signature)
+                if not self._path.exists():
+                    file.attrs["signature"] = signature
+                known = file.attrs.get("signature")
         except OSError as error:
             raise _unreadable(self._path) from error
         if known != signature:
@@ -221,7 +226,18 @@ def _judge(chain: np.ndarray, target: float) -> Draws:
         status = "not converged: chain shorter than 50 autocorrelation times"
     elif size < target:
         status = f"not converged: {size:.0f} effective draws of {target:.0f}"
+    elif (apart := _split_r_hat(chain)) > _R_HAT:
+        status = f"not converged: chains disagree, R-hat {apart:.2f}"
     return Draws(chain, np.empty(chain.shape[:2]), size, tau, np.nan, status)
+
+
+def _split_r_hat(chain: np.ndarray) -> float:
+    """Of the worst parameter, chains cut in halves (Gelman et al. 2013, section 11.4)."""
+    half = len(chain) // 2
+    parts = np.concatenate([chain[:half], chain[half : 2 * half]], axis=1)
+    within = parts.var(axis=0, ddof=1).mean(axis=0)
+    between = parts.mean(axis=0).var(axis=0, ddof=1)
+    return float(np.max(np.sqrt((half - 1) / half + between / within)))
 
 
 def _autocorrelation(chain: np.ndarray) -> float:
@@ -356,7 +372,7 @@ class _ChainFile:
         try:
             with np.load(self.path) as file:
                 parts = dict(file)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
             raise _unreadable(self.path) from error
         if parts.get("signature") != self._signature:
             raise _foreign(self.path)

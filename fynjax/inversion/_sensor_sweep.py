@@ -111,10 +111,13 @@ def sweep_sensors(
     found = []
     for sun in suns:
         lit = eqx.tree_at(lambda p: p.light.sun_zenith, parameters, jnp.asarray(sun))
+        # A free zenith starts from this sun too, not from its prior's.
+        free = "light.sun_zenith" in space.names
+        here = at.at[space.names.index("light.sun_zenith")].set(sun) if free else at
         with progress.stage(f"Render, sun at {sun:g} degrees", len(plantings)):
             images = []
             for planted in plantings:
-                images.append(jax.device_get(_image_and_slopes(planted, lit, space.names, at)))
+                images.append(jax.device_get(_image_and_slopes(planted, lit, space.names, here)))
                 progress.advance()
         with progress.stage("Bounds", len(steps) * len(bands) * len(noise)):
             for step, size in zip(steps, gsd):

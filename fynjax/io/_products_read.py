@@ -13,6 +13,7 @@ from fynjax.io._products import QUANTITIES, Cube
 from fynjax.io._rasters import _placement
 from fynjax.io._spectra_envi import envi_pair, header_wavelengths, read_header
 from fynjax.io._tables import existing_file
+from fynjax.sensors import RADIANCE_UNITS
 
 _ENVI_DATA = (".dat", ".img", ".bil", ".bsq", ".bip")
 _BYTES = {
@@ -106,7 +107,15 @@ def _read_raster(path: Path, header: dict[str, str], header_path: Path) -> Cube:
         raise InputError("expected an image, but all of its pixels are without data", file=path)
     if north_up:
         values = values[:, ::-1]
-    unit = tags.get("units", tags.get("data units", ""))
+    unit = tags.get("units", tags.get("data units", "")).strip()
+    if unit in RADIANCE_UNITS:
+        values = values * RADIANCE_UNITS[unit]
+    elif unit.lower() not in ("", "1", "none", "unitless", "reflectance"):
+        raise InputError(
+            f"expected values in one of {', '.join(map(repr, RADIANCE_UNITS))}, or reflectance "
+            f"('1'), but the file says {unit!r}",
+            file=header_path if header else path,
+        )
     return Cube(
         np.ascontiguousarray(values),
         names,
@@ -115,7 +124,7 @@ def _read_raster(path: Path, header: dict[str, str], header_path: Path) -> Cube:
         good,
         pixel,
         origin,
-        "radiance" if unit == QUANTITIES["radiance"][0] else "reflectance",
+        "radiance" if unit in RADIANCE_UNITS else "reflectance",
         crs,
         tags,
     )

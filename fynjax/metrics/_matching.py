@@ -114,7 +114,9 @@ def match_wavelengths(
 
 def _widths(grid: NDArray[np.float64], fwhm: ArrayLike | None) -> NDArray[np.float64]:
     if fwhm is None:
-        return np.gradient(grid)
+        # The nearer neighbour: across bands that were left out there is none.
+        step = np.diff(grid)
+        return np.minimum(np.r_[step[:1], step], np.r_[step, step[-1:]])
     widths = np.broadcast_to(np.asarray(fwhm, float), grid.shape)
     if not np.all(np.isfinite(widths) & (widths > 0.0)):
         raise InputError("widths of bands must be positive and finite, in nm.")

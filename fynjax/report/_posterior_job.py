@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import os
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -114,9 +115,14 @@ def _start(
 ) -> tuple[FitResult, Data, Any]:
     """The calibration, from an earlier run of the same if there was one."""
     if path.exists():
-        with np.load(path) as file:
-            kept = dict(file)
-        if str(kept["mark"]) != mark:
+        try:
+            with np.load(path) as file:
+                kept = dict(file)
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            raise InputError(
+                "no checkpoint, or a damaged one; remove it to start again", file=path
+            ) from error
+        if str(kept.get("mark")) != mark:
             raise InputError(
                 "this checkpoint is of other files, parameters or another seed. Choose another "
                 "output, or remove it",
@@ -239,6 +245,12 @@ def _write(
         }
     )
     page.paragraph(f"Status: {found.status}.")
+    if found.method != "laplace":
+        page.paragraph(
+            "The chain renders one planting; what others change is in the errors of the "
+            "statistics, but slopes that are chance of this planting count as knowledge, so that "
+            "intervals are too narrow where few plants decide. The method 'laplace' allows for it."
+        )
     for name, (_, caption) in figures.items():
         page.figure(folder / f"{name}.png", caption[0].upper() + caption[1:] + ".")
     page.table(table, caption="Every parameter.", folded=True)

@@ -22,7 +22,7 @@ from fynjax.report._figure_style import save_figure
 from fynjax.report._jobs import _Clock, peak_memory_mib
 from fynjax.report._page import Page
 from fynjax.report._simulate_figures import quick_looks, spectrum_figure
-from fynjax.scene import Observation, PlotParameters, PlotSensing
+from fynjax.scene import Observation, PlotAir, PlotParameters, PlotSensing
 from fynjax.sensors import OrthographicCamera, Sensor, frame_of
 
 AIR_MODELS = ("table", "clear-sky", "none")
@@ -100,7 +100,12 @@ def run_simulate(
         "pixel_m": sensing.pixel,
         "noise": bool(noisy),
         "peak_memory_mib": peak_memory_mib(),
-        "warnings": [*_left_out(sensing, instrument), *_of_other_pixels(sensing), *warnings],
+        "warnings": [
+            *_left_out(sensing, instrument),
+            *_of_other_pixels(sensing),
+            *_of_slant(sensing),
+            *warnings,
+        ],
     }
 
 
@@ -374,4 +379,14 @@ def _of_other_pixels(sensing: PlotSensing) -> list[str]:
     return [
         f"bands of {sensing.sensor.name} have pixels of {min(sizes):g} to {max(sizes):g} m in its "
         f"products; here all have {sensing.pixel:g} m"
+    ]
+
+
+def _of_slant(sensing: PlotSensing) -> list[str]:
+    slant = 1.0 / float(np.min(sensing.rays.cosine))
+    if not isinstance(sensing.air, PlotAir) or slant < 1.05:
+        return []
+    return [
+        f"the air is that of a view straight down, but lines of sight are up to {slant:.2f} times "
+        "as long: their radiance lacks the difference (give curves of your own for that view)"
     ]

@@ -43,7 +43,6 @@ _AT_550 = (550.0 / 500.0) ** -1.14
 SAMPLES = 2
 """Rays along the edge of a voxel where pixels are wider than voxels."""
 _VOXELS = 20_000_000  # times bands that are rendered at once
-_STEEP = 0.2  # horizontal over vertical distance of a ray, up to which it is followed uncut
 
 
 class PlotAir(eqx.Module):
@@ -284,11 +283,19 @@ def plot_sensing(
             for start, n in ((west, columns), (south, rows))
         ]
     x, y = (jnp.asarray(axis, model.dtype) for axis in axes)
-    camera = _aimed(sensor.camera, (lx / 2, ly / 2), height, base, tilt, heading)
-    rays = map_rays(camera, x, y, spacing)
+    middle = (lx / 2, ly / 2)
+    camera = _aimed(sensor.camera, middle, height, base, tilt, heading)
+    # The map is at the mean height of the ground: laid out there, then moved to the zero level.
+    rays = map_rays(_aimed(sensor.camera, middle, height, 0.0, tilt, heading), x, y, spacing)
+    rays = dataclasses.replace(
+        rays,
+        x=rays.x - base * rays.slope_x,
+        y=rays.y - base * rays.slope_y,
+        altitude=rays.altitude + base,
+    )
     # Rays that cross several voxels in a layer are cut into as many pieces.
     slope = float(jnp.tan(jnp.arccos(jnp.min(rays.cosine))))
-    pieces = min(8, int(np.ceil(slope - _STEEP)) + 1)
+    pieces = min(8, int(np.ceil(slope - 1e-6)))
     if model.accuracy.sublayers is not None and model.accuracy.sublayers < pieces:
         accuracy = dataclasses.replace(model.accuracy, sublayers=pieces)
         model = dataclasses.replace(model, accuracy=accuracy)

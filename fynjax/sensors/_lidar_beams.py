@@ -87,10 +87,12 @@ class LidarBeams(eqx.Module):
     @property
     def on_ground(self) -> Float[np.ndarray, "beam 2"]:
         """Where the axes meet the bottom of the grid, (x, y) [m]."""
-        return (
-            self.origin[:, :2]
-            - self.direction[:, :2] / self.direction[:, 2:] * (self.origin[:, 2:])
-        )
+        return self.at_height(0.0)
+
+    def at_height(self, height: float) -> Float[np.ndarray, "beam 2"]:
+        """Where the axes are at `height` above the bottom of the grid [m], (x, y) [m]."""
+        slope = self.direction[:, :2] / self.direction[:, 2:]
+        return self.origin[:, :2] - slope * (self.origin[:, 2:] - height)
 
     def select(self, which: np.ndarray) -> "LidarBeams":
         """Some of the beams: indices or a mask."""
@@ -135,7 +137,7 @@ def flash_beams(
         _square(cell * pixel),
         pixel / geometry.pencils,
     )
-    return _over_plot(beams, extent)
+    return _over_plot(beams, extent, platform - geometry.altitude)
 
 
 def scan_beams(
@@ -181,15 +183,16 @@ def scan_beams(
         _square(cell * sigma),
         1e-3 * geometry.divergence_mrad / max(2 * geometry.pencils, 2),
     )
-    return _over_plot(beams, extent)
+    return _over_plot(beams, extent, platform - geometry.altitude)
 
 
 def _square(cell: np.ndarray) -> np.ndarray:
     return np.stack([a.ravel() for a in np.meshgrid(cell, cell, indexing="xy")], axis=-1)
 
 
-def _over_plot(beams: LidarBeams, extent: tuple[float, float]) -> LidarBeams:
-    x, y = beams.on_ground.T
+def _over_plot(beams: LidarBeams, extent: tuple[float, float], ground: float) -> LidarBeams:
+    """Those that meet the plot, at the mean height of its ground."""
+    x, y = beams.at_height(ground).T
     inside = (x >= 0.0) & (x < extent[0]) & (y >= 0.0) & (y < extent[1])
     if not inside.any():
         raise InputError(

@@ -51,7 +51,7 @@ def map_rays(
     x: Float[Array, " column"],
     y: Float[Array, " row"],
     footprint: float,
-) -> AbstractRays:
+) -> RayLattice | RayField:
     """Rays from a regular grid of the ground to a camera: those of an orthorectified image.
 
     **Arguments:** `x`, `y`, centres of the pixels on the zero level, which is the bottom of the

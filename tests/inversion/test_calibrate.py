@@ -7,6 +7,7 @@ import pytest
 
 from fynjax.canopy import FORM_DEFAULTS
 from fynjax.inversion import IMAGE_STATISTICS, SEEN, calibrate_plot, free_space, weigh_targets
+from fynjax.inversion._calibrate import _image_and_statistics
 from fynjax.leaf import LeafParameters
 from fynjax.metrics import image_statistics
 from fynjax.scene import (
@@ -75,7 +76,9 @@ def twin():
         camera=Camera(mavic_3m(), 50.0, 0.05),
         seed=11,
     )
-    image = np.asarray(eqx.filter_jit(model.image)(real))
+    # By the calibration's own function, so that it is compiled once.
+    render = eqx.filter_jit(lambda m, p: _image_and_statistics(m, p, IMAGE_STATISTICS))
+    image = np.asarray(render(model, real)[0])
     draw = np.random.default_rng(4)
     noisy = image * (1 + 0.02 * draw.normal(size=image.shape)) + 0.001 * draw.normal(
         size=image.shape
@@ -93,7 +96,7 @@ def twin():
     return values, found
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_total_cover_comes_back(twin):
     values, found = twin
     names = [f"species.{t}.cover" for t in TAXA]
@@ -103,7 +106,7 @@ def test_total_cover_comes_back(twin):
     assert sum(covers) == pytest.approx(total, abs=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_is_called_seen_is_right(twin):
     values, found = twin
     fit = found.fit

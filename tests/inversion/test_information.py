@@ -104,7 +104,7 @@ def swept():
     return model, parameters, space, sweep_sensors(model, parameters, space, **options), options
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_every_sensor_has_bounds_in_their_order(swept):
     _, _, space, found, _ = swept
     assert len(found) == 12
@@ -115,7 +115,7 @@ def test_every_sensor_has_bounds_in_their_order(swept):
     np.testing.assert_allclose(found[0][1].prior_sd, space.prior_sd, rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_an_image_of_one_pixel_in_one_band_sees_one_direction(swept):
     _, _, _, found, _ = swept
     last = next(i for s, i in found if s.gsd == 1.6 and s.bands == 1 and s.noise == 0.01)
@@ -123,7 +123,7 @@ def test_an_image_of_one_pixel_in_one_band_sees_one_direction(swept):
     assert len(last.unseen(1e-6)) == len(last.names) - 1
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_ground_is_seen_in_most_bands_and_noise_blurs_it(swept):
     _, _, space, found, _ = swept
     ground = space.names.index("ground.brightness")

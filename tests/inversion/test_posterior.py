@@ -205,7 +205,9 @@ def test_a_missing_extra_names_the_line_to_type(monkeypatch, tmp_path, module, l
 # -- interrupted ----------------------------------------------------------------------------
 
 CUT = """
-import sys, jax
+import signal, sys, jax
+# A shell that runs the tests in the background has them ignore Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 jax.config.update("jax_enable_x64", True)
 import fynjax._core.sampling as sampling
 sampling._SAVE_SECONDS = 0.0
@@ -245,7 +247,7 @@ def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path, method, end):
     )  # fmt: skip
     assert run.stdout.readline().strip() == "far"
     run.send_signal(end)
-    assert run.wait() != 0
+    assert run.wait(timeout=120) != 0
     for pipe in (run.stdout, run.stderr):
         pipe.close()
     told = []

@@ -162,7 +162,7 @@ def test_derivative_along_what_a_scene_may_have(scene, gradient):
         assert got == pytest.approx(difference, rel=1e-5), what
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("scene", ["open"], indirect=True)
 @pytest.mark.parametrize("what", directions(patchy()))
 def test_forward_mode_agrees_with_reverse(what, scene, gradient):

@@ -85,7 +85,7 @@ def test_figures_stand_what_data_bring():
     bound_plot(bounds((1.0, 12.0, np.inf)), ["species.A.cover"]).canvas.draw()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_plot_tells_what_moves_its_metrics(plot, tmp_path):
     told = run_sensitivity(plot, tmp_path, metrics=["nir.mean"], derivative_samples=4, seed=0)
     assert all((tmp_path / name).stat().st_size for name in told["files"])
@@ -96,7 +96,7 @@ def test_a_plot_tells_what_moves_its_metrics(plot, tmp_path):
         run_sensitivity(plot, tmp_path, metrics=["nir.middle"], seed=0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_posterior_of_a_plot_goes_on_from_its_checkpoint(plot, tmp_path):
     pytest.importorskip("h5py", reason="the extra `posterior` is not installed")
     keep = tmp_path / "checkpoint"
@@ -115,7 +115,7 @@ def test_the_posterior_of_a_plot_goes_on_from_its_checkpoint(plot, tmp_path):
         run_posterior(plot, target, tmp_path / "gauss", method="laplace", **(options | {"seed": 1}))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_plot_tells_what_sensors_could_know_of_it(plot, tmp_path):
     told = run_information(plot, tmp_path, gsd=[0.2, 1.0], bands=[1, 2], replants=2, seed=0)
     assert all((tmp_path / name).stat().st_size for name in told["files"])

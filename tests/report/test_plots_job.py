@@ -81,7 +81,7 @@ def test_plots_of_other_species_get_one_shape_and_keep_their_plants(tmp_path: Pa
             assert (area > 0) == (form in grown)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_plot_looks_as_it_does_when_rendered_alone(
     tmp_path: Path, result: tuple[Path, dict]
 ) -> None:
@@ -103,7 +103,7 @@ def test_a_plot_looks_as_it_does_when_rendered_alone(
     assert np.all(np.abs(ours - mean) < 4.0 * sd)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_report_tables_and_spectra_belong_together(result: tuple[Path, dict]) -> None:
     output, summary = result
     for name in (*summary["files"], "plots/A1/plot.toml", "plots/B2/sources.csv"):
@@ -124,7 +124,7 @@ def test_report_tables_and_spectra_belong_together(result: tuple[Path, dict]) ->
     assert "fitted to a measured spectrum" in page
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_without_measured_spectra_plots_are_simulated_and_it_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

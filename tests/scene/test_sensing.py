@@ -48,6 +48,23 @@ def test_pixels_lie_in_the_middle_of_the_plot():
         axis_pixels(10.0, 60.0, periodic=False)
 
 
+@pytest.mark.parametrize("tilt", [None, 20.0])
+def test_pixels_of_a_hill_lie_where_the_map_has_them(model, drone, tilt):
+    """A line of sight is over its pixel at the mean height of the ground, not at the lowest."""
+    hill = dataclasses.replace(
+        model, boundary="open", terrain=np.full(model.grid.shape[1::-1], 0.5)
+    )
+    level, high = (
+        plot_sensing(m, drone, altitude=30.0, pixel=0.1, tilt=tilt) for m in (model, hill)
+    )
+    for axis in ("x", "y"):
+        slope = getattr(high.rays, f"slope_{axis}")
+        at_ground = getattr(high.rays, axis) + 0.5 * slope
+        np.testing.assert_allclose(at_ground, getattr(level.rays, axis), atol=1e-9)
+        assert np.abs(slope).max() > 0.01
+    assert high.rays.sensor_height == pytest.approx(30.5)
+
+
 @pytest.mark.parametrize("width", [0.35, 1.0, 2.0, 7.3])
 def test_shares_of_a_periodic_axis_are_means_over_its_copies(width):
     """Against the mean of 100 000 points of the tiled axis."""

@@ -67,6 +67,19 @@ def test_table_3_of_the_paper():
     assert 2.3548 * lidar.pulse_sd == pytest.approx(0.5 * 0.2998 * 2.0, rel=1e-3)
 
 
+@pytest.mark.parametrize("name", ["flash_lidar_paper", "scanning_lidar"])
+def test_pulses_cover_the_plot_at_the_height_of_its_ground(name):
+    lidar = shipped_lidar(name)
+    level, high = (lidar.beams((20.0, 20.0), top=13.0, ground=g) for g in (0.0, 10.0))
+    assert len(high) == len(level)
+    np.testing.assert_allclose(high.at_height(10.0), level.on_ground, atol=1e-9)
+
+
+def test_less_comes_back_to_the_same_system_from_higher_up():
+    low = shipped_lidar("flash_lidar_paper")
+    assert low.at(100.0).noise.signal_electrons == pytest.approx(low.noise.signal_electrons / 4)
+
+
 def test_scanner_has_its_density_angle_and_side():
     lidar = scanner(line_offsets=(-80.0, 80.0), pulse_density=50.0, heading=90.0)
     beams = lidar.beams((20.0, 10.0), top=1.0)
