@@ -15,19 +15,21 @@ Tables = Annotated[
         "time, *VegCenters.csv.",
     ),
 ]
+OnlyPlots = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME", help="Only this plot; may be given again. All if left out."),
+]
+TraitLibrary = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Trait library, if it is not in the folder."),
+]
 
 
 def bioscape(
     folder: Tables,
     output: Output = Path("output/bioscape"),
-    plot: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Only this plot; may be given again. All if left out."),
-    ] = None,
-    traits: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Trait library, if it is not in the folder."),
-    ] = None,
+    plot: OnlyPlots = None,
+    traits: TraitLibrary = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from fynjax.cli._bioscape import OnlyPlots, TraitLibrary
 from fynjax.cli._runtime import Json, Output, Quiet, Seed, run_job
 
 Tables = Annotated[
@@ -20,14 +21,8 @@ Tables = Annotated[
 def validate_plots(
     folder: Tables,
     output: Output = Path("output/validate_plots"),
-    plot: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Only this plot; may be given again. All if left out."),
-    ] = None,
-    traits: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Trait library, if it is not in the folder."),
-    ] = None,
+    plot: OnlyPlots = None,
+    traits: TraitLibrary = None,
     size: Annotated[
         float, typer.Option(min=1.0, max=100.0, metavar="M", help="Side of a simulated plot [m].")
     ] = 5.0,

@@ -15,22 +15,14 @@ from fynjax.report._figures_posterior import (
 from fynjax.report._information_job import limit_table, run_information
 from fynjax.report._posterior_job import run_posterior
 from fynjax.report._sensitivity_job import run_sensitivity
+from tests.report.small import write_plot
 
-PLOT = """
-[plot]
-name = "tiny"
-size_m = 2.0
-voxel_m = 0.1
-species_table = "species.csv"
+MORE = """
 [sensor]
 pixel_m = 0.1
 [calibration]
 free = ["species.*.cover", "ground.brightness"]
 max_iterations = 2
-"""
-SPECIES = """taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form
-Erica irregularis,40,30,0.5,rounded_shrub
-Restio eleocharis,30,15,0.5,tussock
 """
 TARGET = "statistic,value,sd\nred.mean,0.06,0.002\nnir.mean,0.22,0.005\nNDVI.std,0.2,0.05\n"
 
@@ -38,8 +30,7 @@ TARGET = "statistic,value,sd\nred.mean,0.06,0.002\nnir.mean,0.22,0.005\nNDVI.std
 @pytest.fixture(scope="module")
 def plot(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plot")
-    (folder / "plot.toml").write_text(PLOT)
-    (folder / "species.csv").write_text(SPECIES)
+    write_plot(folder, MORE)
     (folder / "target.csv").write_text(TARGET)
     return folder / "plot.toml"
 

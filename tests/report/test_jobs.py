@@ -11,23 +11,15 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.io import example_folder, read_plot
 from fynjax.report._jobs import _check_finite, _short_of_sites, run_calibrate, run_render
+from tests.report.small import write_plot
 from tests.scene.plots import small_parameters, small_plot
 
-PLOT = """
-[plot]
-name = "small"
-size_m = 2.0
-voxel_m = 0.1
-species_table = "species.csv"
+MORE = """
 [sensor]
 pixel_m = 0.1
 [calibration]
 free = ["species.*.cover", "ground.brightness"]
 max_iterations = 3
-"""
-SPECIES = """taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form
-Erica irregularis,40,30,0.6,rounded_shrub
-Restio eleocharis,30,15,0.5,tussock
 """
 
 
@@ -35,8 +27,7 @@ Restio eleocharis,30,15,0.5,tussock
 def runs(tmp_path_factory):
     """(rendered summary, calibrated to that very image, calibrated to a table), and the folder."""
     folder = tmp_path_factory.mktemp("jobs")
-    (folder / "plot.toml").write_text(PLOT)
-    (folder / "species.csv").write_text(SPECIES)
+    write_plot(folder, MORE)
     for name in ("render", "same", "table"):
         (folder / name).mkdir()
     rendered = run_render(folder / "plot.toml", folder / "render", seed=0)

@@ -9,26 +9,14 @@ from rasterio import Affine
 from fynjax._core.errors import InputError
 from fynjax.report._lidar_job import run_lidar
 from tests.helpers import write_raster
+from tests.report.small import write_plot
 from tests.sensors.lidar_scenes import flash
-
-PLOT = """
-[plot]
-name = "small"
-size_m = 2.0
-voxel_m = 0.1
-species_table = "species.csv"
-"""
-SPECIES = """taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form
-Erica irregularis,40,30,0.6,rounded_shrub
-Restio eleocharis,30,15,0.5,tussock
-"""
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("lidar")
-    (folder / "plot.toml").write_text(PLOT)
-    (folder / "species.csv").write_text(SPECIES)
+    write_plot(folder)
     (folder / "out").mkdir()
     return run_lidar(folder / "plot.toml", "flash_lidar_paper", folder / "out", seed=4), folder
 
@@ -78,16 +66,13 @@ def test_a_sensor_inside_the_canopy_is_refused(run):
     assert not (folder / "none").exists()
 
 
-def test_a_slope_comes_out_on_its_map(run, tmp_path):
+def test_a_slope_comes_out_on_its_map(tmp_path):
     """A plane of 20 %, rising to the east, on a map in UTM."""
-    _, folder = run
     east = (np.arange(8) + 0.5) * 0.25
     height = np.broadcast_to(120.0 + 0.2 * east, (1, 8, 8)).astype(np.float32)
     place = Affine(0.25, 0, 600000, 0, -0.25, 6180002)
     write_raster(tmp_path / "terrain.tif", height, transform=place, crs="EPSG:32734")
-    terrain = 'boundary = "open"\nterrain = "terrain.tif"\nspecies_table'
-    (tmp_path / "plot.toml").write_text(PLOT.replace("species_table", terrain))
-    (tmp_path / "species.csv").write_text((folder / "species.csv").read_text())
+    write_plot(tmp_path, 'boundary = "open"\nterrain = "terrain.tif"\n')
     run_lidar(tmp_path / "plot.toml", "flash_lidar_paper", tmp_path / "out", seed=4, noise=False)
     cloud = laspy.read(tmp_path / "out" / "cloud.laz")
     ground = np.asarray(cloud.classification) == 2
