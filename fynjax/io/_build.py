@@ -9,6 +9,7 @@ from fynjax._core.errors import InputError
 from fynjax.canopy import FORM_DEFAULTS, MeshPlant, Organ
 from fynjax.io._build_ground import cover_patches, cover_spectra, ground_heights, soil_spectra
 from fynjax.io._build_memory import check_memory
+from fynjax.io._parameter_values import with_parameter_table
 from fynjax.io._plant import read_plant
 from fynjax.io._plot import Plot, Species
 from fynjax.io._plot_sensor import plot_instrument
@@ -85,6 +86,10 @@ def build_plot(
         terrain=ground_heights(plot),
         diffuse=_diffuse(plot, bands, wavelength),
     )
+    # After the planting: places are held ready as for the tables, so that plants stay where a
+    # calibration had them.
+    if plot.parameters is not None:
+        parameters = with_parameter_table(parameters, plot.taxa, plot.parameters)
     return model, parameters
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyproj
 import xarray as xr
 from numpy.typing import ArrayLike
 
@@ -66,6 +67,7 @@ def image_array(
     *,
     pixel_m: float,
     origin_m: tuple[float, float] = (0.0, 0.0),
+    crs: str | None = None,
     long_name: str,
     standard_name: str | None = "surface_bidirectional_reflectance",
     units: str = "1",
@@ -73,10 +75,13 @@ def image_array(
     """An image [band, y, x], y to the north, with CF coordinates: band, wavelength, y, x.
 
     **Arguments:** `wavelengths` in nm, `pixel_m` in m, `origin_m` (x, y) of the image's
-    south-west corner. Coordinates are pixel centres.
+    south-west corner. Coordinates are pixel centres; those of a `crs` refer to a variable "crs",
+    see `grid_mapping`.
     """
     values = np.asarray(image)
     attributes = {"long_name": long_name, "units": units}
+    if crs is not None:
+        attributes["grid_mapping"] = "crs"
     if standard_name:
         attributes["standard_name"] = standard_name
 
@@ -88,7 +93,9 @@ def image_array(
                 "units": "m",
                 "axis": letter.upper(),
                 "standard_name": f"projection_{letter}_coordinate",
-                "long_name": f"distance {name} of the plot's south-west corner",
+                "long_name": f"distance {name} of the plot's south-west corner"
+                if crs is None
+                else f"{letter} of the reference system, to the {name}",
             },
         )
 
@@ -113,6 +120,14 @@ def image_array(
     )
 
 
+def grid_mapping(crs: str) -> xr.DataArray:
+    """The variable "crs" that says in which reference system coordinates are (CF-1.11, 5.6)."""
+    system = pyproj.CRS.from_user_input(crs).to_cf()
+    # Programs on GDAL look for the older name.
+    attributes = {**system, "spatial_ref": system["crs_wkt"], "long_name": "reference system"}
+    return xr.DataArray(np.int32(0), attrs=attributes)
+
+
 def write_run(
     path: str | Path, dataset: xr.Dataset, attributes: Mapping[str, str | int] | None = None
 ) -> None:
@@ -121,7 +136,7 @@ def write_run(
     **Arguments:**
 
     - `dataset`: every numeric variable carries `units` ("1" where it has none) and `long_name`,
-      as CF-1.11 asks.
+      as CF-1.11 asks; a grid mapping needs no units.
     - `attributes`: file attributes, such as those of `provenance`.
 
     **Raises:** `ValueError` for a variable without units or name; `InputError` if the file cannot
@@ -130,7 +145,8 @@ def write_run(
     for name, variable in dataset.variables.items():
         if "long_name" not in variable.attrs:
             raise ValueError(f"variable {name!r} must have `long_name`, but has none")
-        if variable.dtype.kind in "fiu" and "units" not in variable.attrs:
+        numeric = variable.dtype.kind in "fiu" and "grid_mapping_name" not in variable.attrs
+        if numeric and "units" not in variable.attrs:
             raise ValueError(f"variable {name!r} must have `units`, but has none")
     record = dict(attributes or {})
     history = f"{record.get('date_created', '')} {record.get('command', '')}".strip()

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fynjax.io._table_rows import PROSPECT_REQUIRED, GrowthForm
+from fynjax.sensors import Panel
 
 Floats = NDArray[np.float64]
 
@@ -134,6 +135,8 @@ class Sensor:
     """Whether to draw noise; `None`: if the sensor has a model of it."""
     point_spread: bool = True
     """Whether the optics blur."""
+    panels: tuple[Panel, ...] = ()
+    """In the picture."""
 
 
 @dataclass(frozen=True)
@@ -167,6 +170,8 @@ class Calibration:
     priors: dict[str, float]
     """Relative prior standard deviation by pattern [-], the user's first, then the defaults."""
     max_iterations: int
+    starts: int = 1
+    """Searches: from the prior's centre, the others from draws of the prior."""
 
     def is_free(self, name: str) -> bool:
         """Whether parameter `name` may move."""
@@ -213,6 +218,8 @@ class Plot:
     calibration: Calibration
     inputs: tuple[Path, ...]
     """Every file that was read or is named, for the provenance record."""
+    parameters: Path | None = None
+    """Table of values that replace those above, for `build_plot`."""
     air: Air | None = None
     """The plot file's [atmosphere]; `None` where it has none."""
 

@@ -188,6 +188,8 @@ def read_plot(path: str | Path) -> Plot:
     ]
     cover_map = named("ground", "map", parsed.ground.map, "a GeoTIFF")
     sensor_path = named("sensor", "path", parsed.sensor.path, "a sensor file")
+    scene = parsed.scene
+    values_path = named("scene", "parameters", scene.parameters, "a table of parameters")
     air = parsed.atmosphere
     air_path = None if air is None else named("atmosphere", "file", air.file, "curves of the air")
 
@@ -258,7 +260,7 @@ def read_plot(path: str | Path) -> Plot:
     spectra = [leaf.spectrum for leaf in leaves.values()]
     inputs = (
         *(path, species_path, leaf_path, map_path, sky_path, soil_path, cover_map),
-        *(terrain_path, sensor_path, air_path),
+        *(terrain_path, sensor_path, air_path, values_path),
         *cover_paths,
         *(one.plant for one in species),
         *spectra,
@@ -292,9 +294,10 @@ def read_plot(path: str | Path) -> Plot:
         ),
         sensor=sensor,
         air=plot_air(air, air_path),
-        seed=parsed.scene.seed,
-        softness=parsed.scene.softness,
-        softness_plants=parsed.scene.softness_plants,
+        seed=scene.seed,
+        softness=scene.softness,
+        softness_plants=scene.softness_plants,
+        parameters=values_path,
         calibration=Calibration(
             free=tuple(calibration.free),
             targets=tuple(calibration.targets),
@@ -304,6 +307,7 @@ def read_plot(path: str | Path) -> Plot:
                 **{k: v for k, v in DEFAULT_RELATIVE_SD.items() if k not in calibration.priors},
             },
             max_iterations=calibration.max_iterations,
+            starts=calibration.starts,
         ),
         inputs=tuple(p for p in inputs if p is not None),
     )

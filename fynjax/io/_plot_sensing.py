@@ -68,6 +68,7 @@ def build_sensing(
             heading=None if own is None else own.heading_deg,
             air=_air(plot, air),
             point_spread=plot.sensor.point_spread,
+            panels=plot.sensor.panels if own is not None else (),
         )
         sensing.check(parameters)
     except InputError as error:

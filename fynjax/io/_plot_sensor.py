@@ -16,6 +16,7 @@ from fynjax.sensors import (
     SPACE,
     BandSet,
     OrthographicCamera,
+    Panel,
     frame_of,
     shipped_sensors,
     sun_position,
@@ -74,6 +75,7 @@ def plot_sensor(table: SensorTable, own: Path | None, path: Path, text: str) -> 
         table.heading_deg,
         table.noise,
         table.point_spread,
+        tuple(Panel(**panel.model_dump()) for panel in table.panels),
     )
 
 

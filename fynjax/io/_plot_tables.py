@@ -197,6 +197,21 @@ class GroundTable(Strict):
         return self
 
 
+class PanelTable(Strict):
+    """A square reference panel in the picture, flat and above the plants."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        "reflectance": lambda v: "In percent? Divide by 100." if v > 1.2 else None
+    }
+    x_m: float = number("Middle of the panel, east of the plot's south-west corner", "m", ge=0)
+    y_m: float = number("Middle of the panel, north of it", "m", ge=0)
+    side_m: float = number("Its side", "m", default=0.5, gt=0, le=1000)
+    reflectance: float = number("Reflectance factor in all bands", "-", gt=0, le=1.2)
+    reflectance_sd: float = number(
+        "Standard deviation of that, relative to it", "-", default=0.01, ge=0, le=1
+    )
+
+
 class SensorTable(Strict):
     """The sensor, and from where it looks."""
 
@@ -244,6 +259,10 @@ class SensorTable(Strict):
     )
     point_spread: bool = Field(
         default=True, description="Whether the optics blur, if the sensor says how."
+    )
+    panels: list[PanelTable] = Field(
+        default=[],
+        description="Reference panels in the picture; `simulate` then calibrates by them.",
     )
 
     @model_validator(mode="after")
@@ -312,6 +331,11 @@ class SceneTable(Strict):
         ge=0,
         le=10,
     )
+    parameters: str | None = Field(
+        default=None,
+        description="Table of values that replace those of the other files, such as the "
+        "parameters.csv of `fynjax calibrate`; a path from this file's folder.",
+    )
 
 
 DEFAULT_FREE = ("species.*.cover", "species.*.diameter", "species.*.leaf.*", "ground.*")
@@ -356,6 +380,12 @@ class CalibrationTable(Strict):
     )
     max_iterations: int = Field(
         default=7, description="Most steps of the optimiser in a round [-].", ge=1, le=10000
+    )
+    starts: int = Field(
+        default=1,
+        description="Searches: from the prior's centre, the others from draws of the prior [-].",
+        ge=1,
+        le=1000,
     )
 
 

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyproj
 import xarray as xr
 from numpy.typing import NDArray
+from rasterio.crs import CRS
 
 from fynjax._core.extras import require
-from fynjax.io._netcdf import image_array, write_run
+from fynjax.io._netcdf import grid_mapping, image_array, write_run
 from fynjax.io._rasters import write_geotiff
 
 NODATA = -9999.0
@@ -20,6 +22,11 @@ NODATA = -9999.0
 
 QUANTITIES = {
     "reflectance": ("1", "surface_bidirectional_reflectance", "reflectance factor"),
+    "reflectance_sd": (
+        "1",
+        "surface_bidirectional_reflectance standard_error",
+        "standard deviation of the reflectance factor",
+    ),
     "radiance": (
         "W m-2 sr-1 um-1",
         "upwelling_radiance_per_unit_wavelength_in_air",
@@ -78,26 +85,19 @@ def write_cube_envi(path: str | Path, cube: Cube, record: Mapping[str, Any]) -> 
     """Write a cube as ENVI file: the header `path` (.hdr), and beside it the data (.dat).
 
     Interleaved by line, float32. The header has wavelengths and widths in nanometres, the list of
-    bad bands, the place in the plot's frame, and `record`. Neither file appears until both are
+    bad bands, the place and its reference system, and `record`. Neither file appears until both are
     complete. Raises `MissingExtraError` without SPy (the extra `envi`).
     """
     envi = require("spectral.io.envi", "envi", "spectral")
     path = Path(path)
     unit, _, name = QUANTITIES[cube.quantity]
-    place = _place(cube)
-    (west, south), pixel = place["origin_m"], place["pixel_m"]
     values = np.where(np.isfinite(cube.values), cube.values, NODATA).astype(np.float32)
-    rows = values.shape[1]
     header: dict[str, Any] = {
         "description": f"{name} [{unit}], {record.get('source', 'fynjax')}",
         "band names": list(cube.names),
         "bbl": [int(good) for good in cube.good],
         "data ignore value": NODATA,
-        # The corner of the first pixel, which is the north-western one.
-        "map info": [
-            *("Arbitrary", 1, 1, f"{west:.10g}", f"{south + rows * pixel:.10g}"),
-            *(f"{pixel:.10g}", f"{pixel:.10g}", 0, "units=Meters"),
-        ],
+        **_envi_place(cube),
         "data units": unit,
         **{f"fynjax {key}": _plain(value) for key, value in record.items()},
     }
@@ -136,6 +136,7 @@ def write_cubes_netcdf(
             list(cube.names),
             list(cube.wavelength),
             **_place(cube),
+            crs=cube.crs,
             long_name=long,
             standard_name=standard,
             units=unit,
@@ -160,13 +161,35 @@ def write_cubes_netcdf(
                 "flag_meanings": "bad good",
             },
         )
+        if cube.crs is not None:
+            variables["crs"] = grid_mapping(cube.crs)
     write_run(path, xr.Dataset(variables), record)
 
 
 def _place(cube: Cube) -> dict[str, Any]:
     if cube.pixel_m is None or cube.origin_m is None:
         raise ValueError("a cube must have a place to be written, but has none")
-    return {"pixel_m": cube.pixel_m, "origin_m": cube.origin_m}
+    return {"origin_m": cube.origin_m, "pixel_m": cube.pixel_m}
+
+
+def _envi_place(cube: Cube) -> dict[str, Any]:
+    """Where an ENVI header says that the image lies."""
+    (west, south), pixel = _place(cube).values()
+    # The corner of the first pixel, which is the north-western one.
+    corner = (west, south + cube.values.shape[1] * pixel, pixel, pixel)
+    numbers = ["1", "1", *(f"{v:.12g}" for v in corner)]
+    if cube.crs is None:
+        return {"map info": ["Arbitrary", *numbers, "0", "units=Meters"]}
+    system = pyproj.CRS.from_user_input(cube.crs)
+    esri = CRS.from_user_input(cube.crs).to_wkt(version="WKT1_ESRI")
+    name, zone = system.name.replace(",", " "), []
+    if system.utm_zone is not None and "WGS 84" in name:
+        half = "North" if system.utm_zone.endswith("N") else "South"
+        name, zone = "UTM", [system.utm_zone[:-1], half, "WGS-84"]
+    return {
+        "map info": [name, *numbers, *zone, "units=Meters"],
+        "coordinate system string": f"{{{esri}}}",  # of a list SPy would change the commas
+    }
 
 
 def _listed(values: NDArray[np.float64] | None) -> list[float] | None:

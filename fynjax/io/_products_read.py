@@ -193,6 +193,7 @@ def _read_netcdf(path: Path, quantity: str | None) -> Cube:
     values = np.asarray(array.values, float)
     pixel = float(array.attrs.get("pixel_m", x[1] - x[0] if x.size > 1 else np.nan))
     known = np.isfinite(pixel)
+    mapping = data.get(array.attrs.get("grid_mapping", ""))
     return Cube(
         values,
         tuple(map(str, array["band"].values)),
@@ -204,6 +205,6 @@ def _read_netcdf(path: Path, quantity: str | None) -> Cube:
         pixel if known else None,
         (float(x[0] - pixel / 2), float(y[0] - pixel / 2)) if known else None,
         str(wanted),
-        None,
+        None if mapping is None else mapping.attrs.get("crs_wkt"),
         {str(k): str(v) for k, v in data.attrs.items()},
     )

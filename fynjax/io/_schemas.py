@@ -15,7 +15,14 @@ from fynjax.io._lidar_file import LidarFile
 from fynjax.io._plot_tables import PlotFile
 from fynjax.io._run_summary import RunSummary
 from fynjax.io._sensor_tables import BandRow, CurveRow, NoiseRow, SensorFile
-from fynjax.io._table_rows import LeafRow, SkyRow, SpeciesRow, StatisticRow
+from fynjax.io._table_rows import (
+    LeafRow,
+    ParameterRow,
+    SkyRow,
+    SpeciesRow,
+    StatisticRow,
+    StructureRow,
+)
 
 SCHEMAS: dict[str, type[BaseModel]] = {
     "plot": PlotFile,
@@ -23,6 +30,8 @@ SCHEMAS: dict[str, type[BaseModel]] = {
     "leaf_table_row": LeafRow,
     "sky_table_row": SkyRow,
     "statistics_row": StatisticRow,
+    "structure_row": StructureRow,
+    "parameters_row": ParameterRow,
     "lidar": LidarFile,
     "sensor": SensorFile,
     "sensor_band_row": BandRow,

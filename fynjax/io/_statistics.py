@@ -1,4 +1,4 @@
-"""Targets of a calibration given as numbers: means and spreads of bands and indices."""
+"""Targets of a calibration given as numbers: statistics of an image, structure of a cloud."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
-from fynjax.io._table_rows import StatisticRow
+from fynjax.io._table_rows import StatisticRow, StructureRow
 from fynjax.io._tables import read_rows
 from fynjax.io._validate import did_you_mean
 
@@ -80,4 +80,55 @@ def read_statistics(path: str | Path, known: Collection[str] | None = None) -> T
         names=tuple(row.statistic for _, row in rows),
         value=np.array([row.value for _, row in rows]),
         sd=np.array([np.nan if row.sd is None else row.sd for _, row in rows]),
+    )
+
+
+@dataclass(frozen=True)
+class TargetStructure:
+    """Structure metrics of a real cloud, in the order of the file."""
+
+    file: Path
+    metrics: tuple[str, ...]
+    """As in `fynjax.metrics.STRUCTURE_METRICS`."""
+    value: NDArray[np.float64]
+    """Mean over cells, in the metric's unit."""
+    sd: NDArray[np.float64]
+    """Standard deviation of each value; NaN where the file states none."""
+    grain_m: float
+    """Side of a cell [m]."""
+    returns_m2: float
+    """Returns for each square metre [m-2]."""
+
+
+def read_structure(path: str | Path) -> TargetStructure:
+    """Read a table of structure with the columns metric, value and, if need be, sd, grain_m,
+    returns_m2.
+
+    **Raises:** `InputError` for an unknown metric, one given twice, or rows that differ in grain or
+    returns.
+    """
+    path = Path(path)
+    rows = read_rows(path, StructureRow, "a table of structure metrics")
+    first = rows[0][1]
+    for k, (number, row) in enumerate(rows):
+        if any(row.metric == other.metric for _, other in rows[:k]):
+            raise InputError(
+                f"{row.metric!r} is there twice", file=path, row=number, column="metric"
+            )
+        for column in ("grain_m", "returns_m2"):
+            value, known = getattr(row, column), getattr(first, column)
+            if value != known:
+                raise InputError(
+                    f"expected the same in all rows, {known:g}, but got {value:g}",
+                    file=path,
+                    row=number,
+                    column=column,
+                )
+    return TargetStructure(
+        file=path,
+        metrics=tuple(row.metric for _, row in rows),
+        value=np.array([row.value for _, row in rows]),
+        sd=np.array([np.nan if row.sd is None else row.sd for _, row in rows]),
+        grain_m=first.grain_m,
+        returns_m2=first.returns_m2,
     )

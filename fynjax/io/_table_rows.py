@@ -167,6 +167,45 @@ class StatisticRow(Strict):
     )
 
 
+class ParameterRow(Strict):
+    """One row of the parameters that `calibrate` writes; name and estimate are enough to be read
+    as `scene.parameters`."""
+
+    name: str = Field(description="Such as 'species.Erica irregularis.cover'.", min_length=1)
+    kind: str | None = Field(default=None, description="Last word of the name.")
+    unit: str | None = Field(
+        default=None, description="Of the numbers; '%' of a cover, 'cm' of a length. Empty: '-', m."
+    )
+    prior: float | None = number("Centre of the prior", "as stated", default=None)
+    prior_sd: float | None = number("Its standard deviation", "as stated", default=None)
+    estimate: float = number("Value that is used", "as stated")
+    sd: float | None = number("Standard deviation of the estimate", "as stated", default=None)
+    lower: float | None = number("Least plausible value", "as stated", default=None)
+    upper: float | None = number("Largest plausible value", "as stated", default=None)
+    constrained: float | None = number(
+        "Share of the prior variance that the data removed", "-", default=None
+    )
+
+
+class StructureRow(Strict):
+    """One row of a target file: a structure metric of a real point cloud."""
+
+    metric: Literal[
+        "foliage_height_diversity",
+        "gap_fraction",
+        "leaf_area_density_mean",
+        "leaf_area_density_std",
+        "rugosity",
+        "height_cv",
+    ] = Field(description="A metric of `fynjax validate`, mean over the cells of the plot.")
+    value: float = number("Its value, in the metric's unit", "-", ge=0)
+    sd: float | None = number("Its standard deviation; empty: not known", "-", default=None, gt=0)
+    grain_m: float = number("Side of a cell; the same in all rows", "m", default=2.0, gt=0)
+    returns_m2: float = number(
+        "Returns for each square metre; the same in all rows", "m-2", default=100.0, gt=0
+    )
+
+
 class SkyRow(Strict):
     """One row of a sky table."""
 

@@ -68,10 +68,10 @@ def _place(
     """The record, the complaint and the key as a user knows them: [table] and key."""
     # Unions add the branch's own name to the place, lists the position.
     loc = error["loc"][:2]
-    if len(loc) > 1 and (field := model.model_fields.get(str(loc[0]))):
-        kinds = [field.annotation, *typing.get_args(field.annotation)]
-        tables = [k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)]
-        model = tables[0] if tables else model
+    if len(loc) > 1:
+        model = _table_of(model, loc[0]) or model
+    if len(error["loc"]) > 3 and (row := _table_of(model, loc[1])):  # of a list of tables
+        return row, error, error["loc"][:4]
     if len(error["loc"]) > 2:
         given = raw[str(loc[0])][str(loc[1])]
         position = error["loc"][2]
@@ -79,3 +79,12 @@ def _place(
         value = given[position] if one else given
         error = {**error, "type": "nested", "input": value}
     return model, error, loc
+
+
+def _table_of(model: type[BaseModel], key: str | int) -> type[BaseModel] | None:
+    """The record that stands under a key, alone or in a list."""
+    field = model.model_fields.get(str(key))
+    if field is None:
+        return None
+    kinds = [field.annotation, *typing.get_args(field.annotation)]
+    return next((k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)), None)

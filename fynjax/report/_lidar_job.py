@@ -25,7 +25,7 @@ from fynjax.io import (
     write_text,
 )
 from fynjax.io._build_ground import cover_spectra, soil_spectra
-from fynjax.io._frame import has_place, is_local, open_raster
+from fynjax.io._plot_place import plot_place
 from fynjax.radiation import VoxelScene
 from fynjax.report._figure_style import save_figure
 from fynjax.report._jobs import _Clock, peak_memory_mib
@@ -108,9 +108,10 @@ def run_lidar(
     summary = _summary(read, lidar, beams, returns, compared)
     summary["warnings"] = _warnings(lidar, scene, beams, echoes)
     with progress.stage("Write"), _Clock(seconds, "write"):
-        origin, crs = _place_on_map(read)
-        cloud = folder / "cloud.laz"
-        write_cloud(cloud, returns, origin_m=origin, crs=crs, attributes=record)
+        place = plot_place(read)
+        lowest = 0.0 if read.terrain is None or place.crs is None else lowest_ground(read)
+        cloud, origin = folder / "cloud.laz", (*place.origin_m, lowest)
+        write_cloud(cloud, returns, origin_m=origin, crs=place.crs, attributes=record)
         dataset = waveform_dataset(lidar, beams, np.asarray(electrons), echoes)
         write_run(folder / "waveforms.nc", dataset, record)
         write_text(folder / "heights.csv", compared.table().to_csv(index=False))
@@ -225,21 +226,6 @@ def _warnings(lidar: Lidar, scene: VoxelScene, beams: LidarBeams, echoes: Wavefo
     if (share := float(np.mean(high < lidar.gate[0]))) > 0:
         lost.append(f"{100 * share:.0f} % of the pulses may begin above the range gate")
     return [f"{text}, {lidar.gate[0]:g} to {lidar.gate[1]:g} m" for text in lost]
-
-
-def _place_on_map(plot: Plot) -> tuple[tuple[float, float, float], str | None]:
-    """The plot's south-west corner at its lowest ground on the map of its terrain, and the map's
-    reference system; zeros and None for a plot without a place."""
-    nowhere = (0.0, 0.0, 0.0), None
-    if plot.terrain is None:
-        return nowhere
-    with open_raster(plot.terrain, "a raster of heights") as file:
-        if not has_place(file) or is_local(file.crs):
-            return nowhere
-        west, south = plot.map_origin_m or (file.bounds.left, file.bounds.bottom)
-        system = file.crs.to_wkt()
-    lowest = lowest_ground(plot)
-    return (float(west), float(south), lowest), system
 
 
 def _summary(

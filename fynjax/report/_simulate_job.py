@@ -3,7 +3,6 @@
 import dataclasses
 import json
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +14,21 @@ from fynjax._core.errors import InputError, MissingExtraError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.io import Plot, load_sensor, provenance, read_plot, write_text
 from fynjax.io._plot import Air
+from fynjax.io._plot_place import Place, plot_place
 from fynjax.io._plot_sensing import build_sensing
-from fynjax.io._plot_sensor import optical_pixel
 from fynjax.io._products import Cube, write_cube_envi, write_cube_geotiff, write_cubes_netcdf
 from fynjax.report._figure_style import save_figure
 from fynjax.report._jobs import _Clock, peak_memory_mib
 from fynjax.report._page import Page
 from fynjax.report._simulate_figures import quick_looks, spectrum_figure
-from fynjax.scene import Observation, PlotAir, PlotParameters, PlotSensing
-from fynjax.sensors import OrthographicCamera, Sensor, frame_of
+from fynjax.report._simulate_record import (
+    is_reduced,
+    run_record,
+    short_record,
+    warnings_of,
+)
+from fynjax.scene import Observation, PlotParameters, PlotSensing
+from fynjax.sensors import Sensor
 
 AIR_MODELS = ("table", "clear-sky", "none")
 """What an atmosphere may be named by, instead of a file."""
@@ -78,17 +83,17 @@ def run_simulate(
         sensing, parameters = build_sensing(read, instrument, **place)
     with progress.stage("Measure"):
         seen = _measure(sensing, parameters, chosen if noisy else None, seconds, "bands")
-    reduced = _is_reduced(sensing)
+    reduced = is_reduced(sensing)
     if reduced:
         with progress.stage("Measure one band, for comparison"):
             _measure_one(read, instrument, sensing, place, seconds)
-    cubes = _cubes(sensing, instrument, seen, products)
+    cubes = _cubes(sensing, instrument, seen, products, plot_place(read))
     _check_finite(cubes, read)
     inputs = [*read.inputs, *(Path(p) for p in (name, air.file) if p and Path(p).is_file())]
     record = provenance(seed=chosen, inputs=dict.fromkeys(inputs))
-    run = _record(read, instrument, sensing, air, noisy, seen, seconds)
+    run = run_record(read, instrument, sensing, air, noisy, seen, seconds)
     with progress.stage("Write"):
-        files, warnings = _write(output, read, instrument, cubes, {**record, **_short(run)})
+        files, warnings = _write(output, read, instrument, cubes, {**record, **short_record(run)})
         text = json.dumps({**record, **run}, indent=2, ensure_ascii=False, allow_nan=False)
         write_text(output / "run.json", text + "\n")
     return {
@@ -100,12 +105,7 @@ def run_simulate(
         "pixel_m": sensing.pixel,
         "noise": bool(noisy),
         "peak_memory_mib": peak_memory_mib(),
-        "warnings": [
-            *_left_out(sensing, instrument),
-            *_of_other_pixels(sensing),
-            *_of_slant(sensing),
-            *warnings,
-        ],
+        "warnings": [*warnings_of(sensing, instrument), *warnings],
     }
 
 
@@ -126,6 +126,8 @@ def _check(plot: Plot, instrument: Sensor, air: Air, noisy: bool, products: Sequ
     if strange := [p for p in products if p not in PRODUCTS] or not products:
         raise InputError(f"expected products among {', '.join(PRODUCTS)}, but got {strange}")
     if air.model == "none":
+        if plot.sensor.panels and _is_own(plot, instrument):
+            raise InputError("expected an atmosphere: panels calibrate radiance", file=plot.file)
         if "reflectance" not in products:
             raise InputError("expected an atmosphere: without air there is no radiance")
         if noisy:
@@ -159,11 +161,6 @@ def _measure(
         return jax.block_until_ready(compiled(sensing, parameters))
 
 
-def _is_reduced(sensing: PlotSensing) -> bool:
-    solves = sensing.model.accuracy.solves
-    return solves is not None and len(sensing.sensor.bands) > solves
-
-
 def _measure_one(
     plot: Plot,
     instrument: Sensor,
@@ -182,9 +179,14 @@ def _measure_one(
 
 
 def _cubes(
-    sensing: PlotSensing, instrument: Sensor, seen: Observation, products: Sequence[str]
+    sensing: PlotSensing,
+    instrument: Sensor,
+    seen: Observation,
+    products: Sequence[str],
+    place: Place,
 ) -> dict[str, Cube]:
     """Images of all of the sensor's bands; those that were left out are bad."""
+    west, south = (a + b for a, b in zip(place.origin_m, sensing.origin, strict=True))
     every, bands = instrument.bands, sensing.sensor.bands
     places = [every.names.index(name) for name in bands.names]
 
@@ -200,13 +202,17 @@ def _cubes(
             np.asarray(every.fwhm),
             flags,
             sensing.pixel,
-            sensing.origin,
+            (west, south),
             name,
+            place.crs,
         )
 
     found = {}
     if "reflectance" in products:
-        found["reflectance"] = cube("reflectance", seen.reflectance, np.asarray(seen.transparent))
+        clear = np.asarray(seen.transparent)
+        found["reflectance"] = cube("reflectance", seen.reflectance, clear)
+        if seen.reflectance_sd is not None:
+            found["reflectance_sd"] = cube("reflectance_sd", seen.reflectance_sd, clear)
     if "radiance" in products and seen.radiance is not None:
         found["radiance"] = cube("radiance", seen.radiance, np.ones(len(bands), bool))
     return found
@@ -221,80 +227,6 @@ def _check_finite(cubes: dict[str, Cube], plot: Plot) -> None:
                 "parameter at the end of its range?",
                 file=plot.file,
             )
-
-
-def _record(
-    plot: Plot,
-    instrument: Sensor,
-    sensing: PlotSensing,
-    air: Air,
-    noisy: bool,
-    seen: Observation,
-    seconds: dict[str, float],
-) -> dict[str, Any]:
-    """What made the product, for `run.json`."""
-    camera, accuracy = sensing.sensor.camera, sensing.model.accuracy
-    optics = optical_pixel(instrument, sensing.sensor_height)
-    frame, angles = frame_of(camera), {}
-    if frame is not None:
-        angles = {"tilt_deg": frame.tilt, "heading_deg": frame.heading}
-    elif isinstance(camera, OrthographicCamera):
-        angles = {"view_zenith_deg": camera.view_zenith, "view_azimuth_deg": camera.view_azimuth}
-    residual = np.asarray(seen.residual)
-    return {
-        "versions": {n: version(n) for n in ("jax", "equinox", "numpy", "rasterio", "xarray")},
-        "plot": {
-            "name": plot.name,
-            "size_m": list(plot.size_m),
-            "voxel_m": plot.voxel_m,
-            "boundary": plot.boundary,
-            "sun_zenith_deg": plot.sun.zenith_deg,
-            "sun_azimuth_deg": plot.sun.azimuth_deg,
-            "solar_factor": plot.sun.solar_factor,
-        },
-        "sensor": {
-            "name": instrument.name,
-            "source": instrument.source,
-            "kind": type(camera).__name__,
-            "bands": len(instrument.bands),
-            "bands_simulated": len(sensing.sensor.bands),
-            "altitude_m": sensing.sensor_height,
-            "pixel_m": sensing.pixel,
-            "pixel_of_the_optics_m": optics,
-            "rows_columns": list(sensing.shape),
-            "south_west_corner_m": list(sensing.origin),
-            **{k: float(v) for k, v in angles.items()},
-            "point_spread": sensing.sensor.psf is not None,
-            "noise": bool(noisy),
-        },
-        "atmosphere": {
-            "model": air.model,
-            "file": None if air.file is None else air.file.name,
-            **(
-                {}
-                if air.model in ("file", "none")
-                else {
-                    "water_vapour_cm": air.water_vapour_cm,
-                    "aerosol_optical_depth_550": air.aerosol_optical_depth,
-                    "aerosol_optical_depth_500_of_sky": plot.sky.aerosol_optical_depth,
-                    "ozone_cm_atm": air.ozone_cm_atm,
-                    "pressure_hpa": air.pressure_hpa,
-                }
-            ),
-        },
-        "accuracy": {
-            **{f.name: getattr(accuracy, f.name) for f in dataclasses.fields(accuracy)},
-            "bands_reduced_to_few_solves": _is_reduced(sensing),
-            "largest_residual": float(residual.max()),
-            "precision": sensing.model.dtype,
-        },
-        "timings_s": dict(seconds),
-    }
-
-
-def _short(run: dict[str, Any]) -> dict[str, str]:
-    """The record's parts as text, for the attributes of a file."""
-    return {key: json.dumps(run[key]) for key in ("plot", "sensor", "atmosphere", "accuracy")}
 
 
 def _write(
@@ -344,7 +276,7 @@ def _headline(
     ]
     for cube in cubes.values():
         mean = float(cube.values[cube.good].mean())
-        unit = "" if cube.quantity == "reflectance" else " W m-2 sr-1 um-1"
+        unit = " W m-2 sr-1 um-1" if cube.quantity == "radiance" else ""
         lines.append(f"Mean {cube.quantity} of {int(cube.good.sum())} bands: {mean:.4g}{unit}.")
     if reduced:
         lines.append(
@@ -355,38 +287,3 @@ def _headline(
     else:
         lines.append(f"{seconds['bands']:.1f} s; compilation {seconds['compile_bands']:.1f} s.")
     return lines
-
-
-def _left_out(sensing: PlotSensing, instrument: Sensor) -> list[str]:
-    lost = [
-        f"{name} ({centre:.5g} nm)"
-        for name, centre in zip(instrument.bands.names, instrument.bands.centre)
-        if name not in sensing.sensor.bands.names
-    ]
-    if not lost:
-        return []
-    named = ", ".join(lost if len(lost) <= 4 else [*lost[:3], "...", lost[-1]])
-    return [
-        f"{len(lost)} of {len(instrument.bands)} bands of {instrument.name} reach beyond the "
-        f"spectra of leaves and ground, 400 to 2500 nm, and hold no data: {named}"
-    ]
-
-
-def _of_other_pixels(sensing: PlotSensing) -> list[str]:
-    sizes = sensing.sensor.band_pixel
-    if sizes is None or len(set(sizes)) == 1:
-        return []
-    return [
-        f"bands of {sensing.sensor.name} have pixels of {min(sizes):g} to {max(sizes):g} m in its "
-        f"products; here all have {sensing.pixel:g} m"
-    ]
-
-
-def _of_slant(sensing: PlotSensing) -> list[str]:
-    slant = 1.0 / float(np.min(sensing.rays.cosine))
-    if not isinstance(sensing.air, PlotAir) or slant < 1.05:
-        return []
-    return [
-        f"the air is that of a view straight down, but lines of sight are up to {slant:.2f} times "
-        "as long: their radiance lacks the difference (give curves of your own for that view)"
-    ]

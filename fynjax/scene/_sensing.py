@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float
 from fynjax._core.errors import InputError
 from fynjax.radiation import AbstractRays, VoxelScene, reflectance_factor, solve_light
 from fynjax.scene._model import PlotModel
+from fynjax.scene._panels import PanelsInPicture, panels_in_picture
 from fynjax.scene._parameters import LightParameters, PlotParameters
 from fynjax.scene._sensing_grid import axis_pixels, footprint_shares
 from fynjax.sensors import (
@@ -25,6 +26,7 @@ from fynjax.sensors import (
     AbstractCamera,
     Atmosphere,
     ClearAir,
+    Panel,
     PushbroomCamera,
     Sensor,
     at_sensor_radiance,
@@ -86,11 +88,14 @@ class Observation(eqx.Module):
 
     reflectance: Float[Array, "band y x"]
     """Reflectance factor of the pixels: without air that of the scene, else what calibration makes
-    of the radiance with the air known; zero where the air is opaque [-]."""
+    of the radiance, by the panels if there are any, or with the air known; zero where the air is
+    opaque [-]."""
     radiance: Float[Array, "band y x"] | None
     """At the sensor, with its noise if that was drawn [W m-2 sr-1 um-1]; None without air."""
     transparent: Bool[Array, " band"]
     """Where the air lets the ground be seen."""
+    reflectance_sd: Float[Array, "band y x"] | None
+    """Standard deviation of a reflectance by panels, of line and noise; None without panels [-]."""
     residual: Float[Array, " band"]
     """Estimated error of light scattered more than once, see `fynjax.radiation.Light` [-]."""
 
@@ -115,6 +120,11 @@ class PlotSensing(eqx.Module):
     """Pixels around the image that `rays` has on top, for the point spread."""
     fine: tuple[int, int] | None = eqx.field(static=True)
     """Rows and columns of rays over the plot where pixels are wider than voxels; else None."""
+    averaged: float = eqx.field(static=True)
+    """The sensor's own pixels, by its optics, that a pixel is the mean of; at least 1. Its noise is
+    as much lower."""
+    panels: PanelsInPicture | None = None
+    """Panels in the picture; None: none."""
 
     def observe(
         self,
@@ -138,7 +148,7 @@ class PlotSensing(eqx.Module):
         if air is None:
             every = jnp.ones(len(self.sensor.bands), bool)
             image, _, residual = self._image(scene)
-            return Observation(image, None, every, residual)
+            return Observation(image, None, every, None, residual)
         by_band = self._air_of_bands(air, parameters.light)
         order, back = _sorting(self.sensor)
         total = by_band.direct + by_band.diffuse
@@ -147,15 +157,29 @@ class PlotSensing(eqx.Module):
             lambda s: (s.illumination.sun, s.illumination.sky), scene, (1.0 - sky, sky)
         )
         image, mean, residual = self._image(scene)
+        if self.panels is not None:
+            image = self.panels.laid_on(image)
         pixels = jnp.moveaxis(image, 0, -1)[..., order]
         radiance = at_sensor_radiance(by_band, pixels, mean[order])
         if key is not None and self.sensor.noise is not None:
-            radiance = self.sensor.noise.draw(key, radiance[..., back])[..., order]
-        calibrated = surface_reflectance(by_band, radiance, mean[order])
+            noise = self.sensor.noise
+            radiance = noise.draw(key, radiance[..., back], averaged=self.averaged)[..., order]
+        transparent, measured, doubt = is_transparent(by_band)[back], radiance[..., back], None
+        if self.panels is None:
+            calibrated = surface_reflectance(by_band, radiance, mean[order])[..., back]
+        else:
+            line = self.panels.line(jnp.moveaxis(measured, -1, 0), transparent)
+            noise_sd: Array | float = 0.0
+            if key is not None and self.sensor.noise is not None:
+                noise_sd = self.sensor.noise.standard_deviation(measured, averaged=self.averaged)
+            calibrated = jnp.where(transparent, line.reflectance(measured), 0.0)
+            sd = jnp.where(transparent, line.standard_deviation(measured, noise_sd), 0.0)
+            doubt = jnp.moveaxis(sd, -1, 0)
         return Observation(
-            jnp.moveaxis(calibrated[..., back], -1, 0),
-            jnp.moveaxis(radiance[..., back], -1, 0),
-            is_transparent(by_band)[back],
+            jnp.moveaxis(calibrated, -1, 0),
+            jnp.moveaxis(measured, -1, 0),
+            transparent,
+            doubt,
             residual,
         )
 
@@ -225,6 +249,7 @@ def plot_sensing(
     heading: float | None = None,
     air: PlotAir | Atmosphere | None = None,
     point_spread: bool = True,
+    panels: tuple[Panel, ...] = (),
 ) -> PlotSensing:
     """Aim a sensor at the middle of a plot.
 
@@ -239,6 +264,8 @@ def plot_sensing(
       north [degrees]. Left out, those of the sensor's file. Not of an orthographic view.
     - `air`: between plot and sensor; None for reflectance alone.
     - `point_spread`: whether the optics blur.
+    - `panels`: to be seen in the picture and to calibrate by, with sharp edges. For a sensor in
+      air.
 
     As many whole pixels as the plot holds lie in its middle; a periodic plot smaller than a pixel
     fills one, for it goes on for ever. Raises `InputError` for an open plot smaller than a pixel,
@@ -310,6 +337,8 @@ def plot_sensing(
         sensor_height=float(height),
         margin=margin,
         fine=(ny, nx) if wide else None,
+        averaged=max(1.0, (pixel / float(optics)) ** 2),
+        panels=panels_in_picture(panels, (rows, columns), pixel, (west, south)) if panels else None,
     )
 
 

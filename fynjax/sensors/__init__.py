@@ -24,6 +24,7 @@ from fynjax.sensors._camera_counts import (
 )
 from fynjax.sensors._empirical_line import (
     EmpiricalLine,
+    Panel,
     PanelReading,
     empirical_line,
     irradiance_line,
@@ -89,6 +90,7 @@ __all__ = [
     "LidarNoise",
     "LidarReturns",
     "OrthographicCamera",
+    "Panel",
     "PanelReading",
     "PointSpread",
     "PushbroomCamera",

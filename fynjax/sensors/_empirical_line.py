@@ -3,6 +3,7 @@
 Bands are on the last axis, as elsewhere in this package; images of panels are [band, y, x].
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -162,6 +163,22 @@ def irradiance_line(
     light = _real(irradiance)
     _positive(light, "`irradiance`")
     return one_panel_line(light / jnp.pi, jnp.ones_like(light), signal_sd=irradiance_sd / jnp.pi)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A flat, square panel, level, above the plants."""
+
+    x_m: float
+    """Middle, east of the plot's south-west corner [m]."""
+    y_m: float
+    """Middle, north of it [m]."""
+    side_m: float
+    """Its side [m]."""
+    reflectance: float
+    """Reflectance factor, the same in all bands [-]."""
+    reflectance_sd: float = 0.0
+    """How sure that is: standard deviation relative to it [-]."""
 
 
 class PanelReading(eqx.Module):

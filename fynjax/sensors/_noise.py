@@ -48,29 +48,30 @@ class AbstractNoise(eqx.Module):
         """Standard deviation of one pixel [W m-2 sr-1 µm-1]."""
 
     def standard_deviation(
-        self, radiance: Float[Array, "*batch band"], *, averaged: int = 1
+        self, radiance: Float[Array, "*batch band"], *, averaged: float = 1.0
     ) -> Float[Array, "*batch band"]:
         """Standard deviation of the mean of `averaged` pixels [W m-2 sr-1 µm-1]."""
         return self.pixel_deviation(_floating(radiance)) / math.sqrt(averaged)
 
     def covariance(
-        self, radiance: Float[Array, "*batch band"], *, averaged: int = 1
+        self, radiance: Float[Array, "*batch band"], *, averaged: float = 1.0
     ) -> Float[Array, "*batch band band"]:
         """Covariance of the bands of the mean of `averaged` pixels [(W m-2 sr-1 µm-1)²]."""
         variance = self.standard_deviation(radiance, averaged=averaged) ** 2
         return variance[..., None] * jnp.eye(variance.shape[-1], dtype=variance.dtype)
 
     def draw(
-        self, key: Array | int, radiance: Float[Array, "*batch band"]
+        self, key: Array | int, radiance: Float[Array, "*batch band"], *, averaged: float = 1.0
     ) -> Float[Array, "*batch band"]:
-        """Noisy radiance [W m-2 sr-1 µm-1]: the same for the same key (or seed) and shape.
+        """Noisy radiance [W m-2 sr-1 µm-1] of means of `averaged` pixels: the same for the same key
+        (or seed) and shape.
 
         Normally distributed. The random numbers do not depend on the radiance, so a draw is a
         smooth function of it. A dark pixel may come out negative.
         """
         radiance = _floating(radiance)
         normal = jax.random.normal(_key(key), radiance.shape, radiance.dtype)
-        return radiance + self.pixel_deviation(radiance) * normal
+        return radiance + self.standard_deviation(radiance, averaged=averaged) * normal
 
 
 def _key(key: Array | int) -> Array:

@@ -23,8 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax.inversion import COARSE, Forward, free_space, weigh_targets
-from fynjax.inversion._calibrate import _coarser
+from fynjax.inversion import COARSE, Forward, coarser, free_space, weigh_targets
 from fynjax.io import example_folder, read_plot
 from fynjax.io._build import build_plot
 from fynjax.metrics import BANDS, image_statistics
@@ -60,7 +59,7 @@ def plot_in_this_process() -> None:
     row("render, 400 x 400 pixels", *clock(lambda: render(model, parameters)))
 
     space = free_space(model, parameters, read.calibration.free, read.calibration.relative_sd)
-    quick = _coarser(model, COARSE)
+    quick = coarser(model, COARSE)
 
     def predict(values: jax.Array) -> jax.Array:
         named = {name: values[i] for i, name in enumerate(space.names)}

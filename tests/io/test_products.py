@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pyproj
 import pytest
 import rasterio
 import spectral
@@ -183,3 +184,30 @@ def test_a_real_emit_cube_is_read_as_spy_reads_it(shared_data):
     truth = np.asarray(spy.load()).transpose(2, 0, 1)[:, ::-1]
     np.testing.assert_allclose(found.values, np.where(truth == -9999, np.nan, truth), rtol=1e-6)
     assert found.good.sum() == sum(int(float(b)) for b in spy.metadata["bbl"])
+
+
+UTM, ALBERS = "EPSG:32734", "ESRI:102022"  # Africa, equal areas
+
+
+@pytest.mark.parametrize("system", [UTM, ALBERS])
+def test_a_place_on_earth_is_found_by_every_reader(tmp_path, system):
+    placed = dataclasses.replace(
+        cube(), origin_m=(600000.5, 6180001.0), crs=rasterio.CRS.from_user_input(system).to_wkt()
+    )
+    write_cube_geotiff(tmp_path / "a.tif", placed, RECORD)
+    write_cube_envi(tmp_path / "b.hdr", placed, RECORD)
+    write_cubes_netcdf(tmp_path / "c.nc", {"reflectance": placed}, RECORD)
+    for name in ("a.tif", "b.dat"):
+        with rasterio.open(tmp_path / name) as found:
+            # ESRI's words for a system lose its number, not what it is.
+            assert found.crs.to_dict() == rasterio.CRS.from_user_input(system).to_dict()
+            assert found.transform.to_gdal() == (600000.5, 3.0, 0.0, 6180010.0, 0.0, -3.0)
+    with xr.open_dataset(tmp_path / "c.nc", decode_coords="all") as data:
+        np.testing.assert_allclose(data.x[:2], [600002.0, 600005.0])
+        assert pyproj.CRS.from_cf(data.crs.attrs) == pyproj.CRS.from_user_input(system)
+    for name in ("a.tif", "b.hdr", "c.nc"):
+        found = read_cube(tmp_path / name)
+        assert pyproj.CRS.from_wkt(found.crs).equals(
+            pyproj.CRS.from_user_input(system), ignore_axis_order=True
+        )
+        assert found.origin_m == (600000.5, 6180001.0)

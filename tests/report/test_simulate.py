@@ -6,18 +6,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from rasterio import Affine
 
 from fynjax._core.errors import InputError
 from fynjax.cli import main
 from fynjax.io import read_cube
 from fynjax.report._simulate_figures import colour_bands, quick_looks, spectrum_figure
 from fynjax.report._simulate_job import run_simulate
+from tests.helpers import write_raster
 
 PLOT = """
 [plot]
 name = "small"
 size_m = 2.0
 voxel_m = 0.2
+probability_map = "map.tif"
 [sensor]
 path = "camera.toml"
 altitude_m = 100
@@ -54,6 +57,9 @@ def write_plot(folder: Path, plot: str = PLOT) -> Path:
     (folder / "plot.toml").write_text(plot)
     (folder / "species.csv").write_text(SPECIES)
     (folder / "camera.toml").write_text(CAMERA)
+    place = Affine(0.25, 0, 600000, 0, -0.25, 6180002)  # in UTM
+    chance = np.linspace(120, 250, 64).astype(np.uint8).reshape(1, 8, 8)
+    write_raster(folder / "map.tif", chance, transform=place, crs="EPSG:32734")
     return folder / "plot.toml"
 
 
@@ -94,7 +100,9 @@ def test_products_agree_with_each_other_and_with_the_air(run):
         # Beyond the spectra nothing is known; where the air is opaque, nothing of the ground.
         assert envi.good.tolist() == [True, True, True, quantity == "radiance", False]
         assert not np.isfinite(envi.values[~envi.good]).any()
-        assert envi.origin_m == (0.0, 0.0)
+        for cube in (tiff, envi, netcdf):
+            assert cube.origin_m == (600000.0, 6180000.0)
+            assert rasterio.CRS.from_wkt(cube.crs).to_epsg() == 32734
     with rasterio.open(folder / "reflectance.tif") as file:
         assert file.nodata == -9999.0
         assert 0.02 < file.read(1).mean() < 0.5
@@ -108,7 +116,12 @@ def test_the_record_says_what_was_done(run):
     assert record["sensor"]["bands_simulated"] == 4
     assert record["atmosphere"]["model"] == "clear-sky"
     assert record["versions"]["jax"] == record["jax_version"]
-    assert set(json.loads(record["input_sha256"])) == {"plot.toml", "species.csv", "camera.toml"}
+    assert set(json.loads(record["input_sha256"])) == {
+        "plot.toml",
+        "species.csv",
+        "camera.toml",
+        "map.tif",
+    }
     assert record["timings_s"]["bands"] == summary["timings_s"]["bands"] > 0
     assert 0 < record["accuracy"]["largest_residual"] < 1e-3
 
@@ -130,6 +143,13 @@ WRONG = [
     (["--altitude", "0.5"], "above the plants"),
     (["--atmosphere", "nowhere.csv"], "no such file"),
     (["--sensor", "flash_lidar_paper", "--pixel", "1"], "no --pixel with the LiDAR"),
+    (["panels = [{x_m=1, y_m=1, reflectance=5}]"], "sensor.panels.0.reflectance': expected"),
+    (["panels = [{x_m=1, y_m=1, side_m=0.4, reflectance=0.5}]"], "three pixels wide"),
+    (["panels = [{x_m=9, y_m=9, reflectance=0.5}]"], "must lie in the image"),
+    (
+        ['panels = [{x_m=1, y_m=1, side_m=1, reflectance=0.5}]\n[atmosphere]\nmodel="none"'],
+        "panels",
+    ),
 ]
 
 
@@ -138,6 +158,10 @@ def test_a_slip_is_one_line_and_leaves_nothing(tmp_path, capsys, options, words)
     tables = PLOT + "\n"
     if options[:2] == ["--atmosphere", "none"] and "--no-noise" not in options:
         tables = tables.replace("altitude_m = 100", "altitude_m = 100\nnoise = true")
+    if options[0].startswith("panels"):
+        key, *air = options.pop().split("\n", 1)
+        tables = tables.replace("[atmosphere]", key + "\n[atmosphere]")
+        tables = tables.replace("clear-sky", "none") if air else tables
     plot = write_plot(tmp_path, tables)
     with pytest.raises(SystemExit) as caught:
         main(["simulate", str(plot), "--output", str(tmp_path / "out"), *options])

@@ -16,6 +16,7 @@ from fynjax.sensors import (
     BandSet,
     CameraNoise,
     OrthographicCamera,
+    Panel,
     PointSpread,
     Sensor,
     at_sensor_radiance,
@@ -26,6 +27,8 @@ from tests.helpers import assert_gradients
 from tests.scene.plots import render, small_parameters, small_plot
 
 FAST = Accuracy(sublayers=1, levels=2, refine=False, tolerance=1e-9, iterations=200)
+NOISE = ((1e14, 0.0), (8000.0, 4.0))
+"""Full well and read noise of a camera without noise, and of one with; the same program."""
 observe = eqx.filter_jit(lambda s, p, key=None, air=None: s.observe(p, key=key, air=air))
 
 
@@ -162,17 +165,65 @@ def test_even_panels_come_back_through_the_air(kind):
         )
 
 
+def test_panels_in_the_picture_calibrate_it():
+    """They come back at their reflectance, and so does the ground beside them: without noise to a
+    tenth of a per cent, with it within what is told."""
+    camera = OrthographicCamera((0.0, 0.0, 1.6, 1.6), 0.1)
+    sensors = [Sensor("panel", PANELS, camera, noise=CameraNoise(200.0, *n, 32)) for n in NOISE]
+    dark, bright = Panel(0.4, 0.4, 0.35, 0.05, 0.02), Panel(1.2, 0.4, 0.4, 0.5, 0.01)
+    model, parameters = bare(0.2)
+    quiet, loud = (
+        plot_sensing(model, one, air=PlotAir("clear-sky"), panels=(dark, bright)) for one in sensors
+    )
+    sensor, sensing = sensors[0], quiet
+    truth = np.full(sensing.shape, 0.2)
+    truth[3:5, 3:5], truth[2:6, 10:14] = 0.05, 0.5  # pixels that the panels cover wholly
+    mixed = np.zeros(sensing.shape, bool)
+    mixed[2:6, 2:6] = True
+    mixed[3:5, 3:5] = False
+    clean, noisy = (observe(s, parameters, jax.random.key(3)) for s in (quiet, loud))
+    clear = np.asarray(clean.transparent)
+    image = np.asarray(clean.reflectance)[clear]
+    np.testing.assert_allclose(image[:, ~mixed], np.tile(truth[~mixed], (4, 1)), rtol=1e-3)
+    assert np.all((image[:, mixed] > 0.05) & (image[:, mixed] < 0.2))
+    # A line through panels that are exact but for 2 and 1 %, at the darker and at the brighter one.
+    told = np.asarray(clean.reflectance_sd)[clear]
+    np.testing.assert_allclose(told[:, 3, 3], 0.02 * 0.05, rtol=0.01)
+    np.testing.assert_allclose(told[:, 3, 11], 0.01 * 0.5, rtol=0.01)
+    error = (np.asarray(noisy.reflectance)[clear] - truth)[:, ~mixed]
+    scaled = error / np.asarray(noisy.reflectance_sd)[clear][:, ~mixed]
+    assert 0.5 < scaled.std() < 1.2  # the line's error is shared by all pixels
+    assert np.all(np.asarray(noisy.reflectance_sd)[~clear] == 0.0)
+    with pytest.raises(InputError, match=r"panel 1 must cover some pixels wholly.* holds none"):
+        plot_sensing(model, sensor, panels=(Panel(0.45, 0.45, 0.05, 0.5),))
+    with pytest.raises(InputError, match="panels must not overlap"):
+        plot_sensing(model, sensor, panels=(dark, Panel(0.5, 0.4, 0.4, 0.5)))
+    with pytest.raises(InputError, match=r"must differ in reflectance, but all have 0\.05"):
+        plot_sensing(model, sensor, panels=(dark, Panel(1.2, 0.4, 0.4, 0.05)))
+
+
 def test_noise_is_seeded_and_as_large_as_its_model_says(model, drone):
-    noise = CameraNoise(300.0, 8000.0, 4.0, 12)
-    noisy = dataclasses.replace(drone, noise=noise)
-    sensing = plot_sensing(model, noisy, altitude=50.0, pixel=0.1, air=PlotAir("clear-sky"))
-    clean = observe(sensing, small_parameters())
+    none, noise = (CameraNoise(300.0, *n, 32) for n in NOISE)
+    quiet, sensing = (
+        plot_sensing(
+            model, dataclasses.replace(drone, noise=n), altitude=50.0, pixel=0.1,
+            air=PlotAir("clear-sky"),
+        )
+        for n in (none, noise)
+    )  # fmt: skip
+    clean = observe(quiet, small_parameters(), jax.random.key(0))
     first, again, other = (
         observe(sensing, small_parameters(), jax.random.key(k)) for k in (1, 1, 2)
     )
     np.testing.assert_array_equal(first.radiance, again.radiance)
     assert not np.array_equal(first.radiance, other.radiance)
-    sd = np.moveaxis(noise.standard_deviation(jnp.moveaxis(clean.radiance, 0, -1)), -1, 0)
+    own = 50.0 * float(
+        1e-3 * drone.camera.pixel_pitch_um / drone.camera.focal_length_mm
+    )  # m, of its pixel
+    assert 0.02 < own < 0.03
+    many = (0.1 / own) ** 2  # which a pixel here is the mean of
+    light = jnp.moveaxis(clean.radiance, 0, -1)
+    sd = np.moveaxis(noise.standard_deviation(light), -1, 0) / np.sqrt(many)
     scaled = (np.asarray(first.radiance) - clean.radiance) / sd
     assert scaled.std() == pytest.approx(1.0, abs=0.08)  # 1024 draws: 2.2 % is one deviation
     gain = clean.radiance.std((1, 2)) / clean.reflectance.std((1, 2))

@@ -1,0 +1,37 @@
+"""Where a plot lies on Earth: its corner and the reference system of the maps its file names."""
+
+from dataclasses import dataclass
+
+from fynjax.io._frame import has_place, is_local, open_raster
+from fynjax.io._plot import Plot
+
+
+@dataclass(frozen=True)
+class Place:
+    """The frame of a plot's products."""
+
+    origin_m: tuple[float, float] = (0.0, 0.0)
+    """The plot's south-west corner (x, y) [m]."""
+    crs: str | None = None
+    """Coordinate reference system as WKT; `None`: the plot's own frame."""
+
+
+def plot_place(plot: Plot) -> Place:
+    """The plot's corner on the first of its maps (ground heights, probability, ground covers) that
+    lies on Earth; the plot's own frame where none does.
+
+    Raises `InputError` for a map that cannot be read.
+    """
+    maps = {
+        "a raster of heights": plot.terrain,
+        "a probability map": plot.probability_map,
+        "a map of ground covers": plot.ground.map,
+    }
+    for what, path in maps.items():
+        if path is None:
+            continue
+        with open_raster(path, what) as file:
+            if has_place(file) and not is_local(file.crs):
+                west, south = plot.map_origin_m or (file.bounds.left, file.bounds.bottom)
+                return Place((float(west), float(south)), file.crs.to_wkt())
+    return Place()

@@ -1,0 +1,135 @@
+"""What is told of an image product: what made it, and what to mind."""
+
+import dataclasses
+import json
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from fynjax.io import Plot
+from fynjax.io._plot import Air
+from fynjax.io._plot_sensor import optical_pixel
+from fynjax.scene import Observation, PlotAir, PlotSensing
+from fynjax.sensors import OrthographicCamera, Sensor, frame_of
+
+
+def is_reduced(sensing: PlotSensing) -> bool:
+    solves = sensing.model.accuracy.solves
+    return solves is not None and len(sensing.sensor.bands) > solves
+
+
+def run_record(
+    plot: Plot,
+    instrument: Sensor,
+    sensing: PlotSensing,
+    air: Air,
+    noisy: bool,
+    seen: Observation,
+    seconds: dict[str, float],
+) -> dict[str, Any]:
+    """What made the product, for `run.json`."""
+    camera, accuracy = sensing.sensor.camera, sensing.model.accuracy
+    optics = optical_pixel(instrument, sensing.sensor_height)
+    frame, angles = frame_of(camera), {}
+    if frame is not None:
+        angles = {"tilt_deg": frame.tilt, "heading_deg": frame.heading}
+    elif isinstance(camera, OrthographicCamera):
+        angles = {"view_zenith_deg": camera.view_zenith, "view_azimuth_deg": camera.view_azimuth}
+    residual = np.asarray(seen.residual)
+    return {
+        "versions": {n: version(n) for n in ("jax", "equinox", "numpy", "rasterio", "xarray")},
+        "plot": {
+            "name": plot.name,
+            "size_m": list(plot.size_m),
+            "voxel_m": plot.voxel_m,
+            "boundary": plot.boundary,
+            "sun_zenith_deg": plot.sun.zenith_deg,
+            "sun_azimuth_deg": plot.sun.azimuth_deg,
+            "solar_factor": plot.sun.solar_factor,
+        },
+        "sensor": {
+            "name": instrument.name,
+            "source": instrument.source,
+            "kind": type(camera).__name__,
+            "bands": len(instrument.bands),
+            "bands_simulated": len(sensing.sensor.bands),
+            "altitude_m": sensing.sensor_height,
+            "pixel_m": sensing.pixel,
+            "pixel_of_the_optics_m": optics,
+            "rows_columns": list(sensing.shape),
+            "south_west_corner_m": list(sensing.origin),
+            **{k: float(v) for k, v in angles.items()},
+            "point_spread": sensing.sensor.psf is not None,
+            "noise": bool(noisy),
+            "pixels_averaged_in_noise": sensing.averaged,
+            "reflectance_by": "the known air" if sensing.panels is None else "panels",
+        },
+        "atmosphere": {
+            "model": air.model,
+            "file": None if air.file is None else air.file.name,
+            **(
+                {}
+                if air.model in ("file", "none")
+                else {
+                    "water_vapour_cm": air.water_vapour_cm,
+                    "aerosol_optical_depth_550": air.aerosol_optical_depth,
+                    "aerosol_optical_depth_500_of_sky": plot.sky.aerosol_optical_depth,
+                    "ozone_cm_atm": air.ozone_cm_atm,
+                    "pressure_hpa": air.pressure_hpa,
+                }
+            ),
+        },
+        "accuracy": {
+            **{f.name: getattr(accuracy, f.name) for f in dataclasses.fields(accuracy)},
+            "bands_reduced_to_few_solves": is_reduced(sensing),
+            "largest_residual": float(residual.max()),
+            "precision": sensing.model.dtype,
+        },
+        "timings_s": dict(seconds),
+    }
+
+
+def short_record(run: dict[str, Any]) -> dict[str, str]:
+    """The record's parts as text, for the attributes of a file."""
+    return {key: json.dumps(run[key]) for key in ("plot", "sensor", "atmosphere", "accuracy")}
+
+
+def _left_out(sensing: PlotSensing, instrument: Sensor) -> list[str]:
+    lost = [
+        f"{name} ({centre:.5g} nm)"
+        for name, centre in zip(instrument.bands.names, instrument.bands.centre)
+        if name not in sensing.sensor.bands.names
+    ]
+    if not lost:
+        return []
+    named = ", ".join(lost if len(lost) <= 4 else [*lost[:3], "...", lost[-1]])
+    return [
+        f"{len(lost)} of {len(instrument.bands)} bands of {instrument.name} reach beyond the "
+        f"spectra of leaves and ground, 400 to 2500 nm, and hold no data: {named}"
+    ]
+
+
+def _of_other_pixels(sensing: PlotSensing) -> list[str]:
+    sizes = sensing.sensor.band_pixel
+    if sizes is None or len(set(sizes)) == 1:
+        return []
+    return [
+        f"bands of {sensing.sensor.name} have pixels of {min(sizes):g} to {max(sizes):g} m in its "
+        f"products; here all have {sensing.pixel:g} m"
+    ]
+
+
+def _of_slant(sensing: PlotSensing) -> list[str]:
+    slant = 1.0 / float(np.min(sensing.rays.cosine))
+    if not isinstance(sensing.air, PlotAir) or slant < 1.05:
+        return []
+    return [
+        f"the air is that of a view straight down, but lines of sight are up to {slant:.2f} times "
+        "as long: their radiance lacks the difference (give curves of your own for that view)"
+    ]
+
+
+def warnings_of(sensing: PlotSensing, instrument: Sensor) -> list[str]:
+    """What a user should mind of a simulated image."""
+    return [*_left_out(sensing, instrument), *_of_other_pixels(sensing), *_of_slant(sensing)]

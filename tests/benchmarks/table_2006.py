@@ -1,0 +1,163 @@
+"""The plot burnt in 2006: what the paper prints as real, its DIRSIG, and fynjax before and after
+calibration to the drone image.
+
+    python -m tests.benchmarks.table_2006 [--calibration DIR] [--output DIR]
+
+`--calibration` is the output folder of `fynjax demo`, which is run if it is left out. The drone
+image is what the calibration was fitted to; spectrometer and LiDAR are predictions. LiDAR numbers
+are shown in the conventions of each known tool, since the paper does not state its own.
+"""
+
+import argparse
+import shutil
+import warnings
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import laspy
+import numpy as np
+import pandas as pd
+
+from fynjax._core.progress import NullProgress
+from fynjax.io import example_folder, read_cube
+from fynjax.metrics import (
+    STRUCTURE_PRESETS,
+    StructureSettings,
+    bin_returns,
+    cell_grid,
+    cell_structure,
+    spectral_mask,
+    structure_2006,
+    table5_2006,
+    thinnings,
+)
+from fynjax.report._jobs import run_demo, run_render
+from fynjax.report._lidar_job import run_lidar
+from fynjax.report._simulate_job import run_simulate
+from fynjax.report._validate_images import read_drone_image
+from fynjax.report._validate_published import compare_with_published, wins
+
+SEED = 0
+SWIR2_MEAN = {"real": 0.063, "dirsig": 0.008}  # the paper's section on the spectrometer
+REAL_RETURNS = 1317  # 13.17 per m2 on 100 m2
+GRAIN = 2.0  # m
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--calibration", type=Path, help="output folder of `fynjax demo`")
+    parser.add_argument("--output", type=Path, help="where the simulations and table.csv stay")
+    options = parser.parse_args()
+    with TemporaryDirectory() as scratch:
+        output = options.output or Path(scratch)
+        output.mkdir(parents=True, exist_ok=True)
+        calibration = options.calibration
+        if calibration is None:
+            calibration = output / "demo"
+            calibration.mkdir()
+            run_demo(calibration, seed=SEED)
+        columns = {}
+        for name, values in (("uncalibrated", None), ("calibrated", calibration)):
+            folder = output / name
+            plot = _plot(folder / "plot", values)
+            _simulate(plot, folder)
+            columns[name] = pd.concat([_drone(folder), _spectrometer(folder), _lidar(folder)])
+        table = columns["uncalibrated"].rename(columns={"simulated": "uncalibrated"})
+        table["calibrated"] = columns["calibrated"]["simulated"]
+        for name in ("dirsig", "uncalibrated", "calibrated"):
+            error = 100.0 * (table[name] - table["real"]) / table["real"].abs()
+            table[f"{name}_error_percent"] = error
+        table.to_csv(output / "table.csv", index=False, float_format="%.5g")
+    print(table.to_string(index=False, float_format=lambda v: f"{v:.4g}", na_rep=""))
+    drone = table[table["sensor"] == "drone"].dropna(subset=["dirsig_abs_error_percent"])
+    for name in ("uncalibrated", "calibrated"):
+        renamed = drone.assign(simulated_error_percent=drone[f"{name}_error_percent"])
+        nearer, of = wins(renamed)
+        print(f"drone, {name}: nearer to the real image than DIRSIG in {nearer} of {of} numbers")
+
+
+def _plot(folder: Path, calibration: Path | None) -> Path:
+    """The shipped plot file, with the estimates of a calibration."""
+    shutil.copytree(example_folder(), folder)
+    if calibration is not None:
+        shutil.copy(calibration / "parameters.csv", folder)
+        path = folder / "plot.toml"
+        text = path.read_text("utf-8")
+        path.write_text(text.replace("[scene]\n", '[scene]\nparameters = "parameters.csv"\n'))
+    return folder / "plot.toml"
+
+
+def _simulate(plot: Path, folder: Path) -> None:
+    for name in ("drone", "aviris_ng", "lidar"):
+        (folder / name).mkdir()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # the paper's pixel against the optics
+        run_render(plot, folder / "drone", seed=SEED)
+        run_simulate(
+            plot, folder / "aviris_ng", sensor="aviris_ng", pixel=3.0, products=["reflectance"]
+        )
+    run_lidar(plot, "flash_lidar_paper", folder / "lidar", seed=SEED)
+
+
+def _drone(folder: Path) -> pd.DataFrame:
+    image = read_drone_image(folder / "drone" / "image.tif", NullProgress())
+    table = compare_with_published(image).statistics
+    keep = ["statistic", "status", "real", "dirsig", "dirsig_abs_error_percent", "simulated"]
+    return table[keep].assign(sensor="drone")
+
+
+def _spectrometer(folder: Path) -> pd.DataFrame:
+    cube = read_cube(folder / "aviris_ng" / "reflectance.tif")
+    mean = cube.values.mean(axis=(1, 2))
+    wavelength = cube.wavelength
+    rows = []
+    for region, row in table5_2006().items():
+        inside = spectral_mask(wavelength, region) & np.isfinite(mean)
+        # NRMSE is RMSE over the range of the real spectrum, so the two printed give it.
+        rows.append(
+            {
+                "statistic": f"{region} range of reflectance",
+                "status": "derived",
+                "real": row.rmse / row.nrmse,
+                "simulated": np.ptp(mean[inside]),
+            }
+        )
+    inside = spectral_mask(wavelength, "swir2") & np.isfinite(mean)
+    rows.append(
+        {
+            "statistic": "swir2 mean reflectance",
+            "status": "printed",
+            **SWIR2_MEAN,
+            "simulated": mean[inside].mean(),
+        }
+    )
+    return pd.DataFrame(rows).assign(sensor="aviris_ng")
+
+
+def _lidar(folder: Path) -> pd.DataFrame:
+    cloud = laspy.read(folder / "lidar" / "cloud.laz")
+    x, y, z = (np.asarray(getattr(cloud, axis)) for axis in "xyz")
+    grid = cell_grid((0.0, 0.0, 10.0, 10.0), GRAIN)
+    published, rows = structure_2006(), []
+    for name, settings in {"fynjax": StructureSettings(), **STRUCTURE_PRESETS}.items():
+        found: dict[str, list[float]] = {}
+        for chosen in thinnings(len(x), REAL_RETURNS, 100, np.random.default_rng(SEED)):
+            cells = cell_structure(bin_returns(x[chosen], y[chosen], z[chosen], grid, settings))
+            for metric, values in cells.metrics.items():
+                found.setdefault(metric, []).append(float(np.nanmean(values)))
+        for metric, printed in published.items():
+            if printed.real is not None:
+                rows.append(
+                    {
+                        "statistic": f"{metric} ({name})",
+                        "status": "conventions not printed",
+                        "real": printed.real,
+                        "dirsig": printed.simulated,
+                        "simulated": float(np.median(found[metric])),
+                    }
+                )
+    return pd.DataFrame(rows).assign(sensor="lidar")
+
+
+if __name__ == "__main__":
+    main()
