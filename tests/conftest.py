@@ -7,6 +7,11 @@ from pathlib import Path
 import jax
 import pytest
 
+# Tests compile much and run little. So they compile in a quarter of the time; what comes out runs
+# a little slower. Read when JAX is first used; the children of a test inherit it.
+os.environ.setdefault(
+    "XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+)
 jax.config.update("jax_enable_x64", True)
 
 

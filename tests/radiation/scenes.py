@@ -1,7 +1,6 @@
 """Scenes, angles and compiled solvers that the tests of radiation share."""
 
-from collections.abc import Callable
-from functools import lru_cache, wraps
+from functools import lru_cache
 from typing import Any
 
 import jax
@@ -20,24 +19,6 @@ from fynjax.radiation import (
     solve_light,
 )
 
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
-
-
-def quick_jit(function: Callable[..., Any], **options: Any) -> Any:
-    """`jax.jit` for small scenes: compiles in two thirds of the time and runs a little slower.
-
-    Within another transformation it is plain `function`: only what is outermost is compiled so.
-    """
-    compiled = jax.jit(function, compiler_options=QUICK, **options)
-
-    @wraps(function)
-    def call(*args: Any, **kwargs: Any) -> Any:
-        traced = any(isinstance(a, jax.core.Tracer) for a in jax.tree.leaves((args, kwargs)))
-        return (function if traced else compiled)(*args, **kwargs)
-
-    return call
-
-
 FINE = Accuracy(lattice=1, coarsening=(1, 1), levels=6, azimuths=8, tolerance=1e-9, iterations=200)
 """For a laterally uniform slab of thin layers: only the quadrature of directions is left."""
 
@@ -45,11 +26,11 @@ FINE = Accuracy(lattice=1, coarsening=(1, 1), levels=6, azimuths=8, tolerance=1e
 @lru_cache
 def solver(accuracy: Accuracy) -> Any:
     """Compiled `solve_light`; one compilation for all scenes of equal shape."""
-    return quick_jit(lambda scene: solve_light(scene, accuracy))
+    return jax.jit(lambda scene: solve_light(scene, accuracy))
 
 
-reflectance_of = quick_jit(directional_reflectance)
-fluxes_of = quick_jit(fluxes)
+reflectance_of = jax.jit(directional_reflectance)
+fluxes_of = jax.jit(fluxes)
 
 
 def slab(

@@ -18,7 +18,7 @@ from fynjax.radiation import (
     reflectance_factor,
     render,
 )
-from tests.radiation.scenes import patchy, quick_jit, solver
+from tests.radiation.scenes import patchy, solver
 from tests.radiation.test_monte_carlo_reference import with_fields
 
 pytestmark = pytest.mark.study
@@ -28,8 +28,8 @@ ACCURACY = Accuracy(
     sublayers=3, margin=6, coarsening=(1, 1), levels=4, azimuths=8, tolerance=1e-10, iterations=200
 )
 CAMERA, TARGET = (-0.3, 0.1, 1.6), (0.4, 0.35, 0.1)
-pixels = quick_jit(reflectance_factor)
-parts = quick_jit(lambda light, rays: render(light, rays))
+pixels = jax.jit(reflectance_factor)
+parts = jax.jit(lambda light, rays: render(light, rays))
 
 
 def tilted(rows=5, columns=6, field_of_view=20.0):
@@ -109,7 +109,7 @@ def test_each_pixel_is_a_parallel_view_of_one_point(light):
     width = 0.03
     rays = dataclasses.replace(rays, width=jnp.full(rays.shape, width))
 
-    @quick_jit
+    @jax.jit
     def alone(at):
         x, y, sx, sy = at
         zenith = jnp.rad2deg(jnp.arctan(jnp.hypot(sx, sy)))
@@ -168,7 +168,7 @@ def image_sum(scene):
 
 def test_derivative_of_a_tilted_image(scene):
     """With respect to the density and to the sun, in one random direction."""
-    value, slope = quick_jit(image_sum), quick_jit(jax.grad(image_sum))
+    value, slope = jax.jit(image_sum), jax.jit(jax.grad(image_sum))
     rng = np.random.default_rng(2)
     along = eqx.tree_at(
         lambda s: (s.area_density, s.illumination.sun_zenith),

@@ -14,7 +14,6 @@ from fynjax.radiation import Accuracy, parallel_rays, render
 from tests.radiation.scenes import (
     FINE,
     fluxes_of,
-    quick_jit,
     reflectance_of,
     slab,
     solver,
@@ -38,7 +37,7 @@ def depth(angle, zenith, lai):
     return np.asarray(angle.projection(jnp.asarray(mu))) * lai / mu
 
 
-@quick_jit
+@jax.jit
 def look(light, zenith, azimuth):
     x = jnp.array([0.3, 1.1])
     return jax.vmap(lambda z, a: render(light, parallel_rays(x, x, 0.2, z, a)))(zenith, azimuth)

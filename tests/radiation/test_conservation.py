@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fynjax.radiation import Accuracy, nadir_rays, parallel_rays, reflectance_factor, render
-from tests.radiation.scenes import closure, fluxes_of, patchy, quick_jit, reflectance_of, solver
+from tests.radiation.scenes import closure, fluxes_of, patchy, reflectance_of, solver
 
 CELLS = Accuracy(coarsening=(1, 1), levels=2, tolerance=1e-7, margin=6)
 MANY = Accuracy(lattice=4, sublayers=6, coarsening=(1, 1), levels=6, azimuths=12, tolerance=1e-7)
@@ -16,8 +16,8 @@ X, Y = jnp.linspace(0.02, 0.78, 9), jnp.linspace(0.03, 0.57, 7)
 
 
 CAMERA = nadir_rays(X, Y, 0.05, (0.4, 0.3, 3.0))
-see = quick_jit(render)
-photograph = quick_jit(reflectance_factor)
+see = jax.jit(render)
+photograph = jax.jit(reflectance_factor)
 
 
 def camera_factor(light):

@@ -12,14 +12,14 @@ from fynjax.radiation import (
     reference,
     reflectance_factor,
 )
-from tests.radiation.scenes import fluxes_of, patchy, quick_jit, reflectance_of, solver
+from tests.radiation.scenes import fluxes_of, patchy, reflectance_of, solver
 from tests.radiation.test_monte_carlo import clumps
 from tests.radiation.test_monte_carlo_reference import with_fields
 
 pytestmark = pytest.mark.study
 
 
-absorption_of = quick_jit(absorption)
+absorption_of = jax.jit(absorption)
 
 TIGHT = {"tolerance": 1e-8, "iterations": 200}
 HOW = {
@@ -31,7 +31,7 @@ HOW = {
 
 
 FINER = Accuracy(levels=4, azimuths=8, margin=6)
-image_of = quick_jit(reflectance_factor, static_argnames="chunk")
+image_of = jax.jit(reflectance_factor, static_argnames="chunk")
 
 
 def many_bands(count=40):

@@ -1,5 +1,6 @@
 """Where light goes: ray boxes by hand, shadows on the right side, cameras, ordinates."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,9 +16,9 @@ from fynjax.radiation import (
     render,
 )
 from fynjax.radiation._ordinates import Ordinates, coarse_grid, sweep
-from tests.radiation.scenes import fluxes_of, patchy, quick_jit, solver, towards
+from tests.radiation.scenes import fluxes_of, patchy, solver, towards
 
-see = quick_jit(render)
+see = jax.jit(render)
 BEAMS = Accuracy(lattice=8, sublayers=16, coarsening=(1, 1), levels=1, azimuths=4, margin=8)
 
 

@@ -21,7 +21,7 @@ from fynjax.radiation import (
     reflectance_factor,
     solve_light,
 )
-from tests.radiation.scenes import patchy, quick_jit
+from tests.radiation.scenes import patchy
 
 ACCURACY = Accuracy(levels=2, refine=False, margin=6, tolerance=1e-12, iterations=400)
 RAYS = nadir_rays(jnp.linspace(0.05, 0.75, 7), jnp.linspace(0.05, 0.55, 5), 0.05, (0.4, 0.3, 5.0))
@@ -45,9 +45,9 @@ def outcome(scene):
     )
 
 
-value = quick_jit(outcome)
-slope = quick_jit(jax.grad(outcome))
-push = quick_jit(lambda at, along: jax.jvp(outcome, (at,), (along,))[1])
+value = jax.jit(outcome)
+slope = jax.jit(jax.grad(outcome))
+push = jax.jit(lambda at, along: jax.jvp(outcome, (at,), (along,))[1])
 
 
 def with_options(boundary):
@@ -88,8 +88,8 @@ def test_derivatives_at_the_default_tolerance():
         def albedo(scene, accuracy=accuracy):
             return fluxes(solve_light(scene, accuracy)).albedo @ jnp.array([1.0, 2.0])
 
-        value, forward = quick_jit(lambda at, d: jax.jvp(albedo, (at,), (d,)))(scene, along)
-        back = quick_jit(jax.grad(albedo))(scene)
+        value, forward = jax.jit(lambda at, d: jax.jvp(albedo, (at,), (d,)))(scene, along)
+        back = jax.jit(jax.grad(albedo))(scene)
         backward = sum(
             jnp.sum(a * b) for a, b in zip(jax.tree.leaves(back), jax.tree.leaves(along))
         )

@@ -18,7 +18,7 @@ from fynjax.radiation import (
     solve_light,
 )
 from fynjax.radiation._ordinates import Ordinates, sky_radiance
-from tests.radiation.scenes import closure, fluxes_of, patchy, quick_jit, reflectance_of, solver
+from tests.radiation.scenes import closure, fluxes_of, patchy, reflectance_of, solver
 from tests.radiation.test_monte_carlo import clumps
 from tests.radiation.test_monte_carlo_reference import bare, rahman, with_fields
 
@@ -211,7 +211,7 @@ def outcome(scene):
     )
 
 
-value, slope = quick_jit(outcome), quick_jit(jax.grad(outcome))
+value, slope = jax.jit(outcome), jax.jit(jax.grad(outcome))
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,6 @@ from fynjax.radiation import (
 from tests.radiation.scenes import (
     FINE,
     patchy,
-    quick_jit,
     reflectance_of,
     slab,
     solver,
@@ -188,7 +187,7 @@ def outcome(at):
     return jnp.sum(WEIGHTS * reflectance_of(light, zenith, azimuth))
 
 
-value, slope = quick_jit(outcome), quick_jit(jax.grad(outcome))
+value, slope = jax.jit(outcome), jax.jit(jax.grad(outcome))
 
 
 def near_the_sun(zenith, azimuth):

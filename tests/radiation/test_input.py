@@ -24,7 +24,7 @@ from fynjax.radiation import (
     voxel_scene,
 )
 from fynjax.radiation._render import check_fit
-from tests.radiation.scenes import patchy, quick_jit, solver
+from tests.radiation.scenes import patchy, solver
 
 
 def change(select, value, boundary="periodic"):
@@ -389,5 +389,5 @@ def test_an_empty_grid_is_the_bare_ground():
     scene = plain(area_density=np.zeros((1, 2, 4, 4)), sky=0.3)
     x = (jnp.arange(4) + 0.5) * 0.1
     light = solver(Accuracy(levels=1, azimuths=2))(scene)
-    image = quick_jit(reflectance_factor)(light, nadir_rays(x, x, 0.1, (0.2, 0.2, math.inf)))
+    image = jax.jit(reflectance_factor)(light, nadir_rays(x, x, 0.1, (0.2, 0.2, math.inf)))
     np.testing.assert_allclose(image, np.broadcast_to([[[0.2]], [[0.3]]], (2, 4, 4)), rtol=1e-12)

@@ -25,7 +25,6 @@ from fynjax.radiation import (
 )
 from fynjax.radiation._reduced import check_reducible, solve_reduced
 from fynjax.radiation._sun import trace_sun
-from tests.radiation.scenes import quick_jit
 
 pytestmark = pytest.mark.study
 
@@ -104,9 +103,9 @@ EVERY = dataclasses.replace(
     TIGHT, azimuths=4, tolerance=1e-8, iterations=300, solves=None, refine=False
 )
 FEW = {solves: dataclasses.replace(EVERY, solves=solves) for solves in (10, 25)}
-light_of = quick_jit(solve_light, static_argnums=1)
-image = quick_jit(reflectance_factor)
-fluxes_of = quick_jit(fluxes)
+light_of = jax.jit(solve_light, static_argnums=1)
+image = jax.jit(reflectance_factor)
+fluxes_of = jax.jit(fluxes)
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +147,7 @@ def test_fluxes_of_425_bands(want, got):
 def test_residual_tracks_the_error(want, few):
     """Within the amplification of multiple scattering, and in the order of the bands' errors."""
     field = few.diffuse
-    parts = quick_jit(lambda field: field.bands(0, 425))(field)
+    parts = jax.jit(lambda field: field.bands(0, 425))(field)
     true, found = want.diffuse.intensity, parts.intensity
     error = np.linalg.norm((found - true).reshape(425, -1), axis=1)
     error /= np.linalg.norm(true.reshape(425, -1), axis=1)
@@ -246,7 +245,7 @@ def test_exact_where_all_that_differ_are_solved(what):
 
 def test_residual_shows_ground_that_is_no_mixture():
     scene = repeated(shrubs(), REPEATED)
-    one = quick_jit(lambda scene: reduced(scene, TIGHT, 4, 1)[0].residual)(scene)
+    one = jax.jit(lambda scene: reduced(scene, TIGHT, 4, 1)[0].residual)(scene)
     assert float(one.max()) > 1e-5  # with three it is below 1e-6: the test above
 
 
@@ -269,9 +268,9 @@ def outcome(scene, solves=5):
     )
 
 
-value = quick_jit(outcome)
-slope = quick_jit(jax.grad(outcome))
-push = quick_jit(lambda at, along: jax.jvp(outcome, (at,), (along,))[1])
+value = jax.jit(outcome)
+slope = jax.jit(jax.grad(outcome))
+push = jax.jit(lambda at, along: jax.jvp(outcome, (at,), (along,))[1])
 
 
 @pytest.fixture(scope="module")

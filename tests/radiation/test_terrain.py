@@ -14,7 +14,7 @@ from fynjax.radiation import (
     reflectance_factor,
     solve_light,
 )
-from tests.radiation.scenes import fluxes_of, patchy, quick_jit, reflectance_of, solver, towards
+from tests.radiation.scenes import fluxes_of, patchy, reflectance_of, solver, towards
 from tests.radiation.test_monte_carlo_reference import bare, with_fields
 
 pytestmark = pytest.mark.study
@@ -24,7 +24,7 @@ ACCURACY = Accuracy(lattice=2, sublayers=2, coarsening=(1, 1), levels=4, azimuth
 REFINED = Accuracy(lattice=2, sublayers=2, coarsening=(2, 2), levels=4, azimuths=8, margin=12)
 VIEWS = np.array([0.0, 40.0]), np.array([0.0, 250.0])
 SIZE = 12  # scenes of equal shape share a compilation
-pixels = quick_jit(reflectance_factor)
+pixels = jax.jit(reflectance_factor)
 
 
 def centres(count, size=1.0):
@@ -194,7 +194,7 @@ def outcome(scene):
 ACCURACY_OF_DERIVATIVES = Accuracy(
     lattice=1, sublayers=2, coarsening=(1, 1), levels=2, azimuths=4, tolerance=1e-12, margin=6
 )
-value, slope = quick_jit(outcome), quick_jit(jax.grad(outcome))
+value, slope = jax.jit(outcome), jax.jit(jax.grad(outcome))
 
 
 @pytest.mark.parametrize("boundary", ["periodic", pytest.param("open", marks=pytest.mark.slow)])
@@ -218,7 +218,7 @@ def test_derivative_with_respect_to_the_terrain(boundary):
         got = float(jnp.sum(select(gradient) * step))
         assert got == pytest.approx(difference, rel=1e-5)
     if boundary == "open":
-        _, pushed = quick_jit(lambda at, step: jax.jvp(outcome, (at,), (step,)))(scene, along)
+        _, pushed = jax.jit(lambda at, step: jax.jvp(outcome, (at,), (step,)))(scene, along)
         assert float(pushed) == pytest.approx(got, rel=1e-8)
 
 

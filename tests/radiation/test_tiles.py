@@ -69,7 +69,10 @@ print("same")
 
 @pytest.mark.slow
 def test_four_devices_make_the_same_picture():
-    environment = {**os.environ, "XLA_FLAGS": "--xla_force_host_platform_device_count=4"}
+    environment = {
+        **os.environ,
+        "XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4",
+    }
     done = subprocess.run(
         [sys.executable, "-c", DEVICES],
         cwd=Path(__file__).parents[2],

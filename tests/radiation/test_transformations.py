@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fynjax.radiation import Accuracy, fluxes, nadir_rays, reflectance_factor, solve_light
-from tests.radiation.scenes import patchy, quick_jit
+from tests.radiation.scenes import patchy
 
 RAYS = nadir_rays(jnp.linspace(0.05, 0.75, 4), jnp.linspace(0.05, 0.55, 3), 0.1, (0.4, 0.3, 5.0))
 SCENES = [patchy(seed=seed, sun=(20.0 + 15 * seed, 80.0 * seed)) for seed in range(3)]
@@ -17,10 +17,10 @@ def both(scene):
 
 
 def test_many_scenes_at_once():
-    compiled = quick_jit(both)
+    compiled = jax.jit(both)
     loop = [compiled(scene) for scene in SCENES]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *SCENES)
-    together = quick_jit(jax.vmap(both))(stacked)
+    together = jax.jit(jax.vmap(both))(stacked)
     for index, one in enumerate(loop):
         for got, want in zip(jax.tree.leaves(together), jax.tree.leaves(one), strict=True):
             # Both stop at the same residual, on sums taken in another order.
@@ -30,7 +30,7 @@ def test_many_scenes_at_once():
 def test_scenes_of_equal_shape_share_one_compilation():
     traces = []
 
-    @quick_jit
+    @jax.jit
     def counted(scene):
         traces.append(scene.boundary)
         return solve_light(scene, Accuracy(levels=1, refine=False, margin=4)).diffuse.top

@@ -104,9 +104,11 @@ def test_a_nadir_frame_is_the_image_of_render(model, drone):
 
 def test_a_wide_pixel_is_the_mean_of_small_ones(model, drone):
     """Rays half a voxel apart, against pixels of an eighth: what is left is 0.1 %."""
-    light = eqx.filter_jit(solve_light)(model.scene(small_parameters()), model.accuracy)
     fine = plot_sensing(model, drone, altitude=1000.0, pixel=0.0125)
-    small = np.asarray(reflectance_factor(light, fine.rays)).reshape(4, 4, 32, 4, 32).mean((2, 4))
+    seen = eqx.filter_jit(
+        lambda s, p: reflectance_factor(solve_light(s.model.scene(p), s.model.accuracy), s.rays)
+    )(fine, small_parameters())
+    small = np.asarray(seen).reshape(4, 4, 32, 4, 32).mean((2, 4))
     wide = plot_sensing(model, drone, altitude=1000.0, pixel=0.4)
     seen = observe(wide, small_parameters()).reflectance
     assert seen.shape == (4, 4, 4)
@@ -234,7 +236,7 @@ def test_noise_is_seeded_and_as_large_as_its_model_says(model, drone):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_radiance_has_the_derivative_of_differences(model, drone):
     """In cover, chlorophyll, the sun and the water in the air; wide pixels, a point spread."""
     psf = PointSpread("gaussian", 1.2)

@@ -277,7 +277,7 @@ def test_gradients_of_the_camera():
 # From the ground through the air and the camera, and back
 
 
-@pytest.mark.parametrize("seen", ["map", pytest.param("rendered", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seen", ["map", pytest.param("rendered", marks=pytest.mark.study)])
 def test_panels_come_back_through_air_camera_and_line(seen):
     """Four panels on the ground, as a map or rendered in a scene; the darkest and the brightest
     make the line, the others and the soil come back at their reflectance to 0.1 %."""
