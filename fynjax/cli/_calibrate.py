@@ -1,5 +1,6 @@
 """`fynjax calibrate`."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -15,22 +16,42 @@ Target = Annotated[
         help="Real image (GeoTIFF, reflectance), or a table with statistic, value, sd.",
     ),
 ]
+Targets = Annotated[
+    list[Path],
+    typer.Option(
+        metavar="FILE",
+        help="What was measured; may be given once for each kind. Drone image (GeoTIFF, "
+        "reflectance) or a table with statistic, value, sd. Spectrum (CSV, ASD, ENVI library) or "
+        "image of many bands (ENVI, NetCDF, GeoTIFF), of which the mean counts. Point cloud (LAS, "
+        "LAZ) or a table with metric, value, sd, grain_m, returns_m2.",
+    ),
+]
+Checkpoint = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Folder of the unfinished run; OUTPUT.checkpoint if left out. The same command goes "
+        "on from it.",
+    ),
+]
 
 
 def calibrate(
     plot: PlotPath,
-    target: Target,
+    target: Targets,
+    checkpoint: Checkpoint = None,
     output: Output = Path("output/calibrate"),
     seed: OwnSeed = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find the parameters of a plot that explain a real image.
+    """Find the parameters of a plot that explain what was measured of it.
 
-    Writes every parameter with prior, estimate and standard deviation, the statistics before and
-    after, images, figures and a report page.
+    By one sensor or several at once. Writes every parameter with prior, estimate and standard
+    deviation, the statistics before and after, images, figures and a report page. An interrupted
+    run goes on when the same command is given again.
 
-    Example:  fynjax calibrate plot.toml --target statistics.csv
+    Example:  fynjax calibrate plot.toml --target statistics.csv --target cloud.laz
     """
     from fynjax.io._plot_file import read_plot
     from fynjax.io._tables import existing_file
@@ -38,16 +59,27 @@ def calibrate(
     # Before the heavy imports: a slip in a file shows at once.
     read = read_plot(plot)
     number = read.seed if seed is None else seed
-    existing_file(target, "an image or a table of statistics")
+    for path in target:
+        existing_file(path, "an image, a spectrum, a point cloud or a table of their statistics")
+    own = output.with_name(f"{output.name}.checkpoint") if checkpoint is None else checkpoint
+    from fynjax._core.journal import forget_journal
     from fynjax.report._jobs import run_calibrate
 
-    run_job(
-        "calibrate",
-        lambda folder, progress: run_calibrate(
-            plot, target, folder, seed=number, progress=progress
-        ),
-        output,
-        seed=number,
-        as_json=json,
-        quiet=quiet,
-    )
+    try:
+        run_job(
+            "calibrate",
+            lambda folder, progress: run_calibrate(
+                plot, target, folder, seed=number, checkpoint=own, progress=progress
+            ),
+            output,
+            seed=number,
+            as_json=json,
+            quiet=quiet,
+        )
+    except KeyboardInterrupt:
+        print(
+            f"fynjax: interrupted; {own} keeps what was done, and the same command goes on with it",
+            file=sys.stderr,
+        )
+        sys.exit(130)
+    forget_journal(own)

@@ -3,6 +3,7 @@
 from fynjax.inversion._calibrate import (
     COARSE,
     Calibration,
+    Ends,
     calibrate_plot,
     coarser,
     free_space,
@@ -23,25 +24,46 @@ from fynjax.inversion._sensitivity import (
 )
 from fynjax.inversion._sensor_sweep import SensorSetting, even_bands, sweep_sensors
 from fynjax.inversion._space import PLAUSIBLE, ParameterSpace, make_space, match_names
-from fynjax.inversion._targets import IMAGE_STATISTICS, weigh_targets
+from fynjax.inversion._targets import (
+    IMAGE_STATISTICS,
+    join_data,
+    weigh_spectrum,
+    weigh_structure,
+    weigh_targets,
+)
+from fynjax.inversion._views import (
+    AbstractView,
+    ImageView,
+    PlotForward,
+    SpectrumView,
+    StructureView,
+    spectrum_view,
+    structure_view,
+)
 
 __all__ = [
     "COARSE",
     "IMAGE_STATISTICS",
     "PLAUSIBLE",
     "SEEN",
+    "AbstractView",
     "Calibration",
     "Data",
     "DerivativeMeasures",
+    "Ends",
     "FitResult",
     "Forward",
+    "ImageView",
     "Information",
     "LocalSensitivity",
     "LogPosterior",
     "ParameterSpace",
+    "PlotForward",
     "Posterior",
     "SensorSetting",
     "SobolIndices",
+    "SpectrumView",
+    "StructureView",
     "calibrate_plot",
     "coarser",
     "derivative_measures",
@@ -49,12 +71,17 @@ __all__ = [
     "fisher_information",
     "fit",
     "free_space",
+    "join_data",
     "local_sensitivity",
     "make_space",
     "match_names",
     "plot_statistics",
     "sample_posterior",
     "sobol_indices",
+    "spectrum_view",
+    "structure_view",
     "sweep_sensors",
+    "weigh_spectrum",
+    "weigh_structure",
     "weigh_targets",
 ]

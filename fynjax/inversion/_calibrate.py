@@ -1,24 +1,25 @@
-"""Calibrate a plot to the statistics of an image."""
+"""Calibrate a plot to what sensors measured of it."""
 
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
+from pathlib import Path
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.journal import Journal, keep_nothing
 from fynjax.canopy import VoxelGrid
-from fynjax.inversion._fit import Forward, Predict, evaluate, fit
+from fynjax.inversion._fit import Predict
 from fynjax.inversion._fit_result import Data, FitResult
+from fynjax.inversion._search import End, Search, signature
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
-from fynjax.metrics import image_statistics
+from fynjax.inversion._views import AbstractView, ImageView, PlotForward
 from fynjax.radiation import Accuracy
-from fynjax.scene import PlotModel, PlotParameters, named_values, replant, with_values
+from fynjax.scene import PlotModel, PlotParameters, named_values, replant
 
 COARSE = Accuracy(
     lattice=1,
@@ -38,18 +39,35 @@ class Calibration(eqx.Module):
     fit: FitResult
     before: PlotParameters
     after: PlotParameters
-    image_before: Float[Array, "band y x"]
-    image_after: Float[Array, "band y x"]
+    views: tuple[AbstractView, ...]
+    """What each sensor yields, in the order of the statistics."""
+    image_before: Float[Array, "band y x"] | None
+    """None where no sensor is a drone's camera."""
+    image_after: Float[Array, "band y x"] | None
     statistics_before: Float[Array, " statistic"]
-    """Of the full image at full accuracy."""
+    """Of the full model at full accuracy."""
     statistics_after: Float[Array, " statistic"]
     offset: Float[Array, " statistic"]
     """What the search's cheap model lacks against the full one, at the estimate."""
     data: Data
     """The targets, their errors grown by what other plantings change."""
+    ends: "Ends"
+    """Where the search ended from each start."""
     seconds: dict[str, float] = eqx.field(static=True)
     """Wall time of a full render, of a step of the search (a value and the gradient of every
     statistic, for least squares) and of the whole search, compilation included [s]."""
+
+
+class Ends(eqx.Module):
+    """Where a search ended from each of its starts, the first of which is the prior's centre."""
+
+    objective: Float[np.ndarray, " start"]
+    """Of the full model."""
+    whitened: Float[np.ndarray, "start free"]
+    apart: Float[np.ndarray, " start"]
+    """Largest distance of a parameter from the best end [posterior sd]."""
+    minima: int = eqx.field(static=True)
+    """Ends that differ: in some parameter by more than its posterior standard deviation."""
 
 
 def free_space(
@@ -94,6 +112,7 @@ def calibrate_plot(
     data: Data,
     space: ParameterSpace,
     *,
+    views: Sequence[AbstractView] | None = None,
     stride: int = 9,
     coarse: Accuracy = COARSE,
     rounds: int = 2,
@@ -102,12 +121,15 @@ def calibrate_plot(
     tolerance: float = 0.02,
     method: str = "least_squares",
     start: Float[Array, " free"] | None = None,
+    starts: int = 1,
+    seed: int = 0,
+    checkpoint: str | Path | None = None,
     report: Callable[[str, float, float], None] | None = None,
 ) -> Calibration:
-    """Calibrate the free parameters of a plot to statistics of an image.
+    """Calibrate the free parameters of a plot to what one or several sensors measured.
 
-    The search renders every `stride`-th pixel, with `coarse` light in layers twice as thick. What
-    that lacks against the full image at the model's own accuracy is measured at the start of each
+    The search looks at every `stride`-th pixel, with `coarse` light in layers twice as thick. What
+    that lacks against the full model at its own accuracy is measured at the start of each
     of the `rounds` and added to its statistics, so that the estimate is one of the full model;
     rounds after the first only correct, in half as many steps. The estimate is the best of the
     start and the rounds by the full model's objective.
@@ -115,103 +137,98 @@ def calibrate_plot(
     Where exactly each plant stands nobody measured, and the model leaves it to chance. What that
     does to the statistics and their slopes is measured at the estimate on `replants` other
     plantings, and the uncertainty allows for it (`FitResult.marginal`); with 0 the image's plants
-    count as standing where the model's do.
+    count as standing where the model's do. All sensors see the same plants.
 
-    `method`, `max_steps`, `tolerance` and `start` are those of `fit`; `report` is called with the
-    stage, the objective and its gradient's norm.
+    **Arguments:**
+
+    - `data`: the statistics of all views, one after the other (`join_data`).
+    - `views`: what each sensor yields; left out, those statistics of a drone's image.
+    - `method`, `max_steps`, `tolerance` and `start` are those of `fit`.
+    - `starts`: searches, the others from draws of the prior (by `seed`); the best is kept, and
+      `Calibration.ends` says how far they lie apart.
+    - `checkpoint`: a folder that keeps every step. The same call goes on from it, and ends as if
+      it had not been interrupted; `forget_journal` removes it.
+    - `report`: called with the stage, the objective and its gradient's norm.
+
+    Raises `InputError` for views that do not yield the data's statistics, a start at which these
+    are not finite, and a checkpoint of another calibration.
     """
-    if rounds < 1:
-        raise InputError(f"`rounds` must be at least 1, but is {rounds}")
-    names = data.names
-    quick = coarser(model, coarse)
-    render = eqx.filter_jit(lambda m, p: _image_and_statistics(m, p, names))
-
-    def full(values: PlotParameters, planted: PlotModel = model) -> tuple[Array, Array]:
-        return jax.block_until_ready(render(planted, values))
-
-    predict = plot_statistics(parameters, space.names, names, stride)
-    forward = Forward(predict, space)
-    u = jnp.zeros(len(space.names)) if start is None else start
-    before = with_values(parameters, model.taxa, space.named(u))
-    image_before, statistics_before = full(before)
-    statistics = statistics_before
-    seconds: dict[str, float] = {}
-    losses, norms, times = [], [], []
-    began = time.perf_counter()
-
-    def note(turn: int, loss: float, norm: float) -> None:
-        times.append(time.perf_counter())
-        if report is not None:
-            report(f"round {turn + 1}", loss, norm)
-
-    def objective(u: Array, statistics: Array) -> float:
-        rest = data.whiten(statistics - data.value)
-        return 0.5 * float(rest @ rest + u @ u)
-
-    best, chosen = objective(u, statistics), u
-    result: FitResult | None = None
-    after, image_after, statistics_after = before, image_before, statistics
-    predicted, _ = evaluate(forward, data, u, (quick,))
-    offset_chosen = offset_before = statistics - predicted
-    for turn in range(rounds):
-        offset = statistics - predicted
-        found = fit(
-            predict,
-            data,
-            space,
-            method=method,
-            max_steps=max_steps if turn == 0 else (max_steps + 1) // 2,
-            tolerance=tolerance,
-            start=u,
-            offset=offset,
-            forward=forward,
-            context=(quick,),
-            report=partial(note, turn),
+    for name, count in (("rounds", rounds), ("starts", starts)):
+        if count < 1:
+            raise InputError(f"`{name}` must be at least 1, but is {count}")
+    views = (ImageView(data.names),) if views is None else tuple(views)
+    yielded = tuple(name for view in views for name in view.names)
+    if yielded != data.names:
+        raise InputError(
+            f"`views` must yield the statistics of `data` in their order, {data.names[:3]}..., but "
+            f"yield {yielded[:3]}..."
         )
-        u, predicted = found.whitened, found.predicted - offset
-        plot = with_values(parameters, model.taxa, space.named(u))
-        image, statistics = full(plot)
-        losses.append(found.loss)
-        norms.append(found.gradient_norm)
-        # The quick model's best need not be the full model's.
-        if objective(u, statistics) < best:
-            best, result, after = objective(u, statistics), found, plot
-            image_after, statistics_after, chosen = image, statistics, u
-            offset_chosen = statistics - predicted
-    if result is None:
-        result = fit(
-            predict, data, space, start=chosen, max_steps=1, offset=offset_before,
-            forward=forward, context=(quick,),
-        )  # fmt: skip
-        status = "No step improved on the start; the estimate is the start."
-        result = dataclasses.replace(result, status=status, converged=False)
-    seconds["search_s"] = time.perf_counter() - began
-    seconds["render_s"] = float("nan")
-    grown = data
-    if replants:
-        plantings = range(1, replants + 1)
-        clock = time.perf_counter()
-        drawn = [full(after, replant(model, seed))[1] for seed in plantings]
-        seconds["render_s"] = (time.perf_counter() - clock) / replants
-        slopes = [evaluate(forward, data, chosen, (replant(quick, s),))[1] for s in plantings]
-        deviations = jnp.stack(drawn) - statistics_after
+    free = len(space.names)
+    first = jnp.zeros(free) if start is None else jnp.asarray(start, float)
+    drawn = np.random.default_rng([seed, 61]).normal(size=(starts - 1, free)).clip(-2.0, 2.0)
+    settings = (stride, rounds, replants, max_steps, tolerance, method, starts)
+    journal = None
+    if checkpoint is not None:
+        signed = (model, parameters, data, space, views, coarse, first, drawn)
+        journal = Journal(checkpoint, signature(signed, settings))
+    search = Search(
+        model, parameters, data, space, views, coarser(model, coarse), stride,
+        journal or keep_nothing, report,
+    )  # fmt: skip
+    began = time.perf_counter()
+    ends = [
+        search.run(
+            u, rounds, max_steps, tolerance, method, f"start {i + 1}, " if drawn.size else ""
+        )
+        for i, u in enumerate([first, *map(jnp.asarray, drawn)])
+    ]
+    best = min(ends, key=lambda end: end.objective)
+    seconds = {"search_s": time.perf_counter() - began, "render_s": float("nan")}
+    result, grown = best.fit, data
+    if replants and np.isfinite(np.asarray(result.jacobian)).all():
+        plantings = [replant(model, s) for s in range(1, replants + 1)]
+        clock, done = time.perf_counter(), search.done
+        looked = [search.look(best.plot, planted)[0] for planted in plantings]
+        if search.done > done:
+            seconds["render_s"] = (time.perf_counter() - clock) / (search.done - done)
+        slopes = [search.slopes(best.u, replant(search.quick, s)) for s in range(1, replants + 1)]
+        deviations = jnp.stack(looked) - best.statistics
         grown = data.with_scatter(deviations)
         result = result.marginal(deviations, jnp.stack(slopes))
     result = dataclasses.replace(
-        result, loss=np.concatenate(losses), gradient_norm=np.concatenate(norms)
+        result, loss=np.concatenate(best.losses), gradient_norm=np.concatenate(best.norms)
     )
-    seconds["step_s"] = float(np.median(np.diff(times))) if len(times) > 1 else float("nan")
+    seconds["step_s"] = float(np.median(np.diff(search.times))) if len(search.times) > 1 else np.nan
+    origin = ends[0]
     return Calibration(
-        result,
-        before,
-        after,
-        image_before,
-        image_after,
-        statistics_before,
-        statistics_after,
-        offset_chosen,
-        grown,
-        seconds,
+        fit=result,
+        before=origin.before,
+        after=best.plot,
+        views=views,
+        image_before=origin.image_before,
+        image_after=best.image,
+        statistics_before=origin.statistics_before,
+        statistics_after=best.statistics,
+        offset=best.offset,
+        data=grown,
+        ends=_ends(ends, best, result),
+        seconds=seconds,
+    )
+
+
+def _ends(ends: Sequence[End], best: End, result: FitResult) -> Ends:
+    """How far the ends of a search lie apart, and how many are distinct."""
+    sd = np.sqrt(np.diagonal(np.asarray(result.covariance)))
+    places = np.stack([np.asarray(end.u) for end in ends])
+    kept: list[np.ndarray] = []
+    for i in np.argsort([end.objective for end in ends], kind="stable"):
+        if all(np.max(np.abs(places[i] - other) / sd) > 1.0 for other in kept):
+            kept.append(places[i])
+    return Ends(
+        objective=np.array([end.objective for end in ends]),
+        whitened=places,
+        apart=np.max(np.abs(places - np.asarray(best.u)) / sd, axis=1),
+        minima=len(kept),
     )
 
 
@@ -226,20 +243,7 @@ def plot_statistics(
 
     Every `stride`-th pixel is rendered. Differentiable; `model` is the `context` of `fit`.
     """
-
-    def predict(values: Array, model: PlotModel) -> Array:
-        named = {name: values[i] for i, name in enumerate(free)}
-        plot = with_values(parameters, model.taxa, named)
-        return image_statistics(model.image(plot, stride), statistics).astype(values.dtype)
-
-    return predict
-
-
-def _image_and_statistics(
-    model: PlotModel, parameters: PlotParameters, names: tuple[str, ...]
-) -> tuple[Array, Array]:
-    image = model.image(parameters)
-    return image, image_statistics(image, names).astype(float)
+    return PlotForward(parameters, free, (ImageView(statistics, stride),))
 
 
 def coarser(model: PlotModel, accuracy: Accuracy) -> PlotModel:

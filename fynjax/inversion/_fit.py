@@ -15,6 +15,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.journal import Keep, keep_nothing
 from fynjax.inversion._fit_result import Data, FitResult, posterior
 from fynjax.inversion._space import ParameterSpace
 
@@ -36,6 +37,7 @@ def fit(
     report: Callable[[float, float], None] | None = None,
     forward: "Forward | None" = None,
     context: tuple[Any, ...] = (),
+    keep: Keep = keep_nothing,
 ) -> FitResult:
     """Find the most probable parameters.
 
@@ -53,9 +55,10 @@ def fit(
     - `report`: called with the objective and the norm of its gradient at each evaluation.
     - `forward`: the compiled forward model of an earlier call, to be used again.
     - `context`: further arguments of `predict`.
+    - `keep`: how a step is done, such as by a `Journal`, which keeps what it returned.
 
-    A stop without convergence, and a loss that is not finite, are stated in the result, not
-    raised.
+    A stop without convergence, a loss or slope that is not finite, and parameters that nothing
+    depends on are stated in the result's `status`, not raised.
     """
     if max_steps < 1:
         raise InputError(f"`max_steps` must be at least 1, but is {max_steps}")
@@ -70,19 +73,23 @@ def fit(
             report(*history[-1])
 
     if method == "least_squares":
-        solver = _LeastSquares(forward, data, shift, tolerance, context)
+        solver = _LeastSquares(forward, data, shift, tolerance, context, keep)
         u, predicted, jacobian, status, converged = solver.run(u, max_steps, note)
     elif method == "lbfgsb":
-        misfit = lambda u: forward.misfit(u, data, shift, context)  # noqa: E731
+        misfit = lambda u: keep(lambda: forward.misfit(u, data, shift, context))  # noqa: E731
         u, status, converged = _quasi_newton(misfit, u, max_steps, tolerance, note)
-        predicted, jacobian = forward.jacobian(u, context)
+        predicted, jacobian = keep(lambda: forward.jacobian(u, context))
     else:
         raise InputError(f"`method` must be 'lbfgsb' or 'least_squares', but is {method!r}")
     predicted = predicted + shift
     scaled = data.whiten(jacobian)
     losses, norms = np.asarray(history, float).reshape(-1, 2).T
-    if not np.all(np.isfinite(np.asarray(predicted))):
-        status, converged = "A predicted statistic is not finite; the estimate is of no use.", False
+    if reason := _broken(predicted, jacobian, data, space):
+        status, converged = f"{reason}; the estimate is of no use.", False
+        scaled = jnp.zeros_like(scaled)
+    elif still := [n for n, s in zip(space.names, np.abs(jacobian).max(axis=0)) if s == 0.0]:
+        shown = ", ".join(still[:3]) + (f" and {len(still) - 3} more" if len(still) > 3 else "")
+        status += f" No statistic depends on {shown}: flat, left at the prior."
     return FitResult(
         space=space,
         data=data,
@@ -98,24 +105,42 @@ def fit(
     )
 
 
+def _broken(predicted: Array, jacobian: Array, data: Data, space: ParameterSpace) -> str:
+    """Which statistic or slope is not finite, in words; nothing if all are."""
+    value, slope = (np.isfinite(np.asarray(a)) for a in (predicted, jacobian))
+    if not value.all():
+        return f"A predicted statistic is not finite ({data.names[int(np.argmin(value))]})"
+    if not slope.all():
+        row, column = np.argwhere(~slope)[0]
+        return f"The slope of {data.names[row]} by {space.names[column]} is not finite"
+    return ""
+
+
+def jacobian_by_rows(
+    function: Callable[[Array], Array], u: Float[Array, " free"]
+) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
+    """Value and Jacobian by reverse mode, a statistic at a time."""
+    value, backward = jax.vjp(function, u)
+    every = jnp.eye(value.size, dtype=value.dtype)
+    return value, jax.lax.map(lambda row: backward(row)[0], every, batch_size=1)
+
+
 class Forward:
     """A forward model in whitened coordinates, each way of running it compiled once.
 
-    Derivatives are by reverse mode: a plot has more free parameters than statistics.
+    Derivatives are by reverse mode: a plot has more free parameters than statistics. A forward
+    model that knows a cheaper way has a method `jacobian(values_at, u, *context)`.
     """
 
-    def __init__(self, predict: Predict, space: ParameterSpace, rows_at_once: int = 1) -> None:
+    def __init__(self, predict: Predict, space: ParameterSpace) -> None:
         def values(u: Array, context: tuple[Any, ...] = ()) -> Array:
             return predict(space.physical(u), *context).astype(u.dtype)
 
         def with_jacobian(u: Array, context: tuple[Any, ...] = ()) -> tuple[Array, Array]:
-            value, backward = jax.vjp(lambda u: values(u, context), u)
-            rows = jax.lax.map(
-                lambda row: backward(row)[0],
-                jnp.eye(value.size, dtype=value.dtype),
-                batch_size=min(rows_at_once, value.size),
-            )
-            return value, rows
+            own = getattr(predict, "jacobian", None)
+            if own is not None:
+                return own(space.physical, u, *context)
+            return jacobian_by_rows(lambda u: values(u, context), u)
 
         def misfit(
             u: Array, data: Data, offset: Array, context: tuple[Any, ...] = ()
@@ -176,10 +201,16 @@ class _LeastSquares:
     between steps, and another fit of the same forward model compiles nothing."""
 
     def __init__(
-        self, forward: Forward, data: Data, offset: Array, tolerance: float, context: Any
+        self,
+        forward: Forward,
+        data: Data,
+        offset: Array,
+        tolerance: float,
+        context: Any,
+        keep: Keep = keep_nothing,
     ) -> None:
         self._forward, self._data, self._offset, self._context = forward, data, offset, context
-        self._tolerance = jnp.asarray(tolerance)
+        self._tolerance, self._keep = jnp.asarray(tolerance), keep
 
     def start(self, u: Array) -> Any:
         # A stand-in with the right shapes: to trace the forward model for them takes seconds.
@@ -192,9 +223,19 @@ class _LeastSquares:
         return eqx.tree_at(lambda s: s.search_state.step_size, state, jnp.asarray(_TRUST))
 
     def step(self, u: Array, state: Any) -> Any:
-        return self._forward.step(
-            u, state, self._data, self._offset, self._tolerance, self._context
-        )
+        now, still = eqx.partition((u, state), eqx.is_array)
+        structure = jax.tree.structure(now)
+
+        def do() -> tuple[Array, ...]:
+            u, state = eqx.combine(now, still)
+            u, state, _, done = self._forward.step(
+                u, state, self._data, self._offset, self._tolerance, self._context
+            )
+            return done, *jax.tree.leaves(eqx.filter((u, state), eqx.is_array))
+
+        done, *arrays = self._keep(do)
+        u, state = eqx.combine(jax.tree.unflatten(structure, arrays), still)
+        return u, state, state.aux, done
 
     def run(
         self, u: Array, max_steps: int, note: Callable[[Array, Array], None]
@@ -204,6 +245,8 @@ class _LeastSquares:
         for count in range(1, max_steps + 1):
             u, state, (value, jacobian, loss, slope), done = self.step(u, state)
             note(loss, slope)
+            if not np.isfinite(float(loss) + float(slope)):
+                return u, value, jacobian, f"The loss is not finite at step {count}.", False
             if bool(done):
                 return u, value, jacobian, f"Converged after {_steps(count)}.", True
         return u, value, jacobian, f"Stopped at the limit of {_steps(max_steps)}.", False
@@ -214,16 +257,20 @@ def _steps(count: int) -> str:
 
 
 def evaluate(
-    forward: Forward, data: Data, u: Array, context: tuple[Any, ...] = ()
+    forward: Forward,
+    data: Data,
+    u: Array,
+    context: tuple[Any, ...] = (),
+    keep: Keep = keep_nothing,
 ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
     """Statistics and Jacobian at `u`, by the first step of a fit, so that nothing else compiles."""
-    solver = _LeastSquares(forward, data, jnp.zeros_like(data.value), 1.0, context)
+    solver = _LeastSquares(forward, data, jnp.zeros_like(data.value), 1.0, context, keep)
     _, _, (value, jacobian, *_), _ = solver.step(u, solver.start(u))
     return value, jacobian
 
 
 def _quasi_newton(
-    misfit: Callable[[Array], tuple[Array, Array]],
+    misfit: Callable[[Array], tuple[Array, ...]],
     start: Array,
     max_steps: int,
     tolerance: float,

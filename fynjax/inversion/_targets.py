@@ -1,8 +1,9 @@
-"""Which statistics of an image a calibration compares, and with what errors."""
+"""What a calibration compares with measurements of each sensor, and with what errors."""
 
 from collections.abc import Sequence
 
 import jax.numpy as jnp
+import jax.scipy.linalg
 import numpy as np
 from jaxtyping import Float
 
@@ -44,8 +45,7 @@ def weigh_targets(
 
     Raises `InputError` if `relative_sd` is not positive or a value is not finite.
     """
-    if not relative_sd > 0:
-        raise InputError(f"`relative_sd` must be positive, but is {relative_sd:g}")
+    _check_share(relative_sd)
     keys = []
     for name in names:
         layer, kind = name.split(".")
@@ -57,3 +57,83 @@ def weigh_targets(
             share = relative_sd * (_SPREAD if key[1] == "std" else 1.0)
             error[i] = max(share * abs(value[i]), 1e-4) * np.sqrt(keys.count(key))
     return Data(tuple(names), jnp.asarray(value), jnp.asarray(error))
+
+
+GAIN, OFFSET = 0.03, 0.003
+"""What all bands of a spectrum may be off by together: a factor, and a reflectance [-].
+Assumptions, of the size of what is left of atmosphere and calibration in surface reflectance."""
+
+
+def weigh_spectrum(
+    names: Sequence[str],
+    value: Float[np.ndarray, " statistic"],
+    relative_sd: float,
+    *,
+    noise: Float[np.ndarray, " statistic"] | None = None,
+    sampling: Float[np.ndarray, "statistic statistic"] | None = None,
+    gain: float = GAIN,
+    offset: float = OFFSET,
+) -> Data:
+    """A mean spectrum as targets, with errors that its bands share.
+
+    Band i is off by `noise` i and by the share `relative_sd` of its value, each band for itself;
+    by a factor of 1 +- `gain`, and a reflectance of `offset`, that are the same in all bands; and
+    as `sampling`, the covariance of the mean (of pixels: theirs over their number).
+
+    Raises `InputError` if `relative_sd` is not positive or a value is not finite.
+    """
+    _check_share(relative_sd)
+    own = (relative_sd * value) ** 2 + (0.0 if noise is None else noise**2)
+    covariance = np.diag(np.maximum(own, 1e-10))
+    covariance += gain**2 * np.outer(value, value) + offset**2
+    if sampling is not None:
+        covariance = covariance + sampling
+    if not np.isfinite(covariance).all():
+        raise InputError("a spectrum's values and errors must be finite to be a target")
+    whitener = np.linalg.inv(np.linalg.cholesky(covariance))
+    sd = np.sqrt(np.diagonal(covariance))
+    return Data(tuple(names), *(jnp.asarray(a) for a in (value, sd, whitener)))
+
+
+STRUCTURE_SD = 0.05
+"""Relative error of the structure that the smooth metrics expect of a cloud: what they were found
+to be off by at tens of pulses a square metre (`voxel_structure`)."""
+
+
+def weigh_structure(
+    names: Sequence[str],
+    value: Float[np.ndarray, " statistic"],
+    relative_sd: float,
+    *,
+    sd: Float[np.ndarray, " statistic"],
+) -> Data:
+    """Structure metrics of a cloud as targets.
+
+    To the sampling error `sd` (0 where it is not known) comes the share `relative_sd` of a value,
+    or `STRUCTURE_SD` if that is more.
+
+    Raises `InputError` if `relative_sd` is not positive or a value is not finite.
+    """
+    _check_share(relative_sd)
+    share = max(relative_sd, STRUCTURE_SD)
+    error = np.maximum(np.hypot(sd, share * value), 1e-4)
+    return Data(tuple(names), jnp.asarray(value), jnp.asarray(error))
+
+
+def join_data(parts: Sequence[Data]) -> Data:
+    """Targets of several sensors as one; the errors of different sensors are independent."""
+    if len(parts) == 1:
+        return parts[0]
+    names = tuple(name for part in parts for name in part.names)
+    value, sd = (
+        jnp.concatenate([getattr(part, field) for part in parts]) for field in ("value", "sd")
+    )
+    if all(part.whitener is None for part in parts):
+        return Data(names, value, sd)
+    blocks = [jnp.diag(1.0 / p.sd) if p.whitener is None else p.whitener for p in parts]
+    return Data(names, value, sd, jax.scipy.linalg.block_diag(*blocks))
+
+
+def _check_share(relative_sd: float) -> None:
+    if not relative_sd > 0:
+        raise InputError(f"`relative_sd` must be positive, but is {relative_sd:g}")

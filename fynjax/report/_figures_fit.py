@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from fynjax.inversion import SEEN
+from fynjax.metrics import WATER_WINDOWS
 from fynjax.report._figure_style import (
     AFTER,
     BEFORE,
@@ -22,6 +23,7 @@ from fynjax.report._figure_style import (
     GREY,
     OTHER,
     PURPLE,
+    REAL,
     SKY,
     VERMILION,
     style,
@@ -249,4 +251,74 @@ def error_bars(
         axes.set_xlim(0, min(highest, _FULL_SCALE) * 1.1 or 1)
         axes.set_xlabel("|simulated - real| / |real| [%]")
         axes.grid(axis="x")
+    return figure
+
+
+def spectrum_plot(
+    wavelength: ArrayLike,
+    reflectance: ArrayLike,
+    bands: pd.DataFrame,
+) -> Figure:
+    """A measured spectrum, and the plot's before and after calibration, in the bands compared.
+
+    **Arguments:** `wavelength` [nm] and `reflectance` [-] of all of the measured spectrum; `bands`
+    with the columns wavelength_nm, real, target_sd, before, after. Below, simulated less measured.
+    """
+    grid, measured = np.asarray(wavelength, float), np.array(reflectance, float)
+    # No line across the water windows, where the spectrum is noise or none.
+    for low, high in WATER_WINDOWS:
+        measured[(grid >= low) & (grid <= high)] = np.nan
+    at = bands["wavelength_nm"].to_numpy(float)
+    with style():
+        figure = Figure(figsize=(6.8, 4.8))
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
+        upper.plot(grid, measured, color=REAL, lw=1.0, label="measured")
+        upper.errorbar(
+            at, bands["real"], yerr=bands["target_sd"], fmt="none", ecolor=REAL, elinewidth=0.8
+        )
+        spread = bands["target_sd"].to_numpy(float)
+        lower.fill_between(at, -spread, spread, color="#E3E3E3", lw=0, label="±1 sd")
+        lower.axhline(0.0, color=REAL, lw=0.8)
+        for column, colour, marker in (("before", BEFORE, "s"), ("after", AFTER, "o")):
+            values = bands[column].to_numpy(float)
+            upper.plot(at, values, marker, ms=3.5, color=colour, label=column)
+            lower.plot(at, values - bands["real"], marker, ms=3.0, color=colour)
+        upper.set_ylabel("Reflectance [-]")
+        upper.set_ylim(bottom=0.0)
+        lower.set_ylabel("Simulated -\nmeasured [-]")
+        lower.set_xlabel("Wavelength [nm]")
+        for axes in (upper, lower):
+            axes.grid(visible=True)
+            axes.set_xlim(min(grid.min(), at.min()), min(grid.max(), 2500.0))
+        handles, labels = upper.get_legend_handles_labels()
+        more, names = lower.get_legend_handles_labels()
+        figure.legend([*handles, *more], [*labels, *names], loc="outside upper left", ncols=4)
+    return figure
+
+
+def metric_plot(table: pd.DataFrame) -> Figure:
+    """Metrics of a point cloud and of the plot, before and after, one panel for each.
+
+    **Arguments:** `table` with the columns metric, unit, real, target_sd, before, after.
+    """
+    with style():
+        count = len(table)
+        figure = Figure(figsize=(max(1.5 * count, 3.0), 2.9))
+        panels = figure.subplots(1, count, squeeze=False)[0]
+        numbers = table[["real", "target_sd", "before", "after"]].to_numpy(float)
+        texts = zip(table["metric"].astype(str), table["unit"].astype(str), strict=True)
+        for axes, (real, sd, before, after), (metric, unit) in zip(
+            panels, numbers, texts, strict=True
+        ):
+            axes.errorbar([0], [real], yerr=[sd], fmt="o", ms=5, color=REAL, lw=1.2)
+            axes.axhspan(real - sd, real + sd, color="#EFEFEF", lw=0)
+            axes.plot([1], [before], "s", ms=6, color=BEFORE)
+            axes.plot([2], [after], "o", ms=6, color=AFTER)
+            axes.set_xticks([0, 1, 2], ["real", "before", "after"], rotation=60)
+            axes.set_xlim(-0.6, 2.6)
+            title = words(metric).capitalize().replace(" density ", "\ndensity ")
+            title = title.replace("height diversity", "height\ndiversity")
+            axes.set_title(title + _unit(unit), fontsize=8)
+            axes.locator_params(axis="y", nbins=5)
+            axes.grid(axis="y")
     return figure

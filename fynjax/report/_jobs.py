@@ -15,18 +15,19 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.inversion import IMAGE_STATISTICS, Data, calibrate_plot, free_space, weigh_targets
-from fynjax.io import Plot, example_folder, provenance, read_image, read_plot, read_statistics
+from fynjax.inversion import (
+    Data,
+    ImageView,
+    calibrate_plot,
+    free_space,
+    join_data,
+    weigh_targets,
+)
+from fynjax.io import Plot, example_folder, provenance, read_plot
 from fynjax.io._build import build_plot
 from fynjax.io._plot_sensor import drone_bands
-from fynjax.metrics import (
-    BANDS,
-    VEGETATION_INDICES,
-    bands_2006,
-    consistent_targets,
-    image_statistics,
-    table4_2006,
-)
+from fynjax.metrics import BANDS, bands_2006, consistent_targets, table4_2006
+from fynjax.report._calibrate_targets import Measured, image_target, read_targets, target_kind
 from fynjax.report._run_files import calibration_files, render_files
 from fynjax.report._run_tables import Reference
 from fynjax.scene import PlotModel, PlotParameters
@@ -65,13 +66,32 @@ def run_render(
 
 
 def run_calibrate(
-    plot: Path, target: Path, output: Path, *, seed: int, progress: Progress | None = None
+    plot: Path,
+    targets: Path | Sequence[Path],
+    output: Path,
+    *,
+    seed: int,
+    checkpoint: Path | None = None,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Calibrate a plot file to an image (GeoTIFF) or to a table of statistics (CSV)."""
+    """Calibrate a plot file to what one or several sensors measured.
+
+    **Arguments:** `targets`, at most one of each kind: a drone image (GeoTIFF) or its statistics
+    (CSV); a spectrum, or an image of many bands; a point cloud or its structure (CSV).
+    `checkpoint`, a folder that keeps every step: an interrupted run goes on from it.
+    """
+    progress = NullProgress() if progress is None else progress
     read = read_plot(plot)
-    data, found = _target(read, target)
+    paths = [targets] if isinstance(targets, Path) else list(targets)
+    found = read_targets(read, paths, seed=seed, progress=progress)
     return _calibrate(
-        read, data, output, seed=seed, progress=progress, inputs=(*read.inputs, target), extra=found
+        read,
+        found,
+        output,
+        seed=seed,
+        progress=progress,
+        inputs=(*read.inputs, *paths),
+        checkpoint=checkpoint,
     )
 
 
@@ -85,12 +105,13 @@ def run_demo(output: Path, *, seed: int, progress: Progress | None = None) -> di
     # The band means are known to three decimals.
     sd = np.where([t.derived for t in targets], np.hypot(share * value, _LAST_DIGIT), np.nan)
     data = weigh_targets(names, value, share, sd=sd)
+    told = f"{len(names)} published statistics of the real drone image."
     return _calibrate(
         read,
-        data,
+        (Measured("image", read.file, data, ImageView(names), told),),
         output,
         seed=seed,
-        progress=progress,
+        progress=NullProgress() if progress is None else progress,
         inputs=read.inputs,
         reference=Reference(known, *paper_simulation()),
         goals={"mean of a band": 3.0, "mean of an index": 5.0},
@@ -117,52 +138,49 @@ def paper_simulation() -> tuple[dict[str, float], dict[str, float]]:
 
 
 def _target(plot: Plot, target: Path) -> tuple[Data, dict[str, Any]]:
-    """The targets of a file: its statistics, or those of an image."""
-    if target.suffix.lower() in (".tif", ".tiff"):
-        image, mask, _ = read_image(target, BANDS)
-        names = [n for n in IMAGE_STATISTICS if plot.calibration.uses_target(n)]
-        if not names:
-            raise InputError("`calibration.targets` fits none of the statistics", file=plot.file)
-        clean = np.where(mask, image, 0.0)
-        value = np.asarray(image_statistics(jnp.asarray(clean), names, jnp.asarray(mask)))
-        share = float(mask.mean())
-        data = weigh_targets(names, value, plot.calibration.target_sd)
-        return data, {"target_valid_share": share}
-    read = read_statistics(target, {*BANDS, *VEGETATION_INDICES})
-    keep = [i for i, n in enumerate(read.names) if plot.calibration.uses_target(n)]
-    if not keep:
-        raise InputError("`calibration.targets` fits none of the target's rows", file=plot.file)
-    names = [read.names[i] for i in keep]
-    return weigh_targets(names, read.value[keep], plot.calibration.target_sd, sd=read.sd[keep]), {}
+    """The targets of a file of a drone's image: its statistics, or those of an image."""
+    if target_kind(target) != "image":
+        raise InputError(
+            "expected a drone image or a table of its statistics; `fynjax calibrate` takes spectra "
+            "and point clouds too",
+            file=target,
+        )
+    found = image_target(plot, target)
+    return found.data, found.extra
 
 
 def _calibrate(
     plot: Plot,
-    data: Data,
+    measured: Sequence[Measured],
     output: Path,
     *,
     seed: int,
-    progress: Progress | None,
+    progress: Progress,
     inputs: Sequence[Path],
     reference: Reference | None = None,
     goals: dict[str, float] | None = None,
-    extra: dict[str, Any] | None = None,
+    checkpoint: Path | None = None,
 ) -> dict[str, Any]:
-    progress = NullProgress() if progress is None else progress
     seconds: dict[str, float] = {}
     began = time.perf_counter()
     with progress.stage("Build the plot"), _Clock(seconds, "build"):
-        model, parameters = build_plot(plot, seed=seed, bands=drone_bands(plot))
+        # Without a drone's image the bands are those that the other views bring.
+        drone = any(one.kind == "image" for one in measured)
+        model, parameters = build_plot(plot, seed=seed, bands=drone_bands(plot) if drone else None)
         space = free_space(model, parameters, plot.calibration.free, plot.calibration.relative_sd)
-    steps = plot.calibration.max_iterations
-    evaluations = steps + (steps + 1) // 2
+    steps, starts = plot.calibration.max_iterations, plot.calibration.starts
+    evaluations = starts * (steps + (steps + 1) // 2)
     with progress.stage("Calibrate", total=evaluations), _Clock(seconds, "calibrate"):
         result = calibrate_plot(
             model,
             parameters,
-            data,
+            join_data([one.data for one in measured]),
             space,
+            views=[one.view for one in measured],
             max_steps=steps,
+            starts=starts,
+            seed=seed,
+            checkpoint=checkpoint,
             report=lambda stage, loss, norm: progress.advance(
                 1, stage=stage, loss=f"{loss:.1f}", gradient=f"{norm:.1f}"
             ),
@@ -172,7 +190,8 @@ def _calibrate(
         "search_step": result.seconds["step_s"],
         "search": result.seconds["search_s"],
     }
-    _check_finite(result.image_after, plot)
+    if result.image_after is not None:
+        _check_finite(result.image_after, plot)
     warnings = _short_of_sites(model, result.after)
     with progress.stage("Write"):
         seconds["total"] = time.perf_counter() - began
@@ -182,6 +201,7 @@ def _calibrate(
             plot,
             model,
             result,
+            measured,
             reference or Reference(),
             goals or {},
             record,
@@ -190,7 +210,7 @@ def _calibrate(
         )
     return {
         **summary,
-        **(extra or {}),
+        **{key: value for one in measured for key, value in one.extra.items()},
         "timings_s": seconds,
         "peak_memory_mib": peak_memory_mib(),
         "warnings": warnings,

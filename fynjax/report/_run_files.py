@@ -1,6 +1,6 @@
 """What a run leaves in its folder: image, run file, tables, figures, page."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import xarray as xr
 from fynjax.inversion import Calibration
 from fynjax.io import Plot, image_array, write_geotiff, write_run, write_text
 from fynjax.metrics import BANDS, VEGETATION_INDICES, vegetation_indices
+from fynjax.report._calibrate_targets import Measured
 from fynjax.report._figure_style import save_figure
 from fynjax.report._figures_fit import (
     constraint_plot,
@@ -29,6 +30,7 @@ from fynjax.report._run_tables import (
     plant_counts,
     statistic_table,
 )
+from fynjax.report._sensor_sections import sensor_figure, sensor_headline, sensor_section
 from fynjax.scene import PlotModel
 
 Record = Mapping[str, str | int]
@@ -109,6 +111,7 @@ def calibration_files(
     plot: Plot,
     model: PlotModel,
     result: Calibration,
+    measured: Sequence[Measured],
     reference: Reference,
     goals: Mapping[str, float],
     record: Record,
@@ -116,35 +119,35 @@ def calibration_files(
     memory_mib: float,
 ) -> dict[str, Any]:
     """Write what a calibration makes; the summary for the command line."""
-    before, after = np.asarray(result.image_before), np.asarray(result.image_after)
     parameters, statistics = parameter_table(result), statistic_table(result, reference)
     write_text(folder / "parameters.csv", parameters.to_csv(index=False, float_format="%.6g"))
     write_text(folder / "statistics.csv", statistics.to_csv(index=False, float_format="%.6g"))
-    _write_image(folder, "image_before.tif", before, plot, model, record)
-    _write_image(folder, "image_after.tif", after, plot, model, record)
+    files = {
+        "report.html": "all of it on one page",
+        "parameters.csv": "prior, estimate, sd of every parameter",
+        "statistics.csv": "every band and index, real and simulated"
+        if result.image_before is not None
+        else "every statistic, real and simulated",
+    }
+    if result.image_before is not None:
+        for when, what in (("before", "of the field table"), ("after", "after calibration")):
+            image = np.asarray(getattr(result, f"image_{when}"))
+            _write_image(folder, f"image_{when}.tif", image, plot, model, record)
+            files[f"image_{when}.tif"] = f"image {what}, GeoTIFF"
     write_run(folder / "run.nc", calibration_dataset(plot, model, result), record)
 
     figures = _figures(plot, result, parameters, statistics, reference)
+    for one in measured:
+        if one.kind != "image":
+            figures[one.kind] = sensor_figure(one, statistics)
     for name, (figure, _) in figures.items():
         save_figure(figure, folder / f"{name}.png")
-    bands, indices = largest_errors(statistics)
-    seen = result.fit.seen()
-    theirs = list(reference.error_percent.values())
-    low, high = (min(theirs), max(theirs)) if theirs else (0.0, 0.0)
-    headline = [
-        f"{plot.name}: largest error of a band mean {bands['before']:.1f} % before, "
-        f"{bands['after']:.1f} % after"
-        + (f" (the paper's own simulation: {low:.1f} to {high:.1f} %)." if theirs else "."),
-        f"Largest error of a fitted index mean {indices['before']:.1f} % before, "
-        f"{indices['after']:.1f} % after.",
-        f"The data at least halve the error of {len(seen)} of {len(result.fit.names)} parameters"
-        + (f": {', '.join(seen)}. The others rest on the prior." if seen else "."),
-        result.fit.status,
-    ]
+    headline = _headline(plot, result, measured, statistics, reference)
     _page(
         folder,
         plot,
         result,
+        measured,
         parameters,
         statistics,
         headline,
@@ -153,34 +156,19 @@ def calibration_files(
         seconds,
         memory_mib,
     )
-    rows = statistics.to_dict("records")
+    shown = ("name", "kind", "unit", "prior", "prior_sd", "estimate", "sd", "constrained")
+    ends = result.ends
     return {
         "headline": headline,
         "files": {
-            "report.html": "all of it on one page",
-            "parameters.csv": "prior, estimate, sd of every parameter",
-            "statistics.csv": "every band and index, real and simulated",
-            "image_before.tif": "image of the field table, GeoTIFF",
-            "image_after.tif": "image after calibration, GeoTIFF",
+            **files,
             "run.nc": "the whole run, NetCDF",
             **{f"{name}.png": caption for name, (_, caption) in figures.items()},
         },
-        "parameters": [
-            {
-                k: row[k]
-                for k in (
-                    "name",
-                    "kind",
-                    "unit",
-                    "prior",
-                    "prior_sd",
-                    "estimate",
-                    "sd",
-                    "constrained",
-                )
-            }
-            for row in parameters.to_dict("records")
+        "targets": [
+            {"kind": one.kind, "file": one.file.name, "told": one.told} for one in measured
         ],
+        "parameters": [{k: row[k] for k in shown} for row in parameters.to_dict("records")],
         "statistics": [
             {
                 "statistic": r["statistic"],
@@ -191,10 +179,53 @@ def calibration_files(
                 "after": r["after"],
                 "reference": r["reference"],
             }
-            for r in rows
+            for r in statistics.to_dict("records")
         ],
         "unseen_directions": result.fit.unseen_directions(),
+        "starts": {
+            "objective": ends.objective.tolist(),
+            "apart_sd": ends.apart.tolist(),
+            "minima": ends.minima,
+        },
     }
+
+
+def _headline(
+    plot: Plot,
+    result: Calibration,
+    measured: Sequence[Measured],
+    statistics: pd.DataFrame,
+    reference: Reference,
+) -> list[str]:
+    lines = []
+    if result.image_before is not None:
+        bands, indices = largest_errors(statistics)
+        theirs = list(reference.error_percent.values())
+        low, high = (min(theirs), max(theirs)) if theirs else (0.0, 0.0)
+        lines = [
+            f"{plot.name}: largest error of a band mean {bands['before']:.1f} % before, "
+            f"{bands['after']:.1f} % after"
+            + (f" (the paper's own simulation: {low:.1f} to {high:.1f} %)." if theirs else "."),
+            f"Largest error of a fitted index mean {indices['before']:.1f} % before, "
+            f"{indices['after']:.1f} % after.",
+        ]
+    for one in measured:
+        if one.kind != "image":
+            lines.append(sensor_headline(one, statistics))
+    seen = result.fit.seen()
+    lines.append(
+        f"The data at least halve the error of {len(seen)} of {len(result.fit.names)} parameters"
+        + (f": {', '.join(seen)}. The others rest on the prior." if seen else ".")
+    )
+    ends = result.ends
+    if len(ends.objective) > 1:
+        minima = f"{ends.minima} minima" if ends.minima > 1 else "one minimum"
+        lines.append(
+            f"{len(ends.objective)} starts ended in {minima}, objectives "
+            f"{ends.objective.min():.4g} to {ends.objective.max():.4g}, up to "
+            f"{ends.apart.max():.2g} posterior sd apart; the best is kept."
+        )
+    return [*lines, result.fit.status]
 
 
 def _figures(
@@ -204,6 +235,16 @@ def _figures(
     statistics: pd.DataFrame,
     reference: Reference,
 ) -> dict[str, tuple[Any, str]]:
+    common = {
+        "parameters": (parameter_plot(parameters), "prior and estimate of every parameter"),
+        "constraint": (constraint_plot(parameters), "how far the data pinned each parameter down"),
+        "convergence": (
+            convergence_plot(result.fit.loss, result.fit.gradient_norm),
+            "objective at each evaluation",
+        ),
+    }
+    if result.image_before is None:
+        return common
     before, after = np.asarray(result.image_before), np.asarray(result.image_after)
     pair = {"Before": before, "After": after}
     value = dict(zip(statistics["statistic"], statistics["real"]))
@@ -241,12 +282,7 @@ def _figures(
             ),
             "histograms of indices",
         ),
-        "parameters": (parameter_plot(parameters), "prior and estimate of every parameter"),
-        "constraint": (constraint_plot(parameters), "how far the data pinned each parameter down"),
-        "convergence": (
-            convergence_plot(result.fit.loss, result.fit.gradient_norm),
-            "objective at each evaluation",
-        ),
+        **common,
     }
 
 
@@ -254,6 +290,7 @@ def _page(
     folder: Path,
     plot: Plot,
     result: Calibration,
+    measured: Sequence[Measured],
     parameters: pd.DataFrame,
     statistics: pd.DataFrame,
     headline: list[str],
@@ -262,29 +299,40 @@ def _page(
     seconds: Mapping[str, float],
     memory_mib: float,
 ) -> None:
-    bands, indices = largest_errors(statistics)
-    page = Page(f"Calibration: {plot.name}", " ".join(headline[:2]))
-    page.key_figures(
-        {
+    drone = result.image_before is not None
+    about = len(headline) - 2 - (len(result.ends.objective) > 1)
+    page = Page(f"Calibration: {plot.name}", " ".join(headline[:about]))
+    keys = {
+        "evaluations": str(len(result.fit.loss)),
+        "wall time": f"{seconds['total']:.0f} s",
+        "peak memory": f"{memory_mib / 1024:.1f} GiB",
+    }
+    if drone:
+        bands, indices = largest_errors(statistics)
+        keys = {
             "largest error of a band mean": f"{bands['after']:.1f} %",
             "largest error of a fitted index mean": f"{indices['after']:.1f} %",
-            "evaluations": str(len(result.fit.loss)),
-            "wall time": f"{seconds['total']:.0f} s",
-            "peak memory": f"{memory_mib / 1024:.1f} GiB",
+            **keys,
         }
-    )
+    page.key_figures(keys)
     if goals:
         page.paragraph(
             "Aimed at: " + ", ".join(f"{k} within {v:g} %" for k, v in goals.items()) + "."
         )
-    page.section("The image").figure(folder / "true_like.png", "Nearly natural colours.")
-    page.figure(folder / "false_colour.png", "False colour.")
-    page.section("Against the real image").figure(
-        folder / "errors.png", "Relative error of each mean, before and after."
-    )
-    page.figure(folder / "indices.png", "Indices over the pixels; the real mean and spread marked.")
+    for one in measured:
+        if one.kind != "image":
+            sensor_section(page, folder, one, statistics)
+            continue
+        page.section("The image").figure(folder / "true_like.png", "Nearly natural colours.")
+        page.figure(folder / "false_colour.png", "False colour.")
+        page.section("Against the real image").figure(
+            folder / "errors.png", "Relative error of each mean, before and after."
+        )
+        page.figure(
+            folder / "indices.png", "Indices over the pixels; the real mean and spread marked."
+        )
     page.table(statistics, caption="Every statistic.", folded=True)
-    page.section("The parameters").paragraph(" ".join(headline[2:]))
+    page.section("The parameters").paragraph(" ".join(headline[about:]))
     page.figure(folder / "parameters.png", "Prior and estimate, one standard deviation.")
     page.figure(folder / "constraint.png", "Share of the prior variance that the data removed.")
     unseen = result.fit.unseen_directions()
@@ -295,6 +343,18 @@ def _page(
     )
     page.table(parameters, caption="Every parameter.", folded=True)
     page.section("The search").figure(folder / "convergence.png", "Objective at each evaluation.")
+    if len(result.ends.objective) > 1:
+        page.table(
+            pd.DataFrame(
+                {
+                    "start": ["prior's centre"]
+                    + [f"draw {i}" for i in range(1, len(result.ends.objective))],
+                    "objective": result.ends.objective,
+                    "from the best end, posterior sd": result.ends.apart,
+                }
+            ),
+            caption="Where each search ended.",
+        )
     page.table(
         pd.DataFrame({"what": list(seconds), "seconds": list(seconds.values())}),
         caption=f"Wall time; peak memory {memory_mib:.0f} MiB.",

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from fynjax.inversion import Calibration
+from fynjax.inversion import Calibration, ImageView
 from fynjax.io import Plot, image_array
 from fynjax.metrics import BANDS, image_statistics
 from fynjax.scene import PlotModel, named_values, parameter_units
@@ -54,7 +54,10 @@ class Reference(NamedTuple):
 
 
 def statistic_table(calibration: Calibration, reference: Reference) -> pd.DataFrame:
-    """Every statistic: real, simulated before and after, and another simulation's value."""
+    """Every statistic: real, simulated before and after, and another simulation's value.
+
+    Those of a drone's image are computed from it, with the reference's that were not fitted.
+    """
     data = calibration.fit.data
     extra = tuple(name for name in reference.real if name not in data.names)
     names = (*data.names, *extra)
@@ -67,12 +70,17 @@ def statistic_table(calibration: Calibration, reference: Reference) -> pd.DataFr
             "target_sd": np.concatenate([np.asarray(data.sd), np.full(len(extra), np.nan)]),
         }
     )
-    compute = jax.jit(lambda image: image_statistics(image, names))
-    for column, image in (
-        ("before", calibration.image_before),
-        ("after", calibration.image_after),
-    ):
-        table[column] = np.asarray(compute(image), float)
+    drawn = [n for view in calibration.views if isinstance(view, ImageView) for n in view.names]
+    drawn += extra
+    of_image = np.isin(names, drawn)
+    compute = jax.jit(lambda image: image_statistics(image, drawn))
+    for column in ("before", "after"):
+        image = getattr(calibration, f"image_{column}")
+        values = np.full(len(names), np.nan)
+        values[: len(data.names)] = getattr(calibration, f"statistics_{column}")
+        if image is not None:
+            values[of_image] = np.asarray(compute(image), float)
+        table[column] = values
     table["reference"] = [reference.simulated.get(n, np.nan) for n in names]
     for column in ("before", "after", "reference"):
         table[f"{column}_error_percent"] = 100.0 * (table[column] - real) / np.abs(real)
@@ -135,10 +143,19 @@ def calibration_dataset(plot: Plot, model: PlotModel, result: Calibration) -> xr
         )
 
     every = named_values(result.after, model.taxa)
-    return xr.Dataset(
-        {
+    images = {}
+    if result.image_before is not None:
+        images = {
             "reflectance_before": image(result.image_before, "before"),
             "reflectance_after": image(result.image_after, "after"),
+        }
+    number = np.arange(1, len(result.ends.objective) + 1)
+    start = {"start": ("start", number, {"long_name": "number of the search", "units": "1"})}
+    return xr.Dataset(
+        {
+            **images,
+            "objective": over("start", start, result.ends.objective, "objective at its end"),
+            "apart": over("start", start, result.ends.apart, "from the best end, posterior sd"),
             "prior": over("parameter", free, fit.space.prior, "prior, in parameter_unit"),
             "prior_sd": over("parameter", free, fit.space.prior_sd, "prior sd, in parameter_unit"),
             "estimate": over("parameter", free, fit.estimate, "estimate, in parameter_unit"),

@@ -138,7 +138,7 @@ def test_calibrate_and_fit_leaf_pass_their_files(capsys, calls, plot, tmp_path):
     done = call(capsys, "calibrate", plot, "--target", target, "--output", tmp_path / "o")
     assert done[0] == 0
     assert calls[0][0] == "run_calibrate"
-    assert calls[0][1][:2] == (plot, target)
+    assert calls[0][1][:2] == (plot, [target])
     spectra = [tmp_path / "a.csv", tmp_path / "b.asd"]
     for path in spectra:
         path.write_text("x")

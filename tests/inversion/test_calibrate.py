@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from fynjax.canopy import FORM_DEFAULTS
-from fynjax.inversion import IMAGE_STATISTICS, SEEN, calibrate_plot, free_space, weigh_targets
-from fynjax.inversion._calibrate import _image_and_statistics
+from fynjax.inversion import (
+    IMAGE_STATISTICS,
+    SEEN,
+    ImageView,
+    calibrate_plot,
+    free_space,
+    weigh_targets,
+)
 from fynjax.leaf import LeafParameters
 from fynjax.metrics import image_statistics
 from fynjax.scene import (
@@ -76,8 +82,7 @@ def twin():
         camera=Camera(mavic_3m(), 50.0, 0.05),
         seed=11,
     )
-    # By the calibration's own function, so that it is compiled once.
-    render = eqx.filter_jit(lambda m, p: _image_and_statistics(m, p, IMAGE_STATISTICS))
+    render = eqx.filter_jit(lambda m, p: ImageView(IMAGE_STATISTICS).observe(m, p))
     image = np.asarray(render(model, real)[0])
     draw = np.random.default_rng(4)
     noisy = image * (1 + 0.02 * draw.normal(size=image.shape)) + 0.001 * draw.normal(

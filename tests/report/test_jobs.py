@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
+from fynjax._core.progress import NullProgress
 from fynjax.io import example_folder, read_plot
 from fynjax.report._jobs import _check_finite, _short_of_sites, run_calibrate, run_render
 from tests.report.small import write_plot
@@ -89,3 +90,55 @@ def test_plants_without_a_site_are_a_warning():
     crowded = dataclasses.replace(parameters, species=species)
     (first, *_) = _short_of_sites(model, crowded)
     assert first.startswith("Erica irregularis: the estimate asks for")
+
+
+class Interrupting(NullProgress):
+    """Is interrupted from the keyboard at its third step."""
+
+    def __init__(self):
+        self.steps = 0
+
+    def advance(self, n=1, **info):
+        self.steps += n
+        if self.steps == 3:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.slow
+def test_a_spectrum_and_a_cloud_together_after_an_interruption(tmp_path):
+    """Two sensors, neither a drone: the page tells of each, and the run goes on where it was."""
+    write_plot(tmp_path, MORE.replace('"ground.brightness"', '"species.*.height"'))
+    spectrum, cloud = tmp_path / "spectrum.csv", tmp_path / "cloud.csv"
+    spectrum.write_text("wavelength_nm,mean\n550,0.06\n680,0.08\n860,0.26\n1650,0.22\n")
+    cloud.write_text(
+        "metric,value,sd,grain_m,returns_m2\ngap_fraction,0.45,0.02,1,100\n"
+        "rugosity,0.25,0.01,1,100\n"
+    )
+    kept, first, second = (tmp_path / name for name in ("kept", "first", "second"))
+    for folder in (first, second):
+        folder.mkdir()
+    arguments = (tmp_path / "plot.toml", [cloud, spectrum])
+    with pytest.raises(KeyboardInterrupt):
+        run_calibrate(*arguments, first, seed=0, checkpoint=kept, progress=Interrupting())
+    assert not list(first.iterdir())
+    before = {p.name: p.stat().st_mtime_ns for p in kept.iterdir()}
+    found = run_calibrate(*arguments, second, seed=0, checkpoint=kept)
+    assert all(p.stat().st_mtime_ns == before[p.name] for p in kept.iterdir() if p.name in before)
+    assert [t["kind"] for t in found["targets"]] == ["spectrum", "structure"]
+    names = [s["statistic"] for s in found["statistics"]]
+    assert names == [
+        *(f"spectrum.{nm}nm" for nm in (550, 680, 860, 1650)),
+        *("lidar.gap_fraction", "lidar.rugosity"),
+    ]
+    assert misfit(found, "after") < 0.8 * misfit(found, "before")
+    assert {"spectrum.png", "structure.png", "run.nc"} <= set(found["files"])
+    assert "image_after.tif" not in found["files"]
+    assert all((second / name).stat().st_size for name in found["files"])
+    page = (second / "report.html").read_text("utf-8")
+    assert "<h2>The spectrum</h2>" in page
+    assert "<h2>The point cloud</h2>" in page
+    assert "noise of AVIRIS-NG" in page
+    assert any("RMSE of the spectrum" in line for line in found["headline"])
+    spectrum.write_text(spectrum.read_text().replace("0.26", "0.27"))
+    with pytest.raises(InputError, match="checkpoint is of another run"):
+        run_calibrate(*arguments, second, seed=0, checkpoint=kept)

@@ -1,0 +1,187 @@
+"""The search of a calibration, from one start: a cheap model, corrected by the full one."""
+
+import dataclasses
+import hashlib
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from importlib.metadata import version
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax._core.errors import InputError
+from fynjax._core.journal import Keep
+from fynjax.inversion._fit import Forward, evaluate, fit
+from fynjax.inversion._fit_result import Data, FitResult
+from fynjax.inversion._space import ParameterSpace
+from fynjax.inversion._views import AbstractView, PlotForward, look
+from fynjax.scene import PlotModel, PlotParameters, with_values
+
+
+@dataclasses.dataclass
+class End:
+    """Where a search from one start ended, and what the full model says there."""
+
+    objective: float
+    """Half the squared whitened misfit and distance from the prior."""
+    u: Float[Array, " free"]
+    fit: FitResult
+    plot: PlotParameters
+    image: Float[Array, "band y x"] | None
+    statistics: Float[Array, " statistic"]
+    offset: Float[Array, " statistic"]
+    before: PlotParameters
+    image_before: Float[Array, "band y x"] | None
+    statistics_before: Float[Array, " statistic"]
+    losses: list[np.ndarray]
+    norms: list[np.ndarray]
+
+
+class Search:
+    """What the searches from all starts share: everything is compiled once."""
+
+    def __init__(
+        self,
+        model: PlotModel,
+        parameters: PlotParameters,
+        data: Data,
+        space: ParameterSpace,
+        views: Sequence[AbstractView],
+        quick: PlotModel,
+        stride: int,
+        keep: Keep,
+        report: Callable[[str, float, float], None] | None,
+    ) -> None:
+        self._model, self._parameters, self._data, self._space = model, parameters, data, space
+        self._keep, self._report = keep, report
+        self.quick = quick
+        self._look = eqx.filter_jit(lambda m, p: look(views, m, p))
+        cheap = [view.for_search(model, stride) for view in views]
+        self._predict = PlotForward(parameters, space.names, cheap)
+        self._forward = Forward(self._predict, space)
+        self.times: list[float] = []
+        """When each step ended that was not one of an earlier run [s]."""
+        self.done = 0
+        """Looks of the full model that were not those of an earlier run."""
+
+    def look(self, plot: PlotParameters, planted: PlotModel | None = None) -> tuple[Array, ...]:
+        """Statistics by the full model; and, without other plants, the images."""
+        model = self._model if planted is None else planted
+
+        def step() -> tuple[Array, ...]:
+            found = jax.block_until_ready(self._look(model, plot))
+            return found if planted is None else found[:1]
+
+        found = self._keep(step)
+        self.done += not getattr(self._keep, "repeating", False)
+        return found
+
+    def slopes(self, u: Array, quick: PlotModel) -> Float[Array, "statistic free"]:
+        """Derivatives of the cheap model's statistics, of the plot `quick`."""
+        return self._evaluate(u, quick)[1]
+
+    def _evaluate(self, u: Array, quick: PlotModel) -> tuple[Array, Array]:
+        return evaluate(self._forward, self._data, u, (quick,), keep=self._keep)
+
+    def _objective(self, u: Array, statistics: Array) -> float:
+        rest = self._data.whiten(statistics - self._data.value)
+        return 0.5 * float(rest @ rest + u @ u)
+
+    def _plot(self, u: Array) -> PlotParameters:
+        return with_values(self._parameters, self._model.taxa, self._space.named(u))
+
+    def _note(self, stage: str, loss: float, norm: float) -> None:
+        if not getattr(self._keep, "repeating", False):
+            self.times.append(time.perf_counter())
+        if self._report is not None:
+            self._report(stage, loss, norm)
+
+    def run(
+        self, u: Array, rounds: int, max_steps: int, tolerance: float, method: str, stage: str
+    ) -> End:
+        """Search from `u`; `stage` begins the name of each round."""
+        before = self._plot(u)
+        statistics, *images = self.look(before)
+        finite = np.isfinite(np.asarray(statistics))
+        if not finite.all():
+            raise InputError(
+                f"the statistic {self._data.names[int(np.argmin(finite))]} is not finite at the "
+                "start. Is the sun near the horizon, or a parameter at the end of its range?"
+            )
+        image = images[0] if images else None
+        predicted = self._evaluate(u, self.quick)[0]
+        losses: list[np.ndarray] = []
+        norms: list[np.ndarray] = []
+        best: dict[str, Any] = {
+            "objective": self._objective(u, statistics), "u": u, "plot": before, "image": image,
+            "statistics": statistics, "offset": statistics - predicted,
+        }  # fmt: skip
+        origin: dict[str, Any] = {
+            "before": before,
+            "image_before": image,
+            "statistics_before": statistics,
+        }
+        offset_before, result = statistics - predicted, None
+        common: dict[str, Any] = {
+            "forward": self._forward, "context": (self.quick,), "keep": self._keep,
+        }  # fmt: skip
+        for turn in range(rounds):
+            offset = statistics - predicted
+            found = fit(
+                self._predict,
+                self._data,
+                self._space,
+                method=method,
+                max_steps=max_steps if turn == 0 else (max_steps + 1) // 2,
+                tolerance=tolerance,
+                start=u,
+                offset=offset,
+                report=partial(self._note, f"{stage}round {turn + 1}"),
+                **common,
+            )
+            losses.append(found.loss)
+            norms.append(found.gradient_norm)
+            if not _finite(found):
+                if result is not None:
+                    status = f"{result.status} Round {turn + 1}: {found.status}"
+                    found = dataclasses.replace(result, status=status, converged=False)
+                result = found
+                break
+            u, predicted = found.whitened, found.predicted - offset
+            plot = self._plot(u)
+            statistics, *images = self.look(plot)
+            reached = self._objective(u, statistics)
+            # The quick model's best need not be the full model's.
+            if reached < best["objective"]:
+                result = found
+                best = {
+                    "objective": reached, "u": u, "plot": plot,
+                    "image": images[0] if images else None, "statistics": statistics,
+                    "offset": statistics - predicted,
+                }  # fmt: skip
+        if result is None:
+            result = fit(
+                self._predict, self._data, self._space, start=best["u"], max_steps=1,
+                offset=offset_before, **common,
+            )  # fmt: skip
+            status = "No step improved on the start; the estimate is the start."
+            result = dataclasses.replace(result, status=status, converged=False)
+        return End(**best, **origin, fit=result, losses=losses, norms=norms)
+
+
+def _finite(found: FitResult) -> bool:
+    return all(np.isfinite(a).all() for a in (found.loss, found.predicted, found.jacobian))
+
+
+def signature(signed: Any, settings: tuple[Any, ...]) -> str:
+    """Differs where anything differs that a calibration follows from."""
+    total = hashlib.sha256(f"{version('fynjax')} {settings}".encode())
+    leaves, structure = jax.tree.flatten(signed)
+    total.update(str(structure).encode())
+    for leaf in leaves:
+        total.update(np.ascontiguousarray(leaf).tobytes())
+    return total.hexdigest()

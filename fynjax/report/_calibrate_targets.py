@@ -1,0 +1,354 @@
+"""What a calibration is to reach, from files of any sensor: statistics, their errors, a view."""
+
+import csv
+import io
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import rasterio
+
+from fynjax._core.errors import InputError
+from fynjax._core.progress import NullProgress, Progress
+from fynjax.inversion import (
+    IMAGE_STATISTICS,
+    AbstractView,
+    Data,
+    ImageView,
+    SpectrumView,
+    spectrum_view,
+    structure_view,
+    weigh_spectrum,
+    weigh_structure,
+    weigh_targets,
+)
+from fynjax.inversion._targets import GAIN, OFFSET
+from fynjax.io import Plot, read_image, read_statistics
+from fynjax.io._build import _diffuse
+from fynjax.io._build_ground import cover_spectra, soil_spectra
+from fynjax.io._statistics import read_structure
+from fynjax.io._tables import existing_file, read_text
+from fynjax.metrics import (
+    BANDS,
+    STRUCTURE_METRICS,
+    VEGETATION_INDICES,
+    StructureSettings,
+    image_statistics,
+    match_wavelengths,
+    spectral_mask,
+)
+from fynjax.report._structure_job import ComparisonSettings, cloud_structure
+from fynjax.report._validate_spectra import read_spectra_sample
+from fynjax.scene import band_wavelengths
+from fynjax.sensors import (
+    BandSet,
+    ClearAir,
+    RadiometricNoise,
+    at_sensor_radiance,
+    band_atmosphere,
+    clear_sky_atmosphere,
+    shipped_sensor,
+)
+
+Kind = Literal["image", "spectrum", "structure"]
+KINDS: dict[Kind, str] = {
+    "image": "a drone image, or a table of its statistics",
+    "spectrum": "a spectrum, or an image of many bands",
+    "structure": "a point cloud, or a table of its structure",
+}
+_CLOUDS = (".las", ".laz", ".ply", ".xyz")
+_SPECTRA = (
+    *(".asd", ".sli", ".slb", ".hdr", ".img", ".bil", ".bip", ".bsq", ".dat"),
+    *(".nc", ".nc4", ".h5", ".hdf5", ".txt"),
+)
+_DRONE_BANDS = 10
+"""A GeoTIFF of more bands than this is a spectrometer's."""
+_MOST_BANDS = 30
+_NARROWEST, _WIDEST = 5.0, 15.0  # nm; finer spectra are averaged to bands of the first
+_RANGE = (405.0, 2450.0)
+_CONFIDENCE = 0.95
+_CANOPY_CELL = 0.5  # m
+_GRAINS = (1.0, 2.0, 3.0, 4.0, 5.0)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What one sensor measured, as a calibration compares it."""
+
+    kind: Kind
+    file: Path
+    data: Data
+    view: AbstractView
+    told: str
+    """What was read and how it is weighed, in sentences."""
+    extra: dict[str, Any] = field(default_factory=dict)
+    """For the summary."""
+    spectrum: tuple[np.ndarray, np.ndarray] | None = None
+    """Wavelengths [nm] and reflectance of the whole measured spectrum."""
+
+
+def target_kind(path: Path) -> Kind:
+    """What kind of measurement a file holds, by its ending and its content."""
+    suffix = path.suffix.lower()
+    if suffix in _CLOUDS:
+        return "structure"
+    if suffix in (".tif", ".tiff"):
+        return "spectrum" if _band_count(path) > _DRONE_BANDS else "image"
+    beside = path.with_name(path.name + ".hdr")
+    if suffix in _SPECTRA or beside.is_file() or suffix == "":
+        return "spectrum"
+    header = _header(path)
+    if "metric" in header:
+        return "structure"
+    numbers = sum(_is_number(cell) for cell in header)
+    if any(cell.lower().startswith("wave") for cell in header) or numbers >= 3:
+        return "spectrum"
+    return "image"
+
+
+def _band_count(path: Path) -> int:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # whoever reads it next tells what is wrong
+        try:
+            with rasterio.open(path) as file:
+                return int(file.count)
+        except rasterio.errors.RasterioIOError:
+            return 0
+
+
+def _header(path: Path) -> list[str]:
+    """Cells of the first line that is none of remarks; none of a file that is no text."""
+    try:
+        text = read_text(path)
+    except InputError:
+        return []
+    for line in io.StringIO(text):
+        if line.strip(" ,\r\n") and not line.lstrip().startswith("#"):
+            mark = next((m for m in (";", "\t") if m in line and "," not in line), ",")
+            return [c.strip() for c in next(csv.reader([line], delimiter=mark))]
+    return []
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return bool(np.isfinite(float(text)))
+    except ValueError:
+        return False
+
+
+def read_targets(
+    plot: Plot, paths: Sequence[Path], *, seed: int = 0, progress: Progress | None = None
+) -> tuple[Measured, ...]:
+    """Read what a plot is to be calibrated to: one measurement of each kind at most.
+
+    In the order of `KINDS`. Raises `InputError` for two of a kind, and as the readers.
+    """
+    progress = NullProgress() if progress is None else progress
+    found: dict[Kind, Measured] = {}
+    for path in map(Path, paths):
+        existing_file(path, "an image, a spectrum, a point cloud or a table of their statistics")
+        kind = target_kind(path)
+        if kind in found:
+            raise InputError(
+                f"expected one target of each kind, but this and {found[kind].file} are both "
+                f"{KINDS[kind]}",
+                file=path,
+            )
+        if kind == "image":
+            found[kind] = image_target(plot, path)
+        elif kind == "spectrum":
+            found[kind] = spectrum_target(plot, path, progress)
+        else:
+            found[kind] = structure_target(plot, path, seed, progress)
+    return tuple(found[kind] for kind in KINDS if kind in found)
+
+
+def _used(plot: Plot, names: Sequence[str], what: str) -> list[int]:
+    keep = [i for i, name in enumerate(names) if plot.calibration.uses_target(name)]
+    if not keep:
+        raise InputError(
+            f"`calibration.targets` fits none of {what}, such as {names[0]!r}", file=plot.file
+        )
+    return keep
+
+
+def image_target(plot: Plot, path: Path) -> Measured:
+    """The statistics of a drone's image (GeoTIFF) or of a table (CSV)."""
+    share = plot.calibration.target_sd
+    extra: dict[str, Any] = {}
+    if path.suffix.lower() in (".tif", ".tiff"):
+        image, mask, _ = read_image(path, BANDS)
+        names = [IMAGE_STATISTICS[i] for i in _used(plot, IMAGE_STATISTICS, "the statistics")]
+        clean = jnp.asarray(np.where(mask, image, 0.0))
+        value = np.asarray(image_statistics(clean, names, jnp.asarray(mask)))
+        extra = {"target_valid_share": float(mask.mean())}
+        data = weigh_targets(names, value, share)
+    else:
+        read = read_statistics(path, {*BANDS, *VEGETATION_INDICES})
+        keep = _used(plot, read.names, "the target's rows")
+        names = [read.names[i] for i in keep]
+        data = weigh_targets(names, read.value[keep], share, sd=read.sd[keep])
+    told = f"{path.name}: {len(data.names)} statistics of a drone's image."
+    return Measured("image", path, data, ImageView(data.names), told, extra)
+
+
+# -- spectra ----------------------------------------------------------------------------------
+
+
+def spectrum_target(plot: Plot, path: Path, progress: Progress) -> Measured:
+    """The mean of a file's spectra or pixels, in some thirty bands outside the water windows."""
+    sample = read_spectra_sample([path], progress)
+    grid = sample.wavelength
+    count, mean = len(sample.values), sample.values.mean(axis=0)
+    try:
+        clear = np.flatnonzero(spectral_mask(grid, _RANGE))
+    except InputError as error:
+        raise InputError(str(error), file=path) from error
+    step = np.gradient(grid)
+    # A table states no widths: neighbours are as far apart, unless it lists some bands only.
+    width = np.clip(step, _NARROWEST, _WIDEST) if sample.fwhm is None else sample.fwhm
+    width = np.maximum(width, _NARROWEST)
+    every = -(-clear.size // _MOST_BANDS)
+    place = clear[every // 2 :: every]
+    match = match_wavelengths(grid[clear], grid[place], simulated_fwhm=width[place])
+    centre = match.wavelength
+    weights = np.zeros((centre.size, grid.size))
+    weights[:, clear] = match.real
+    bands = BandSet(
+        tuple(f"{c:.10g}nm" for c in centre), tuple(centre), tuple(np.interp(centre, grid, width))
+    )
+    bands = bands.select(bands.covered(np.arange(400.0, 2501.0)))
+    view = plot_spectrum_view(plot, bands)
+    weights = weights[np.isin(centre, bands.centre)]
+    keep = _used(plot, view.names, "the bands of the spectrum")
+    if len(keep) < len(bands):
+        bands = bands.select(keep)
+        view, weights = plot_spectrum_view(plot, bands), weights[keep]
+    value = weights @ mean
+    sampling = None
+    if count > 1:
+        sampling = np.atleast_2d(np.cov(sample.values @ weights.T, rowvar=False)) / count
+    noise = reflectance_noise(bands, value, plot.sun.zenith_deg, averaged=count)
+    share = plot.calibration.target_sd
+    try:
+        data = weigh_spectrum(view.names, value, share, noise=noise, sampling=sampling)
+    except InputError as error:
+        raise InputError(str(error), file=path) from error
+    told = (
+        f"{path.name}: {sample.told()} Their mean is compared in {len(bands)} bands, "
+        f"{bands.centre[0]:.0f} to {bands.centre[-1]:.0f} nm outside the water windows, at the "
+        "full width of the bands. Errors: "
+        f"{100 * share:.2g} % and the noise of AVIRIS-NG in each band for itself; a factor of "
+        f"1 ± {GAIN:g} and a reflectance of ± {OFFSET:g} that are the same in all bands"
+        + (f"; and the covariance of {count} pixels over their number." if count > 1 else ".")
+    )
+    extra = {"spectra": count, "spectrum_bands": len(bands)}
+    return Measured("spectrum", path, data, view, told, extra, (grid, mean))
+
+
+def plot_spectrum_view(plot: Plot, bands: BandSet) -> SpectrumView:
+    """The view of a spectrometer, with the soil, covers and sky of a plot's files."""
+    wavelength = band_wavelengths(bands)
+    return spectrum_view(
+        bands,
+        soil=soil_spectra(plot, wavelength),
+        covers=cover_spectra(plot, wavelength),
+        diffuse=_diffuse(plot, bands, wavelength),
+    )
+
+
+def reflectance_noise(
+    bands: BandSet, reflectance: np.ndarray, sun_zenith: float, *, averaged: int = 1
+) -> np.ndarray:
+    """Noise of AVIRIS-NG in reflectance [-], of the mean of `averaged` pixels, in a clear sky.
+
+    Each of `bands` has the noise of the instrument's nearest one, as files of spectra have none.
+    """
+    with warnings.catch_warnings():  # on its pixel, which does not matter here
+        warnings.simplefilter("ignore", UserWarning)
+        sensor = shipped_sensor("aviris_ng")
+    assert isinstance(sensor.noise, RadiometricNoise)
+    apart = np.abs(np.subtract.outer(bands.centre, sensor.bands.centre))
+    nearest = apart.argmin(axis=1)
+    a, b, c = (np.asarray(getattr(sensor.noise, name))[nearest] for name in "abc")
+    noise = RadiometricNoise(a, b, c, integrations=sensor.noise.integrations)
+    air = band_atmosphere(clear_sky_atmosphere(ClearAir(jnp.asarray(min(sun_zenith, 85.0)))), bands)
+    at = jnp.asarray(reflectance)
+    slope = jax.grad(lambda r: jnp.sum(at_sensor_radiance(air, r)))(at)
+    deviation = noise.standard_deviation(at_sensor_radiance(air, at), averaged=averaged)
+    return np.asarray(deviation / slope)
+
+
+# -- clouds -----------------------------------------------------------------------------------
+
+
+def structure_target(plot: Plot, path: Path, seed: int, progress: Progress) -> Measured:
+    """Structure metrics of a cloud, or of a table of them (CSV)."""
+    settings, grains = structure_settings(plot)
+    extra: dict[str, Any]
+    if path.suffix.lower() == ".csv":
+        read = read_structure(path)
+        if read.grain_m not in grains:
+            raise InputError(
+                f"expected a grain of {', '.join(f'{g:g}' for g in grains)} m, whole cells of the "
+                f"canopy's surface in a plot of {min(plot.size_m):g} m with voxels of "
+                f"{plot.voxel_m:g} m, but got {read.grain_m:g} m",
+                file=path,
+                column="grain_m",
+            )
+        values = dict(zip(read.metrics, zip(read.value, read.sd)))
+        grain, pulses, how = read.grain_m, read.returns_m2, "a table"
+        extra = {}
+    else:
+        how = "resampling of the cells"
+        found = cloud_structure(
+            path,
+            ComparisonSettings(structure=settings, grains=grains),
+            seed=seed,
+            progress=progress,
+        )
+        values = {}
+        for name, one in found.metrics.items():
+            if one.value is not None:
+                low, high = one.bootstrap_interval or (one.value, one.value)
+                # The interval holds 95 % of a normal.
+                values[name] = (one.value, (high - low) / (2.0 * 1.959964))
+        grain, pulses = found.grain, found.side.density
+        extra = {"returns": found.side.returns, "ground": found.side.ground}
+    names = [name for name in STRUCTURE_METRICS if name in values]
+    view = structure_view(names, settings, grain=grain, pulses=pulses)
+    keep = _used(plot, view.names, "the metrics of the cloud")
+    names = [names[i] for i in keep]
+    view = structure_view(names, settings, grain=grain, pulses=pulses)
+    value, sd = (np.array([values[name][k] for name in names]) for k in (0, 1))
+    data = weigh_structure(view.names, value, plot.calibration.target_sd, sd=np.nan_to_num(sd))
+    told = (
+        f"{path.name}: {len(names)} structure metrics in cells of {grain:g} m, {pulses:.3g} "
+        f"returns a square metre. Errors: of sampling by {how}, and what the smooth metrics of "
+        "the voxels are off by."
+    )
+    return Measured("structure", path, data, view, told, {**extra, "grain_m": grain})
+
+
+def structure_settings(plot: Plot) -> tuple[StructureSettings, tuple[float, ...]]:
+    """Settings and grains [m] of structure that fit a plot's voxels."""
+    voxel = plot.voxel_m
+    cell = max(1, round(_CANOPY_CELL / voxel)) * voxel
+    grains = []
+    for grain in _GRAINS:
+        across = grain / max(1, round(grain / cell)) / voxel
+        if abs(across - round(across)) < 1e-6 <= across and grain <= min(plot.size_m) + 1e-9:
+            grains.append(grain)
+    if not grains:
+        raise InputError(
+            f"a plot of {min(plot.size_m):g} m with voxels of {voxel:g} m has no cells of whole "
+            f"voxels among {', '.join(f'{g:g}' for g in _GRAINS)} m for a cloud's structure. "
+            "Voxels of 0.1 m have.",
+            file=plot.file,
+        )
+    return StructureSettings(canopy_cell=cell), tuple(grains)

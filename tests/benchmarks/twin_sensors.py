@@ -1,0 +1,233 @@
+"""What sensors know together: `python -m tests.benchmarks.twin_sensors [--seeds 10] [--size 4]`.
+
+Twins of the plot that burnt in 2006, cut to a square of SIZE m. For each seed the true parameters
+are drawn from the prior, the truth's plants stand elsewhere than the model's, and what the sensors
+measure of it has errors drawn from those that the calibration assumes. The plot is calibrated from
+the prior's centre to a drone's image (MSI), to MSI and LiDAR, and to AVIRIS-NG and LiDAR. Printed,
+by the Laplace approximation: posterior widths by kind of parameter, coverage of the 68 and 95 %
+intervals beside the binomial error of that many, bias of parameters called seen, and how far the
+unseen left their prior. `--save FILE` keeps every number (CSV).
+"""
+
+import argparse
+import dataclasses
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+
+from fynjax.inversion import (
+    SEEN,
+    AbstractView,
+    Data,
+    ImageView,
+    ParameterSpace,
+    StructureView,
+    calibrate_plot,
+    free_space,
+    join_data,
+    structure_view,
+    weigh_spectrum,
+    weigh_structure,
+    weigh_targets,
+)
+from fynjax.inversion._views import look
+from fynjax.io import Plot, example_folder, read_plot
+from fynjax.io._build import build_plot
+from fynjax.io._plot_sensor import drone_bands
+from fynjax.metrics import BANDS
+from fynjax.report._calibrate_targets import (
+    plot_spectrum_view,
+    reflectance_noise,
+    structure_settings,
+)
+from fynjax.scene import PlotModel, PlotParameters, replant, with_values
+from fynjax.sensors import BandSet, shipped_sensor
+
+STATISTICS = tuple(f"{layer}.{kind}" for layer in (*BANDS, "NDVI") for kind in ("mean", "std"))
+FREE = (
+    *(f"species.*.{kind}" for kind in ("cover", "diameter", "height", "leaf_area_index")),
+    *(f"species.*.leaf.{kind}" for kind in ("chlorophyll", "water", "dry_matter")),
+    *("ground.brightness", "ground.litter_fraction"),
+)
+PRIOR = {"cover": 0.25, "diameter": 0.25, "height": 0.15}  # relative sd; the rest 0.3
+SHARE = 0.02  # relative error of a mean, a band or a metric
+PULSES = 100.0  # m-2
+
+
+def prior_sd(name: str) -> float:
+    return PRIOR.get(name.rsplit(".", 1)[-1], 0.3)
+
+
+def sensors(plot: Plot, bands: int) -> dict[str, AbstractView]:
+    """The three views: MSI, AVIRIS-NG in about `bands` bands, LiDAR."""
+    own = shipped_sensor("aviris_ng").bands
+    clear = [
+        i for i, c in enumerate(own.centre)
+        if 420 < c < 2440 and not (1340 < c < 1460 or 1790 < c < 2100)
+    ]  # fmt: skip
+    every = -(-len(clear) // bands)
+    chosen = own.select(clear[every // 2 :: every])
+    named = BandSet(tuple(f"{c:.1f}nm" for c in chosen.centre), chosen.centre, chosen.fwhm)
+    settings, grains = structure_settings(plot)
+    return {
+        "MSI": ImageView(STATISTICS),
+        "AVIRIS-NG": plot_spectrum_view(plot, named),
+        "LiDAR": structure_view(settings=settings, grain=min(grains), pulses=PULSES),
+    }
+
+
+def targets(view: AbstractView, value: np.ndarray, zenith: float, cells: int) -> Data:
+    """What a sensor measures, with the errors of its kind."""
+    if isinstance(view, ImageView):
+        return weigh_targets(view.names, value, SHARE)
+    if isinstance(view, StructureView):
+        return weigh_structure(view.names, value, SHARE, sd=0.1 * np.abs(value) / np.sqrt(cells))
+    noise = reflectance_noise(view.bands, value, zenith)  # type: ignore[attr-defined]
+    return weigh_spectrum(view.names, value, SHARE, noise=noise)
+
+
+def noisy(data: Data, random: np.random.Generator) -> Data:
+    """The same targets off by a draw of their errors."""
+    normal = random.normal(size=data.value.size)
+    if data.whitener is None:
+        return Data(data.names, data.value + data.sd * normal, data.sd)
+    off = np.linalg.solve(np.asarray(data.whitener), normal)
+    return Data(data.names, data.value + off, data.sd, data.whitener)
+
+
+COMBINATIONS = (("MSI",), ("MSI", "LiDAR"), ("AVIRIS-NG", "LiDAR"))
+
+
+def twin(
+    seed: int,
+    model: PlotModel,
+    parameters: PlotParameters,
+    space: ParameterSpace,
+    views: dict[str, AbstractView],
+    observe: Any,
+    options: argparse.Namespace,
+    zenith: float,
+) -> list[dict[str, Any]]:
+    """A row for each combination of sensors and parameter."""
+    random = np.random.default_rng([seed, 2006])
+    truth = random.normal(size=len(space.names)).clip(-2.0, 2.0)
+    plot = with_values(parameters, model.taxa, space.named(jnp.asarray(truth)))
+    seen = observe(replant(model, 1000 + seed), plot)
+    cells = max(1, int(options.size / views["LiDAR"].grain) ** 2)  # type: ignore[attr-defined]
+    measured = {
+        name: noisy(targets(view, np.asarray(seen[name], float), zenith, cells), random)
+        for name, view in views.items()
+    }
+    rows = []
+    for names in COMBINATIONS:
+        began = time.perf_counter()
+        found = calibrate_plot(
+            model,
+            parameters,
+            join_data([measured[n] for n in names]),
+            space,
+            views=[views[n] for n in names],
+            stride=options.stride,
+            max_steps=options.steps,
+            replants=options.replants,
+        )
+        fit = found.fit
+        width = np.sqrt(np.diagonal(np.asarray(fit.covariance)))
+        true = np.asarray(space.physical(jnp.asarray(truth)))
+        rest = np.asarray(found.data.whiten(found.statistics_after - found.data.value))
+        print(
+            f"seed {seed}, {' + '.join(names)}: {time.perf_counter() - began:.0f} s, step "
+            f"{found.seconds['step_s']:.1f} s, whitened misfit {np.sqrt(np.mean(rest**2)):.2f}, "
+            f"{fit.status}",
+            flush=True,
+        )
+        rows += [
+            {
+                "seed": seed,
+                "sensors": " + ".join(names),
+                "parameter": name,
+                "kind": name.rsplit(".", 1)[-1],
+                "width": width[i],
+                "z": (float(fit.whitened[i]) - truth[i]) / width[i],
+                "left_prior": float(fit.whitened[i]),
+                "bias": float(fit.estimate[i]) / true[i] - 1.0,
+                "seen": bool(fit.constrained[i] >= SEEN),
+                "unseen": bool(fit.constrained[i] < 0.05),
+            }
+            for i, name in enumerate(fit.names)
+        ]
+    return rows
+
+
+def report(table: pd.DataFrame) -> None:
+    """The tables."""
+    order = [" + ".join(names) for names in COMBINATIONS]
+    width = table.pivot_table(index="kind", columns="sensors", values="width", aggfunc="median")
+    print("\nPosterior width over the prior's, median over parameters and seeds")
+    print(width[order].to_string(float_format="%.2f"))
+    print("\nCoverage of the intervals, bias of the seen, how far the unseen left the prior")
+    head = ("68 %", "95 %", "seen", "bias %", "unseen", "rms left")
+    print(f"{'':<20}" + "".join(f"{h:>13}" for h in head))
+    for name in order:
+        part = table[table["sensors"] == name]
+        inside = [float((part["z"].abs() < limit).mean()) for limit in (1.0, 1.96)]
+        # Parameters of a seed hang together: each seed counts as one trial of all.
+        by_seed = [
+            part["z"].abs().lt(limit).groupby(part["seed"]).mean().std(ddof=1)
+            / np.sqrt(part["seed"].nunique())
+            for limit in (1.0, 1.96)
+        ]
+        seen, unseen = part[part["seen"]], part[part["unseen"]]
+        left = float(np.sqrt(np.mean(unseen["left_prior"] ** 2))) if len(unseen) else np.nan
+        bias = 100.0 * float(seen["bias"].mean()) if len(seen) else np.nan
+        cells = [f"{v:.3f}±{e:.3f}" for v, e in zip(inside, by_seed)]
+        print(
+            f"{name:<20}{cells[0]:>13}{cells[1]:>13}{len(seen):>13}{bias:>13.1f}"
+            f"{len(unseen):>13}{left:>13.2f}"
+        )
+    seen = table[table["seen"]]
+    if len(seen):
+        print("\nBias of parameters called seen, by kind [%], and how often")
+        grouped = seen.groupby(["sensors", "kind"])["bias"].agg(["mean", "std", "size"])
+        grouped[["mean", "std"]] *= 100.0
+        print(grouped.to_string(float_format="%.1f"))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--size", type=float, default=4.0, help="side of the plot [m]")
+    parser.add_argument("--pixel", type=float, default=0.05, help="of the drone [m]")
+    parser.add_argument("--bands", type=int, default=28, help="of the spectrometer")
+    parser.add_argument("--stride", type=int, default=4, help="of the drone's pixels in the search")
+    parser.add_argument("--steps", type=int, default=8)
+    parser.add_argument("--replants", type=int, default=4)
+    parser.add_argument("--save", type=Path)
+    options = parser.parse_args(arguments)
+    jax.config.update("jax_enable_x64", True)
+    read = read_plot(example_folder() / "plot.toml")
+    side = (options.size, options.size)
+    sensor = dataclasses.replace(read.sensor, pixel_m=options.pixel)
+    read = dataclasses.replace(read, size_m=side, sensor=sensor)
+    model, parameters = build_plot(read, seed=0, bands=drone_bands(read))
+    space = free_space(model, parameters, FREE, prior_sd)
+    views = sensors(read, options.bands)
+    print(f"{len(space.names)} free parameters; {len(views['AVIRIS-NG'].names)} bands")
+    compiled = eqx.filter_jit(lambda m, p: {n: look([v], m, p)[0] for n, v in views.items()})
+    rows = []
+    for seed in range(options.seeds):
+        rows += twin(seed, model, parameters, space, views, compiled, options, read.sun.zenith_deg)
+        if options.save is not None:
+            pd.DataFrame(rows).to_csv(options.save, index=False)
+    report(pd.DataFrame(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,357 @@
+"""Views of several sensors: their numbers, slopes and errors, and a calibration to all of them."""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax._core.errors import InputError
+from fynjax._core.journal import forget_journal
+from fynjax.inversion import (
+    COARSE,
+    AbstractView,
+    Data,
+    Forward,
+    ImageView,
+    PlotForward,
+    calibrate_plot,
+    coarser,
+    free_space,
+    join_data,
+    spectrum_view,
+    structure_view,
+    weigh_spectrum,
+    weigh_structure,
+    weigh_targets,
+)
+from fynjax.inversion._views import _projections
+from fynjax.metrics import STRUCTURE_METRICS, voxel_structure
+from fynjax.radiation import parallel_rays, reflectance_factor, solve_light
+from fynjax.scene import Camera, build_model, replant, with_values
+from fynjax.sensors import BandSet
+from tests.scene.plots import FORMS, TAXA, densities, small_parameters, small_plot
+
+BANDS = BandSet(("a", "b", "c"), (550.0, 860.0, 1650.0), (20.0, 20.0, 20.0))
+VIEWS = (
+    ImageView(("red.mean", "nir.mean", "NDVI.std")),
+    spectrum_view(BANDS),
+    structure_view(grain=1.0),
+)
+FREE = ("species.Erica irregularis.cover", "species.*.height", "*irregularis.leaf.water")
+ACCURACY = dataclasses.replace(COARSE, coarsening=(2, 2), tolerance=1e-11, iterations=200)
+
+
+@pytest.fixture(scope="module")
+def plot():
+    """A plot of 2 m, its parameters and three kinds of free ones."""
+    model, parameters = small_plot(extent=(2.0, 2.0), accuracy=ACCURACY), small_parameters()
+    return model, parameters, free_space(model, parameters, FREE, lambda _: 0.2)
+
+
+def test_names_carry_the_sensor_but_for_the_drone():
+    assert VIEWS[0].names == ("red.mean", "nir.mean", "NDVI.std")
+    assert VIEWS[1].names == ("spectrum.550nm", "spectrum.860nm", "spectrum.1650nm")
+    assert VIEWS[2].names[1] == "lidar.gap_fraction"
+
+
+def test_a_spectrum_is_the_mean_of_the_plot_in_its_bands(plot):
+    """Against a plot built with these bands, all of them solved for at once."""
+    model, parameters, _ = plot
+    own = build_model(
+        TAXA, FORMS, parameters, extent=(2.0, 2.0), voxel=0.1, camera=Camera(BANDS, 50.0, 0.1),
+        seed=3, accuracy=model.accuracy, dtype="float64",
+    )  # fmt: skip
+    at = jnp.arange(20) * 0.1 + 0.05
+    rays = parallel_rays(at, at, 0.1, jnp.zeros(()), jnp.zeros(()))
+    every = eqx.filter_jit(
+        lambda m, p: reflectance_factor(solve_light(m.scene(p), m.accuracy), rays)
+    )
+    expected = every(own, parameters).mean(axis=(1, 2))
+    found = eqx.filter_jit(VIEWS[1].predict)(model, parameters)
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
+
+
+def test_structure_is_that_of_all_that_a_beam_can_hit(plot):
+    """Spherical normals: the projected area of leaves, wood and flowers is half of it."""
+    model, parameters, _ = plot
+    found = eqx.filter_jit(VIEWS[2].predict)(model, parameters)
+    density = densities(model, parameters)
+    share = np.asarray(_projections(model))
+    assert share.shape == (density.shape[0],)
+    assert np.all(share[-2:] == 0.5)
+    effective = jnp.einsum("c,czyx->zyx", share, density)
+    layers = int(np.ceil((model.grid.extent[2] - 0.25) / 0.25))
+    other = voxel_structure(
+        effective,
+        VIEWS[2].settings,
+        voxel=(0.1, 0.1),
+        grain=1.0,
+        pulses=100.0,
+        layers=layers,
+        projection=1.0,
+    ).means()
+    np.testing.assert_allclose(found, [other[m] for m in STRUCTURE_METRICS], rtol=1e-9)
+    gap = np.exp(-np.asarray(effective).sum(axis=0) * 0.1).mean()
+    assert float(found[1]) >= gap  # below 10 cm as well
+
+
+@pytest.mark.parametrize(
+    "view", [pytest.param(VIEWS[0], marks=pytest.mark.study), *VIEWS[1:]], ids=lambda v: v.names[0]
+)
+def test_slopes_of_each_view_are_those_of_central_differences(plot, view):
+    """As a search has them; contracted to one number, along each free parameter."""
+    model, parameters, space = plot
+    forward = Forward(PlotForward(parameters, space.names, [view.for_search(model, 3)]), space)
+    u = 0.3 * jnp.arange(-2.0, len(space.names) - 2.0)
+    value, rows = forward.jacobian(u, (model,))
+    weight = np.random.default_rng(5).normal(size=value.size) / np.asarray(value)
+    step = 1e-5
+    for i in range(u.size):
+        up, down = (forward.jacobian(u.at[i].add(h), (model,))[0] for h in (step, -step))
+        difference = weight @ np.asarray(up - down) / (2 * step)
+        assert float(weight @ rows[:, i]) == pytest.approx(difference, rel=2e-5, abs=1e-8)
+    seen = np.abs(np.asarray(rows)).max(axis=0)
+    assert seen[0] > 0.0
+    if view is VIEWS[2]:  # a LiDAR knows nothing of the water in a leaf
+        assert seen[-1] == 0.0
+
+
+def test_errors_of_a_spectrum_are_shared_by_its_bands():
+    value, noise = np.array([0.1, 0.4]), np.array([0.002, 0.01])
+    sampling = np.array([[4e-5, 1e-5], [1e-5, 9e-5]])
+    data = weigh_spectrum(
+        ("a", "b"), value, 0.02, noise=noise, sampling=sampling, gain=0.03, offset=0.004
+    )
+    together = 0.03**2 * 0.1 * 0.4 + 0.004**2 + 1e-5
+    alone = [
+        (0.02 * v) ** 2 + n**2 + (0.03 * v) ** 2 + 0.004**2 + s
+        for v, n, s in zip(value, noise, (4e-5, 9e-5))
+    ]
+    covariance = np.linalg.inv(np.asarray(data.whitener.T @ data.whitener))
+    expected = [[alone[0], together], [together, alone[1]]]
+    np.testing.assert_allclose(covariance, expected, rtol=1e-10)
+    np.testing.assert_allclose(data.sd, np.sqrt(alone))
+    # A factor common to all bands is cheap, the same deviations with unlike signs are not.
+    gain, shape = (
+        float(jnp.sum(data.whiten(jnp.asarray(d)) ** 2)) for d in ([0.003, 0.012], [0.003, -0.012])
+    )
+    assert gain < 0.6 * shape
+
+
+def test_structure_has_the_error_of_its_cells_and_of_the_model():
+    data = weigh_structure(("a", "b"), np.array([0.4, 2.0]), 0.02, sd=np.array([0.03, 0.0]))
+    np.testing.assert_allclose(data.sd, [np.hypot(0.03, 0.02), 0.1])
+    with pytest.raises(InputError, match="relative_sd"):
+        weigh_structure(("a",), np.ones(1), 0.0, sd=np.ones(1))
+
+
+def test_joined_targets_keep_their_errors_apart():
+    drone = weigh_targets(("red.mean", "nir.mean"), np.array([0.05, 0.3]), 0.02)
+    spectrum = weigh_spectrum(("s",), np.array([0.3]), 0.02)
+    both = join_data([drone, spectrum])
+    assert both.names == ("red.mean", "nir.mean", "s")
+    rest = jnp.array([0.01, -0.02, 0.05])
+    apart = jnp.concatenate([drone.whiten(rest[:2]), spectrum.whiten(rest[2:])])
+    np.testing.assert_allclose(both.whiten(rest), apart)
+    plain = join_data([drone, Data(("x",), jnp.ones(1), jnp.ones(1))])
+    assert plain.whitener is None
+    assert join_data([drone]) is drone
+
+
+# -- the calibration ------------------------------------------------------------------------
+
+
+class Sums(AbstractView):
+    """Numbers of a plot that need neither plants nor light, so that nothing takes long."""
+
+    names: tuple[str, ...] = eqx.field(static=True, default=("a", "b", "c", "d"))
+    lack: float = eqx.field(static=True, default=0.0)
+    """What the cheap form is off by."""
+
+    def observe(self, model, parameters):
+        height, cover = parameters.species.height, parameters.species.cover
+        found = [height @ cover, height[0] ** 2, cover[1] * height[1], jnp.sum(cover)]
+        return None, jnp.stack(found) + self.lack * height[0] ** 2
+
+    def for_search(self, model, stride):
+        return dataclasses.replace(self, lack=0.02)
+
+
+HEIGHTS = ("species.*.height", "species.*.cover")
+
+
+@pytest.fixture(scope="module")
+def sums():
+    """A plot, parameters to start from, targets of another plot, and the free space."""
+    model, truth = small_plot(extent=(2.0, 2.0), dtype="float32"), small_parameters()
+    value = np.asarray(Sums().predict(model, truth), float)
+    data = weigh_structure(Sums().names, value, 0.02, sd=np.zeros(value.size))
+    off = {"species.Erica irregularis.height": 0.8, "species.Restio eleocharis.cover": 0.1}
+    start = with_values(truth, TAXA, {n: jnp.asarray(v) for n, v in off.items()})
+    return model, start, data, free_space(model, start, HEIGHTS, lambda _: 0.3)
+
+
+def calibrated(sums, view=Sums(), **options):  # noqa: B008
+    return calibrate_plot(*sums, views=(view,), **{"replants": 2, "max_steps": 4} | options)
+
+
+class Stop(Exception):
+    """What interrupts a run."""
+
+
+def stop_after(count):
+    """A report that interrupts at its `count`-th call."""
+    calls = []
+
+    def report(*told):
+        calls.append(told)
+        if len(calls) == count:
+            raise Stop
+
+    return report
+
+
+@pytest.fixture(scope="module")
+def whole(sums):
+    return calibrated(sums)
+
+
+@pytest.mark.parametrize("count", [1, 3, 5])
+def test_an_interrupted_run_goes_on_as_if_it_had_not_been(sums, whole, tmp_path, count):
+    folder = tmp_path / "kept"
+    with pytest.raises(Stop):
+        calibrated(sums, checkpoint=folder, report=stop_after(count))
+    steps = len(list(folder.glob("*.npz")))
+    assert steps >= 2 + count
+    told = []
+    found = calibrated(sums, checkpoint=folder, report=lambda *args: told.append(args))
+    assert len(told) == len(whole.fit.loss)
+    for name in ("estimate", "sd", "loss", "predicted", "covariance"):
+        expected = getattr(whole.fit, name)
+        np.testing.assert_allclose(getattr(found.fit, name), expected, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(found.statistics_after, whole.statistics_after, rtol=1e-6)
+    assert found.fit.status == whole.fit.status
+    forget_journal(folder)
+    assert not folder.exists()
+
+
+def test_what_was_kept_is_not_done_again(sums, whole, tmp_path, monkeypatch):
+    """A finished calibration is read, not computed: nothing of the model may run."""
+    folder = tmp_path / "kept"
+    calibrated(sums, checkpoint=folder)
+
+    def never(*_):
+        raise AssertionError("this was computed before")
+
+    monkeypatch.setattr("fynjax.inversion._search.look", never)
+    monkeypatch.setattr(Forward, "step", never, raising=False)
+    monkeypatch.setattr("fynjax.inversion._views.PlotForward._plot", never)
+    found = calibrated(sums, checkpoint=folder)
+    np.testing.assert_allclose(found.fit.estimate, whole.fit.estimate, rtol=1e-6)
+
+
+def test_a_checkpoint_of_another_calibration_is_refused(sums, tmp_path):
+    model, start, data, space = sums
+    folder = tmp_path / "kept"
+    with pytest.raises(Stop):
+        calibrated(sums, checkpoint=folder, report=stop_after(1))
+    other = Data(data.names, data.value.at[0].mul(1.001), data.sd)
+    for changed, options in (
+        ((model, start, other, space), {}),
+        ((replant(model, 1), start, data, space), {}),
+        (sums, {"max_steps": 5}),
+    ):
+        with pytest.raises(InputError, match="checkpoint is of another run"):
+            calibrated(changed, checkpoint=folder, **options)
+    (last,) = sorted(folder.glob("*.npz"))[-1:]
+    last.write_bytes(last.read_bytes()[:50])
+    with pytest.raises(InputError, match="damaged one"):
+        calibrated(sums, checkpoint=folder)
+
+
+def test_other_starts_end_in_the_same_minimum(sums, whole):
+    found = calibrated(sums, starts=3, max_steps=12, tolerance=1e-3)
+    ends = found.ends
+    assert ends.objective.shape == (3,)
+    assert ends.whitened.shape == (3, len(found.fit.names))
+    assert ends.minima == 1
+    assert ends.apart.max() < 1.0
+    assert float(found.fit.loss[-1]) == pytest.approx(ends.objective.min(), rel=0.2)
+    assert whole.ends.minima == 1
+    np.testing.assert_allclose(whole.ends.apart, [0.0])
+
+
+def test_views_must_be_those_of_the_data(sums):
+    model, start, data, space = sums
+    with pytest.raises(InputError, match="`views` must yield"):
+        calibrate_plot(model, start, data, space, views=VIEWS)
+    with pytest.raises(InputError, match="`views` must yield"):
+        calibrate_plot(model, start, data, space, views=(Sums(), *VIEWS))
+    with pytest.raises(InputError, match="`starts` must be at least 1"):
+        calibrated(sums, starts=0)
+
+
+class Broken(Sums):
+    """Is not a number, or has such a slope, though only where a search looks."""
+
+    bad: str = eqx.field(static=True, default="value")
+
+    def observe(self, model, parameters):
+        _, found = super().observe(model, parameters)
+        if self.bad == "value":
+            return None, found.at[1].set(jnp.nan)
+        # A root whose slope at zero is infinite, times zero.
+        root = jnp.sqrt(0.0 * parameters.species.height[0])
+        return None, found if self.lack == 0.0 else found + 0.0 * root
+
+
+def test_a_loss_or_slope_that_is_not_finite_is_said(sums):
+    with pytest.raises(InputError, match="the statistic b is not finite at the start"):
+        calibrated(sums, Broken())
+    found = calibrated(sums, Broken(bad="slope"))
+    assert not found.fit.converged
+    assert "slope of a by species.Erica irregularis.height is not finite" in found.fit.status
+    np.testing.assert_allclose(found.fit.sd, found.fit.space.prior_sd, rtol=1e-6)
+    np.testing.assert_allclose(found.fit.estimate, found.fit.space.prior, rtol=1e-6)
+
+
+def test_a_parameter_that_nothing_depends_on_is_named(sums):
+    model, start, data, _ = sums
+    space = free_space(model, start, ("species.*.height", "ground.brightness"), lambda _: 0.3)
+    found = calibrated((model, start, data, space), rounds=1)
+    assert "No statistic depends on ground.brightness: flat" in found.fit.status
+    i = found.fit.names.index("ground.brightness")
+    assert float(found.fit.estimate[i]) == pytest.approx(float(space.prior[i]))
+
+
+@pytest.mark.study
+def test_a_twin_of_three_sensors_is_reproduced():
+    """What the sensors saw of a known plot comes back from parameters that are off by 20 %."""
+    truth, model = small_parameters(), small_plot(extent=(2.0, 2.0), dtype="float32")
+    model = dataclasses.replace(model, accuracy=COARSE)
+    model = dataclasses.replace(model, accuracy=coarser(model, COARSE).accuracy)
+    values = [np.asarray(eqx.filter_jit(v.predict)(model, truth), float) for v in VIEWS]
+    data = join_data(
+        [
+            weigh_targets(VIEWS[0].names, values[0], 0.01),
+            weigh_spectrum(VIEWS[1].names, values[1], 0.01, gain=0.005, offset=0.001),
+            weigh_structure(VIEWS[2].names, values[2], 0.01, sd=np.zeros(len(values[2]))),
+        ]
+    )
+    named = {"species.Erica irregularis.cover": 0.2, "species.Erica irregularis.height": 0.8}
+    named |= {"species.Restio eleocharis.cover": 0.18, "ground.brightness": 0.65}
+    start = with_values(truth, TAXA, {n: jnp.asarray(v) for n, v in named.items()})
+    free = ("species.*.cover", "species.*.height", "species.*.leaf_area_index", "ground.brightness")
+    space = free_space(model, start, free, lambda _: 0.3)
+    found = calibrate_plot(model, start, data, space, views=VIEWS, stride=2, max_steps=10)
+    before, after = (
+        np.asarray(data.whiten(s - data.value))
+        for s in (found.statistics_before, found.statistics_after)
+    )
+    assert np.sqrt(np.mean(before**2)) > 5.0
+    assert np.sqrt(np.mean(after**2)) < 0.7
+    i = found.fit.names.index("species.Erica irregularis.height")
+    assert float(found.fit.estimate[i]) == pytest.approx(0.67, abs=2 * float(found.fit.sd[i]))
+    assert "species.Erica irregularis.height" in found.fit.seen()
