@@ -11,6 +11,7 @@ import xarray as xr
 
 from fynjax.inversion import Calibration
 from fynjax.io import Plot, image_array, write_geotiff, write_run, write_text
+from fynjax.io._plot_place import plot_place
 from fynjax.metrics import BANDS, VEGETATION_INDICES, vegetation_indices
 from fynjax.report._calibrate_targets import Measured
 from fynjax.report._figure_style import save_figure
@@ -45,11 +46,14 @@ def _indices(image: np.ndarray, names: tuple[str, ...] = _SHOWN) -> dict[str, np
 def _write_image(
     folder: Path, name: str, image: np.ndarray, plot: Plot, model: PlotModel, record: Record
 ) -> None:
+    place = plot_place(plot)
     write_geotiff(
         folder / name,
         image,
         list(BANDS),
         pixel_m=plot.sensor.pixel_m,
+        origin_m=place.origin_m,
+        crs=place.crs,
         wavelengths=list(model.camera.bands.centre),
         tags={k: str(v) for k, v in record.items()},
     )
