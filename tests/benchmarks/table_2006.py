@@ -144,7 +144,8 @@ def _lidar(folder: Path) -> pd.DataFrame:
         for chosen in thinnings(len(x), REAL_RETURNS, 100, np.random.default_rng(SEED)):
             cells = cell_structure(bin_returns(x[chosen], y[chosen], z[chosen], grid, settings))
             for metric, values in cells.metrics.items():
-                found.setdefault(metric, []).append(float(np.nanmean(values)))
+                known = values[np.isfinite(values)]
+                found.setdefault(metric, []).append(known.mean() if known.size else np.nan)
         for metric, printed in published.items():
             if printed.real is not None:
                 rows.append(
