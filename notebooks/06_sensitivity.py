@@ -1,0 +1,248 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: py:percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # What an index responds to
+#
+# NDVI is read as greenness, or cover, or health. What does it respond to on this plot: the plants,
+# their leaves, or the ground between them? Three answers, from cheap to thorough: slopes at one
+# point (elasticities), slopes averaged over all that the field leaves open (DGSM), and shares of
+# the variance with all interactions (Sobol).
+
+# %%
+import dataclasses
+import os
+from itertools import combinations_with_replacement
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from fynjax.inversion import (
+    COARSE,
+    ParameterSpace,
+    coarser,
+    derivative_measures,
+    local_sensitivity,
+    plot_statistics,
+    sobol_indices,
+)
+from fynjax.io import build_plot, example_folder, read_plot
+from fynjax.metrics import image_statistics
+from fynjax.scene import named_values
+
+jax.config.update("jax_enable_x64", True)  # for small matrices; light is computed in 32 bits
+FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer runs
+SIDE = 2.0 if FAST else 4.0  # m
+STRIDE = 2 if FAST else 4  # every so many pixels are rendered
+METRICS = ("NDVI.mean", "GNDVI.mean", "GSAVI.mean")
+LABELS = {"NDVI.mean": "NDVI", "GNDVI.mean": "GNDVI", "GSAVI.mean": "GSAVI"}
+
+plot = dataclasses.replace(read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE))
+plot = dataclasses.replace(plot, sensor=dataclasses.replace(plot.sensor, pixel_m=0.1))
+model, table = build_plot(plot)
+model = coarser(model, COARSE)
+
+# %% [markdown]
+# ## One point, all parameters
+#
+# `jax.grad` behind `local_sensitivity` gives the slope of each index with respect to every number
+# of the plot at once. The elasticity is the slope in percent: by how many percent the index changes
+# for 1 % more of a parameter. Elasticities of a kind summed over the species say what happens when
+# the kind grows by 1 % in all of them.
+
+# %%
+everything = named_values(table, plot.taxa)
+names = [
+    name
+    for name, value in everything.items()
+    if name.startswith(("species", "ground")) and float(value) > 0
+]
+predict = plot_statistics(table, tuple(names), METRICS, STRIDE)
+at = np.array([float(everything[name]) for name in names])
+local = local_sensitivity(predict, names, METRICS, at, context=(model,))
+kinds = sorted({name.rsplit(".", 1)[1] for name in names})
+total = np.array(
+    [local.elasticity[:, [n.endswith("." + kind) for n in names]].sum(axis=1) for kind in kinds]
+)
+print(f"{len(names)} parameters, {len(METRICS)} indices:", end=" ")
+print(", ".join(f"{LABELS[m]} {v:.3f}" for m, v in zip(METRICS, local.value)))
+
+order = np.argsort(abs(total).max(axis=1))
+order = order[abs(total).max(axis=1)[order] > 0.002]
+row = np.arange(len(order))
+fig, ax = plt.subplots(figsize=(8, 5), layout="constrained")
+for k, (metric, colour) in enumerate(zip(METRICS, ("tab:green", "tab:olive", "tab:brown"))):
+    ax.barh(row + 0.26 * (1 - k), total[order, k], height=0.26, color=colour, label=LABELS[metric])
+ax.axvline(0, color="0.5", lw=0.8)
+ax.set_yticks(row, [kinds[i].replace("_", " ") for i in order])
+kind, index = np.unravel_index(np.argmax(abs(total)), total.shape)
+ax.set(
+    xlabel="elasticity: % change of the plot's mean index for 1 % more",
+    title=f"Steepest: {LABELS[METRICS[index]]} by {kinds[kind].replace('_', ' ')}, in all species",
+)
+ax.legend(frameon=False)
+plt.show()
+
+# %% [markdown]
+# The same, species by species, for cover alone: an index does not see a species by its cover, but
+# by how its crowns differ from what they hide.
+
+# %%
+cover = [i for i, name in enumerate(names) if name.endswith(".cover")]
+taxa = [names[i].split(".")[1] for i in cover]
+elastic, share = local.elasticity[:, cover], at[cover]
+order = np.argsort(elastic[0])
+fig, ax = plt.subplots(figsize=(8, 4.6), layout="constrained")
+ax.barh(np.arange(len(order)) + 0.2, elastic[0, order], 0.4, color="tab:green", label="NDVI")
+ax.barh(
+    np.arange(len(order)) - 0.2,
+    elastic[2, order],
+    0.4,
+    color="tab:brown",
+    label=LABELS["GSAVI.mean"],
+)
+ax.axvline(0, color="0.5", lw=0.8)
+ax.set_yticks(np.arange(len(order)), [f"{taxa[i]} ({100 * share[i]:g} %)" for i in order])
+ax.set(
+    xlabel="elasticity: % change of the index for 1 % more of the species' cover",
+    title=f"{taxa[order[-1]]} raises NDVI most, {taxa[order[0]]} least",
+)
+ax.legend(frameon=False, loc="lower right")
+plt.show()
+
+# %% [markdown]
+# ## All that the field leaves open
+#
+# A slope holds at one point, and says nothing of how far a parameter can stray. So let five things
+# stray together, in all species alike, as far as a table of the field is uncertain: cover by a
+# quarter, leaf area and chlorophyll by 40 %, litter by half of itself, the soil's brightness by 30
+# %.
+
+# %%
+knobs = {  # factor or value: lower, upper, middle, standard deviation
+    "living cover": (0.3, 2.0, 1.0, 0.25),
+    "leaf area": (0.1, 3.0, 1.0, 0.4),
+    "chlorophyll": (0.1, 2.5, 1.0, 0.4),
+    "litter": (0.01, 0.99, 0.5, 0.25),
+    "soil brightness": (0.2, 1.8, 0.8, 0.25),
+}
+space = ParameterSpace(tuple(knobs), *(jnp.array(column) for column in zip(*knobs.values())))
+living = np.array([one.growth_form != "deadwood" for one in plot.species])
+
+
+def indices(values, model):
+    cover, leaf_area, chlorophyll, litter, soil = values
+    changed = eqx.tree_at(
+        lambda p: (
+            p.species.cover,
+            p.species.leaf_area_index,
+            p.leaf.chlorophyll,
+            p.ground.litter_fraction,
+            p.ground.brightness,
+        ),
+        table,
+        (
+            table.species.cover * jnp.where(living, cover, 1.0),
+            table.species.leaf_area_index * leaf_area,
+            table.leaf.chlorophyll * chlorophyll,
+            litter,
+            soil,
+        ),
+    )
+    return image_statistics(model.image(changed, STRIDE), METRICS).astype(values.dtype)
+
+
+# %% [markdown]
+# Sobol's indices share out the variance of an index: *first order* is what a parameter does alone,
+# *total* adds all its interactions. They take thousands of runs. The mean squared slope (DGSM)
+# takes fewer, and bounds the total index from above: a parameter whose bound is small can be left
+# alone.
+#
+# So many images of a plot take a while. Five unknowns need them not: some images, spread over what
+# is open, fix a cubic polynomial, and others tell how wrong it is. (With patience, hand `indices`
+# itself to the two functions, with `context=(model,)`; or have more unknowns, and a machine with an
+# accelerator.)
+
+# %%
+terms = [t for n in range(4) for t in combinations_with_replacement(range(len(knobs)), n)]
+
+
+def powers(u):
+    return jnp.stack([jnp.prod(u[jnp.array(t, int)]) for t in terms])
+
+
+count = 104 if FAST else 232
+shares = qmc.Sobol(len(knobs), rng=0).random(count + 24)  # a power of two in all
+design = jnp.asarray(ndtri(np.clip(shares, 0.01, 0.99)))  # in units of the prior
+once = jax.jit(indices)
+runs = np.array([once(space.physical(u), model) for u in design])
+basis = np.asarray(jax.vmap(powers)(design))
+coefficients = np.linalg.lstsq(basis[:count], runs[:count])[0]
+wrong = (runs - basis @ coefficients)[count:].std(axis=0) / runs.std(axis=0)
+print("error of the polynomial, as a share of the spread:", end=" ")
+print(", ".join(f"{LABELS[m]} {w:.0%}" for m, w in zip(METRICS, wrong)))
+
+
+def stand_in(values):
+    return powers(space.whitened(values)) @ coefficients
+
+
+bounds = derivative_measures(stand_in, space, METRICS, samples=256, seed=1)
+sobol = sobol_indices(stand_in, space, METRICS, samples=512, seed=1)
+
+fig, axes = plt.subplots(1, 3, figsize=(11, 4), layout="constrained", sharey=True)
+row = np.arange(len(knobs))
+for k, ax in enumerate(axes):
+    for values, errors, shift, colour, label in (
+        (sobol.total, sobol.total_error, -0.18, "tab:green", "total"),
+        (sobol.first, sobol.first_error, 0.18, "tab:olive", "alone"),
+    ):
+        ax.barh(
+            row + shift,
+            100 * values[k],
+            0.36,
+            xerr=100 * errors[k],
+            color=colour,
+            ecolor="0.3",
+            label=label,
+        )
+    ax.plot(100 * bounds.bound[k], row, "k|", ms=22, mew=2, label="bound by DGSM")
+    first = list(knobs)[int(np.argmax(sobol.total[k]))]
+    ax.set(
+        xlabel="share of the variance [%]",
+        xlim=(0, None),
+        title=f"{LABELS[METRICS[k]]}: mostly {first}",
+    )
+axes[0].set_yticks(row, list(knobs))
+axes[0].invert_yaxis()
+fig.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+plt.show()
+
+# %%
+for k, metric in enumerate(METRICS):
+    spread = np.sqrt(sobol.variance[k])
+    alone, error = sobol.first[k].sum(), np.hypot.reduce(sobol.first_error[k])
+    print(f"{LABELS[metric]:<8}varies by {spread:.3f};", end=" ")
+    print(f"parameters one by one explain {alone:.0%} of it (error {error:.0%})")
+
+# %% [markdown]
+# An index answers several questions at once, and its name names only one of them. Where two
+# parameters share its variance, its change alone cannot say which of them changed; a second index
+# helps only if its shares differ. And elasticity and variance need not agree: a parameter with a
+# gentle slope that nobody knows may matter more than a steep one that is well measured.
+#
+# **For your own data**: your `plot.toml`, any of `fynjax.metrics.VEGETATION_INDICES` as
+# "NAME.mean", and your own doubts as priors. `fynjax sensitivity plot.toml --sobol 256` does it for
+# every parameter.
