@@ -130,7 +130,7 @@ chosen = np.asarray(spectra.reflectance)[[nearest(w) for w in (860, 650, 560)]]
 west, south = imager_view.origin
 wide, high = (n * imager_view.pixel for n in imager_view.shape[::-1])
 
-fig, axes = plt.subplots(1, 3, figsize=(11, 3.8), layout="constrained", width_ratios=(1, 1, 1.2))
+fig, axes = plt.subplots(1, 3, figsize=(11, 4.2), layout="constrained", width_ratios=(1, 1, 1.2))
 axes[0].imshow(false_colour(nir, red, green), origin="lower", extent=(0, SIDE, 0, SIDE))
 axes[0].set(title=f"Drone camera, {100 * PIXEL:.0f} cm", ylabel="north [m]")
 axes[1].imshow(
@@ -140,7 +140,7 @@ axes[1].set(title=f"Spectrometer, {imager_view.pixel:.0f} m")
 x, y, z = cloud.position.T
 dots = axes[2].scatter(x, y, c=z, s=80 / SIDE**2, cmap="viridis", lw=0)
 fig.colorbar(dots, ax=axes[2], label="height of the return [m]")
-axes[2].set(title="LiDAR, every return", aspect="equal")
+axes[2].set(title="LiDAR, every return", aspect="equal", xlim=(0, SIDE), ylim=(0, SIDE))
 for ax in axes:
     ax.set(xlabel="east [m]")
 plt.show()
@@ -180,9 +180,11 @@ bottom.legend(frameon=False, loc="upper right")
 plt.show()
 
 # %% [markdown]
-# And the LiDAR has what neither of them has, the third dimension. Pulses hit what stands highest,
-# so the returns lie above the leaves and wood that were planted: the lower canopy is in the shade
-# of the upper one for a laser, too.
+# And the LiDAR has what neither of them has, the third dimension. (In a larger plot several frames
+# of this flash LiDAR meet. Its beam is weak towards their corners, and there pulses may return
+# nothing: white in the picture.) Pulses hit what stands highest, so the returns lie above the
+# leaves and wood that were planted: the lower canopy is in the shade of the upper one for a laser,
+# too.
 
 # %%
 density = np.asarray(scene.area_density)
@@ -299,10 +301,11 @@ for change, row in zip(changes, noticed):
     print(f"{change}: {', '.join(seen_by) or 'nobody notices'}")
 
 # %% [markdown]
-# Read the rows: drier leaves need the short-wave infrared, lower plants the laser, and a species
-# that gives way changes several numbers a little, none of them much. Read the columns, too: one
-# number that several changes move cannot say which of them happened. That is why calibration uses
-# several numbers at once, and reports what they leave open (notebook 04).
+# Read the rows: drier leaves need the short-wave infrared, less chlorophyll the camera's red edge,
+# lower plants the laser, and a species that gives way moves numbers of several sensors, as fewer
+# leaves do. Read the columns, too: one number that several changes move cannot say which of them
+# happened. That is why calibration uses several numbers at once, and reports what they leave open
+# (notebook 04).
 #
 # **For your own data**: give your `plot.toml` to `read_plot`, choose sensors by name
 # (`fynjax.sensors.shipped_sensors()`) or from a file of yours, and put into `changes` what you want

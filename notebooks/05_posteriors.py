@@ -299,7 +299,7 @@ for i, (ax, name) in enumerate(zip(axes, unknown)):
         ax.hist(values[:, i], bins, density=True, histtype="step", color=colour, label=label)
     ax.axvline(truth[i], color="k", lw=0.8, ls=":")
     removed = max(posterior.constrained[i], 0.0)
-    ax.set(xlabel=name, yticks=[], title=f"the image removes {removed:.0%} of the variance")
+    ax.set(xlabel=name, yticks=[], title=f"variance removed: {removed:.0%}")
 fig.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
 plt.show()
 

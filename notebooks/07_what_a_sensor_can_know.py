@@ -103,7 +103,7 @@ def over_cover(gsd, bands):
 CEILING = 100.0  # bounds beyond, infinite ones too, are drawn there
 most = max(BANDS)
 curves = np.array([np.minimum(over_cover(gsd, most), CEILING) for gsd in GSD])
-kept = sum(curves[0] < 1)
+kept = sum(curves.min(axis=0) < 1)
 fig, ax = plt.subplots(figsize=(8, 4.4), layout="constrained")
 for k, taxon in enumerate(shown):
     percent = 100 * value[f"species.{taxon}.cover"]
@@ -112,10 +112,10 @@ ax.axhspan(1, 1.5 * CEILING, color="0.92", lw=0, zorder=0, label="bound larger t
 ax.set(
     xscale="log",
     yscale="log",
-    xlabel="pixel on the ground [m]",
+    xlabel="size of a pixel on the ground [m]",
     ylabel=f"bound on the cover / cover ({CEILING:g} or more at the top)",
     ylim=(None, 1.5 * CEILING),
-    title=f"{most} bands: at {GSD[0]:g} m {kept} of {len(shown)} species can be told from absent",
+    title=f"{most} bands: {kept} of {len(shown)} species can be told from absent at some size",
 )
 ax.set_xticks(GSD, [f"{gsd:g}" for gsd in GSD])
 ax.minorticks_off()
@@ -192,6 +192,7 @@ ax.set(
         f"{sum(fine.information > 1)} and {sum(coarse.information > 1)} of {len(space.names)}"
     ),
 )
+ax.xaxis.get_major_locator().set_params(integer=True)
 ax.legend(frameon=False)
 plt.show()
 

@@ -1,6 +1,8 @@
 """From a plot's files to a plot that can be rendered."""
 
+import warnings
 from collections.abc import Sequence
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -90,7 +92,36 @@ def build_plot(
     # calibration had them.
     if plot.parameters is not None:
         parameters = with_parameter_table(parameters, plot.taxa, plot.parameters)
+        _check_room(model, parameters, plot.parameters)
     return model, parameters
+
+
+def _check_room(model: PlotModel, parameters: PlotParameters, path: Path) -> None:
+    """Whether the plants of a table of parameters find place where the plot's own tables planted.
+
+    Warns of a species with fewer sites than plants; raises `InputError` for one without any, and
+    for plants that are higher than the grid.
+    """
+    ready = np.bincount(np.asarray(model.planting.species), minlength=len(model.taxa))
+    wanted, height = np.asarray(model.counts(parameters)), np.asarray(parameters.species.height)
+    for taxon, sites, plants in zip(model.taxa, ready, wanted, strict=True):
+        if sites == 0 and plants > 0:
+            raise InputError(
+                f"{taxon} has a cover here, but none in the species table, where it must have some",
+                file=path,
+            )
+        if plants > sites:
+            warnings.warn(
+                f"{path}: {taxon} wants {plants:.0f} plants, but the species table gives place for "
+                f"{sites}; its cover comes out too low",
+                stacklevel=3,
+            )
+    if (top := float(height.max())) > model.grid.extent[2]:
+        raise InputError(
+            f"plants of {top:g} m are higher than the grid that the species table makes, "
+            f"{model.grid.extent[2]:g} m: raise the height there",
+            file=path,
+        )
 
 
 def plot_parameters(

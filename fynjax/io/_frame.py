@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pyproj
 import rasterio
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
@@ -68,6 +69,14 @@ def check_frame(file: Any, path: Path) -> None:
             f"expected coordinates in metres, but they are in units of {unit}. Reproject to a "
             f"metric system first, such as the plot's UTM zone: gdalwarp -t_srs EPSG:... "
             f"{path.name} metric.tif",
+            file=path,
+        )
+    axes = [axis.direction for axis in pyproj.CRS.from_wkt(crs.to_wkt()).axis_info]
+    if not is_local(crs) and {"west", "south"} & set(axes):
+        raise InputError(
+            f"expected a system whose coordinates grow to the east and north, but those of this "
+            f"one grow to the {' and '.join(axes)}. Reproject first, such as to the plot's UTM "
+            f"zone: gdalwarp -t_srs EPSG:... {path.name} utm.tif",
             file=path,
         )
     check_north_up(file.transform, path, "a raster")

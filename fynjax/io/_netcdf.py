@@ -4,6 +4,7 @@ import hashlib
 import json
 import shlex
 import sys
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -122,8 +123,11 @@ def image_array(
 
 def grid_mapping(crs: str) -> xr.DataArray:
     """The variable "crs" that says in which reference system coordinates are (CF-1.11, 5.6)."""
-    system = pyproj.CRS.from_user_input(crs).to_cf()
-    # Programs on GDAL look for the older name.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # CF has no word for some parameters
+        system = pyproj.CRS.from_user_input(crs).to_cf()
+    # Systems that CF has no name for have their WKT alone. Programs on GDAL look for the older
+    # name of that.
     attributes = {**system, "spatial_ref": system["crs_wkt"], "long_name": "reference system"}
     return xr.DataArray(np.int32(0), attrs=attributes)
 
@@ -145,7 +149,7 @@ def write_run(
     for name, variable in dataset.variables.items():
         if "long_name" not in variable.attrs:
             raise ValueError(f"variable {name!r} must have `long_name`, but has none")
-        numeric = variable.dtype.kind in "fiu" and "grid_mapping_name" not in variable.attrs
+        numeric = variable.dtype.kind in "fiu" and "crs_wkt" not in variable.attrs
         if numeric and "units" not in variable.attrs:
             raise ValueError(f"variable {name!r} must have `units`, but has none")
     record = dict(attributes or {})
@@ -159,7 +163,10 @@ def write_run(
         }
     )
     encoding: dict[Any, dict[str, Any]] = {
-        name: {"zlib": True, "complevel": 4} if variable.ndim else {}
+        name: {
+            **({"zlib": True, "complevel": 4} if variable.ndim else {}),
+            **{k: v for k, v in variable.encoding.items() if k == "_FillValue"},
+        }
         for name, variable in dataset.data_vars.items()
         if variable.dtype.kind in "fiu"
     }

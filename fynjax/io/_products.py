@@ -55,7 +55,7 @@ class Cube:
     origin_m: tuple[float, float] | None
     """South-west corner (x, y) [m]; `None` as above."""
     quantity: str = "reflectance"
-    """'reflectance' [-] or 'radiance' [W m-2 sr-1 um-1]; of a file what it says, if it does."""
+    """A key of `QUANTITIES`; of a file what it says, if it does, else by its unit."""
     crs: str | None = None
     """Coordinate reference system as WKT; `None` for the plot's own frame, or none."""
     attributes: Mapping[str, str] = field(default_factory=dict)
@@ -99,6 +99,7 @@ def write_cube_envi(path: str | Path, cube: Cube, record: Mapping[str, Any]) -> 
         "data ignore value": NODATA,
         **_envi_place(cube),
         "data units": unit,
+        "fynjax quantity": cube.quantity,
         **{f"fynjax {key}": _plain(value) for key, value in record.items()},
     }
     if cube.wavelength is not None:

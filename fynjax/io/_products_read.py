@@ -124,10 +124,16 @@ def _read_raster(path: Path, header: dict[str, str], header_path: Path) -> Cube:
         good,
         pixel,
         origin,
-        "radiance" if unit in RADIANCE_UNITS else "reflectance",
+        "radiance" if unit in RADIANCE_UNITS else _told(tags),
         crs,
         tags,
     )
+
+
+def _told(tags: dict[str, str]) -> str:
+    """What an image without unit holds, as a product of this program says it."""
+    told = tags.get("quantity", tags.get("fynjax quantity", ""))
+    return told if told in QUANTITIES else "reflectance"
 
 
 def _spectral_axis(

@@ -168,8 +168,8 @@ class StatisticRow(Strict):
 
 
 class ParameterRow(Strict):
-    """One row of the parameters that `calibrate` writes; name and estimate are enough to be read
-    as `scene.parameters`."""
+    """One row of the parameters that `calibrate` and `posterior` write; name and estimate, and the
+    unit of covers and lengths, are enough to be read as `scene.parameters`."""
 
     name: str = Field(description="Such as 'species.Erica irregularis.cover'.", min_length=1)
     kind: str | None = Field(default=None, description="Last word of the name.")
@@ -182,9 +182,15 @@ class ParameterRow(Strict):
     sd: float | None = number("Standard deviation of the estimate", "as stated", default=None)
     lower: float | None = number("Least plausible value", "as stated", default=None)
     upper: float | None = number("Largest plausible value", "as stated", default=None)
+    q05: float | None = number("Quantile of 5 %, of draws", "as stated", default=None)
+    median: float | None = number("Median of draws", "as stated", default=None)
+    q95: float | None = number("Quantile of 95 %, of draws", "as stated", default=None)
     constrained: float | None = number(
         "Share of the prior variance that the data removed", "-", default=None
     )
+    ess_bulk: float | None = number("Effective draws, of the bulk", "-", default=None)
+    ess_tail: float | None = number("Effective draws, of the tails", "-", default=None)
+    r_hat: float | None = number("Disagreement of chains", "-", default=None)
 
 
 class StructureRow(Strict):

@@ -105,7 +105,7 @@ def run_simulate(
         "pixel_m": sensing.pixel,
         "noise": bool(noisy),
         "peak_memory_mib": peak_memory_mib(),
-        "warnings": [*warnings_of(sensing, instrument), *warnings],
+        "warnings": [*warnings_of(read, sensing, instrument), *warnings],
     }
 
 

@@ -58,7 +58,7 @@ def run_record(
             "pixel_m": sensing.pixel,
             "pixel_of_the_optics_m": optics,
             "rows_columns": list(sensing.shape),
-            "south_west_corner_m": list(sensing.origin),
+            "south_west_corner_from_that_of_the_plot_m": list(sensing.origin),
             **{k: float(v) for k, v in angles.items()},
             "point_spread": sensing.sensor.psf is not None,
             "noise": bool(noisy),
@@ -130,6 +130,11 @@ def _of_slant(sensing: PlotSensing) -> list[str]:
     ]
 
 
-def warnings_of(sensing: PlotSensing, instrument: Sensor) -> list[str]:
+def warnings_of(plot: Plot, sensing: PlotSensing, instrument: Sensor) -> list[str]:
     """What a user should mind of a simulated image."""
-    return [*_left_out(sensing, instrument), *_of_other_pixels(sensing), *_of_slant(sensing)]
+    lost = []
+    if plot.sensor.panels and sensing.panels is None:
+        lost = [f"the plot file's panels are those of {plot.sensor.name}, and left out here"]
+    if sensing.panels is not None and len(sensing.panels.coverage) == 1:
+        lost = ["one panel cannot tell the light of the air; reflectance_sd allows for it"]
+    return [*lost, *_left_out(sensing, instrument), *_of_other_pixels(sensing), *_of_slant(sensing)]

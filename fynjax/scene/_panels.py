@@ -35,24 +35,40 @@ class PanelsInPicture(eqx.Module):
         return place_panels(image, jnp.asarray(self.coverage), panels).astype(image.dtype)
 
     def line(
-        self, radiance: Float[Array, "band y x"], transparent: Bool[Array, " band"]
+        self,
+        radiance: Float[Array, "band y x"],
+        transparent: Bool[Array, " band"],
+        *,
+        noise_sd: Float[Array, "#band #y #x"] | float = 0.0,
+        haze: Float[Array, " band"] | float = 0.0,
     ) -> EmpiricalLine:
         """The empirical line from a picture of radiance, or the line through zero of one panel.
+
+        `noise_sd` is that of single pixels, which few pixels of a panel do not show themselves.
+        `haze` is the radiance of the air alone: what one panel cannot tell, and is therefore
+        unsure by. Both in the unit of the radiance.
 
         In bands whose air is not `transparent` the panels cannot be told apart, and the line is of
         no use (but finite). See `fynjax.sensors.empirical_line`; differentiable in `radiance`.
         """
         # Pixels that are wholly panel; as weights, since inside transformations none can be picked.
         inside = jnp.asarray(self.coverage >= _WHOLE, radiance.dtype)
-        inside = inside / jnp.sum(inside**2, axis=(1, 2), keepdims=True)
-        mean = jnp.einsum("pyx,byx->pb", inside, radiance)
+        count = jnp.sum(inside, axis=(1, 2))[:, None]
+        mean = jnp.einsum("pyx,byx->pb", inside, radiance) / count
         apart = radiance - mean[:, :, None, None]
-        mean_sd = jnp.sqrt(jnp.einsum("pyx,pbyx->pb", inside**2, apart**2) + _TINY)
+        scatter = jnp.einsum("pyx,pbyx->pb", inside, apart**2) / jnp.maximum(count - 1.0, 1.0)
+        noise = jnp.broadcast_to(jnp.asarray(noise_sd, radiance.dtype) ** 2, radiance.shape)
+        expected = jnp.einsum("pyx,byx->pb", inside, noise) / count
+        mean_sd = jnp.sqrt(jnp.maximum(scatter, expected) / count + _TINY)
         known, doubt = jnp.asarray(self.reflectance), jnp.asarray(self.reflectance_sd)
         signal = jnp.where(transparent, mean, known)
         sd = jnp.where(transparent, mean_sd, 0.0)
+        sd = jnp.where(transparent, mean_sd, 0.0)
         if len(signal) == 1:
-            return one_panel_line(signal[0], known[0], signal_sd=sd[0], reflectance_sd=doubt[0])
+            unknown = jnp.where(transparent, known[0] / signal[0] * haze, 0.0)
+            return one_panel_line(
+                signal[0], known[0], signal_sd=sd[0], reflectance_sd=doubt[0], offset_sd=unknown
+            )
         return empirical_line(signal, known, signal_sd=sd, reflectance_sd=doubt)
 
 
@@ -62,18 +78,27 @@ def panels_in_picture(
     """Lay panels into a picture of `shape` (rows, columns) with pixels of side `pixel` [m], whose
     south-west corner is at `origin` (x, y) [m].
 
-    Raises `InputError` for a panel that covers no pixel wholly, panels that overlap, and panels of
-    equal reflectance.
+    Raises `InputError` for a panel beyond the picture or that covers no pixel wholly, panels that
+    overlap, and panels of equal reflectance.
     """
     covered = []
     for number, panel in enumerate(panels, start=1):
         half = panel.side_m / 2
         ways = ((-half, -half), (half, -half), (half, half), (-half, half))
         corners = [(panel.x_m + dx, panel.y_m + dy) for dx, dy in ways]
-        try:
-            coverage = panel_coverage(corners, shape, pixel_m=pixel, origin_m=origin)
-        except InputError as error:
-            raise InputError(f"panel {number}: {error}") from error
+        ends = [(o, o + n * pixel) for o, n in zip(origin, shape[::-1], strict=True)]
+        if any(
+            not low - 1e-6 <= at <= high + 1e-6
+            for corner in corners
+            for at, (low, high) in zip(corner, ends, strict=True)
+        ):
+            (west, east), (south, north) = ends
+            raise InputError(
+                f"panel {number} must lie in the image, {west:g} to {east:g} m east and {south:g} "
+                f"to {north:g} m north of the plot's corner, but its middle is at "
+                f"({panel.x_m:g}, {panel.y_m:g}) m and its side {panel.side_m:g} m"
+            )
+        coverage = panel_coverage(corners, shape, pixel_m=pixel, origin_m=origin)
         if not (coverage >= _WHOLE).any():
             raise InputError(
                 f"panel {number} must cover some pixels wholly, but its side of {panel.side_m:g} m "

@@ -168,10 +168,15 @@ class PlotSensing(eqx.Module):
         if self.panels is None:
             calibrated = surface_reflectance(by_band, radiance, mean[order])[..., back]
         else:
-            line = self.panels.line(jnp.moveaxis(measured, -1, 0), transparent)
             noise_sd: Array | float = 0.0
             if key is not None and self.sensor.noise is not None:
                 noise_sd = self.sensor.noise.standard_deviation(measured, averaged=self.averaged)
+            line = self.panels.line(
+                jnp.moveaxis(measured, -1, 0),
+                transparent,
+                noise_sd=jnp.moveaxis(jnp.broadcast_to(noise_sd, measured.shape), -1, 0),
+                haze=at_sensor_radiance(by_band, jnp.zeros_like(mean))[back],
+            )
             calibrated = jnp.where(transparent, line.reflectance(measured), 0.0)
             sd = jnp.where(transparent, line.standard_deviation(measured, noise_sd), 0.0)
             doubt = jnp.moveaxis(sd, -1, 0)
@@ -271,6 +276,8 @@ def plot_sensing(
     fills one, for it goes on for ever. Raises `InputError` for an open plot smaller than a pixel,
     a sensor that is not above the plants, and values out of range.
     """
+    if panels and air is None:
+        raise InputError("expected an atmosphere: panels calibrate radiance")
     if model.camera.bands != sensor.bands:
         raise InputError(
             "`model` must be built with the sensor's bands, `Camera(sensor.bands, ...)`, but its "

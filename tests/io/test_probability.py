@@ -149,6 +149,7 @@ PLOT = {"size_m": (10.0, 8.0), "origin_m": (CORNER[0] + 4.5, CORNER[1] + 3.0)}
         (GREY, {"transform": Affine.identity()}, "no place"),
         (GREY, {"crs": "EPSG:4326", "transform": Affine(1e-5, 0, 19, 0, -1e-5, -34)}, "degree"),
         (GREY, {"crs": "EPSG:2225"}, "foot"),
+        (GREY, {"crs": "EPSG:2048"}, "grow to the west and south"),  # South Africa, Lo 19
         (GREY, {"transform": TURNED}, "rotated"),
         (GREY, {"transform": Affine(0.5, 0, CORNER[0], 0, 0.5, CORNER[1])}, "upside down"),
         (np.stack([GREY] * 5), {}, r"one band .* it has 5 .*fynjax pattern"),

@@ -187,9 +187,10 @@ def test_a_real_emit_cube_is_read_as_spy_reads_it(shared_data):
 
 
 UTM, ALBERS = "EPSG:32734", "ESRI:102022"  # Africa, equal areas
+WEB, SWISS = "EPSG:3857", "EPSG:2056"  # CF has no name, and not all words, for these
 
 
-@pytest.mark.parametrize("system", [UTM, ALBERS])
+@pytest.mark.parametrize("system", [UTM, ALBERS, WEB, SWISS])
 def test_a_place_on_earth_is_found_by_every_reader(tmp_path, system):
     placed = dataclasses.replace(
         cube(), origin_m=(600000.5, 6180001.0), crs=rasterio.CRS.from_user_input(system).to_wkt()

@@ -11,6 +11,7 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.radiation import Accuracy, reflectance_factor, solve_light
 from fynjax.scene import Camera, PlotAir, band_wavelengths, plot_sensing
+from fynjax.scene._panels import panels_in_picture
 from fynjax.scene._sensing_grid import axis_pixels, footprint_shares
 from fynjax.sensors import (
     BandSet,
@@ -196,12 +197,30 @@ def test_panels_in_the_picture_calibrate_it():
     scaled = error / np.asarray(noisy.reflectance_sd)[clear][:, ~mixed]
     assert 0.5 < scaled.std() < 1.2  # the line's error is shared by all pixels
     assert np.all(np.asarray(noisy.reflectance_sd)[~clear] == 0.0)
+
+    # One panel cannot tell the light of the air; its zero line says by how much it may be off.
+    radiance = jnp.asarray(clean.radiance)
+    alone = panels_in_picture((bright,), sensing.shape, sensing.pixel, sensing.origin)
+    haze = radiance[:, 0, 0] - 0.2 / 0.45 * (radiance[:, 3, 11] - radiance[:, 3, 3])
+    haze = haze * (np.asarray(clean.transparent))
+    line = alone.line(radiance, clean.transparent, haze=haze)
+    found = np.asarray(line.reflectance(jnp.moveaxis(radiance, 0, -1)))[0, 0, clear]
+    sd = np.asarray(line.standard_deviation(jnp.moveaxis(radiance, 0, -1)))[0, 0, clear]
+    assert np.all(np.abs(found - 0.2) < 1.5 * sd)
+
+    def with_panels(*panels):
+        return plot_sensing(model, sensor, air=PlotAir("clear-sky"), panels=panels)
+
     with pytest.raises(InputError, match=r"panel 1 must cover some pixels wholly.* holds none"):
-        plot_sensing(model, sensor, panels=(Panel(0.45, 0.45, 0.05, 0.5),))
+        with_panels(Panel(0.45, 0.45, 0.05, 0.5))
     with pytest.raises(InputError, match="panels must not overlap"):
-        plot_sensing(model, sensor, panels=(dark, Panel(0.5, 0.4, 0.4, 0.5)))
+        with_panels(dark, Panel(0.5, 0.4, 0.4, 0.5))
     with pytest.raises(InputError, match=r"must differ in reflectance, but all have 0\.05"):
-        plot_sensing(model, sensor, panels=(dark, Panel(1.2, 0.4, 0.4, 0.05)))
+        with_panels(dark, Panel(1.2, 0.4, 0.4, 0.05))
+    with pytest.raises(InputError, match=r"must lie in the image, 0 to 1\.6 m east"):
+        with_panels(dark, Panel(1.5, 0.4, 0.4, 0.5))
+    with pytest.raises(InputError, match="expected an atmosphere"):
+        plot_sensing(model, sensor, panels=(dark, bright))
 
 
 def test_noise_is_seeded_and_as_large_as_its_model_says(model, drone):
