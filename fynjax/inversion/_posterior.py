@@ -125,7 +125,8 @@ def sample_posterior(
         with progress.stage("Fit"):
             start = fit(predict, data, space, offset=shift, context=context)
     centre, covariance = np.asarray(start.whitened, float), np.asarray(start.covariance, float)
-    if not (np.isfinite(centre).all() and np.isfinite(covariance).all()):
+    parts = (centre, covariance, start.predicted, start.jacobian)
+    if not all(np.isfinite(np.asarray(part)).all() for part in parts):
         return _result(density, method, start, _none("the fit to start from is not finite", space))
     if batch is None:
         batch = memory_batch(density, centre)
