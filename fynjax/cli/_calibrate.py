@@ -1,13 +1,20 @@
 """`fynjax calibrate`."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import Json, Output, OwnSeed, Quiet, run_job
+from fynjax.cli._runtime import (
+    Checkpoint,
+    Json,
+    Output,
+    OwnSeed,
+    Quiet,
+    checkpoint_beside,
+    run_job,
+)
 
 Target = Annotated[
     Path,
@@ -24,14 +31,6 @@ Targets = Annotated[
         "reflectance) or a table with statistic, value, sd. Spectrum (CSV, ASD, ENVI library) or "
         "image of many bands (ENVI, NetCDF, GeoTIFF), of which the mean counts. Point cloud (LAS, "
         "LAZ) or a table with metric, value, sd, grain_m, returns_m2.",
-    ),
-]
-Checkpoint = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="DIR",
-        help="Folder of the unfinished run; OUTPUT.checkpoint if left out. The same command goes "
-        "on from it.",
     ),
 ]
 
@@ -61,25 +60,19 @@ def calibrate(
     number = read.seed if seed is None else seed
     for path in target:
         existing_file(path, "an image, a spectrum, a point cloud or a table of their statistics")
-    own = output.with_name(f"{output.name}.checkpoint") if checkpoint is None else checkpoint
+    own = checkpoint_beside(output, checkpoint)
     from fynjax._core.journal import forget_journal
     from fynjax.report._jobs import run_calibrate
 
-    try:
-        run_job(
-            "calibrate",
-            lambda folder, progress: run_calibrate(
-                plot, target, folder, seed=number, checkpoint=own, progress=progress
-            ),
-            output,
-            seed=number,
-            as_json=json,
-            quiet=quiet,
-        )
-    except KeyboardInterrupt:
-        print(
-            f"fynjax: interrupted; {own} keeps what was done, and the same command goes on with it",
-            file=sys.stderr,
-        )
-        sys.exit(130)
+    run_job(
+        "calibrate",
+        lambda folder, progress: run_calibrate(
+            plot, target, folder, seed=number, checkpoint=own, progress=progress
+        ),
+        output,
+        seed=number,
+        as_json=json,
+        quiet=quiet,
+        checkpoint=own,
+    )
     forget_journal(own)

@@ -1,6 +1,5 @@
 """`fynjax posterior`."""
 
-import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -8,7 +7,15 @@ import typer
 
 from fynjax.cli._calibrate import Target
 from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import Json, Output, OwnSeed, Quiet, run_job
+from fynjax.cli._runtime import (
+    Checkpoint,
+    Json,
+    Output,
+    OwnSeed,
+    Quiet,
+    checkpoint_beside,
+    run_job,
+)
 
 Free = Annotated[
     list[str] | None,
@@ -32,14 +39,7 @@ def posterior(
     free: Free = None,
     draws: Annotated[int, typer.Option(min=1, help="Effective draws to reach.")] = 400,
     steps: Annotated[int, typer.Option(min=1, help="Most steps of the chain.")] = 5000,
-    checkpoint: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Folder of the unfinished chain; OUTPUT.checkpoint if left out. The same command "
-            "goes on from it.",
-        ),
-    ] = None,
+    checkpoint: Checkpoint = None,
     output: Output = Path("output/posterior"),
     seed: OwnSeed = None,
     json: Json = False,
@@ -59,32 +59,26 @@ def posterior(
     read = read_plot(plot)
     number = read.seed if seed is None else seed
     existing_file(target, "an image or a table of statistics")
-    own = output.with_name(f"{output.name}.checkpoint") if checkpoint is None else checkpoint
+    own = checkpoint_beside(output, checkpoint)
     from fynjax.report._posterior_job import run_posterior
 
-    try:
-        run_job(
-            "posterior",
-            lambda folder, progress: run_posterior(
-                plot,
-                target,
-                folder,
-                method=method,
-                free=free,
-                target_size=draws,
-                max_steps=steps,
-                checkpoint=own,
-                seed=number,
-                progress=progress,
-            ),
-            output,
+    run_job(
+        "posterior",
+        lambda folder, progress: run_posterior(
+            plot,
+            target,
+            folder,
+            method=method,
+            free=free,
+            target_size=draws,
+            max_steps=steps,
+            checkpoint=own,
             seed=number,
-            as_json=json,
-            quiet=quiet,
-        )
-    except KeyboardInterrupt:
-        print(
-            f"fynjax: interrupted; {own} keeps what was done, and the same command goes on with it",
-            file=sys.stderr,
-        )
-        sys.exit(130)
+            progress=progress,
+        ),
+        output,
+        seed=number,
+        as_json=json,
+        quiet=quiet,
+        checkpoint=own,
+    )

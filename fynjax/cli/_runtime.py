@@ -17,6 +17,14 @@ from fynjax._core.progress import Progress
 Seed = Annotated[
     int, typer.Option(min=0, max=2**31 - 1, help="Seed of everything random.", show_default=True)
 ]
+Checkpoint = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Folder of the unfinished run; OUTPUT.checkpoint if left out. The same command goes "
+        "on from it.",
+    ),
+]
 OwnSeed = Annotated[
     int | None,
     typer.Option(
@@ -70,6 +78,11 @@ def _message(warning: warnings.WarningMessage) -> str:
     return " ".join(str(warning.message).split())
 
 
+def checkpoint_beside(output: Path, checkpoint: Path | None) -> Path:
+    """The folder of an unfinished run, the user's or one beside the output."""
+    return output.with_name(f"{output.name}.checkpoint") if checkpoint is None else checkpoint
+
+
 def run_job(
     command: str,
     job: Callable[[Path, Progress], dict[str, Any]],
@@ -78,11 +91,13 @@ def run_job(
     seed: int,
     as_json: bool,
     quiet: bool,
+    checkpoint: Path | None = None,
 ) -> None:
     """Run `job(folder, progress)` and tell its result.
 
-    The job writes into a folder beside `output`, whose files are moved to `output` when all of it
-    has succeeded. Warnings wait until then: if the job fails, its error is the only line.
+    Where an interrupted job leaves a `checkpoint`, its user is told so. The job writes into a
+    folder beside `output`, whose files are moved to `output` when all of it has succeeded. Warnings
+    wait until then: if the job fails, its error is the only line.
     """
     from fynjax.cli._progress import make_progress
     from fynjax.io._atomic import staged_folder, write_text
@@ -92,7 +107,17 @@ def run_job(
         warnings.simplefilter("always", UserWarning)
         with staged_folder(output) as folder:
             prepare_jax()
-            result = job(folder, make_progress(quiet=quiet or as_json))
+            try:
+                result = job(folder, make_progress(quiet=quiet or as_json))
+            except KeyboardInterrupt:
+                if checkpoint is None:
+                    raise
+                print(
+                    f"fynjax: interrupted; {checkpoint} keeps what was done, and the same command "
+                    "goes on with it",
+                    file=sys.stderr,
+                )
+                sys.exit(130)
             told = list(dict.fromkeys(map(_message, caught)))
             summary = _jsonable(
                 {

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fynjax._core.errors import InputError
+from fynjax.io._calibration_table import DEFAULT_RELATIVE_SD
 from fynjax.io._plot import (
     GROWTH_FORMS,
     PROSPECT_COLUMNS,
@@ -22,7 +23,7 @@ from fynjax.io._plot import (
     Species,
 )
 from fynjax.io._plot_sensor import DRONE, plot_air, plot_sensor, plot_sun
-from fynjax.io._plot_tables import DEFAULT_RELATIVE_SD, PlotFile
+from fynjax.io._plot_tables import PlotFile
 from fynjax.io._table_rows import LeafRow, SkyRow, SpeciesRow
 from fynjax.io._tables import existing_file, read_rows
 from fynjax.io._toml import line_of, read_toml

@@ -1,0 +1,57 @@
+"""The [calibration] table of `plot.toml`, as a pydantic model."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from fynjax.io._strict import Strict, number
+
+DEFAULT_FREE = ("species.*.cover", "species.*.diameter", "species.*.leaf.*", "ground.*")
+"""Patterns of parameters that a calibration frees unless told otherwise."""
+
+DEFAULT_RELATIVE_SD = {
+    "*.cover": 0.25,
+    "*.diameter": 0.25,
+    "*.height": 0.15,
+    "*.structure": 0.15,
+    "*.anthocyanins": 0.5,
+    "*.brown_pigments": 0.5,
+    "*": 0.3,
+}
+"""Relative standard deviation of the prior, by pattern; the first that fits is taken. Covers
+seen by eye are uncertain by about a quarter."""
+
+
+class CalibrationTable(Strict):
+    """What a calibration may move, and how far it trusts the field table."""
+
+    free: list[str] = Field(
+        default_factory=lambda: list(DEFAULT_FREE),
+        description="Patterns of the parameters to calibrate, such as 'species.*.cover'.",
+        min_length=1,
+    )
+    targets: list[str] = Field(
+        default_factory=lambda: ["*"],
+        description="Patterns of the target's statistics to use, such as '*.mean'.",
+        min_length=1,
+    )
+    target_sd: float = number(
+        "Relative standard deviation of a mean or quantile that states none",
+        "-",
+        default=0.02,
+        gt=0,
+        le=1,
+    )
+    priors: dict[str, Annotated[float, Field(gt=0, le=10)]] = Field(
+        default_factory=dict,
+        description="Relative standard deviation of the prior, by pattern [-].",
+    )
+    max_iterations: int = Field(
+        default=7, description="Most steps of the optimiser in a round [-].", ge=1, le=10000
+    )
+    starts: int = Field(
+        default=1,
+        description="Searches: from the prior's centre, the others from draws of the prior [-].",
+        ge=1,
+        le=1000,
+    )
