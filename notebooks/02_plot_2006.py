@@ -37,9 +37,9 @@ from fynjax.scene import (
 )
 from fynjax.sensors import mavic_3m
 
-FAST = os.environ.get("FYNJAX_FAST") == "1"  # a quarter of the plot, fewer pixels
-SIDE = 5.0 if FAST else 10.0  # m
-PIXEL = 0.05 if FAST else 0.025  # m
+FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer pixels
+SIDE = 2.5 if FAST else 10.0  # m
+PIXEL = 0.1 if FAST else 0.025  # m
 
 # %% [markdown]
 # ## The table

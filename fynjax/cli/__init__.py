@@ -14,6 +14,7 @@ from fynjax._core.errors import InputError, MissingExtraError
 from fynjax.cli._bioscape import bioscape
 from fynjax.cli._build import build
 from fynjax.cli._calibrate import calibrate
+from fynjax.cli._calibrate_plots import calibrate_plots
 from fynjax.cli._demo import demo
 from fynjax.cli._fit_leaf import fit_leaf
 from fynjax.cli._information import information
@@ -44,6 +45,7 @@ app.command()(render)
 app.command()(simulate)
 app.command()(build)
 app.command()(calibrate)
+app.command("calibrate-plots")(calibrate_plots)
 app.command()(posterior)
 app.command()(sensitivity)
 app.command()(information)

@@ -16,13 +16,6 @@ from fynjax.cli._runtime import (
     run_job,
 )
 
-Target = Annotated[
-    Path,
-    typer.Option(
-        metavar="IMAGE.tif|STATS.csv",
-        help="Real image (GeoTIFF, reflectance), or a table with statistic, value, sd.",
-    ),
-]
 Targets = Annotated[
     list[Path],
     typer.Option(

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from fynjax.cli._calibrate import Target
+from fynjax.cli._calibrate import Targets
 from fynjax.cli._render import PlotPath
 from fynjax.cli._runtime import (
     Checkpoint,
@@ -29,7 +29,7 @@ Free = Annotated[
 
 def posterior(
     plot: PlotPath,
-    target: Target,
+    target: Targets,
     method: Annotated[
         Literal["emcee", "nuts", "laplace"],
         typer.Option(
@@ -45,10 +45,11 @@ def posterior(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Sample which parameters of a plot a real image leaves possible.
+    """Sample which parameters of a plot real measurements leave possible.
 
-    Writes every draw (NetCDF), the parameters with their intervals, figures and a report page. An
-    interrupted run goes on when the same command is given again.
+    By one sensor or several at once. Writes every draw (NetCDF), the parameters with their
+    intervals, figures and a report page. An interrupted run goes on when the same command is given
+    again.
 
     Example:  fynjax posterior plot.toml --target statistics.csv --method laplace
     """
@@ -58,7 +59,8 @@ def posterior(
     # Before the heavy imports: a slip in a file shows at once.
     read = read_plot(plot)
     number = read.seed if seed is None else seed
-    existing_file(target, "an image or a table of statistics")
+    for path in target:
+        existing_file(path, "an image, a spectrum, a point cloud or a table of their statistics")
     own = checkpoint_beside(output, checkpoint)
     from fynjax.report._posterior_job import run_posterior
 

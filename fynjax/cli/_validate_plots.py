@@ -16,6 +16,18 @@ Tables = Annotated[
         "spectra, *VegCenters.csv and *waves.csv.",
     ),
 ]
+Size = Annotated[
+    float, typer.Option(min=1.0, max=100.0, metavar="M", help="Side of a simulated plot [m].")
+]
+Voxel = Annotated[float, typer.Option(min=0.02, max=1.0, metavar="M", help="Edge of a voxel [m].")]
+
+
+def check_voxel(size: float, voxel: float) -> None:
+    """Whether voxels fill a plot; `InputError` if not."""
+    from fynjax._core.errors import InputError
+
+    if abs(round(size / voxel) * voxel - size) > 1e-6 * size:
+        raise InputError(f"`--voxel` must divide `--size`, but {voxel:g} does not divide {size:g}")
 
 
 def validate_plots(
@@ -23,12 +35,8 @@ def validate_plots(
     output: Output = Path("output/validate_plots"),
     plot: OnlyPlots = None,
     traits: TraitLibrary = None,
-    size: Annotated[
-        float, typer.Option(min=1.0, max=100.0, metavar="M", help="Side of a simulated plot [m].")
-    ] = 5.0,
-    voxel: Annotated[
-        float, typer.Option(min=0.02, max=1.0, metavar="M", help="Edge of a voxel [m].")
-    ] = 0.1,
+    size: Size = 5.0,
+    voxel: Voxel = 0.1,
     seed: Seed = 0,
     json: Json = False,
     quiet: Quiet = False,
@@ -39,10 +47,7 @@ def validate_plots(
 
     Example:  fynjax validate-plots tables --output validation
     """
-    from fynjax._core.errors import InputError
-
-    if abs(round(size / voxel) * voxel - size) > 1e-6 * size:
-        raise InputError(f"`--voxel` must divide `--size`, but {voxel:g} does not divide {size:g}")
+    check_voxel(size, voxel)
     from fynjax.report._plots_job import run_validate_plots
     from fynjax.report._plots_scenes import Resolution
 

@@ -5,6 +5,8 @@ distance from the prior, also whitened: the negative log posterior, but for a co
 """
 
 from collections.abc import Callable
+from copy import copy
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -130,44 +132,62 @@ class Forward:
 
     Derivatives are by reverse mode: a plot has more free parameters than statistics. A forward
     model that knows a cheaper way has a method `jacobian(values_at, u, *context)`.
+
+    `values`: statistics at whitened coordinates. `jacobian`: these and their derivatives,
+    [statistic] and [statistic, free]. `misfit`: objective and gradient, from coordinates, data and
+    offset. `step`: one step of Levenberg-Marquardt; all that a least-squares fit compiles.
     """
 
     def __init__(self, predict: Predict, space: ParameterSpace) -> None:
-        def values(u: Array, context: tuple[Any, ...] = ()) -> Array:
+        def values(space: ParameterSpace, u: Array, context: tuple[Any, ...] = ()) -> Array:
             return predict(space.physical(u), *context).astype(u.dtype)
 
-        def with_jacobian(u: Array, context: tuple[Any, ...] = ()) -> tuple[Array, Array]:
+        def with_jacobian(
+            space: ParameterSpace, u: Array, context: tuple[Any, ...] = ()
+        ) -> tuple[Array, Array]:
             own = getattr(predict, "jacobian", None)
             if own is not None:
                 return own(space.physical, u, *context)
-            return jacobian_by_rows(lambda u: values(u, context), u)
+            return jacobian_by_rows(lambda u: values(space, u, context), u)
 
         def misfit(
-            u: Array, data: Data, offset: Array, context: tuple[Any, ...] = ()
+            space: ParameterSpace, u: Array, data: Data, offset: Array, context: Any = ()
         ) -> tuple[Array, Array]:
             def objective(u: Array) -> Array:
-                rest = data.whiten(values(u, context) + offset - data.value)
+                rest = data.whiten(values(space, u, context) + offset - data.value)
                 return 0.5 * (rest @ rest + u @ u)
 
             return jax.value_and_grad(objective)(u)
 
         def step(
-            u: Array, state: Any, data: Data, offset: Array, tolerance: Array, context: Any
+            space: ParameterSpace,
+            u: Array,
+            state: Any,
+            data: Data,
+            offset: Array,
+            tolerance: Array,
+            context: Any,
         ) -> Any:
-            solver, residual = _solver(tolerance), _residual(with_jacobian)
+            residual = _residual(lambda u, context: with_jacobian(space, u, context))
+            solver = _solver(tolerance)
             args, tags = (data, offset, context), frozenset[object]()
             u, state, _ = solver.step(residual, u, args, _OPTIONS, state, tags)
             done, result = solver.terminate(residual, u, args, _OPTIONS, state, tags)
             return u, state, state.aux, done & (result == optx.RESULTS.successful)
 
-        self.values = eqx.filter_jit(values)
-        """Statistics at whitened coordinates."""
-        self.jacobian = eqx.filter_jit(with_jacobian)
-        """Statistics and their derivatives, [statistic] and [statistic, free]."""
-        self.misfit = eqx.filter_jit(misfit)
-        """Objective and gradient, from coordinates, data and offset."""
-        self.step = eqx.filter_jit(step)
-        """One step of Levenberg-Marquardt; all that a least-squares fit compiles."""
+        self._compiled = [eqx.filter_jit(f) for f in (values, with_jacobian, misfit, step)]
+        self._bind(space)
+
+    def _bind(self, space: ParameterSpace) -> None:
+        self.values, self.jacobian, self.misfit, self.step = (
+            partial(function, space) for function in self._compiled
+        )
+
+    def with_space(self, space: ParameterSpace) -> "Forward":
+        """The same model with other priors and bounds of the same parameters, compiled no more."""
+        other = copy(self)
+        other._bind(space)
+        return other
 
 
 _TRUST = 0.1

@@ -53,8 +53,27 @@ def _log_density(
     return -lm.cost(whole, problem, factors, system, optics)
 
 
+def leaf_density(setup: Setup, problem: lm.Problem) -> Callable[[Array], Array]:
+    """The log posterior density of one leaf over z [free parameter], as a pytree."""
+    problem = lm.Problem(*(jnp.asarray(part) for part in problem))
+    factors = jnp.asarray(setup.factors)
+    return Partial(
+        _log_density,
+        free=jnp.asarray(free_columns(setup)),
+        problem=problem,
+        system=lm.factor_system(factors, problem.precision),
+        factors=factors,
+        optics=setup.optics,
+    )
+
+
+def free_columns(setup: Setup) -> np.ndarray:
+    """Which of the parameters are free."""
+    return np.flatnonzero(np.isin(setup.names, setup.free))
+
+
 @eqx.filter_jit
-def _of_many(density: Callable[[Array], Array], z: Array) -> Array:
+def of_many(density: Callable[[Array], Array], z: Array) -> Array:
     return jax.vmap(density)(z)
 
 
@@ -105,7 +124,7 @@ def sample_leaf_posterior(
     with jax.enable_x64(True), progress.stage("sampling leaves", len(data)):
         setup = make_setup(version, measurement, free, error_model)
         state, problems, _ = solve_leaves(setup, data, use, leaf_priors(setup, data, use))
-        columns = np.flatnonzero(np.isin(setup.names, setup.free))
+        columns = free_columns(setup)
         samples = np.full((len(data), draws, columns.size), np.nan)
         spectra = np.full((len(data), draws, data.shape[2]), np.nan)
         sizes, status = np.zeros(len(data)), []
@@ -113,18 +132,13 @@ def sample_leaf_posterior(
             if use[i].sum() < 10:
                 status.append("failed: fewer than ten usable bands within 450-2400 nm")
                 continue
-            problem = lm.Problem(*(jnp.asarray(part[i]) for part in problems))
-            system = lm.factor_system(jnp.asarray(setup.factors), problem.precision)
-            density = Partial(
-                _log_density, free=jnp.asarray(columns), problem=problem, system=system,
-                factors=jnp.asarray(setup.factors), optics=setup.optics,
-            )  # fmt: skip
+            density = leaf_density(setup, lm.Problem(*(part[i] for part in problems)))
             covariance = np.linalg.inv(state.hessian[i])[np.ix_(columns, columns)]
             count = max(_WALKERS, 4 * columns.size) if sampler == "emcee" else _CHAINS
             start = random.multivariate_normal(state.z[i, columns], covariance, count)
             limits: dict[str, Any] = {"target": target, "steps": max_steps, "seed": seed + i}
             if sampler == "emcee":
-                many: Any = partial(_of_many, density)
+                many: Any = partial(of_many, density)
                 found = ensemble(many, start, **limits)
             else:
                 found = hamiltonian(density, start, covariance, **limits)

@@ -19,14 +19,24 @@ _GAP_NM = 30.0
 """Bands further apart than this are not joined by a line."""
 
 
-def _line(axes: Axes, x: np.ndarray, y: np.ndarray, **how: object) -> None:
+def draw_line(
+    axes: Axes, x: np.ndarray, y: np.ndarray, gap: float = _GAP_NM, **how: object
+) -> None:
     """A curve that is broken where bands were left out."""
-    cut = np.flatnonzero(np.diff(x) > _GAP_NM) + 1
+    cut = np.flatnonzero(np.diff(x) > gap) + 1
     axes.plot(np.insert(x, cut, np.nan), np.insert(y.astype(float), cut, np.nan), **how)  # type: ignore[arg-type]
 
 
-def _band(axes: Axes, x: np.ndarray, low: np.ndarray, high: np.ndarray, **how: object) -> None:
-    for part in np.split(np.arange(x.size), np.flatnonzero(np.diff(x) > _GAP_NM) + 1):
+def draw_band(
+    axes: Axes,
+    x: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    gap: float = _GAP_NM,
+    **how: object,
+) -> None:
+    """What lies between two such curves."""
+    for part in np.split(np.arange(x.size), np.flatnonzero(np.diff(x) > gap) + 1):
         axes.fill_between(x[part], low[part], high[part], **how)  # type: ignore[arg-type]
         how.pop("label", None)
 
@@ -44,9 +54,9 @@ def spectra_plot(pair: PlotSpectraPair) -> Figure:
         ):
             if len(flights):
                 low, high = flights.min(axis=0), flights.max(axis=0)
-                _band(axes, pair.wavelength, low, high, color=GREY, alpha=0.3, linewidth=0)
-                _line(axes, pair.wavelength, flights.mean(axis=0), color=REAL, lw=1.1)
-            _line(axes, pair.wavelength, simulated, color=VERMILION, lw=1.1)
+                draw_band(axes, pair.wavelength, low, high, color=GREY, alpha=0.3, linewidth=0)
+                draw_line(axes, pair.wavelength, flights.mean(axis=0), color=REAL, lw=1.1)
+            draw_line(axes, pair.wavelength, simulated, color=VERMILION, lw=1.1)
             told = f"{len(flights)} flights" if len(flights) else "not measured"
             axes.set_title(f"{name} ({told})", fontsize=8)
             axes.grid(True)
@@ -73,9 +83,9 @@ def residual_plot(pair: PlotSpectraPair) -> Figure:
         figure = Figure(figsize=(7.6, 7.2 if several else 5.0))
         axes = figure.subplots(3 if several else 2, 1, sharex=True)
         mean, sd = column["residual"], column["residual_sd"]
-        _band(axes[0], x, mean - sd, mean + sd, color=VERMILION, alpha=0.2, linewidth=0,
+        draw_band(axes[0], x, mean - sd, mean + sd, color=VERMILION, alpha=0.2, linewidth=0,
               label="± 1 sd of the plots")  # fmt: skip
-        _line(axes[0], x, mean, color=VERMILION, lw=1.4, label="mean of the plots")
+        draw_line(axes[0], x, mean, color=VERMILION, lw=1.4, label="mean of the plots")
         axes[0].axhline(0.0, color=GREY, lw=0.8)
         axes[0].set_title("Residual: simulated less measured")
         axes[0].set_ylabel("reflectance [-]")
@@ -86,14 +96,14 @@ def residual_plot(pair: PlotSpectraPair) -> Figure:
         )
         for name, color, label in curves:
             if np.isfinite(column[name]).any():
-                _line(axes[1], x, column[name], color=color, lw=1.4, label=label)
+                draw_line(axes[1], x, column[name], color=color, lw=1.4, label=label)
         axes[1].set_ylim(0.0, 1.4 * axes[1].get_ylim()[1])  # room for the legend
         axes[1].set_title("Error by band (root mean square over the plots)")
         axes[1].set_ylabel("reflectance [-]")
         if several:
             chance = chance_correlation(len(pair.plots))
             axes[2].axhspan(-chance, chance, color=GREY, alpha=0.18, lw=0, label="chance (95 %)")
-            _line(axes[2], x, column["correlation"], color=VERMILION, lw=1.4)
+            draw_line(axes[2], x, column["correlation"], color=VERMILION, lw=1.4)
             axes[2].axhline(0.0, color=GREY, lw=0.8)
             axes[2].set_ylim(-1.0, 1.0)
             axes[2].set_title("Does it tell plots apart? Correlation across plots")

@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.inversion import (
-    Data,
     ImageView,
     calibrate_plot,
     free_space,
@@ -27,7 +26,7 @@ from fynjax.io import Plot, example_folder, provenance, read_plot
 from fynjax.io._build import build_plot
 from fynjax.io._plot_sensor import drone_bands
 from fynjax.metrics import BANDS, bands_2006, consistent_targets, table4_2006
-from fynjax.report._calibrate_targets import Measured, image_target, read_targets, target_kind
+from fynjax.report._calibrate_targets import Measured, read_targets
 from fynjax.report._run_files import calibration_files, render_files
 from fynjax.report._run_tables import Reference
 from fynjax.scene import PlotModel, PlotParameters
@@ -135,18 +134,6 @@ def paper_simulation() -> tuple[dict[str, float], dict[str, float]]:
         found[f"{name}.mean"], found[f"{name}.std"] = row.sim_mean, row.sim_std
     errors = {f"{n}.mean": 100.0 * b.sim_abs_difference for n, b in bands_2006().items()}
     return found, errors
-
-
-def _target(plot: Plot, target: Path) -> tuple[Data, dict[str, Any]]:
-    """The targets of a file of a drone's image: its statistics, or those of an image."""
-    if target_kind(target) != "image":
-        raise InputError(
-            "expected a drone image or a table of its statistics; `fynjax calibrate` takes spectra "
-            "and point clouds too",
-            file=target,
-        )
-    found = image_target(plot, target)
-    return found.data, found.extra
 
 
 def _calibrate(

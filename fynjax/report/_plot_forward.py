@@ -37,12 +37,17 @@ def prepare(
     *,
     seed: int,
     bands: BandSet | None = None,
+    drone: bool = True,
 ) -> Prepared:
-    """Read and build a plot; `free` patterns replace those of its file."""
+    """Read and build a plot; `free` patterns replace those of its file.
+
+    In `bands`; left out, those of its drone's camera, or of whatever its sensor is if no drone's
+    image is asked for.
+    """
     plot = read_plot(path)
-    model, parameters = build_plot(
-        plot, seed=seed, bands=drone_bands(plot) if bands is None else bands
-    )
+    if bands is None and drone:
+        bands = drone_bands(plot)
+    model, parameters = build_plot(plot, seed=seed, bands=bands)
     patterns = plot.calibration.free if free is None else tuple(free)
     space = free_space(model, parameters, patterns, plot.calibration.relative_sd)
     return Prepared(plot, model, coarser(model, COARSE), parameters, space)

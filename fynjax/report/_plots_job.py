@@ -64,7 +64,7 @@ def run_validate_plots(
         run_bioscape(folder, output / "plots", plots=[p.name for p in read], traits=traits)
     files = [read_plot(output / "plots" / p.name / "plot.toml") for p in read]
     with progress.stage("Plant the plots"):
-        scenes = build_scenes(files, bands, resolution, seed)
+        scenes = build_scenes(files, bands, resolution, [seed] * len(files))
     with progress.stage("Simulate", total=len(read)):
         spectra = simulate(scenes, lambda n: progress.advance(1, plot=read[n].name))
     _check_finite(spectra, read)

@@ -56,11 +56,24 @@ def slots_of(plots: Sequence[Plot]) -> tuple[str, ...]:
 
 
 def build_scenes(
-    plots: Sequence[Plot], bands: BandSet, resolution: Resolution, seed: int
+    plots: Sequence[Plot],
+    bands: BandSet,
+    resolution: Resolution,
+    seeds: Sequence[int],
+    *,
+    room: float = 1.0,
+    softness: float = 0.0,
 ) -> list[tuple[PlotModel, PlotParameters]]:
-    """A model and the parameters of each plot, all of one shape and tree."""
+    """A model and the parameters of each plot, all of one shape and tree.
+
+    `seeds` draw the places of each plot's plants; `room` and `softness` as `build_model` has them:
+    a model whose covers shall be differentiated needs both.
+    """
     slots = slots_of(plots)
-    built = [_build(plot, slots, bands, resolution, seed) for plot in plots]
+    built = [
+        _build(plot, slots, bands, resolution, seed, room, softness)
+        for plot, seed in zip(plots, seeds, strict=True)
+    ]
     layers = max(model.grid.shape[2] for model, _ in built)
     sizes = [
         tuple(len(a) for a in (p.species, p.plant, p.shapes.organ))
@@ -76,8 +89,33 @@ def build_scenes(
 
 
 def _build(
-    plot: Plot, slots: tuple[str, ...], bands: BandSet, resolution: Resolution, seed: int
+    plot: Plot,
+    slots: tuple[str, ...],
+    bands: BandSet,
+    resolution: Resolution,
+    seed: int,
+    room: float,
+    softness: float,
 ) -> tuple[PlotModel, PlotParameters]:
+    parameters = slotted_parameters(plot, slots)
+    model = build_model(
+        [f"slot {i}" for i in range(len(slots))],
+        slots,
+        parameters,
+        extent=(resolution.size_m, resolution.size_m),
+        voxel=resolution.voxel_m,
+        camera=Camera(bands, ALTITUDE_M, resolution.voxel_m),
+        seed=seed,
+        room=room,
+        softness=softness,
+        width=1.0,
+        accuracy=ACCURACY,
+    )
+    return model, parameters
+
+
+def slotted_parameters(plot: Plot, slots: tuple[str, ...]) -> PlotParameters:
+    """The parameters of a plot with its species in slots."""
     read = plot_parameters(plot)
     free = {form: [i for i, f in enumerate(slots) if f == form] for form in set(slots)}
     place = jnp.asarray([free[s.growth_form].pop(0) for s in plot.species])
@@ -98,21 +136,7 @@ def _build(
     )
     usual = {name: fill(getattr(leaf, name), [v] * count) for name, v in USUAL_LEAF.items()}
     leaf = eqx.tree_at(lambda l: [getattr(l, n) for n in usual], leaf, list(usual.values()))
-    parameters = PlotParameters(species, leaf, read.ground, read.light)
-    model = build_model(
-        [f"slot {i}" for i in range(count)],
-        slots,
-        parameters,
-        extent=(resolution.size_m, resolution.size_m),
-        voxel=resolution.voxel_m,
-        camera=Camera(bands, ALTITUDE_M, resolution.voxel_m),
-        seed=seed,
-        room=1.0,
-        softness=0.0,
-        width=1.0,
-        accuracy=ACCURACY,
-    )
-    return model, parameters
+    return PlotParameters(species, leaf, read.ground, read.light)
 
 
 def _padded(model: PlotModel, plants: int, elements: int, parts: int) -> PlotModel:

@@ -16,22 +16,25 @@ from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.inversion import (
+    AbstractView,
     Data,
     FitResult,
     ParameterSpace,
+    PlotForward,
     Posterior,
     calibrate_plot,
-    plot_statistics,
+    join_data,
     sample_posterior,
 )
 from fynjax.inversion._posterior import Method
-from fynjax.io import provenance, write_text
+from fynjax.io import provenance, read_plot, write_text
 from fynjax.io._atomic import atomic_path
 from fynjax.io._netcdf import file_hash
+from fynjax.report._calibrate_targets import read_targets
 from fynjax.report._figure_style import save_figure
 from fynjax.report._figures_fit import parameter_plot
 from fynjax.report._figures_posterior import corner_plot, predictive_plot, short_name
-from fynjax.report._jobs import _target, peak_memory_mib
+from fynjax.report._jobs import peak_memory_mib
 from fynjax.report._page import Page
 from fynjax.report._plot_forward import (
     STRIDE,
@@ -51,7 +54,7 @@ _ARRAYS = tuple(
 
 def run_posterior(
     plot: Path,
-    target: Path,
+    targets: Path | Sequence[Path],
     output: Path,
     *,
     method: Method = "emcee",
@@ -62,29 +65,36 @@ def run_posterior(
     seed: int,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Sample the posterior of a plot's parameters given an image or a table of its statistics.
+    """Sample the posterior of a plot's parameters given what one or several sensors measured.
 
     The plot is calibrated first. The sampling renders as the calibration's search does, corrected
     by what that lacked at the estimate; errors of the statistics hold what other plantings change.
 
-    **Arguments:** `free`, patterns that replace those of the plot file; `target_size`, effective
-    draws; `checkpoint`, a folder that keeps the calibration and the chain: an interrupted run goes
-    on from it. Writes posterior.nc, parameters.csv, figures and a page.
+    **Arguments:** `targets`, as `run_calibrate` takes them; `free`, patterns that replace those of
+    the plot file; `target_size`, effective draws; `checkpoint`, a folder that keeps the calibration
+    and the chain: an interrupted run goes on from it. Writes posterior.nc, parameters.csv, figures
+    and a page.
     """
     for package in ("arviz", "h5py") if method == "emcee" else ("arviz",):
         require(package, "posterior")
     if method == "nuts":
         require("blackjax", "nuts")
     progress = NullProgress() if progress is None else progress
+    read = read_plot(plot)
+    paths = [targets] if isinstance(targets, Path) else list(targets)
+    measured = read_targets(read, paths, seed=seed, progress=progress)
+    data, views = join_data([one.data for one in measured]), [one.view for one in measured]
     with progress.stage("Build the plot"):
-        ready = prepare(plot, free, seed=seed)
-    data, _ = _target(ready.plot, target)
-    inputs = (*(p for p in ready.plot.inputs if p is not None), target)
+        drone = any(one.kind == "image" for one in measured)
+        ready = prepare(plot, free, seed=seed, drone=drone)
+    inputs = (*(p for p in ready.plot.inputs if p is not None), *paths)
     mark = _mark(ready.space, [file_hash(p) for p in inputs], seed)
-    calibrated = _start(checkpoint / "calibration.npz", mark, ready, data, progress)
-    start, grown, offset = calibrated
+    start, grown, offset = _start(
+        checkpoint / "calibration.npz", mark, ready, data, views, progress
+    )
+    cheap = [view.for_search(ready.model, STRIDE) for view in views]
     found = sample_posterior(
-        plot_statistics(ready.parameters, ready.space.names, data.names, STRIDE),
+        PlotForward(ready.parameters, ready.space.names, cheap),
         grown,
         ready.space,
         method=method,
@@ -111,7 +121,12 @@ def _mark(space: ParameterSpace, hashes: Sequence[str], seed: int) -> str:
 
 
 def _start(
-    path: Path, mark: str, ready: Prepared, data: Data, progress: Progress
+    path: Path,
+    mark: str,
+    ready: Prepared,
+    data: Data,
+    views: Sequence[AbstractView],
+    progress: Progress,
 ) -> tuple[FitResult, Data, Any]:
     """The calibration, from an earlier run of the same if there was one."""
     if path.exists():
@@ -146,6 +161,7 @@ def _start(
             ready.parameters,
             data,
             ready.space,
+            views=views,
             stride=STRIDE,
             max_steps=steps,
             report=lambda stage, loss, norm: progress.advance(1, stage=stage, loss=f"{loss:.1f}"),

@@ -6,7 +6,7 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.inversion import weigh_targets
 from fynjax.io import example_folder, read_plot
-from fynjax.report._jobs import _target
+from fynjax.report._calibrate_targets import image_target
 
 
 def test_spreads_and_repeated_ratios_weigh_less():
@@ -26,6 +26,6 @@ def test_a_stated_error_is_kept():
 def test_the_example_table_is_a_target_of_the_example_plot():
     """What the README has a new user type."""
     plot = read_plot(example_folder() / "plot.toml")
-    data, _ = _target(plot, example_folder() / "statistics.csv")
+    data = image_target(plot, example_folder() / "statistics.csv").data
     assert data.names[:2] == ("green.mean", "red.mean")
     assert float(data.sd[0]) == pytest.approx(0.0003)

@@ -9,6 +9,8 @@ import pytest
 
 from fynjax._core.errors import MissingExtraError
 from fynjax.leaf import LeafParameters, fit_leaf, prospect, sample_leaf_posterior
+from fynjax.leaf._problem import make_setup
+from tests.benchmarks.leaf_ranks import DRAWS, gaussian_scores, ranks, simulate
 
 GRID = np.arange(400.0, 2501.0)
 LEAF = prospect(LeafParameters())
@@ -53,6 +55,39 @@ def test_the_two_samplers_agree():
         assert 0.93 < other.std() / one.std() < 1.07
 
 
+@pytest.fixture
+def simulated():
+    """Leaves from prior and error model: the truth, and the problems that they pose."""
+    with jax.enable_x64(True):
+        setup = make_setup("D", None, None, None)
+        return setup, *simulate(setup, 400, 0, reflectance_only=False)
+
+
+def test_the_gaussian_of_the_fit_covers_what_was_drawn(simulated):
+    setup, truth, problems = simulated
+    score = gaussian_scores(setup, truth, problems)
+    # The traits that the spectrum tells well; binomial errors are 2.3 and 1.1 points.
+    for name in ("structure", "chlorophyll", "water", "dry_matter"):
+        own = np.abs(score[:, setup.free.index(name)])
+        assert np.mean(own < 1.0) == pytest.approx(0.683, abs=0.07), name
+        assert np.mean(own < 1.96) == pytest.approx(0.95, abs=0.035), name
+
+
+@pytest.mark.slow
+def test_the_truth_has_any_rank_among_the_draws(simulated):
+    """`python -m tests.benchmarks.leaf_ranks` does so with hundreds of leaves."""
+    setup, truth, problems = simulated
+    few = type(problems)(*(part[:24] for part in problems))
+    found, short = ranks(setup, truth[:24], few, "emcee")
+    assert short == 0
+    # Uniform ranks have this mean and spread; both within four standard errors.
+    share = (found + 0.5) / (DRAWS + 1)
+    error = 12**-0.5 / found.shape[0] ** 0.5
+    assert np.all(np.abs(share.mean(axis=0) - 0.5) < 4.0 * error)
+    inside = np.mean(np.abs(share - 0.5) < 0.34)
+    assert inside == pytest.approx(0.68, abs=4.0 * (0.68 * 0.32 / found.size * 2.0) ** 0.5)
+
+
 def test_a_missing_extra_names_the_line_to_type(monkeypatch):
     monkeypatch.setitem(sys.modules, "blackjax", None)
     with pytest.raises(MissingExtraError, match=r'pip install "fynjax\[nuts\]"'):
@@ -63,10 +98,10 @@ def test_a_missing_extra_names_the_line_to_type(monkeypatch):
 
 def test_an_empty_leaf_fails_alone():
     both = np.concatenate([R, np.full_like(R, np.nan)])
-    posterior = sample_leaf_posterior(GRID, both, draws=16, target=50.0)
+    posterior = sample_leaf_posterior(GRID, both, draws=16, target=50.0, max_steps=300)
     assert posterior.status[1].startswith("failed")
     assert np.isnan(posterior.samples[1]).all()
     assert np.isfinite(posterior.samples[0]).all()
-    again = sample_leaf_posterior(GRID, both, draws=16, target=50.0)
+    again = sample_leaf_posterior(GRID, both, draws=16, target=50.0, max_steps=300)
     np.testing.assert_array_equal(again.samples, posterior.samples)
     assert jax.config.jax_enable_x64

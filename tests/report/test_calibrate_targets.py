@@ -17,7 +17,6 @@ from fynjax.report._calibrate_targets import (
     structure_settings,
     target_kind,
 )
-from fynjax.report._jobs import _target
 from fynjax.sensors import BandSet
 from tests.report.small import write_plot
 
@@ -165,8 +164,6 @@ def test_one_target_of_each_kind_in_the_same_order(plot, tmp_path):
         read_targets(plot, [cloud, table, structure_file(tmp_path / "d.csv")])
     with pytest.raises(InputError, match=r"no such file. Did you mean 'c.csv'"):
         read_targets(plot, [tmp_path / "cc.csv"])
-    with pytest.raises(InputError, match=r"fynjax calibrate. takes spectra"):
-        _target(plot, cloud)
     fewer = dataclasses.replace(plot.calibration, targets=("*.mean",))
     with pytest.raises(InputError, match="fits none of the metrics of the cloud"):
         read_targets(dataclasses.replace(plot, calibration=fewer), [cloud])

@@ -64,12 +64,12 @@ def test_plots_of_other_species_get_one_shape_and_keep_their_plants(tmp_path: Pa
     slots = slots_of(files)
     assert slots == ("broad_leaved", "deadwood", "rounded_shrub", "tussock", "upright_ericoid")
     bands = BandSet(("a", "b"), (670.0, 860.0), (6.0, 6.0))
-    scenes = build_scenes(files, bands, COARSE, seed=0)
+    scenes = build_scenes(files, bands, COARSE, [0, 0])
     shapes = [[leaf.shape for leaf in (m.planting.part, m.planting.foot)] for m, _ in scenes]
     assert shapes[0] == shapes[1]
     assert scenes[0][0].grid == scenes[1][0].grid
     for file, (model, parameters) in zip(files, scenes):
-        alone, same = _build(file, slots, bands, COARSE, seed=0)
+        alone, same = _build(file, slots, bands, COARSE, 0, room=1.0, softness=0.0)
         expected = np.asarray(alone.area_density(same))
         found = np.asarray(model.area_density(parameters))
         layers = expected.shape[1]

@@ -1,0 +1,109 @@
+"""Figures of what spectra say of plots."""
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from fynjax.report._figure_style import BLUE, GREEN, GREY, ORANGE, VERMILION, style
+from fynjax.report._figures_plots import draw_band, draw_line
+from fynjax.report._plots_infer import FREE, QUANTITIES
+from fynjax.report._plots_infer_compare import (
+    ELSEWHERE,
+    ENOUGH,
+    OWN,
+    REGRESSION,
+    TAUGHT,
+)
+
+_COLOURS = {OWN: BLUE, ELSEWHERE: VERMILION, TAUGHT: GREEN}
+
+
+def estimates_plot(table: pd.DataFrame) -> Figure:
+    """Estimates with their 95 % intervals against the field, by prior and quantity."""
+    priors = [p for p in _COLOURS if (table["predictor"] == p).any()]
+    with style():
+        figure = Figure(figsize=(9.0, 0.5 + 2.9 * len(priors)))
+        grid = figure.subplots(len(priors), len(QUANTITIES), squeeze=False)
+        for row, prior in zip(grid, priors):
+            for axes, (name, (_, words, unit)) in zip(row, QUANTITIES.items()):
+                part = table[table["quantity"] == name]
+                own = part[part["predictor"] == prior]
+                if name == "leaf_mass_per_area":
+                    plsr = part[part["predictor"] == REGRESSION]
+                    axes.plot(plsr["field"], plsr["estimate"], "x", color=ORANGE, ms=5)
+                for enough, fill in ((True, _COLOURS[prior]), (False, "white")):
+                    some = own[(own["measured_share"] >= ENOUGH) == enough]
+                    axes.errorbar(
+                        some["field"],
+                        some["estimate"],
+                        [some["estimate"] - some["q025"], some["q975"] - some["estimate"]],
+                        fmt="o", ms=4, lw=0.8, color=_COLOURS[prior], mfc=fill,
+                    )  # fmt: skip
+                known = own["field"][np.isfinite(own["field"])]
+                if len(known):
+                    low, high = known.min(), known.max()
+                    axes.axline((low, low), slope=1.0, color=GREY, lw=0.8)
+                    room = max(0.08 * (high - low), 0.02 * high)
+                    axes.set_xlim(low - room, high + room)
+                axes.set_title(f"{words} [{unit}]", fontsize=9)
+                axes.grid(True)
+            row[0].set_ylabel(prior.split(", ")[1], fontsize=8)
+        handles = [
+            Line2D([], [], color=GREY, marker="o", ls="", label="trait measured on most cover"),
+            Line2D([], [], color=GREY, marker="o", mfc="white", ls="", label="on less"),
+            Line2D([], [], color=ORANGE, marker="x", ls="", label=REGRESSION),
+        ]
+        figure.legend(handles=handles, loc="outside upper right", ncols=3)
+        figure.supxlabel("field", fontsize=9)
+        figure.supylabel("estimate, 95 %", fontsize=9)
+    return figure
+
+
+def shifts_plot(parameters: pd.DataFrame) -> Figure:
+    """How far the spectra pull each parameter from its prior, a point a plot."""
+    priors = [p for p in _COLOURS if (parameters["predictor"] == p).any()]
+    with style():
+        figure = Figure(figsize=(7.4, 0.8 + 0.33 * len(FREE)))
+        axes = figure.subplots()
+        axes.axvspan(-1.0, 1.0, color=GREY, alpha=0.2, lw=0)
+        for k, prior in enumerate(priors):
+            own = parameters[parameters["predictor"] == prior]
+            for row, name in enumerate(FREE):
+                moved = own[own["parameter"] == name]["moved"].to_numpy()
+                y = np.full(moved.size, row + 0.25 * (k - 0.5 * (len(priors) - 1)))
+                axes.plot(moved, y, "o", ms=3.5, alpha=0.6, color=_COLOURS[prior], mew=0)
+                axes.plot([moved.mean()], y[:1], "|", ms=12, mew=2, color=_COLOURS[prior])
+        axes.axvline(0.0, color=GREY, lw=0.8)
+        axes.set_yticks(range(len(FREE)), [name.replace("_", " ") for name in FREE])
+        axes.invert_yaxis()
+        axes.set_xlabel("moved from the prior [prior standard deviations]")
+        handles = [Line2D([], [], color=_COLOURS[p], marker="o", ls="", label=p) for p in priors]
+        figure.legend(handles=handles, loc="outside upper right", fontsize=7.5)
+        axes.grid(True, axis="x")
+    return figure
+
+
+def residuals_plot(
+    wavelength: Float[np.ndarray, " band"],
+    residuals: dict[str, Float[np.ndarray, "plot band"]],
+) -> Figure:
+    """What is left between model and measurement, mean and spread over the plots."""
+    gap = 2.5 * float(np.median(np.diff(wavelength)))
+    with style():
+        figure = Figure(figsize=(7.4, 3.2))
+        axes = figure.subplots()
+        colours = dict(zip(residuals, (GREY, *_COLOURS.values())))
+        for name, rest in residuals.items():
+            mean, sd = rest.mean(axis=0), rest.std(axis=0)
+            draw_band(
+                axes, wavelength, mean - sd, mean + sd, gap, color=colours[name], alpha=0.2, lw=0
+            )
+            draw_line(axes, wavelength, mean, gap, color=colours[name], lw=1.3, label=name)
+        axes.axhline(0.0, color="black", lw=0.6)
+        axes.set_xlabel("wavelength [nm]")
+        axes.set_ylabel("model less measured [-]")
+        axes.grid(True)
+        figure.legend(loc="outside upper right", ncols=2)
+    return figure

@@ -1,0 +1,329 @@
+"""Cover and leaf traits of a plot from its measured spectrum: parameters, priors, the fit.
+
+The parameters are those of a whole plot. A mean spectrum cannot tell species apart, so each
+parameter moves all species of a plot together, by a factor on what its tables say.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax._core.journal import Keep
+from fynjax.inversion import Data, ParameterSpace, SpectrumView, fit, weigh_spectrum
+from fynjax.inversion._fit import Forward, evaluate
+from fynjax.inversion._fit_result import FitResult
+from fynjax.io import BioscapePlot
+from fynjax.scene import PlotModel, PlotParameters
+
+MODEL_SD = 0.05
+"""Relative error of the model in each band for itself, assumed [-]."""
+MOST_BANDS = 24
+ROOM, SOFTNESS = 2.6, 0.25
+
+
+@dataclass(frozen=True)
+class Free:
+    """A free parameter of a plot: where it may lie, and how wide its prior is."""
+
+    what: str
+    lower: float
+    upper: float
+    centre: float
+    sd: float
+
+
+FREE: dict[str, Free] = {
+    "cover": Free("factor on the crowns' cover of all live species", 0.2, 2.5, 1.0, 0.25),
+    "standing_dead": Free("factor on the cover of dead plants that stand", 0.05, 2.2, 1.0, 0.5),
+    "leaf_area_index": Free("factor on the leaf area of a crown", 0.2, 2.5, 1.0, 0.3),
+    "leaf_mass_per_area": Free("factor on dry matter, water in proportion", 0.2, 3.0, 1.0, 0.3),
+    "water_per_dry_matter": Free("factor on water, dry matter as it is", 0.2, 3.0, 1.0, 0.3),
+    "chlorophyll": Free("factor on chlorophyll and carotenoids", 0.1, 2.0, 1.0, 0.3),
+    "brown_pigments": Free("factor on brown pigments", 0.02, 8.0, 1.0, 0.7),
+    "structure": Free("factor on PROSPECT's N", 0.6, 1.5, 1.0, 0.1),
+    "soil_brightness": Free("factor on the soil's reflectance", 0.1, 2.5, 1.0, 0.3),
+    "soil_moisture": Free("share of the wet soil [-]", 0.0, 1.0, 0.2, 0.15),
+    "litter": Free("share of the ground under litter [-]", 0.0, 1.0, 0.5, 0.2),
+    "wood_brightness": Free("factor on the reflectance of bark and deadwood", 0.2, 2.5, 1.0, 0.3),
+}
+"""Priors where the tables are the prior: covers to a quarter, as a crew sees them; the rest wide,
+assumed."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What a plot's parameters are factors on."""
+
+    plot: BioscapePlot
+    """With the traits that its scene was built with."""
+
+    @property
+    def crowns(self) -> float:
+        """Crown area of the live species over ground [-], set at random."""
+        live = self.plot.listed_cover + self.plot.other_cover
+        return live / (1.0 - self.plot.packing)
+
+    def live(self, factor: Any) -> Any:
+        """Live cover seen from above [-] at a factor on the cover: the table's at 1, and the law
+        of crowns set at random elsewhere."""
+        whole = 1.0 - np.exp(-self.crowns)
+        return np.minimum(self.plot.live * (1.0 - np.exp(-self.crowns * factor)) / whole, 1.0)
+
+    def factor(self, live: float) -> float:
+        """Inverse of `live`, within the parameter's bounds."""
+        whole = 1.0 - np.exp(-self.crowns)
+        share = min(live / self.plot.live * whole, 1.0 - 1e-6)
+        found = -np.log1p(-share) / self.crowns
+        known = FREE["cover"]
+        reach = known.upper - known.lower
+        return float(np.clip(found, known.lower + 0.05 * reach, known.upper - 0.05 * reach))
+
+    def leaf_mass(self, factor: Any) -> Any:
+        """Leaf mass per projected area, weighted with cover [g m-2]."""
+        mean = self.plot.weighted_mean("leaf_mass_per_area")
+        assert mean is not None
+        return mean * factor
+
+    def water(self, factor: Any) -> Any:
+        """Water of the leaves, weighted with cover [% of fresh mass]."""
+        shares = [s.cover / self.plot.listed_cover for s in self.plot.species]
+        wet = [s.traits["water_content"].value / 100.0 for s in self.plot.species]
+        each = [
+            share * 100.0 * factor * w / (1.0 - w + factor * w) for share, w in zip(shares, wet)
+        ]
+        return sum(each)
+
+
+QUANTITIES: dict[str, tuple[str, str, str]] = {
+    "live_cover": ("cover", "live cover", "%"),
+    "leaf_mass_per_area": ("leaf_mass_per_area", "leaf mass per area", "g m-2"),
+    "water_content": ("water_per_dry_matter", "water content", "% of fresh mass"),
+}
+"""What is told of a plot: the parameter that it follows from, words, unit."""
+
+
+def quantity(reference: Reference, name: str, factor: Any) -> Any:
+    """One of `QUANTITIES` at a factor."""
+    if name == "live_cover":
+        return 100.0 * reference.live(factor)
+    return (reference.leaf_mass if name == "leaf_mass_per_area" else reference.water)(factor)
+
+
+class PlotSpectrumForward:
+    """The forward model: a plot's mean spectrum at values of `FREE`.
+
+    Called with a model and the parameters as the tables have them, so that all plots share one
+    compilation. Differentiable.
+    """
+
+    def __init__(self, view: SpectrumView, dead: Sequence[bool]) -> None:
+        self._view, self._dead = view, np.asarray(dead)
+
+    def __call__(
+        self, values: Float[Array, " free"], model: PlotModel, parameters: PlotParameters
+    ) -> Float[Array, " band"]:
+        return self._view.predict(model, self._plot(values, parameters))
+
+    def jacobian(
+        self,
+        values_at: Callable[[Array], Array],
+        u: Float[Array, " free"],
+        model: PlotModel,
+        parameters: PlotParameters,
+    ) -> tuple[Float[Array, " band"], Float[Array, "band free"]]:
+        return self._view.jacobian(model, lambda u: self._plot(values_at(u), parameters), u)
+
+    def _plot(self, values: Array, parameters: PlotParameters) -> PlotParameters:
+        at = {name: values[i] for i, name in enumerate(FREE)}
+        species, leaf, ground = parameters.species, parameters.leaf, parameters.ground
+        mass = at["leaf_mass_per_area"]
+        factors = {
+            "structure": at["structure"],
+            "chlorophyll": at["chlorophyll"],
+            "carotenoids": at["chlorophyll"],
+            "brown_pigments": at["brown_pigments"],
+            "dry_matter": mass,
+            "water": mass * at["water_per_dry_matter"],
+        }
+        return replace(
+            parameters,
+            species=replace(
+                species,
+                cover=species.cover * jnp.where(self._dead, at["standing_dead"], at["cover"]),
+                leaf_area_index=species.leaf_area_index * at["leaf_area_index"],
+            ),
+            leaf=eqx.tree_at(
+                lambda l: [getattr(l, name) for name in factors],
+                leaf,
+                [getattr(leaf, name) * factor for name, factor in factors.items()],
+            ),
+            ground=replace(
+                ground,
+                brightness=at["soil_brightness"],
+                moisture=at["soil_moisture"],
+                litter_fraction=at["litter"],
+                wood_brightness=at["wood_brightness"],
+            ),
+        )
+
+
+def prior_space(
+    plot: BioscapePlot, elsewhere: dict[str, tuple[float, float]] | None = None
+) -> ParameterSpace:
+    """Priors of a plot's parameters: those of `FREE`, about the plot's own tables.
+
+    `elsewhere`, mean and standard deviation of some of `QUANTITIES` over other plots, replaces
+    what the plot's tables say of them.
+    """
+    centre, sd = ({n: getattr(f, k) for n, f in FREE.items()} for k in ("centre", "sd"))
+    # Half-way between certain and unknown, in the coordinate of a share.
+    centre["litter"] = float(np.clip(plot.litter_fraction, 0.05, 0.95))
+    sd["litter"] = centre["litter"] * (1.0 - centre["litter"])
+    reference = Reference(plot)
+    for name, (mean, spread) in ({} if elsewhere is None else elsewhere).items():
+        free = QUANTITIES[name][0]
+        if name == "live_cover":  # the scene's traits are already that mean, its cover is not
+            centre[free] = reference.factor(mean / 100.0)
+        near = [quantity(reference, name, centre[free] + d) for d in (-0.01, 0.01)]
+        sd[free] = spread * 0.02 / (near[1] - near[0])
+    columns = zip(*((f.lower, f.upper, centre[n], sd[n]) for n, f in FREE.items()))
+    return ParameterSpace(tuple(FREE), *(jnp.asarray(c, float) for c in columns))
+
+
+def plot_data(
+    names: Sequence[str],
+    flights: Float[np.ndarray, "flight band"],
+    repeatability: Float[np.ndarray, "band band"] | None,
+) -> Data:
+    """A plot's mean spectrum with its errors: `MODEL_SD`, what a plot's flights differ by, and the
+    gain and offset of `weigh_spectrum`."""
+    sampling = None if repeatability is None else repeatability / len(flights)
+    return weigh_spectrum(names, flights.mean(axis=0), MODEL_SD, sampling=sampling)
+
+
+def flight_covariance(
+    plots: Sequence[Float[np.ndarray, "flight band"]],
+) -> Float[np.ndarray, "band band"] | None:
+    """Covariance of one flight about the mean of its plot, pooled over the plots; None where no
+    plot was flown over twice."""
+    repeated = [flights for flights in plots if len(flights) > 1]
+    if not repeated:
+        return None
+    freedom = sum(len(flights) - 1 for flights in repeated)
+    apart = np.concatenate([flights - flights.mean(axis=0) for flights in repeated])
+    return apart.T @ apart / freedom
+
+
+def taught_data(
+    names: Sequence[str],
+    flights: Float[np.ndarray, "flight band"],
+    residuals: Float[np.ndarray, "plot band"],
+) -> tuple[Data, Float[np.ndarray, " band"]]:
+    """A plot's mean spectrum with the errors that the model made on other plots, and their mean.
+
+    **Arguments:** `residuals`, measured less simulated spectra of other plots, simulated from
+    their own tables. They hold all there is: faults of the model and of the tables, what flights
+    and plantings differ by. Their covariance, shrunk half-way to the diagonal because plots are
+    few, grows by that of their mean.
+    """
+    count = len(residuals)
+    covariance = np.cov(residuals, rowvar=False)
+    covariance = 0.5 * (covariance + np.diag(np.diagonal(covariance))) * (1.0 + 1.0 / count)
+    covariance += 1e-8 * np.eye(len(covariance))
+    whitener = np.linalg.inv(np.linalg.cholesky(covariance))
+    parts = (flights.mean(axis=0), np.sqrt(np.diagonal(covariance)), whitener)
+    return Data(tuple(names), *(jnp.asarray(part) for part in parts)), residuals.mean(axis=0)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a plot's spectrum says, given a prior."""
+
+    space: ParameterSpace
+    whitened: np.ndarray
+    """In prior standard deviations, 0 is the prior's centre."""
+    covariance: np.ndarray
+    """Of these [free, free]."""
+    before: np.ndarray
+    """Spectrum at the prior's centre, as the model has it."""
+    after: np.ndarray
+    """At the estimate, with what other plots taught of the model."""
+    misfit: tuple[float, float]
+    """Root mean square of the whitened misfit before and after [-]."""
+    converged: bool
+
+    @property
+    def constrained(self) -> np.ndarray:
+        """1 less posterior over prior variance [-]."""
+        return 1.0 - np.diagonal(self.covariance)
+
+    def draws(self, name: str, count: int = 4000) -> np.ndarray:
+        """Draws of a parameter from the Gaussian about the estimate, in its own unit."""
+        i = self.space.names.index(name)
+        normal = np.random.default_rng(61).normal(size=count)
+        u = self.whitened[i] + np.sqrt(self.covariance[i, i]) * normal
+        many = np.tile(self.whitened, (count, 1))
+        many[:, i] = u
+        return np.asarray(jax.vmap(self.space.physical)(jnp.asarray(many)))[:, i]
+
+
+def infer_plot(
+    predict: PlotSpectrumForward,
+    forward: Forward,
+    data: Data,
+    space: ParameterSpace,
+    parameters: PlotParameters,
+    models: Sequence[PlotModel],
+    keep: Keep,
+    *,
+    teacher: Float[np.ndarray, " band"] | None = None,
+    max_steps: int = 20,
+) -> Estimate:
+    """Fit one plot. `models` are plantings of it; the first is fitted, the others say what chance
+    in the planting changes.
+
+    `teacher` is added to the model's spectrum; `data` then hold the errors of all that, those of
+    plantings too (`taught_data`).
+    """
+    offset = jnp.zeros_like(data.value) if teacher is None else jnp.asarray(teacher)
+
+    def do() -> tuple[Array, ...]:
+        own = forward.with_space(space)
+        start = jnp.zeros(len(space.names))
+        contexts = [(model, parameters) for model in models]
+        looked = jnp.stack([own.values(start, context) for context in contexts])
+        grown = data.with_scatter(looked[1:] - looked[0]) if teacher is None else data
+        found: FitResult = fit(
+            predict,
+            grown,
+            space,
+            max_steps=max_steps,
+            tolerance=0.02,
+            forward=own,
+            context=contexts[0],
+            offset=offset,
+        )
+        others = [evaluate(own, grown, found.whitened, context) for context in contexts[1:]]
+        deviations = jnp.stack([value for value, _ in others]) + offset - found.predicted
+        if teacher is not None:
+            deviations = jnp.zeros_like(deviations)
+        scattered = replace(found, data=data).marginal(
+            deviations, jnp.stack([slope for _, slope in others])
+        )
+        spectra = (looked[0] + offset, found.predicted)
+        rest = [grown.whiten(spectrum - grown.value) for spectrum in spectra]
+        return (
+            found.whitened, scattered.covariance, looked[0], found.predicted,
+            jnp.stack([jnp.sqrt(jnp.mean(r**2)) for r in rest]), jnp.asarray(found.converged),
+        )  # fmt: skip
+
+    u, covariance, before, after, misfit, converged = (np.asarray(a) for a in keep(do))
+    return Estimate(
+        space, u, covariance, before, after, (float(misfit[0]), float(misfit[1])), bool(converged)
+    )

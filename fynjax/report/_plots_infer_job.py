@@ -1,0 +1,263 @@
+"""`fynjax calibrate-plots`: field tables and spectra in, cover and leaf traits of plots out."""
+
+import tempfile
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from fynjax._core.errors import InputError
+from fynjax._core.journal import Journal
+from fynjax._core.progress import NullProgress, Progress
+from fynjax.inversion import Data, spectrum_view
+from fynjax.inversion._fit import Forward
+from fynjax.inversion._search import signature
+from fynjax.io import BioscapePlot, Plot, provenance, read_bioscape, read_plot
+from fynjax.io._bioscape_files import run_bioscape, write_plot_files
+from fynjax.io._bioscape_plsr import read_leaf_mass_model
+from fynjax.io._bioscape_spectra import (
+    PlotSpectra,
+    Spectrometer,
+    read_plot_spectra,
+    read_spectrometer,
+)
+from fynjax.io._bioscape_traits import SOURCES, Sourced
+from fynjax.io._netcdf import file_hash
+from fynjax.report._plots_infer import (
+    FREE,
+    MOST_BANDS,
+    QUANTITIES,
+    ROOM,
+    SOFTNESS,
+    Estimate,
+    PlotSpectrumForward,
+    Reference,
+    flight_covariance,
+    infer_plot,
+    plot_data,
+    prior_space,
+    taught_data,
+)
+from fynjax.report._plots_infer_compare import (
+    ELSEWHERE,
+    MEAN,
+    OWN,
+    REGRESSION,
+    TABLE,
+    TAUGHT,
+    Field,
+    estimate_table,
+    field_values,
+    others,
+    simple_table,
+)
+from fynjax.report._plots_infer_files import Findings, write_findings
+from fynjax.report._plots_job import used_bands
+from fynjax.report._plots_scenes import (
+    Resolution,
+    build_scenes,
+    slots_of,
+    slotted_parameters,
+)
+from fynjax.scene import PlotParameters
+from fynjax.sensors import BandSet
+
+_LEAST_PLOTS, _LEAST_TEACHERS = 4, 5
+"""With fewer, other plots are no prior, and no teachers."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """One way of knowing the plots before their spectra."""
+
+    name: str
+    plots: list[BioscapePlot]
+    """With the traits that their scenes are built with."""
+    parameters: list[PlotParameters]
+    elsewhere: list[dict[str, tuple[float, float]]] | None
+    """What other plots say of each; None where a plot's own tables do."""
+
+
+def run_calibrate_plots(
+    folder: str | Path,
+    output: str | Path,
+    *,
+    plots: Sequence[str] | None = None,
+    traits: str | Path | None = None,
+    resolution: Resolution | None = None,
+    plantings: int = 3,
+    seed: int = 0,
+    checkpoint: str | Path,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Infer cover, leaf mass per area and water of a folder's plots from their spectra.
+
+    **Arguments:** `folder`, `plots`, `traits` and `resolution` as `run_validate_plots` takes them;
+    a `*LMA*model*.json` in the folder is the published regression. `plantings`: how often each
+    plot is planted anew, to know what chance in it changes; at least 3. `checkpoint`: a folder
+    that keeps each plot's fit; the same call goes on from it.
+
+    **Returns:** the summary: headline, files, agreement with the field by quantity and predictor.
+
+    **Raises:** `InputError` for tables that are missing or cannot be read, plots without spectra,
+    and a checkpoint of another run.
+    """
+    progress = NullProgress() if progress is None else progress
+    resolution = Resolution() if resolution is None else resolution
+    folder, output = Path(folder), Path(output)
+    if plantings < 3:
+        raise InputError(f"expected three plantings or more, but got {plantings}")
+    everything = read_bioscape(folder, plots, traits=traits)
+    spectrometer, measured = read_spectrometer(folder), read_plot_spectra(folder)
+    read = [p for p in everything if p.name in measured and measured[p.name].times]
+    if not read:
+        raise InputError("none of the plots has a measured spectrum to learn from", file=folder)
+    bands, flights = _chosen_bands(spectrometer, [measured[p.name] for p in read], folder)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # told once, above
+        run_bioscape(folder, output / "plots", plots=[p.name for p in read], traits=traits)
+    files = [read_plot(output / "plots" / p.name / "plot.toml") for p in read]
+    field = field_values(read)
+    slots = slots_of(files)
+    with progress.stage("Plant the plots"):
+        each = [(file, seed + k) for file in files for k in range(plantings)]
+        scenes = build_scenes(
+            [f for f, _ in each], bands, resolution, [s for _, s in each],
+            room=ROOM, softness=SOFTNESS,
+        )  # fmt: skip
+    models = [
+        [model for model, _ in scenes[i * plantings : (i + 1) * plantings]]
+        for i in range(len(read))
+    ]
+    priors = [Prior(OWN, read, [p for _, p in scenes[::plantings]], None)]
+    if len(read) >= _LEAST_PLOTS:
+        priors.append(_elsewhere(read, files, slots, field))
+    if len(read) > _LEAST_TEACHERS:
+        priors.append(replace(priors[-1], name=TAUGHT))
+    view = spectrum_view(bands)
+    repeatability = flight_covariance(flights)
+    data = [plot_data(view.names, f, repeatability) for f in flights]
+    predict = PlotSpectrumForward(view, [form == "deadwood" for form in slots])
+    inputs = sorted([*folder.glob("*.csv"), *folder.glob("*.json")])
+    inputs += [] if traits is None else [Path(traits)]
+    settings = (resolution, plantings, seed, [p.name for p in read], FREE, len(bands))
+    journal = Journal(checkpoint, signature((), (*settings, [file_hash(p) for p in inputs])))
+    found: dict[str, list[Estimate]] = {p.name: [] for p in priors}
+    forward = Forward(predict, prior_space(read[0]))
+    with progress.stage("Infer", total=len(priors) * len(read)):
+        for prior in priors:
+            for i, plot in enumerate(prior.plots):
+                known = None if prior.elsewhere is None else prior.elsewhere[i]
+                space = prior_space(plot, known)
+                seen, teacher = data[i], None
+                if prior.name == TAUGHT:
+                    rest = [np.asarray(d.value) - one.before for d, one in zip(data, found[OWN])]
+                    seen, teacher = taught_data(
+                        view.names, flights[i], np.delete(np.stack(rest), i, axis=0)
+                    )
+                one = infer_plot(
+                    predict, forward, seen, space, prior.parameters[i], models[i], journal,
+                    teacher=teacher,
+                )  # fmt: skip
+                _check(one, plot, folder)
+                found[prior.name].append(one)
+                progress.advance(1, plot=plot.name, misfit=f"{one.misfit[1]:.2f}")
+    with progress.stage("Write"):
+        findings = _findings(read, priors, found, field, bands, data)
+        regression = read_leaf_mass_model(folder)
+        if regression is not None:
+            spectra = np.stack([measured[p.name].reflectance.mean(axis=0) for p in read])
+            try:
+                lma = regression.predict(spectrometer.centre, spectra)
+            except ValueError as error:
+                raise InputError(str(error), file=folder) from error
+            findings.simple(
+                simple_table(findings.plots, REGRESSION, {"leaf_mass_per_area": lma}, field)
+            )
+        record = provenance(seed=seed, inputs=inputs)
+        summary = write_findings(output, findings, resolution, plantings, record)
+    if left := [p.name for p in everything if p not in read]:
+        summary["warnings"].append(
+            f"{len(left)} plots have no measured spectrum and are left out: {', '.join(left)}"
+        )
+    return summary
+
+
+def _chosen_bands(
+    spectrometer: Spectrometer, spectra: Sequence[PlotSpectra], folder: Path
+) -> tuple[BandSet, list[Float[np.ndarray, "flight band"]]]:
+    """Some `MOST_BANDS` bands that every spectrum has, and the spectra there."""
+    keep = used_bands(spectrometer)
+    there = np.all([np.isfinite(s.reflectance[:, keep]).all(axis=0) for s in spectra], axis=0)
+    keep = keep[there]
+    if keep.size < 10:
+        raise InputError(
+            f"only {keep.size} bands outside the water windows have a value in every spectrum",
+            file=folder,
+        )
+    every = -(-keep.size // MOST_BANDS)
+    keep = keep[every // 2 :: every]
+    centre, fwhm = spectrometer.centre[keep], spectrometer.fwhm[keep]
+    bands = BandSet(tuple(f"{c:.1f}nm" for c in centre), tuple(centre), tuple(fwhm))
+    return bands, [s.reflectance[:, keep] for s in spectra]
+
+
+def _elsewhere(
+    read: Sequence[BioscapePlot], files: Sequence[Plot], slots: tuple[str, ...], field: Field
+) -> Prior:
+    """The prior that other plots are: every species has the mean traits of the other plots."""
+    known = {name: others(field.value[name]) for name in QUANTITIES}
+    plots, parameters, elsewhere = [], [], []
+    for i, plot in enumerate(read):
+        mean = {
+            name: Sourced(float(known[name][0][i]), SOURCES[-1])
+            for name in ("leaf_mass_per_area", "water_content")
+        }
+        species = tuple(replace(s, traits={**s.traits, **mean}) for s in plot.species)
+        plots.append(replace(plot, species=species))
+        with tempfile.TemporaryDirectory() as work:
+            write_plot_files(plots[-1], work)
+            file = read_plot(Path(work) / "plot.toml")
+            parameters.append(slotted_parameters(file, slots))
+        elsewhere.append(
+            {name: (float(mean[i]), float(sd[i])) for name, (mean, sd) in known.items()}
+        )
+    return Prior(ELSEWHERE, plots, parameters, elsewhere)
+
+
+def _check(found: Estimate, plot: BioscapePlot, folder: Path) -> None:
+    if not (np.isfinite(found.after).all() and np.isfinite(found.covariance).all()):
+        raise InputError(
+            f"the fit of plot {plot.name!r} is not finite; is its spectrum a reflectance?",
+            file=folder,
+        )
+
+
+def _findings(
+    read: Sequence[BioscapePlot],
+    priors: Sequence[Prior],
+    found: dict[str, list[Estimate]],
+    field: Field,
+    bands: BandSet,
+    data: Sequence[Data],
+) -> Findings:
+    names = tuple(p.name for p in read)
+    findings = Findings(
+        names, np.asarray(bands.centre), np.stack([np.asarray(d.value) for d in data]), found
+    )
+    for prior in priors:
+        references = [Reference(p) for p in prior.plots]
+        findings.simple(estimate_table(read, prior.name, references, found[prior.name], field))
+    own = {
+        name: np.array([p.weighted_mean(name) for p in read], float)
+        for name in ("leaf_mass_per_area", "water_content")
+    }
+    findings.simple(simple_table(names, TABLE, own, field))
+    if len(read) > 1:
+        mean = {name: others(field.value[name])[0] for name in QUANTITIES}
+        findings.simple(simple_table(names, MEAN, mean, field))
+    return findings

@@ -1,0 +1,255 @@
+"""`fynjax calibrate-plots`: what is told of a plot, by hand; and a plot that comes back."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+
+from fynjax._core.errors import InputError
+from fynjax._core.journal import keep_nothing
+from fynjax.inversion import spectrum_view, weigh_spectrum
+from fynjax.inversion._fit import Forward
+from fynjax.io import read_bioscape, read_plot, write_plot_files
+from fynjax.report._plots_infer import (
+    FREE,
+    QUANTITIES,
+    ROOM,
+    SOFTNESS,
+    Estimate,
+    PlotSpectrumForward,
+    Reference,
+    flight_covariance,
+    infer_plot,
+    prior_space,
+    quantity,
+    taught_data,
+)
+from fynjax.report._plots_infer_compare import (
+    agreement,
+    estimate_table,
+    field_values,
+    others,
+    why_table,
+)
+from fynjax.report._plots_infer_job import run_calibrate_plots
+from fynjax.report._plots_scenes import Resolution, build_scenes, slots_of
+from fynjax.sensors import BandSet
+from tests.report.test_plots_job import write_tables
+
+
+@pytest.fixture(scope="module")
+def plots(tmp_path_factory: pytest.TempPathFactory):
+    folder = tmp_path_factory.mktemp("tables")
+    write_tables(folder)
+    return read_bioscape(folder)
+
+
+def test_at_one_a_plot_is_what_its_tables_say(plots):
+    for plot in plots:
+        reference = Reference(plot)
+        assert quantity(reference, "live_cover", 1.0) == pytest.approx(100 * plot.live)
+        mass, water = (plot.weighted_mean(t) for t in ("leaf_mass_per_area", "water_content"))
+        assert quantity(reference, "leaf_mass_per_area", 1.0) == pytest.approx(mass)
+        assert quantity(reference, "water_content", 1.0) == pytest.approx(water)
+        assert reference.factor(reference.live(0.8)) == pytest.approx(0.8)
+        # Twice the water of a leaf that holds half of its mass: two thirds.
+        one = replace(
+            plot.species[0],
+            traits=plot.species[0].traits
+            | {"water_content": replace(plot.species[0].traits["water_content"], value=50.0)},
+        )
+        alone = Reference(replace(plot, species=(one,)))
+        assert quantity(alone, "water_content", 2.0) == pytest.approx(200.0 / 3.0)
+
+
+def test_other_plots_as_prior_are_as_wide_as_they_differ(plots):
+    known = {"leaf_mass_per_area": (250.0, 50.0), "water_content": (55.0, 3.0)}
+    known["live_cover"] = (70.0, 8.0)
+    plot = plots[0]
+    for name, (mean, sd) in known.items():
+        if name != "live_cover":
+            same = tuple(
+                replace(s, traits=s.traits | {name: replace(s.traits[name], value=mean)})
+                for s in plot.species
+            )
+            plot = replace(plot, species=same)
+        space = prior_space(plot, {name: (mean, sd)})
+        i = space.names.index(QUANTITIES[name][0])
+        reference = Reference(plot)
+        at = [
+            quantity(reference, name, float(space.physical(jnp.full(len(space.names), u))[i]))
+            for u in (-0.1, 0.0, 0.1)
+        ]
+        assert at[1] == pytest.approx(mean, rel=1e-6)
+        assert (at[2] - at[0]) / 0.2 == pytest.approx(sd, rel=0.1), name
+
+
+def test_flights_differ_by_their_pooled_covariance():
+    random = np.random.default_rng(0)
+    first, second = random.normal(size=(2, 5, 3))
+    pooled = (np.cov(first, rowvar=False) + np.cov(second, rowvar=False)) / 2
+    np.testing.assert_allclose(flight_covariance([first, second, first[:1]]), pooled)
+    assert flight_covariance([first[:1]]) is None
+
+
+def test_other_plots_teach_their_mean_error_and_its_spread():
+    random = np.random.default_rng(2)
+    residuals = 0.05 + 0.01 * random.normal(size=(400, 2)) @ np.array([[1.0, 1.0], [0.0, 1.0]])
+    data, mean = taught_data(("a", "b"), np.array([[0.1, 0.2], [0.3, 0.4]]), residuals)
+    np.testing.assert_allclose(data.value, [0.2, 0.3])
+    np.testing.assert_allclose(mean, residuals.mean(axis=0))
+    covariance = np.linalg.inv(np.asarray(data.whitener.T @ data.whitener))
+    # Half of the correlation is kept.
+    np.testing.assert_allclose(covariance, 1e-4 * np.array([[1.0, 0.5], [0.5, 2.0]]), rtol=0.2)
+
+
+def test_the_mean_and_spread_of_other_plots_leave_one_out():
+    mean, sd = others(np.array([1.0, 3.0, 5.0, 9.0]))
+    np.testing.assert_allclose(mean, [17 / 3, 5.0, 13 / 3, 3.0])
+    assert sd[3] == pytest.approx(2.0)
+
+
+def test_the_field_counts_what_was_measured(plots):
+    plot = plots[0]
+    found = field_values([plot])
+    kept = [
+        (s.cover, s.traits["leaf_mass_per_area"].value)
+        for s in plot.species
+        if s.traits["leaf_mass_per_area"].source == "measured"
+    ]
+    total = sum(c for c, _ in kept)
+    expected = sum(c * v for c, v in kept) / total if kept else np.nan
+    assert found.value["leaf_mass_per_area"][0] == pytest.approx(expected, nan_ok=True)
+    assert found.share["leaf_mass_per_area"][0] == pytest.approx(total / plot.listed_cover)
+
+
+def test_intervals_and_scores_by_hand(plots):
+    space = prior_space(plots[0])
+    covariance = np.eye(len(space.names)) * 0.04
+    blank = np.zeros(2)
+    one = Estimate(space, np.zeros(len(space.names)), covariance, blank, blank, (1.0, 1.0), True)
+    table = estimate_table(plots[:1], "x", [Reference(plots[0])], [one], field_values(plots[:1]))
+    row = table[table["quantity"] == "leaf_mass_per_area"].iloc[0]
+    mean = plots[0].weighted_mean("leaf_mass_per_area")
+    assert row["estimate"] == pytest.approx(mean, rel=0.01)
+    assert row["sd"] == pytest.approx(0.3 * 0.2 * mean, rel=0.05)
+    assert row["constrained"] == pytest.approx(0.96)
+    scored = pd.DataFrame(
+        {"plot": list("abc"), "predictor": "x", "quantity": "live_cover", "field": [1.0, 2.0, 3.0],
+         "measured_share": [1.0, 1.0, 0.5], "estimate": [2.0, 3.0, 4.0],
+         "q025": [1.5, 1.0, 2.0], "q975": [2.5, 4.0, 5.0], "constrained": 0.5}
+    )  # fmt: skip
+    every, known = agreement(scored).to_dict("records")
+    assert every["bias"] == every["rmse"] == every["correlation"] == pytest.approx(1.0)
+    assert every["inside_95"] == pytest.approx(2 / 3)
+    assert known["count"] == 2
+
+
+def test_a_shift_that_plots_share_is_told_from_one_they_do_not():
+    parameters = pd.DataFrame(
+        {"plot": list("abcd") * 2, "predictor": "x", "parameter": ["cover"] * 4 + ["litter"] * 4,
+         "moved": [1.0, 1.1, 0.9, 1.0, -1.0, 1.0, -1.0, 1.0], "constrained": 0.1}
+    )  # fmt: skip
+    table = why_table(parameters).set_index("parameter")
+    assert table.loc["cover", "alike"] > 20
+    assert abs(table.loc["litter", "alike"]) < 1e-9
+
+
+def test_priors_change_and_nothing_compiles_again(plots):
+    def predict(values, scale):
+        predict.traced += 1
+        return values[:2] * scale
+
+    predict.traced = 0
+    first = prior_space(plots[0])
+    second = replace(first, prior=first.prior * 0.9)
+    u = jnp.full(len(FREE), 0.3)
+    forward = Forward(predict, first)
+    forward.values(u, (2.0,))
+    traced = predict.traced
+    np.testing.assert_allclose(
+        forward.with_space(second).values(u, (2.0,)), 2.0 * second.physical(u)[:2]
+    )
+    assert predict.traced == traced
+
+
+def test_without_spectra_there_is_nothing_to_learn(tmp_path: Path):
+    write_tables(tmp_path / "tables", measured=False)
+    with pytest.raises(InputError, match="none of the plots has a measured spectrum"):
+        run_calibrate_plots(tmp_path / "tables", tmp_path, checkpoint=tmp_path / "c")
+
+
+@pytest.mark.slow
+def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
+    """A twin: another planting with other cover, traits and soil. The truth lies within what the
+    posterior leaves, and the slopes are those of differences."""
+    plot = plots[0]
+    write_plot_files(plot, tmp_path)
+    file = read_plot(tmp_path / "plot.toml")
+    centre = (480.0, 560.0, 670.0, 720.0, 780.0, 860.0, 1000.0, 1240.0, 1650.0, 2200.0)
+    bands = BandSet(tuple(f"{c:.0f}" for c in centre), centre, (6.0,) * len(centre))
+    slots = slots_of([file])
+    seeds = [0, 1, 2, 3, 4, 9]
+    scenes = build_scenes(
+        [file] * len(seeds), bands, Resolution(8.0, 0.5), seeds, room=ROOM, softness=SOFTNESS
+    )
+    models, parameters = [m for m, _ in scenes], scenes[0][1]
+    view = spectrum_view(bands)
+    predict = PlotSpectrumForward(view, [s == "deadwood" for s in slots])
+    space = prior_space(plot)
+    forward = Forward(predict, space)
+    at = dict.fromkeys(FREE, 0.0) | {
+        "leaf_mass_per_area": 1.0, "water_per_dry_matter": -1.0, "chlorophyll": -1.5,
+    }  # fmt: skip
+    truth = jnp.asarray(list(at.values()))
+    seen = np.asarray(forward.values(truth, (models[-1], parameters)))
+    data = weigh_spectrum(view.names, seen, 0.01, gain=0.0, offset=1e-4)
+    found = infer_plot(predict, forward, data, space, parameters, models[:-1], keep_nothing)
+    assert found.converged
+    assert found.misfit[1] < 0.5 * found.misfit[0]
+    off = (found.whitened - np.asarray(truth)) / np.sqrt(np.diagonal(found.covariance))
+    print(dict(zip(FREE, off.round(2))), found.misfit)
+    assert np.abs(off).max() < 3.0
+    known = dict(zip(FREE, found.constrained))
+    assert known["chlorophyll"] > 0.75
+    assert abs(found.whitened[list(FREE).index("chlorophyll")] + 1.5) < 0.7
+
+    u = truth * 0.5
+    value, slope = forward.jacobian(u, (models[0], parameters))
+    np.testing.assert_allclose(value, forward.values(u, (models[0], parameters)), rtol=1e-5)
+    weights = np.cos(np.arange(len(centre)))
+    for name in ("cover", "water_per_dry_matter", "soil_brightness", "leaf_area_index"):
+        step = 0.02 * jnp.eye(len(FREE))[list(FREE).index(name)]
+        ends = [
+            weights @ np.asarray(forward.values(u + s * step, (models[0], parameters)))
+            for s in (1, -1)
+        ]
+        expected = (ends[0] - ends[1]) / 0.04
+        ours = weights @ np.asarray(slope)[:, list(FREE).index(name)]
+        assert ours == pytest.approx(expected, rel=0.02, abs=2e-5), name
+
+
+@pytest.mark.study
+def test_one_plot_alone_is_told_whole_and_goes_on_from_its_checkpoint(tmp_path: Path):
+    """Without other plots there is one prior; a second run takes the fits of the first."""
+    write_tables(tmp_path / "tables")
+    kept = tmp_path / "kept"
+    options = {"resolution": Resolution(2.0, 0.25), "checkpoint": kept}
+    told = []
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        told.append(run_calibrate_plots(tmp_path / "tables", tmp_path / name, **options))
+        assert all((tmp_path / name / file).stat().st_size for file in told[-1]["files"])
+        times = {p.name: p.stat().st_mtime_ns for p in kept.iterdir()}
+        if name == "first":
+            before = times
+    assert before == times
+    assert told[0]["calibrate_plots"]["plots"] == ["A1"]
+    assert "B2" in told[0]["warnings"][-1]
+    first, second = (pd.read_csv(tmp_path / n / "estimates.csv") for n in ("first", "second"))
+    pd.testing.assert_frame_equal(first, second)
+    with pytest.raises(InputError, match="another run"):
+        run_calibrate_plots(tmp_path / "tables", tmp_path / "first", **(options | {"seed": 1}))
