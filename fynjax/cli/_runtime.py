@@ -3,9 +3,12 @@
 import json
 import math
 import os
+import signal
 import sys
+import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,6 +39,9 @@ Json = Annotated[
     bool, typer.Option("--json", help="Print a summary as JSON on stdout, and nothing else.")
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars and no text.")]
+
+_TERMINATED = 143
+"""Exit status of `kill`, as shells have it."""
 
 
 def cache_folder() -> Path:
@@ -83,6 +89,53 @@ def checkpoint_beside(output: Path, checkpoint: Path | None) -> Path:
     return output.with_name(f"{output.name}.checkpoint") if checkpoint is None else checkpoint
 
 
+def _listed_files(output: Path, command: str) -> list[str]:
+    """Files that an earlier run of this command lists in its folder; none where it cannot tell.
+
+    Those of another command stay: they are other results, and may be what this run reads.
+    """
+    try:
+        earlier = json.loads((output / "summary.json").read_text("utf-8"))
+    except (OSError, ValueError):
+        return []
+    if not isinstance(earlier, dict) or earlier.get("command") != command:
+        return []
+    files = earlier.get("files")
+    return list(files) if isinstance(files, dict) else []
+
+
+def _stated_files() -> list[Path]:
+    """What the command line may name as a file: input, which no run removes."""
+    return [Path(text.split("=", 1)[-1]).absolute() for text in sys.argv[1:] if text]
+
+
+@contextmanager
+def _ended_by_kill() -> Iterator[Callable[[], None]]:
+    """Let `kill` end a job as Ctrl-C does, so that what is unfinished is cleared away.
+
+    Python drops an exit that is raised inside the callback of a library, such as JAX's after a
+    garbage collection. So the block calls what it is given before results are moved.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: None
+        return
+    killed = []
+
+    def end(*_: object) -> None:
+        killed.append(True)
+        sys.exit(_TERMINATED)
+
+    def check() -> None:
+        if killed:
+            sys.exit(_TERMINATED)
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def run_job(
     command: str,
     job: Callable[[Path, Progress], dict[str, Any]],
@@ -96,13 +149,16 @@ def run_job(
     """Run `job(folder, progress)` and tell its result.
 
     Where an interrupted job leaves a `checkpoint`, its user is told so. The job writes into a
-    folder beside `output`, whose files are moved to `output` when all of it has succeeded. Warnings
-    wait until then: if the job fails, its error is the only line.
+    folder beside `output`, whose files are moved to `output` when all of it has succeeded. Then
+    those files go that an earlier run of the same command listed and this one did not write: they
+    would stand beside results that they do not belong to. Warnings wait until then: if the job
+    fails, its error is the only line.
     """
     from fynjax.cli._progress import make_progress
-    from fynjax.io._atomic import staged_folder, write_text
+    from fynjax.io._atomic import remove_replaced, staged_folder, write_text
 
-    with warnings.catch_warnings(record=True) as caught:
+    earlier = _listed_files(output, command)
+    with _ended_by_kill() as check_killed, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
         with staged_folder(output) as folder:
@@ -133,6 +189,9 @@ def run_job(
             )
             text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
             write_text(folder / "summary.json", text + "\n")
+            check_killed()
+            written = [p.relative_to(folder) for p in folder.rglob("*") if p.is_file()]
+        remove_replaced(output, earlier, [*written, *_stated_files()])
     for line in summary["warnings"]:
         print(f"fynjax: warning: {line}", file=sys.stderr)
     if as_json:

@@ -120,12 +120,19 @@ class FitResult(eqx.Module):
         return main_members(self.names, np.asarray(self.modes)[::-1][:count])
 
 
+_SLIGHT = 0.05
+"""A smaller weight is no member of a direction of length one."""
+
+
 def main_members(
     names: tuple[str, ...], modes: Float[np.ndarray, "mode free"], most: int = 4
 ) -> list[dict[str, float]]:
     """The parameters that a direction is mostly made of, with their weights."""
     largest = [np.argsort(-np.abs(mode))[:most] for mode in modes]
-    return [{names[i]: float(mode[i]) for i in some} for mode, some in zip(modes, largest)]
+    return [
+        {names[i]: float(mode[i]) for i in some if abs(mode[i]) >= _SLIGHT}
+        for mode, some in zip(modes, largest)
+    ]
 
 
 def repeated_information(

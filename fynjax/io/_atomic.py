@@ -3,7 +3,7 @@
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -36,6 +36,34 @@ def write_text(path: str | Path, text: str) -> None:
     """Write `text` to `path` in UTF-8, whole or not at all."""
     with atomic_path(path) as partial:
         partial.write_text(text, encoding="utf-8")
+
+
+def remove_replaced(
+    folder: str | Path, names: Iterable[str], kept: Iterable[str | Path]
+) -> list[str]:
+    """Remove files of an earlier run from its folder, and tell which.
+
+    **Arguments:** `names`, files that the earlier run listed, relative to `folder`; `kept`, files
+    that stay, relative to `folder` or absolute. What is no plain file, or leads out of the folder,
+    stays too, and so does what cannot be removed.
+    """
+    root = Path(folder).resolve()
+    stay = set()
+    for each in kept:
+        stay |= {os.path.normcase(p).casefold() for p in (root / each, (root / each).resolve())}
+    removed = []
+    for name in names:
+        path = root / name
+        inside = path.parent.resolve().is_relative_to(root) and ".." not in Path(name).parts
+        ends = {os.path.normcase(p).casefold() for p in (path, path.resolve())}
+        if not inside or ends & stay or path.is_symlink() or not path.is_file():
+            continue
+        try:
+            path.unlink()
+        except OSError:
+            continue
+        removed.append(name)
+    return removed
 
 
 @contextmanager

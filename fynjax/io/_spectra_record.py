@@ -79,7 +79,12 @@ def check_spectrum(spectrum: Spectrum, file: Path) -> Spectrum:
     wavelength = np.asarray(spectrum.wavelength, float)
     if not np.all(np.isfinite(wavelength)):
         raise InputError(f"spectrum {spectrum.name!r} has a band without wavelength", file=file)
-    if wavelength.size < 2 or wavelength.min() < 100.0 or wavelength.max() > 50000.0:
+    if wavelength.size < 2:
+        raise InputError(
+            f"spectrum {spectrum.name!r} has {wavelength.size} band; a spectrum needs two or more",
+            file=file,
+        )
+    if wavelength.min() < 100.0 or wavelength.max() > 50000.0:
         raise InputError(
             f"wavelengths of spectrum {spectrum.name!r} must be in nm, 100 to 50000, but run from "
             f"{wavelength.min():g} to {wavelength.max():g}; are they in µm or wave numbers?",

@@ -78,7 +78,9 @@ from fynjax.metrics._structure_settings import (
 )
 from fynjax.metrics._structure_smooth import (
     SmoothStructure,
+    height_percentile_rmse,
     smooth_cell_structure,
+    smooth_height_intersection,
     voxel_structure,
 )
 
@@ -121,6 +123,7 @@ __all__ = [
     "figure12_2006",
     "foliage_height_diversity",
     "height_intersection",
+    "height_percentile_rmse",
     "height_percentiles",
     "height_shares",
     "histogram_intersection",
@@ -135,6 +138,7 @@ __all__ = [
     "relative_mean_difference",
     "rmse",
     "smooth_cell_structure",
+    "smooth_height_intersection",
     "smooth_histogram_intersection",
     "smooth_ks_distance",
     "smooth_vegetation_indices",

@@ -1,13 +1,16 @@
 """Structure metrics that an inversion can use: smooth in heights, weights or area density."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from fynjax._core.errors import InputError
+from fynjax.metrics._distribution import quantiles, smooth_histogram_intersection
 from fynjax.metrics._structure_profile import leaf_area_gap, profile_metrics, ratio, root
 from fynjax.metrics._structure_settings import STRUCTURE_METRICS, StructureSettings
 
@@ -240,6 +243,39 @@ def voxel_structure(
             ),
         },
     )
+
+
+def smooth_height_intersection(
+    real: Float[Array, " n"],
+    simulated: Float[Array, " m"],
+    width: float,
+    *,
+    highest: float,
+    smoothing: float = 0.0,
+) -> Float[Array, ""]:
+    """Smooth counterpart of `height_intersection` [-], in bins of `width` up to `highest` [m].
+
+    Heights above `highest` count in the highest bin. `smoothing` [bins] spreads bins by a Gaussian
+    and makes the slopes smoother. Without, it is within 0.005 of the exact one for 20 000 returns
+    of fynbos-like heights in bins of 0.1 m, and within 0.02 for 1317 (measured); with 0.5, within
+    0.015 and 0.03. Differentiable as `soft_histogram` is.
+    """
+    bins = max(2, int(np.ceil(highest / width - 1e-6)))
+    limits = (0.0, bins * width)
+    return smooth_histogram_intersection(
+        real, simulated, bins=bins, smoothing=smoothing, limits=limits
+    )
+
+
+def height_percentile_rmse(
+    real: Float[Array, " n"], simulated: Float[Array, " m"], percents: Sequence[float]
+) -> Float[Array, ""]:
+    """RMSE between percentiles of height [m], exact; differentiable almost everywhere.
+
+    A percentile moves with the one or two returns that it lies on. The slope is 0 where all agree.
+    """
+    at = jnp.asarray(percents) / 100.0
+    return root(jnp, jnp.mean((quantiles(real, at) - quantiles(simulated, at)) ** 2))
 
 
 def _assemble(

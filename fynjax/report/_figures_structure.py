@@ -95,7 +95,9 @@ def _metric(axes: Axes, one: MetricComparison) -> None:
             axes.plot(place, estimate.value, marker, color=colour, ms=6)
     difference = one.difference_percent
     axes.set_title(_title(one), fontsize=8.5)
-    below = "undefined" if difference is None else f"{difference:+.1f} %"
+    known = one.real.value is not None and one.simulated.value is not None
+    below = "real near 0" if known else "undefined"
+    below = below if difference is None else f"{difference:+.1f} %"
     axes.margins(y=0.08)
     axes.set(xticks=[], xlim=(-0.6, 1.6), xlabel=below)
     axes.set_ylim(0.0, None)

@@ -78,16 +78,17 @@ def misfit_plot(spectra: pd.DataFrame, misfit: pd.DataFrame) -> Figure:
             dots = axes.scatter(
                 x, y, c=part["wavelength_nm"], s=9, cmap="viridis", vmin=400, vmax=2450
             )
-            across = np.array([x.min(), x.max()])
-            axes.plot(across, row["offset"] + row["gain"] * across, color=REAL, lw=1.3)
+            line = "no line,\nthe real spectrum is constant"
+            if np.isfinite(row["gain"]):
+                across = np.array([x.min(), x.max()])
+                axes.plot(across, row["offset"] + row["gain"] * across, color=REAL, lw=1.3)
+                line = (
+                    f"{row['gain']:.2f} real {'+' if row['offset'] >= 0 else '−'} "
+                    f"{abs(row['offset']):.3f}\nlevel {row['level_percent']:.0f} %, contrast "
+                    f"{row['contrast_percent']:.0f} %, shape {row['shape_percent']:.0f} %"
+                )
             axes.set(xlim=ends, ylim=ends, xlabel="Real [-]", aspect="equal")
-            axes.set_title(
-                f"{_NAMES[row['region']]}: {row['gain']:.2f} real "
-                f"{'+' if row['offset'] >= 0 else '−'} {abs(row['offset']):.3f}\n"
-                f"level {row['level_percent']:.0f} %, contrast {row['contrast_percent']:.0f} %, "
-                f"shape {row['shape_percent']:.0f} %",
-                fontsize=8,
-            )
+            axes.set_title(f"{_NAMES[row['region']]}: {line}", fontsize=8)
             axes.locator_params(nbins=4)
         grid[0].set_ylabel("Simulated [-]")
         if count:

@@ -1,5 +1,6 @@
 """From a file to heights of returns above the ground of a plot."""
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -7,9 +8,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 from rasterio.crs import CRS
-from scipy.spatial import cKDTree
 
 from fynjax._core.errors import InputError
+from fynjax.report._structure_pits import sunk, without_pits
 from fynjax.terrain import (
     Bounds,
     PointCloud,
@@ -26,6 +27,14 @@ _MOST_TERRAIN_CELLS = 1_000_000
 _FINEST_TERRAIN = 0.25
 # Heights above the ground begin near 0 m; elevations above the sea hardly ever do.
 _NOT_GROUND = 5.0
+_ROUNDING = 1.5e-3
+"""Heights below this are those of the ground itself [m]: files keep millimetres."""
+MUCH_NOISE = 0.005
+"""Share of returns far below the ground from which on the ground itself is to be doubted [-]."""
+_MOST_ROUNDS = 4
+"""Of looking for ground again without the noise below it."""
+_OPTIONS = ("tolerance", "deepest", "tallest")
+"""Settings that are options of `fynjax validate` under the same name."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +70,15 @@ class CloudSettings:
     def __post_init__(self) -> None:
         known = ("auto", "labels", "smrf", "cloth", "none")
         if self.ground not in known:
-            raise InputError(f"`ground` must be one of {', '.join(known)}, but is {self.ground!r}")
+            raise InputError(
+                f"`ground` (--real-ground, --simulated-ground) must be one of {', '.join(known)}, "
+                f"but is {self.ground!r}"
+            )
         for name in ("tolerance", "terrain_cell", "largest_gap", "deepest", "tallest"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"`{name}` must be positive, but is {value:g}")
+                said = f"`{name}` (--{name})" if name in _OPTIONS else f"`{name}`"
+                raise InputError(f"{said} must be positive, but is {value:g}")
 
 
 @dataclass(frozen=True)
@@ -121,8 +134,9 @@ def _heights(
         height, share, how = inside.z, None, "heights as given"
         if abs(low := float(np.percentile(height, 1.0))) > _NOT_GROUND:
             raise InputError(
-                f"expected heights above the ground (`ground` 'none'), but the lowest are at "
-                f"{low:.1f} m. Are they above the sea? Let a filter find the ground: 'smrf'."
+                f"expected heights above the ground (`ground` 'none'; --real-ground, "
+                f"--simulated-ground), but the lowest are at {low:.1f} m. Are they above the sea? "
+                "Let a filter find the ground: 'smrf'."
             )
     else:
         near = cloud.crop(bounds, max(_AROUND, settings.largest_gap, settings.window or 0.0))
@@ -132,7 +146,7 @@ def _heights(
             for name in ("window", "slope", "tolerance")
             if (value := getattr(settings, name)) is not None
         }
-        ground = _without_pits(near, find_ground(near, method, **options), settings.deepest)
+        ground = _ground(near, method, options, settings.deepest)
         cell = settings.terrain_cell or _terrain_cell(near, bounds)
         wide = _overlap(_grown(bounds, slack), cloud.bounds) if slack else bounds
         west, south, east, north = wide or bounds
@@ -150,11 +164,19 @@ def _heights(
     good = ~noise & ~high
     if not good.any():
         raise InputError("expected returns on and above the ground of the plot, but none is left")
+    if noise.mean() > MUCH_NOISE:
+        warnings.warn(
+            f"{path}: {noise.sum()} of {len(height)} returns are more than {settings.deepest:g} m "
+            "below the ground. They are left out as noise, but are so many that the ground itself "
+            "is to be doubted; clean the cloud first, or state another depth (`deepest`; "
+            "--deepest).",
+            stacklevel=4,
+        )
     return HeightCloud(
         file=path,
         x=inside.x[good],
         y=inside.y[good],
-        height=np.maximum(height[good], 0.0),
+        height=np.where(height[good] < _ROUNDING, 0.0, height[good]),
         ground=how,
         ground_share=share,
         below_ground=int(noise.sum()),
@@ -171,21 +193,31 @@ def _method(cloud: PointCloud, settings: CloudSettings) -> Literal["labels", "sm
     return "labels" if labelled else "smrf"
 
 
-def _without_pits(cloud: PointCloud, ground: np.ndarray, depth: float) -> np.ndarray:
-    """Ground without points that lie more than `depth` [m] below all eight next to them.
+def _ground(
+    cloud: PointCloud,
+    method: Literal["labels", "smrf", "cloth"],
+    options: dict[str, float],
+    depth: float,
+) -> np.ndarray:
+    """Which points are ground, without noise below it.
 
-    They are noise, from echoes that came late, which labels and filters take for ground at times.
+    A filter takes the lowest points for ground, so what lies far below the ground that it found is
+    taken away and the filter used again.
     """
-    which = np.flatnonzero(ground)
-    if len(which) < 9:
-        return ground
-    place = np.stack([cloud.x[which], cloud.y[which]], axis=1)
-    _, near = cKDTree(place).query(place, k=9)
-    z = cloud.z[which]
-    pit = z < z[near[:, 1:]].min(axis=1) - depth
-    kept = ground.copy()
-    kept[which[pit]] = False
-    return kept
+    use = np.ones(len(cloud), bool)
+    for _ in range(_MOST_ROUNDS):
+        part = cloud.select(use)
+        ground = without_pits(part, find_ground(part, method, **options), depth)
+        if method == "labels":
+            return ground
+        which = np.flatnonzero(use)
+        low = sunk(part, ground, depth)
+        if not low.any():
+            break
+        use[which[low]] = False
+    found = np.zeros(len(cloud), bool)
+    found[which[ground]] = True
+    return found
 
 
 def _terrain_cell(cloud: PointCloud, bounds: Bounds) -> float:
@@ -226,14 +258,15 @@ def common_plot(
                 raise InputError(
                     f"expected both clouds over the same plot, but the simulated one covers "
                     f"{_words(simulated.bounds)} and the real one {_words(real.bounds)}. State "
-                    "what to add to its coordinates (`simulated_shift`).",
+                    "what to add to its coordinates (`simulated_shift`; --shift).",
                     file=simulated_file,
                 )
             r, s = real.bounds if bounds is None else bounds, simulated.bounds
             shift = (0.5 * (r[0] + r[2] - s[0] - s[2]), 0.5 * (r[1] + r[3] - s[1] - s[3]))
             notes.append(
                 "the clouds have no coordinates in common: the middle of the simulated one was "
-                f"put on the middle of the plot, by adding ({shift[0]:.2f}, {shift[1]:.2f}) m"
+                f"put on the middle of the plot, by adding ({shift[0]:.2f}, {shift[1]:.2f}) m; "
+                "`simulated_shift` (--shift) states another"
             )
     s = simulated.bounds
     moved = (s[0] + shift[0], s[1] + shift[1], s[2] + shift[0], s[3] + shift[1])
@@ -270,6 +303,6 @@ def _check_same_system(real: PointCloud, simulated: PointCloud, file: Path) -> N
         raise InputError(
             f"expected both clouds in the same coordinate reference system, but the real one is "
             f"in {names[0]} and this one in {names[1]}. Reproject one of them, or state what to "
-            "add to its coordinates (`simulated_shift`).",
+            "add to its coordinates (`simulated_shift`; --shift).",
             file=file,
         )

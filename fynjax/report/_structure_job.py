@@ -2,38 +2,32 @@
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.metrics import (
     STRUCTURE_METRICS,
     BinnedReturns,
-    CellGrid,
     CellStructure,
-    GrainCheck,
-    StructureSettings,
-    bin_returns,
     bootstrap_interval,
-    cell_grid,
     cell_structure,
     central_interval,
-    choose_grain,
     height_percentiles,
     height_shares,
     thinnings,
 )
 from fynjax.report._structure_cloud import (
-    CloudSettings,
     HeightCloud,
     common_plot,
     height_cloud,
     open_cloud,
 )
+from fynjax.report._structure_grain import binned_returns, choose_cells
+from fynjax.report._structure_notes import comparison_notes, nearly_highest
+from fynjax.report._structure_options import ComparisonSettings
 from fynjax.report._structure_result import (
     CloudSide,
     CloudStructure,
@@ -42,66 +36,9 @@ from fynjax.report._structure_result import (
     MetricComparison,
     StructureComparison,
 )
-from fynjax.terrain import Bounds, PointCloud
+from fynjax.terrain import PointCloud
 
-
-@dataclass(frozen=True)
-class ComparisonSettings:
-    """How clouds are compared; the paper's numbers unless given."""
-
-    structure: StructureSettings = field(default_factory=StructureSettings)
-    """What the metrics are; see `STRUCTURE_PRESETS` for those of known tools."""
-    grain: float | None = None
-    """Side of a cell [m]; by the paper's rule unless given."""
-    grains: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0, 5.0)
-    """Grains that the rule chooses from [m]; those wider than the plot are passed over."""
-    least_returns: int = 5
-    """Returns with which a cell counts."""
-    least_cells: float = 0.9
-    """Share of cells that must count, for a grain to fit [-]."""
-    median_returns: float = 30.0
-    """Median of the returns of cells, for a grain to fit."""
-    largest_change: float | None = None
-    """See `fynjax.metrics.choose_grain`."""
-    repetitions: int = 100
-    """Thinnings of the denser cloud, without replacement, to the returns of the sparser."""
-    resamples: int = 1000
-    """Resamples of the cells for the bootstrap intervals."""
-    confidence: float = 0.95
-    """Share inside intervals [-]."""
-    percents: tuple[float, ...] = tuple(float(p) for p in range(5, 100, 5))
-    """Percentiles of height that are compared [%]."""
-    histogram_bin: float = 0.1
-    """Width of the bins of the height histograms [m]."""
-    bounds: Bounds | None = None
-    """The plot, in the real cloud's coordinates [m]; what both clouds cover unless given."""
-    simulated_shift: tuple[float, float] | None = None
-    """Added to x and y of the simulated cloud [m]. Unless given: nothing where the clouds overlap;
-    else, if one has no reference system, its middle is put on the middle of the plot."""
-    real: CloudSettings = field(default_factory=CloudSettings)
-    simulated: CloudSettings = field(default_factory=CloudSettings)
-
-    def __post_init__(self) -> None:
-        for name in ("repetitions", "resamples", "least_returns"):
-            if getattr(self, name) < 1:
-                raise InputError(f"`{name}` must be at least 1, but is {getattr(self, name)}")
-        if not 0.0 < self.confidence < 1.0:
-            raise InputError(f"`confidence` must be between 0 and 1, but is {self.confidence:g}")
-        if not self.histogram_bin > 0.0:
-            raise InputError(f"`histogram_bin` must be positive, but is {self.histogram_bin:g}")
-        if not self.percents or min(self.percents) < 0.0 or max(self.percents) > 100.0:
-            raise InputError(f"`percents` must be between 0 and 100, but are {self.percents}")
-
-    def options(self) -> dict[str, Any]:
-        """All but the definitions of metrics, by name, as outputs carry them."""
-        plain: dict[str, Any] = {}
-        for one in fields(self):
-            value = getattr(self, one.name)
-            if isinstance(value, CloudSettings):
-                plain |= {f"{one.name}_{f.name}": getattr(value, f.name) for f in fields(value)}
-            elif not isinstance(value, StructureSettings) and one.name != "grain":
-                plain[one.name] = list(value) if isinstance(value, tuple) else value
-        return plain
+__all__ = ["ComparisonSettings", "cloud_structure", "compare_clouds"]
 
 
 def compare_clouds(
@@ -136,10 +73,14 @@ def compare_clouds(
     with progress.stage("Read the clouds"):
         real = open_cloud(paths[0], settings.real)
         simulated = open_cloud(paths[1], settings.simulated)
+    stated = settings.simulated_shift
     bounds, shift, notes = common_plot(
-        real, simulated, settings.bounds, settings.simulated_shift, paths[1]
+        real, simulated, settings.bounds, None if stated is None else stated[:2], paths[1]
     )
-    simulated = replace(simulated, x=simulated.x + shift[0], y=simulated.y + shift[1])
+    up = stated[2] if stated is not None and len(stated) == 3 else 0.0
+    simulated = replace(
+        simulated, x=simulated.x + shift[0], y=simulated.y + shift[1], z=simulated.z + up
+    )
     slack = 0.0 if settings.bounds else max(_spacing(c) for c in (real, simulated))
     with progress.stage("Find the ground", total=2):
         heights = []
@@ -148,8 +89,8 @@ def compare_clouds(
             progress.advance()
     sparser = int(len(heights[1]) < len(heights[0]))
     with progress.stage("Choose the grain"):
-        grid, grains = _grain(heights[sparser], bounds, slack, settings)
-        binned = [_binned(one, grid, settings.structure) for one in heights]
+        grid, grains = choose_cells(heights[sparser], bounds, slack, settings)
+        binned = [binned_returns(one, grid, settings.structure) for one in heights]
     target = min(len(one) for one in binned)
     denser = int(len(binned[1]) > len(binned[0]))
     thinned = "neither" if len(binned[0]) == len(binned[1]) else ("real", "simulated")[denser]
@@ -189,24 +130,13 @@ def compare_clouds(
     layers = max(len(one.edges) for one in full)
     edges = max((one.edges for one in full), key=len)
     sides = [replace(s, profile=_padded(s.profile, layers - 1)) for s in sides]
-    if sides[0].ground != sides[1].ground:
-        notes.append(
-            f"the ground was found in two ways ({sides[0].ground} in the real cloud, "
-            f"{sides[1].ground} in the simulated one), which may shift heights by centimetres "
-            "against each other; `ground` states one for each"
-        )
-    for side in sides:
-        if side.below_ground:
-            notes.append(
-                f"{Path(side.file).name}: {side.below_ground} returns more than the stated depth "
-                "below the ground were left out as noise"
-            )
-    return StructureComparison(
+    result = StructureComparison(
         settings=settings.structure,
         options=settings.options(),
         seed=seed,
         grain=grid.grain,
         bounds=grid.bounds,
+        plot=bounds,
         grains=grains,
         matched_returns=target,
         thinned=thinned,
@@ -221,8 +151,9 @@ def compare_clouds(
         height_intersection=_distribution([r[2] for r in rounds], whole[2], settings),
         edges=edges,
         histogram_edges=settings.histogram_bin * np.arange(bins + 1),
-        notes=tuple(notes),
+        notes=(),
     )
+    return replace(result, notes=(*notes, *comparison_notes(result)))
 
 
 def cloud_structure(
@@ -247,8 +178,8 @@ def cloud_structure(
     with progress.stage("Find the ground"):
         heights = height_cloud(cloud, path, settings.real, bounds, slack)
     with progress.stage("Choose the grain"):
-        grid, grains = _grain(heights, bounds, slack, settings)
-    binned = _binned(heights, grid, settings.structure)
+        grid, grains = choose_cells(heights, bounds, slack, settings)
+    binned = binned_returns(heights, grid, settings.structure)
     structure = cell_structure(binned)
     cells, estimates = _estimates(structure, None, settings, np.random.default_rng(seed))
     percentiles = height_percentiles(binned.height, settings.percents)
@@ -261,39 +192,6 @@ def _spacing(cloud: PointCloud) -> float:
     """Mean distance of returns [m]: by so much a cloud falls short of its plot's edges."""
     west, south, east, north = cloud.bounds
     return float(np.sqrt((east - west) * (north - south) / len(cloud)))
-
-
-def _binned(cloud: HeightCloud, grid: CellGrid, settings: StructureSettings) -> BinnedReturns:
-    return bin_returns(cloud.x, cloud.y, cloud.height, grid, settings)
-
-
-def _grain(
-    cloud: HeightCloud, bounds: Bounds, slack: float, settings: ComparisonSettings
-) -> tuple[CellGrid, tuple[GrainCheck, ...]]:
-    """The cells of the plot, and how their size was found."""
-    try:
-        if settings.grain is not None:
-            return cell_grid(bounds, settings.grain, slack=slack), ()
-        side = min(bounds[2] - bounds[0], bounds[3] - bounds[1]) + slack
-        grains = [g for g in sorted(settings.grains) if g <= side]
-        if not grains:
-            raise InputError(
-                f"expected a plot wider than the grains to choose from, {settings.grains} m, but "
-                f"it is {side:.2f} m. State a smaller one (`grain`)."
-            )
-        found = [
-            cell_structure(_binned(cloud, cell_grid(bounds, g, slack=slack), settings.structure))
-            for g in grains
-        ]
-        return choose_grain(
-            found,
-            least_returns=settings.least_returns,
-            least_cells=settings.least_cells,
-            median_returns=settings.median_returns,
-            largest_change=settings.largest_change,
-        )
-    except InputError as error:
-        raise InputError(str(error), file=cloud.file) from error
 
 
 def _bins(binned: list[BinnedReturns], settings: ComparisonSettings) -> int:
@@ -374,7 +272,10 @@ def _side(
         ground=cloud.ground,
         ground_share=cloud.ground_share,
         below_ground=cloud.below_ground,
+        below_ground_share=cloud.below_ground / (cloud.below_ground + len(cloud)),
         too_high=cloud.too_high,
+        highest=float(binned.height.max()),
+        nearly_highest=nearly_highest(binned.height),
         cells=dict(cells),
         profile=structure.profile(settings.least_returns),
         percentiles=percentiles,

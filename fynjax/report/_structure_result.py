@@ -18,6 +18,9 @@ from fynjax.metrics import (
 
 Interval = tuple[float, float]
 
+_NEXT_TO_NOTHING = 1e-3
+"""Values below this, in the metric's own unit, are rounding and noise, and nothing to divide by."""
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -44,9 +47,9 @@ class MetricComparison:
 
     @property
     def difference_percent(self) -> float | None:
-        """Simulated minus real, over real [%]."""
+        """Simulated minus real, over real [%]; none where the real value is next to nothing."""
         real, simulated = self.real.value, self.simulated.value
-        if real is None or simulated is None or real == 0.0:
+        if real is None or simulated is None or abs(real) < _NEXT_TO_NOTHING:
             return None
         return 100.0 * (simulated - real) / real
 
@@ -65,7 +68,13 @@ class CloudSide:
     ground_share: float | None
     below_ground: int
     """Returns left out as noise below the ground."""
+    below_ground_share: float
+    """These over all returns of the plot [-]."""
     too_high: int
+    highest: float
+    """Height of the highest return in the cells [m]."""
+    nearly_highest: float
+    """The 99.9th percentile of height [m]; in small clouds what ten returns are above."""
     cells: dict[str, Float[np.ndarray, "y x"]]
     """Each metric in each cell, the median over thinnings; NaN where undefined."""
     profile: Float[np.ndarray, " layer"]
@@ -100,8 +109,10 @@ class StructureComparison:
     """Side of a cell [m]."""
     bounds: tuple[float, float, float, float]
     """Edges of the cells in the real cloud's coordinates [m]."""
+    plot: tuple[float, float, float, float]
+    """Edges of the plot that the cells were cut from [m]."""
     grains: tuple[GrainCheck, ...]
-    """The grains that were tried, on the sparser cloud; empty where the grain was given."""
+    """The grains that were tried, on the sparser cloud; a given one, and the next larger."""
     matched_returns: int
     """Returns of both clouds after matching."""
     thinned: str
@@ -162,6 +173,7 @@ class StructureComparison:
         """Every setting that the numbers depend on, as name and value."""
         everything = {**self.settings.as_dict(), **self.options, "seed": self.seed}
         everything |= {"grain": self.grain, "matched_returns": self.matched_returns}
+        everything |= {"cell_bounds": list(self.bounds), "plot_bounds": list(self.plot)}
         everything["thinned"] = self.thinned
         return pd.DataFrame({"setting": list(everything), "value": list(everything.values())})
 
@@ -173,6 +185,8 @@ class StructureComparison:
             "seed": self.seed,
             "grain_m": self.grain,
             "bounds_m": list(self.bounds),
+            "plot_bounds_m": list(self.plot),
+            "cells": int(next(iter(self.real.cells.values())).size),
             "grains": [asdict(one) for one in self.grains],
             "matched_returns": self.matched_returns,
             "thinned": self.thinned,
@@ -181,7 +195,13 @@ class StructureComparison:
                     key: getattr(side, key)
                     for key in (
                         *("file", "returns", "density", "ground", "ground_share"),
-                        *("below_ground", "too_high"),
+                        *(
+                            "below_ground",
+                            "below_ground_share",
+                            "too_high",
+                            "highest",
+                            "nearly_highest",
+                        ),
                     )
                 }
                 for name, side in self._sides()
@@ -196,7 +216,7 @@ class StructureComparison:
         }
 
     def dataset(self) -> xr.Dataset:
-        """Maps, profiles, percentiles and histograms of both clouds, with all settings."""
+        """Maps, means with intervals, profiles, percentiles and histograms, with all settings."""
         west, south, _, _ = self.bounds
         rows, columns = next(iter(self.real.cells.values())).shape
         cloud = [name for name, _ in self._sides()]
@@ -214,6 +234,7 @@ class StructureComparison:
             )
             for name, unit in STRUCTURE_METRICS.items()
         }
+        data |= self._means()
         data["leaf_area_density"] = (
             ("cloud", "layer"),
             both("profile"),
@@ -229,11 +250,22 @@ class StructureComparison:
             both("histogram"),
             {"units": "1", "long_name": "share of returns"},
         )
+        for name, unit, one in (
+            ("height_percentile_rmse", "m", self.percentile_rmse),
+            ("height_intersection", "1", self.height_intersection),
+        ):
+            for end, value in zip(
+                ("", "_full", "_thinning_low", "_thinning_high"),
+                (one.value, one.full, *one.interval),
+            ):
+                said = f"{name}{end}".replace("_", " ")
+                data[name + end] = ((), value, {"units": unit, "long_name": said})
         metres = {"units": "m"}
         return xr.Dataset(
             data,
             coords={
                 "cloud": cloud,
+                "metric": [one.name for one in self.metrics],
                 "x": ("x", west + (np.arange(columns) + 0.5) * self.grain, metres),
                 "y": ("y", south + (np.arange(rows) + 0.5) * self.grain, metres),
                 "layer": ("layer", middle, {**metres, "long_name": "middle of the layer"}),
@@ -245,6 +277,43 @@ class StructureComparison:
                 for name, value in self.settings_table().itertuples(index=False)
             },
         )
+
+    def _means(self) -> dict[str, Any]:
+        """Mean of each metric over the cells of both clouds, with intervals; NaN if undefined."""
+        found: dict[str, Any] = {
+            "metric_unit": (("metric",), [one.unit for one in self.metrics], {}),
+            "metric_difference_percent": (
+                ("metric",),
+                np.array([one.difference_percent for one in self.metrics], float),
+                {"units": "percent", "long_name": "simulated minus real, over real"},
+            ),
+        }
+        rows = [
+            [_columns("metric_mean", getattr(one, name)) for one in self.metrics]
+            for name, _ in self._sides()
+        ]
+        for key in rows[0][0]:
+            found[key] = (
+                ("cloud", "metric"),
+                np.array([[row[key] for row in side] for side in rows], float),
+                {"units": "1", "long_name": f"{key.replace('_', ' ')}, in the unit of the metric"},
+            )
+        return found
+
+    def curves(self) -> dict[str, pd.DataFrame]:
+        """Profile, percentiles and histogram of both clouds: a row for each height."""
+
+        def both(field: str) -> dict[str, np.ndarray]:
+            return {name: getattr(side, field) for name, side in self._sides()}
+
+        def ends(edges: np.ndarray) -> dict[str, np.ndarray]:
+            return {"low_m": edges[:-1], "high_m": edges[1:]}
+
+        return {
+            "profile": pd.DataFrame({**ends(self.edges), **both("profile")}),
+            "percentiles": pd.DataFrame({"percent": self.percents, **both("percentiles")}),
+            "histogram": pd.DataFrame({**ends(self.histogram_edges), **both("histogram")}),
+        }
 
     def _sides(self) -> tuple[tuple[str, CloudSide], ...]:
         return ("real", self.real), ("simulated", self.simulated)
@@ -258,7 +327,7 @@ class CloudStructure:
     grain: float
     """Side of a cell [m]."""
     grains: tuple[GrainCheck, ...]
-    """The grains that were tried; empty where the grain was given."""
+    """The grains that were tried; a given one, and the next larger."""
     structure: CellStructure
     """Every metric in each cell, with its settings."""
     metrics: dict[str, Estimate]

@@ -18,7 +18,7 @@ from fynjax.metrics import (
     table4_2006,
     vegetation_indices,
 )
-from fynjax.report._validate_images import DroneImage
+from fynjax.report._validate_images import FEW_PIXELS, DroneImage
 
 BINS = 256
 """Bins of a histogram, on the pooled range of both images."""
@@ -218,6 +218,11 @@ def _notes(real: DroneImage, simulated: DroneImage) -> list[str]:
             "are compared, not places."
         )
     for which, image in (("real", real), ("simulated", simulated)):
+        if (number := int(image.mask.sum())) < FEW_PIXELS:
+            notes.append(
+                f"Only {number} pixels of the {which} image are compared, which is too few for "
+                "distributions: means alone can be compared, if at all."
+            )
         if image.chosen_by == "order":
             notes.append(
                 f"The {which} image names no band: they are taken to be {', '.join(BANDS)}, in "

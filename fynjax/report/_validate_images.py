@@ -24,6 +24,8 @@ from fynjax.io._frame import open_raster
 from fynjax.io._rasters import _check_scale
 from fynjax.metrics import BANDS
 
+FEW_PIXELS = 30
+"""Compared pixels below which distributions say nothing."""
 _ROWS = 512
 """Rows of a block."""
 
@@ -135,6 +137,8 @@ def read_drone_image(
         if not t.is_identity and not (file.crs is not None and file.crs.is_geographic):
             pixel = float(np.hypot(t.a, t.d))
         crs = None if file.crs is None else file.crs.to_string()
+        scaled = any(file.scales[n - 1] != 1.0 for n in found)
+        kind = None if scaled else np.result_type(*(file.dtypes[n - 1] for n in found))
         shape, north_up = (file.height, file.width), t.is_identity or t.e < 0
     saturated = valid & full
     if saturation is not None:
@@ -147,7 +151,14 @@ def read_drone_image(
             f"and {int(saturated.sum())} saturated: none is left",
             file=path,
         )
+    _check_numbers(values[:, used], kind, path)
     _check_scale(values, used, path)
+    if used.sum() < FEW_PIXELS:
+        warnings.warn(
+            f"{path}: {int(used.sum())} pixels are compared, which is too few for distributions; "
+            "means alone can be compared, if at all",
+            stacklevel=2,
+        )
     _warn_of_clipping(values[:, used], path)
     values[:, ~used] = np.nan
     if north_up:
@@ -165,6 +176,31 @@ def read_drone_image(
         without_data=int((~valid).sum()),
         saturated=int(saturated.sum()),
         not_positive=int((values[:, used] <= 0.0).any(axis=0).sum()),
+    )
+
+
+def _check_numbers(
+    pixels: Float[np.ndarray, "band pixel"], kind: np.dtype[Any] | None, path: Path
+) -> None:
+    """Refuse numbers that are no fractions, with what they may be; `kind` where unscaled."""
+    brightest = float(np.median(pixels, axis=1).max())
+    if kind is None or brightest <= 1.5 or (kind.itemsize > 1 and brightest <= 100.0):
+        return
+    got = (
+        f"expected reflectance as a fraction, but the median of the brightest band is {brightest:g}"
+    )
+    if kind.itemsize == 1:
+        raise InputError(
+            f"{got}, in 8 bits. Numbers of 0 to 255 are mostly a picture's brightness, which is no "
+            "reflectance: export reflectance from the program that made the mosaic. If 255 is a "
+            f"reflectance of 1, state it: gdal_edit.py -scale {1 / 255:.6g} {path.name}",
+            file=path,
+        )
+    raise InputError(
+        f"{got}. Is it reflectance times 10000? Then state it: gdal_edit.py -scale 0.0001 "
+        f"{path.name}. Times 32768, as Metashape and MicaSense write it? gdal_edit.py -scale "
+        f"{1 / 32768:.9g} {path.name}",
+        file=path,
     )
 
 

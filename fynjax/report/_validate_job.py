@@ -1,6 +1,6 @@
 """Real against simulated data of any of three sensors: what `fynjax validate` does."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from fynjax.report._validate_page import (
     published_section,
     spectral_headline,
     spectral_section,
+    told,
 )
 from fynjax.report._validate_published import PublishedComparison, compare_with_published, wins
 from fynjax.report._validate_spectra import read_spectra_sample
@@ -93,6 +94,7 @@ def run_validate(
     matching: Method = "auto",
     windows: Sequence[tuple[float, float]] = WATER_WINDOWS,
     structure_preset: str | None = None,
+    cloud_options: Mapping[str, Any] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -100,8 +102,8 @@ def run_validate(
 
     **Arguments:** `real_bands`, `simulated_bands`, `saturation` and `most_pixels` as
     `read_drone_image` has them; `matching` and `windows` as `compare_spectra`;
-    `structure_preset`, a name in `fynjax.metrics.STRUCTURE_PRESETS`; `seed` of what is drawn in
-    the comparison of clouds.
+    `structure_preset`, a name in `fynjax.metrics.STRUCTURE_PRESETS`, and `cloud_options` that
+    override it, as `cloud_settings` has them; `seed` of what is drawn in the comparison of clouds.
 
     **Returns:** the summary: headline, files, every number.
 
@@ -138,29 +140,29 @@ def run_validate(
             method=matching,
             windows=windows,
         )
-    structure = _structure(data, structure_preset, seed, progress)
+    structure = _structure(data, structure_preset, cloud_options or {}, seed, progress)
     with progress.stage("Write"):
         return _write(output, inputs, drone, spectra, structure, seed)
 
 
 def _structure(
-    data: ValidationData, preset: str | None, seed: int, progress: Progress
+    data: ValidationData,
+    preset: str | None,
+    options: Mapping[str, Any],
+    seed: int,
+    progress: Progress,
 ) -> Any | None:
     if not (data.real_cloud and data.simulated_cloud):
         return None
-    from fynjax.metrics import STRUCTURE_PRESETS
-    from fynjax.report._structure_job import ComparisonSettings, compare_clouds
+    from fynjax.report._structure_job import compare_clouds
+    from fynjax.report._validate_clouds import cloud_settings
 
-    if preset is not None and preset not in STRUCTURE_PRESETS:
-        raise InputError(
-            f"a preset of structure metrics must be one of {', '.join(STRUCTURE_PRESETS)}, but is "
-            f"{preset!r}"
-        )
-    settings = ComparisonSettings()
-    if preset is not None:
-        settings = ComparisonSettings(structure=STRUCTURE_PRESETS[preset])
     return compare_clouds(
-        data.real_cloud, data.simulated_cloud, settings=settings, seed=seed, progress=progress
+        data.real_cloud,
+        data.simulated_cloud,
+        settings=cloud_settings(preset, options),
+        seed=seed,
+        progress=progress,
     )
 
 
@@ -268,6 +270,6 @@ def _key_figures(
         figures["numbers nearer to the real image than the paper's DIRSIG"] = f"{nearer} of {of}"
     if spectra is not None and len(spectra.regions):
         row = spectra.regions.iloc[0]
-        figures[f"spectral angle, {row['region']}"] = f"{row['spectral_angle_deg']:.1f}°"
+        figures[f"spectral angle, {row['region']}"] = told(row["spectral_angle_deg"], ".1f", "°")
         figures[f"RMSE, {row['region']}"] = f"{row['rmse']:.3f}"
     return figures

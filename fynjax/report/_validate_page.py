@@ -143,15 +143,14 @@ def spectral_section(page: Page, folder: Path, spectra: SpectralComparison) -> F
             "simulated against real by region",
             "Simulated against real, by region. Dashed: no error. Solid: the regression line.",
         ),
-        "spectral_indices.png": (
+    }
+    if not spectra.indices.empty:
+        figures["spectral_indices.png"] = (
             spectrometer_index_bars(spectra.indices),
             "indices of the spectra (fig. 12)",
             "Indices of the mean spectra, as figure 12; whiskers: standard deviation over the "
             f"spectra. {LEFT_OUT}",
-        ),
-    }
-    if spectra.indices.empty:
-        del figures["spectral_indices.png"]
+        )
     for name, (figure, _, _) in figures.items():
         save_figure(figure, folder / name)
     page.figure(folder / "spectra.png", figures["spectra.png"][2])
@@ -229,14 +228,19 @@ def drone_headline(drone: DroneComparison) -> list[str]:
     ]
 
 
+def told(value: float, form: str, unit: str = "") -> str:
+    """A number with its unit, or that it is undefined."""
+    return f"{value:{form}}{unit}" if np.isfinite(value) else "undefined"
+
+
 def spectral_headline(spectra: SpectralComparison) -> list[str]:
     """The result in a sentence a region."""
     lines = []
     reading = dict(zip(spectra.misfit["region"], spectra.misfit["reading"], strict=True))
     for row in spectra.regions.to_dict("records"):
         lines.append(
-            f"Spectra, {row['region']}: angle {row['spectral_angle_deg']:.1f}°, RMSE "
-            f"{row['rmse']:.4f}, r {row['correlation']:.3f}, mean {row['real_mean']:.3f} real and "
-            f"{row['simulated_mean']:.3f} simulated; {reading[row['region']]}."
+            f"Spectra, {row['region']}: angle {told(row['spectral_angle_deg'], '.1f', '°')}, RMSE "
+            f"{row['rmse']:.4f}, r {told(row['correlation'], '.3f')}, mean {row['real_mean']:.3f} "
+            f"real and {row['simulated_mean']:.3f} simulated; {reading[row['region']]}."
         )
     return lines

@@ -28,6 +28,13 @@ from fynjax.report._validate_spectra import SpectraSample
 PAPER_SWIR2_MEANS = (0.063, 0.008)
 """Mean reflectance in SWIR2, real and of the paper's simulation, as its text gives them [-]."""
 
+_INDEX_COLUMNS = (
+    "index", "formula", "source", "real", "simulated", "difference_percent", "real_std",
+    "simulated_std", "paper_lower_percent", "paper_upper_percent", "paper_sign",
+)  # fmt: skip
+_CONSTANT = 1e-6
+"""Range over largest value below which a spectrum is constant, but for rounding."""
+
 LEFT_OUT = "MEVI and SARE are left out: no published formula of these names was found."
 
 
@@ -94,7 +101,8 @@ def compare_spectra(
             uncovered.append(name)
             continue
         regions.append(_region_row(name, means, mask, grid))
-        misfits.append(_misfit_row(name, _misfit(means, mask)))
+        row = _misfit_row(name, _misfit(means, mask))
+        misfits.append(_without_line(row) if is_constant(means[0][mask]) else row)
     notes = [f"Real: {real.told()}", f"Simulated: {simulated.told()}", match.statement]
     notes.append(
         "Left out: below 400 and above 2450 nm"
@@ -109,6 +117,14 @@ def compare_spectra(
         )
     if uncovered:
         notes.append(f"Not covered: {', '.join(uncovered)}.")
+    indices = _index_table(grid, x, y)
+    if indices.empty:
+        notes.append("No index: the spectra do not reach its bands.")
+    if any(is_constant(means[0][spectral_mask(grid, str(r["region"]), windows)]) for r in regions):
+        notes.append(
+            "The real spectrum is constant in a region: its correlation, its NRMSE and the line "
+            "through it are undefined there."
+        )
     return SpectralComparison(
         real=real,
         simulated=simulated,
@@ -117,9 +133,14 @@ def compare_spectra(
         spectra=spectra,
         regions=pd.DataFrame(regions),
         misfit=pd.DataFrame(misfits),
-        indices=_index_table(grid, x, y),
+        indices=indices,
         notes=tuple(notes),
     )
+
+
+def is_constant(values: np.ndarray) -> bool:
+    """Whether values are equal but for rounding, so that nothing can be correlated with them."""
+    return bool(np.ptp(values) <= _CONSTANT * np.abs(values).max())
 
 
 def _spread(values: np.ndarray) -> np.ndarray:
@@ -134,19 +155,24 @@ def _region_row(
 ) -> dict[str, object]:
     agreement = spectral_agreement(jnp.asarray(means[0]), jnp.asarray(means[1]), mask)
     paper = table5_2006()[name]
+    real = means[0][mask]
+    flat = is_constant(real)
+    alike = flat or is_constant(means[1][mask])
     swir2 = name == "swir2"
     return {
         "region": name,
         "lower_nm": float(grid[mask][0]),
         "upper_nm": float(grid[mask][-1]),
         "bands": int(mask.sum()),
-        "real_mean": means[0][mask].mean(),
+        "real_mean": real.mean(),
         "simulated_mean": means[1][mask].mean(),
-        "difference_percent": 100.0 * float(agreement.relative_mean_difference),
+        "difference_percent": (
+            100.0 * float(agreement.relative_mean_difference) if real.any() else np.nan
+        ),
         "spectral_angle_deg": float(agreement.spectral_angle),
         "rmse": float(agreement.rmse),
-        "nrmse_percent": 100.0 * float(agreement.nrmse),
-        "correlation": float(agreement.correlation),
+        "nrmse_percent": np.nan if flat else 100.0 * float(agreement.nrmse),
+        "correlation": np.nan if alike else float(agreement.correlation),
         "paper_spectral_angle_deg": paper.spectral_angle,
         "paper_rmse": paper.rmse,
         "paper_nrmse_percent": 100.0 * paper.nrmse,
@@ -177,6 +203,13 @@ def _misfit_row(name: str, misfit: Misfit) -> dict[str, object]:
         "rmse_without_gain": float(misfit.rmse_without_gain),
         "rmse_without_both": float(misfit.rmse_without_both),
     }
+    return {**row, "reading": _reading(row)}
+
+
+def _without_line(row: dict[str, object]) -> dict[str, object]:
+    """The row of a constant real spectrum, through which there is no line."""
+    kept = ("region", "rmse", "rmse_without_offset")
+    row = {name: value if name in kept else np.nan for name, value in row.items()}
     return {**row, "reading": _reading(row)}
 
 
@@ -228,7 +261,7 @@ def _index_table(grid: np.ndarray, x: np.ndarray, y: np.ndarray) -> pd.DataFrame
                 "paper_sign": sign,
             }
         )
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=list(_INDEX_COLUMNS))
 
 
 def _finite_std(values: np.ndarray) -> float:

@@ -1,5 +1,6 @@
 """The part of a validation that is about point clouds: tables, figures and files of it."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from fynjax.io import write_run, write_text
 from fynjax.report._figure_style import save_figure
 from fynjax.report._figures_structure import structure_figure, structure_maps
 from fynjax.report._page import Page
+from fynjax.report._structure_grain import cut_off, grain_table
 from fynjax.report._structure_result import StructureComparison
 from fynjax.report._validate_page import Files
 
@@ -39,16 +41,43 @@ def structure_section(
         "part over thinnings and the bootstrap interval over cells; 'full' is of all returns. The "
         "paper does not print its layer thickness or conventions, so its numbers need not compare.",
     )
+    grains = grain_table(structure.grains, structure.grain, structure.plot)
+    west, south, east, north = structure.bounds
+    rows, columns = next(iter(structure.real.cells.values())).shape
+    page.paragraph(
+        f"{columns} x {rows} = {rows * columns} cells of {structure.grain:g} m, from "
+        f"({west:.2f}, {south:.2f}) to ({east:.2f}, {north:.2f}) m, {(east - west):.4g} x "
+        f"{(north - south):.4g} m = {(east - west) * (north - south):.4g} m²; "
+        f"{100.0 * cut_off(structure.plot, structure.bounds):.1f} % of the plot is in no cell."
+    )
+    page.table(
+        grains,
+        caption="Grains that were tried, on the sparser cloud. 'median change' is how much the "
+        "metrics change to the next larger grain, in their median; the smallest grain is taken "
+        "that has returns enough and changes little. The paper took 2 m, with 6.1 % against 17.9 % "
+        "at 1 m.",
+        units={c: "%" if c.endswith("_percent") else c.rsplit("_", 1)[1].replace("m2", "m²")
+               for c in map(str, grains.columns) if c.endswith(("_percent", "_m", "_m2"))},
+        headers={c: re.sub("_(percent|m2?)$", "", c).replace("_", " ")
+                 for c in map(str, grains.columns)},
+    )  # fmt: skip
     page.table(settings.astype(str), caption="Settings of all these numbers.", folded=True)
     write_text(folder / "structure.csv", table.to_csv(index=False, float_format="%.9g"))
     write_text(folder / "structure_settings.csv", settings.to_csv(index=False))
+    for name, one in {"grains": grains, **structure.curves()}.items():
+        text = one.to_csv(index=False, float_format="%.9g")
+        write_text(folder / f"structure_{name}.csv", text)
     write_run(folder / "structure.nc", _named(structure.dataset()), record)
     return {
         "structure.png": "structure metrics and heights (fig. 13)",
         "structure_maps.png": "structure metrics in each cell",
         "structure.csv": "structure metrics with their intervals",
         "structure_settings.csv": "what the structure metrics depend on",
-        "structure.nc": "maps, profiles and histograms of both clouds, NetCDF",
+        "structure_grains.csv": "grains that were tried, with their cells, area and bounds",
+        "structure_profile.csv": "leaf area density by layer of both clouds [m2 m-3]",
+        "structure_percentiles.csv": "percentiles of height of both clouds [m]",
+        "structure_histogram.csv": "share of returns by height of both clouds",
+        "structure.nc": "every number of both clouds, with maps by cell, NetCDF",
     }
 
 
@@ -59,8 +88,9 @@ def structure_headline(structure: StructureComparison) -> list[str]:
         for one in structure.metrics
         if one.difference_percent is not None and np.isfinite(one.difference_percent)
     ]
+    changes = ", ".join(found) or "no metric is defined in both"
     return [
-        f"Structure at {structure.grain:g} m, simulated against real: {', '.join(found)}; heights "
+        f"Structure at {structure.grain:g} m, simulated against real: {changes}; heights "
         f"overlap by {structure.height_intersection.value:.2f}, their percentiles differ by "
         f"{structure.percentile_rmse.value:.3f} m RMSE."
     ]

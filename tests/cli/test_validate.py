@@ -1,6 +1,9 @@
 """`fynjax validate`: its options, and its errors."""
 
+import contextlib
 import json
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +12,10 @@ import typer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
+from fynjax.cli._runtime import run_job
 from fynjax.cli._validate import validate
+from fynjax.io._atomic import remove_replaced
+from tests.report.test_structure import plot, write_las
 from tests.report.test_validate_spectra import WAVE, cube, write_csv
 
 app = typer.Typer()
@@ -61,7 +67,110 @@ def test_bad_input_leaves_nothing(spectra: list[str], tmp_path: Path) -> None:
         ([*spectra, "--matching", "spline"], "nearest, linear"),
         ([*spectra[:3], str(tmp_path / "simulate.csv")], "no such file.*simulated.csv"),
         (["--real-drone", "published"], "needs --simulated-drone"),
+        ([*spectra, "--bounds", "0,0,10"], "`--bounds` must be XMIN,YMIN,XMAX,YMAX"),
+        ([*spectra, "--shift", "1,x"], "`--shift` must be DX,DY or DX,DY,DZ"),
     ):
         with pytest.raises(InputError, match=word):
             run(*arguments, "--output", str(out))
     assert not out.exists()
+
+
+def test_every_option_of_clouds_reaches_the_comparison(tmp_path: Path) -> None:
+    for name, seed in (("real", 0), ("simulated", 1)):
+        x, y, height, _, _ = plot(seed, 13.17)
+        write_las(tmp_path / f"{name}.las", x, y, height)
+    given = {
+        "largest_change": 0.2, "tolerance": 0.2, "deepest": 0.4, "tallest": 9.0, "layer": 0.2,
+        "lowest": 0.4, "diversity_lowest": 0.2, "diversity_of": "leaf_area", "top": "plot",
+        "ground_height": 0.05, "extinction": 0.6, "gap_height": 0.3, "gap_of": "canopy",
+        "rugosity_of": "columns", "canopy_cell": 0.25, "cv_lowest": 0.1, "least_returns": 6,
+        "repetitions": 2, "histogram_bin": 0.2,
+    }  # fmt: skip
+    options = [f"--{name.replace('_', '-')}={value}" for name, value in given.items()]
+    summary = run(
+        "--real-cloud", str(tmp_path / "real.las"), *options, "--grain=2.5",
+        "--simulated-cloud", str(tmp_path / "simulated.las"), "--real-ground=none",
+        "--simulated-ground=none", "--bounds=0,0,10,10", "--shift=-0.1,0,0.2",
+        "--output", str(tmp_path / "out"),
+    )["structure"]  # fmt: skip
+    told = {**summary["settings"], **summary["options"]}
+    for side in ("real", "simulated"):
+        told |= {name: told[f"{side}_{name}"] for name in ("tolerance", "deepest", "tallest")}
+        assert told[f"{side}_ground"] == "none"
+    assert {name: told[name] for name in given} == given
+    assert summary["grain_m"] == 2.5
+    assert told["bounds"] == [0.0, 0.0, 10.0, 10.0]
+    assert told["simulated_shift"] == [-0.1, 0.0, 0.2]
+
+
+def job(*names: str, status: int | None = None):  # type: ignore[no-untyped-def]
+    """A job that writes these files, and ends with a status."""
+
+    def write(folder: Path, _progress: object) -> dict:
+        for name in names:
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_text("new")
+        if status is not None:
+            raise SystemExit(status)
+        return {"files": dict.fromkeys(names, "a file")}
+
+    return write
+
+
+def run_one(name: str, out: Path, *files: str, status: int | None = None) -> list[str]:
+    """The files in the folder after a run."""
+    try:
+        run_job(name, job(*files, status=status), out, seed=0, as_json=False, quiet=True)
+    except SystemExit:
+        assert status is not None
+    return sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file())
+
+
+def test_files_of_an_earlier_run_do_not_stay(tmp_path: Path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "mine.txt").write_text("mine")
+    run_one("validate", out, "a.csv", "b.csv", "deep/c.csv", "input.csv")
+    kept = ["a.csv", "b.csv", "deep/c.csv", "input.csv", "mine.txt", "summary.json"]
+    assert run_one("validate", out, "a.csv", status=1) == kept
+    monkeypatch.setattr("sys.argv", ["fynjax", "validate", str(out / "input.csv")])
+    assert run_one("validate", out, "a.csv", "d.csv") == [
+        "a.csv", "d.csv", "input.csv", "mine.txt", "summary.json",
+    ]  # fmt: skip
+    # Results of another command are no older version of these.
+    assert "d.csv" in run_one("render", out, "e.tif")
+    (out / "summary.json").write_text("[1, 2")
+    assert "e.tif" in run_one("render", out, "f.tif")
+
+
+def test_nothing_goes_but_listed_files_of_the_folder(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (out / "folder").mkdir(parents=True)
+    outside = tmp_path / "outside.csv"
+    outside.write_text("x")
+    for name in ("old.csv", "New.csv", "unlisted.csv"):
+        (out / name).write_text("x")
+    (out / "link.csv").symlink_to(outside)
+    (out / "away").symlink_to(tmp_path)
+    listed = ["old.csv", "New.csv", "folder", "link.csv", "away/outside.csv", "../outside.csv",
+              str(outside), "gone.csv", "."]  # fmt: skip
+    assert remove_replaced(out, listed, ["new.csv"]) == ["old.csv"]
+    assert outside.exists()
+    names = ["New.csv", "away", "folder", "link.csv", "unlisted.csv"]
+    assert sorted(p.name for p in out.iterdir()) == names
+
+
+def test_kill_leaves_nothing_beside_the_output(tmp_path: Path) -> None:
+    """Even if a library swallows the exit, as JAX's callbacks do."""
+    before = signal.getsignal(signal.SIGTERM)
+
+    def killed(_folder: Path, _progress: object) -> dict:
+        with contextlib.suppress(SystemExit):
+            os.kill(os.getpid(), signal.SIGTERM)
+        return {"files": {}}
+
+    with pytest.raises(SystemExit) as end:
+        run_job("validate", killed, tmp_path / "out", seed=0, as_json=False, quiet=True)
+    assert end.value.code == 143
+    assert list(tmp_path.iterdir()) == []
+    assert signal.getsignal(signal.SIGTERM) is before

@@ -232,9 +232,7 @@ sample_posterior(predict, DATA, SPACE, method=sys.argv[1], target=300.0, max_ste
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("method", "end"), [("emcee", signal.SIGKILL), ("nuts", signal.SIGINT)]
-)
+@pytest.mark.parametrize(("method", "end"), [("emcee", signal.SIGKILL), ("nuts", signal.SIGINT)])
 def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path, method, end):
     need(method)
     pytest.importorskip("h5py", reason="the extra `posterior` is not installed")

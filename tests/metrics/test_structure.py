@@ -302,10 +302,10 @@ def test_cells_of_a_plot() -> None:
 
 def test_bad_settings_and_returns() -> None:
     for wrong, message in (
-        ({"layer": 0.0}, "`layer` must be positive"),
+        ({"layer": 0.0}, "`layer` .--layer. must be positive"),
         ({"layer": float("nan")}, "`layer`"),
-        ({"lowest": -0.1}, "`lowest` must be at least 0"),
-        ({"top": "tree"}, "`top` must be one of"),
+        ({"lowest": -0.1}, "`lowest` .--lowest. must be at least 0"),
+        ({"top": "tree"}, "`top` .--top. must be one of"),
         ({"lowest": 0.3}, "whole layers apart"),
     ):
         with pytest.raises(InputError, match=message):

@@ -14,9 +14,11 @@ from fynjax.metrics import (
     bin_returns,
     cell_grid,
     cell_structure,
+    height_intersection,
     smooth_cell_structure,
     voxel_structure,
 )
+from fynjax.metrics._structure_smooth import height_percentile_rmse, smooth_height_intersection
 from tests.helpers import assert_gradients
 from tests.metrics.structure_clouds import LOW_PRESETS, fynbos_cells
 
@@ -239,3 +241,27 @@ def test_what_has_no_smooth_form() -> None:
         voxel_structure(jnp.ones((3, 9, 9)), StructureSettings(), voxel=(0.3, 0.1), **options)
     with pytest.raises(InputError, match="at least one cell"):
         voxel_structure(jnp.ones((3, 3, 3)), StructureSettings(), voxel=(0.5, 0.1), **options)
+
+
+def test_agreement_of_heights_smooth_and_exact() -> None:
+    """Against the exact overlap and NumPy's percentiles; slopes against differences."""
+    rng = np.random.default_rng(8)
+    percents = tuple(range(5, 100, 5))
+    ground = rng.random(20_000) < 0.1
+    real = np.where(ground, 0.0, rng.gamma(4.0, 0.16, 20_000))
+    for factor in (0.7, 1.0, 1.2, 1.6):
+        other = np.where(rng.random(15_000) < 0.15, 0.0, factor * rng.gamma(4.0, 0.16, 15_000))
+        smooth = smooth_height_intersection(jnp.asarray(real), jnp.asarray(other), 0.1, highest=3.0)
+        assert float(smooth) == pytest.approx(height_intersection(real, other, 0.1), abs=0.007)
+        rmse = height_percentile_rmse(jnp.asarray(real), jnp.asarray(other), percents)
+        gap = np.percentile(real, percents) - np.percentile(other, percents)
+        assert float(rmse) == pytest.approx(np.sqrt(np.mean(gap**2)), rel=1e-9)
+    first, second = jnp.asarray(real), jnp.asarray(other)
+    for measure in (
+        lambda s: smooth_height_intersection(first, s * second, 0.1, highest=3.0),
+        lambda s: height_percentile_rmse(first, s * second, percents),
+    ):
+        step = 1e-4
+        slope = (measure(1.0 + step) - measure(1.0 - step)) / (2.0 * step)
+        assert float(jax.grad(measure)(1.0)) == pytest.approx(float(slope), rel=0.02)
+    assert float(jax.grad(lambda s: height_percentile_rmse(first, s * first, percents))(1.0)) == 0.0

@@ -9,6 +9,7 @@ from rasterio import Affine
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress
 from fynjax.io import write_geotiff
+from fynjax.report._validate_drone import compare_drone_images
 from fynjax.report._validate_images import DroneImage, read_drone_image, thinning
 from tests.helpers import write_raster
 
@@ -102,3 +103,25 @@ def test_clipped_values_are_told_and_a_missing_system_is_no_matter(tmp_path: Pat
     with pytest.warns(UserWarning, match=r"nir 5\d % at 0.35.*clipped"):
         got = read(path)
     assert got.crs is None
+
+
+def test_numbers_that_are_no_fractions_name_their_scale(tmp_path: Path) -> None:
+    for name, scale, kind, words in (
+        ("eight", 255, np.uint8, "in 8 bits.*-scale 0.00392157 eight.tif"),
+        ("ten", 10000, np.uint16, "-scale 0.0001 ten.tif"),
+        ("micasense", 32768, np.uint16, "32768.*-scale 3.05175781e-05 micasense.tif"),
+        ("percent", 100, np.uint16, "percent.*-scale 0.01 percent.tif"),
+    ):
+        raw = np.round(values() * scale).astype(kind)
+        path = write_raster(tmp_path / f"{name}.tif", raw, transform=PLACE)
+        with pytest.raises(InputError, match=words):
+            read(path)
+
+
+def test_too_few_pixels_for_distributions_are_told(tmp_path: Path) -> None:
+    path = write_raster(tmp_path / "one.tif", values()[:, :1, :1], transform=PLACE)
+    with pytest.warns(UserWarning, match=r"one\.tif: 1 pixels are compared, which is too few"):
+        one = read(path)
+    large = read(write_raster(tmp_path / "large.tif", values(), transform=PLACE))
+    said = " ".join(compare_drone_images(large, one, NullProgress()).notes)
+    assert "Only 1 pixels of the simulated image" in said

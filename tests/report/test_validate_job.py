@@ -12,11 +12,11 @@ from scipy import stats
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress
 from fynjax.io import write_geotiff
-from fynjax.metrics import BANDS, VEGETATION_INDICES
+from fynjax.metrics import BANDS, VEGETATION_INDICES, spectral_mask
 from fynjax.report._validate_drone import DroneComparison, compare_drone_images
 from fynjax.report._validate_images import read_drone_image
 from fynjax.report._validate_job import ValidationData, run_validate
-from fynjax.report._validate_spectra import SpectraSample
+from fynjax.report._validate_spectra import SpectraSample, read_spectra_sample
 from fynjax.report._validate_spectral import SpectralComparison, compare_spectra
 from tests.report.test_validate_spectra import WAVE, cube, write_csv, write_envi
 
@@ -165,6 +165,42 @@ def test_only_a_part_of_the_range(tmp_path: Path) -> None:
     assert "Not covered: swir1, swir2" in said
     assert "less than the paper's" in said
     assert got.spectra["simulated_std"].isna().all()
+
+
+@pytest.mark.parametrize("wave", [np.arange(1600.0, 2460.0, 10.0), np.array([500.0, 600.0])])
+def test_spectra_that_reach_no_index(wave: np.ndarray, folder: Path, tmp_path: Path) -> None:
+    short = tmp_path / "short.csv"
+    rows = [f"{w:g},{v:g}" for w, v in zip(wave, np.linspace(0.1, 0.2, wave.size), strict=True)]
+    short.write_text("\n".join(["wavelength,reflectance", *rows]) + "\n")
+    data = ValidationData(real_spectra=[short], simulated_spectra=[folder / "real.csv"])
+    summary = run_validate(data, tmp_path / "out")
+    assert summary["spectra"]["indices"] == []
+    assert "No index: the spectra do not reach its bands." in summary["spectra"]["notes"]
+    assert "spectral_indices.png" not in summary["files"]
+    assert pd.read_csv(tmp_path / "out" / "spectral_indices.csv").columns[0] == "index"
+    with xr.open_dataset(tmp_path / "out" / "validation.nc") as file:
+        assert "spectrometer_index" not in file.dims
+
+
+def test_a_constant_spectrum_has_no_line(folder: Path, tmp_path: Path) -> None:
+    """Also where bringing it onto other bands has rounded it."""
+    fine = np.arange(390.0, 2470.0, 3.0)
+    x = read_spectra_sample([folder / "real.csv"], NullProgress()).values.mean(axis=0)
+    x = x[spectral_mask(WAVE)]
+    degrees = np.degrees(np.arccos(x.sum() / np.sqrt(x.size) / np.linalg.norm(x)))
+    for level, angle in ((0.3, f"angle {degrees:.1f}°"), (0.0, "angle undefined")):
+        flat = write_csv(tmp_path / "flat.csv", np.full((1, fine.size), level), fine)
+        data = ValidationData(real_spectra=[flat], simulated_spectra=[folder / "real.csv"])
+        summary = run_validate(data, tmp_path / "out", matching="response")
+        full, misfit = summary["spectra"]["regions"][0], summary["spectra"]["misfit"][0]
+        for value in (full["nrmse_percent"], full["correlation"], misfit["gain"], misfit["offset"]):
+            assert np.isnan(value)
+        assert "constant" in misfit["reading"]
+        assert f"{angle}, RMSE" in summary["headline"][0]
+        assert "r undefined" in summary["headline"][0]
+        assert "nan" not in " ".join(summary["headline"])
+        assert "constant in a region" in " ".join(summary["spectra"]["notes"])
+        assert "nan°" not in (tmp_path / "out" / "report.html").read_text("utf-8")
 
 
 def test_a_run_writes_every_number_once(folder: Path, tmp_path: Path) -> None:

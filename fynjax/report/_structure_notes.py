@@ -1,0 +1,128 @@
+"""What a reader should know of a comparison of two clouds, in sentences."""
+
+from pathlib import Path
+
+import numpy as np
+
+from fynjax.report._structure_cloud import MUCH_NOISE
+from fynjax.report._structure_grain import cut_off
+from fynjax.report._structure_result import CloudSide, StructureComparison
+
+_MOST_CUT_OFF = 0.05
+_FEW_CELLS = 10
+_FAR_ABOVE = 3.0
+_FAR_ABOVE_M = 1.0
+
+
+def nearly_highest(height: np.ndarray) -> float:
+    """The 99.9th percentile of heights [m]; in small clouds what ten returns are above."""
+    share = max(0.001, min(10.0 / len(height), 0.1))
+    return float(np.quantile(height, 1.0 - share))
+
+
+def comparison_notes(found: StructureComparison) -> tuple[str, ...]:
+    """How ground, cells and density came about, where numbers may be wrong for it."""
+    notes = []
+    sides = {"real": found.real, "simulated": found.simulated}
+    if found.real.ground != found.simulated.ground:
+        notes.append(
+            f"the ground was found in two ways ({found.real.ground} in the real cloud, "
+            f"{found.simulated.ground} in the simulated one), which may shift heights by "
+            "centimetres against each other; `ground` (--real-ground, --simulated-ground) states "
+            "one for each"
+        )
+    for side in sides.values():
+        notes += _side_notes(side)
+    notes += _grain_notes(found)
+    for which, side in sides.items():
+        notes += _undefined_notes(found, which, side)
+    return tuple(notes)
+
+
+def _side_notes(side: CloudSide) -> list[str]:
+    notes, name = [], Path(side.file).name
+    if side.below_ground:
+        share = side.below_ground_share
+        doubt = (
+            ": so many that the ground itself is to be doubted. Clean the cloud first"
+            if share > MUCH_NOISE
+            else ""
+        )
+        notes.append(
+            f"{name}: {side.below_ground} returns ({100.0 * share:.2g} %) more than the stated "
+            f"depth (`deepest`; --deepest) below the ground were left out as noise{doubt}"
+        )
+    if side.too_high:
+        notes.append(
+            f"{name}: {side.too_high} returns higher than `tallest` (--tallest) were left out"
+        )
+    usual = side.nearly_highest
+    if side.highest > max(_FAR_ABOVE * usual, usual + _FAR_ABOVE_M):
+        notes.append(
+            f"{name}: the highest return is at {side.highest:.2f} m, but nearly all are below "
+            f"{usual:.2f} m. Birds, wires or noise decide rugosity, leaf area density and the "
+            "variation of height: `tallest` (--tallest) leaves out what is higher than plants"
+        )
+    return notes
+
+
+def _grain_notes(found: StructureComparison) -> list[str]:
+    notes = []
+    rows, columns = next(iter(found.real.cells.values())).shape
+    lost = cut_off(found.plot, found.bounds)
+    if lost > _MOST_CUT_OFF:
+        west, south, east, north = found.plot
+        notes.append(
+            f"{100.0 * lost:.0f} % of the plot is in no cell: {columns} x {rows} cells of "
+            f"{found.grain:g} m do not fill its {east - west:.2f} x {north - south:.2f} m. A grain "
+            "that divides its sides (`grain`; --grain) uses all of it"
+        )
+    if rows * columns < _FEW_CELLS:
+        notes.append(
+            f"means over {rows * columns} cells, and intervals by resampling them, say little; "
+            "take a smaller grain (`grain`; --grain) where there are returns enough, or a larger "
+            "plot"
+        )
+    taken = next((one for one in found.grains if one.grain == found.grain), None)
+    limit = found.options.get("largest_change")
+    if taken is not None and taken.median_change is not None and limit is not None:
+        change = taken.median_change
+        if change > limit:
+            notes.append(
+                f"metrics change by {100.0 * change:.0f} % in their median from cells of "
+                f"{found.grain:g} m to the next larger, more than {100.0 * limit:g} % "
+                "(`largest_change`; --largest-change)"
+            )
+    return notes
+
+
+def _undefined_notes(found: StructureComparison, which: str, side: CloudSide) -> list[str]:
+    lost = [one.name for one in found.metrics if getattr(one, which).value is None]
+    layered = [n for n in lost if n.startswith(("foliage", "leaf_area"))]
+    notes, s = [], found.settings
+    diversity = next(one for one in found.metrics if one.name == "foliage_height_diversity")
+    if getattr(diversity, which).value == 0.0:
+        notes.append(
+            f"foliage height diversity is 0 in the {which} cloud because one layer of {s.layer:g} "
+            f"m from {s.diversity_lowest:g} m holds all that is above it in each cell, up to "
+            f"{side.highest:.2f} m: that tells of the layers, not of the plants (`layer`; --layer)"
+        )
+    if layered:
+        notes.append(
+            f"{_listed(layered)} undefined in the {which} cloud: with layers of {s.layer:g} m from "
+            f"{s.lowest:g} m (diversity from {s.diversity_lowest:g} m) and returns up to "
+            f"{side.highest:.2f} m, no cell has layers enough. Thinner or lower ones (`layer`, "
+            "`lowest`; --layer, --lowest) may define them"
+        )
+    other = [n for n in lost if n not in layered]
+    if other:
+        notes.append(
+            f"{_listed(other)} undefined in the {which} cloud: no cell has two returns that count, "
+            "or all of them lie on the ground"
+        )
+    return notes
+
+
+def _listed(names: list[str]) -> str:
+    shown = [name.replace("_", " ") for name in names]
+    return f"{', '.join(shown)} {'is' if len(shown) == 1 else 'are'}"
