@@ -252,7 +252,7 @@ def test_weights_keep_single_precision_and_broadcast() -> None:
     np.testing.assert_array_equal(weight[0], soft_weights(count[0], 5, softness=0.1))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_radial_spectrum_of_a_whole_plot_is_that_of_the_oracle() -> None:
     """10 m x 10 m at 10 cm, as a scene has it: packing and every ring from 0.1 to 2.5 / r.
 

@@ -129,6 +129,7 @@ def shrubs(module) -> VoxelScene:
     )
 
 
+@pytest.mark.study
 def test_image_of_a_path_tracer(shared_data, monkeypatch):
     """Mitsuba 3.9.1, 4096 samples a pixel; its medium scatters evenly, so ours must here.
 
