@@ -100,7 +100,7 @@ result = calibrate_plot(
     stride=2 if FAST else 4,
     rounds=1,
     replants=3 if FAST else 6,
-    max_steps=5 if FAST else 8,
+    max_steps=3 if FAST else 8,
     report=lambda stage, loss, slope: history.append(loss),
 )
 print(f"{len(space.names)} free parameters, {len(names)} statistics: {result.fit.status}")

@@ -176,14 +176,15 @@ def indices(values, model):
 # accelerator.)
 
 # %%
-terms = [t for n in range(4) for t in combinations_with_replacement(range(len(knobs)), n)]
+degree = 2 if FAST else 3
+terms = [t for n in range(degree + 1) for t in combinations_with_replacement(range(len(knobs)), n)]
 
 
 def powers(u):
     return jnp.stack([jnp.prod(u[jnp.array(t, int)]) for t in terms])
 
 
-count = 104 if FAST else 232
+count = 40 if FAST else 232
 shares = qmc.Sobol(len(knobs), rng=0).random(count + 24)  # a power of two in all
 design = jnp.asarray(ndtri(np.clip(shares, 0.01, 0.99)))  # in units of the prior
 once = jax.jit(indices)

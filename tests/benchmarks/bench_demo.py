@@ -1,10 +1,11 @@
 """Time and memory of the shipped plot and of the demo: `python -m tests.benchmarks.bench_demo`.
 
 Prints, for the plot that burnt in 2006 (10 m x 10 m, 13 taxa, 400 x 400 pixels, four bands): one
-render; one value and gradient of a calibration's objective by all free parameters, and its ratio to
-the value alone; one step of the search (gradients of all statistics); and the whole `fynjax demo`
-as a process of its own, with an empty compilation cache and again with the filled one. `--quick`
-leaves the last two out. Peak memory is that of a process.
+render; one value and gradient of a calibration's objective by all free parameters, its ratio to the
+value alone and to that by a few parameters, and its slope beside a central difference; one step of
+the search (gradients of all statistics); and the whole `fynjax demo` as a process of its own, with
+an empty compilation cache and again with the filled one. `--quick` leaves the last two out. Peak
+memory is that of a process.
 """
 
 import argparse
@@ -23,11 +24,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax.inversion import COARSE, Forward, coarser, free_space, weigh_targets
+from fynjax.inversion import (
+    COARSE,
+    Forward,
+    ParameterSpace,
+    coarser,
+    free_space,
+    weigh_targets,
+)
 from fynjax.io import example_folder, read_plot
 from fynjax.io._build import build_plot
 from fynjax.metrics import BANDS, image_statistics
-from fynjax.scene import with_values
+from fynjax.scene import PlotModel, PlotParameters, with_values
 
 STATISTICS = tuple(f"{layer}.{kind}" for layer in (*BANDS, "NDVI") for kind in ("mean", "std"))
 
@@ -59,14 +67,7 @@ def plot_in_this_process() -> None:
     row("render, 400 x 400 pixels", *clock(lambda: render(model, parameters)))
 
     space = free_space(model, parameters, read.calibration.free, read.calibration.relative_sd)
-    quick = coarser(model, COARSE)
-
-    def predict(values: jax.Array) -> jax.Array:
-        named = {name: values[i] for i, name in enumerate(space.names)}
-        image = quick.image(with_values(parameters, model.taxa, named), 9)
-        return image_statistics(image, STATISTICS).astype(values.dtype)
-
-    forward = Forward(predict, space)
+    forward = Forward(_predict(model, parameters, space), space)
     u, none = jnp.zeros(len(space.names)), jnp.zeros(len(STATISTICS))
     value = clock(lambda: forward.values(u))
     data = weigh_targets(STATISTICS, 1.1 * np.asarray(forward.values(u)), 0.01)
@@ -74,8 +75,36 @@ def plot_in_this_process() -> None:
     both = clock(lambda: forward.misfit(u, data, none))
     row(f"value and gradient by {len(space.names)} parameters", *both)
     print(f"{'  ratio to the value alone':<52}{'':>10}{both[1] / value[1]:>9.2f}")
+    few = free_space(model, parameters, ("ground.*",), lambda name: 0.2)
+    short = Forward(_predict(model, parameters, few), few)
+    v = jnp.zeros(len(few.names))
+    small = clock(lambda: short.misfit(v, data, none))
+    row(f"value and gradient by {len(few.names)} parameters", *small)
+    print(f"{'  all parameters over these few':<52}{'':>10}{both[1] / small[1]:>9.2f}")
+    along = np.random.default_rng(0).normal(size=u.size) / np.sqrt(u.size)
+    slope = float(forward.misfit(u, data, none)[1] @ along)
+    step = 0.02
+    ends = [float(forward.misfit(u + k * step * along, data, none)[0]) for k in (-2, -1, 1, 2)]
+    difference = (ends[0] - 8.0 * ends[1] + 8.0 * ends[2] - ends[3]) / (12.0 * step)
+    print(
+        f"{'  slope along a direction over its difference':<52}{'':>10}{slope / difference:>9.5f}"
+    )
     rows = clock(lambda: forward.jacobian(u), repeats=1)
     row(f"value and gradients of {len(STATISTICS)} statistics", *rows)
+
+
+def _predict(
+    model: PlotModel, parameters: PlotParameters, space: ParameterSpace
+) -> Callable[[jax.Array], jax.Array]:
+    """Statistics as a search sees them, of the parameters of `space`."""
+    quick = coarser(model, COARSE)
+
+    def predict(values: jax.Array) -> jax.Array:
+        named = {name: values[i] for i, name in enumerate(space.names)}
+        image = quick.image(with_values(parameters, model.taxa, named), 9)
+        return image_statistics(image, STATISTICS).astype(values.dtype)
+
+    return predict
 
 
 def whole_demo() -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 
 from fynjax._core.errors import InputError
 from fynjax.report._figures_posterior import (
@@ -104,6 +105,28 @@ def test_the_posterior_of_a_plot_goes_on_from_its_checkpoint(plot, tmp_path):
     assert all(0 < row["sd"] <= 1.3 * row["prior_sd"] for row in gauss["parameters"])
     with pytest.raises(InputError, match="another seed"):
         run_posterior(plot, target, tmp_path / "gauss", method="laplace", **(options | {"seed": 1}))
+
+
+@pytest.mark.study
+def test_a_posterior_from_three_sensors(plot, tmp_path):
+    spectrum, cloud = tmp_path / "spectrum.csv", tmp_path / "cloud.csv"
+    spectrum.write_text("wavelength_nm,mean\n550,0.06\n680,0.08\n860,0.26\n1650,0.22\n")
+    cloud.write_text(
+        "metric,value,sd,grain_m,returns_m2\ngap_fraction,0.45,0.02,1,100\n"
+        "rugosity,0.25,0.01,1,100\n"
+    )
+    found = []
+    for name, targets in (("one", []), ("all", [spectrum, cloud])):
+        (tmp_path / name).mkdir()
+        told = run_posterior(
+            plot, [*targets, plot.with_name("target.csv")], tmp_path / name, method="laplace",
+            checkpoint=tmp_path / f"{name}.kept", seed=0,
+        )  # fmt: skip
+        found.append({row["name"]: row["sd"] for row in told["parameters"]})
+    # More sensors, no less known.
+    assert found[1]["ground.brightness"] < 1.1 * found[0]["ground.brightness"]
+    with xr.open_dataset(tmp_path / "all" / "posterior.nc", group="observed_data") as data:
+        assert {"spectrum.860nm", "lidar.rugosity"} <= set(data["statistic"].values.tolist())
 
 
 @pytest.mark.study

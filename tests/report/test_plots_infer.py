@@ -189,12 +189,12 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
     plot = plots[0]
     write_plot_files(plot, tmp_path)
     file = read_plot(tmp_path / "plot.toml")
-    centre = (480.0, 560.0, 670.0, 720.0, 780.0, 860.0, 1000.0, 1240.0, 1650.0, 2200.0)
+    centre = (560.0, 670.0, 720.0, 860.0, 1240.0, 1650.0, 2200.0)
     bands = BandSet(tuple(f"{c:.0f}" for c in centre), centre, (6.0,) * len(centre))
     slots = slots_of([file])
-    seeds = [0, 1, 2, 3, 4, 9]
+    seeds = [0, 1, 2, 3, 9]
     scenes = build_scenes(
-        [file] * len(seeds), bands, Resolution(8.0, 0.5), seeds, room=ROOM, softness=SOFTNESS
+        [file] * len(seeds), bands, Resolution(6.0, 0.5), seeds, room=ROOM, softness=SOFTNESS
     )
     models, parameters = [m for m, _ in scenes], scenes[0][1]
     view = spectrum_view(bands)
