@@ -206,13 +206,15 @@ def _headline(
         bands, indices = largest_errors(statistics)
         theirs = list(reference.error_percent.values())
         low, high = (min(theirs), max(theirs)) if theirs else (0.0, 0.0)
+        own = f" (the paper's own simulation: {low:.1f} to {high:.1f} %)" if theirs else ""
+        told = (("a band mean", bands, own), ("a fitted index mean", indices, ""))
         lines = [
-            f"{plot.name}: largest error of a band mean {bands['before']:.1f} % before, "
-            f"{bands['after']:.1f} % after"
-            + (f" (the paper's own simulation: {low:.1f} to {high:.1f} %)." if theirs else "."),
-            f"Largest error of a fitted index mean {indices['before']:.1f} % before, "
-            f"{indices['after']:.1f} % after.",
+            f"Largest error of {what} {found['before']:.1f} % before, {found['after']:.1f} % after"
+            f"{more}."
+            for what, found, more in told
+            if np.isfinite(found["after"])  # none of the kind may be a target
         ]
+        lines[:1] = [f"{plot.name}: {line[0].lower()}{line[1:]}" for line in lines[:1]]
     for one in measured:
         if one.kind != "image":
             lines.append(sensor_headline(one, statistics))
@@ -313,11 +315,13 @@ def _page(
     }
     if drone:
         bands, indices = largest_errors(statistics)
-        keys = {
-            "largest error of a band mean": f"{bands['after']:.1f} %",
-            "largest error of a fitted index mean": f"{indices['after']:.1f} %",
-            **keys,
+        both = {"a band mean": bands["after"], "a fitted index mean": indices["after"]}
+        largest = {
+            f"largest error of {what}": f"{error:.1f} %"
+            for what, error in both.items()
+            if np.isfinite(error)
         }
+        keys = {**largest, **keys}
     page.key_figures(keys)
     if goals:
         page.paragraph(

@@ -61,6 +61,10 @@ def test_a_table_of_statistics_is_approached(rendered, tmp_path):
     output.mkdir()
     other = run_calibrate(folder / "plot.toml", table, output, seed=0)
     assert misfit(other, "after") < 0.2 * misfit(other, "before")
+    # No index is a target, so that none is told of.
+    assert other["headline"][0].startswith("small: largest error of a band mean")
+    assert "nan" not in " ".join(other["headline"])
+    assert "nan %" not in (output / "report.html").read_text("utf-8")
     assert {"report.html", "parameters.csv", "run.nc"} <= set(other["files"])
     assert all((output / name).stat().st_size for name in other["files"])
     schema = json.loads(
