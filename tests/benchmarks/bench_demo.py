@@ -75,7 +75,7 @@ def plot_in_this_process() -> None:
     both = clock(lambda: forward.misfit(u, data, none))
     row(f"value and gradient by {len(space.names)} parameters", *both)
     print(f"{'  ratio to the value alone':<52}{'':>10}{both[1] / value[1]:>9.2f}")
-    few = free_space(model, parameters, ("ground.*",), lambda name: 0.2)
+    few = free_space(model, parameters, (f"species.{model.taxa[0]}.*",), lambda name: 0.2)
     short = Forward(_predict(model, parameters, few), few)
     v = jnp.zeros(len(few.names))
     small = clock(lambda: short.misfit(v, data, none))
