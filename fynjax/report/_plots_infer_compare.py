@@ -20,8 +20,9 @@ TABLE, MEAN, REGRESSION = "the plot's tables alone", "mean of the other plots", 
 PREDICTORS = {
     OWN: "the posterior with cover and traits of the plot's own tables as a weak prior: it knows "
     "what it is compared with",
-    ELSEWHERE: "the posterior with the mean of the other plots as prior; of the plot it knows the "
-    "spectrum, and which growth forms stand there in which shares",
+    ELSEWHERE: "the posterior with the mean of the other plots as prior of live cover and traits; "
+    "of the plot's own tables it knows which species stand there in which shares, the dead cover "
+    "and the litter",
     TAUGHT: "the same, after the model has learnt from the other plots what it is off by on "
     "average, and how far that varies",
     TABLE: "the centre of the first prior: traits of species that the library lacks are those of "
