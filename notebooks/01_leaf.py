@@ -149,7 +149,7 @@ assert worst < 1e-6
 import os
 from pathlib import Path
 
-from fynjax.io import read_spectra
+from fynjax.io.spectra import read_spectra
 from fynjax.leaf import LeafClip, fit_leaf
 
 folder = Path(os.environ.get("FYNJAX_SHARED_DATA", "../../shared/data")) / "leaf" / "asd"

@@ -26,8 +26,10 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
+from fynjax.assembly import build_plot
 from fynjax.inversion import COARSE, coarser
-from fynjax.io import build_plot, example_folder, load_lidar, load_sensor, read_plot
+from fynjax.io.instruments import load_lidar, load_sensor
+from fynjax.io.plot import example_folder, read_plot
 from fynjax.scene import PlotAir, plot_sensing, replant
 from fynjax.sensors import detect_returns, lidar_waveforms, received_electrons
 

@@ -26,8 +26,9 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
+from fynjax.assembly import build_plot
 from fynjax.inversion import calibrate_plot, free_space, weigh_targets
-from fynjax.io import build_plot, example_folder, read_plot
+from fynjax.io.plot import example_folder, read_plot
 from fynjax.metrics import image_statistics
 from fynjax.scene import named_values, replant
 

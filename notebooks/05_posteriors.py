@@ -30,6 +30,7 @@ from matplotlib.patches import Ellipse
 from scipy.special import ndtri
 from scipy.stats import qmc
 
+from fynjax.assembly import build_plot
 from fynjax.inversion import (
     COARSE,
     LogPosterior,
@@ -39,7 +40,7 @@ from fynjax.inversion import (
     sample_posterior,
     weigh_targets,
 )
-from fynjax.io import build_plot, example_folder, read_plot
+from fynjax.io.plot import example_folder, read_plot
 from fynjax.leaf import LeafParameters, fit_leaf, prospect, sample_leaf_posterior
 from fynjax.metrics import image_statistics
 from fynjax.scene import replant

@@ -29,6 +29,7 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc
 
+from fynjax.assembly import build_plot
 from fynjax.inversion import (
     COARSE,
     ParameterSpace,
@@ -38,7 +39,7 @@ from fynjax.inversion import (
     plot_statistics,
     sobol_indices,
 )
-from fynjax.io import build_plot, example_folder, read_plot
+from fynjax.io.plot import example_folder, read_plot
 from fynjax.metrics import image_statistics
 from fynjax.scene import named_values
 

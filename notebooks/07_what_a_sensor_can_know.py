@@ -25,8 +25,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LogNorm
 
+from fynjax.assembly import build_plot
 from fynjax.inversion import even_bands, fisher_information, free_space, sweep_sensors
-from fynjax.io import build_plot, example_folder, read_plot
+from fynjax.io.plot import example_folder, read_plot
 
 jax.config.update("jax_enable_x64", True)  # for small matrices; light is computed in 32 bits
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer species free

@@ -28,16 +28,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.optimize import brentq
 
+from fynjax.assembly import build_plot
+from fynjax.compare import table5_2006
 from fynjax.inversion import COARSE, coarser
-from fynjax.io import build_plot, example_folder, load_sensor, read_plot
+from fynjax.io.instruments import load_sensor
+from fynjax.io.plot import example_folder, read_plot
 from fynjax.leaf import LeafParameters, prospect
-from fynjax.metrics import (
-    misfit_decomposition,
-    pearson_correlation,
-    spectral_angle,
-    spectral_mask,
-    table5_2006,
-)
+from fynjax.metrics import misfit_decomposition, pearson_correlation, spectral_angle, spectral_mask
 from fynjax.radiation import directional_reflectance, solve_light
 from fynjax.scene import background_spectrum
 from fynjax.sensors import (

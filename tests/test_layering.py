@@ -17,18 +17,25 @@ ROAD = (
     "_core",
     "leaf",
     "canopy",
+    "metrics",
     "radiation",
     "sensors",
-    "metrics",
     "scene",
     "inversion",
 )
 """The road of a number: each layer may import from those before it."""
 
-BESIDE = ("io", "terrain", "report", "cli")
+BESIDE = ("io", "terrain", "compare", "assembly", "report", "jobs", "studies", "cli")
 """Beside the road: each may import from the road and from those before it."""
 
 LAYERS = ROAD + BESIDE
+
+PACKAGES = sorted(
+    ".".join(path.parent.relative_to(ROOT).parts) for path in PACKAGE.rglob("__init__.py")
+)
+PLOTTING = {"matplotlib", "pyvista", "seaborn", "plotly"}
+SOLVING = {"calibrate_plot", "fit", "sample_posterior", "laplace_posterior"}
+SOLVERS = {"optimistix", "jaxopt", "emcee", "blackjax", "lineax", "SALib"}
 
 
 def imported_modules(tree: ast.AST, module: str, is_package: bool) -> Iterator[tuple[str, int]]:
@@ -54,17 +61,42 @@ def imported_modules(tree: ast.AST, module: str, is_package: bool) -> Iterator[t
 def layer_of(module: str) -> str | None:
     """The layer that a module of this package belongs to; none for the top and other packages."""
     parts = module.split(".")
-    return parts[1] if len(parts) > 1 and parts[0] == "fynjax" else None
+    return parts[1] if len(parts) > 1 and parts[0] == "fynjax" and parts[1] in LAYERS else None
+
+
+def private_owner(name: str) -> str | None:
+    """The package that a private module or name belongs to; none for what is public.
+
+    `_core` is private to fynjax, and its modules are open to all of it.
+    """
+    parts = name.split(".")
+    if parts[0] != "fynjax":
+        return None
+    for place, part in enumerate(parts[1:], start=1):
+        if part.startswith("_") and part != "_core" and not part.startswith("__"):
+            return ".".join(parts[:place])
+    return None
 
 
 def wrong_imports(source: str, module: str, is_package: bool) -> list[str]:
     own = layer_of(module)
+    home = module if is_package else module.rpartition(".")[0]
     wrong = []
     for name, line in imported_modules(ast.parse(source), module, is_package):
         other = layer_of(name)
+        owner = private_owner(name)
+        if owner is not None and not f"{home}.".startswith(f"{owner}."):
+            wrong.append(f"{module}:{line} imports {name}, which is private to {owner}")
+        top = name.split(".")[0]
+        if top in PLOTTING and own != "report":
+            wrong.append(f"{module}:{line} imports {top}; only `report` draws")
+        if top in SOLVERS and own in ("io", "terrain", "compare", "assembly", "report"):
+            wrong.append(f"{module}:{line} imports {top}; {own} solves nothing")
+        if own == "report" and other == "inversion" and name.rpartition(".")[2] in SOLVING:
+            wrong.append(f"{module}:{line} imports {name}; `report` solves nothing")
         if name == "fynjax" and own in ROAD:
             wrong.append(f"{module}:{line} imports the top of the package")
-        if own is None and name.split(".")[0] == "fynjax":
+        if module == "fynjax" and name.split(".")[0] == "fynjax":
             wrong.append(f"{module}:{line} imports {name}; the top of the package imports nothing")
         if own is None or other not in LAYERS or other == own:
             continue
@@ -92,7 +124,7 @@ def test_imports_point_one_way() -> None:
 def test_every_layer_is_known_and_there() -> None:
     folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
     assert folders == set(LAYERS)
-    assert [path.name for path in PACKAGE.glob("*.py")] == ["__init__.py"]
+    assert [path.name for path in sorted(PACKAGE.glob("*.py"))] == ["__init__.py", "errors.py"]
 
 
 @pytest.mark.parametrize(
@@ -109,6 +141,14 @@ def test_every_layer_is_known_and_there() -> None:
         ("fynjax.inversion._x", "from fynjax.report import Page"),
         ("fynjax.io._x", "from fynjax.cli import app"),
         ("fynjax", "from fynjax.leaf import prospect"),
+        ("fynjax.io._x", "from fynjax.scene._model import PlotModel"),
+        ("fynjax.io.plot._x", "from fynjax.io.text._tables import read_table"),
+        ("fynjax.jobs._x", "from fynjax.report.pages import _page"),
+        ("fynjax.jobs._x", "from fynjax.scene import _hidden"),
+        ("fynjax.jobs._x", "import matplotlib.pyplot as plt"),
+        ("fynjax.compare._x", "def f():\n    from matplotlib.figure import Figure"),
+        ("fynjax.report.pages._x", "import optimistix"),
+        ("fynjax.report.pages._x", "from fynjax.inversion import calibrate_plot"),
     ],
 )
 def test_a_wrong_import_is_seen(module: str, source: str) -> None:
@@ -120,6 +160,10 @@ def test_a_wrong_import_is_seen(module: str, source: str) -> None:
     [
         ("fynjax.canopy._x", "from fynjax.leaf import prospect"),
         ("fynjax.canopy._x", "from ._grid import VoxelGrid"),
+        ("fynjax.io.plot._x", "from fynjax.io.plot._rows import SpeciesRow"),
+        ("fynjax.io.plot._x", "from fynjax._core.errors import InputError"),
+        ("fynjax.report.figures._x", "from matplotlib.figure import Figure"),
+        ("fynjax.inversion._x", "import optimistix"),
         ("fynjax.io._x", "import fynjax\nfrom fynjax.inversion import calibrate"),
     ],
 )
@@ -127,30 +171,34 @@ def test_a_right_import_is_left_alone(module: str, source: str) -> None:
     assert not wrong_imports(source, module, is_package=False)
 
 
-@pytest.mark.parametrize("layer", [name for name in LAYERS if not name.startswith("_")])
-def test_public_names_exist_and_have_docstrings(layer: str) -> None:
-    module = importlib.import_module(f"fynjax.{layer}")
-    assert module.__doc__, f"fynjax.{layer} has no docstring"
-    names = getattr(module, "__all__", None)
-    assert names, f"fynjax.{layer} has no __all__"
+HOLDERS = {"fynjax.io", "fynjax.report", "fynjax.studies"}
+"""Packages that hold sub-packages and no names of their own."""
+
+
+@pytest.mark.parametrize("package", [name for name in PACKAGES if "._" not in name])
+def test_public_names_exist_and_have_docstrings(package: str) -> None:
+    module = importlib.import_module(package)
+    assert module.__doc__, f"{package} has no docstring"
+    names = getattr(module, "__all__", [])
+    assert bool(names) != (package in HOLDERS | {"fynjax"}), f"{package}: __all__ is {names}"
     assert len(set(names)) == len(names)
-    documented = attribute_docstrings(layer)
+    documented = attribute_docstrings(module.__path__[0])
     for name in names:
-        assert not name.startswith("_"), f"fynjax.{layer}.{name} is private"
+        assert not name.startswith("_"), f"{package}.{name} is private"
         value = getattr(module, name)  # fails where the name does not exist
         if inspect.isroutine(value) or inspect.isclass(value):
             # Not `inspect.getdoc`, which would hand on the docstring of a base class.
             text = value.__doc__
-            assert text, f"fynjax.{layer}.{name} has no docstring"
-            assert not text.startswith(f"{name}("), f"fynjax.{layer}.{name}: a generated docstring"
+            assert text, f"{package}.{name} has no docstring"
+            assert not text.startswith(f"{name}("), f"{package}.{name}: a generated docstring"
         elif type(value).__module__.split(".")[0] in {"fynjax", "builtins", "typing"}:
-            assert name in documented, f"fynjax.{layer}.{name} has no docstring below it"
+            assert name in documented, f"{package}.{name} has no docstring below it"
 
 
-def attribute_docstrings(layer: str) -> set[str]:
-    """Module-level names of a layer that are followed by a string, the docstring of a constant."""
+def attribute_docstrings(folder: str) -> set[str]:
+    """Module-level names of a package with a string below them, the docstring of a constant."""
     found = set()
-    for path in (PACKAGE / layer).rglob("*.py"):
+    for path in Path(folder).rglob("*.py"):
         body = ast.parse(path.read_text("utf-8")).body
         for statement, following in pairwise(body):
             if not (
@@ -162,7 +210,8 @@ def attribute_docstrings(layer: str) -> set[str]:
             if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
                 found.add(statement.target.id)
             elif isinstance(statement, ast.Assign):
-                found |= {t.id for t in statement.targets if isinstance(t, ast.Name)}
+                targets = [n for t in statement.targets for n in ast.walk(t)]
+                found |= {t.id for t in targets if isinstance(t, ast.Name)}
     return found
 
 

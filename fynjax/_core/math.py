@@ -1,7 +1,18 @@
 """Guarded functions: right values and right slopes where the plain formula divides by zero."""
 
+from typing import Any
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+
+def real_array(value: Any) -> Array:
+    """As a real array: floating arrays keep their precision, all else takes the default.
+
+    A Python number stays weakly typed, so that it does not lift float32 arrays to float64.
+    """
+    array = jnp.asarray(value)
+    return array if jnp.issubdtype(array.dtype, jnp.floating) else array * 1.0
 
 
 def mean_transmittance(depth: Float[Array, "*shape"]) -> Float[Array, "*shape"]:

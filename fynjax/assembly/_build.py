@@ -8,15 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from fynjax._core.errors import InputError
+from fynjax.assembly._ground import cover_patches, cover_spectra, ground_heights, soil_spectra
+from fynjax.assembly._memory import check_memory
+from fynjax.assembly._plants import read_plant
 from fynjax.canopy import FORM_DEFAULTS, MeshPlant, Organ
-from fynjax.io._build_ground import cover_patches, cover_spectra, ground_heights, soil_spectra
-from fynjax.io._build_memory import check_memory
-from fynjax.io._parameter_values import with_parameter_table
-from fynjax.io._plant import read_plant
-from fynjax.io._plot import Plot, Species
-from fynjax.io._plot_sensor import plot_instrument
-from fynjax.io._probability import read_probability_map
-from fynjax.io._spectra import reflectances
+from fynjax.io.plot import Plot, Species, plot_instrument, with_parameter_table
+from fynjax.io.raster import read_probability_map
+from fynjax.io.spectra import reflectances
 from fynjax.leaf import LeafParameters, fit_leaf
 from fynjax.scene import (
     LEAF_FIELDS,

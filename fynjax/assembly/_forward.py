@@ -8,11 +8,9 @@ import jax
 import numpy as np
 import pandas as pd
 
+from fynjax.assembly._build import build_plot
 from fynjax.inversion import COARSE, ParameterSpace, coarser, free_space
-from fynjax.io import Plot, read_plot
-from fynjax.io._build import build_plot
-from fynjax.io._plot_sensor import drone_bands
-from fynjax.report._run_tables import _SHOWN_UNITS
+from fynjax.io.plot import Plot, drone_bands, read_plot
 from fynjax.scene import PlotModel, PlotParameters, parameter_units
 from fynjax.sensors import BandSet
 
@@ -29,6 +27,10 @@ class Prepared(NamedTuple):
     """The model that a search uses: coarse light, thick layers."""
     parameters: PlotParameters
     space: ParameterSpace
+
+
+# Shown as fields crews write them: unit in the table -> factor.
+_SHOWN_UNITS = {"cover": ("%", 100.0), "diameter": ("cm", 100.0)}
 
 
 def prepare(

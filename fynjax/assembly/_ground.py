@@ -6,11 +6,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from fynjax._core.errors import InputError
-from fynjax.io._cover_map import read_cover_map
-from fynjax.io._frame import METRES
-from fynjax.io._over_plot import read_over_plot
-from fynjax.io._plot import Plot
-from fynjax.io._spectra import reflectances
+from fynjax.io.plot import Plot
+from fynjax.io.raster import METRES, read_cover_map, read_over_plot
+from fynjax.io.spectra import reflectances
 from fynjax.scene import COVERS, random_patches, shipped_covers
 
 

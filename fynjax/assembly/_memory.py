@@ -5,8 +5,8 @@ import os
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.io._plot import Plot
-from fynjax.scene._planting import element_count
+from fynjax.io.plot import Plot
+from fynjax.scene import element_count
 
 _ROOM = 2.5
 """Sites held ready for each plant, as `build_model` has it."""

@@ -8,9 +8,8 @@ from pydantic import Field
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import FORM_DEFAULTS, MeshPlant, Organ, PlantMaterial, plant_model_from_mesh
-from fynjax.canopy._mesh_plant import mesh_plant
-from fynjax.io._strict import Strict, number
-from fynjax.io._tables import read_rows
+from fynjax.canopy.mesh import mesh_plant
+from fynjax.io.text import Strict, number, read_rows
 
 _ELEMENTS = 3000
 """As many as a plant on a plot has at most."""

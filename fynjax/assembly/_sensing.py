@@ -3,10 +3,9 @@
 import warnings
 
 from fynjax._core.errors import InputError
-from fynjax.io._atmosphere_file import read_atmosphere
-from fynjax.io._build import build_plot
-from fynjax.io._plot import Air, Plot
-from fynjax.io._plot_sensor import optical_pixel, sensor_altitude, visible_sensor
+from fynjax.assembly._build import build_plot
+from fynjax.io.instruments import read_atmosphere
+from fynjax.io.plot import Air, Plot, optical_pixel, sensor_altitude, visible_sensor
 from fynjax.scene import PlotAir, PlotParameters, PlotSensing, plot_sensing
 from fynjax.sensors import Atmosphere, OrthographicCamera, Sensor
 

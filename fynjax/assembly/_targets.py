@@ -15,8 +15,14 @@ import rasterio
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
+from fynjax.assembly._build import _diffuse
+from fynjax.assembly._ground import cover_spectra, soil_spectra
+from fynjax.compare import read_spectra_sample
+from fynjax.compare.structure import ComparisonSettings, cloud_structure
 from fynjax.inversion import (
+    GAIN,
     IMAGE_STATISTICS,
+    OFFSET,
     AbstractView,
     Data,
     ImageView,
@@ -27,12 +33,9 @@ from fynjax.inversion import (
     weigh_structure,
     weigh_targets,
 )
-from fynjax.inversion._targets import GAIN, OFFSET
-from fynjax.io import Plot, read_image, read_statistics
-from fynjax.io._build import _diffuse
-from fynjax.io._build_ground import cover_spectra, soil_spectra
-from fynjax.io._statistics import read_structure
-from fynjax.io._tables import existing_file, read_text
+from fynjax.io.plot import Plot, read_statistics, read_structure
+from fynjax.io.raster import read_image
+from fynjax.io.text import existing_file, read_text
 from fynjax.metrics import (
     BANDS,
     STRUCTURE_METRICS,
@@ -42,8 +45,6 @@ from fynjax.metrics import (
     match_wavelengths,
     spectral_mask,
 )
-from fynjax.report._structure_job import ComparisonSettings, cloud_structure
-from fynjax.report._validate_spectra import read_spectra_sample
 from fynjax.scene import band_wavelengths
 from fynjax.sensors import (
     BandSet,

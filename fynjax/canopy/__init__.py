@@ -8,7 +8,6 @@ from fynjax.canopy._angles import (
     TrigonometricLeafAngle,
     leaf_angle,
 )
-from fynjax.canopy._branches import branch_rotation_spread, plant_from_branches
 from fynjax.canopy._counts import (
     CrownPacking,
     crown_scale,
@@ -20,34 +19,36 @@ from fynjax.canopy._counts import (
     target_area,
 )
 from fynjax.canopy._forms import FORM_DEFAULTS, FormDefaults, plant_model
-from fynjax.canopy._generate import GeneratedPlant, generate_plant, leaf_sizes
 from fynjax.canopy._greenness import Greenness, band_roles, choose_greenness
 from fynjax.canopy._grid import VoxelGrid, deposit
 from fynjax.canopy._instances import instantiate, random_orientation, stack_plants, unit_shapes
-from fynjax.canopy._mesh import plant_model_from_mesh, read_plant_mesh
-from fynjax.canopy._mesh_plant import MeshPlant, PlantMaterial, PlantMesh
 from fynjax.canopy._pattern import VegetationPattern, even_levels, vegetation_pattern
 from fynjax.canopy._plant import Organ, PlantModel, thin_plant
-from fynjax.canopy._recovery import (
-    SURVEY_YEAR,
-    GroundAfterFire,
-    ground_after_fire,
-    table_after_fire,
-)
-from fynjax.canopy._scan import plant_model_from_points, read_scan
 from fynjax.canopy._sites import assign_sites, poisson_disk, site_weight, soft_weights
 from fynjax.canopy._table import table1_2006
+from fynjax.canopy.mesh import (
+    GeneratedPlant,
+    MeshPlant,
+    PlantMaterial,
+    PlantMesh,
+    branch_rotation_spread,
+    generate_plant,
+    leaf_sizes,
+    plant_from_branches,
+    plant_model_from_mesh,
+    plant_model_from_points,
+    read_plant_mesh,
+    read_scan,
+)
 
 __all__ = [
     "FORM_DEFAULTS",
-    "SURVEY_YEAR",
     "AbstractLeafAngle",
     "CrownPacking",
     "EllipsoidalLeafAngle",
     "FormDefaults",
     "GeneratedPlant",
     "Greenness",
-    "GroundAfterFire",
     "MeshPlant",
     "Organ",
     "PlantMaterial",
@@ -66,7 +67,6 @@ __all__ = [
     "deposit",
     "even_levels",
     "generate_plant",
-    "ground_after_fire",
     "hard_count",
     "instance_area",
     "instantiate",
@@ -87,7 +87,6 @@ __all__ = [
     "soft_weights",
     "stack_plants",
     "table1_2006",
-    "table_after_fire",
     "target_area",
     "thin_plant",
     "unit_shapes",

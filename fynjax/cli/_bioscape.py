@@ -40,7 +40,7 @@ def bioscape(
 
     Example:  fynjax bioscape tables --output plots && fynjax render plots/T068/plot.toml
     """
-    from fynjax.io._bioscape_files import run_bioscape
+    from fynjax.studies.bioscape import run_bioscape
 
     run_job(
         "bioscape",

@@ -46,16 +46,16 @@ def build(
 
     Example:  fynjax build plot.toml --size 20 --output scene
     """
-    from fynjax.io import read_plot
+    from fynjax.io.plot import read_plot
 
     # Before the heavy imports: a slip in a file shows at once.
     read = read_plot(plot)
     number = read.seed if seed is None else seed
-    from fynjax.report._build_job import run_build
+    from fynjax import jobs
 
     run_job(
         "build",
-        lambda folder, progress: run_build(
+        lambda folder, progress: jobs.build(
             plot,
             folder,
             seed=number,

@@ -6,15 +6,7 @@ from typing import Annotated
 import typer
 
 from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import (
-    Checkpoint,
-    Json,
-    Output,
-    OwnSeed,
-    Quiet,
-    checkpoint_beside,
-    run_job,
-)
+from fynjax.cli._runtime import Checkpoint, Json, Output, OwnSeed, Quiet, checkpoint_beside, run_job
 
 Targets = Annotated[
     list[Path],
@@ -45,8 +37,8 @@ def calibrate(
 
     Example:  fynjax calibrate plot.toml --target statistics.csv --target cloud.laz
     """
-    from fynjax.io._plot_file import read_plot
-    from fynjax.io._tables import existing_file
+    from fynjax.io.plot import read_plot
+    from fynjax.io.text import existing_file
 
     # Before the heavy imports: a slip in a file shows at once.
     read = read_plot(plot)
@@ -54,12 +46,12 @@ def calibrate(
     for path in target:
         existing_file(path, "an image, a spectrum, a point cloud or a table of their statistics")
     own = checkpoint_beside(output, checkpoint)
-    from fynjax._core.journal import forget_journal
-    from fynjax.report._jobs import run_calibrate
+    from fynjax import jobs
+    from fynjax._core.checkpoint import forget_journal
 
     run_job(
         "calibrate",
-        lambda folder, progress: run_calibrate(
+        lambda folder, progress: jobs.calibrate(
             plot, target, folder, seed=number, checkpoint=own, progress=progress
         ),
         output,

@@ -36,9 +36,9 @@ def calibrate_plots(
     """
     check_voxel(size, voxel)
     own = checkpoint_beside(output, checkpoint)
-    from fynjax._core.journal import forget_journal
-    from fynjax.report._plots_infer_job import run_calibrate_plots
-    from fynjax.report._plots_scenes import Resolution
+    from fynjax._core.checkpoint import forget_journal
+    from fynjax.studies.bioscape import Resolution
+    from fynjax.studies.bioscape import calibrate_plots as run_calibrate_plots
 
     run_job(
         "calibrate-plots",

@@ -19,11 +19,11 @@ def demo(
 
     Example:  fynjax demo --output my_demo
     """
-    from fynjax.report._jobs import run_demo
+    from fynjax import jobs
 
     run_job(
         "demo",
-        lambda folder, progress: run_demo(folder, seed=seed, progress=progress),
+        lambda folder, progress: jobs.demo(folder, seed=seed, progress=progress),
         output,
         seed=seed,
         as_json=json,

@@ -66,7 +66,7 @@ def fit_leaf(
 
     Example:  fynjax fit-leaf leaf_1.asd leaf_2.asd --output traits
     """
-    from fynjax.io._tables import existing_file
+    from fynjax.io.text import existing_file
 
     for path in spectra:
         existing_file(path, "a leaf spectrum")
@@ -76,11 +76,11 @@ def fit_leaf(
         further["groups"] = groups
     if posterior is not Posterior.none:
         further["posterior"] = posterior.value
-    from fynjax.io._fit_leaf import run_fit_leaf
+    from fynjax import jobs
 
     run_job(
         "fit-leaf",
-        lambda folder, progress: run_fit_leaf(
+        lambda folder, progress: jobs.fit_leaf(
             spectra,
             folder,
             version=version.value,

@@ -46,7 +46,7 @@ def information(
 
     Example:  fynjax information plot.toml --free 'species.*.cover' --gsd 0.1,0.5,1,5 --bands 2,4,8
     """
-    from fynjax.io._plot_file import read_plot
+    from fynjax.io.plot import read_plot
 
     # Before the heavy imports: a slip in a file shows at once.
     read = read_plot(plot)
@@ -59,11 +59,11 @@ def information(
             f"`--spectrum` must be two wavelengths, such as 450,900, but is {spectrum}"
         )
     suns = None if sun is None else _numbers(sun, "--sun")
-    from fynjax.report._information_job import run_information
+    from fynjax import jobs
 
     run_job(
         "information",
-        lambda folder, progress: run_information(
+        lambda folder, progress: jobs.information(
             plot,
             folder,
             free=free,

@@ -52,8 +52,8 @@ def init(
 
     Example:  fynjax init my_plot && fynjax render my_plot/plot.toml
     """
-    from fynjax.io._atomic import staged_folder
-    from fynjax.io._plot_file import example_folder
+    from fynjax.io.plot import example_folder
+    from fynjax.io.text import staged_folder
 
     if folder is not None and output is not None and folder != output:
         raise InputError(f"expected one folder, but got {str(folder)!r} and {str(output)!r}")
@@ -94,7 +94,7 @@ def init(
 
 def _at_another_age(burnt: int, text: str, folder: Path) -> str:
     """The plot file of a plot that burnt in another year; writes its species table beside it."""
-    from fynjax.canopy import SURVEY_YEAR, ground_after_fire, table_after_fire
+    from fynjax.studies.fynbos_2006 import SURVEY_YEAR, ground_after_fire, table_after_fire
 
     age = SURVEY_YEAR - burnt
     try:

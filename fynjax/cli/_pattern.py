@@ -65,12 +65,12 @@ def pattern(
 
     Example:  fynjax pattern orthophoto.tif --levels 0,128,255 --output pattern
     """
-    from fynjax.report._pattern import run_pattern
+    from fynjax import jobs
 
     greys = None if levels is None else [_grey(text) for text in levels.split(",")]
     run_job(
         "pattern",
-        lambda folder, progress: run_pattern(
+        lambda folder, progress: jobs.pattern(
             images,
             folder,
             clusters=clusters,

@@ -90,7 +90,7 @@ def plant(
 
     Example:  fynjax plant "Metalasia muricata" --elements 5000 --output metalasia
     """
-    from fynjax.report._plant import run_plant
+    from fynjax import jobs
 
     options: dict[str, Any] = {
         "n_elements": elements,
@@ -108,7 +108,7 @@ def plant(
         run_job(
             "plant",
             lambda folder, progress: _renamed_warnings(
-                run_plant(source, folder, progress=progress, seed=seed, **options)
+                jobs.plant(source, folder, progress=progress, seed=seed, **options)
             ),
             output,
             seed=seed,

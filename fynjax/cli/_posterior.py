@@ -7,15 +7,7 @@ import typer
 
 from fynjax.cli._calibrate import Targets
 from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import (
-    Checkpoint,
-    Json,
-    Output,
-    OwnSeed,
-    Quiet,
-    checkpoint_beside,
-    run_job,
-)
+from fynjax.cli._runtime import Checkpoint, Json, Output, OwnSeed, Quiet, checkpoint_beside, run_job
 
 Free = Annotated[
     list[str] | None,
@@ -53,8 +45,8 @@ def posterior(
 
     Example:  fynjax posterior plot.toml --target statistics.csv --method laplace
     """
-    from fynjax.io._plot_file import read_plot
-    from fynjax.io._tables import existing_file
+    from fynjax.io.plot import read_plot
+    from fynjax.io.text import existing_file
 
     # Before the heavy imports: a slip in a file shows at once.
     read = read_plot(plot)
@@ -62,11 +54,11 @@ def posterior(
     for path in target:
         existing_file(path, "an image, a spectrum, a point cloud or a table of their statistics")
     own = checkpoint_beside(output, checkpoint)
-    from fynjax.report._posterior_job import run_posterior
+    from fynjax import jobs
 
     run_job(
         "posterior",
-        lambda folder, progress: run_posterior(
+        lambda folder, progress: jobs.posterior(
             plot,
             target,
             folder,

@@ -76,11 +76,11 @@ def reflectance(
 
     Example:  fynjax reflectance flight --panel IMG_0000 --panel-reflectance panel.csv --height 70
     """
-    from fynjax.report._reflectance_job import run_reflectance
+    from fynjax import jobs
 
     run_job(
         "reflectance",
-        lambda folder, progress: run_reflectance(
+        lambda folder, progress: jobs.reflectance(
             images,
             folder,
             panels=panel or (),

@@ -25,16 +25,16 @@ def render(
 
     Example:  fynjax render plot.toml --output render
     """
-    from fynjax.io._plot_file import read_plot
+    from fynjax.io.plot import read_plot
 
     # Before the heavy imports: a slip in a file shows at once.
     read = read_plot(plot)
     number = read.seed if seed is None else seed
-    from fynjax.report._jobs import run_render
+    from fynjax import jobs
 
     run_job(
         "render",
-        lambda folder, progress: run_render(plot, folder, seed=number, progress=progress),
+        lambda folder, progress: jobs.render(plot, folder, seed=number, progress=progress),
         output,
         seed=number,
         as_json=json,

@@ -155,7 +155,7 @@ def run_job(
     fails, its error is the only line.
     """
     from fynjax.cli._progress import make_progress
-    from fynjax.io._atomic import remove_replaced, staged_folder, write_text
+    from fynjax.io.text import remove_replaced, staged_folder, write_text
 
     earlier = _listed_files(output, command)
     with _ended_by_kill() as check_killed, warnings.catch_warnings(record=True) as caught:

@@ -42,16 +42,16 @@ def sensitivity(
 
     Example:  fynjax sensitivity plot.toml --metrics NDVI.mean,nir.mean --derivatives 64
     """
-    from fynjax.io._plot_file import read_plot
+    from fynjax.io.plot import read_plot
 
     # Before the heavy imports: a slip in a file shows at once.
     read = read_plot(plot)
     number = read.seed if seed is None else seed
-    from fynjax.report._sensitivity_job import run_sensitivity
+    from fynjax import jobs
 
     run_job(
         "sensitivity",
-        lambda folder, progress: run_sensitivity(
+        lambda folder, progress: jobs.sensitivity(
             plot,
             folder,
             metrics=[name.strip() for name in metrics.split(",")],

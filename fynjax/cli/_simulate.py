@@ -60,7 +60,7 @@ def simulate(
 
     Example:  fynjax simulate plot.toml --sensor aviris_ng --pixel 3 --output aviris
     """
-    from fynjax.io import read_plot
+    from fynjax.io.plot import read_plot
 
     # Before the heavy imports: a slip in a file shows at once.
     read = read_plot(plot)
@@ -73,11 +73,11 @@ def simulate(
             raise InputError(
                 f"expected no {wrong[0]} with the LiDAR {sensor!r}: its file says all of it"
             )
-        from fynjax.report._lidar_job import run_lidar
+        from fynjax import jobs
 
         run_job(
             "simulate",
-            lambda folder, progress: run_lidar(
+            lambda folder, progress: jobs.simulate_lidar(
                 plot,
                 sensor,
                 folder,
@@ -91,11 +91,11 @@ def simulate(
             quiet=quiet,
         )
         return
-    from fynjax.report._simulate_job import PRODUCTS, run_simulate
+    from fynjax import jobs
 
     run_job(
         "simulate",
-        lambda folder, progress: run_simulate(
+        lambda folder, progress: jobs.simulate(
             plot,
             folder,
             sensor=sensor,
@@ -103,7 +103,7 @@ def simulate(
             pixel=pixel,
             atmosphere=atmosphere,
             noise=noise,
-            products=PRODUCTS if product == Product.both else (product.value,),
+            products=jobs.PRODUCTS if product == Product.both else (product.value,),
             seed=number,
             progress=progress,
         ),

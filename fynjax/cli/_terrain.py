@@ -115,12 +115,12 @@ def terrain(
 
     Example:  fynjax terrain plot.laz --size 66 --output terrain
     """
-    from fynjax.terrain import run_terrain
+    from fynjax import jobs
 
     run_job(
         "terrain",
         lambda folder, progress: _naming_options(
-            run_terrain,
+            jobs.terrain,
             file,
             folder,
             cell=cell,

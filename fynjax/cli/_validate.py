@@ -265,10 +265,10 @@ def validate(
 
     Example:  fynjax validate --real-drone plot.tif --simulated-drone image.tif --output validation
     """
+    from fynjax import jobs
     from fynjax.metrics import WATER_WINDOWS
-    from fynjax.report._validate_job import ValidationData, run_validate
 
-    data = ValidationData(
+    data = jobs.ValidationData(
         real_drone=real_drone,
         simulated_drone=simulated_drone,
         real_spectra=real_spectra or (),
@@ -305,7 +305,7 @@ def validate(
     windows = (*WATER_WINDOWS, *map(_window, exclude or ()))
     run_job(
         "validate",
-        lambda folder, progress: run_validate(
+        lambda folder, progress: jobs.validate(
             data,
             folder,
             real_bands=None if real_bands is None else real_bands.split(","),

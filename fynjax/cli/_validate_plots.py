@@ -48,8 +48,8 @@ def validate_plots(
     Example:  fynjax validate-plots tables --output validation
     """
     check_voxel(size, voxel)
-    from fynjax.report._plots_job import run_validate_plots
-    from fynjax.report._plots_scenes import Resolution
+    from fynjax.studies.bioscape import Resolution
+    from fynjax.studies.bioscape import validate_plots as run_validate_plots
 
     run_job(
         "validate-plots",

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from fynjax.report._validate_drone import DroneComparison
-from fynjax.report._validate_published import PublishedComparison
-from fynjax.report._validate_spectral import SpectralComparison
+from fynjax.compare._drone import DroneComparison
+from fynjax.compare._published import PublishedComparison
+from fynjax.compare._spectral import SpectralComparison
 
 _UNITS = (("_percent", "percent"), ("_deg", "degree"), ("_nm", "nm"), ("_m", "m"))
 

@@ -9,16 +9,15 @@ import pandas as pd
 from jaxtyping import Bool, Float
 
 from fynjax._core.progress import Progress
+from fynjax.compare._images import FEW_PIXELS, DroneImage
+from fynjax.compare._published_tables import bands_2006, table4_2006
 from fynjax.metrics import (
     BANDS,
     VEGETATION_INDICES,
-    bands_2006,
     histogram_intersection,
     ks_distance,
-    table4_2006,
     vegetation_indices,
 )
-from fynjax.report._validate_images import FEW_PIXELS, DroneImage
 
 BINS = 256
 """Bins of a histogram, on the pooled range of both images."""

@@ -19,9 +19,7 @@ from rasterio.windows import Window
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
-from fynjax.io._band_stack import _wavelength
-from fynjax.io._frame import open_raster
-from fynjax.io._rasters import _check_scale
+from fynjax.io.raster import band_wavelength, check_scale, open_raster
 from fynjax.metrics import BANDS
 
 FEW_PIXELS = 30
@@ -152,7 +150,7 @@ def read_drone_image(
             file=path,
         )
     _check_numbers(values[:, used], kind, path)
-    _check_scale(values, used, path)
+    check_scale(values, used, path)
     if used.sum() < FEW_PIXELS:
         warnings.warn(
             f"{path}: {int(used.sum())} pixels are compared, which is too few for distributions; "
@@ -276,7 +274,7 @@ def _find_bands(
     if all(roles.count(band) == 1 for band in BANDS):
         at = [roles.index(band) for band in BANDS]
         return [data[k] for k in at], tuple(labels[k] for k in at), "names"
-    waves = [_wavelength(file, n, "") for n in data]
+    waves = [band_wavelength(file, n, "") for n in data]
     near: dict[str, int] = {}
     for band, (_, (low, high, wanted)) in _KNOWN.items():
         inside = [

@@ -7,13 +7,12 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from fynjax.io import Plot
-from fynjax.io._over_plot import read_over_plot
+from fynjax.io.plot import Plot
+from fynjax.io.raster import read_over_plot
 from fynjax.radiation import VoxelScene
-from fynjax.scene import PlotModel, PlotParameters, height_profile
-from fynjax.scene._model import ground_at
+from fynjax.scene import PlotModel, PlotParameters, ground_at, height_profile
 from fynjax.sensors import LidarBeams, LidarReturns, expected_returns
-from fynjax.sensors._lidar_returns import VEGETATION
+from fynjax.sensors.lidar import VEGETATION
 
 LEVELS = np.arange(5, 100, 5)
 """Percentiles that are compared [%]."""

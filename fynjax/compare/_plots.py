@@ -10,16 +10,12 @@ import pandas as pd
 from jaxtyping import Bool, Float
 from scipy import stats
 
-from fynjax.metrics import (
-    SPECTRAL_REGIONS,
-    misfit_decomposition,
-    spectral_agreement,
-    spectral_mask,
-)
+from fynjax.metrics import SPECTRAL_REGIONS, misfit_decomposition, spectral_agreement, spectral_mask
 
 MODEL, OTHERS, FLAT, FLIGHT = (
     "model", "mean of other plots", "flat spectrum", "another flight",
 )  # fmt: skip
+"""Names of predictors of a plot's spectrum."""
 PREDICTORS = {
     MODEL: "simulated from the plot's tables alone",
     OTHERS: "the mean measured spectrum of all other plots: knows fynbos, not the plot",

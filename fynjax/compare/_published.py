@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-from fynjax.metrics import BANDS, VEGETATION_INDICES, bands_2006, table4_2006, vegetation_indices
-from fynjax.report._validate_images import DroneImage
+from fynjax.compare._images import DroneImage
+from fynjax.compare._published_tables import bands_2006, table4_2006
+from fynjax.metrics import BANDS, VEGETATION_INDICES, vegetation_indices
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Literal
 
-from fynjax.metrics._indices import BANDS, VEGETATION_INDICES
+from fynjax.metrics import BANDS, VEGETATION_INDICES
 
 
 @dataclass(frozen=True)
@@ -167,5 +167,5 @@ def consistent_targets(*, independent: bool = False) -> tuple[Target, ...]:
 
 
 def _read(name: str) -> list[dict[str, str]]:
-    text = (files("fynjax.metrics") / "data" / name).read_text(encoding="utf-8")
+    text = (files("fynjax.compare") / "data" / name).read_text(encoding="utf-8")
     return list(csv.DictReader(text.splitlines()))

@@ -16,13 +16,11 @@ from rasterio.windows import Window
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax._core.spectral import check_wavelength
-from fynjax.io._band_stack import _wavelength
-from fynjax.io._frame import open_raster
-from fynjax.io._spectra import read_usable_spectra
-from fynjax.io._spectra_envi import envi_pair, header_wavelengths, read_header
-from fynjax.io._tables import existing_file
+from fynjax.compare._images import thinning
+from fynjax.io.raster import band_wavelength, open_raster
+from fynjax.io.spectra import envi_pair, header_wavelengths, read_header, read_usable_spectra
+from fynjax.io.text import existing_file
 from fynjax.metrics import WATER_WINDOWS
-from fynjax.report._validate_images import thinning
 
 _RASTERS = (".img", ".bil", ".bip", ".bsq", ".dat", ".tif", ".tiff")
 _NETCDF = {".nc", ".nc4", ".h5", ".hdf5"}
@@ -200,7 +198,7 @@ def _read_cube(path: Path, most: int, progress: Progress, header_path: Path | No
         header = read_header(header_path)
         path = envi_pair(path, _RASTERS, "cube")[1]
     with open_raster(path, "an image cube") as file:
-        waves = [_wavelength(file, n, "") for n in file.indexes]
+        waves = [band_wavelength(file, n, "") for n in file.indexes]
         widths = _tagged_widths(file)
         if header_path is not None and "wavelength" in header:
             found, factor = header_wavelengths(header, header_path)

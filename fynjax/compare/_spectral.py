@@ -8,22 +8,21 @@ import numpy as np
 import pandas as pd
 
 from fynjax._core.errors import InputError
+from fynjax.compare._published_tables import figure12_2006, table5_2006
+from fynjax.compare._spectra import SpectraSample
 from fynjax.metrics import (
     SPECTRAL_REGIONS,
     SPECTROMETER_INDICES,
     WATER_WINDOWS,
+    MatchingMethod,
     Misfit,
     WavelengthMatch,
-    figure12_2006,
     match_wavelengths,
     misfit_decomposition,
     spectral_agreement,
     spectral_mask,
     spectrometer_indices,
-    table5_2006,
 )
-from fynjax.metrics._matching import Method
-from fynjax.report._validate_spectra import SpectraSample
 
 PAPER_SWIR2_MEANS = (0.063, 0.008)
 """Mean reflectance in SWIR2, real and of the paper's simulation, as its text gives them [-]."""
@@ -62,7 +61,7 @@ def compare_spectra(
     real: SpectraSample,
     simulated: SpectraSample,
     *,
-    method: Method = "auto",
+    method: MatchingMethod = "auto",
     windows: Sequence[tuple[float, float]] = WATER_WINDOWS,
 ) -> SpectralComparison:
     """Compare the mean spectra of two sets, by region, and their indices.

@@ -9,11 +9,12 @@ from fynjax.inversion._calibrate import (
     free_space,
     plot_statistics,
 )
-from fynjax.inversion._fit import Forward, fit
+from fynjax.inversion._fit import Forward, evaluate, fit
 from fynjax.inversion._fit_result import SEEN, Data, FitResult
 from fynjax.inversion._information import Information, fisher_information
-from fynjax.inversion._posterior import LogPosterior, sample_posterior
+from fynjax.inversion._posterior import LogPosterior, SamplingMethod, sample_posterior
 from fynjax.inversion._posterior_result import Posterior
+from fynjax.inversion._search import signature
 from fynjax.inversion._sensitivity import (
     DerivativeMeasures,
     LocalSensitivity,
@@ -25,7 +26,9 @@ from fynjax.inversion._sensitivity import (
 from fynjax.inversion._sensor_sweep import SensorSetting, even_bands, sweep_sensors
 from fynjax.inversion._space import PLAUSIBLE, ParameterSpace, make_space, match_names
 from fynjax.inversion._targets import (
+    GAIN,
     IMAGE_STATISTICS,
+    OFFSET,
     join_data,
     weigh_spectrum,
     weigh_structure,
@@ -43,7 +46,9 @@ from fynjax.inversion._views import (
 
 __all__ = [
     "COARSE",
+    "GAIN",
     "IMAGE_STATISTICS",
+    "OFFSET",
     "PLAUSIBLE",
     "SEEN",
     "AbstractView",
@@ -60,6 +65,7 @@ __all__ = [
     "ParameterSpace",
     "PlotForward",
     "Posterior",
+    "SamplingMethod",
     "SensorSetting",
     "SobolIndices",
     "SpectrumView",
@@ -67,6 +73,7 @@ __all__ = [
     "calibrate_plot",
     "coarser",
     "derivative_measures",
+    "evaluate",
     "even_bands",
     "fisher_information",
     "fit",
@@ -77,6 +84,7 @@ __all__ = [
     "match_names",
     "plot_statistics",
     "sample_posterior",
+    "signature",
     "sobol_indices",
     "spectrum_view",
     "structure_view",

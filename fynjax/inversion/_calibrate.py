@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax._core.checkpoint import Journal, keep_nothing
 from fynjax._core.errors import InputError
-from fynjax._core.journal import Journal, keep_nothing
 from fynjax.canopy import VoxelGrid
 from fynjax.inversion._fit import Predict
 from fynjax.inversion._fit_result import Data, FitResult

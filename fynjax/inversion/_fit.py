@@ -16,8 +16,8 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from fynjax._core.checkpoint import Keep, keep_nothing
 from fynjax._core.errors import InputError
-from fynjax._core.journal import Keep, keep_nothing
 from fynjax.inversion._fit_result import Data, FitResult, posterior
 from fynjax.inversion._space import ParameterSpace
 

@@ -21,7 +21,8 @@ from fynjax.inversion._posterior_result import Posterior
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._vectorised import evaluate_many, memory_batch
 
-Method = Literal["emcee", "nuts", "laplace"]
+SamplingMethod = Literal["emcee", "nuts", "laplace"]
+"""How draws from a posterior are made."""
 _WALKERS, _CHAINS = 32, 4
 _FLAT = 0.01
 """Information, in units of the prior's, below which a direction counts as flat."""
@@ -67,7 +68,7 @@ def sample_posterior(
     data: Data,
     space: ParameterSpace,
     *,
-    method: Method = "emcee",
+    method: SamplingMethod = "emcee",
     start: FitResult | None = None,
     offset: Float[Array, " statistic"] | None = None,
     context: tuple[Any, ...] = (),

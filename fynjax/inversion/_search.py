@@ -13,8 +13,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax._core.checkpoint import Keep
 from fynjax._core.errors import InputError
-from fynjax._core.journal import Keep
 from fynjax.inversion._fit import Forward, evaluate, fit
 from fynjax.inversion._fit_result import Data, FitResult
 from fynjax.inversion._space import ParameterSpace

@@ -17,22 +17,17 @@ from jaxtyping import Array, Float
 
 from fynjax.canopy import FORM_DEFAULTS, VoxelGrid, leaf_angle
 from fynjax.inversion._fit import jacobian_by_rows
-from fynjax.metrics import (
-    STRUCTURE_METRICS,
-    StructureSettings,
-    image_statistics,
-    voxel_structure,
-)
+from fynjax.metrics import STRUCTURE_METRICS, StructureSettings, image_statistics, voxel_structure
 from fynjax.radiation import VoxelScene, parallel_rays, reflectance_factor, solve_light
 from fynjax.scene import (
     Camera,
     PlotModel,
     PlotParameters,
     band_wavelengths,
+    leafy_species,
     shipped_covers,
     with_values,
 )
-from fynjax.scene._planting import leafy_species
 from fynjax.sensors import BandSet
 
 SPECTRUM = "spectrum"

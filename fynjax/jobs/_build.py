@@ -14,14 +14,23 @@ import xarray as xr
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.io import Plot, build_plot, provenance, read_plot, write_run, write_text
-from fynjax.io._scene_mesh import scene_meshes, write_scene_mesh
-from fynjax.report._figure_style import save_figure
-from fynjax.report._jobs import _Clock, peak_memory_mib
-from fynjax.report._page import Page
-from fynjax.report._scene_figures import plan_view, profile_view, rgb, species_colours
-from fynjax.report._scene_oblique import oblique_view
-from fynjax.report._scene_view import check_view, mesh_image
+from fynjax.assembly import build_plot
+from fynjax.io.instruments import scene_meshes, write_scene_mesh
+from fynjax.io.plot import Plot, read_plot
+from fynjax.io.raster import provenance, write_run
+from fynjax.io.text import write_text
+from fynjax.jobs._calibrate import _Clock, peak_memory_mib
+from fynjax.report.figures import (
+    check_view,
+    mesh_image,
+    oblique_view,
+    plan_view,
+    profile_view,
+    rgb,
+    save_figure,
+    species_colours,
+)
+from fynjax.report.pages import Page
 from fynjax.scene import (
     Instances,
     PlotModel,
@@ -30,9 +39,9 @@ from fynjax.scene import (
     hard_instances,
     hard_model,
     height_profile,
+    leafy_species,
     projected_cover,
 )
-from fynjax.scene._planting import leafy_species
 
 _VIEW_TRIANGLES = 20_000_000
 _COVER_HEADERS = {
@@ -44,7 +53,7 @@ _COVER_HEADERS = {
 }
 
 
-def run_build(
+def build(
     plot: str | Path,
     output: Path,
     *,

@@ -15,24 +15,18 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.inversion import (
-    ImageView,
-    calibrate_plot,
-    free_space,
-    join_data,
-    weigh_targets,
-)
-from fynjax.io import Plot, example_folder, provenance, read_plot
-from fynjax.io._build import build_plot
-from fynjax.io._plot_sensor import drone_bands
-from fynjax.metrics import BANDS, bands_2006, consistent_targets, table4_2006
-from fynjax.report._calibrate_targets import Measured, read_targets
-from fynjax.report._run_files import calibration_files, render_files
-from fynjax.report._run_tables import Reference
+from fynjax.assembly import Measured, build_plot, read_targets
+from fynjax.compare import bands_2006, consistent_targets, table4_2006
+from fynjax.inversion import ImageView, calibrate_plot, free_space, join_data, weigh_targets
+from fynjax.io.plot import Plot, drone_bands, example_folder, read_plot
+from fynjax.io.raster import provenance
+from fynjax.jobs._run_files import calibration_files, render_files
+from fynjax.jobs._run_tables import Reference
+from fynjax.metrics import BANDS
 from fynjax.scene import PlotModel, PlotParameters
 
 
-def run_render(
+def render(
     plot: Path, output: Path, *, seed: int, progress: Progress | None = None
 ) -> dict[str, Any]:
     """Render a plot file's image into `output`: GeoTIFF, NetCDF, figures and a page."""
@@ -64,7 +58,7 @@ def run_render(
     }
 
 
-def run_calibrate(
+def calibrate(
     plot: Path,
     targets: Path | Sequence[Path],
     output: Path,
@@ -94,7 +88,7 @@ def run_calibrate(
     )
 
 
-def run_demo(output: Path, *, seed: int, progress: Progress | None = None) -> dict[str, Any]:
+def demo(output: Path, *, seed: int, progress: Progress | None = None) -> dict[str, Any]:
     """Calibrate the shipped 2006 plot to the published statistics of its real drone image."""
     read = read_plot(example_folder() / "plot.toml")
     known = {t.key: t.value for t in consistent_targets()}

@@ -7,19 +7,20 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
+from fynjax import leaf
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
-from fynjax.io._leaf_results import (
-    draw_fit,
+from fynjax.io.spectra import (
+    Spectrum,
+    note,
     posterior_dataset,
+    read_usable_spectra,
     species_table,
     spectra_dataset,
     traits_table,
     write_leaf_netcdf,
     write_traits_csv,
 )
-from fynjax.io._spectra import read_usable_spectra
-from fynjax.io._spectra_record import Spectrum, note
 from fynjax.leaf import (
     LARGEST_JUMP,
     AbstractMeasurement,
@@ -29,10 +30,10 @@ from fynjax.leaf import (
     LeafStack,
     ProspectVersion,
     correct_detector_jumps,
-    fit_leaf,
     fit_leaf_groups,
     sample_leaf_posterior,
 )
+from fynjax.report.figures import leaf_fit_figure, save_figure
 
 MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
     "sphere": IntegratingSphere,
@@ -109,7 +110,7 @@ def _on_grid(spectrum: Spectrum, values: np.ndarray | None) -> np.ndarray:
     return np.where(gap <= 25.0, result, np.nan)
 
 
-def run_fit_leaf(
+def fit_leaf(
     paths: Sequence[str | Path],
     output: str | Path,
     *,
@@ -178,7 +179,7 @@ def run_fit_leaf(
     if groups is not None:
         together = fit_leaf_groups(_GRID, r, t, groups=_read_groups(groups, names), **options)
         written["species.csv"] = "mean leaf and material variants of each species"
-    fit = fit_leaf(_GRID, r, t, progress=progress, **options) if together is None else (
+    fit = leaf.fit_leaf(_GRID, r, t, progress=progress, **options) if together is None else (
         together.leaves)  # fmt: skip
     settings = {
         "prospect_version": version,
@@ -202,7 +203,7 @@ def run_fit_leaf(
     write_traits_csv(table, folder / "traits.csv")
     if together is not None:
         write_traits_csv(species_table(together, seed), folder / "species.csv")
-    draw_fit(fit, names, folder / "spectra.png")
+    save_figure(leaf_fit_figure(fit, names), folder / "spectra.png")
     good = sum(status == "converged" for status in fit.status)
     headline = [f"{good} of {len(spectra)} spectra fitted without doubt."]
     if good < len(spectra):

@@ -8,16 +8,16 @@ import numpy as np
 import pandas as pd
 
 from fynjax._core.progress import NullProgress, Progress
+from fynjax.assembly import prepare, shown_unit
 from fynjax.inversion import Information, SensorSetting, even_bands, sweep_sensors
-from fynjax.io import provenance, write_text
-from fynjax.report._figure_style import save_figure
-from fynjax.report._figures_posterior import bound_plot, short_name
-from fynjax.report._jobs import peak_memory_mib
-from fynjax.report._page import Page
-from fynjax.report._plot_forward import prepare, shown_unit
+from fynjax.io.raster import provenance
+from fynjax.io.text import write_text
+from fynjax.jobs._calibrate import peak_memory_mib
+from fynjax.report.figures import bound_plot, save_figure, short_name
+from fynjax.report.pages import Page
 
 
-def run_information(
+def information(
     plot: Path,
     output: Path,
     *,

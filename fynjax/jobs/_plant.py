@@ -24,13 +24,9 @@ from fynjax.canopy import (
     read_scan,
     table1_2006,
 )
-from fynjax.canopy._mesh_names import organ_of_name
-from fynjax.canopy._mesh_read import default_up
-from fynjax.io._strict import Strict
-from fynjax.io._tables import existing_file, read_rows
-from fynjax.io._validate import did_you_mean
-from fynjax.report._figure_style import save_figure
-from fynjax.report._plant_figure import plant_figure
+from fynjax.canopy.mesh import default_up, organ_of_name
+from fynjax.io.text import Strict, did_you_mean, existing_file, read_rows
+from fynjax.report.figures import plant_figure, save_figure
 
 _MESHES = (".obj", ".ply", ".stl", ".glb", ".gltf")
 _SCANS = (".xyz", ".csv", ".txt")
@@ -58,7 +54,7 @@ class MaterialRow(Strict):
     solid: bool | None = Field(None, description="yes, no or nothing")
 
 
-def run_plant(
+def plant(
     source: str,
     output: str | Path,
     *,

@@ -15,6 +15,15 @@ import pandas as pd
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.progress import NullProgress, Progress
+from fynjax.assembly import (
+    STRIDE,
+    Prepared,
+    batch_for_device,
+    parameter_columns,
+    prepare,
+    read_targets,
+    shown_unit,
+)
 from fynjax.inversion import (
     AbstractView,
     Data,
@@ -22,28 +31,23 @@ from fynjax.inversion import (
     ParameterSpace,
     PlotForward,
     Posterior,
+    SamplingMethod,
     calibrate_plot,
     join_data,
     sample_posterior,
 )
-from fynjax.inversion._posterior import Method
-from fynjax.io import provenance, read_plot, write_text
-from fynjax.io._atomic import atomic_path
-from fynjax.io._netcdf import file_hash
-from fynjax.report._calibrate_targets import read_targets
-from fynjax.report._figure_style import save_figure
-from fynjax.report._figures_fit import parameter_plot
-from fynjax.report._figures_posterior import corner_plot, predictive_plot, short_name
-from fynjax.report._jobs import peak_memory_mib
-from fynjax.report._page import Page
-from fynjax.report._plot_forward import (
-    STRIDE,
-    Prepared,
-    batch_for_device,
-    parameter_columns,
-    prepare,
-    shown_unit,
+from fynjax.io.plot import read_plot
+from fynjax.io.raster import file_hash, provenance
+from fynjax.io.text import atomic_path, write_text
+from fynjax.jobs._calibrate import peak_memory_mib
+from fynjax.report.figures import (
+    corner_plot,
+    parameter_plot,
+    predictive_plot,
+    save_figure,
+    short_name,
 )
+from fynjax.report.pages import Page
 
 _ARRAYS = tuple(
     f.name
@@ -52,12 +56,12 @@ _ARRAYS = tuple(
 )
 
 
-def run_posterior(
+def posterior(
     plot: Path,
     targets: Path | Sequence[Path],
     output: Path,
     *,
-    method: Method = "emcee",
+    method: SamplingMethod = "emcee",
     free: Sequence[str] | None = None,
     target_size: float = 400.0,
     max_steps: int = 5000,
@@ -70,7 +74,7 @@ def run_posterior(
     The plot is calibrated first. The sampling renders as the calibration's search does, corrected
     by what that lacked at the estimate; errors of the statistics hold what other plantings change.
 
-    **Arguments:** `targets`, as `run_calibrate` takes them; `free`, patterns that replace those of
+    **Arguments:** `targets`, as `calibrate` takes them; `free`, patterns that replace those of
     the plot file; `target_size`, effective draws; `checkpoint`, a folder that keeps the calibration
     and the chain: an interrupted run goes on from it. Writes posterior.nc, parameters.csv, figures
     and a page.

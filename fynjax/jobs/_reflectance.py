@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.io import provenance, write_text
-from fynjax.io._products import Cube, write_cube_geotiff
-from fynjax.io._rededge import (
+from fynjax.io.micasense import (
     AlignedCapture,
     Capture,
+    PanelSeen,
     aligned_radiance,
     find_captures,
+    panel_reflectance,
     read_capture,
+    read_panel,
     same_capture,
 )
-from fynjax.io._rededge_panel import PanelSeen, panel_reflectance, read_panel
-from fynjax.report._figure_style import save_figure
-from fynjax.report._reflectance_figures import capture_figure, panel_figure
-from fynjax.report._reflectance_record import (
+from fynjax.io.raster import Cube, provenance, write_cube_geotiff
+from fynjax.io.text import write_text
+from fynjax.jobs._reflectance_record import (
     calibration_table,
     panel_sentences,
     sentence_of,
@@ -32,13 +32,14 @@ from fynjax.report._reflectance_record import (
     told_of_panel,
     warnings_of,
 )
+from fynjax.report.figures import capture_figure, panel_figure, save_figure
 from fynjax.sensors import EmpiricalLine, empirical_line, irradiance_line, one_panel_line
 
 LIGHTS = ("panel", "sensor", "both")
 """Where the light comes from that reflectance is relative to."""
 
 
-def run_reflectance(
+def reflectance(
     images: Sequence[str | Path],
     output: str | Path,
     *,

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fynjax.io._products import Cube
-from fynjax.io._rededge import AlignedCapture, Capture
-from fynjax.io._rededge_panel import PanelSeen
+from fynjax.io.micasense import AlignedCapture, Capture, PanelSeen
+from fynjax.io.raster import Cube
 from fynjax.sensors import EmpiricalLine
 
 

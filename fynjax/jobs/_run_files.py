@@ -9,21 +9,12 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from fynjax.assembly import Measured
 from fynjax.inversion import Calibration
-from fynjax.io import Plot, image_array, write_geotiff, write_run, write_text
-from fynjax.io._plot_place import plot_place
-from fynjax.metrics import BANDS, VEGETATION_INDICES, vegetation_indices
-from fynjax.report._calibrate_targets import Measured
-from fynjax.report._figure_style import save_figure
-from fynjax.report._figures_fit import (
-    constraint_plot,
-    convergence_plot,
-    error_bars,
-    parameter_plot,
-)
-from fynjax.report._figures_image import composites, index_histograms
-from fynjax.report._page import Page
-from fynjax.report._run_tables import (
+from fynjax.io.plot import Plot, plot_place
+from fynjax.io.raster import image_array, write_geotiff, write_run
+from fynjax.io.text import write_text
+from fynjax.jobs._run_tables import (
     Reference,
     calibration_dataset,
     largest_errors,
@@ -31,7 +22,17 @@ from fynjax.report._run_tables import (
     plant_counts,
     statistic_table,
 )
-from fynjax.report._sensor_sections import sensor_figure, sensor_headline, sensor_section
+from fynjax.metrics import BANDS, VEGETATION_INDICES, vegetation_indices
+from fynjax.report.figures import (
+    composites,
+    constraint_plot,
+    convergence_plot,
+    error_bars,
+    index_histograms,
+    parameter_plot,
+    save_figure,
+)
+from fynjax.report.pages import Page, sensor_figure, sensor_headline, sensor_section
 from fynjax.scene import PlotModel
 
 Record = Mapping[str, str | int]

@@ -8,23 +8,20 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from fynjax.assembly import shown_unit
 from fynjax.inversion import Calibration, ImageView
-from fynjax.io import Plot, image_array
+from fynjax.io.plot import Plot
+from fynjax.io.raster import image_array
 from fynjax.metrics import BANDS, image_statistics
 from fynjax.scene import PlotModel, named_values, parameter_units
-
-# Shown as fields crews write them: unit in the table -> factor.
-_SHOWN_UNITS = {"cover": ("%", 100.0), "diameter": ("cm", 100.0)}
 
 
 def parameter_table(calibration: Calibration) -> pd.DataFrame:
     """Every free parameter: prior, estimate, and how far the data pinned it down."""
     fit = calibration.fit
-    units = parameter_units()
     rows = []
     for i, name in enumerate(fit.names):
-        kind = name.rsplit(".", 1)[-1]
-        unit, factor = _SHOWN_UNITS.get(kind, (units[kind], 1.0))
+        kind, unit, factor = shown_unit(name)
         rows.append(
             {
                 "name": name,

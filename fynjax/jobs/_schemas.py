@@ -1,6 +1,6 @@
 """JSON Schemas of the files a user meets, made from the models.
 
-`python -m fynjax.io._schemas` writes them to `data_schemas/` of the checkout.
+`python -m fynjax.jobs._schemas` writes them to `data_schemas/` of the checkout.
 """
 
 import json
@@ -10,19 +10,18 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from fynjax.io._atomic import write_text
-from fynjax.io._lidar_file import LidarFile
-from fynjax.io._plot_tables import PlotFile
-from fynjax.io._run_summary import RunSummary
-from fynjax.io._sensor_tables import BandRow, CurveRow, NoiseRow, SensorFile
-from fynjax.io._table_rows import (
+from fynjax.io.instruments import BandRow, CurveRow, LidarFile, NoiseRow, SensorFile
+from fynjax.io.plot import (
     LeafRow,
     ParameterRow,
+    PlotFile,
     SkyRow,
     SpeciesRow,
     StatisticRow,
     StructureRow,
 )
+from fynjax.io.text import write_text
+from fynjax.jobs._summary import RunSummary
 
 SCHEMAS: dict[str, type[BaseModel]] = {
     "plot": PlotFile,

@@ -10,6 +10,7 @@ import pandas as pd
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.progress import NullProgress, Progress
+from fynjax.assembly import STRIDE, batch_for_device, prepare, shown_unit
 from fynjax.inversion import (
     DerivativeMeasures,
     SobolIndices,
@@ -18,19 +19,18 @@ from fynjax.inversion import (
     plot_statistics,
     sobol_indices,
 )
-from fynjax.io import provenance, write_text
+from fynjax.io.raster import provenance
+from fynjax.io.text import write_text
+from fynjax.jobs._calibrate import peak_memory_mib
 from fynjax.metrics import check_statistics
-from fynjax.report._figure_style import save_figure
-from fynjax.report._figures_posterior import indices_plot, short_name, tornado_plot
-from fynjax.report._jobs import peak_memory_mib
-from fynjax.report._page import Page
-from fynjax.report._plot_forward import STRIDE, batch_for_device, prepare, shown_unit
+from fynjax.report.figures import indices_plot, save_figure, short_name, tornado_plot
+from fynjax.report.pages import Page
 
 METRICS = ("red.mean", "nir.mean", "NDVI.mean", "NDVI.std")
 """Metrics of a run that names none."""
 
 
-def run_sensitivity(
+def sensitivity(
     plot: Path,
     output: Path,
     *,

@@ -12,31 +12,32 @@ import numpy as np
 
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.io import Plot, load_sensor, provenance, read_plot, write_text
-from fynjax.io._plot import Air
-from fynjax.io._plot_place import Place, plot_place
-from fynjax.io._plot_sensing import build_sensing
-from fynjax.io._products import Cube, write_cube_envi, write_cube_geotiff, write_cubes_netcdf
-from fynjax.report._figure_style import save_figure
-from fynjax.report._jobs import _Clock, peak_memory_mib
-from fynjax.report._page import Page
-from fynjax.report._simulate_figures import quick_looks, spectrum_figure
-from fynjax.report._simulate_record import (
-    is_reduced,
-    run_record,
-    short_record,
-    warnings_of,
+from fynjax.assembly import build_sensing
+from fynjax.io.instruments import load_sensor
+from fynjax.io.plot import Air, Place, Plot, plot_place, read_plot
+from fynjax.io.raster import (
+    Cube,
+    provenance,
+    write_cube_envi,
+    write_cube_geotiff,
+    write_cubes_netcdf,
 )
+from fynjax.io.text import write_text
+from fynjax.jobs._calibrate import _Clock, peak_memory_mib
+from fynjax.jobs._simulate_record import is_reduced, run_record, short_record, warnings_of
+from fynjax.report.figures import quick_looks, save_figure, spectrum_figure
+from fynjax.report.pages import Page
 from fynjax.scene import Observation, PlotParameters, PlotSensing
 from fynjax.sensors import Sensor
 
 AIR_MODELS = ("table", "clear-sky", "none")
 """What an atmosphere may be named by, instead of a file."""
 PRODUCTS = ("reflectance", "radiance")
+"""Image products that can be written."""
 _ONE_BAND = 860.0  # nm, of the band that the time of all is compared with
 
 
-def run_simulate(
+def simulate(
     plot: str | Path,
     output: Path,
     *,

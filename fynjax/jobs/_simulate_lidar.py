@@ -14,24 +14,16 @@ import xarray as xr
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.io import (
-    Plot,
-    build_plot,
-    load_lidar,
-    provenance,
-    read_plot,
-    write_cloud,
-    write_run,
-    write_text,
-)
-from fynjax.io._build_ground import cover_spectra, soil_spectra
-from fynjax.io._plot_place import plot_place
+from fynjax.assembly import build_plot, cover_spectra, soil_spectra
+from fynjax.compare import Heights, compare_heights, lowest_ground
+from fynjax.io.instruments import load_lidar, write_cloud
+from fynjax.io.plot import Plot, plot_place, read_plot
+from fynjax.io.raster import provenance, write_run
+from fynjax.io.text import write_text
+from fynjax.jobs._calibrate import _Clock, peak_memory_mib
 from fynjax.radiation import VoxelScene
-from fynjax.report._figure_style import save_figure
-from fynjax.report._jobs import _Clock, peak_memory_mib
-from fynjax.report._lidar_figures import profile_view, side_view
-from fynjax.report._lidar_heights import Heights, compare_heights, lowest_ground
-from fynjax.report._page import Page
+from fynjax.report.figures import height_profiles, save_figure, side_view
+from fynjax.report.pages import Page
 from fynjax.scene import Camera, PlotModel, band_wavelengths, hard_model
 from fynjax.sensors import (
     Lidar,
@@ -42,10 +34,10 @@ from fynjax.sensors import (
     lidar_waveforms,
     received_electrons,
 )
-from fynjax.sensors._lidar_returns import GROUND
+from fynjax.sensors.lidar import GROUND
 
 
-def run_lidar(
+def simulate_lidar(
     plot: str | Path,
     sensor: str | Path | Lidar,
     folder: Path,
@@ -119,7 +111,7 @@ def run_lidar(
         title = f"{read.name}, {lidar.name}"
         side = side_view(returns, compared.height, read.size_m, title=title)
         save_figure(side, folder / "cloud.png")
-        save_figure(profile_view(compared), folder / "profile.png")
+        save_figure(height_profiles(compared), folder / "profile.png")
     seconds["total"] = time.perf_counter() - began
     _page(folder, read, lidar, summary, compared, seconds, record)
     files = {

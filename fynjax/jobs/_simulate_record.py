@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fynjax.io import Plot
-from fynjax.io._plot import Air
-from fynjax.io._plot_sensor import optical_pixel
+from fynjax.io.plot import Air, Plot, optical_pixel
 from fynjax.scene import Observation, PlotAir, PlotSensing
 from fynjax.sensors import OrthographicCamera, Sensor, frame_of
 

@@ -8,19 +8,29 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.io._rasters import write_geotiff
-from fynjax.terrain._cloud import PointCloud, read_cloud
-from fynjax.terrain._files import middle_of_raster, read_filled, write_mesh, write_terrain
-from fynjax.terrain._filter import TOLERANCE, WINDOW, GroundMethod, find_ground
-from fynjax.terrain._picture import write_picture
-from fynjax.terrain._raster import Terrain, whole_cells
-from fynjax.terrain._surface import (
+from fynjax.io.raster import write_geotiff
+from fynjax.report.figures import write_picture
+from fynjax.terrain import (
+    TOLERANCE,
+    WINDOW,
+    Bounds,
+    GroundMethod,
+    PointCloud,
+    Terrain,
     canopy_height,
+    check_bounds,
     check_covered,
+    check_positive,
+    find_ground,
     heights_above_ground,
+    middle_of_raster,
+    read_cloud,
+    read_filled,
     terrain_from_points,
+    whole_cells,
+    write_mesh,
+    write_terrain,
 )
-from fynjax.terrain._units import Bounds, check_bounds, check_positive
 
 _RASTERS = (".tif", ".tiff", ".img", ".vrt", ".asc")
 # Points all through a layer as thick as the tolerance scatter by 0.29 of it about their mean.
@@ -30,7 +40,7 @@ _AROUND = 10.0
 """Points this far around the plot [m] are kept: the filter is worst at the edge of what it sees."""
 
 
-def run_terrain(
+def terrain(
     path: str | Path,
     output: str | Path,
     *,

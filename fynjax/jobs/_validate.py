@@ -9,16 +9,25 @@ import pandas as pd
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.io import provenance, write_run, write_text
-from fynjax.io._tables import existing_file
-from fynjax.metrics import WATER_WINDOWS
-from fynjax.metrics._matching import Method
-from fynjax.report._page import Page
-from fynjax.report._validate_dataset import records, validation_dataset
-from fynjax.report._validate_drone import DroneComparison, compare_drone_images
-from fynjax.report._validate_images import read_drone_image
-from fynjax.report._validate_page import (
+from fynjax.compare import (
+    DroneComparison,
+    PublishedComparison,
+    SpectralComparison,
+    compare_drone_images,
+    compare_spectra,
+    compare_with_published,
+    read_drone_image,
+    read_spectra_sample,
+    records,
+    validation_dataset,
+    wins,
+)
+from fynjax.io.raster import provenance, write_run
+from fynjax.io.text import existing_file, write_text
+from fynjax.metrics import WATER_WINDOWS, MatchingMethod
+from fynjax.report.pages import (
     Files,
+    Page,
     drone_headline,
     drone_section,
     published_section,
@@ -26,9 +35,6 @@ from fynjax.report._validate_page import (
     spectral_section,
     told,
 )
-from fynjax.report._validate_published import PublishedComparison, compare_with_published, wins
-from fynjax.report._validate_spectra import read_spectra_sample
-from fynjax.report._validate_spectral import SpectralComparison, compare_spectra
 
 PUBLISHED = "published"
 """Stands for the paper's real drone image, of which only statistics are printed."""
@@ -83,7 +89,7 @@ class ValidationData:
         return found
 
 
-def run_validate(
+def validate(
     data: ValidationData,
     output: str | Path,
     *,
@@ -91,7 +97,7 @@ def run_validate(
     simulated_bands: Sequence[str] | None = None,
     saturation: float | None = None,
     most_pixels: int = 1_000_000,
-    matching: Method = "auto",
+    matching: MatchingMethod = "auto",
     windows: Sequence[tuple[float, float]] = WATER_WINDOWS,
     structure_preset: str | None = None,
     cloud_options: Mapping[str, Any] | None = None,
@@ -154,8 +160,7 @@ def _structure(
 ) -> Any | None:
     if not (data.real_cloud and data.simulated_cloud):
         return None
-    from fynjax.report._structure_job import compare_clouds
-    from fynjax.report._validate_clouds import cloud_settings
+    from fynjax.compare.structure import cloud_settings, compare_clouds
 
     return compare_clouds(
         data.real_cloud,
@@ -212,7 +217,7 @@ def _write(
         write_run(output / "validation.nc", validation_dataset(drone, spectra), record)
         files["validation.nc"] = "every number, NetCDF"
     if structure is not None:
-        from fynjax.report._validate_structure import structure_headline, structure_section
+        from fynjax.report.pages import structure_headline, structure_section
 
         files |= structure_section(page, output, structure, record)
         headline += structure_headline(structure)

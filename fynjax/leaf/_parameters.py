@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax._core.math import real_array
+
 # Largest values that can still be meant in the field's unit; the likely slip when exceeded.
 _PLAUSIBLE: dict[str, tuple[float, float, str]] = {
     "structure": (0.5, 20.0, "it is the number of layers, usually 1 to 3"),
@@ -21,12 +23,6 @@ _PLAUSIBLE: dict[str, tuple[float, float, str]] = {
     "proteins": (0.0, 1.0, "it is in g/cm2: was mg/cm2 or a percentage given?"),
     "carbon_constituents": (0.0, 1.0, "it is in g/cm2: was mg/cm2 or a percentage given?"),
 }
-
-
-def _real(value: Any) -> Array:
-    array = jnp.asarray(value)
-    # A Python number stays weakly typed, so that it does not lift float32 leaves to float64.
-    return array if jnp.issubdtype(array.dtype, jnp.floating) else array * 1.0
 
 
 class LeafParameters(eqx.Module):
@@ -42,23 +38,23 @@ class LeafParameters(eqx.Module):
     `jit`), one that is negative, not finite, or so large that its unit must be wrong.
     """
 
-    structure: Float[Array, ""] = eqx.field(converter=_real, default=1.5)
+    structure: Float[Array, ""] = eqx.field(converter=real_array, default=1.5)
     """Structure parameter N, the number of elementary layers [-]; 1 to 3, valid from 0.5."""
-    chlorophyll: Float[Array, ""] = eqx.field(converter=_real, default=40.0)
+    chlorophyll: Float[Array, ""] = eqx.field(converter=real_array, default=40.0)
     """Chlorophyll a+b content, Cab [µg/cm2]; 0 to 120."""
-    carotenoids: Float[Array, ""] = eqx.field(converter=_real, default=8.0)
+    carotenoids: Float[Array, ""] = eqx.field(converter=real_array, default=8.0)
     """Carotenoid content, Car [µg/cm2]; 0 to 30."""
-    anthocyanins: Float[Array, ""] = eqx.field(converter=_real, default=0.0)
+    anthocyanins: Float[Array, ""] = eqx.field(converter=real_array, default=0.0)
     """Anthocyanin content, Ant [µg/cm2]; 0 to 40."""
-    brown_pigments: Float[Array, ""] = eqx.field(converter=_real, default=0.0)
+    brown_pigments: Float[Array, ""] = eqx.field(converter=real_array, default=0.0)
     """Brown pigments, Cbrown [-]; 0 in a green leaf, about 1 in a dead one."""
-    water: Float[Array, ""] = eqx.field(converter=_real, default=0.01)
+    water: Float[Array, ""] = eqx.field(converter=real_array, default=0.01)
     """Equivalent water thickness, EWT or Cw [cm = g/cm2]; 0 to 0.06."""
-    dry_matter: Float[Array, ""] = eqx.field(converter=_real, default=0.009)
+    dry_matter: Float[Array, ""] = eqx.field(converter=real_array, default=0.009)
     """Dry matter per leaf area, LMA or Cm [g/cm2]; 0.001 to 0.04."""
-    proteins: Float[Array, ""] = eqx.field(converter=_real, default=0.001)
+    proteins: Float[Array, ""] = eqx.field(converter=real_array, default=0.001)
     """Protein content [g/cm2]; 0 to 0.003."""
-    carbon_constituents: Float[Array, ""] = eqx.field(converter=_real, default=0.008)
+    carbon_constituents: Float[Array, ""] = eqx.field(converter=real_array, default=0.008)
     """Carbon-based constituents: cellulose, lignin, starch, sugars, CBC [g/cm2]; 0 to 0.037."""
 
     def __check_init__(self) -> None:
@@ -92,6 +88,6 @@ class LeafParameters(eqx.Module):
         if unknown:
             raise TypeError(f"`LeafParameters` has no field {sorted(unknown)[0]!r}")
         defaults = {f.name: f.default for f in dataclasses.fields(LeafParameters)}
-        values = [_real(fields.get(name, default)) for name, default in defaults.items()]
+        values = [real_array(fields.get(name, default)) for name, default in defaults.items()]
         columns = jnp.broadcast_arrays(*jnp.atleast_1d(*values))
         return jax.vmap(LeafParameters)(*columns)

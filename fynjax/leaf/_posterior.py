@@ -18,14 +18,7 @@ from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel
 from fynjax.leaf._fit import describe, solve_leaves, trait_variance
 from fynjax.leaf._measurement import AbstractMeasurement
-from fynjax.leaf._problem import (
-    FitDomain,
-    Setup,
-    binned_data,
-    leaf_priors,
-    make_setup,
-    usable_bins,
-)
+from fynjax.leaf._problem import FitDomain, Setup, binned_data, leaf_priors, make_setup, usable_bins
 
 _WALKERS, _CHAINS = 32, 4
 

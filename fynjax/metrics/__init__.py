@@ -18,20 +18,13 @@ from fynjax.metrics._indices import (
     smooth_vegetation_indices,
     vegetation_indices,
 )
-from fynjax.metrics._matching import MATCHING_METHODS, WavelengthMatch, match_wavelengths
-from fynjax.metrics._misfit import Misfit, misfit_decomposition
-from fynjax.metrics._reference import (
-    BandReference,
-    Figure12Row,
-    Table4Row,
-    Table5Row,
-    Target,
-    bands_2006,
-    consistent_targets,
-    figure12_2006,
-    table4_2006,
-    table5_2006,
+from fynjax.metrics._matching import (
+    MATCHING_METHODS,
+    MatchingMethod,
+    WavelengthMatch,
+    match_wavelengths,
 )
+from fynjax.metrics._misfit import Misfit, misfit_decomposition
 from fynjax.metrics._spectral import (
     SPECTRAL_REGIONS,
     WATER_WINDOWS,
@@ -51,36 +44,29 @@ from fynjax.metrics._spectrometer_indices import (
     spectrometer_indices,
 )
 from fynjax.metrics._statistics import check_statistics, image_statistics
-from fynjax.metrics._structure import (
+from fynjax.metrics.structure import (
+    STRUCTURE_METRICS,
+    STRUCTURE_PRESETS,
     BinnedReturns,
     CellGrid,
     CellStructure,
+    GrainCheck,
+    SmoothStructure,
+    StructureSettings,
     bin_returns,
+    bootstrap_interval,
     cell_grid,
     cell_structure,
-)
-from fynjax.metrics._structure_compare import (
-    GrainCheck,
-    bootstrap_interval,
     central_interval,
     choose_grain,
+    foliage_height_diversity,
     height_intersection,
+    height_percentile_rmse,
     height_percentiles,
     height_shares,
-    thinnings,
-)
-from fynjax.metrics._structure_profile import foliage_height_diversity
-from fynjax.metrics._structure_reference import PublishedStructure, structure_2006
-from fynjax.metrics._structure_settings import (
-    STRUCTURE_METRICS,
-    STRUCTURE_PRESETS,
-    StructureSettings,
-)
-from fynjax.metrics._structure_smooth import (
-    SmoothStructure,
-    height_percentile_rmse,
     smooth_cell_structure,
     smooth_height_intersection,
+    thinnings,
     voxel_structure,
 )
 
@@ -94,24 +80,18 @@ __all__ = [
     "STRUCTURE_PRESETS",
     "VEGETATION_INDICES",
     "WATER_WINDOWS",
-    "BandReference",
     "BinnedReturns",
     "CellGrid",
     "CellStructure",
-    "Figure12Row",
     "GrainCheck",
+    "MatchingMethod",
     "Misfit",
-    "PublishedStructure",
     "SmoothStructure",
     "SpectralAgreement",
     "SpectrometerIndex",
     "StructureSettings",
-    "Table4Row",
-    "Table5Row",
-    "Target",
     "VegetationIndex",
     "WavelengthMatch",
-    "bands_2006",
     "bin_returns",
     "bootstrap_interval",
     "cell_grid",
@@ -119,8 +99,6 @@ __all__ = [
     "central_interval",
     "check_statistics",
     "choose_grain",
-    "consistent_targets",
-    "figure12_2006",
     "foliage_height_diversity",
     "height_intersection",
     "height_percentile_rmse",
@@ -148,9 +126,6 @@ __all__ = [
     "spectral_mask",
     "spectrometer_indices",
     "standard_deviation",
-    "structure_2006",
-    "table4_2006",
-    "table5_2006",
     "thinnings",
     "vegetation_indices",
     "voxel_structure",

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from fynjax._core.errors import InputError
 from fynjax._core.spectral import check_wavelength, gaussian_matrix
 
-Method = Literal["auto", "nearest", "linear", "response"]
+MatchingMethod = Literal["auto", "nearest", "linear", "response"]
+"""How two spectra are brought onto one set of bands."""
 
 MATCHING_METHODS: tuple[str, ...] = ("auto", "nearest", "linear", "response")
 """How the finer of two spectra is brought onto the bands of the coarser one."""
@@ -41,7 +42,7 @@ def match_wavelengths(
     *,
     real_fwhm: ArrayLike | None = None,
     simulated_fwhm: ArrayLike | None = None,
-    method: Method = "auto",
+    method: MatchingMethod = "auto",
 ) -> WavelengthMatch:
     """Bring two wavelength grids together.
 

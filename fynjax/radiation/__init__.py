@@ -8,6 +8,7 @@ from fynjax.radiation._multiple import DiffuseField
 from fynjax.radiation._phase import area_scattering
 from fynjax.radiation._rays import (
     AbstractRays,
+    Lattice,
     RayField,
     RayLattice,
     nadir_rays,
@@ -31,6 +32,7 @@ __all__ = [
     "DiffuseField",
     "Fluxes",
     "Illumination",
+    "Lattice",
     "Light",
     "OpticalClasses",
     "RahmanPintyVerstraete",

@@ -12,12 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from fynjax.radiation._blocks import block_mean, spread, upsample
-from fynjax.radiation._multiple import (
-    Bands,
-    DiffuseField,
-    prepare_transport,
-    relative_size,
-)
+from fynjax.radiation._multiple import Bands, DiffuseField, prepare_transport, relative_size
 from fynjax.radiation._ordinates import Ordinates
 from fynjax.radiation._scene import VoxelScene
 from fynjax.radiation._sun import SunField

@@ -20,14 +20,7 @@ from fynjax._core.errors import InputError
 from fynjax.radiation._check import check_scene, check_whole, concrete, default_rim
 from fynjax.radiation._image import Radiance
 from fynjax.radiation._rays import RayLattice
-from fynjax.radiation._render import (
-    Accuracy,
-    check_fit,
-    pieces,
-    render,
-    solve_light,
-    sun_margin,
-)
+from fynjax.radiation._render import Accuracy, check_fit, pieces, render, solve_light, sun_margin
 from fynjax.radiation._scene import VoxelScene
 
 

@@ -3,7 +3,7 @@
 from fynjax.scene._cover import ProjectedCover, crown_centres, projected_cover
 from fynjax.scene._ground import COVERS, ground_shares, random_patches
 from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_model
-from fynjax.scene._model import Camera, PlotModel, band_wavelengths, build_model, replant
+from fynjax.scene._model import Camera, PlotModel, band_wavelengths, build_model, ground_at, replant
 from fynjax.scene._parameters import (
     LEAF_FIELDS,
     GroundParameters,
@@ -14,7 +14,7 @@ from fynjax.scene._parameters import (
     parameter_units,
     with_values,
 )
-from fynjax.scene._planting import Planting, draw_planting
+from fynjax.scene._planting import Planting, draw_planting, element_count, leafy_species
 from fynjax.scene._profile import height_profile
 from fynjax.scene._sensing import Observation, PlotAir, PlotSensing, plot_sensing
 from fynjax.scene._spectra import background_spectrum, shipped_covers
@@ -39,11 +39,14 @@ __all__ = [
     "build_model",
     "crown_centres",
     "draw_planting",
+    "element_count",
+    "ground_at",
     "ground_shares",
     "hard_counts",
     "hard_instances",
     "hard_model",
     "height_profile",
+    "leafy_species",
     "named_values",
     "parameter_units",
     "plot_sensing",

@@ -41,7 +41,7 @@ from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._planting import Planting, draw_planting, leafy_species, no_plants
 from fynjax.scene._spectra import background_spectrum, shipped_covers
 from fynjax.sensors import BandSet
-from fynjax.sensors._sky import clear_sky_diffuse_fraction
+from fynjax.sensors.air import clear_sky_diffuse_fraction
 
 DRONE = Accuracy(sublayers=1, coarsening=(2, 2), levels=2, refine=False)
 """Accuracy of a drone's image, seen from close to nadir under a high sun."""

@@ -1,15 +1,5 @@
 """Sensors: bands, lines of sight, point spread and noise."""
 
-from fynjax.sensors._atmosphere import (
-    SPACE,
-    Atmosphere,
-    ClearAir,
-    at_sensor_radiance,
-    band_atmosphere,
-    ground_irradiance,
-    is_transparent,
-    surface_reflectance,
-)
 from fynjax.sensors._bands import BandSet, band_set_of_curves
 from fynjax.sensors._camera import (
     AbstractCamera,
@@ -33,21 +23,6 @@ from fynjax.sensors._empirical_line import (
     panel_reading,
     place_panels,
 )
-from fynjax.sensors._lidar import (
-    Lidar,
-    LidarNoise,
-    build_lidar,
-    lidar_folder,
-    shipped_lidar,
-    shipped_lidars,
-)
-from fynjax.sensors._lidar_beams import FlashGeometry, LidarBeams, ScanGeometry
-from fynjax.sensors._lidar_returns import (
-    LidarReturns,
-    detect_returns,
-    received_electrons,
-)
-from fynjax.sensors._lidar_waveform import Waveforms, expected_returns, lidar_waveforms
 from fynjax.sensors._noise import (
     RADIANCE_UNITS,
     AbstractNoise,
@@ -68,9 +43,39 @@ from fynjax.sensors._shipped import (
     shipped_sensor,
     shipped_sensors,
 )
-from fynjax.sensors._sixs_table import check_within_table, table_limits, tabulated_atmosphere
-from fynjax.sensors._spectrl2 import clear_sky_atmosphere
-from fynjax.sensors._sun import SunPosition, sun_position
+from fynjax.sensors.air import (
+    SPACE,
+    Atmosphere,
+    ClearAir,
+    SunPosition,
+    at_sensor_radiance,
+    band_atmosphere,
+    check_within_table,
+    clear_sky_atmosphere,
+    ground_irradiance,
+    is_transparent,
+    sun_position,
+    surface_reflectance,
+    table_limits,
+    tabulated_atmosphere,
+)
+from fynjax.sensors.lidar import (
+    FlashGeometry,
+    Lidar,
+    LidarBeams,
+    LidarNoise,
+    LidarReturns,
+    ScanGeometry,
+    Waveforms,
+    build_lidar,
+    detect_returns,
+    expected_returns,
+    lidar_folder,
+    lidar_waveforms,
+    received_electrons,
+    shipped_lidar,
+    shipped_lidars,
+)
 
 __all__ = [
     "RADIANCE_UNITS",

@@ -22,14 +22,9 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.geometry import direction
+from fynjax._core.math import real_array
 
 Real = float | Float[Array, ""]
-
-
-def _real(value: Any) -> Array:
-    """As a real array: floating arrays keep their precision, all else takes the default."""
-    array = jnp.asarray(value)
-    return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
 
 
 def _concrete(*values: Any) -> bool:
@@ -92,17 +87,17 @@ class FrameCamera(AbstractCamera):
     (where the values are known, that is outside a transformation).
     """
 
-    position: Float[Array, " 3"] = eqx.field(converter=_real)
+    position: Float[Array, " 3"] = eqx.field(converter=real_array)
     """East, north and altitude above the plot's zero level [m]."""
-    focal_length_mm: Float[Array, ""] = eqx.field(converter=_real)
+    focal_length_mm: Float[Array, ""] = eqx.field(converter=real_array)
     """Focal length [mm]."""
-    pixel_pitch_um: Float[Array, ""] = eqx.field(converter=_real)
+    pixel_pitch_um: Float[Array, ""] = eqx.field(converter=real_array)
     """Distance between pixel centres on the array [µm]."""
     array: tuple[int, int] = eqx.field(static=True, converter=tuple)
     """Columns and rows of the array."""
-    tilt: Float[Array, ""] = eqx.field(converter=_real, default=0.0)
+    tilt: Float[Array, ""] = eqx.field(converter=real_array, default=0.0)
     """Angle of the optical axis from nadir, toward the heading [degrees]; 0 looks straight down."""
-    heading: Float[Array, ""] = eqx.field(converter=_real, default=0.0)
+    heading: Float[Array, ""] = eqx.field(converter=real_array, default=0.0)
     """Azimuth that the upper edge of the image points to, clockwise from north [degrees]."""
 
     def __check_init__(self) -> None:
@@ -207,9 +202,9 @@ class OrthographicCamera(AbstractCamera):
     """West, south, east and north edge of the image on the zero level [m]."""
     pixel_size: float = eqx.field(static=True, converter=float)
     """Side of a pixel on the ground [m]."""
-    view_zenith: Float[Array, ""] = eqx.field(converter=_real, default=0.0)
+    view_zenith: Float[Array, ""] = eqx.field(converter=real_array, default=0.0)
     """Angle between the vertical and the direction to the camera [degrees], in [0, 90)."""
-    view_azimuth: Float[Array, ""] = eqx.field(converter=_real, default=0.0)
+    view_azimuth: Float[Array, ""] = eqx.field(converter=real_array, default=0.0)
     """Azimuth of the direction from the ground to the camera, clockwise from north [degrees]."""
 
     def __check_init__(self) -> None:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
-from fynjax.sensors._atmosphere import _real
+from fynjax._core.math import real_array
 
 
 class CameraRadiometry(eqx.Module):
@@ -21,22 +21,22 @@ class CameraRadiometry(eqx.Module):
     picture, columns from its left, both from 0.
     """
 
-    sensitivity: Float[Array, ""] = eqx.field(converter=_real)
+    sensitivity: Float[Array, ""] = eqx.field(converter=real_array)
     """Coefficient a1: radiance that fills the scale at gain 1 in one second, at the centre of
     `vignetting` and in row 0 [W m-2 sr-1 um-1 s]."""
-    exposure: Float[Array, ""] = eqx.field(converter=_real)
+    exposure: Float[Array, ""] = eqx.field(converter=real_array)
     """Time of exposure t [s]."""
-    black_level: Float[Array, ""] = eqx.field(converter=_real)
+    black_level: Float[Array, ""] = eqx.field(converter=real_array)
     """What covered pixels read [counts]."""
-    gain: Float[Array, ""] = eqx.field(converter=_real, default=1.0)
+    gain: Float[Array, ""] = eqx.field(converter=real_array, default=1.0)
     """Gain of the amplifier g [-]; ISO speed / 100."""
     full_scale: float = eqx.field(static=True, converter=float, default=65536.0)
     """2 to the number of bits [counts]."""
-    row_gradient: Float[Array, "2"] = eqx.field(converter=_real, default=(0.0, 0.0))
+    row_gradient: Float[Array, "2"] = eqx.field(converter=real_array, default=(0.0, 0.0))
     """Coefficients a2 [s per row] and a3 [per row]: rows are read one after the other."""
-    vignetting_centre: Float[Array, "2"] = eqx.field(converter=_real, default=(0.0, 0.0))
+    vignetting_centre: Float[Array, "2"] = eqx.field(converter=real_array, default=(0.0, 0.0))
     """Column and row from which distance r is counted [pixel]."""
-    vignetting: Float[Array, " order"] = eqx.field(converter=_real, default=(0.0,))
+    vignetting: Float[Array, " order"] = eqx.field(converter=real_array, default=(0.0,))
     """Coefficients k0, k1, ... of 1 + k0 r + k1 r^2 + ... [pixel^-1, pixel^-2, ...]."""
     vignetting_is: Literal["response", "correction"] = eqx.field(static=True, default="response")
     """Whether that polynomial is the response of the pixels (MicaSense), or what their counts are
@@ -87,7 +87,7 @@ def counts_to_radiance(
     ... + k5 r^6). Pixels darker than the dark level come out negative: they are noise, and cutting
     them off would make shadows too bright. Differentiable in all arguments.
     """
-    counts = _real(counts)
+    counts = real_array(counts)
     scale = camera.sensitivity / (camera.gain * camera.exposure * camera.full_scale)
     return scale * (counts - camera.black_level) / camera.response(counts.shape)
 
@@ -99,6 +99,6 @@ def radiance_to_counts(
 
     Neither rounded nor cut off at the full scale, so differentiable in all arguments.
     """
-    radiance = _real(radiance)
+    radiance = real_array(radiance)
     scale = camera.sensitivity / (camera.gain * camera.exposure * camera.full_scale)
     return radiance * camera.response(radiance.shape) / scale + camera.black_level

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
-from fynjax.sensors._atmosphere import _real
+from fynjax._core.math import real_array
 
 _ROUNDS = 4
 """Times the weights are found anew with the slope: the last changes it by less than 1e-6 of its
@@ -26,16 +26,16 @@ class EmpiricalLine(eqx.Module):
     All methods are differentiable in the line and in the signal.
     """
 
-    gain: Float[Array, " band"] = eqx.field(converter=_real)
+    gain: Float[Array, " band"] = eqx.field(converter=real_array)
     """Reflectance per unit of signal [1 / the signal's unit]."""
-    offset: Float[Array, " band"] = eqx.field(converter=_real)
+    offset: Float[Array, " band"] = eqx.field(converter=real_array)
     """Reflectance where the signal is zero [-]; haze makes it negative."""
-    covariance: Float[Array, "band 2 2"] = eqx.field(converter=_real)
+    covariance: Float[Array, "band 2 2"] = eqx.field(converter=real_array)
     """Covariance of gain and offset, in this order."""
 
     def reflectance(self, signal: Float[Array, "*batch band"]) -> Float[Array, "*batch band"]:
         """Reflectance factor [-] of pixels with this signal."""
-        return self.gain * _real(signal) + self.offset
+        return self.gain * real_array(signal) + self.offset
 
     def standard_deviation(
         self,
@@ -47,7 +47,7 @@ class EmpiricalLine(eqx.Module):
         The uncertainty of the line is shared by all pixels of an image; `signal_sd` is that of the
         pixel itself, in the signal's unit, independent of it.
         """
-        signal, noise = _real(signal), _real(signal_sd)
+        signal, noise = real_array(signal), real_array(signal_sd)
         c = self.covariance
         variance = signal**2 * c[:, 0, 0] + 2.0 * signal * c[:, 0, 1] + c[:, 1, 1]
         variance = variance + (self.gain * noise) ** 2
@@ -58,7 +58,7 @@ class EmpiricalLine(eqx.Module):
         self, ratio: Float[Array, " band"], ratio_sd: Float[Array, " band"] | float = 0.0
     ) -> "EmpiricalLine":
         """The line under `ratio` times the light under which it was found [-]."""
-        ratio, sd = _real(ratio), _real(ratio_sd)
+        ratio, sd = real_array(ratio), real_array(ratio_sd)
         _positive(ratio, "`ratio` of the light")
         gain = self.gain / ratio
         scale = jnp.stack([1.0 / ratio, jnp.ones_like(ratio)], axis=-1)
@@ -92,7 +92,7 @@ def empirical_line(
     tracing, for fewer than two panels, panels of equal reflectance or equal signal, and brighter
     panels with less signal.
     """
-    x, y = _real(signal), _real(reflectance)
+    x, y = real_array(signal), real_array(reflectance)
     if x.ndim != 2 or x.shape[0] < 2 or y.shape not in {x.shape, (x.shape[0], 1)}:
         raise InputError(
             "expected the signal [panel, band] of two panels or more and as many reflectances, but "
@@ -100,7 +100,7 @@ def empirical_line(
         )
     y = jnp.broadcast_to(y, x.shape)
     _check_panels(x, y)
-    sx, sy = (jnp.broadcast_to(_real(sd), x.shape) for sd in (signal_sd, reflectance_sd))
+    sx, sy = (jnp.broadcast_to(real_array(sd), x.shape) for sd in (signal_sd, reflectance_sd))
     # Less than this is no difference in the numbers' own precision, and 1 / 0 is no weight.
     least = jnp.finfo(y.dtype).eps * jnp.ptp(y, axis=0) ** 2
 
@@ -136,12 +136,12 @@ def one_panel_line(
     Differentiable. **Raises:** `InputError` unless signal and reflectance are positive, where they
     are known before tracing.
     """
-    x, y = _real(signal), _real(reflectance)
+    x, y = real_array(signal), real_array(reflectance)
     y = jnp.broadcast_to(y, x.shape)
     _positive(x, "the panel's signal")
     _positive(y, "the panel's reflectance")
     sx, sy, so = (
-        jnp.broadcast_to(_real(sd), x.shape) for sd in (signal_sd, reflectance_sd, offset_sd)
+        jnp.broadcast_to(real_array(sd), x.shape) for sd in (signal_sd, reflectance_sd, offset_sd)
     )
     gain = y / x
     shared = 0.0 - so**2 / x
@@ -160,7 +160,7 @@ def irradiance_line(
 
     Differentiable. **Raises:** `InputError` unless it is positive, where known before tracing.
     """
-    light = _real(irradiance)
+    light = real_array(irradiance)
     _positive(light, "`irradiance`")
     return one_panel_line(light / jnp.pi, jnp.ones_like(light), signal_sd=irradiance_sd / jnp.pi)
 
@@ -262,7 +262,7 @@ def panel_reading(
     **Raises:** `InputError` where no pixel lies wholly inside, and, where the image is known before
     tracing, for pixels that are saturated or no numbers.
     """
-    image = _real(image)
+    image = real_array(image)
     inside = np.asarray(coverage) >= 1.0 - 1e-9
     if image.ndim != 3 or image.shape[1:] != inside.shape:
         raise InputError(
@@ -307,7 +307,7 @@ def place_panels(
 
     **Raises:** `InputError` for shapes that do not fit, and where panels overlap, if that is known.
     """
-    ground, cover, panel = _real(reflectance), _real(coverage), _real(panels)
+    ground, cover, panel = real_array(reflectance), real_array(coverage), real_array(panels)
     if ground.ndim != 3 or cover.shape[1:] != ground.shape[1:] or panel.ndim != 2:
         raise InputError(
             "expected ground [band, y, x], coverage [panel, y, x] and panels [panel, band], but "

@@ -7,32 +7,46 @@ write_terrain("terrain.tif", terrain)
 """
 
 from fynjax.terrain._cloud import GROUND_CLASSES, PointCloud, read_cloud
-from fynjax.terrain._files import read_terrain, write_mesh, write_terrain
-from fynjax.terrain._filter import find_ground
-from fynjax.terrain._job import run_terrain
-from fynjax.terrain._raster import Terrain
+from fynjax.terrain._files import (
+    middle_of_raster,
+    read_filled,
+    read_terrain,
+    write_mesh,
+    write_terrain,
+)
+from fynjax.terrain._filter import TOLERANCE, WINDOW, GroundMethod, find_ground
+from fynjax.terrain._raster import Terrain, whole_cells
 from fynjax.terrain._surface import (
     canopy_height,
+    check_covered,
     heights_above_ground,
     terrain_from_points,
     terrain_mesh,
 )
-from fynjax.terrain._units import UNITS, Bounds
+from fynjax.terrain._units import UNITS, Bounds, check_bounds, check_positive
 
 __all__ = [
     "GROUND_CLASSES",
+    "TOLERANCE",
     "UNITS",
+    "WINDOW",
     "Bounds",
+    "GroundMethod",
     "PointCloud",
     "Terrain",
     "canopy_height",
+    "check_bounds",
+    "check_covered",
+    "check_positive",
     "find_ground",
     "heights_above_ground",
+    "middle_of_raster",
     "read_cloud",
+    "read_filled",
     "read_terrain",
-    "run_terrain",
     "terrain_from_points",
     "terrain_mesh",
+    "whole_cells",
     "write_mesh",
     "write_terrain",
 ]

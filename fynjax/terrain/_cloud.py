@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax.io._tables import existing_file
+from fynjax.io.text import existing_file
 from fynjax.terrain._units import (
     Bounds,
     check_bounds,

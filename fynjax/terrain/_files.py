@@ -11,10 +11,8 @@ from rasterio.crs import CRS
 from rasterio.windows import Window
 
 from fynjax._core.errors import InputError
-from fynjax.io._atomic import atomic_path, write_text
-from fynjax.io._frame import open_raster
-from fynjax.io._raster_checks import check_north_up, check_square
-from fynjax.io._rasters import write_geotiff
+from fynjax.io.raster import check_north_up, check_square, open_raster, write_geotiff
+from fynjax.io.text import atomic_path, write_text
 from fynjax.terrain._raster import Terrain
 from fynjax.terrain._surface import fill, terrain_mesh
 from fynjax.terrain._units import (

@@ -17,10 +17,11 @@ from fynjax.terrain._cloud import GROUND_CLASSES, PointCloud
 from fynjax.terrain._units import check_positive
 
 GroundMethod = Literal["smrf", "cloth", "labels"]
+"""How ground returns are recognised: two filters, or the labels of the file."""
 
-WINDOW = 5.0
-TOLERANCE = 0.3
-"""What `find_ground` takes unless told [m]."""
+WINDOW, TOLERANCE = 5.0, 0.3
+"""Defaults of `find_ground`: width of the largest plant, and height above the ground surface up
+to which a return is ground [m]."""
 
 _FEWEST = 10
 """Ground points below which there is no ground to speak of."""

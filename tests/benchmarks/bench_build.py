@@ -37,7 +37,7 @@ class Watch:
 
 def imports() -> None:
     import fynjax.io
-    import fynjax.report._jobs
+    import fynjax.jobs._calibrate
     import fynjax.scene  # noqa: F401
 
 
@@ -47,9 +47,10 @@ def build(side: float) -> dict[str, Any]:
     watch("import", imports)
     import equinox as eqx
 
+    from fynjax.assembly import build_plot
     from fynjax.cli._runtime import prepare_jax
-    from fynjax.io import build_plot, example_folder, read_plot
-    from fynjax.report._jobs import peak_memory_mib
+    from fynjax.io.plot import example_folder, read_plot
+    from fynjax.jobs._calibrate import peak_memory_mib
     from fynjax.scene import hard_instances, hard_model
 
     prepare_jax()

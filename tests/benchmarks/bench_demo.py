@@ -24,16 +24,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax.inversion import (
-    COARSE,
-    Forward,
-    ParameterSpace,
-    coarser,
-    free_space,
-    weigh_targets,
-)
-from fynjax.io import example_folder, read_plot
-from fynjax.io._build import build_plot
+from fynjax.assembly._build import build_plot
+from fynjax.inversion import COARSE, Forward, ParameterSpace, coarser, free_space, weigh_targets
+from fynjax.io.plot import example_folder, read_plot
 from fynjax.metrics import BANDS, image_statistics
 from fynjax.scene import PlotModel, PlotParameters, with_values
 

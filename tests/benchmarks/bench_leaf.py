@@ -16,7 +16,7 @@ import jax
 import numpy as np
 import pandas as pd
 
-from fynjax.io._asd import read_asd
+from fynjax.io.spectra._asd import read_asd
 from fynjax.leaf import (
     ErrorModel,
     LeafFit,

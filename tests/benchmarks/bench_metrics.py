@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from fynjax.compare import bands_2006
 from fynjax.metrics import (
-    bands_2006,
     histogram_intersection,
     ks_distance,
     mean,

@@ -110,7 +110,7 @@ def gaussian_scores(setup: Setup, truth: np.ndarray, problems: lm.Problem) -> np
 def draw(counts: np.ndarray, names: Sequence[str], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    from fynjax.report._figure_style import BLUE, GREY, save_figure, style
+    from fynjax.report.figures._style import BLUE, GREY, save_figure, style
 
     total = counts[:, 0].sum()
     low, high = stats.binom.interval(0.95, total, 1.0 / BINS)

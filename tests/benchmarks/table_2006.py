@@ -19,7 +19,15 @@ import numpy as np
 import pandas as pd
 
 from fynjax._core.progress import NullProgress
-from fynjax.io import example_folder, read_cube
+from fynjax.compare import table5_2006
+from fynjax.compare._images import read_drone_image
+from fynjax.compare._published import compare_with_published, wins
+from fynjax.compare.structure import structure_2006
+from fynjax.io.plot import example_folder
+from fynjax.io.raster import read_cube
+from fynjax.jobs._calibrate import demo, render
+from fynjax.jobs._simulate import simulate
+from fynjax.jobs._simulate_lidar import simulate_lidar
 from fynjax.metrics import (
     STRUCTURE_PRESETS,
     StructureSettings,
@@ -27,15 +35,8 @@ from fynjax.metrics import (
     cell_grid,
     cell_structure,
     spectral_mask,
-    structure_2006,
-    table5_2006,
     thinnings,
 )
-from fynjax.report._jobs import run_demo, run_render
-from fynjax.report._lidar_job import run_lidar
-from fynjax.report._simulate_job import run_simulate
-from fynjax.report._validate_images import read_drone_image
-from fynjax.report._validate_published import compare_with_published, wins
 
 SEED = 0
 SWIR2_MEAN = {"real": 0.063, "dirsig": 0.008}  # the paper's section on the spectrometer
@@ -55,7 +56,7 @@ def main() -> None:
         if calibration is None:
             calibration = output / "demo"
             calibration.mkdir()
-            run_demo(calibration, seed=SEED)
+            demo(calibration, seed=SEED)
         columns = {}
         for name, values in (("uncalibrated", None), ("calibrated", calibration)):
             folder = output / name
@@ -92,11 +93,11 @@ def _simulate(plot: Path, folder: Path) -> None:
         (folder / name).mkdir()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the paper's pixel against the optics
-        run_render(plot, folder / "drone", seed=SEED)
-        run_simulate(
+        render(plot, folder / "drone", seed=SEED)
+        simulate(
             plot, folder / "aviris_ng", sensor="aviris_ng", pixel=3.0, products=["reflectance"]
         )
-    run_lidar(plot, "flash_lidar_paper", folder / "lidar", seed=SEED)
+    simulate_lidar(plot, "flash_lidar_paper", folder / "lidar", seed=SEED)
 
 
 def _drone(folder: Path) -> pd.DataFrame:

@@ -30,6 +30,8 @@ import pandas as pd
 from scipy.special import ndtri
 from scipy.stats import qmc
 
+from fynjax.assembly._build import build_plot
+from fynjax.assembly._targets import plot_spectrum_view, reflectance_noise, structure_settings
 from fynjax.inversion import (
     COARSE,
     SEEN,
@@ -51,15 +53,9 @@ from fynjax.inversion import (
     weigh_targets,
 )
 from fynjax.inversion._views import look
-from fynjax.io import Plot, example_folder, read_plot
-from fynjax.io._build import build_plot
-from fynjax.io._plot_sensor import drone_bands
+from fynjax.io.plot import Plot, example_folder, read_plot
+from fynjax.io.plot._sensor import drone_bands
 from fynjax.metrics import BANDS
-from fynjax.report._calibrate_targets import (
-    plot_spectrum_view,
-    reflectance_noise,
-    structure_settings,
-)
 from fynjax.scene import PlotModel, PlotParameters, replant, with_values
 from fynjax.sensors import BandSet, shipped_sensor
 

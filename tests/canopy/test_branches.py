@@ -7,9 +7,9 @@ import trimesh
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import Organ, instantiate
-from fynjax.canopy._branches import branch_rotation_spread, plant_from_branches
-from fynjax.canopy._mesh import plant_model_from_mesh, read_plant_mesh
-from fynjax.canopy._mesh_plant import MeshPlant, PlantMesh
+from fynjax.canopy.mesh._branches import branch_rotation_spread, plant_from_branches
+from fynjax.canopy.mesh._model import plant_model_from_mesh, read_plant_mesh
+from fynjax.canopy.mesh._plant_mesh import MeshPlant, PlantMesh
 
 
 def branch() -> PlantMesh:

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import (
-    TabulatedLeafAngle,
-    VoxelGrid,
-    deposit,
-    instantiate,
-    plant_model,
-)
+from fynjax.canopy import TabulatedLeafAngle, VoxelGrid, deposit, instantiate, plant_model
 from tests.helpers import assert_gradients
 
 EXTENT = (4.0, 6.0)

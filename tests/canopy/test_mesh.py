@@ -7,14 +7,8 @@ import pytest
 import trimesh
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import (
-    Organ,
-    PlantMaterial,
-    instantiate,
-    plant_model_from_mesh,
-    read_plant_mesh,
-)
-from fynjax.canopy._mesh_names import organ_of_name
+from fynjax.canopy import Organ, PlantMaterial, instantiate, plant_model_from_mesh, read_plant_mesh
+from fynjax.canopy.mesh._organ_names import organ_of_name
 
 
 def bush() -> trimesh.Trimesh:

@@ -19,10 +19,10 @@ from fynjax.canopy import (
     plant_model,
     table1_2006,
 )
-from fynjax.canopy._generate import GeneratedPlant, generate_plant, leaf_sizes
-from fynjax.canopy._generate_parts import OUTLINES, blades, outline_area, tubes
-from fynjax.canopy._mesh import plant_model_from_mesh
-from fynjax.canopy._mesh_plant import PlantMaterial, PlantMesh
+from fynjax.canopy.mesh._generate import GeneratedPlant, generate_plant, leaf_sizes
+from fynjax.canopy.mesh._generate_parts import OUTLINES, blades, outline_area, tubes
+from fynjax.canopy.mesh._model import plant_model_from_mesh
+from fynjax.canopy.mesh._plant_mesh import PlantMaterial, PlantMesh
 
 TABLE = table1_2006().set_index("taxon")
 TAXA = list(TABLE.index)

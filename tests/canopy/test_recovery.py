@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import ground_after_fire, table1_2006, table_after_fire
+from fynjax.canopy import table1_2006
+from fynjax.studies.fynbos_2006 import ground_after_fire, table_after_fire
 
 NUMBERS = ["mean_diameter_cm", "cover_percent", "height_max_m"]
 

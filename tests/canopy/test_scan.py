@@ -8,8 +8,8 @@ import trimesh
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import Organ
-from fynjax.canopy._mesh import plant_model_from_mesh
-from fynjax.canopy._scan import plant_model_from_points, read_scan
+from fynjax.canopy.mesh._model import plant_model_from_mesh
+from fynjax.canopy.mesh._scan import plant_model_from_points, read_scan
 from tests.helpers import write_ply
 
 

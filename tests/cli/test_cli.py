@@ -9,7 +9,6 @@ import os
 import subprocess
 import sys
 import time
-import types
 import warnings
 
 import numpy as np
@@ -17,10 +16,11 @@ import pytest
 from typer.testing import CliRunner
 
 import fynjax
+from fynjax import jobs
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.cli import app, main
-from fynjax.io import read_plot
+from fynjax.io.plot import read_plot
 
 COMMANDS = ["demo", "render", "calibrate", "fit-leaf", "init"]
 
@@ -52,13 +52,8 @@ def calls(monkeypatch):
 
         return run
 
-    jobs = types.ModuleType("fynjax.report._jobs")
-    for name in ("run_demo", "run_render", "run_calibrate"):
-        setattr(jobs, name, job(name))
-    leaf = types.ModuleType("fynjax.io._fit_leaf")
-    leaf.run_fit_leaf = job("run_fit_leaf")
-    monkeypatch.setitem(sys.modules, "fynjax.report._jobs", jobs)
-    monkeypatch.setitem(sys.modules, "fynjax.io._fit_leaf", leaf)
+    for name in ("demo", "render", "calibrate", "fit_leaf"):
+        monkeypatch.setattr(jobs, name, job(name), raising=False)
     monkeypatch.setattr("fynjax.cli._runtime.prepare_jax", lambda: None)
     return made
 
@@ -103,7 +98,7 @@ def test_demo_writes_moves_and_tells(capsys, calls, tmp_path):
     assert calls[0][2] == {"seed": 5}
     assert sorted(p.name for p in output.iterdir()) == ["image.tif", "summary.json"]
     assert [p.name for p in output.parent.iterdir()] == ["b"]
-    assert "run_demo is done." in out
+    assert "demo is done." in out
     assert str(output) in out
     assert "image.tif  the image" in out
 
@@ -137,7 +132,7 @@ def test_calibrate_and_fit_leaf_pass_their_files(capsys, calls, plot, tmp_path):
     target = plot.parent / "statistics.csv"
     done = call(capsys, "calibrate", plot, "--target", target, "--output", tmp_path / "o")
     assert done[0] == 0
-    assert calls[0][0] == "run_calibrate"
+    assert calls[0][0] == "calibrate"
     assert calls[0][1][:2] == (plot, [target])
     spectra = [tmp_path / "a.csv", tmp_path / "b.asd"]
     for path in spectra:
@@ -202,12 +197,12 @@ def test_a_bad_table_is_one_line_and_no_output(capsys, calls, plot, tmp_path):
     ],
 )
 def test_a_failing_job_leaves_nothing(capsys, calls, monkeypatch, tmp_path, error, status, words):
-    def run_demo(output, *, seed, progress):
+    def demo(output, *, seed, progress):
         (output / "half.tif").write_text("half")
         warnings.warn("lost with the run", stacklevel=1)
         raise error
 
-    monkeypatch.setattr(sys.modules["fynjax.report._jobs"], "run_demo", run_demo)
+    monkeypatch.setattr(jobs, "demo", demo)
     monkeypatch.delenv("FYNJAX_DEBUG", raising=False)
     done = call(capsys, "demo", "--output", tmp_path / "o")
     assert done[0] == status
@@ -216,21 +211,21 @@ def test_a_failing_job_leaves_nothing(capsys, calls, monkeypatch, tmp_path, erro
 
 
 def test_debug_shows_the_traceback(calls, monkeypatch, tmp_path):
-    def run_demo(output, *, seed, progress):
+    def demo(output, *, seed, progress):
         raise InputError("bad")
 
-    monkeypatch.setattr(sys.modules["fynjax.report._jobs"], "run_demo", run_demo)
+    monkeypatch.setattr(jobs, "demo", demo)
     monkeypatch.setenv("FYNJAX_DEBUG", "1")
     with pytest.raises(InputError):
         main(["demo", "--output", str(tmp_path / "o")])
 
 
 def test_ctrl_c_is_130_and_leaves_nothing(capsys, calls, monkeypatch, tmp_path):
-    def run_demo(output, *, seed, progress):
+    def demo(output, *, seed, progress):
         (output / "half.tif").write_text("half")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sys.modules["fynjax.report._jobs"], "run_demo", run_demo)
+    monkeypatch.setattr(jobs, "demo", demo)
     status, out, err = call(capsys, "demo", "--output", tmp_path / "o")
     assert (status, out) == (130, "")
     assert err == "fynjax: interrupted; nothing was written\n"
@@ -238,13 +233,13 @@ def test_ctrl_c_is_130_and_leaves_nothing(capsys, calls, monkeypatch, tmp_path):
 
 
 def test_warnings_of_a_run_are_told_once_and_kept(capsys, calls, monkeypatch, tmp_path):
-    def run_demo(output, *, seed, progress):
+    def demo(output, *, seed, progress):
         for _ in range(2):
             warnings.warn("3 of 600 pixels are masked", stacklevel=1)
         warnings.warn("not for users", DeprecationWarning, stacklevel=1)
         return {}
 
-    monkeypatch.setattr(sys.modules["fynjax.report._jobs"], "run_demo", run_demo)
+    monkeypatch.setattr(jobs, "demo", demo)
     status, out, err = call(capsys, "demo", "--output", tmp_path / "o", "--json")
     assert status == 0
     assert err == "fynjax: warning: 3 of 600 pixels are masked\n"
@@ -260,7 +255,7 @@ def test_output_that_is_a_file_is_refused(capsys, calls, tmp_path):
 
 @pytest.mark.parametrize("year", [2016, 2019])
 def test_init_writes_a_plot_of_another_fire_and_says_what_is_assumed(capsys, tmp_path, year):
-    from fynjax.io import read_plot
+    from fynjax.io.plot import read_plot
 
     target = tmp_path / "plot"
     status, out, _ = call(capsys, "init", target, "--burnt", year, "--json")

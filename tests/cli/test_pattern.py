@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
 from fynjax.cli._pattern import pattern
-from fynjax.io import read_probability_map, write_geotiff
+from fynjax.io.raster import read_probability_map, write_geotiff
 from tests.canopy.test_pattern import BANDS, drawn
 
 app = typer.Typer()

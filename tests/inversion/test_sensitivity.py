@@ -5,12 +5,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError, MissingExtraError
-from fynjax.inversion import (
-    ParameterSpace,
-    derivative_measures,
-    local_sensitivity,
-    sobol_indices,
-)
+from fynjax.inversion import ParameterSpace, derivative_measures, local_sensitivity, sobol_indices
 
 A, B = 7.0, 0.1
 CUBE = ParameterSpace(

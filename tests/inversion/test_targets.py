@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
+from fynjax.assembly._targets import image_target
 from fynjax.inversion import weigh_targets
-from fynjax.io import example_folder, read_plot
-from fynjax.report._calibrate_targets import image_target
+from fynjax.io.plot import example_folder, read_plot
 
 
 def test_spreads_and_repeated_ratios_weigh_less():

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fynjax._core.checkpoint import forget_journal
 from fynjax._core.errors import InputError
-from fynjax._core.journal import forget_journal
 from fynjax.inversion import (
     COARSE,
     AbstractView,

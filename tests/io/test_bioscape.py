@@ -12,15 +12,15 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.cli import main
-from fynjax.io import read_plot
-from fynjax.io._bioscape import BioscapePlot, read_bioscape
-from fynjax.io._bioscape_files import (
+from fynjax.io.plot import read_plot
+from fynjax.studies.bioscape._plot_files import (
     DEAD,
     OTHER,
     leaf_parameters,
     run_bioscape,
     write_plot_files,
 )
+from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
 
 COVER = """Plot,PercentBareSoil,PercentBareRock,PercentDeadVegetation,PercentLiveVegetation
 A1,15,5,20,60

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.io._bioscape_plsr import read_leaf_mass_model
+from fynjax.studies.bioscape._plsr import read_leaf_mass_model
 
 MODEL = {
     "wavelengths": [500.0, 600.0],

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.io._bioscape_spectra import read_plot_spectra, read_spectrometer
+from fynjax.studies.bioscape._spectra import read_plot_spectra, read_spectrometer
 
 WAVES = "BandCenters\n450.0\n650.5\n860.0\n1400.0\n"
 HEADER = "BScpPID,X,Y,start_time,Band_1,Band_2,Band_3,Band_4\n"

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.io import build_plot, read_plot
-from fynjax.io._cover_map import read_cover_map
-from fynjax.io._rasters import write_geotiff
+from fynjax.assembly import build_plot
+from fynjax.io.plot import read_plot
+from fynjax.io.raster._cover_map import read_cover_map
+from fynjax.io.raster._geotiff import write_geotiff
 
 
 def written(folder, bands, names, pixel=0.5):

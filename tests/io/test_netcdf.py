@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fynjax.io import image_array, provenance, staged_folder, write_run
+from fynjax.io.raster import image_array, provenance, write_run
+from fynjax.io.text import staged_folder
 
 BANDS = ("green", "nir")
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from fynjax.io._over_plot import OverPlot
+from fynjax.io.raster._over_plot import OverPlot
 
 VALUES = np.random.default_rng(0).normal(size=(2, 8, 10))  # rows from the north
 

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
+from fynjax.assembly import build_plot
+from fynjax.assembly._plants import read_plant
 from fynjax.canopy import (
     Organ,
     PlantModel,
@@ -13,9 +15,8 @@ from fynjax.canopy import (
     plant_model_from_mesh,
     thin_plant,
 )
-from fynjax.io import build_plot, read_plot
-from fynjax.io._plant import read_plant
-from fynjax.report._plant import run_plant
+from fynjax.io.plot import read_plot
+from fynjax.jobs._plant import plant
 
 TOML = "[plot]\nsize_m = 2.0\n[scene]\nsoftness = 0.0\nsoftness_plants = 0.0\n"
 COLUMNS = "taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form,plant\n"
@@ -25,7 +26,7 @@ COLUMNS = "taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form,plant\n
 def made(tmp_path_factory):
     """A generated plant as a mesh and as elements, with the generator's own record."""
     folder = tmp_path_factory.mktemp("plant")
-    run_plant("Pterocelastrus tricuspidatus", folder, n_elements=1500, seed=0)
+    plant("Pterocelastrus tricuspidatus", folder, n_elements=1500, seed=0)
     return folder, generate_plant("Pterocelastrus tricuspidatus", 0)
 
 

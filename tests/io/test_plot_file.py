@@ -8,10 +8,16 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
+from fynjax.assembly._ground import soil_spectra
 from fynjax.canopy import FORM_DEFAULTS, table1_2006
-from fynjax.io import GROWTH_FORMS, PROSPECT_COLUMNS, example_folder, read_plot, read_statistics
-from fynjax.io._build_ground import soil_spectra
-from fynjax.io._plot_file import shipped_growth_forms
+from fynjax.io.plot import (
+    GROWTH_FORMS,
+    PROSPECT_COLUMNS,
+    example_folder,
+    read_plot,
+    read_statistics,
+)
+from fynjax.io.plot._plot_file import shipped_growth_forms
 
 
 @pytest.fixture

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.io import Air, build_sensing, load_sensor, read_plot
-from fynjax.io._plot_sensor import drone_bands, plot_instrument, visible_sensor
+from fynjax.assembly import build_sensing
+from fynjax.io.instruments import load_sensor
+from fynjax.io.plot import Air, read_plot
+from fynjax.io.plot._sensor import drone_bands, plot_instrument, visible_sensor
 from fynjax.metrics import BANDS
 from fynjax.scene import PlotAir
 from fynjax.sensors import SPACE, Atmosphere, BandSet

@@ -13,9 +13,10 @@ from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 
 from fynjax._core.errors import InputError
-from fynjax.io import example_folder, read_plot, read_probability_map, write_probability_map
-from fynjax.io._build import _probability
-from fynjax.io._rasters import LOCAL_FRAME
+from fynjax.assembly._build import _probability
+from fynjax.io.plot import example_folder, read_plot
+from fynjax.io.raster import read_probability_map, write_probability_map
+from fynjax.io.raster._geotiff import LOCAL_FRAME
 
 UTM = "EPSG:32734"
 CORNER = (310_000.0, 6_180_000.0)

@@ -10,8 +10,13 @@ import spectral
 import xarray as xr
 
 from fynjax._core.errors import InputError
-from fynjax.io import Cube, read_cube, read_image
-from fynjax.io._products import NODATA, write_cube_envi, write_cube_geotiff, write_cubes_netcdf
+from fynjax.io.raster import Cube, read_cube, read_image
+from fynjax.io.raster._products import (
+    NODATA,
+    write_cube_envi,
+    write_cube_geotiff,
+    write_cubes_netcdf,
+)
 
 RECORD = {"source": "fynjax 0", "seed": 3, "note": '{"a": [1, 2]}'}
 NAMES = ("blue", "green", "red", "cirrus", "nir")

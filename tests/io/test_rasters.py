@@ -6,7 +6,7 @@ import rasterio
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax.io import read_image, write_geotiff
+from fynjax.io.raster import read_image, write_geotiff
 from tests.helpers import write_raster
 
 BANDS = ("green", "red", "red_edge", "nir")

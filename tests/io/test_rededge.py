@@ -7,9 +7,9 @@ import pytest
 from scipy import ndimage
 
 from fynjax._core.errors import InputError
-from fynjax.io._rededge import aligned_radiance, find_captures, read_capture, same_capture
-from fynjax.io._rededge_metadata import read_rededge_band
-from fynjax.io._rededge_panel import find_panel, panel_reflectance, read_panel
+from fynjax.io.micasense._capture import aligned_radiance, find_captures, read_capture, same_capture
+from fynjax.io.micasense._metadata import read_rededge_band
+from fynjax.io.micasense._panel import find_panel, panel_reflectance, read_panel
 from tests.io.rededge_files import BANDS, IRRADIANCE, lit, panel_scene, write_rededge
 
 
@@ -63,7 +63,7 @@ def test_metadata_that_miss_something(tmp_path: Path, options: dict, message: st
 def test_files_that_are_no_raw_picture(tmp_path: Path) -> None:
     from PIL import Image
 
-    from fynjax.io import write_geotiff
+    from fynjax.io.raster import write_geotiff
 
     product = tmp_path / "A_1.tif"
     write_geotiff(product, np.ones((2, 4, 4)), ["a", "b"], pixel_m=1.0)

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.io import load_sensor
-from fynjax.io._schemas import json_schema
-from fynjax.io._sensor_tables import GEOMETRY_KEYS, NOISE_KEYS, RadianceUnit
+from fynjax.io.instruments import load_sensor
+from fynjax.io.instruments._sensor_tables import GEOMETRY_KEYS, NOISE_KEYS, RadianceUnit
+from fynjax.jobs._schemas import json_schema
 from fynjax.sensors import (
     RADIANCE_UNITS,
     CameraNoise,

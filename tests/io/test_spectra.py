@@ -11,8 +11,8 @@ import xarray as xr
 
 from fynjax._core.errors import InputError
 from fynjax.cli import main
-from fynjax.io._fit_leaf import run_fit_leaf
-from fynjax.io._spectra import read_spectra
+from fynjax.io.spectra._read import read_spectra
+from fynjax.jobs._fit_leaf import fit_leaf
 from fynjax.leaf import LeafParameters, prospect
 
 WAVELENGTH = np.arange(400.0, 2501.0)
@@ -199,7 +199,7 @@ def test_one_bad_spectrum_does_not_stop_its_file(tmp_path):
     wide.to_csv(tmp_path / "wide.csv", index=False)
     with pytest.raises(InputError, match="only NaN"):
         read_spectra(tmp_path / "wide.csv")
-    summary = run_fit_leaf([tmp_path / "wide.csv"], tmp_path / "out")
+    summary = fit_leaf([tmp_path / "wide.csv"], tmp_path / "out")
     assert (summary["spectra"], summary["converged"]) == (2, 2)
     assert [r["name"] for r in summary["refused"]] == ["void", "percent"]
     traits = pd.read_csv(tmp_path / "out" / "traits.csv").set_index("name")
@@ -232,7 +232,7 @@ def test_text_as_a_spreadsheet_saves_it(tmp_path):
 def test_run_writes_traits_and_spectra_and_keeps_going_past_a_bad_file(tmp_path):
     good = table(tmp_path / "good.csv", {"wavelength": WAVELENGTH, "a_R": R, "a_T": T, "b": R})
     bad = table(tmp_path / "bad.csv", {"wavelength": WAVELENGTH, "r": 100 * R})
-    summary = run_fit_leaf([good, bad], tmp_path / "out")
+    summary = fit_leaf([good, bad], tmp_path / "out")
     assert (summary["spectra"], len(summary["refused"])) == (2, 1)
     traits = pd.read_csv(tmp_path / "out" / "traits.csv")
     assert traits["name"].tolist()[:2] == ["a", "b"]
@@ -250,7 +250,7 @@ def test_run_writes_traits_and_spectra_and_keeps_going_past_a_bad_file(tmp_path)
     assert 0.01 < (image[..., :3].min(-1) < 0.5).mean() < 0.5  # ink, on a page mostly white
     shutil.rmtree(tmp_path / "out")
     with pytest.raises(InputError, match=r"bad\.csv"):
-        run_fit_leaf([bad], tmp_path / "out")
+        fit_leaf([bad], tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -292,7 +292,7 @@ def test_a_wrong_table_of_groups_is_refused(tmp_path, text, message):
     groups = tmp_path / "groups.csv"
     groups.write_text(text)
     with pytest.raises(InputError, match=message) as caught:
-        run_fit_leaf([good], tmp_path / "out", groups=groups)
+        fit_leaf([good], tmp_path / "out", groups=groups)
     assert "groups.csv" in str(caught.value)
 
 
@@ -309,7 +309,7 @@ def test_jumps_of_an_asd_are_taken_out_and_said(tmp_path):
         target = np.where(grid <= 1000, gain, 1.0) * flat * 1000
         body = target.tobytes() + bytes(18) + struct.pack("<H", 0) + np.full(2151, 1e3).tobytes()
         (tmp_path / f"{name}.asd").write_bytes(bytes(header) + body)
-    summary = run_fit_leaf([tmp_path / "plain.asd", tmp_path / "drift.asd"], tmp_path / "out")
+    summary = fit_leaf([tmp_path / "plain.asd", tmp_path / "drift.asd"], tmp_path / "out")
     said = [r["repair"] for r in summary["repairs"] if r["name"] == "drift"]
     assert any("1000 nm: +4" in sentence and "taken out" in sentence for sentence in said)
     traits = pd.read_csv(tmp_path / "out" / "traits.csv")

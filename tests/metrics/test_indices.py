@@ -9,14 +9,8 @@ import pytest
 import spyndex
 
 from fynjax._core.errors import InputError
-from fynjax.metrics import (
-    VEGETATION_INDICES,
-    bands_2006,
-    consistent_targets,
-    smooth_vegetation_indices,
-    table4_2006,
-    vegetation_indices,
-)
+from fynjax.compare import bands_2006, consistent_targets, table4_2006
+from fynjax.metrics import VEGETATION_INDICES, smooth_vegetation_indices, vegetation_indices
 
 # fynjax name -> spyndex name and the constants it needs to be the paper's form.
 SPYNDEX: dict[str, tuple[str, dict[str, float]]] = {

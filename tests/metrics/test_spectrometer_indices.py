@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import spyndex
 
+from fynjax.compare import figure12_2006, table5_2006
 from fynjax.metrics import (
     SPECTRAL_REGIONS,
     SPECTROMETER_BANDS,
     SPECTROMETER_INDICES,
-    figure12_2006,
     spectrometer_indices,
-    table5_2006,
 )
 from tests.helpers import assert_gradients
 

@@ -8,6 +8,7 @@ import pytest
 from scipy import stats
 
 from fynjax._core.errors import InputError
+from fynjax.compare.structure import structure_2006
 from fynjax.metrics import (
     STRUCTURE_METRICS,
     STRUCTURE_PRESETS,
@@ -16,7 +17,6 @@ from fynjax.metrics import (
     cell_grid,
     cell_structure,
     foliage_height_diversity,
-    structure_2006,
 )
 from tests.metrics.structure_clouds import fynbos_cells, fynbos_returns
 

@@ -18,7 +18,7 @@ from fynjax.metrics import (
     smooth_cell_structure,
     voxel_structure,
 )
-from fynjax.metrics._structure_smooth import height_percentile_rmse, smooth_height_intersection
+from fynjax.metrics.structure._smooth import height_percentile_rmse, smooth_height_intersection
 from tests.helpers import assert_gradients
 from tests.metrics.structure_clouds import LOW_PRESETS, fynbos_cells
 

@@ -9,13 +9,7 @@ import numpy as np
 import pytest
 
 from fynjax.canopy import leaf_angle
-from fynjax.radiation import (
-    Accuracy,
-    nadir_rays,
-    parallel_rays,
-    reference,
-    render,
-)
+from fynjax.radiation import Accuracy, nadir_rays, parallel_rays, reference, render
 from tests.radiation.scenes import (
     FINE,
     patchy,

@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.inversion import SpectrumView, StructureView
-from fynjax.io import Cube, read_plot, write_cube_geotiff
-from fynjax.io._statistics import read_structure
-from fynjax.io._table_rows import StructureRow
-from fynjax.metrics import STRUCTURE_METRICS
-from fynjax.report._calibrate_targets import (
+from fynjax.assembly._targets import (
     read_targets,
     reflectance_noise,
     structure_settings,
     target_kind,
 )
+from fynjax.inversion import SpectrumView, StructureView
+from fynjax.io.plot import read_plot
+from fynjax.io.plot._rows import StructureRow
+from fynjax.io.plot._statistics import read_structure
+from fynjax.io.raster import Cube, write_cube_geotiff
+from fynjax.metrics import STRUCTURE_METRICS
 from fynjax.sensors import BandSet
 from tests.report.small import write_plot
 

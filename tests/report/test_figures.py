@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fynjax.report import (
+from fynjax.report.figures import (
     composites,
     constraint_plot,
     convergence_plot,

@@ -6,16 +6,16 @@ import pytest
 import xarray as xr
 
 from fynjax._core.errors import InputError
-from fynjax.report._figures_posterior import (
+from fynjax.jobs._information import information, limit_table
+from fynjax.jobs._posterior import posterior
+from fynjax.jobs._sensitivity import sensitivity
+from fynjax.report.figures._posterior import (
     bound_plot,
     corner_plot,
     indices_plot,
     predictive_plot,
     tornado_plot,
 )
-from fynjax.report._information_job import limit_table, run_information
-from fynjax.report._posterior_job import run_posterior
-from fynjax.report._sensitivity_job import run_sensitivity
 from tests.report.small import write_plot
 
 MORE = """
@@ -79,13 +79,13 @@ def test_figures_stand_what_data_bring():
 
 @pytest.mark.study
 def test_a_plot_tells_what_moves_its_metrics(plot, tmp_path):
-    told = run_sensitivity(plot, tmp_path, metrics=["nir.mean"], derivative_samples=4, seed=0)
+    told = sensitivity(plot, tmp_path, metrics=["nir.mean"], derivative_samples=4, seed=0)
     assert all((tmp_path / name).stat().st_size for name in told["files"])
     slope = {row["parameter"]: row["slope"] for row in told["slopes"]}
     assert slope["ground.brightness"] > 0
     assert all(row["bound"] >= 0 for row in told["variance"])
     with pytest.raises(InputError, match="a statistic must be"):
-        run_sensitivity(plot, tmp_path, metrics=["nir.middle"], seed=0)
+        sensitivity(plot, tmp_path, metrics=["nir.middle"], seed=0)
 
 
 @pytest.mark.study
@@ -96,15 +96,15 @@ def test_the_posterior_of_a_plot_goes_on_from_its_checkpoint(plot, tmp_path):
     options = {"checkpoint": keep, "target_size": 50.0, "seed": 0}
     for output in ("first", "second", "gauss"):
         (tmp_path / output).mkdir()
-    run_posterior(plot, target, tmp_path / "first", method="emcee", max_steps=4, **options)
-    told = run_posterior(plot, target, tmp_path / "second", method="emcee", max_steps=8, **options)
+    posterior(plot, target, tmp_path / "first", method="emcee", max_steps=4, **options)
+    told = posterior(plot, target, tmp_path / "second", method="emcee", max_steps=8, **options)
     assert not told["converged"]
     assert "50 autocorrelation times" in told["status"]
-    gauss = run_posterior(plot, target, tmp_path / "gauss", method="laplace", **options)
+    gauss = posterior(plot, target, tmp_path / "gauss", method="laplace", **options)
     assert all((tmp_path / "gauss" / name).stat().st_size for name in gauss["files"])
     assert all(0 < row["sd"] <= 1.3 * row["prior_sd"] for row in gauss["parameters"])
     with pytest.raises(InputError, match="another seed"):
-        run_posterior(plot, target, tmp_path / "gauss", method="laplace", **(options | {"seed": 1}))
+        posterior(plot, target, tmp_path / "gauss", method="laplace", **(options | {"seed": 1}))
 
 
 @pytest.mark.study
@@ -118,7 +118,7 @@ def test_a_posterior_from_three_sensors(plot, tmp_path):
     found = []
     for name, targets in (("one", []), ("all", [spectrum, cloud])):
         (tmp_path / name).mkdir()
-        told = run_posterior(
+        told = posterior(
             plot, [*targets, plot.with_name("target.csv")], tmp_path / name, method="laplace",
             checkpoint=tmp_path / f"{name}.kept", seed=0,
         )  # fmt: skip
@@ -131,6 +131,6 @@ def test_a_posterior_from_three_sensors(plot, tmp_path):
 
 @pytest.mark.study
 def test_a_plot_tells_what_sensors_could_know_of_it(plot, tmp_path):
-    told = run_information(plot, tmp_path, gsd=[0.2, 1.0], bands=[1, 2], replants=2, seed=0)
+    told = information(plot, tmp_path, gsd=[0.2, 1.0], bands=[1, 2], replants=2, seed=0)
     assert all((tmp_path / name).stat().st_size for name in told["files"])
     assert len(told["limits"]) == 4

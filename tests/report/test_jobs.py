@@ -10,8 +10,8 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress
-from fynjax.io import example_folder, read_plot
-from fynjax.report._jobs import _check_finite, _short_of_sites, run_calibrate, run_render
+from fynjax.io.plot import example_folder, read_plot
+from fynjax.jobs._calibrate import _check_finite, _short_of_sites, calibrate, render
 from tests.report.small import write_plot
 from tests.scene.plots import small_parameters, small_plot
 
@@ -30,7 +30,7 @@ def rendered(tmp_path_factory):
     folder = tmp_path_factory.mktemp("jobs")
     write_plot(folder, MORE)
     (folder / "render").mkdir()
-    return run_render(folder / "plot.toml", folder / "render", seed=0), folder
+    return render(folder / "plot.toml", folder / "render", seed=0), folder
 
 
 def misfit(summary, when):
@@ -41,7 +41,7 @@ def misfit(summary, when):
 @pytest.mark.study
 def test_an_image_that_the_plot_explains_already_is_not_made_worse(rendered, tmp_path):
     _, folder = rendered
-    same = run_calibrate(folder / "plot.toml", folder / "render" / "image.tif", tmp_path, seed=0)
+    same = calibrate(folder / "plot.toml", folder / "render" / "image.tif", tmp_path, seed=0)
     assert misfit(same, "before") < 1e-3
     assert misfit(same, "after") <= misfit(same, "before") + 1e-9
     assert not same["converged"]
@@ -59,7 +59,7 @@ def test_a_table_of_statistics_is_approached(rendered, tmp_path):
     )
     output = tmp_path / "output"
     output.mkdir()
-    other = run_calibrate(folder / "plot.toml", table, output, seed=0)
+    other = calibrate(folder / "plot.toml", table, output, seed=0)
     assert misfit(other, "after") < 0.2 * misfit(other, "before")
     # No index is a target, so that none is told of.
     assert other["headline"][0].startswith("small: largest error of a band mean")
@@ -119,10 +119,10 @@ def test_a_spectrum_and_a_cloud_together_after_an_interruption(tmp_path):
         folder.mkdir()
     arguments = (tmp_path / "plot.toml", [cloud, spectrum])
     with pytest.raises(KeyboardInterrupt):
-        run_calibrate(*arguments, first, seed=0, checkpoint=kept, progress=Interrupting())
+        calibrate(*arguments, first, seed=0, checkpoint=kept, progress=Interrupting())
     assert not list(first.iterdir())
     before = {p.name: p.stat().st_mtime_ns for p in kept.iterdir()}
-    found = run_calibrate(*arguments, second, seed=0, checkpoint=kept)
+    found = calibrate(*arguments, second, seed=0, checkpoint=kept)
     assert all(p.stat().st_mtime_ns == before[p.name] for p in kept.iterdir() if p.name in before)
     assert [t["kind"] for t in found["targets"]] == ["spectrum", "structure"]
     names = [s["statistic"] for s in found["statistics"]]
@@ -141,4 +141,4 @@ def test_a_spectrum_and_a_cloud_together_after_an_interruption(tmp_path):
     assert any("RMSE of the spectrum" in line for line in found["headline"])
     spectrum.write_text(spectrum.read_text().replace("0.26", "0.27"))
     with pytest.raises(InputError, match="checkpoint is of another run"):
-        run_calibrate(*arguments, second, seed=0, checkpoint=kept)
+        calibrate(*arguments, second, seed=0, checkpoint=kept)

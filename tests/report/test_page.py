@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from fynjax.report import Page, format_number, save_figure
+from fynjax.report.figures import save_figure
+from fynjax.report.pages import Page, format_number
 
 
 class Checker(HTMLParser):

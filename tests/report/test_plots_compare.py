@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from fynjax.report._figures_plots import feature_plot, misfit_plot, residual_plot, spectra_plot
-from fynjax.report._plots_compare import (
+from fynjax.compare._plots import (
     FLAT,
     FLIGHT,
     MODEL,
@@ -19,6 +18,7 @@ from fynjax.report._plots_compare import (
     mean_agreement,
     misfit_table,
 )
+from fynjax.report.figures._plots import feature_plot, misfit_of_plots, residual_plot, spectra_plot
 
 GRID = np.concatenate([np.arange(420.0, 1330.0, 30.0), np.arange(1470.0, 1780.0, 30.0),
                        np.arange(2110.0, 2440.0, 30.0)])  # fmt: skip
@@ -125,5 +125,5 @@ def test_figures_show_every_plot_and_the_parts(pair: PlotSpectraPair) -> None:
     drawn = residual[0].lines[0].get_xydata()
     # Broken where bands were left out.
     assert np.isnan(np.asarray(drawn)[:, 0]).sum() == 2
-    assert len(misfit_plot(pair).axes[0].patches) == 15
+    assert len(misfit_of_plots(pair).axes[0].patches) == 15
     assert len(feature_plot(pair).axes[0].lines[1].get_xdata()) == 5  # type: ignore[arg-type]

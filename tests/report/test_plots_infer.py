@@ -8,12 +8,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fynjax._core.checkpoint import keep_nothing
 from fynjax._core.errors import InputError
-from fynjax._core.journal import keep_nothing
 from fynjax.inversion import spectrum_view, weigh_spectrum
 from fynjax.inversion._fit import Forward
-from fynjax.io import read_bioscape, read_plot, write_plot_files
-from fynjax.report._plots_infer import (
+from fynjax.io.plot import read_plot
+from fynjax.sensors import BandSet
+from fynjax.studies.bioscape import read_bioscape, write_plot_files
+from fynjax.studies.bioscape._calibrate import calibrate_plots
+from fynjax.studies.bioscape._inversion import (
     FREE,
     QUANTITIES,
     ROOM,
@@ -27,16 +30,14 @@ from fynjax.report._plots_infer import (
     quantity,
     taught_data,
 )
-from fynjax.report._plots_infer_compare import (
+from fynjax.studies.bioscape._inversion_compare import (
     agreement,
     estimate_table,
     field_values,
     others,
     why_table,
 )
-from fynjax.report._plots_infer_job import run_calibrate_plots
-from fynjax.report._plots_scenes import Resolution, build_scenes, slots_of
-from fynjax.sensors import BandSet
+from fynjax.studies.bioscape._scenes import Resolution, build_scenes, slots_of
 from tests.report.test_plots_job import write_tables
 
 
@@ -179,7 +180,7 @@ def test_priors_change_and_nothing_compiles_again(plots):
 def test_without_spectra_there_is_nothing_to_learn(tmp_path: Path):
     write_tables(tmp_path / "tables", measured=False)
     with pytest.raises(InputError, match="none of the plots has a measured spectrum"):
-        run_calibrate_plots(tmp_path / "tables", tmp_path, checkpoint=tmp_path / "c")
+        calibrate_plots(tmp_path / "tables", tmp_path, checkpoint=tmp_path / "c")
 
 
 @pytest.mark.slow
@@ -241,7 +242,7 @@ def test_one_plot_alone_is_told_whole_and_goes_on_from_its_checkpoint(tmp_path: 
     told = []
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
-        told.append(run_calibrate_plots(tmp_path / "tables", tmp_path / name, **options))
+        told.append(calibrate_plots(tmp_path / "tables", tmp_path / name, **options))
         assert all((tmp_path / name / file).stat().st_size for file in told[-1]["files"])
         times = {p.name: p.stat().st_mtime_ns for p in kept.iterdir()}
         if name == "first":
@@ -252,4 +253,4 @@ def test_one_plot_alone_is_told_whole_and_goes_on_from_its_checkpoint(tmp_path: 
     first, second = (pd.read_csv(tmp_path / n / "estimates.csv") for n in ("first", "second"))
     pd.testing.assert_frame_equal(first, second)
     with pytest.raises(InputError, match="another run"):
-        run_calibrate_plots(tmp_path / "tables", tmp_path / "first", **(options | {"seed": 1}))
+        calibrate_plots(tmp_path / "tables", tmp_path / "first", **(options | {"seed": 1}))

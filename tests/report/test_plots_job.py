@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from fynjax.assembly._build import build_plot
 from fynjax.cli import main
-from fynjax.io import read_bioscape, read_plot, write_plot_files
-from fynjax.io._bioscape_spectra import Spectrometer
-from fynjax.io._build import build_plot
-from fynjax.report._plots_job import run_validate_plots, used_bands
-from fynjax.report._plots_scenes import ACCURACY, Resolution, _build, build_scenes, slots_of
+from fynjax.io.plot import read_plot
 from fynjax.sensors import BandSet
+from fynjax.studies.bioscape import read_bioscape, write_plot_files
+from fynjax.studies.bioscape._scenes import ACCURACY, Resolution, _build, build_scenes, slots_of
+from fynjax.studies.bioscape._spectra import Spectrometer
+from fynjax.studies.bioscape._validate import used_bands, validate_plots
 from tests.io.test_bioscape import FILES
 
 CENTRES = (500.0, 670.0, 780.0, 860.0, 1240.0, 1400.0, 1650.0, 1700.0, 2150.0, 2200.0, 2300.0)
@@ -46,7 +47,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     folder = tmp_path_factory.mktemp("tables")
     write_tables(folder)
     output = tmp_path_factory.mktemp("output")
-    return output, run_validate_plots(folder, output, resolution=COARSE)
+    return output, validate_plots(folder, output, resolution=COARSE)
 
 
 def test_bands_in_water_windows_and_at_the_edges_are_left_out() -> None:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
 from fynjax.cli._reflectance import reflectance
-from fynjax.io import read_cube
+from fynjax.io.raster import read_cube
 from tests.io.rededge_files import BANDS, IRRADIANCE, lit, panel_scene, write_rededge
 
 app = typer.Typer()

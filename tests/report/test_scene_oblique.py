@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fynjax.report._scene_oblique import View, _points, _relief, height_at
+from fynjax.report.figures._scene_oblique import View, _points, _relief, height_at
 from fynjax.scene import Instances
 
 EXTENT = (4.0, 2.0)

@@ -10,9 +10,9 @@ from rasterio import Affine
 
 from fynjax._core.errors import InputError
 from fynjax.cli import main
-from fynjax.io import read_cube
-from fynjax.report._simulate_figures import colour_bands, quick_looks, spectrum_figure
-from fynjax.report._simulate_job import run_simulate
+from fynjax.io.raster import read_cube
+from fynjax.jobs._simulate import simulate
+from fynjax.report.figures._products import colour_bands, quick_looks, spectrum_figure
 from tests.helpers import write_raster
 
 PLOT = """
@@ -68,7 +68,7 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("simulate")
     plot = write_plot(folder)
     (folder / "out").mkdir()
-    return run_simulate(plot, folder / "out", seed=4), folder / "out"
+    return simulate(plot, folder / "out", seed=4), folder / "out"
 
 
 def test_every_file_is_there_and_is_told(run):
@@ -174,7 +174,7 @@ def test_a_slip_is_one_line_and_leaves_nothing(tmp_path, capsys, options, words)
 
 def test_unknown_products_are_refused(tmp_path):
     with pytest.raises(InputError, match="expected products among reflectance, radiance"):
-        run_simulate(write_plot(tmp_path), tmp_path, products=["brightness"])
+        simulate(write_plot(tmp_path), tmp_path, products=["brightness"])
 
 
 @pytest.mark.slow
@@ -186,7 +186,7 @@ def test_many_bands_are_reduced_and_timed(tmp_path):
     plot = write_plot(tmp_path)
     (tmp_path / "camera.toml").write_text(text)
     (tmp_path / "out").mkdir()
-    summary = run_simulate(plot, tmp_path / "out", products=["reflectance"])
+    summary = simulate(plot, tmp_path / "out", products=["reflectance"])
     ratio = summary["timings_s"]["ratio_to_one_band"]
     assert ratio == pytest.approx(summary["timings_s"]["bands"] / summary["timings_s"]["one_band"])
     assert "times as long as one band" in summary["headline"][-1]

@@ -8,10 +8,10 @@ import pytest
 import rasterio
 
 from fynjax._core.errors import InputError
+from fynjax.compare.structure._cloud import CloudSettings, height_cloud
+from fynjax.compare.structure._compare import ComparisonSettings, cloud_structure, compare_clouds
 from fynjax.metrics import STRUCTURE_METRICS, StructureSettings
-from fynjax.report._figures_structure import structure_figure, structure_maps
-from fynjax.report._structure_cloud import CloudSettings, height_cloud
-from fynjax.report._structure_job import ComparisonSettings, cloud_structure, compare_clouds
+from fynjax.report.figures._structure import structure_figure, structure_maps
 from fynjax.terrain import PointCloud
 
 laspy = pytest.importorskip("laspy")

@@ -8,9 +8,9 @@ from rasterio import Affine
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress
-from fynjax.io import write_geotiff
-from fynjax.report._validate_drone import compare_drone_images
-from fynjax.report._validate_images import DroneImage, read_drone_image, thinning
+from fynjax.compare._drone import compare_drone_images
+from fynjax.compare._images import DroneImage, read_drone_image, thinning
+from fynjax.io.raster import write_geotiff
 from tests.helpers import write_raster
 
 PLACE = Affine(0.05, 0, 100.0, 0, -0.05, 200.0)

@@ -11,13 +11,13 @@ from scipy import stats
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress
-from fynjax.io import write_geotiff
+from fynjax.compare._drone import DroneComparison, compare_drone_images
+from fynjax.compare._images import read_drone_image
+from fynjax.compare._spectra import SpectraSample, read_spectra_sample
+from fynjax.compare._spectral import SpectralComparison, compare_spectra
+from fynjax.io.raster import write_geotiff
+from fynjax.jobs._validate import ValidationData, validate
 from fynjax.metrics import BANDS, VEGETATION_INDICES, spectral_mask
-from fynjax.report._validate_drone import DroneComparison, compare_drone_images
-from fynjax.report._validate_images import read_drone_image
-from fynjax.report._validate_job import ValidationData, run_validate
-from fynjax.report._validate_spectra import SpectraSample, read_spectra_sample
-from fynjax.report._validate_spectral import SpectralComparison, compare_spectra
 from tests.report.test_validate_spectra import WAVE, cube, write_csv, write_envi
 
 
@@ -173,7 +173,7 @@ def test_spectra_that_reach_no_index(wave: np.ndarray, folder: Path, tmp_path: P
     rows = [f"{w:g},{v:g}" for w, v in zip(wave, np.linspace(0.1, 0.2, wave.size), strict=True)]
     short.write_text("\n".join(["wavelength,reflectance", *rows]) + "\n")
     data = ValidationData(real_spectra=[short], simulated_spectra=[folder / "real.csv"])
-    summary = run_validate(data, tmp_path / "out")
+    summary = validate(data, tmp_path / "out")
     assert summary["spectra"]["indices"] == []
     assert "No index: the spectra do not reach its bands." in summary["spectra"]["notes"]
     assert "spectral_indices.png" not in summary["files"]
@@ -191,7 +191,7 @@ def test_a_constant_spectrum_has_no_line(folder: Path, tmp_path: Path) -> None:
     for level, angle in ((0.3, f"angle {degrees:.1f}°"), (0.0, "angle undefined")):
         flat = write_csv(tmp_path / "flat.csv", np.full((1, fine.size), level), fine)
         data = ValidationData(real_spectra=[flat], simulated_spectra=[folder / "real.csv"])
-        summary = run_validate(data, tmp_path / "out", matching="response")
+        summary = validate(data, tmp_path / "out", matching="response")
         full, misfit = summary["spectra"]["regions"][0], summary["spectra"]["misfit"][0]
         for value in (full["nrmse_percent"], full["correlation"], misfit["gain"], misfit["offset"]):
             assert np.isnan(value)
@@ -210,7 +210,7 @@ def test_a_run_writes_every_number_once(folder: Path, tmp_path: Path) -> None:
         real_spectra=[folder / "real.csv"],
         simulated_spectra=[folder / "simulated"],
     )
-    summary = run_validate(data, tmp_path)
+    summary = validate(data, tmp_path)
     assert sorted(summary["files"]) == sorted(p.name for p in tmp_path.iterdir())
     table = pd.read_csv(tmp_path / "drone_indices.csv")
     with xr.open_dataset(tmp_path / "validation.nc") as file:
@@ -232,7 +232,7 @@ def test_a_run_writes_every_number_once(folder: Path, tmp_path: Path) -> None:
 
 def test_against_the_published_statistics(folder: Path, tmp_path: Path) -> None:
     data = ValidationData(real_drone="published", simulated_drone=folder / "simulated.tif")
-    summary = run_validate(data, tmp_path)
+    summary = validate(data, tmp_path)
     table = pd.read_csv(tmp_path / "drone_published.csv").set_index("statistic")
     ndvi = written("NDVI", drawn(2, 30, 30, 0.2))
     row = table.loc["NDVI.mean"]

@@ -9,12 +9,12 @@ import pytest
 import xarray as xr
 
 from fynjax._core.errors import InputError
+from fynjax.compare.structure._cloud import CloudSettings, height_cloud
+from fynjax.compare.structure._compare import ComparisonSettings, compare_clouds
+from fynjax.compare.structure._pits import sunk, without_pits
+from fynjax.compare.structure._settings import cloud_settings
+from fynjax.jobs._validate import ValidationData, validate
 from fynjax.metrics import STRUCTURE_METRICS, STRUCTURE_PRESETS
-from fynjax.report._structure_cloud import CloudSettings, height_cloud
-from fynjax.report._structure_job import ComparisonSettings, compare_clouds
-from fynjax.report._structure_pits import sunk, without_pits
-from fynjax.report._validate_clouds import cloud_settings
-from fynjax.report._validate_job import ValidationData, run_validate
 from fynjax.terrain import PointCloud
 from tests.report.test_structure import plot, write_las
 
@@ -161,7 +161,7 @@ def test_a_shift_upwards_moves_given_heights(clouds: Path) -> None:
 
 def test_every_number_is_in_the_files(clouds: Path, tmp_path: Path) -> None:
     data = ValidationData(real_cloud=clouds / "real.las", simulated_cloud=clouds / "simulated.las")
-    summary = run_validate(data, tmp_path, cloud_options=FEW)
+    summary = validate(data, tmp_path, cloud_options=FEW)
     assert sorted(summary["files"]) == sorted(p.name for p in tmp_path.iterdir())
     grains = pd.read_csv(tmp_path / "structure_grains.csv").set_index("grain_m")
     assert list(grains.index) == [1.0, 2.0, 3.0, 4.0, 5.0]

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
+from fynjax.assembly import build_plot
 from fynjax.canopy import table1_2006
-from fynjax.io import build_plot, example_folder, read_plot
+from fynjax.io.plot import example_folder, read_plot
 from fynjax.scene import (
     Instances,
     hard_instances,

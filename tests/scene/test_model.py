@@ -12,7 +12,7 @@ from fynjax._core.errors import InputError
 from fynjax.canopy import hard_count
 from fynjax.scene import background_spectrum, named_values, with_values
 from fynjax.scene._optics import _shoot_optics
-from fynjax.sensors._sky import clear_sky_diffuse_fraction
+from fynjax.sensors.air._sky import clear_sky_diffuse_fraction
 from tests.scene.plots import TAXA, densities, render, small_parameters, small_plot
 
 

@@ -6,8 +6,9 @@ import pytest
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax.io import build_plot, read_plot
-from fynjax.io._build_ground import ground_heights
+from fynjax.assembly import build_plot
+from fynjax.assembly._ground import ground_heights
+from fynjax.io.plot import read_plot
 from fynjax.scene import hard_instances
 from tests.helpers import write_raster
 

@@ -14,9 +14,9 @@ import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.io._atmosphere_file import read_atmosphere
+from fynjax.io.instruments._atmosphere_file import read_atmosphere
 from fynjax.sensors import BandSet
-from fynjax.sensors._atmosphere import (
+from fynjax.sensors.air._atmosphere import (
     SPACE,
     Atmosphere,
     ClearAir,
@@ -26,10 +26,10 @@ from fynjax.sensors._atmosphere import (
     is_transparent,
     surface_reflectance,
 )
-from fynjax.sensors._sixs_table import table_limits, tabulated_atmosphere
-from fynjax.sensors._sky import clear_sky_diffuse_fraction
-from fynjax.sensors._spectrl2 import clear_sky_atmosphere
-from fynjax.sensors._sun import sun_position
+from fynjax.sensors.air._sixs_table import table_limits, tabulated_atmosphere
+from fynjax.sensors.air._sky import clear_sky_diffuse_fraction
+from fynjax.sensors.air._spectrl2 import clear_sky_atmosphere
+from fynjax.sensors.air._sun import sun_position
 from tests.helpers import assert_gradients
 
 MODELS = {
@@ -262,7 +262,7 @@ def compare(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def tabulated_solar() -> np.ndarray:
-    from fynjax.sensors import _sixs_table
+    from fynjax.sensors.air import _sixs_table
 
     return _sixs_table._load(None).solar
 

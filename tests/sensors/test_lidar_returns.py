@@ -18,7 +18,7 @@ from fynjax.sensors import (
     shipped_lidar,
     shipped_lidars,
 )
-from fynjax.sensors._lidar_returns import GROUND, VEGETATION
+from fynjax.sensors.lidar._returns import GROUND, VEGETATION
 from tests.sensors.lidar_scenes import flash, scanner, slab
 
 

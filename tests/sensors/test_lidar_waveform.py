@@ -12,7 +12,7 @@ from fynjax._core.errors import InputError
 from fynjax.canopy import leaf_angle
 from fynjax.radiation import area_scattering
 from fynjax.sensors import expected_returns, lidar_waveforms
-from fynjax.sensors._lidar_path import backscatter
+from fynjax.sensors.lidar._path import backscatter
 from tests.helpers import assert_gradients
 from tests.sensors.lidar_scenes import VOXEL, flash, patchy, scanner, slab
 

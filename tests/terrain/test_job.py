@@ -11,8 +11,9 @@ from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
 from fynjax.cli._terrain import terrain as command
-from fynjax.terrain import Terrain, read_terrain, run_terrain, write_terrain
-from fynjax.terrain._picture import hillshade
+from fynjax.jobs import terrain
+from fynjax.report.figures._terrain import hillshade
+from fynjax.terrain import Terrain, read_terrain, write_terrain
 from tests.helpers import write_raster
 from tests.terrain.synthetic import CORNER, ground_height, needs_cloth, shrubland
 
@@ -80,7 +81,7 @@ def test_raster_is_cut_out_and_resampled(tmp_path):
         ground_height(x[None, :], y[:, None]), 0.5, CORNER, CRS.from_epsg(32734).to_wkt()
     )
     write_terrain(tmp_path / "dtm.tif", whole)
-    summary = run_terrain(tmp_path / "dtm.tif", tmp_path, size=10.0, cell=0.25)
+    summary = terrain(tmp_path / "dtm.tif", tmp_path, size=10.0, cell=0.25)
     assert set(summary["files"]) == {"terrain.tif", "terrain.obj", "terrain.png"}
     part = read_terrain(tmp_path / "terrain.tif")
     np.testing.assert_allclose(part.bounds, np.add([10, 10, 20, 20], [*CORNER, *CORNER]))
@@ -100,32 +101,32 @@ def sloping(rows, columns):
 @pytest.mark.parametrize(("columns", "size"), [(101, 66), (100, 66), (101, 65), (100, 65)])
 def test_a_plot_of_a_raster_is_as_large_as_asked(tmp_path, columns, size):
     path = plain_raster(tmp_path / "a.tif", sloping(80, columns))
-    summary = run_terrain(path, tmp_path / "out", size=float(size))
+    summary = terrain(path, tmp_path / "out", size=float(size))
     west, south, east, north = summary["terrain"]["bounds_m"]
     assert (east - west, north - south) == (size, size)
     middle = np.array([0.5 * (west + east), 0.5 * (south + north)]) - CORNER
     assert np.abs(middle - [0.5 * columns, 40.0]).max() <= 0.5
-    finer = run_terrain(path, tmp_path / "out", size=12.5, cell=0.5)["terrain"]["bounds_m"]
+    finer = terrain(path, tmp_path / "out", size=12.5, cell=0.5)["terrain"]["bounds_m"]
     assert finer[2] - finer[0] == 12.5
     with pytest.raises(InputError, match=r"a\.tif: `cell` must .* divide 12\.5"):
-        run_terrain(path, tmp_path / "out", size=12.5)
+        terrain(path, tmp_path / "out", size=12.5)
 
 
 def test_filled_cells_are_counted_and_not_far(tmp_path):
     heights = sloping(20, 60)
     heights[:, 30:41] = np.nan
     path = plain_raster(tmp_path / "a.tif", heights)
-    summary = run_terrain(path, tmp_path / "out", fill_gaps=True)
+    summary = terrain(path, tmp_path / "out", fill_gaps=True)
     assert summary["terrain"]["cells_filled"] == pytest.approx(11 / 60)
     assert "18.3 % of the cells had no height" in summary["headline"][1]
     with pytest.raises(InputError, match=r"a\.tif: expected ground within 5 m of every cell"):
-        run_terrain(path, tmp_path / "out", fill_gaps=True, largest_gap=5.0)
+        terrain(path, tmp_path / "out", fill_gaps=True, largest_gap=5.0)
     heights[:, 11:] = np.nan
     path = plain_raster(tmp_path / "b.tif", heights)
     with pytest.raises(InputError, match="expected ground within 10 m of every cell"):
-        run_terrain(path, tmp_path / "out", fill_gaps=True)
+        terrain(path, tmp_path / "out", fill_gaps=True)
     with pytest.warns(UserWarning, match="78 % of the plot's cells lie outside of all ground"):
-        run_terrain(path, tmp_path / "out", fill_gaps=True, largest_gap=60.0)
+        terrain(path, tmp_path / "out", fill_gaps=True, largest_gap=60.0)
 
 
 def test_rough_ground_is_warned_of(tmp_path):
@@ -134,14 +135,14 @@ def test_rough_ground_is_warned_of(tmp_path):
     points = rng.uniform([0.0, 0.0, 0.3], [12.0, 12.0, 1.5], (40_000, 3))
     np.savetxt(tmp_path / "a.xyz", points)
     with pytest.warns(UserWarning, match="may have no points on the ground"):
-        run_terrain(tmp_path / "a.xyz", tmp_path)
+        terrain(tmp_path / "a.xyz", tmp_path)
 
 
 def test_what_does_not_go_together(cloud_file, tmp_path):
     with pytest.raises(InputError, match="`bounds` or `size`"):
-        run_terrain(cloud_file, tmp_path, size=3.0, bounds=(0.0, 0.0, 1.0, 1.0))
+        terrain(cloud_file, tmp_path, size=3.0, bounds=(0.0, 0.0, 1.0, 1.0))
     with pytest.raises(InputError, match="`size` must be positive"):
-        run_terrain(cloud_file, tmp_path, size=-3.0)
+        terrain(cloud_file, tmp_path, size=-3.0)
     assert not list(tmp_path.iterdir())
 
 
@@ -168,7 +169,7 @@ def test_what_does_not_go_together(cloud_file, tmp_path):
 def test_settings_that_do_nothing_or_are_out_of_range(tmp_path, name, settings, said):
     """Before the file is looked for."""
     with pytest.raises(InputError, match=said):
-        run_terrain(tmp_path / name, tmp_path, **settings)
+        terrain(tmp_path / name, tmp_path, **settings)
 
 
 def test_a_failed_command_writes_nothing_and_names_its_options(cloud_file, tmp_path):
@@ -197,7 +198,7 @@ def test_ground_around_the_plot_is_used(tmp_path):
     )
     z = height(x, y) + np.where(hedge, 1.5, 0.0)
     np.savetxt(tmp_path / "a.xyz", np.stack([x, y, z], axis=1), "%.4f")
-    run_terrain(tmp_path / "a.xyz", tmp_path, size=10.0)
+    terrain(tmp_path / "a.xyz", tmp_path, size=10.0)
     ground = read_terrain(tmp_path / "terrain.tif")
     x, y = ground.centres
     error = ground.heights - height(x[None, :], y[:, None])

@@ -12,6 +12,7 @@ import pytest
 import rasterio
 
 from fynjax._core.errors import InputError
+from fynjax.jobs import terrain
 from fynjax.terrain import (
     PointCloud,
     Terrain,
@@ -19,7 +20,6 @@ from fynjax.terrain import (
     find_ground,
     read_cloud,
     read_terrain,
-    run_terrain,
     terrain_from_points,
 )
 
@@ -88,7 +88,7 @@ def test_a_patch_without_ground_is_said(shared_data, tmp_path):
         pytest.warns(UserWarning, match="4 % of the plot's cells lie outside"),
         pytest.warns(UserWarning, match="may have no points on the ground"),
     ):
-        summary = run_terrain(path, tmp_path, cell=0.5)
+        summary = terrain(path, tmp_path, cell=0.5)
     # What the command wrote it reads, to fractions of a millimetre 81 km below the sea.
     with pytest.warns(UserWarning, match=r"terrain\.tif lies at -81459 m"):
         back = read_terrain(tmp_path / "terrain.tif")

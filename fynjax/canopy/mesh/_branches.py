@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax.canopy._instances import random_orientation
-from fynjax.canopy._mesh_plant import MeshPlant, PlantMaterial, PlantMesh, mesh_plant
 from fynjax.canopy._plant import Organ
+from fynjax.canopy.mesh._plant_mesh import MeshPlant, PlantMaterial, PlantMesh, mesh_plant
 
 _Branch = TypeVar("_Branch", MeshPlant, PlantMesh)
 _MOST_PARTS = 5_000_000

@@ -15,12 +15,18 @@ import numpy as np
 from fynjax._core.errors import InputError
 from fynjax.canopy._counts import modelled_diameter
 from fynjax.canopy._forms import FORM_DEFAULTS
-from fynjax.canopy._generate_forms import Skeleton, climber, deadwood, shrub, tussock
-from fynjax.canopy._generate_organs import GREEN_SIDES, Foliage, Leaf, build_organs, lay_out
-from fynjax.canopy._generate_parts import OUTLINES, Surface, join, outline_area, outline_triangles
-from fynjax.canopy._mesh_plant import PlantMesh
 from fynjax.canopy._plant import Organ
 from fynjax.canopy._table import table1_2006
+from fynjax.canopy.mesh._generate_forms import Skeleton, climber, deadwood, shrub, tussock
+from fynjax.canopy.mesh._generate_organs import GREEN_SIDES, Foliage, Leaf, build_organs, lay_out
+from fynjax.canopy.mesh._generate_parts import (
+    OUTLINES,
+    Surface,
+    join,
+    outline_area,
+    outline_triangles,
+)
+from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
 if TYPE_CHECKING:
     import pandas as pd

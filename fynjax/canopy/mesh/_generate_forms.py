@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fynjax.canopy._forms import _CROWNS, _SHOOTS, Crown, Shoots, quasi_random
-from fynjax.canopy._generate_parts import tangents, unit
+from fynjax.canopy.mesh._generate_parts import tangents, unit
 
 _STEM_POINTS = 14
 _TWIG_POINTS = 6

@@ -6,15 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from fynjax.canopy._angles import leaf_angle
-from fynjax.canopy._forms import (
-    _FLOWERS_ABOVE,
-    _QUANTILES,
-    FORM_DEFAULTS,
-    _quantile,
-    quasi_random,
-)
-from fynjax.canopy._generate_forms import Skeleton
-from fynjax.canopy._generate_parts import (
+from fynjax.canopy._forms import _FLOWERS_ABOVE, _QUANTILES, FORM_DEFAULTS, _quantile, quasi_random
+from fynjax.canopy._plant import Organ
+from fynjax.canopy.mesh._generate_forms import Skeleton
+from fynjax.canopy.mesh._generate_parts import (
     EMPTY,
     OUTLINES,
     Surface,
@@ -24,7 +19,6 @@ from fynjax.canopy._generate_parts import (
     tubes_of_area,
     unit,
 )
-from fynjax.canopy._plant import Organ
 
 GREEN_SIDES = {"climber": 3, "tussock": 4}
 _GOLDEN_ANGLE = 2.399963  # rad: the usual spiral of leaves along a stem

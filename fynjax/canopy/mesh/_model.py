@@ -15,17 +15,17 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.canopy._forms import quasi_random, split_elements
-from fynjax.canopy._mesh_facets import closed_faces, draw_evenly, facets, volume
-from fynjax.canopy._mesh_names import organ_named, organ_of_name
-from fynjax.canopy._mesh_plant import (
+from fynjax.canopy._plant import Organ
+from fynjax.canopy.mesh._facets import closed_faces, draw_evenly, facets, volume
+from fynjax.canopy.mesh._organ_names import organ_named, organ_of_name
+from fynjax.canopy.mesh._plant_mesh import (
     MeshPlant,
     PlantMaterial,
     PlantMesh,
     check_extent,
     mesh_plant,
 )
-from fynjax.canopy._mesh_read import default_up, plant_mesh_of
-from fynjax.canopy._plant import Organ
+from fynjax.canopy.mesh._read import default_up, plant_mesh_of
 
 
 def read_plant_mesh(mesh: Any, *, up: Literal["y", "z"] | None = None) -> PlantMesh:

@@ -8,8 +8,8 @@ from typing import Any, Literal
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.canopy._mesh_facets import check_vertex_normals
-from fynjax.canopy._mesh_plant import PlantMesh
+from fynjax.canopy.mesh._facets import check_vertex_normals
+from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
 _USEMTL = re.compile(r"^[ \t]*usemtl[ \t]+(.*?)[ \t]*\r?$", re.MULTILINE)
 

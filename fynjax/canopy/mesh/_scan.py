@@ -17,10 +17,10 @@ from jaxtyping import Float, Int
 from fynjax._core.errors import InputError
 from fynjax._core.text_columns import TextTable, name_and_unit, open_text_table, places_of
 from fynjax.canopy._forms import split_elements
-from fynjax.canopy._mesh_facets import draw_evenly
-from fynjax.canopy._mesh_names import organ_named, organ_of_name
-from fynjax.canopy._mesh_plant import MeshPlant, PlantMaterial, check_extent, mesh_plant
 from fynjax.canopy._plant import Organ
+from fynjax.canopy.mesh._facets import draw_evenly
+from fynjax.canopy.mesh._organ_names import organ_named, organ_of_name
+from fynjax.canopy.mesh._plant_mesh import MeshPlant, PlantMaterial, check_extent, mesh_plant
 
 _LARGEST_LENGTH_MISS = 0.01
 _COLUMNS = ("x", "y", "z", "nx", "ny", "nz")

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
-from fynjax.report._structure_pits import sunk, without_pits
+from fynjax.compare.structure._pits import sunk, without_pits
 from fynjax.terrain import (
     Bounds,
     PointCloud,

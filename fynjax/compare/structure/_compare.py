@@ -8,6 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from fynjax._core.progress import NullProgress, Progress
+from fynjax.compare.structure._cloud import HeightCloud, common_plot, height_cloud, open_cloud
+from fynjax.compare.structure._grain import binned_returns, choose_cells
+from fynjax.compare.structure._notes import comparison_notes, nearly_highest
+from fynjax.compare.structure._options import ComparisonSettings
+from fynjax.compare.structure._result import (
+    CloudSide,
+    CloudStructure,
+    DistributionComparison,
+    Estimate,
+    MetricComparison,
+    StructureComparison,
+)
 from fynjax.metrics import (
     STRUCTURE_METRICS,
     BinnedReturns,
@@ -18,23 +30,6 @@ from fynjax.metrics import (
     height_percentiles,
     height_shares,
     thinnings,
-)
-from fynjax.report._structure_cloud import (
-    HeightCloud,
-    common_plot,
-    height_cloud,
-    open_cloud,
-)
-from fynjax.report._structure_grain import binned_returns, choose_cells
-from fynjax.report._structure_notes import comparison_notes, nearly_highest
-from fynjax.report._structure_options import ComparisonSettings
-from fynjax.report._structure_result import (
-    CloudSide,
-    CloudStructure,
-    DistributionComparison,
-    Estimate,
-    MetricComparison,
-    StructureComparison,
 )
 from fynjax.terrain import PointCloud
 

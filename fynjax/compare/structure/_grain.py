@@ -6,6 +6,8 @@ import numpy as np
 import pandas as pd
 
 from fynjax._core.errors import InputError
+from fynjax.compare.structure._cloud import HeightCloud
+from fynjax.compare.structure._options import ComparisonSettings
 from fynjax.metrics import (
     BinnedReturns,
     CellGrid,
@@ -16,9 +18,7 @@ from fynjax.metrics import (
     cell_structure,
     choose_grain,
 )
-from fynjax.metrics._structure_compare import check_grains
-from fynjax.report._structure_cloud import HeightCloud
-from fynjax.report._structure_options import ComparisonSettings
+from fynjax.metrics.structure import check_grains
 from fynjax.terrain import Bounds
 
 PAPER_GRAINS = {1.0: (17.9, 51.3), 2.0: (6.1, 10.6)}

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fynjax.report._structure_cloud import MUCH_NOISE
-from fynjax.report._structure_grain import cut_off
-from fynjax.report._structure_result import CloudSide, StructureComparison
+from fynjax.compare.structure._cloud import MUCH_NOISE
+from fynjax.compare.structure._grain import cut_off
+from fynjax.compare.structure._result import CloudSide, StructureComparison
 
 _MOST_CUT_OFF = 0.05
 _FEW_CELLS = 10

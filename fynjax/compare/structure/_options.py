@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from fynjax._core.errors import InputError
+from fynjax.compare.structure._cloud import CloudSettings
 from fynjax.metrics import StructureSettings
-from fynjax.metrics._structure_compare import LARGEST_CHANGE
-from fynjax.report._structure_cloud import CloudSettings
+from fynjax.metrics.structure import LARGEST_CHANGE
 from fynjax.terrain import Bounds
 
 

@@ -8,13 +8,8 @@ import pandas as pd
 import xarray as xr
 from jaxtyping import Float
 
-from fynjax.metrics import (
-    STRUCTURE_METRICS,
-    CellStructure,
-    GrainCheck,
-    StructureSettings,
-    structure_2006,
-)
+from fynjax.compare.structure._published import structure_2006
+from fynjax.metrics import STRUCTURE_METRICS, CellStructure, GrainCheck, StructureSettings
 
 Interval = tuple[float, float]
 

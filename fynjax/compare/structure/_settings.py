@@ -5,8 +5,8 @@ from dataclasses import fields, replace
 from typing import Any
 
 from fynjax._core.errors import InputError
+from fynjax.compare.structure._options import ComparisonSettings
 from fynjax.metrics import STRUCTURE_PRESETS, StructureSettings
-from fynjax.report._structure_options import ComparisonSettings
 
 _BOTH = ("tallest", "deepest", "tolerance")
 """Settings of how a cloud is read that are stated for both at once."""

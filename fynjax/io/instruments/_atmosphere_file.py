@@ -11,9 +11,8 @@ import xarray as xr
 
 from fynjax._core.errors import InputError
 from fynjax._core.spectral import check_wavelength
-from fynjax.io._tables import existing_file, read_text
-from fynjax.io._validate import did_you_mean
-from fynjax.sensors._atmosphere import Atmosphere
+from fynjax.io.text import did_you_mean, existing_file, read_text
+from fynjax.sensors.air import Atmosphere
 
 _KINDS = {
     "wavelength": "length",

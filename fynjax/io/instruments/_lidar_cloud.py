@@ -9,7 +9,7 @@ from rasterio.errors import CRSError
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax.io._atomic import atomic_path
+from fynjax.io.text import atomic_path
 from fynjax.sensors import LidarReturns
 
 INTENSITY_SCALE = 20000.0

@@ -5,10 +5,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from fynjax.io._named import shipped_or_own
-from fynjax.io._sensor_tables import _nanometre_slip
-from fynjax.io._strict import Slip, Strict, number
-from fynjax.io._toml import read_toml
+from fynjax.io.instruments._sensor_tables import _nanometre_slip
+from fynjax.io.text import Slip, Strict, number, read_toml, shipped_or_own
 from fynjax.sensors import Lidar, build_lidar, lidar_folder, shipped_lidars
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]

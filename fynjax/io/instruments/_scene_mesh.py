@@ -7,7 +7,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import Organ, PlantMesh, generate_plant, table1_2006, unit_shapes
-from fynjax.io._atomic import atomic_path, write_text
+from fynjax.io.text import atomic_path, write_text
 from fynjax.scene import Instances, PlotModel, PlotParameters
 
 LEAST_TRIANGLES = 2000

@@ -8,10 +8,8 @@ import numpy as np
 from pydantic import BaseModel
 
 from fynjax._core.errors import InputError
-from fynjax.io._sensor_tables import BandRow, CurveRow, NoiseRow, SensorFile
-from fynjax.io._tables import existing_file, read_rows
-from fynjax.io._toml import line_of, read_toml
-from fynjax.io._validate import did_you_mean
+from fynjax.io.instruments._sensor_tables import BandRow, CurveRow, NoiseRow, SensorFile
+from fynjax.io.text import did_you_mean, existing_file, line_of, read_rows, read_toml
 from fynjax.sensors import Sensor, build_sensor, sensor_folder, shipped_sensors
 
 _FEW = 20  # bands of a camera; with more, neighbours of a spectrometer are a width apart

@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.io._align import Alignment, align_bands
-from fynjax.io._rededge_metadata import RedEdgeBand, read_rededge_band
-from fynjax.io._validate import did_you_mean
+from fynjax.io.micasense._metadata import RedEdgeBand, read_rededge_band
+from fynjax.io.raster import Alignment, align_bands
+from fynjax.io.text import did_you_mean
 from fynjax.sensors import counts_to_radiance
 
 _NAME = re.compile(r"(?P<capture>.+)_(?P<band>\d+)\.tiff?", re.IGNORECASE)

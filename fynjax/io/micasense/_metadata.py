@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
-from fynjax.io._frame import open_raster
+from fynjax.io.raster import open_raster
 from fynjax.sensors import CameraRadiometry
 
 _RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"

@@ -14,9 +14,8 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull
 
 from fynjax._core.errors import InputError
-from fynjax.io._rededge import Capture
-from fynjax.io._strict import Strict, number
-from fynjax.io._tables import read_rows
+from fynjax.io.micasense._capture import Capture
+from fynjax.io.text import Strict, number, read_rows
 from fynjax.sensors import BandSet, PanelReading, panel_coverage, panel_reading
 
 _EVEN = 0.08

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from fynjax.io._strict import Strict, number
+from fynjax.io.text import Strict, number
 
 DEFAULT_FREE = ("species.*.cover", "species.*.diameter", "species.*.leaf.*", "ground.*")
 """Patterns of parameters that a calibration frees unless told otherwise."""

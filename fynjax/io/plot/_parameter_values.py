@@ -6,9 +6,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from fynjax._core.errors import InputError
-from fynjax.io._table_rows import ParameterRow
-from fynjax.io._tables import read_rows
-from fynjax.io._validate import did_you_mean
+from fynjax.io.plot._rows import ParameterRow
+from fynjax.io.text import did_you_mean, read_rows
 from fynjax.scene import PlotParameters, named_values, parameter_units, with_values
 
 _FACTORS = {"%": ("-", 0.01), "cm": ("m", 0.01)}

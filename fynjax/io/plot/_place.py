@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from fynjax.io._frame import has_place, is_local, open_raster
-from fynjax.io._plot import Plot
+from fynjax.io.plot._plot import Plot
+from fynjax.io.raster import has_place, is_local, open_raster
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from fynjax.io._table_rows import PROSPECT_REQUIRED, GrowthForm
+from fynjax.io.plot._rows import PROSPECT_REQUIRED, GrowthForm
 from fynjax.sensors import Panel
 
 Floats = NDArray[np.float64]

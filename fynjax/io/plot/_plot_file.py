@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.io._calibration_table import DEFAULT_RELATIVE_SD
-from fynjax.io._plot import (
+from fynjax.io.plot._calibration import DEFAULT_RELATIVE_SD
+from fynjax.io.plot._plot import (
     GROWTH_FORMS,
     PROSPECT_COLUMNS,
     Calibration,
@@ -22,17 +22,15 @@ from fynjax.io._plot import (
     Sky,
     Species,
 )
-from fynjax.io._plot_sensor import DRONE, plot_air, plot_sensor, plot_sun
-from fynjax.io._plot_tables import PlotFile
-from fynjax.io._table_rows import LeafRow, SkyRow, SpeciesRow
-from fynjax.io._tables import existing_file, read_rows
-from fynjax.io._toml import line_of, read_toml
-from fynjax.io._validate import did_you_mean
+from fynjax.io.plot._plot_tables import PlotFile
+from fynjax.io.plot._rows import LeafRow, SkyRow, SpeciesRow
+from fynjax.io.plot._sensor import DRONE, plot_air, plot_sensor, plot_sun
+from fynjax.io.text import did_you_mean, existing_file, line_of, read_rows, read_toml
 
 
 def example_folder() -> Path:
     """Folder of the shipped example plot: table 1 of the paper, burnt in 2006."""
-    return Path(str(files("fynjax.io") / "data" / "plot_2006"))
+    return Path(str(files("fynjax.io.plot") / "data" / "plot_2006"))
 
 
 def shipped_growth_forms() -> dict[str, str]:

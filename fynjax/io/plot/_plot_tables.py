@@ -5,8 +5,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from fynjax.io._calibration_table import CalibrationTable
-from fynjax.io._strict import Slip, Strict, number
+from fynjax.io.plot._calibration import CalibrationTable
+from fynjax.io.text import Slip, Strict, number
 
 
 def _size_is_positive(value: float | tuple[float, float]) -> float | tuple[float, float]:

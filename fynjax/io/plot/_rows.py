@@ -4,7 +4,7 @@ from typing import ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from fynjax.io._strict import Slip, Strict, number
+from fynjax.io.text import Slip, Strict, number
 
 GrowthForm = Literal[
     "upright_ericoid", "rounded_shrub", "tussock", "broad_leaved", "climber", "deadwood"

@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.io._plot import Air, Plot, Sensor, Sun
-from fynjax.io._plot_tables import AtmosphereTable, SensorTable, SunTable
-from fynjax.io._sensor_file import load_sensor
-from fynjax.io._toml import line_of
-from fynjax.io._validate import did_you_mean
+from fynjax.io.instruments import load_sensor
+from fynjax.io.plot._plot import Air, Plot, Sensor, Sun
+from fynjax.io.plot._plot_tables import AtmosphereTable, SensorTable, SunTable
+from fynjax.io.text import did_you_mean, line_of
 from fynjax.metrics import BANDS
 from fynjax.sensors import (
     SPACE,

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
-from fynjax.io._table_rows import StatisticRow, StructureRow
-from fynjax.io._tables import read_rows
-from fynjax.io._validate import did_you_mean
+from fynjax.io.plot._rows import StatisticRow, StructureRow
+from fynjax.io.text import did_you_mean, read_rows
 
 BANDS = ("green", "red", "red_edge", "nir")
 """Bands of the shipped camera, as statistics name them."""

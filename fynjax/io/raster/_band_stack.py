@@ -14,8 +14,8 @@ from rasterio.enums import ColorInterp
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.io._align import Alignment, align_bands
-from fynjax.io._frame import check_frame, has_place, is_local, open_raster
+from fynjax.io.raster._align import Alignment, align_bands
+from fynjax.io.raster._frame import check_frame, has_place, is_local, open_raster
 
 _COLOURS = {ColorInterp.red: "red", ColorInterp.green: "green", ColorInterp.blue: "blue"}
 _NANOMETRES = {"nanometers": 1.0, "nm": 1.0, "micrometers": 1e3, "um": 1e3, "µm": 1e3}
@@ -195,7 +195,7 @@ def _read(path: Path) -> _Part:
             colour = _COLOURS.get(file.colorinterp[number - 1]) if masks else None
             given = file.descriptions[number - 1] or _stated_in(xmp, "BandName") or colour
             names.append((given or f"band {number}").strip())
-            waves.append(_wavelength(file, number, xmp))
+            waves.append(band_wavelength(file, number, xmp))
         crs = None if file.crs is None or is_local(file.crs) else file.crs.to_wkt()
         transform = file.transform
     if xmp:
@@ -218,7 +218,7 @@ def _is_mask(band: np.ndarray) -> bool:
     return float(np.mean((band == 0) | (band == top))) > 0.99
 
 
-def _wavelength(file: Any, number: int, xmp: str) -> float | None:
+def band_wavelength(file: Any, number: int, xmp: str) -> float | None:
     """Centre of a band [nm], as its tags or the camera state it."""
     tags = {key.lower(): value for key, value in file.tags(number).items()}
     imagery = file.tags(number, ns="IMAGERY").get("CENTRAL_WAVELENGTH_UM")

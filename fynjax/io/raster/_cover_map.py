@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from fynjax._core.errors import InputError
-from fynjax.io._over_plot import read_over_plot
-from fynjax.io._validate import did_you_mean
+from fynjax.io.raster._over_plot import read_over_plot
+from fynjax.io.text import did_you_mean
 from fynjax.scene import COVERS
 
 

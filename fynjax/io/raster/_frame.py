@@ -11,8 +11,8 @@ import rasterio
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from fynjax._core.errors import InputError
-from fynjax.io._raster_checks import check_north_up
-from fynjax.io._tables import existing_file
+from fynjax.io.raster._checks import check_north_up
+from fynjax.io.text import existing_file
 
 METRES = ("m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its heights."""

@@ -19,10 +19,9 @@ from rasterio.crs import CRS
 from rasterio.enums import ColorInterp
 
 from fynjax._core.errors import InputError
-from fynjax.io._atomic import atomic_path
-from fynjax.io._frame import open_raster
-from fynjax.io._raster_checks import check_north_up, check_square
-from fynjax.io._validate import did_you_mean
+from fynjax.io.raster._checks import check_north_up, check_square
+from fynjax.io.raster._frame import open_raster
+from fynjax.io.text import atomic_path, did_you_mean
 
 LOCAL_FRAME = 'LOCAL_CS["fynjax plot frame, origin south-west",UNIT["metre",1]]'
 """Coordinate system of a plot without a place on Earth: x east, y north, in metres."""
@@ -158,7 +157,7 @@ def _choose_bands(
     return list(range(count))
 
 
-def _check_scale(values: NDArray[np.float64], valid: NDArray[np.bool_], path: Path) -> None:
+def check_scale(values: NDArray[np.float64], valid: NDArray[np.bool_], path: Path) -> None:
     """Refuse values that are no reflectance; never guess a scale."""
     lowest = float(values[:, valid].min())
     if lowest < -0.5:
@@ -248,7 +247,7 @@ def read_image(
             "every band)",
             file=path,
         )
-    _check_scale(values, valid, path)
+    check_scale(values, valid, path)
     if masked:
         warnings.warn(
             f"{path}: {masked} of {valid.size} pixels are masked (no data, NaN, or zero in every "

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 import fynjax
 from fynjax._core.errors import InputError
-from fynjax.io._atomic import atomic_path
+from fynjax.io.text import atomic_path
 
 CONVENTIONS = "CF-1.11"
 

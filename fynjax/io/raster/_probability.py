@@ -17,9 +17,9 @@ from rasterio import Affine
 from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
-from fynjax.io._atomic import atomic_path
-from fynjax.io._over_plot import read_over_plot
-from fynjax.io._rasters import LOCAL_FRAME
+from fynjax.io.raster._geotiff import LOCAL_FRAME
+from fynjax.io.raster._over_plot import read_over_plot
+from fynjax.io.text import atomic_path
 
 
 def write_probability_map(

@@ -8,11 +8,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
-from fynjax.io._frame import open_raster
-from fynjax.io._products import QUANTITIES, Cube
-from fynjax.io._rasters import _placement
-from fynjax.io._spectra_envi import envi_pair, header_wavelengths, read_header
-from fynjax.io._tables import existing_file
+from fynjax.io.raster._frame import open_raster
+from fynjax.io.raster._geotiff import _placement
+from fynjax.io.raster._products import QUANTITIES, Cube
+from fynjax.io.spectra import envi_pair, header_wavelengths, read_header
+from fynjax.io.text import existing_file
 from fynjax.sensors import RADIANCE_UNITS
 
 _ENVI_DATA = (".dat", ".img", ".bil", ".bsq", ".bip")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.io._spectra_record import Spectrum, note
+from fynjax.io.spectra._record import Spectrum, note
 
 _HEADER = 484
 _TYPES = {

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
-from fynjax.io._spectra_record import Spectrum, note
+from fynjax.io.spectra._record import Spectrum, note
 
 _DTYPES = {"1": "u1", "2": "i2", "3": "i4", "4": "f4", "5": "f8", "12": "u2", "13": "u4"}
 
@@ -18,6 +18,7 @@ _UNSAID = ("", "unknown", "index")
 
 
 def read_header(path: Path) -> dict[str, str]:
+    """Keys and values of an ENVI header, keys in lower case; `InputError` where it is none."""
     text = path.read_text(encoding="utf-8", errors="replace")
     if not text.lstrip().upper().startswith("ENVI"):
         raise InputError("expected an ENVI header, which starts with the word ENVI", file=path)

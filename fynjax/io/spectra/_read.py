@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.io._asd import is_asd, read_asd
-from fynjax.io._spectra_envi import read_envi_library
-from fynjax.io._spectra_record import Spectrum, check_spectrum
-from fynjax.io._spectra_text import read_text_spectra
+from fynjax.io.spectra._asd import is_asd, read_asd
+from fynjax.io.spectra._envi import read_envi_library
+from fynjax.io.spectra._record import Spectrum, check_spectrum
+from fynjax.io.spectra._text import read_text_spectra
 
 
 def read_spectra(path: str | Path) -> list[Spectrum]:

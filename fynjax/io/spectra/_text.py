@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.io._spectra_record import Spectrum, note
+from fynjax.io.spectra._record import Spectrum, note
 
 _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _WAVELENGTH = re.compile(r"^(wave[ _]?length|wavelen|wvl?|wl|lambda|nm|[uµμ]m|x)\b", re.I)

@@ -10,7 +10,7 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from fynjax._core.errors import InputError
-from fynjax.io._validate import did_you_mean, first_error, sentence
+from fynjax.io.text._validate import did_you_mean, first_error, sentence
 
 Row = TypeVar("Row", bound=BaseModel)
 

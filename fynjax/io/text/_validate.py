@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from fynjax.io._strict import Strict
+from fynjax.io.text._strict import Strict
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fynjax._core.errors import InputError
-from fynjax.metrics._structure import CellGrid, CellStructure
+from fynjax.metrics.structure._metrics import CellGrid, CellStructure
 
 LEAST_RETURNS = 5
 """Returns with which a cell counts, in the paper's rule."""

@@ -8,8 +8,8 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from fynjax._core.errors import InputError
-from fynjax.metrics._structure_profile import leaf_area_gap, profile_metrics
-from fynjax.metrics._structure_settings import STRUCTURE_METRICS, StructureSettings
+from fynjax.metrics.structure._profile import leaf_area_gap, profile_metrics
+from fynjax.metrics.structure._settings import STRUCTURE_METRICS, StructureSettings
 
 _MOST_VOXELS = 100_000_000
 # A height this share of a layer below an edge is on the edge: decimals have no exact form.

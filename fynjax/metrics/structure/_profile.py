@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fynjax.metrics._structure_settings import StructureSettings
+from fynjax.metrics.structure._settings import StructureSettings
 
 Pair = tuple[Any, Any]
 

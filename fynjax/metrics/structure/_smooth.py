@@ -11,8 +11,8 @@ from jaxtyping import Array, Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax.metrics._distribution import quantiles, smooth_histogram_intersection
-from fynjax.metrics._structure_profile import leaf_area_gap, profile_metrics, ratio, root
-from fynjax.metrics._structure_settings import STRUCTURE_METRICS, StructureSettings
+from fynjax.metrics.structure._profile import leaf_area_gap, profile_metrics, ratio, root
+from fynjax.metrics.structure._settings import STRUCTURE_METRICS, StructureSettings
 
 # Added to shares before their logarithm is taken: the slope of -p ln p is infinite at 0.
 _FLOOR = 1e-5

@@ -14,15 +14,7 @@ from fynjax.radiation.reference._random import (
     uniform,
     unit,
 )
-from fynjax.radiation.reference._trace import (
-    LEAF,
-    SIDE,
-    SKY,
-    Meeting,
-    fly,
-    surface,
-    transmittance,
-)
+from fynjax.radiation.reference._trace import LEAF, SIDE, SKY, Meeting, fly, surface, transmittance
 from fynjax.radiation.reference._world import Ground, Light, World
 
 _LIFT = 1e-7  # of a column's width, so that uneven ground does not shade itself

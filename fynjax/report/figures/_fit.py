@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fynjax.inversion import SEEN
 from fynjax.metrics import WATER_WINDOWS
-from fynjax.report._figure_style import (
+from fynjax.report.figures._style import (
     AFTER,
     BEFORE,
     BLUE,

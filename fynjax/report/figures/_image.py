@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from fynjax.report._figure_style import AFTER, BEFORE, REAL, style, words
+from fynjax.report.figures._style import AFTER, BEFORE, REAL, style, words
 
 _COMPOSITES: dict[str, tuple[tuple[str, str, str], str]] = {
     "false_colour": (("nir", "red", "green"), "False colour: red, green, blue = NIR, red, green"),

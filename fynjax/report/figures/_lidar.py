@@ -4,10 +4,10 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from fynjax.report._figure_style import BLUE, GREEN, ORANGE, style
-from fynjax.report._lidar_heights import LEVELS, Heights
+from fynjax.compare import LEVELS, Heights
+from fynjax.report.figures._style import BLUE, GREEN, ORANGE, style
 from fynjax.sensors import LidarReturns
-from fynjax.sensors._lidar_returns import GROUND
+from fynjax.sensors.lidar import GROUND
 
 _STRIP = 1.0
 _GROUND_COLOUR = "#8C6D46"
@@ -59,7 +59,7 @@ def side_view(
     return figure
 
 
-def profile_view(compared: Heights) -> Figure:
+def height_profiles(compared: Heights) -> Figure:
     """Shares of planted area, of first hits and of returns against height, and percentiles."""
     edges = compared.edges
     colours = dict(zip(compared.shares, (GREEN, ORANGE, BLUE)))

@@ -5,8 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from fynjax.report._figure_style import BLUE, GREY, ORANGE, REAL, SKY, VERMILION, style
-from fynjax.report._plots_compare import (
+from fynjax.compare import (
     FEATURES,
     PlotSpectraPair,
     band_table,
@@ -14,6 +13,7 @@ from fynjax.report._plots_compare import (
     feature_values,
     misfit_table,
 )
+from fynjax.report.figures._style import BLUE, GREY, ORANGE, REAL, SKY, VERMILION, style
 
 _GAP_NM = 30.0
 """Bands further apart than this are not joined by a line."""
@@ -116,7 +116,7 @@ def residual_plot(pair: PlotSpectraPair) -> Figure:
     return figure
 
 
-def misfit_plot(pair: PlotSpectraPair) -> Figure:
+def misfit_of_plots(pair: PlotSpectraPair) -> Figure:
     """What each plot's squared error is made of, and how large the error is."""
     table = misfit_table(pair).sort_values("rmse", ascending=True)
     y = np.arange(len(table))

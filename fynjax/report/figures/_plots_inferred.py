@@ -1,45 +1,53 @@
 """Figures of what spectra say of plots."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from fynjax.report._figure_style import BLUE, GREEN, GREY, ORANGE, VERMILION, style
-from fynjax.report._figures_plots import draw_band, draw_line
-from fynjax.report._plots_infer import FREE, QUANTITIES
-from fynjax.report._plots_infer_compare import (
-    ELSEWHERE,
-    ENOUGH,
-    OWN,
-    REGRESSION,
-    TAUGHT,
-)
+from fynjax.report.figures._plots import draw_band, draw_line
+from fynjax.report.figures._style import BLUE, GREEN, GREY, ORANGE, VERMILION, style
 
-_COLOURS = {OWN: BLUE, ELSEWHERE: VERMILION, TAUGHT: GREEN}
+_COLOURS = (BLUE, VERMILION, GREEN)
+"""Of the priors, in the order in which a table names them."""
 
 
-def estimates_plot(table: pd.DataFrame) -> Figure:
-    """Estimates with their 95 % intervals against the field, by prior and quantity."""
-    priors = [p for p in _COLOURS if (table["predictor"] == p).any()]
+def estimates_plot(
+    table: pd.DataFrame,
+    titles: dict[str, str],
+    *,
+    priors: Sequence[str],
+    regression: str,
+    measured_share: float,
+) -> Figure:
+    """Estimates with their 95 % intervals against the field, by prior and quantity.
+
+    **Arguments:** `table`, a row for each plot, predictor and quantity; `titles` of the quantities,
+    with their units; the predictors that are fits with `priors`, and the one that is a
+    `regression`; `measured_share` of a plot's cover from which its mean trait counts as known [-].
+    """
+    colours = dict(zip(priors, _COLOURS))
+    priors = [prior for prior in priors if (table["predictor"] == prior).any()]
     with style():
         figure = Figure(figsize=(9.0, 0.5 + 2.9 * len(priors)))
-        grid = figure.subplots(len(priors), len(QUANTITIES), squeeze=False)
+        grid = figure.subplots(len(priors), len(titles), squeeze=False)
         for row, prior in zip(grid, priors):
-            for axes, (name, (_, words, unit)) in zip(row, QUANTITIES.items()):
+            for axes, (name, title) in zip(row, titles.items()):
                 part = table[table["quantity"] == name]
                 own = part[part["predictor"] == prior]
-                if name == "leaf_mass_per_area":
-                    plsr = part[part["predictor"] == REGRESSION]
+                plsr = part[part["predictor"] == regression]
+                if len(plsr):
                     axes.plot(plsr["field"], plsr["estimate"], "x", color=ORANGE, ms=5)
-                for enough, fill in ((True, _COLOURS[prior]), (False, "white")):
-                    some = own[(own["measured_share"] >= ENOUGH) == enough]
+                for enough, fill in ((True, colours[prior]), (False, "white")):
+                    some = own[(own["measured_share"] >= measured_share) == enough]
                     axes.errorbar(
                         some["field"],
                         some["estimate"],
                         [some["estimate"] - some["q025"], some["q975"] - some["estimate"]],
-                        fmt="o", ms=4, lw=0.8, color=_COLOURS[prior], mfc=fill,
+                        fmt="o", ms=4, lw=0.8, color=colours[prior], mfc=fill,
                     )  # fmt: skip
                 known = own["field"][np.isfinite(own["field"])]
                 if len(known):
@@ -47,13 +55,13 @@ def estimates_plot(table: pd.DataFrame) -> Figure:
                     axes.axline((low, low), slope=1.0, color=GREY, lw=0.8)
                     room = max(0.08 * (high - low), 0.02 * high)
                     axes.set_xlim(low - room, high + room)
-                axes.set_title(f"{words} [{unit}]", fontsize=9)
+                axes.set_title(title, fontsize=9)
                 axes.grid(True)
             row[0].set_ylabel(prior.split(", ")[1], fontsize=8)
         handles = [
             Line2D([], [], color=GREY, marker="o", ls="", label="trait measured on most cover"),
             Line2D([], [], color=GREY, marker="o", mfc="white", ls="", label="on less"),
-            Line2D([], [], color=ORANGE, marker="x", ls="", label=REGRESSION),
+            Line2D([], [], color=ORANGE, marker="x", ls="", label=regression),
         ]
         figure.legend(handles=handles, loc="outside upper right", ncols=3)
         figure.supxlabel("field", fontsize=9)
@@ -63,23 +71,24 @@ def estimates_plot(table: pd.DataFrame) -> Figure:
 
 def shifts_plot(parameters: pd.DataFrame) -> Figure:
     """How far the spectra pull each parameter from its prior, a point a plot."""
-    priors = [p for p in _COLOURS if (parameters["predictor"] == p).any()]
+    colours = dict(zip(parameters["predictor"].unique(), _COLOURS))
+    priors, free = list(colours), list(parameters["parameter"].unique())
     with style():
-        figure = Figure(figsize=(7.4, 0.8 + 0.33 * len(FREE)))
+        figure = Figure(figsize=(7.4, 0.8 + 0.33 * len(free)))
         axes = figure.subplots()
         axes.axvspan(-1.0, 1.0, color=GREY, alpha=0.2, lw=0)
         for k, prior in enumerate(priors):
             own = parameters[parameters["predictor"] == prior]
-            for row, name in enumerate(FREE):
+            for row, name in enumerate(free):
                 moved = own[own["parameter"] == name]["moved"].to_numpy()
                 y = np.full(moved.size, row + 0.25 * (k - 0.5 * (len(priors) - 1)))
-                axes.plot(moved, y, "o", ms=3.5, alpha=0.6, color=_COLOURS[prior], mew=0)
-                axes.plot([moved.mean()], y[:1], "|", ms=12, mew=2, color=_COLOURS[prior])
+                axes.plot(moved, y, "o", ms=3.5, alpha=0.6, color=colours[prior], mew=0)
+                axes.plot([moved.mean()], y[:1], "|", ms=12, mew=2, color=colours[prior])
         axes.axvline(0.0, color=GREY, lw=0.8)
-        axes.set_yticks(range(len(FREE)), [name.replace("_", " ") for name in FREE])
+        axes.set_yticks(range(len(free)), [name.replace("_", " ") for name in free])
         axes.invert_yaxis()
         axes.set_xlabel("moved from the prior [prior standard deviations]")
-        handles = [Line2D([], [], color=_COLOURS[p], marker="o", ls="", label=p) for p in priors]
+        handles = [Line2D([], [], color=colours[p], marker="o", ls="", label=p) for p in priors]
         figure.legend(handles=handles, loc="outside upper right", fontsize=7.5)
         axes.grid(True, axis="x")
     return figure
@@ -94,7 +103,7 @@ def residuals_plot(
     with style():
         figure = Figure(figsize=(7.4, 3.2))
         axes = figure.subplots()
-        colours = dict(zip(residuals, (GREY, *_COLOURS.values())))
+        colours = dict(zip(residuals, (GREY, *_COLOURS)))
         for name, rest in residuals.items():
             mean, sd = rest.mean(axis=0), rest.std(axis=0)
             draw_band(

@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from fynjax.report._figure_style import (
+from fynjax.report.figures._style import (
     BLUE,
     GREEN,
     GREY,

@@ -6,9 +6,9 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from fynjax.io._products import QUANTITIES, Cube
-from fynjax.report._figure_style import BLUE, GREY, style
-from fynjax.report._figures_image import composites
+from fynjax.io.raster import QUANTITIES, Cube
+from fynjax.report.figures._image import composites
+from fynjax.report.figures._style import BLUE, GREY, style
 
 _SEEN = {"green": 560.0, "red": 660.0, "nir": 860.0}
 """Colours of a picture and where they lie [nm]."""

@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
-from fynjax.io._products import Cube
-from fynjax.io._rededge_panel import PanelSeen
-from fynjax.report._figure_style import VERMILION, style
+from fynjax.io.micasense import PanelSeen
+from fynjax.io.raster import Cube
+from fynjax.report.figures._style import VERMILION, style
 
 _THIN = 640
 """Pixels of a picture's longer side; larger ones are thinned for it."""

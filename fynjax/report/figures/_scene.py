@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from fynjax.report._figure_style import style
+from fynjax.report.figures._style import style
 from fynjax.scene import Instances, crown_centres, projected_cover
 
 _PALETTE = (

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from scipy.ndimage import map_coordinates
 
 from fynjax.canopy import Organ, plant_model, unit_shapes
-from fynjax.report._figure_style import style
-from fynjax.report._scene_figures import _GROUND, _legend, rgb, species_colours
+from fynjax.report.figures._scene import _GROUND, _legend, rgb, species_colours
+from fynjax.report.figures._style import style
 from fynjax.scene import Instances, projected_cover
 
 _WIDTH, _HEIGHT, _FINER = 1120, 840, 2

@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fynjax.report._figure_style import AFTER, REAL, style, words
-from fynjax.report._structure_result import Estimate, MetricComparison, StructureComparison
+from fynjax.compare.structure import Estimate, MetricComparison, StructureComparison
+from fynjax.report.figures._style import AFTER, REAL, style, words
 
 _SIDES = (("real", REAL, "o"), ("simulated", AFTER, "s"))
 

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import NDArray
 
-from fynjax.io._atomic import atomic_path
-from fynjax.terrain._raster import Terrain
+from fynjax.io.text import atomic_path
+from fynjax.terrain import Terrain
 
 
 def hillshade(

@@ -8,7 +8,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fynjax.report._figure_style import AFTER, GREY, REAL, style, words
+from fynjax.report.figures._style import AFTER, GREY, REAL, style, words
 
 SAMPLES = (("real", REAL), ("simulated", AFTER))
 """The two sides of a comparison, and their colours."""

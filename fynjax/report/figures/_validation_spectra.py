@@ -8,8 +8,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from fynjax.metrics import SPECTRAL_REGIONS
-from fynjax.report._figure_style import GREY, REAL, VERMILION, style
-from fynjax.report._figures_validation import SAMPLES, difference_bars
+from fynjax.report.figures._style import GREY, REAL, VERMILION, style
+from fynjax.report.figures._validation import SAMPLES, difference_bars
 
 _NAMES = {"full": "All", "vnir": "VNIR", "swir1": "SWIR1", "swir2": "SWIR2"}
 

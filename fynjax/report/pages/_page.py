@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fynjax.io._atomic import write_text
-from fynjax.report._figure_style import FIGURE_DPI
+from fynjax.io.text import write_text
+from fynjax.report.figures import FIGURE_DPI
 
 _CSS = """
 :root { color-scheme: light; }

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from fynjax.assembly import Measured
 from fynjax.inversion import SpectrumView
 from fynjax.metrics import STRUCTURE_METRICS
-from fynjax.report._calibrate_targets import Measured
-from fynjax.report._figures_fit import metric_plot, spectrum_plot
-from fynjax.report._page import Page
+from fynjax.report.figures import metric_plot, spectrum_plot
+from fynjax.report.pages._page import Page
 
 _COLUMNS = ["real", "target_sd", "before", "after"]
 

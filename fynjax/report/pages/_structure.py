@@ -6,13 +6,12 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from fynjax.io import write_run, write_text
-from fynjax.report._figure_style import save_figure
-from fynjax.report._figures_structure import structure_figure, structure_maps
-from fynjax.report._page import Page
-from fynjax.report._structure_grain import cut_off, grain_table
-from fynjax.report._structure_result import StructureComparison
-from fynjax.report._validate_page import Files
+from fynjax.compare.structure import StructureComparison, cut_off, grain_table
+from fynjax.io.raster import write_run
+from fynjax.io.text import write_text
+from fynjax.report.figures import save_figure, structure_figure, structure_maps
+from fynjax.report.pages._page import Page
+from fynjax.report.pages._validation import Files
 
 
 def structure_section(

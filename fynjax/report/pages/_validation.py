@@ -6,21 +6,26 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from fynjax.compare import (
+    LEFT_OUT,
+    DroneComparison,
+    DroneImage,
+    PublishedComparison,
+    SpectralComparison,
+    unit_of,
+)
 from fynjax.metrics import BANDS
-from fynjax.report._figure_style import save_figure, words
-from fynjax.report._figures_image import composites
-from fynjax.report._figures_validation import band_box_plot, index_pair_histograms
-from fynjax.report._figures_validation_spectra import (
+from fynjax.report.figures import (
+    band_box_plot,
+    composites,
+    index_pair_histograms,
     mean_spectra_plot,
     misfit_plot,
+    save_figure,
     spectrometer_index_bars,
+    words,
 )
-from fynjax.report._page import Page
-from fynjax.report._validate_dataset import unit_of
-from fynjax.report._validate_drone import DroneComparison
-from fynjax.report._validate_images import DroneImage
-from fynjax.report._validate_published import PublishedComparison
-from fynjax.report._validate_spectral import LEFT_OUT, SpectralComparison
+from fynjax.report.pages._page import Page
 
 Files = dict[str, str]
 """File names with what they hold."""

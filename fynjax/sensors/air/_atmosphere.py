@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.math import real_array
 from fynjax._core.spectral import check_wavelength
 from fynjax.sensors._bands import BandSet
 
@@ -17,11 +18,6 @@ SPACE = 100_000.0
 """Height of a sensor above all air [m]."""
 
 _CURVES = ("direct", "diffuse", "upward_transmittance", "path_radiance", "spherical_albedo")
-
-
-def _real(value: Any) -> Array:
-    array = jnp.asarray(value)
-    return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
 
 
 def _wavelengths(values: Any) -> tuple[float, ...]:
@@ -38,15 +34,15 @@ class Atmosphere(eqx.Module):
 
     wavelength: tuple[float, ...] = eqx.field(static=True, converter=_wavelengths)
     """Wavelengths of the curves [nm], increasing; at bands, the band centres."""
-    direct: Float[Array, " wavelength"] = eqx.field(converter=_real)
+    direct: Float[Array, " wavelength"] = eqx.field(converter=real_array)
     """Irradiance of a horizontal plane on the ground by the sun [W m-2 um-1]."""
-    diffuse: Float[Array, " wavelength"] = eqx.field(converter=_real)
+    diffuse: Float[Array, " wavelength"] = eqx.field(converter=real_array)
     """Irradiance of the ground by the sky [W m-2 um-1]."""
-    upward_transmittance: Float[Array, " wavelength"] = eqx.field(converter=_real)
+    upward_transmittance: Float[Array, " wavelength"] = eqx.field(converter=real_array)
     """Share of the ground's radiance that reaches the sensor, scattered light included [-]."""
-    path_radiance: Float[Array, " wavelength"] = eqx.field(converter=_real)
+    path_radiance: Float[Array, " wavelength"] = eqx.field(converter=real_array)
     """Radiance that the air itself sends to the sensor [W m-2 sr-1 um-1]."""
-    spherical_albedo: Float[Array, " wavelength"] = eqx.field(converter=_real)
+    spherical_albedo: Float[Array, " wavelength"] = eqx.field(converter=real_array)
     """Share of the ground's light that the air sends back to the ground [-]."""
 
     def __check_init__(self) -> None:
@@ -65,19 +61,19 @@ class ClearAir(eqx.Module):
     Raises `InputError` for impossible values, where they are known before tracing.
     """
 
-    sun_zenith: Float[Array, ""] = eqx.field(converter=_real)
+    sun_zenith: Float[Array, ""] = eqx.field(converter=real_array)
     """Zenith angle of the sun [degrees], 0 to below 90."""
-    water_vapour: Float[Array, ""] = eqx.field(converter=_real, default=1.5)
+    water_vapour: Float[Array, ""] = eqx.field(converter=real_array, default=1.5)
     """Column of water vapour [g cm-2], the same number as in cm of water."""
-    aerosol_optical_depth: Float[Array, ""] = eqx.field(converter=_real, default=0.1)
+    aerosol_optical_depth: Float[Array, ""] = eqx.field(converter=real_array, default=0.1)
     """Optical depth of aerosol at 550 nm, straight up [-]."""
-    ozone: Float[Array, ""] = eqx.field(converter=_real, default=0.3)
+    ozone: Float[Array, ""] = eqx.field(converter=real_array, default=0.3)
     """Column of ozone [cm-atm]; 0.3 are 300 Dobson units."""
-    pressure: Float[Array, ""] = eqx.field(converter=_real, default=1013.25)
+    pressure: Float[Array, ""] = eqx.field(converter=real_array, default=1013.25)
     """Air pressure at the ground, not reduced to sea level [hPa]."""
-    sensor_height: Float[Array, ""] = eqx.field(converter=_real, default=SPACE)
+    sensor_height: Float[Array, ""] = eqx.field(converter=real_array, default=SPACE)
     """Height of the sensor above the ground [m]; from 100 km on it is in space."""
-    solar_factor: Float[Array, ""] = eqx.field(converter=_real, default=1.0)
+    solar_factor: Float[Array, ""] = eqx.field(converter=real_array, default=1.0)
     """Sunlight of the day over that at one astronomical unit [-], 0.966 to 1.035."""
 
     def __check_init__(self) -> None:
@@ -220,7 +216,7 @@ def band_atmosphere(atmosphere: Atmosphere, bands: BandSet) -> Atmosphere:
 
 
 def _on_grid(atmosphere: Atmosphere, values: Any, what: str) -> Array:
-    array = _real(values)
+    array = real_array(values)
     count = len(atmosphere.wavelength)
     if array.shape[-1:] != (count,):
         raise InputError(

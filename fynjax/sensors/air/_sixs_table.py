@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from fynjax._core.errors import InputError
-from fynjax.sensors._atmosphere import Atmosphere, ClearAir
+from fynjax.sensors.air._atmosphere import Atmosphere, ClearAir
 
 _AIR_SCALE_HEIGHT = 8.0  # km; aerosol, of 2 km, is then a polynomial of the share of air below
 _GAS_SCALE_HEIGHT = 4.0  # between those of water vapour and air

@@ -2,7 +2,7 @@
 
 from jaxtyping import Array, Float
 
-from fynjax.sensors._spectrl2 import aerosol_depth, rayleigh_depth, scattered_light
+from fynjax.sensors.air._spectrl2 import aerosol_depth, rayleigh_depth, scattered_light
 
 
 def clear_sky_diffuse_fraction(

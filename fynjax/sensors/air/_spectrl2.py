@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
 
-from fynjax.sensors._atmosphere import Atmosphere, ClearAir
+from fynjax.sensors.air._atmosphere import Atmosphere, ClearAir
 
 _REFERENCE_PRESSURE = 1013.0  # hPa
 _DIFFUSE_AIR_MASS = 1.8  # of light from all over the sky, eq. 3-8 and 3-15

@@ -7,8 +7,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.math import mean_transmittance
 from fynjax.canopy import AbstractLeafAngle
-from fynjax.radiation import RayField, VoxelScene
-from fynjax.radiation._rays import Lattice
+from fynjax.radiation import Lattice, RayField, VoxelScene
 
 _BISECTIONS = 30
 _PLANES = 4  # in a layer: what is thinner than the distance of two may be missed

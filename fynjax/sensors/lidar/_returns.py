@@ -9,9 +9,9 @@ from jaxtyping import Array, Float, Int
 from scipy.signal import find_peaks
 
 from fynjax._core.errors import InputError
-from fynjax.sensors._lidar import FWHM, SPEED_OF_LIGHT, Lidar
-from fynjax.sensors._lidar_beams import LidarBeams
-from fynjax.sensors._lidar_waveform import Waveforms
+from fynjax.sensors.lidar._beams import LidarBeams
+from fynjax.sensors.lidar._system import FWHM, SPEED_OF_LIGHT, Lidar
+from fynjax.sensors.lidar._waveform import Waveforms
 
 GROUND, VEGETATION = 2, 3
 """Classes of returns, as LAS 1.4 numbers them: ground, low vegetation."""

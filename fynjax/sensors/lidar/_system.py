@@ -11,14 +11,14 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.sensors._bands import BandSet
-from fynjax.sensors._lidar_beams import (
+from fynjax.sensors._shipped import sensor_folder
+from fynjax.sensors.lidar._beams import (
     FlashGeometry,
     LidarBeams,
     ScanGeometry,
     flash_beams,
     scan_beams,
 )
-from fynjax.sensors._shipped import sensor_folder
 
 SPEED_OF_LIGHT = 0.299792458
 """Speed of light in vacuum [m ns-1]; air slows it by 0.03 %."""

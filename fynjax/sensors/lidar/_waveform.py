@@ -21,9 +21,9 @@ from scipy.special import ndtr
 
 from fynjax._core.errors import InputError
 from fynjax.radiation import VoxelScene
-from fynjax.sensors._lidar import Lidar
-from fynjax.sensors._lidar_beams import LidarBeams
-from fynjax.sensors._lidar_path import PencilPaths, canopy_fields, trace_pencils
+from fynjax.sensors.lidar._beams import LidarBeams
+from fynjax.sensors.lidar._path import PencilPaths, canopy_fields, trace_pencils
+from fynjax.sensors.lidar._system import Lidar
 
 _TAIL = 4.0
 _FINE = 6.0  # bins in the pulse's standard deviation

@@ -10,24 +10,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
-from fynjax._core.journal import Journal
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.inversion import Data, spectrum_view
-from fynjax.inversion._fit import Forward
-from fynjax.inversion._search import signature
-from fynjax.io import BioscapePlot, Plot, provenance, read_bioscape, read_plot
-from fynjax.io._bioscape_files import run_bioscape, write_plot_files
-from fynjax.io._bioscape_plsr import read_leaf_mass_model
-from fynjax.io._bioscape_spectra import (
-    PlotSpectra,
-    Spectrometer,
-    read_plot_spectra,
-    read_spectrometer,
-)
-from fynjax.io._bioscape_traits import SOURCES, Sourced
-from fynjax.io._netcdf import file_hash
-from fynjax.report._plots_infer import (
+from fynjax.inversion import Data, Forward, signature, spectrum_view
+from fynjax.io.plot import Plot, read_plot
+from fynjax.io.raster import file_hash, provenance
+from fynjax.scene import PlotParameters
+from fynjax.sensors import BandSet
+from fynjax.studies.bioscape._inversion import (
     FREE,
     MOST_BANDS,
     QUANTITIES,
@@ -42,7 +33,7 @@ from fynjax.report._plots_infer import (
     prior_space,
     taught_data,
 )
-from fynjax.report._plots_infer_compare import (
+from fynjax.studies.bioscape._inversion_compare import (
     ELSEWHERE,
     MEAN,
     OWN,
@@ -55,16 +46,19 @@ from fynjax.report._plots_infer_compare import (
     others,
     simple_table,
 )
-from fynjax.report._plots_infer_files import Findings, write_findings
-from fynjax.report._plots_job import used_bands
-from fynjax.report._plots_scenes import (
-    Resolution,
-    build_scenes,
-    slots_of,
-    slotted_parameters,
+from fynjax.studies.bioscape._inversion_files import Findings, write_findings
+from fynjax.studies.bioscape._plot_files import run_bioscape, write_plot_files
+from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
+from fynjax.studies.bioscape._plsr import read_leaf_mass_model
+from fynjax.studies.bioscape._scenes import Resolution, build_scenes, slots_of, slotted_parameters
+from fynjax.studies.bioscape._spectra import (
+    PlotSpectra,
+    Spectrometer,
+    read_plot_spectra,
+    read_spectrometer,
 )
-from fynjax.scene import PlotParameters
-from fynjax.sensors import BandSet
+from fynjax.studies.bioscape._traits import SOURCES, Sourced
+from fynjax.studies.bioscape._validate import used_bands
 
 _LEAST_PLOTS, _LEAST_TEACHERS = 4, 5
 """With fewer, other plots are no prior, and no teachers."""
@@ -82,7 +76,7 @@ class Prior:
     """What other plots say of each; None where a plot's own tables do."""
 
 
-def run_calibrate_plots(
+def calibrate_plots(
     folder: str | Path,
     output: str | Path,
     *,
@@ -96,7 +90,7 @@ def run_calibrate_plots(
 ) -> dict[str, Any]:
     """Infer cover, leaf mass per area and water of a folder's plots from their spectra.
 
-    **Arguments:** `folder`, `plots`, `traits` and `resolution` as `run_validate_plots` takes them;
+    **Arguments:** `folder`, `plots`, `traits` and `resolution` as `validate_plots` takes them;
     a `*LMA*model*.json` in the folder is the published regression. `plantings`: how often each
     plot is planted anew, to know what chance in it changes; at least 3. `checkpoint`: a folder
     that keeps each plot's fit; the same call goes on from it.

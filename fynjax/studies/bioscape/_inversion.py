@@ -14,12 +14,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax._core.journal import Keep
-from fynjax.inversion import Data, ParameterSpace, SpectrumView, fit, weigh_spectrum
-from fynjax.inversion._fit import Forward, evaluate
-from fynjax.inversion._fit_result import FitResult
-from fynjax.io import BioscapePlot
+from fynjax._core.checkpoint import Keep
+from fynjax.inversion import (
+    Data,
+    FitResult,
+    Forward,
+    ParameterSpace,
+    SpectrumView,
+    evaluate,
+    fit,
+    weigh_spectrum,
+)
 from fynjax.scene import PlotModel, PlotParameters
+from fynjax.studies.bioscape._plots import BioscapePlot
 
 MODEL_SD = 0.05
 """Relative error of the model in each band for itself, assumed [-]."""

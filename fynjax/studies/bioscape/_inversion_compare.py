@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from fynjax.io import BioscapePlot
-from fynjax.report._plots_compare import leave_one_out
-from fynjax.report._plots_infer import FREE, QUANTITIES, Estimate, Reference, quantity
+from fynjax.compare import leave_one_out
+from fynjax.studies.bioscape._inversion import FREE, QUANTITIES, Estimate, Reference, quantity
+from fynjax.studies.bioscape._plots import BioscapePlot
 
 OWN, ELSEWHERE, TAUGHT = (
     "spectrum, the plot's tables as prior",

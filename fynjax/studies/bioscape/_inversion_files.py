@@ -9,22 +9,23 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from fynjax.io import write_text
-from fynjax.report._figure_style import save_figure
-from fynjax.report._figures_infer import estimates_plot, residuals_plot, shifts_plot
-from fynjax.report._page import Page
-from fynjax.report._plots_infer import MODEL_SD, QUANTITIES, Estimate
-from fynjax.report._plots_infer_compare import (
+from fynjax.io.text import write_text
+from fynjax.report.figures import estimates_plot, residuals_plot, save_figure, shifts_plot
+from fynjax.report.pages import Page
+from fynjax.studies.bioscape._inversion import MODEL_SD, QUANTITIES, Estimate
+from fynjax.studies.bioscape._inversion_compare import (
     ELSEWHERE,
+    ENOUGH,
     MEAN,
     OWN,
     PREDICTORS,
+    REGRESSION,
     TAUGHT,
     agreement,
     parameter_table,
     why_table,
 )
-from fynjax.report._plots_scenes import Resolution
+from fynjax.studies.bioscape._scenes import Resolution
 
 _ALIKE = 3.0
 """A shift this many standard errors from zero is one that plots share."""
@@ -88,7 +89,13 @@ def write_findings(
     several = len(findings.plots) > 1
     figures = {
         "estimates": (
-            estimates_plot(table),
+            estimates_plot(
+                table,
+                {name: f"{words} [{unit}]" for name, (_, words, unit) in QUANTITIES.items()},
+                priors=(OWN, ELSEWHERE, TAUGHT),
+                regression=REGRESSION,
+                measured_share=ENOUGH,
+            ),
             "Estimates with their 95 % intervals against the field; on the line is right. In the "
             "first row the plot's own tables are the prior, so that agreement is no merit of the "
             "spectrum; below, other plots are. A filled point is a plot of whose cover most has a "

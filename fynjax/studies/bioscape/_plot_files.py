@@ -9,18 +9,12 @@ from typing import Any
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.io._atomic import write_text
-from fynjax.io._bioscape import BioscapePlot, BioscapeSpecies, Visit, read_bioscape
-from fynjax.io._bioscape_assumed import (
-    CLOSED_COVER,
-    DOME,
-    PLOT_SIDE_M,
-    pigments,
-    plant_size,
-)
-from fynjax.io._bioscape_traits import SOURCES
-from fynjax.io._plot import PROSPECT_COLUMNS
+from fynjax.io.plot import PROSPECT_COLUMNS
+from fynjax.io.text import write_text
 from fynjax.sensors import sun_position
+from fynjax.studies.bioscape._assumed import CLOSED_COVER, DOME, PLOT_SIDE_M, pigments, plant_size
+from fynjax.studies.bioscape._plots import BioscapePlot, BioscapeSpecies, Visit, read_bioscape
+from fynjax.studies.bioscape._traits import SOURCES
 
 OTHER = "Other species"
 """Taxon of the live cover that no listed species makes up."""

@@ -7,7 +7,8 @@ from datetime import datetime
 from pathlib import Path
 
 from fynjax._core.errors import InputError
-from fynjax.io._bioscape_assumed import (
+from fynjax.io.text import did_you_mean, existing_file
+from fynjax.studies.bioscape._assumed import (
     OPEN_GROUND_LITTER,
     STANDING_DEAD,
     PlantShape,
@@ -16,7 +17,7 @@ from fynjax.io._bioscape_assumed import (
     plant_size,
     random_packing,
 )
-from fynjax.io._bioscape_tables import (
+from fynjax.studies.bioscape._tables import (
     COVER,
     SPECIES,
     TRAITS,
@@ -29,9 +30,7 @@ from fynjax.io._bioscape_tables import (
     needed_table,
     read_foreign,
 )
-from fynjax.io._bioscape_traits import Sourced, TraitLibrary, split_name
-from fynjax.io._tables import existing_file
-from fynjax.io._validate import did_you_mean
+from fynjax.studies.bioscape._traits import Sourced, TraitLibrary, split_name
 
 _TOLERANCE = 1.0
 """Covers of a plot may miss their sum by this [%]: crews round."""

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax.io._bioscape_tables import find_table
+from fynjax.studies.bioscape._tables import find_table
 
 LEAF_MASS_MODEL = "*LMA*model*.json", "a regression of leaf mass per area on reflectance"
 

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax.assembly import USUAL_LEAF, plot_parameters
 from fynjax.canopy import FORM_DEFAULTS, VoxelGrid
-from fynjax.io import Plot
-from fynjax.io._build import USUAL_LEAF, plot_parameters
+from fynjax.io.plot import Plot
 from fynjax.radiation import Accuracy, parallel_rays, render, solve_light
 from fynjax.scene import Camera, PlotModel, PlotParameters, build_model
 from fynjax.sensors import BandSet

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax.io._bioscape_tables import VISITS, find_table
-from fynjax.io._tables import read_text
+from fynjax.io.text import read_text
 from fynjax.sensors import shipped_sensor
+from fynjax.studies.bioscape._tables import VISITS, find_table
 
 WAVES = "*waves.csv", "a table of band centres"
 _MASKED = -0.01

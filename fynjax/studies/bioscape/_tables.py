@@ -9,9 +9,7 @@ from typing import Annotated, Any, ClassVar, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from fynjax._core.errors import InputError
-from fynjax.io._strict import Slip, Strict, number
-from fynjax.io._tables import read_text
-from fynjax.io._validate import did_you_mean, first_error, sentence
+from fynjax.io.text import Slip, Strict, did_you_mean, first_error, number, read_text, sentence
 
 Row = TypeVar("Row", bound=BaseModel)
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fynjax._core.errors import InputError
-from fynjax.io._bioscape_assumed import DEFAULT_TRAITS, OLD_GENERA, plant_shape
-from fynjax.io._bioscape_tables import TraitRow
+from fynjax.studies.bioscape._assumed import DEFAULT_TRAITS, OLD_GENERA, plant_shape
+from fynjax.studies.bioscape._tables import TraitRow
 
 TRAITS = {
     "leaf_mass_per_area": "Mean_Leaf_Mass_Per_Area",

@@ -10,25 +10,27 @@ import pandas as pd
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.io import BioscapePlot, Plot, provenance, read_bioscape, read_plot
-from fynjax.io._bioscape_files import flights, run_bioscape
-from fynjax.io._bioscape_spectra import (
+from fynjax.compare import PlotSpectraPair
+from fynjax.io.plot import Plot, read_plot
+from fynjax.io.raster import provenance
+from fynjax.metrics import spectral_mask
+from fynjax.sensors import BandSet
+from fynjax.studies.bioscape._plot_files import flights, run_bioscape
+from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
+from fynjax.studies.bioscape._scenes import PlotSpectrum, Resolution, build_scenes, simulate
+from fynjax.studies.bioscape._spectra import (
     PlotSpectra,
     Spectrometer,
     read_plot_spectra,
     read_spectrometer,
 )
-from fynjax.metrics import spectral_mask
-from fynjax.report._plots_compare import PlotSpectraPair
-from fynjax.report._plots_files import write_report
-from fynjax.report._plots_scenes import PlotSpectrum, Resolution, build_scenes, simulate
-from fynjax.sensors import BandSet
+from fynjax.studies.bioscape._validate_files import write_report
 
 _MODEL_NM = (400.0, 2500.0)
 """Wavelengths that leaf and ground spectra cover [nm]."""
 
 
-def run_validate_plots(
+def validate_plots(
     folder: str | Path,
     output: str | Path,
     *,

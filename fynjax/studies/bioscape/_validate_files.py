@@ -8,11 +8,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from fynjax.io import write_run, write_text
-from fynjax.report._figure_style import save_figure
-from fynjax.report._figures_plots import feature_plot, misfit_plot, residual_plot, spectra_plot
-from fynjax.report._page import Page, format_number
-from fynjax.report._plots_compare import (
+from fynjax.compare import (
     FLIGHT,
     MEASURES,
     MODEL,
@@ -25,7 +21,17 @@ from fynjax.report._plots_compare import (
     mean_agreement,
     misfit_table,
 )
-from fynjax.report._plots_scenes import Resolution
+from fynjax.io.raster import write_run
+from fynjax.io.text import write_text
+from fynjax.report.figures import (
+    feature_plot,
+    misfit_of_plots,
+    residual_plot,
+    save_figure,
+    spectra_plot,
+)
+from fynjax.report.pages import Page, format_number
+from fynjax.studies.bioscape._scenes import Resolution
 
 _UNITS = {
     "spectral_angle": "degree", "rmse": "-", "nrmse": "-", "correlation": "-",
@@ -167,7 +173,7 @@ def _compare(
             "correlation above the grey band, even where its level is wrong.",
         ),
         "misfit": (
-            misfit_plot,
+            misfit_of_plots,
             "What the error of each plot is made of. Level and contrast are what one offset and "
             "one gain for the whole spectrum would repair; shape is what neither does.",
         ),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.canopy._table import table1_2006
+from fynjax.canopy import table1_2006
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,7 +61,7 @@ def table_after_fire(age: float) -> "pd.DataFrame":
     _check_age(age)
     numbers = ["mean_diameter_cm", "cover_percent", "height_max_m"]
     table = table1_2006().astype(dict.fromkeys(numbers, float))
-    with (resources.files("fynjax.canopy") / "data" / "recovery.csv").open() as ways:
+    with (resources.files("fynjax.studies.fynbos_2006") / "data" / "recovery.csv").open() as ways:
         table = table.merge(pd.read_csv(ways), on="taxon", validate="one_to_one")
     for row, way in zip(table.index, table["after_fire"], strict=True):
         if way == "dead":

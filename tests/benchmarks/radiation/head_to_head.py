@@ -10,13 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax.radiation import (
-    Accuracy,
-    VoxelScene,
-    parallel_rays,
-    reflectance_factor,
-    solve_light,
-)
+from fynjax.radiation import Accuracy, VoxelScene, parallel_rays, reflectance_factor, solve_light
 from tests.benchmarks.radiation.report import (
     Figures,
     Row,

@@ -9,14 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fynjax.leaf import LeafParameters, prospect
-from fynjax.radiation import (
-    Accuracy,
-    OpticalClasses,
-    VoxelScene,
-    nadir_rays,
-    render,
-    solve_light,
-)
+from fynjax.radiation import Accuracy, OpticalClasses, VoxelScene, nadir_rays, render, solve_light
 from tests.benchmarks import bench_radiation
 from tests.benchmarks.radiation.report import Row, Setting, margin_for, with_fields
 

@@ -1,0 +1,27 @@
+"""Plant models from meshes: read, generated taxon by taxon, scanned, put together from branches."""
+
+from fynjax.canopy.mesh._branches import branch_rotation_spread, plant_from_branches
+from fynjax.canopy.mesh._generate import GeneratedPlant, generate_plant, leaf_sizes
+from fynjax.canopy.mesh._model import plant_model_from_mesh, read_plant_mesh
+from fynjax.canopy.mesh._organ_names import organ_of_name
+from fynjax.canopy.mesh._plant_mesh import MeshPlant, PlantMaterial, PlantMesh, mesh_plant
+from fynjax.canopy.mesh._read import default_up
+from fynjax.canopy.mesh._scan import plant_model_from_points, read_scan
+
+__all__ = [
+    "GeneratedPlant",
+    "MeshPlant",
+    "PlantMaterial",
+    "PlantMesh",
+    "branch_rotation_spread",
+    "default_up",
+    "generate_plant",
+    "leaf_sizes",
+    "mesh_plant",
+    "organ_of_name",
+    "plant_from_branches",
+    "plant_model_from_mesh",
+    "plant_model_from_points",
+    "read_plant_mesh",
+    "read_scan",
+]

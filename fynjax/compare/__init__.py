@@ -1,0 +1,84 @@
+"""Real beside simulated, as numbers: drone images, spectra, many plots, published tables."""
+
+from fynjax.compare._dataset import records, unit_of, validation_dataset
+from fynjax.compare._drone import DroneComparison, compare_drone_images
+from fynjax.compare._images import DroneImage, read_drone_image
+from fynjax.compare._lidar_heights import LEVELS, Heights, compare_heights, lowest_ground
+from fynjax.compare._plots import (
+    FEATURES,
+    FLIGHT,
+    MEASURES,
+    MODEL,
+    OTHERS,
+    PREDICTORS,
+    PlotSpectraPair,
+    agreement_table,
+    band_table,
+    chance_correlation,
+    feature_table,
+    feature_values,
+    leave_one_out,
+    mean_agreement,
+    misfit_table,
+)
+from fynjax.compare._published import PublishedComparison, compare_with_published, wins
+from fynjax.compare._published_tables import (
+    BandReference,
+    Figure12Row,
+    Table4Row,
+    Table5Row,
+    Target,
+    bands_2006,
+    consistent_targets,
+    figure12_2006,
+    table4_2006,
+    table5_2006,
+)
+from fynjax.compare._spectra import read_spectra_sample
+from fynjax.compare._spectral import LEFT_OUT, SpectralComparison, compare_spectra
+
+__all__ = [
+    "FEATURES",
+    "FLIGHT",
+    "LEFT_OUT",
+    "LEVELS",
+    "MEASURES",
+    "MODEL",
+    "OTHERS",
+    "PREDICTORS",
+    "BandReference",
+    "DroneComparison",
+    "DroneImage",
+    "Figure12Row",
+    "Heights",
+    "PlotSpectraPair",
+    "PublishedComparison",
+    "SpectralComparison",
+    "Table4Row",
+    "Table5Row",
+    "Target",
+    "agreement_table",
+    "band_table",
+    "bands_2006",
+    "chance_correlation",
+    "compare_drone_images",
+    "compare_heights",
+    "compare_spectra",
+    "compare_with_published",
+    "consistent_targets",
+    "feature_table",
+    "feature_values",
+    "figure12_2006",
+    "leave_one_out",
+    "lowest_ground",
+    "mean_agreement",
+    "misfit_table",
+    "read_drone_image",
+    "read_spectra_sample",
+    "records",
+    "table4_2006",
+    "table5_2006",
+    "unit_of",
+    "validation_dataset",
+    "wins",
+]

@@ -1,0 +1,23 @@
+"""Captures of MicaSense cameras (RedEdge, Altum) and of their reference panels."""
+
+from fynjax.io.micasense._capture import (
+    AlignedCapture,
+    Capture,
+    aligned_radiance,
+    find_captures,
+    read_capture,
+    same_capture,
+)
+from fynjax.io.micasense._panel import PanelSeen, panel_reflectance, read_panel
+
+__all__ = [
+    "AlignedCapture",
+    "Capture",
+    "PanelSeen",
+    "aligned_radiance",
+    "find_captures",
+    "panel_reflectance",
+    "read_capture",
+    "read_panel",
+    "same_capture",
+]

@@ -1,0 +1,32 @@
+"""Spectra from ASD files, text and ENVI libraries; results of leaf fits."""
+
+from fynjax.io.spectra._asd import read_asd
+from fynjax.io.spectra._envi import envi_pair, header_wavelengths, read_header
+from fynjax.io.spectra._leaf_results import (
+    posterior_dataset,
+    species_table,
+    spectra_dataset,
+    traits_table,
+    write_leaf_netcdf,
+    write_traits_csv,
+)
+from fynjax.io.spectra._read import read_spectra, read_usable_spectra, reflectances
+from fynjax.io.spectra._record import Spectrum, note
+
+__all__ = [
+    "Spectrum",
+    "envi_pair",
+    "header_wavelengths",
+    "note",
+    "posterior_dataset",
+    "read_asd",
+    "read_header",
+    "read_spectra",
+    "read_usable_spectra",
+    "reflectances",
+    "species_table",
+    "spectra_dataset",
+    "traits_table",
+    "write_leaf_netcdf",
+    "write_traits_csv",
+]

@@ -1,0 +1,27 @@
+"""Text files of a user: strict tables and TOML with errors that point at the cell; safe writing."""
+
+from fynjax.io.text._atomic import atomic_path, remove_replaced, staged_folder, write_text
+from fynjax.io.text._named import shipped_or_own
+from fynjax.io.text._strict import Slip, Strict, number
+from fynjax.io.text._tables import existing_file, read_rows, read_text
+from fynjax.io.text._toml import line_of, read_toml
+from fynjax.io.text._validate import did_you_mean, first_error, sentence
+
+__all__ = [
+    "Slip",
+    "Strict",
+    "atomic_path",
+    "did_you_mean",
+    "existing_file",
+    "first_error",
+    "line_of",
+    "number",
+    "read_rows",
+    "read_text",
+    "read_toml",
+    "remove_replaced",
+    "sentence",
+    "shipped_or_own",
+    "staged_folder",
+    "write_text",
+]

@@ -1,0 +1,92 @@
+"""Figures, from arrays and typed results."""
+
+from fynjax.report.figures._fit import (
+    constraint_plot,
+    convergence_plot,
+    error_bars,
+    metric_plot,
+    parameter_plot,
+    spectrum_plot,
+)
+from fynjax.report.figures._image import composites, index_histograms
+from fynjax.report.figures._leaf import leaf_fit_figure
+from fynjax.report.figures._lidar import height_profiles, side_view
+from fynjax.report.figures._pattern import pattern_figure
+from fynjax.report.figures._plant import plant_figure
+from fynjax.report.figures._plots import feature_plot, misfit_of_plots, residual_plot, spectra_plot
+from fynjax.report.figures._plots_inferred import estimates_plot, residuals_plot, shifts_plot
+from fynjax.report.figures._posterior import (
+    bound_plot,
+    corner_plot,
+    indices_plot,
+    predictive_plot,
+    short_name,
+    tornado_plot,
+)
+from fynjax.report.figures._products import quick_looks, spectrum_figure
+from fynjax.report.figures._reflectance import capture_figure, panel_figure
+from fynjax.report.figures._scene import plan_view, profile_view, rgb, species_colours
+from fynjax.report.figures._scene_oblique import oblique_view
+from fynjax.report.figures._scene_view import check_view, mesh_image
+from fynjax.report.figures._structure import structure_figure, structure_maps
+from fynjax.report.figures._style import FIGURE_DPI, REAL, save_figure, style, words
+from fynjax.report.figures._terrain import write_picture
+from fynjax.report.figures._validation import band_box_plot, index_pair_histograms
+from fynjax.report.figures._validation_spectra import (
+    mean_spectra_plot,
+    misfit_plot,
+    spectrometer_index_bars,
+)
+
+__all__ = [
+    "FIGURE_DPI",
+    "REAL",
+    "band_box_plot",
+    "bound_plot",
+    "capture_figure",
+    "check_view",
+    "composites",
+    "constraint_plot",
+    "convergence_plot",
+    "corner_plot",
+    "error_bars",
+    "estimates_plot",
+    "feature_plot",
+    "height_profiles",
+    "index_histograms",
+    "index_pair_histograms",
+    "indices_plot",
+    "leaf_fit_figure",
+    "mean_spectra_plot",
+    "mesh_image",
+    "metric_plot",
+    "misfit_of_plots",
+    "misfit_plot",
+    "oblique_view",
+    "panel_figure",
+    "parameter_plot",
+    "pattern_figure",
+    "plan_view",
+    "plant_figure",
+    "predictive_plot",
+    "profile_view",
+    "quick_looks",
+    "residual_plot",
+    "residuals_plot",
+    "rgb",
+    "save_figure",
+    "shifts_plot",
+    "short_name",
+    "side_view",
+    "species_colours",
+    "spectra_plot",
+    "spectrometer_index_bars",
+    "spectrum_figure",
+    "spectrum_plot",
+    "structure_figure",
+    "structure_maps",
+    "style",
+    "tornado_plot",
+    "words",
+    "write_picture",
+]

@@ -1,0 +1,39 @@
+"""LiDAR: the system, its beams, waveforms and discrete returns."""
+
+from fynjax.sensors.lidar._beams import FlashGeometry, LidarBeams, ScanGeometry
+from fynjax.sensors.lidar._returns import (
+    GROUND,
+    VEGETATION,
+    LidarReturns,
+    detect_returns,
+    received_electrons,
+)
+from fynjax.sensors.lidar._system import (
+    Lidar,
+    LidarNoise,
+    build_lidar,
+    lidar_folder,
+    shipped_lidar,
+    shipped_lidars,
+)
+from fynjax.sensors.lidar._waveform import Waveforms, expected_returns, lidar_waveforms
+
+__all__ = [
+    "GROUND",
+    "VEGETATION",
+    "FlashGeometry",
+    "Lidar",
+    "LidarBeams",
+    "LidarNoise",
+    "LidarReturns",
+    "ScanGeometry",
+    "Waveforms",
+    "build_lidar",
+    "detect_returns",
+    "expected_returns",
+    "lidar_folder",
+    "lidar_waveforms",
+    "received_electrons",
+    "shipped_lidar",
+    "shipped_lidars",
+]

@@ -1,0 +1,1 @@
+"""Studies of one data set each, built on the package."""
