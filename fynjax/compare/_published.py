@@ -24,7 +24,7 @@ class PublishedComparison:
 def compare_with_published(image: DroneImage) -> PublishedComparison:
     """Means of bands, means and standard deviations of indices: real, DIRSIG's, and these.
 
-    The real band means are derived (see `fynjax/metrics/data/README.md`), and of DIRSIG's only the
+    The real band means are derived (see `fynjax/compare/data/README.md`), and of DIRSIG's only the
     absolute difference is printed. A printed standard deviation that contradicts the formulas is
     marked, and EVI, whose form is not known.
     """

@@ -1,7 +1,7 @@
 """The twenty vegetation indices of the drone comparison (table 4 of the fynbos scene paper).
 
 Several of the paper's indices are not what the literature means by the same name; the forms here
-are those that reproduce the paper's printed means (`fynjax/metrics/data/README.md`), and each
+are those that reproduce the paper's printed means (`fynjax/compare/data/README.md`), and each
 departure is recorded beside its formula.
 """
 

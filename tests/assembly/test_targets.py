@@ -19,7 +19,7 @@ from fynjax.io.plot._statistics import read_structure
 from fynjax.io.raster import Cube, write_cube_geotiff
 from fynjax.metrics import STRUCTURE_METRICS
 from fynjax.sensors import BandSet
-from tests.report.small import write_plot
+from tests.small import write_plot
 
 WAVELENGTH = np.arange(380.0, 2501.0, 5.0)
 

@@ -15,8 +15,8 @@ from fynjax._core.errors import InputError
 from fynjax.cli._runtime import run_job
 from fynjax.cli._validate import validate
 from fynjax.io.text._atomic import remove_replaced
-from tests.report.test_structure import plot, write_las
-from tests.report.test_validate_spectra import WAVE, cube, write_csv
+from tests.compare.test_spectra import WAVE, cube, write_csv
+from tests.compare.test_structure import plot, write_las
 
 app = typer.Typer()
 app.command()(validate)

@@ -12,8 +12,8 @@ from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.jobs._calibrate import _check_finite, _short_of_sites, calibrate, render
-from tests.report.small import write_plot
 from tests.scene.plots import small_parameters, small_plot
+from tests.small import write_plot
 
 MORE = """
 [sensor]

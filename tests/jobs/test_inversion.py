@@ -16,7 +16,7 @@ from fynjax.report.figures._posterior import (
     predictive_plot,
     tornado_plot,
 )
-from tests.report.small import write_plot
+from tests.small import write_plot
 
 MORE = """
 [sensor]

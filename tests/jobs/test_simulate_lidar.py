@@ -9,8 +9,8 @@ from rasterio import Affine
 from fynjax._core.errors import InputError
 from fynjax.jobs._simulate_lidar import simulate_lidar
 from tests.helpers import write_raster
-from tests.report.small import write_plot
 from tests.sensors.lidar_scenes import flash
+from tests.small import write_plot
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from fynjax.compare._spectral import SpectralComparison, compare_spectra
 from fynjax.io.raster import write_geotiff
 from fynjax.jobs._validate import ValidationData, validate
 from fynjax.metrics import BANDS, VEGETATION_INDICES, spectral_mask
-from tests.report.test_validate_spectra import WAVE, cube, write_csv, write_envi
+from tests.compare.test_spectra import WAVE, cube, write_csv, write_envi
 
 
 def drawn(seed: int, rows: int, columns: int, spread: float = 0.3) -> np.ndarray:

@@ -16,7 +16,7 @@ from fynjax.compare.structure._settings import cloud_settings
 from fynjax.jobs._validate import ValidationData, validate
 from fynjax.metrics import STRUCTURE_METRICS, STRUCTURE_PRESETS
 from fynjax.terrain import PointCloud
-from tests.report.test_structure import plot, write_las
+from tests.compare.test_structure import plot, write_las
 
 BOUNDS = (0.0, 0.0, 10.0, 10.0)
 

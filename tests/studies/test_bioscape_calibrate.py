@@ -38,7 +38,7 @@ from fynjax.studies.bioscape._inversion_compare import (
     why_table,
 )
 from fynjax.studies.bioscape._scenes import Resolution, build_scenes, slots_of
-from tests.report.test_plots_job import write_tables
+from tests.studies.test_bioscape_validate import write_tables
 
 
 @pytest.fixture(scope="module")

@@ -17,14 +17,14 @@ from fynjax.studies.bioscape import read_bioscape, write_plot_files
 from fynjax.studies.bioscape._scenes import ACCURACY, Resolution, _build, build_scenes, slots_of
 from fynjax.studies.bioscape._spectra import Spectrometer
 from fynjax.studies.bioscape._validate import used_bands, validate_plots
-from tests.io.test_bioscape import FILES
+from tests.studies.test_bioscape import FILES
 
 CENTRES = (500.0, 670.0, 780.0, 860.0, 1240.0, 1400.0, 1650.0, 1700.0, 2150.0, 2200.0, 2300.0)
 COARSE = Resolution(2.0, 0.25)
 
 
 def write_tables(folder: Path, measured: bool = True) -> None:
-    """The small tables of `tests.io.test_bioscape`, with spectra of plot A1."""
+    """The small tables of `tests.studies.test_bioscape`, with spectra of plot A1."""
     folder.mkdir(exist_ok=True)
     for name, text in FILES.items():
         (folder / name).write_text(text)

@@ -52,6 +52,7 @@ _STYLE: Any = {  # matplotlib's own type lists every key it knows
 
 @contextmanager
 def style() -> Iterator[None]:
+    """The look of every figure, for the block."""
     with matplotlib.rc_context(_STYLE):
         yield
 
