@@ -64,7 +64,7 @@ diameter = table.mean_diameter_cm.to_numpy() / 100
 height = table.height_max_m.to_numpy()
 cover = table.cover_percent.to_numpy() / 100
 each = instance_area(diameter, height)
-count = hard_count(target_area(SIDE**2, 100 * cover), each)
+count = hard_count(target_area(SIDE**2, cover), each)
 for taxon, number, ground in zip(table.taxon, count, each):
     print(f"{taxon:<28}{number:>6} plants of {ground:6.3f} m²")
 

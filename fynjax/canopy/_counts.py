@@ -25,10 +25,10 @@ _CEILING_SLACK = 1e-12
 class CrownPacking(eqx.Module):
     """How the crowns of one species are counted (the terms of eq. 5, 8, 9 and 10)."""
 
-    packing_percent: Float[Array, ""] | float = 0.0
-    """PE: part of a crown's disc shared with neighbours [%], 0 <= PE < 100."""
-    fill_percent: Float[Array, ""] | float = 100.0
-    """FF: part of a crown's disc that the crown really covers [%], above 0."""
+    packing: Float[Array, ""] | float = 0.0
+    """PE / 100: part of a crown's disc shared with neighbours [-], 0 to below 1."""
+    fill: Float[Array, ""] | float = 1.0
+    """FF / 100: part of a crown's disc that the crown really covers [-], above 0."""
     branches: Float[Array, ""] | float = 1.0
     """Number of copies of the model that make one plant [-]; 1 for a full-plant model."""
     rotation_spread: Float[Array, ""] | float = 0.0
@@ -58,8 +58,8 @@ def projected_area(
     modelled_diameter: Any,
     depth: Any,
     rotation_spread: Any = 0.0,
-    packing_percent: Any = 0.0,
-    fill_percent: Any = 100.0,
+    packing: Any = 0.0,
+    fill: Any = 1.0,
 ) -> Any:
     """Ground area A that one instance counts for, eq. (5), (8) and (9) [m2].
 
@@ -69,15 +69,15 @@ def projected_area(
     - `modelled_diameter`: D of eq. (7) [m].
     - `depth`: vertical extent of the model [m]; see the note on axes of this module.
     - `rotation_spread`: sigma_rot [degrees], 0 to 90.
-    - `packing_percent`: PE [%], 0 <= PE < 100: crowns that overlap count for less, so there are
-      more of them.
-    - `fill_percent`: FF [%], above 0: crowns with gaps count for less.
+    - `packing`: PE / 100 [-], 0 to below 1: crowns that overlap count for less, so there are more
+      of them.
+    - `fill`: FF / 100 [-], above 0: crowns with gaps count for less.
 
     Differentiable in every argument.
     """
     lean = scale * depth * jnp.sin(jnp.deg2rad(rotation_spread))
     disc = jnp.pi * (scale * modelled_diameter / 2.0 + lean) ** 2
-    return disc * (1.0 - packing_percent / 100.0) * (fill_percent / 100.0)
+    return disc * (1.0 - packing) * fill
 
 
 def instance_area(diameter: Any, height: Any, packing: CrownPacking = CrownPacking()) -> Any:  # noqa: B008
@@ -92,15 +92,15 @@ def instance_area(diameter: Any, height: Any, packing: CrownPacking = CrownPacki
         diameter,
         height,
         packing.rotation_spread,
-        packing.packing_percent,
-        packing.fill_percent,
+        packing.packing,
+        packing.fill,
     )
     return jnp.maximum(area, packing.minimum_object_area)
 
 
-def target_area(scene_area: Any, cover_percent: Any) -> Any:
-    """Area that a species is to cover, eq. (1) [m2], of a scene of `scene_area` [m2]."""
-    return scene_area * cover_percent / 100.0
+def target_area(scene_area: Any, cover: Any) -> Any:
+    """Area that a species of `cover` [-] is to cover, eq. (1) [m2], of `scene_area` [m2]."""
+    return scene_area * cover
 
 
 def soft_count(
@@ -126,8 +126,8 @@ def hard_count(
     area = np.asarray(projected_area, float)
     if not np.all(np.isfinite(area) & (area > 0.0)):
         raise InputError(
-            f"`projected_area` must be positive [m2], but is {area}; a packing of 100 %, a fill "
-            "of 0 % or a crown without diameter gives zero"
+            f"`projected_area` must be positive [m2], but is {area}; a packing of 1, a fill of "
+            "0 or a crown without diameter gives zero"
         )
     if not np.all(np.isfinite(target) & (target >= 0.0)):
         raise InputError(f"`target_area` must not be negative [m2], but is {target}")

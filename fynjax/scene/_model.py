@@ -102,15 +102,15 @@ class PlotModel(eqx.Module):
         """Real number of plants of each species, eq. (10) without its ceiling [-]."""
         species = parameters.species
         packing = CrownPacking(
-            100.0 * species.packing,
-            100.0 * species.fill,
+            species.packing,
+            species.fill,
             jnp.asarray(self.branches),
             jnp.asarray(self.rotation_spread),
             jnp.asarray(self.minimum_area),
         )
         each = instance_area(species.diameter, species.height, packing)
         plot = float(np.prod(self.grid.extent[:2]))
-        return soft_count(target_area(plot, 100.0 * species.cover), each, np.asarray(self.branches))
+        return soft_count(target_area(plot, species.cover), each, np.asarray(self.branches))
 
     def area_density(self, parameters: PlotParameters) -> Float[Array, "class z y x"]:
         """Area per volume of each optical class: the species' leaves, then wood, then flowers."""

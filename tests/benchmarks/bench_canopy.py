@@ -51,7 +51,7 @@ def report(name: str, first: float, later: float | None = None, note: str = "") 
 
 def build_and_time(side: float, radius: float, n_elements: int) -> None:
     table = table1_2006()
-    cover = table.cover_percent.to_numpy()
+    cover = table.cover_percent.to_numpy() / 100.0
     size = table.mean_diameter_cm.to_numpy() / 100.0, table.height_max_m.to_numpy()
     single = [jnp.asarray(values, jnp.float32) for values in (cover, *size)]
     start = time.perf_counter()

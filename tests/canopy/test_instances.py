@@ -135,7 +135,7 @@ def small_scene(parameters: dict[str, jax.Array], width: float = 1.0) -> jax.Arr
     for s in range(3):
         diameter, height = parameters["diameter"][s], parameters["height"][s]
         packing = CrownPacking(
-            packing_percent=parameters["packing"], fill_percent=parameters["fill"],
+            packing=parameters["packing"], fill=parameters["fill"],
             rotation_spread=parameters["spread"],
         )  # fmt: skip
         count = soft_count(
@@ -153,11 +153,11 @@ def small_scene(parameters: dict[str, jax.Array], width: float = 1.0) -> jax.Arr
 
 def parameters() -> dict[str, jax.Array]:
     return {
-        "cover": jnp.array([20.3, 11.0, 7.7]),
+        "cover": jnp.array([0.203, 0.11, 0.077]),
         "diameter": jnp.array([0.43, 0.31, 0.52]),
         "height": jnp.array([0.71, 1.13, 0.4]),
-        "packing": jnp.array(7.0),
-        "fill": jnp.array(83.0),
+        "packing": jnp.array(0.07),
+        "fill": jnp.array(0.83),
         "spread": jnp.array(6.0),
         "leaf": jnp.array(2.1),
     }
@@ -178,7 +178,7 @@ def test_area_on_the_grid_follows_the_cover() -> None:
     for s in range(3):
         packing = CrownPacking(p["packing"], p["fill"], 1.0, p["spread"])
         one = instance_area(p["diameter"][s], p["height"][s], packing)
-        count = 9.0 * p["cover"][s] / 100.0 / one
+        count = 9.0 * p["cover"][s] / one
         wood, leaf = 0.3 * p["diameter"][s] ** 2, 2.1 * p["diameter"][s] ** 2
         per_plant = wood if FORMS[s] == "deadwood" else leaf + wood + 0.01
         assert float(total[s]) == pytest.approx(float(count * per_plant), rel=1e-10)
@@ -206,7 +206,7 @@ def test_the_soft_scene_tends_to_the_hard_one() -> None:
 
 def test_a_species_cover_does_not_move_another_species() -> None:
     before = small_scene(parameters())
-    changed = parameters() | {"cover": jnp.array([29.0, 11.0, 7.7])}
+    changed = parameters() | {"cover": jnp.array([0.29, 0.11, 0.077])}
     after = small_scene(changed)
     np.testing.assert_array_equal(before[1:], after[1:])
     assert not np.array_equal(before[0], after[0])

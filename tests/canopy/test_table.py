@@ -55,7 +55,7 @@ def test_cover_of_the_hard_scene() -> None:
     table = table1_2006()
     diameter = table.mean_diameter_cm.to_numpy() / 100.0
     crowns = [float(instance_area(d, h)) for d, h in zip(diameter, table.height_max_m)]
-    wanted = target_area(SIDE**2, table.cover_percent.to_numpy())
+    wanted = target_area(SIDE**2, table.cover_percent.to_numpy() / 100.0)
     counts = hard_count(wanted, np.array(crowns))
     covers, totals = [], []
     for seed in range(10):
