@@ -36,11 +36,8 @@ def render(
     with progress.stage("Build the plot"), _Clock(seconds, "build"):
         model, parameters = build_plot(read, seed=seed, bands=drone_bands(read))
     render = eqx.filter_jit(lambda m, p: (m.image(p), m.counts(p)))
-    with progress.stage("Render"):
-        with _Clock(seconds, "first_render_with_compilation"):
-            jax.block_until_ready(render(model, parameters))
-        with _Clock(seconds, "render"):
-            image, counts = jax.block_until_ready(render(model, parameters))
+    with progress.stage("Render"), _Clock(seconds, "render"):
+        image, counts = jax.block_until_ready(render(model, parameters))
     _check_finite(image, read)
     with progress.stage("Write"):
         record = provenance(seed=seed, inputs=read.inputs)

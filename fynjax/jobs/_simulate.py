@@ -24,7 +24,7 @@ from fynjax.io.raster import (
 )
 from fynjax.io.text import write_text
 from fynjax.jobs._calibrate import _Clock, peak_memory_mib
-from fynjax.jobs._simulate_record import is_reduced, run_record, short_record, warnings_of
+from fynjax.jobs._simulate_record import run_record, short_record, warnings_of
 from fynjax.report.figures import quick_looks, save_figure, spectrum_figure
 from fynjax.report.pages import Page
 from fynjax.scene import Observation, PlotParameters, PlotSensing
@@ -34,7 +34,6 @@ AIR_MODELS = ("table", "clear-sky", "none")
 """What an atmosphere may be named by, instead of a file."""
 PRODUCTS = ("reflectance", "radiance")
 """Image products that can be written."""
-_ONE_BAND = 860.0  # nm, of the band that the time of all is compared with
 
 
 def simulate(
@@ -80,14 +79,11 @@ def simulate(
     _check(read, instrument, air, noisy, products)
     seconds: dict[str, float] = {}
     with progress.stage("Build the plot"), _Clock(seconds, "build"):
-        place: dict[str, Any] = {"seed": chosen, "altitude": altitude, "pixel": pixel, "air": air}
-        sensing, parameters = build_sensing(read, instrument, **place)
+        sensing, parameters = build_sensing(
+            read, instrument, seed=chosen, altitude=altitude, pixel=pixel, air=air
+        )
     with progress.stage("Measure"):
-        seen = _measure(sensing, parameters, chosen if noisy else None, seconds, "bands")
-    reduced = is_reduced(sensing)
-    if reduced:
-        with progress.stage("Measure one band, for comparison"):
-            _measure_one(read, instrument, sensing, place, seconds)
+        seen = _measure(sensing, parameters, chosen if noisy else None, seconds)
     cubes = _cubes(sensing, instrument, seen, products, plot_place(read))
     _check_finite(cubes, read)
     inputs = [*read.inputs, *(Path(p) for p in (name, air.file) if p and Path(p).is_file())]
@@ -98,7 +94,7 @@ def simulate(
         text = json.dumps({**record, **run}, indent=2, ensure_ascii=False, allow_nan=False)
         write_text(output / "run.json", text + "\n")
     return {
-        "headline": _headline(read, instrument, sensing, cubes, seconds, reduced),
+        "headline": _headline(read, instrument, sensing, cubes, seconds),
         "files": files,
         "timings_s": seconds,
         "bands": len(sensing.sensor.bands),
@@ -146,7 +142,6 @@ def _measure(
     parameters: PlotParameters,
     key: int | None,
     seconds: dict[str, float],
-    name: str,
 ) -> Observation:
     """The observation; times of compiling and of measuring apart."""
     # The air is the same for all bands and pixels: its table need not be compiled with them.
@@ -156,27 +151,10 @@ def _measure(
         return sensing.observe(parameters, key=key)
 
     observe: Any = eqx.filter_jit(run)
-    with _Clock(seconds, f"compile_{name}"):
+    with _Clock(seconds, "compile_bands"):
         compiled = observe.lower(sensing, parameters).compile()
-    with _Clock(seconds, name):
+    with _Clock(seconds, "bands"):
         return jax.block_until_ready(compiled(sensing, parameters))
-
-
-def _measure_one(
-    plot: Plot,
-    instrument: Sensor,
-    sensing: PlotSensing,
-    place: dict[str, Any],
-    seconds: dict[str, float],
-) -> None:
-    """Time the same with one band."""
-    centre = np.asarray(sensing.sensor.bands.centre)
-    name = sensing.sensor.bands.names[int(np.argmin(np.abs(centre - _ONE_BAND)))]
-    one = instrument.select([instrument.bands.names.index(name)])
-    place = {**place, "pixel": sensing.pixel}
-    alone, parameters = build_sensing(plot, one, **place, quiet=True)
-    _measure(alone, parameters, None, seconds, "one_band")
-    seconds["ratio_to_one_band"] = seconds["bands"] / seconds["one_band"]
 
 
 def _cubes(
@@ -267,7 +245,6 @@ def _headline(
     sensing: PlotSensing,
     cubes: dict[str, Cube],
     seconds: dict[str, float],
-    reduced: bool,
 ) -> list[str]:
     rows, columns = sensing.shape
     count = len(sensing.sensor.bands)
@@ -279,12 +256,5 @@ def _headline(
         mean = float(cube.values[cube.good].mean())
         unit = " W m-2 sr-1 um-1" if cube.quantity == "radiance" else ""
         lines.append(f"Mean {cube.quantity} of {int(cube.good.sum())} bands: {mean:.4g}{unit}.")
-    if reduced:
-        lines.append(
-            f"{seconds['bands']:.1f} s for {count} bands, {seconds['ratio_to_one_band']:.1f} times "
-            f"as long as one band ({seconds['one_band']:.2f} s); compilation "
-            f"{seconds['compile_bands']:.1f} s."
-        )
-    else:
-        lines.append(f"{seconds['bands']:.1f} s; compilation {seconds['compile_bands']:.1f} s.")
+    lines.append(f"{seconds['bands']:.1f} s; compilation {seconds['compile_bands']:.1f} s.")
     return lines

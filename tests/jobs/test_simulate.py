@@ -178,18 +178,15 @@ def test_unknown_products_are_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_many_bands_are_reduced_and_timed(tmp_path):
-    """30 bands: more than are solved; the time of one band is measured beside."""
+def test_many_bands_are_reduced(tmp_path):
+    """30 bands: more than are solved."""
     bands = "\n".join(f"{v},{20}" for v in np.linspace(450, 1000, 30))
     (tmp_path / "bands.csv").write_text("centre_nm,fwhm_nm\n" + bands + "\n")
     text = CAMERA[: CAMERA.index("[bands]")] + '[bands]\ntable = "bands.csv"\n'
     plot = write_plot(tmp_path)
     (tmp_path / "camera.toml").write_text(text)
     (tmp_path / "out").mkdir()
-    summary = simulate(plot, tmp_path / "out", products=["reflectance"])
-    ratio = summary["timings_s"]["ratio_to_one_band"]
-    assert ratio == pytest.approx(summary["timings_s"]["bands"] / summary["timings_s"]["one_band"])
-    assert "times as long as one band" in summary["headline"][-1]
+    simulate(plot, tmp_path / "out", products=["reflectance"])
     record = json.loads((tmp_path / "out" / "run.json").read_text("utf-8"))
     assert record["accuracy"]["bands_reduced_to_few_solves"]
     assert record["accuracy"]["largest_residual"] < 0.01
