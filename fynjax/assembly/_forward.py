@@ -1,7 +1,6 @@
 """What the jobs on a plot's parameters share: the plot, its free parameters, a forward model."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -10,7 +9,7 @@ import pandas as pd
 
 from fynjax.assembly._build import build_plot
 from fynjax.inversion import COARSE, ParameterSpace, coarser, free_space
-from fynjax.io.plot import Plot, drone_bands, read_plot
+from fynjax.io.plot import Plot, drone_bands
 from fynjax.scene import PlotModel, PlotParameters, parameter_units
 from fynjax.sensors import BandSet
 
@@ -34,19 +33,18 @@ _SHOWN_UNITS = {"cover": ("%", 100.0), "diameter": ("cm", 100.0)}
 
 
 def prepare(
-    path: Path,
+    plot: Plot,
     free: Sequence[str] | None,
     *,
     seed: int,
     bands: BandSet | None = None,
     drone: bool = True,
 ) -> Prepared:
-    """Read and build a plot; `free` patterns replace those of its file.
+    """Build a plot and its free parameters; `free` patterns replace those of its file.
 
     In `bands`; left out, those of its drone's camera, or of whatever its sensor is if no drone's
     image is asked for.
     """
-    plot = read_plot(path)
     if bands is None and drone:
         bands = drone_bands(plot)
     model, parameters = build_plot(plot, seed=seed, bands=bands)

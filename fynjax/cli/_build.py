@@ -46,11 +46,6 @@ def build(
 
     Example:  fynjax build plot.toml --size 20 --output scene
     """
-    from fynjax.io.plot import read_plot
-
-    # Before the heavy imports: a slip in a file shows at once.
-    read = read_plot(plot)
-    number = read.seed if seed is None else seed
     from fynjax import jobs
 
     run_job(
@@ -58,7 +53,7 @@ def build(
         lambda folder, progress: jobs.build(
             plot,
             folder,
-            seed=number,
+            seed=seed,
             size=size,
             cell=cell,
             mesh=mesh,
@@ -67,7 +62,7 @@ def build(
             progress=progress,
         ),
         output,
-        seed=number,
+        seed=seed,
         as_json=json,
         quiet=quiet,
     )

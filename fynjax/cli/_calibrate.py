@@ -37,12 +37,8 @@ def calibrate(
 
     Example:  fynjax calibrate plot.toml --target statistics.csv --target cloud.laz
     """
-    from fynjax.io.plot import read_plot
     from fynjax.io.text import existing_file
 
-    # Before the heavy imports: a slip in a file shows at once.
-    read = read_plot(plot)
-    number = read.seed if seed is None else seed
     for path in target:
         existing_file(path, "an image, a spectrum, a point cloud or a table of their statistics")
     own = checkpoint_beside(output, checkpoint)
@@ -52,10 +48,10 @@ def calibrate(
     run_job(
         "calibrate",
         lambda folder, progress: jobs.calibrate(
-            plot, target, folder, seed=number, checkpoint=own, progress=progress
+            plot, target, folder, seed=seed, checkpoint=own, progress=progress
         ),
         output,
-        seed=number,
+        seed=seed,
         as_json=json,
         quiet=quiet,
         checkpoint=own,

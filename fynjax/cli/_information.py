@@ -46,11 +46,6 @@ def information(
 
     Example:  fynjax information plot.toml --free 'species.*.cover' --gsd 0.1,0.5,1,5 --bands 2,4,8
     """
-    from fynjax.io.plot import read_plot
-
-    # Before the heavy imports: a slip in a file shows at once.
-    read = read_plot(plot)
-    number = read.seed if seed is None else seed
     sizes, levels = _numbers(gsd, "--gsd"), _numbers(noise, "--noise")
     counts = [int(n) for n in _numbers(bands, "--bands")]
     limits = _numbers(spectrum, "--spectrum")
@@ -73,11 +68,11 @@ def information(
             noise=levels,
             sun_zenith=suns,
             replants=replants,
-            seed=number,
+            seed=seed,
             progress=progress,
         ),
         output,
-        seed=number,
+        seed=seed,
         as_json=json,
         quiet=quiet,
     )

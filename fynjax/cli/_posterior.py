@@ -45,12 +45,8 @@ def posterior(
 
     Example:  fynjax posterior plot.toml --target statistics.csv --method laplace
     """
-    from fynjax.io.plot import read_plot
     from fynjax.io.text import existing_file
 
-    # Before the heavy imports: a slip in a file shows at once.
-    read = read_plot(plot)
-    number = read.seed if seed is None else seed
     for path in target:
         existing_file(path, "an image, a spectrum, a point cloud or a table of their statistics")
     own = checkpoint_beside(output, checkpoint)
@@ -67,11 +63,11 @@ def posterior(
             target_size=draws,
             max_steps=steps,
             checkpoint=own,
-            seed=number,
+            seed=seed,
             progress=progress,
         ),
         output,
-        seed=number,
+        seed=seed,
         as_json=json,
         quiet=quiet,
         checkpoint=own,

@@ -25,18 +25,13 @@ def render(
 
     Example:  fynjax render plot.toml --output render
     """
-    from fynjax.io.plot import read_plot
-
-    # Before the heavy imports: a slip in a file shows at once.
-    read = read_plot(plot)
-    number = read.seed if seed is None else seed
     from fynjax import jobs
 
     run_job(
         "render",
-        lambda folder, progress: jobs.render(plot, folder, seed=number, progress=progress),
+        lambda folder, progress: jobs.render(plot, folder, seed=seed, progress=progress),
         output,
-        seed=number,
+        seed=seed,
         as_json=json,
         quiet=quiet,
     )

@@ -141,7 +141,7 @@ def run_job(
     job: Callable[[Path, Progress], dict[str, Any]],
     output: Path,
     *,
-    seed: int,
+    seed: int | None,
     as_json: bool,
     quiet: bool,
     checkpoint: Path | None = None,

@@ -42,11 +42,6 @@ def sensitivity(
 
     Example:  fynjax sensitivity plot.toml --metrics NDVI.mean,nir.mean --derivatives 64
     """
-    from fynjax.io.plot import read_plot
-
-    # Before the heavy imports: a slip in a file shows at once.
-    read = read_plot(plot)
-    number = read.seed if seed is None else seed
     from fynjax import jobs
 
     run_job(
@@ -58,11 +53,11 @@ def sensitivity(
             free=free,
             derivative_samples=derivatives,
             sobol_samples=sobol,
-            seed=number,
+            seed=seed,
             progress=progress,
         ),
         output,
-        seed=number,
+        seed=seed,
         as_json=json,
         quiet=quiet,
     )

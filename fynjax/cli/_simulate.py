@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from fynjax._core.errors import InputError
 from fynjax.cli._render import PlotPath
 from fynjax.cli._runtime import Json, Output, OwnSeed, Quiet, run_job
 
@@ -60,37 +59,6 @@ def simulate(
 
     Example:  fynjax simulate plot.toml --sensor aviris_ng --pixel 3 --output aviris
     """
-    from fynjax.io.plot import read_plot
-
-    # Before the heavy imports: a slip in a file shows at once.
-    read = read_plot(plot)
-    number = read.seed if seed is None else seed
-    if sensor is not None and _is_lidar(sensor):
-        given = {"--altitude": altitude, "--pixel": pixel, "--atmosphere": atmosphere}
-        if product != Product.both:
-            given["--product"] = product
-        if wrong := [name for name, value in given.items() if value is not None]:
-            raise InputError(
-                f"expected no {wrong[0]} with the LiDAR {sensor!r}: its file says all of it"
-            )
-        from fynjax import jobs
-
-        run_job(
-            "simulate",
-            lambda folder, progress: jobs.simulate_lidar(
-                plot,
-                sensor,
-                folder,
-                seed=number,
-                progress=progress,
-                noise=True if noise is None else noise,
-            ),
-            output,
-            seed=number,
-            as_json=json,
-            quiet=quiet,
-        )
-        return
     from fynjax import jobs
 
     run_job(
@@ -104,25 +72,11 @@ def simulate(
             atmosphere=atmosphere,
             noise=noise,
             products=jobs.PRODUCTS if product == Product.both else (product.value,),
-            seed=number,
+            seed=seed,
             progress=progress,
         ),
         output,
-        seed=number,
+        seed=seed,
         as_json=json,
         quiet=quiet,
     )
-
-
-def _is_lidar(sensor: str) -> bool:
-    """Whether a sensor's name or file is that of a LiDAR, which has a laser."""
-    import tomllib
-
-    from fynjax.sensors import shipped_lidars
-
-    if sensor in shipped_lidars():
-        return True
-    try:
-        return "laser" in tomllib.loads(Path(sensor).read_text("utf-8"))
-    except (OSError, ValueError):  # whoever reads it next says what is wrong
-        return False

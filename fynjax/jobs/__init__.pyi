@@ -11,7 +11,6 @@ from ._reflectance import reflectance as reflectance
 from ._sensitivity import sensitivity as sensitivity
 from ._simulate import PRODUCTS as PRODUCTS
 from ._simulate import simulate as simulate
-from ._simulate_lidar import simulate_lidar as simulate_lidar
 from ._summary import (
     ParameterSummary as ParameterSummary,
 )

@@ -16,7 +16,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.assembly import build_plot
 from fynjax.io.instruments import scene_meshes, write_scene_mesh
-from fynjax.io.plot import Plot, read_plot
+from fynjax.io.plot import Plot, as_plot
 from fynjax.io.raster import provenance, write_run
 from fynjax.io.text import write_text
 from fynjax.jobs._calibrate import _Clock, peak_memory_mib
@@ -54,7 +54,7 @@ _COVER_HEADERS = {
 
 
 def build(
-    plot: str | Path,
+    plot: Plot | str | Path,
     output: Path,
     *,
     seed: int | None = None,
@@ -81,7 +81,7 @@ def build(
     progress = NullProgress() if progress is None else progress
     if view == "meshes":
         check_view()
-    read = read_plot(plot)
+    read = as_plot(plot)
     read = read if size is None else _resized(read, size)
     chosen = read.seed if seed is None else seed
     seconds: dict[str, float] = {}

@@ -18,7 +18,7 @@ from fynjax._core.progress import NullProgress, Progress
 from fynjax.assembly import Measured, build_plot, read_targets
 from fynjax.compare import bands_2006, consistent_targets, table4_2006
 from fynjax.inversion import ImageView, calibrate_plot, free_space, join_data, weigh_targets
-from fynjax.io.plot import Plot, drone_bands, example_folder, read_plot
+from fynjax.io.plot import Plot, as_plot, drone_bands, example_folder, read_plot
 from fynjax.io.raster import provenance
 from fynjax.jobs._run_files import calibration_files, render_files
 from fynjax.jobs._run_tables import Reference
@@ -27,11 +27,19 @@ from fynjax.scene import PlotModel, PlotParameters
 
 
 def render(
-    plot: Path, output: Path, *, seed: int, progress: Progress | None = None
+    plot: Plot | str | Path,
+    output: Path,
+    *,
+    seed: int | None = None,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Render a plot file's image into `output`: GeoTIFF, NetCDF, figures and a page."""
+    """Render a plot's image into `output`: GeoTIFF, NetCDF, figures and a page.
+
+    **Arguments:** `plot`, or its file; `seed`, the plot's if left out.
+    """
     progress = NullProgress() if progress is None else progress
-    read = read_plot(plot)
+    read = as_plot(plot)
+    seed = read.seed if seed is None else seed
     seconds: dict[str, float] = {}
     with progress.stage("Build the plot"), _Clock(seconds, "build"):
         model, parameters = build_plot(read, seed=seed, bands=drone_bands(read))
@@ -45,6 +53,7 @@ def render(
     means = ", ".join(f"{b} {float(v):.4f}" for b, v in zip(BANDS, jnp.mean(image, axis=(1, 2))))
     return {
         "headline": [f"{read.name}: mean reflectance {means}."],
+        "seed": seed,
         "files": files,
         "timings_s": seconds,
         "statistics": [
@@ -56,22 +65,24 @@ def render(
 
 
 def calibrate(
-    plot: Path,
+    plot: Plot | str | Path,
     targets: Path | Sequence[Path],
     output: Path,
     *,
-    seed: int,
+    seed: int | None = None,
     checkpoint: Path | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Calibrate a plot file to what one or several sensors measured.
+    """Calibrate a plot to what one or several sensors measured.
 
-    **Arguments:** `targets`, at most one of each kind: a drone image (GeoTIFF) or its statistics
-    (CSV); a spectrum, or an image of many bands; a point cloud or its structure (CSV).
+    **Arguments:** `plot`, or its file; `seed`, the plot's if left out; `targets`, at most one of
+    each kind: a drone image (GeoTIFF) or its statistics (CSV); a spectrum, or an image of many
+    bands; a point cloud or its structure (CSV).
     `checkpoint`, a folder that keeps every step: an interrupted run goes on from it.
     """
     progress = NullProgress() if progress is None else progress
-    read = read_plot(plot)
+    read = as_plot(plot)
+    seed = read.seed if seed is None else seed
     paths = [targets] if isinstance(targets, Path) else list(targets)
     found = read_targets(read, paths, seed=seed, progress=progress)
     return _calibrate(
@@ -188,6 +199,7 @@ def _calibrate(
         )
     return {
         **summary,
+        "seed": seed,
         **{key: value for one in measured for key, value in one.extra.items()},
         "timings_s": seconds,
         "peak_memory_mib": peak_memory_mib(),

@@ -10,6 +10,7 @@ import pandas as pd
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.assembly import prepare, shown_unit
 from fynjax.inversion import Information, SensorSetting, even_bands, sweep_sensors
+from fynjax.io.plot import Plot, as_plot
 from fynjax.io.raster import provenance
 from fynjax.io.text import write_text
 from fynjax.jobs._calibrate import peak_memory_mib
@@ -18,7 +19,7 @@ from fynjax.report.pages import Page
 
 
 def information(
-    plot: Path,
+    plot: Plot | str | Path,
     output: Path,
     *,
     free: Sequence[str] | None = None,
@@ -29,7 +30,7 @@ def information(
     sun_zenith: Sequence[float] | None = None,
     error: float = 0.01,
     replants: int = 4,
-    seed: int,
+    seed: int | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Bounds on a plot's parameters for sensors of every pixel, number of bands, noise and sun.
@@ -39,8 +40,10 @@ def information(
     rest as `sweep_sensors` has it. Writes a table, figures and a page.
     """
     progress = NullProgress() if progress is None else progress
+    read = as_plot(plot)
+    seed = read.seed if seed is None else seed
     with progress.stage("Build the plot"):
-        ready = prepare(plot, free, seed=seed, bands=even_bands(max(bands), *spectrum))
+        ready = prepare(read, free, seed=seed, bands=even_bands(max(bands), *spectrum))
     found = sweep_sensors(
         ready.model,
         ready.parameters,
@@ -60,7 +63,8 @@ def information(
     with progress.stage("Write"):
         record = provenance(seed=seed, inputs=[p for p in ready.plot.inputs if p is not None])
         limits = limit_table(table, covers)
-        return _write(output, ready.plot.name, table, limits, covers, first, best, record)
+        result = _write(output, ready.plot.name, table, limits, covers, first, best, record)
+    return {"seed": seed, **result}
 
 
 def bound_table(

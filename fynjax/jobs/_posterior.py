@@ -36,7 +36,7 @@ from fynjax.inversion import (
     join_data,
     sample_posterior,
 )
-from fynjax.io.plot import read_plot
+from fynjax.io.plot import Plot, as_plot
 from fynjax.io.raster import file_hash, provenance
 from fynjax.io.text import atomic_path, write_text
 from fynjax.jobs._calibrate import peak_memory_mib
@@ -57,7 +57,7 @@ _ARRAYS = tuple(
 
 
 def posterior(
-    plot: Path,
+    plot: Plot | str | Path,
     targets: Path | Sequence[Path],
     output: Path,
     *,
@@ -66,7 +66,7 @@ def posterior(
     target_size: float = 400.0,
     max_steps: int = 5000,
     checkpoint: Path,
-    seed: int,
+    seed: int | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Sample the posterior of a plot's parameters given what one or several sensors measured.
@@ -84,13 +84,14 @@ def posterior(
     if method == "nuts":
         require("blackjax", "nuts")
     progress = NullProgress() if progress is None else progress
-    read = read_plot(plot)
+    read = as_plot(plot)
+    seed = read.seed if seed is None else seed
     paths = [targets] if isinstance(targets, Path) else list(targets)
     measured = read_targets(read, paths, seed=seed, progress=progress)
     data, views = join_data([one.data for one in measured]), [one.view for one in measured]
     with progress.stage("Build the plot"):
         drone = any(one.kind == "image" for one in measured)
-        ready = prepare(plot, free, seed=seed, drone=drone)
+        ready = prepare(read, free, seed=seed, drone=drone)
     inputs = (*(p for p in ready.plot.inputs if p is not None), *paths)
     mark = _mark(ready.space, [file_hash(p) for p in inputs], seed)
     start, grown, offset = _start(
@@ -113,10 +114,10 @@ def posterior(
         progress=progress,
     )
     if not found.whitened.size:
-        raise InputError(f"no posterior: {found.status}", file=plot)
+        raise InputError(f"no posterior: {found.status}", file=read.file)
     with progress.stage("Write"):
         record = provenance(seed=seed, inputs=inputs)
-        return _write(output, ready, found, record, checkpoint)
+        return {"seed": seed, **_write(output, ready, found, record, checkpoint)}
 
 
 def _mark(space: ParameterSpace, hashes: Sequence[str], seed: int) -> str:

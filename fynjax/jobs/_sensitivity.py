@@ -19,6 +19,7 @@ from fynjax.inversion import (
     plot_statistics,
     sobol_indices,
 )
+from fynjax.io.plot import Plot, as_plot
 from fynjax.io.raster import provenance
 from fynjax.io.text import write_text
 from fynjax.jobs._calibrate import peak_memory_mib
@@ -31,14 +32,14 @@ METRICS = ("red.mean", "nir.mean", "NDVI.mean", "NDVI.std")
 
 
 def sensitivity(
-    plot: Path,
+    plot: Plot | str | Path,
     output: Path,
     *,
     metrics: Sequence[str] = METRICS,
     free: Sequence[str] | None = None,
     derivative_samples: int = 0,
     sobol_samples: int = 0,
-    seed: int,
+    seed: int | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Slopes and elasticities of a plot's metrics; over the priors too, if samples are asked for.
@@ -54,15 +55,19 @@ def sensitivity(
     if sobol_samples:
         require("SALib", "sensitivity")
     progress = NullProgress() if progress is None else progress
+    read = as_plot(plot)
+    seed = read.seed if seed is None else seed
     with progress.stage("Build the plot"):
-        ready = prepare(plot, free, seed=seed)
+        ready = prepare(read, free, seed=seed)
     space = ready.space
     predict = plot_statistics(ready.parameters, space.names, names, STRIDE)
     at = np.asarray(space.prior)
     with progress.stage("Slopes"):
         local = local_sensitivity(predict, space.names, names, at, context=(ready.quick,))
     if not (np.isfinite(local.value).all() and np.isfinite(local.jacobian).all()):
-        raise InputError("a metric or its slope is not finite at the plot's parameters", file=plot)
+        raise InputError(
+            "a metric or its slope is not finite at the plot's parameters", file=read.file
+        )
     common: dict[str, Any] = {
         "context": (ready.quick,), "seed": seed, "batch": batch_for_device(), "progress": progress,
     }  # fmt: skip
@@ -88,9 +93,8 @@ def sensitivity(
     over_priors = measures is not None or indices is not None
     spread = _spread_table(names, space.names, measures, indices) if over_priors else None
     with progress.stage("Write"):
-        return _write(output, ready.plot.name, table, spread, provenance(
-            seed=seed, inputs=[p for p in ready.plot.inputs if p is not None]
-        ))  # fmt: skip
+        record = provenance(seed=seed, inputs=read.inputs)
+        return {"seed": seed, **_write(output, read.name, table, spread, record)}
 
 
 def _spread_table(

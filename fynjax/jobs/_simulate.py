@@ -13,8 +13,8 @@ import numpy as np
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.assembly import build_sensing
-from fynjax.io.instruments import load_sensor
-from fynjax.io.plot import Air, Place, Plot, plot_place, read_plot
+from fynjax.io.instruments import load_instrument
+from fynjax.io.plot import Air, Place, Plot, as_plot, plot_place
 from fynjax.io.raster import (
     Cube,
     provenance,
@@ -24,11 +24,12 @@ from fynjax.io.raster import (
 )
 from fynjax.io.text import write_text
 from fynjax.jobs._calibrate import _Clock, peak_memory_mib
+from fynjax.jobs._simulate_lidar import simulate_lidar
 from fynjax.jobs._simulate_record import run_record, short_record, warnings_of
 from fynjax.report.figures import quick_looks, save_figure, spectrum_figure
 from fynjax.report.pages import Page
 from fynjax.scene import Observation, PlotParameters, PlotSensing
-from fynjax.sensors import Sensor
+from fynjax.sensors import Lidar, Sensor
 
 AIR_MODELS = ("table", "clear-sky", "none")
 """What an atmosphere may be named by, instead of a file."""
@@ -37,10 +38,10 @@ PRODUCTS = ("reflectance", "radiance")
 
 
 def simulate(
-    plot: str | Path,
+    plot: Plot | str | Path,
     output: Path,
     *,
-    sensor: str | Path | None = None,
+    sensor: str | Path | Sensor | Lidar | None = None,
     altitude: float | None = None,
     pixel: float | None = None,
     atmosphere: str | Path | None = None,
@@ -49,11 +50,13 @@ def simulate(
     seed: int | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Simulate what an imaging sensor measures over a plot file, into the folder `output`.
+    """Simulate what any sensor measures over a plot, into the folder `output`.
 
     **Arguments:**
 
-    - `sensor`: name of a shipped sensor or path of a sensor file; the plot file's if left out.
+    - `plot`: a plot, or its file.
+    - `sensor`: a sensor or a LiDAR, the name of a shipped one, or the path of its file; the plot
+      file's if left out.
     - `altitude` above the ground and `pixel` on it [m]: instead of those of the plot file, where
       it names this sensor, or else of the sensor's own file.
     - `atmosphere`: 'table', 'clear-sky' or 'none', or a file of curves (`read_atmosphere`); the
@@ -63,16 +66,34 @@ def simulate(
     - `products`: any of `PRODUCTS`.
     - `seed`: of plants and noise; the plot file's if left out.
 
+    An imaging sensor gives radiance and reflectance. A LiDAR, whose file says where it flies and
+    how noisy it is (`noise=False`: the receiver without noise), gives waveforms and a point cloud
+    of the hard scene.
+
     **Returns:** the summary: headline, files, times [s], memory [MiB], warnings.
 
-    **Raises:** `InputError` as `read_plot`, `load_sensor` and `build_sensing`, and for noise of a
-    sensor that has no model of it.
+    **Raises:** `InputError` as `read_plot`, `load_instrument` and `build_sensing`, for noise of a
+    sensor that has no model of it, and for altitude, pixel, atmosphere or a choice of products
+    with a LiDAR; `MissingExtraError` for a LiDAR without laspy and lazrs.
     """
     progress = NullProgress() if progress is None else progress
-    read = read_plot(plot)
+    read = as_plot(plot)
     chosen = read.seed if seed is None else seed
     name = sensor or read.sensor.path or read.sensor.name
-    instrument = load_sensor(name)
+    instrument = name if isinstance(name, (Sensor, Lidar)) else load_instrument(name)
+    files = [] if isinstance(name, (Sensor, Lidar)) or not Path(name).is_file() else [Path(name)]
+    if isinstance(instrument, Lidar):
+        given = {"altitude": altitude, "pixel": pixel, "atmosphere": atmosphere}
+        chosen_products = tuple(products) != PRODUCTS
+        if wrong := [k for k, v in given.items() if v is not None] + ["product"] * chosen_products:
+            raise InputError(
+                f"expected no {wrong[0]} with the LiDAR {instrument.name!r}: its file says all of "
+                "it"
+            )
+        return simulate_lidar(
+            read, instrument, output, seed=chosen, noise=noise is not False, files=files,
+            progress=progress,
+        )  # fmt: skip
     air = _chosen_air(read, atmosphere)
     asked = read.sensor.noise if noise is None and _is_own(read, instrument) else noise
     noisy = instrument.noise is not None and air.model != "none" if asked is None else asked
@@ -86,16 +107,17 @@ def simulate(
         seen = _measure(sensing, parameters, chosen if noisy else None, seconds)
     cubes = _cubes(sensing, instrument, seen, products, plot_place(read))
     _check_finite(cubes, read)
-    inputs = [*read.inputs, *(Path(p) for p in (name, air.file) if p and Path(p).is_file())]
+    inputs = [*read.inputs, *files, *([] if air.file is None else [air.file])]
     record = provenance(seed=chosen, inputs=dict.fromkeys(inputs))
     run = run_record(read, instrument, sensing, air, noisy, seen, seconds)
     with progress.stage("Write"):
-        files, warnings = _write(output, read, instrument, cubes, {**record, **short_record(run)})
+        written, warnings = _write(output, read, instrument, cubes, {**record, **short_record(run)})
         text = json.dumps({**record, **run}, indent=2, ensure_ascii=False, allow_nan=False)
         write_text(output / "run.json", text + "\n")
     return {
         "headline": _headline(read, instrument, sensing, cubes, seconds),
-        "files": files,
+        "files": written,
+        "seed": chosen,
         "timings_s": seconds,
         "bands": len(sensing.sensor.bands),
         "pixels": list(sensing.shape),

@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,11 @@ import xarray as xr
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.assembly import build_plot, cover_spectra, soil_spectra
 from fynjax.compare import Heights, compare_heights, lowest_ground
-from fynjax.io.instruments import load_lidar, write_cloud
-from fynjax.io.plot import Plot, plot_place, read_plot
+from fynjax.io.instruments import write_cloud
+from fynjax.io.plot import Plot, plot_place
 from fynjax.io.raster import provenance, write_run
 from fynjax.io.text import write_text
 from fynjax.jobs._calibrate import _Clock, peak_memory_mib
@@ -38,47 +39,43 @@ from fynjax.sensors.lidar import GROUND
 
 
 def simulate_lidar(
-    plot: str | Path,
-    sensor: str | Path | Lidar,
+    plot: Plot,
+    lidar: Lidar,
     folder: Path,
     *,
-    seed: int | None = None,
-    progress: Progress | None = None,
-    noise: bool = True,
+    seed: int,
+    noise: bool,
+    files: Sequence[Path],
+    progress: Progress,
 ) -> dict[str, Any]:
-    """Fly a LiDAR over a plot file's hard scene; cloud, waveforms and pictures into `folder`.
+    """Fly a LiDAR over a plot's hard scene; cloud, waveforms and pictures into `folder`.
 
     **Arguments:**
 
-    - `sensor`: a LiDAR, the name of a shipped one, or the path of a LiDAR file.
-    - `seed`: of plants, pulses, the leaves they hit and noise; the plot file's if left out.
+    - `seed`: of plants, pulses, the leaves they hit and noise.
     - `noise`: whether the receiver is noisy. Which leaf a pencil of light hits is drawn always.
+    - `files`: the LiDAR's own file, for the provenance record.
 
     The optics are those of the plot's leaves, wood and ground at the laser's wavelength. Single
     scattering, see `lidar_waveforms`.
 
     **Returns:** the summary: headline, files, densities and percentiles, times [s], memory [MiB].
 
-    **Raises:** `InputError` as `read_plot`, `load_lidar` and `Lidar.beams`, and where no pulse has
-    a return; `MissingExtraError` without laspy and lazrs.
+    **Raises:** `InputError` as `build_plot` and `Lidar.beams`, and where no pulse has a return;
+    `MissingExtraError` without laspy and lazrs.
     """
-    progress = NullProgress() if progress is None else progress
     for package in ("laspy", "lazrs"):
         require(package, "terrain")
-    lidar = sensor if isinstance(sensor, Lidar) else load_lidar(sensor)
-    own = [] if isinstance(sensor, Lidar) or not Path(sensor).suffix else [Path(sensor)]
-    read = read_plot(plot)
-    chosen = read.seed if seed is None else seed
     seconds: dict[str, float] = {}
     began = time.perf_counter()
     with progress.stage("Build the plot"), _Clock(seconds, "build"):
-        model, parameters = build_plot(read, seed=chosen)
-        model = laser_model(read, hard_model(model, parameters), lidar)
+        model, parameters = build_plot(plot, seed=seed)
+        model = laser_model(plot, hard_model(model, parameters), lidar)
         scene = eqx.filter_jit(lambda m, p: m.scene(p))(model, parameters)
         jax.block_until_ready(scene)
     ground = 0.0 if model.terrain is None else float(np.mean(model.terrain))
-    beams = lidar.beams(read.size_m, top=scene.height, ground=ground, seed=chosen)
-    leaves, counting = jax.random.split(jax.random.key(chosen))
+    beams = lidar.beams(plot.size_m, top=scene.height, ground=ground, seed=seed)
+    leaves, counting = jax.random.split(jax.random.key(seed))
     sublayers = _sublayers(beams, scene.vertical / scene.horizontal)
     with progress.stage("Trace the pulses"), _Clock(seconds, "waveforms"):
         echoes = lidar_waveforms(scene, lidar, beams, key=leaves, sublayers=sublayers)
@@ -90,30 +87,30 @@ def simulate_lidar(
         raise InputError(
             f"no pulse of {lidar.name!r} has a return: does its range gate hold the ground, "
             f"{lidar.geometry.altitude:g} m below, and is the signal above the noise?",
-            file=read.file,
+            file=plot.file,
         )
     with progress.stage("Compare with what was planted"), _Clock(seconds, "profile"):
         compared = compare_heights(model, parameters, scene, beams, returns, sublayers=sublayers)
-    record = provenance(seed=chosen, inputs=[*read.inputs, *own])
+    record = provenance(seed=seed, inputs=[*plot.inputs, *files])
     record["lidar"] = lidar.name
     record["noise"] = "drawn" if noise else "none"
-    summary = _summary(read, lidar, beams, returns, compared)
+    summary = _summary(plot, lidar, beams, returns, compared)
     summary["warnings"] = _warnings(lidar, scene, beams, echoes)
     with progress.stage("Write"), _Clock(seconds, "write"):
-        place = plot_place(read)
-        lowest = 0.0 if read.terrain is None or place.crs is None else lowest_ground(read)
+        place = plot_place(plot)
+        lowest = 0.0 if plot.terrain is None or place.crs is None else lowest_ground(plot)
         cloud, origin = folder / "cloud.laz", (*place.origin_m, lowest)
         write_cloud(cloud, returns, origin_m=origin, crs=place.crs, attributes=record)
         dataset = waveform_dataset(lidar, beams, np.asarray(electrons), echoes)
         write_run(folder / "waveforms.nc", dataset, record)
         write_text(folder / "heights.csv", compared.table().to_csv(index=False))
     with progress.stage("Draw"), _Clock(seconds, "figures"):
-        title = f"{read.name}, {lidar.name}"
-        side = side_view(returns, compared.height, read.size_m, title=title)
+        title = f"{plot.name}, {lidar.name}"
+        side = side_view(returns, compared.height, plot.size_m, title=title)
         save_figure(side, folder / "cloud.png")
         save_figure(height_profiles(compared), folder / "profile.png")
     seconds["total"] = time.perf_counter() - began
-    _page(folder, read, lidar, summary, compared, seconds, record)
+    _page(folder, plot, lidar, summary, compared, seconds, record)
     files = {
         "cloud.laz": "point cloud, LAS 1.4",
         "waveforms.nc": "waveform of every pulse, NetCDF",
@@ -125,7 +122,7 @@ def simulate_lidar(
     return {
         **summary,
         "files": files,
-        "seed": chosen,
+        "seed": seed,
         "timings_s": seconds,
         "peak_memory_mib": peak_memory_mib(),
     }

@@ -25,9 +25,8 @@ from fynjax.compare._published import compare_with_published, wins
 from fynjax.compare.structure import structure_2006
 from fynjax.io.plot import example_folder
 from fynjax.io.raster import read_cube
+from fynjax.jobs import simulate
 from fynjax.jobs._calibrate import demo, render
-from fynjax.jobs._simulate import simulate
-from fynjax.jobs._simulate_lidar import simulate_lidar
 from fynjax.metrics import (
     STRUCTURE_PRESETS,
     StructureSettings,
@@ -97,7 +96,7 @@ def _simulate(plot: Path, folder: Path) -> None:
         simulate(
             plot, folder / "aviris_ng", sensor="aviris_ng", pixel=3.0, products=["reflectance"]
         )
-    simulate_lidar(plot, "flash_lidar_paper", folder / "lidar", seed=SEED)
+    simulate(plot, folder / "lidar", sensor="flash_lidar_paper", seed=SEED)
 
 
 def _drone(folder: Path) -> pd.DataFrame:

@@ -9,9 +9,9 @@ import pytest
 
 from fynjax._core import extras
 from fynjax._core.errors import InputError, MissingExtraError
-from fynjax.io.instruments import load_lidar, write_cloud
+from fynjax.io.instruments import load_instrument, load_lidar, write_cloud
 from fynjax.jobs._schemas import json_schema
-from fynjax.sensors import LidarReturns, lidar_folder, shipped_lidar, shipped_lidars
+from fynjax.sensors import Lidar, LidarReturns, Sensor, lidar_folder, shipped_lidar, shipped_lidars
 
 FLASH = (lidar_folder() / "flash_lidar_paper.toml").read_text("utf-8")
 SCAN = (lidar_folder() / "scanning_lidar.toml").read_text("utf-8")
@@ -118,3 +118,15 @@ def test_clouds_that_cannot_be_written(tmp_path, monkeypatch):
     with pytest.raises(MissingExtraError, match="terrain"):
         write_cloud(tmp_path / "cloud.laz", some_returns())
     assert not list(tmp_path.iterdir())
+
+
+def test_one_loader_tells_a_lidar_from_a_camera(tmp_path):
+    own = tmp_path / "own.toml"
+    own.write_text((lidar_folder() / "flash_lidar_paper.toml").read_text("utf-8"), "utf-8")
+    for name in ("flash_lidar_paper", own):
+        assert isinstance(load_instrument(name), Lidar)
+    assert isinstance(load_instrument("mavic_3m"), Sensor)
+    with pytest.raises(InputError, match="Did you mean 'aviris_ng'"):
+        load_instrument("aviris")
+    with pytest.raises(InputError, match=r"none\.toml"):
+        load_instrument(tmp_path / "none.toml")

@@ -142,7 +142,7 @@ WRONG = [
     (["--sensor", "mavic_3m", "--noise"], "has none. Leave noise out"),
     (["--altitude", "0.5"], "above the plants"),
     (["--atmosphere", "nowhere.csv"], "no such file"),
-    (["--sensor", "flash_lidar_paper", "--pixel", "1"], "no --pixel with the LiDAR"),
+    (["--sensor", "flash_lidar_paper", "--pixel", "1"], "no pixel with the LiDAR"),
     (["panels = [{x_m=1, y_m=1, reflectance=5}]"], "sensor.panels.0.reflectance': expected"),
     (["panels = [{x_m=1, y_m=1, side_m=0.4, reflectance=0.5}]"], "three pixels wide"),
     (["panels = [{x_m=9, y_m=9, reflectance=0.5}]"], "must lie in the image"),

@@ -7,7 +7,7 @@ import xarray as xr
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax.jobs._simulate_lidar import simulate_lidar
+from fynjax.jobs import simulate
 from tests.helpers import write_raster
 from tests.sensors.lidar_scenes import flash
 from tests.small import write_plot
@@ -18,7 +18,8 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("lidar")
     write_plot(folder)
     (folder / "out").mkdir()
-    return simulate_lidar(folder / "plot.toml", "flash_lidar_paper", folder / "out", seed=4), folder
+    flown = simulate(folder / "plot.toml", folder / "out", sensor="flash_lidar_paper", seed=4)
+    return flown, folder
 
 
 def test_files_are_there_and_agree(run):
@@ -62,7 +63,7 @@ def test_the_summary_says_what_was_measured(run):
 def test_a_sensor_inside_the_canopy_is_refused(run):
     _, folder = run
     with pytest.raises(InputError, match="above the canopy"):
-        simulate_lidar(folder / "plot.toml", flash(altitude=0.5), folder / "none", seed=4)
+        simulate(folder / "plot.toml", folder / "none", sensor=flash(altitude=0.5), seed=4)
     assert not (folder / "none").exists()
 
 
@@ -73,8 +74,12 @@ def test_a_slope_comes_out_on_its_map(tmp_path):
     place = Affine(0.25, 0, 600000, 0, -0.25, 6180002)
     write_raster(tmp_path / "terrain.tif", height, transform=place, crs="EPSG:32734")
     write_plot(tmp_path, 'boundary = "open"\nterrain = "terrain.tif"\n')
-    simulate_lidar(
-        tmp_path / "plot.toml", "flash_lidar_paper", tmp_path / "out", seed=4, noise=False
+    simulate(
+        tmp_path / "plot.toml",
+        tmp_path / "out",
+        sensor="flash_lidar_paper",
+        seed=4,
+        noise=False,
     )
     cloud = laspy.read(tmp_path / "out" / "cloud.laz")
     ground = np.asarray(cloud.classification) == 2

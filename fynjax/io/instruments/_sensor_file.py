@@ -1,6 +1,7 @@
 """Sensor files, read into sensors."""
 
 import itertools
+import tomllib
 import warnings
 from pathlib import Path
 
@@ -8,11 +9,40 @@ import numpy as np
 from pydantic import BaseModel
 
 from fynjax._core.errors import InputError
+from fynjax.io.instruments._lidar_file import load_lidar
 from fynjax.io.instruments._sensor_tables import BandRow, CurveRow, NoiseRow, SensorFile
 from fynjax.io.text import did_you_mean, existing_file, line_of, read_rows, read_toml
-from fynjax.sensors import Sensor, build_sensor, sensor_folder, shipped_sensors
+from fynjax.sensors import (
+    Lidar,
+    Sensor,
+    build_sensor,
+    sensor_folder,
+    shipped_lidars,
+    shipped_sensors,
+)
 
 _FEW = 20  # bands of a camera; with more, neighbours of a spectrometer are a width apart
+
+
+def load_instrument(name_or_path: str | Path) -> Sensor | Lidar:
+    """An imaging sensor or a LiDAR, by its shipped name or from a file.
+
+    A file with a table [laser] is that of a LiDAR. Raises `InputError` as `load_sensor` and
+    `load_lidar`.
+    """
+    text = str(name_or_path)
+    if text in shipped_lidars():
+        return load_lidar(text)
+    if text not in shipped_sensors() and _has_laser(Path(text)):
+        return load_lidar(text)
+    return load_sensor(text)
+
+
+def _has_laser(path: Path) -> bool:
+    try:
+        return "laser" in tomllib.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):  # the reader of sensor files says what is wrong
+        return False
 
 
 def load_sensor(name_or_path: str | Path) -> Sensor:

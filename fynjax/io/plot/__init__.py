@@ -15,7 +15,7 @@ from fynjax.io.plot._plot import (
     Species,
     Sun,
 )
-from fynjax.io.plot._plot_file import example_folder, read_plot
+from fynjax.io.plot._plot_file import as_plot, example_folder, read_plot
 from fynjax.io.plot._plot_tables import PlotFile
 from fynjax.io.plot._rows import (
     LeafRow,
@@ -55,6 +55,7 @@ __all__ = [
     "StructureRow",
     "Sun",
     "TargetStatistics",
+    "as_plot",
     "drone_bands",
     "example_folder",
     "optical_pixel",

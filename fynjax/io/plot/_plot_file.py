@@ -150,6 +150,11 @@ def _read_sky(path: Path) -> tuple[Floats, Floats]:
     return wavelength, np.array([row.diffuse_fraction for _, row in rows])
 
 
+def as_plot(plot: Plot | str | Path) -> Plot:
+    """A plot as it is, or read from its file by `read_plot`."""
+    return plot if isinstance(plot, Plot) else read_plot(plot)
+
+
 def read_plot(path: str | Path) -> Plot:
     """Read and check a plot file and every table it names.
 

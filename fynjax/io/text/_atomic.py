@@ -4,7 +4,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from fynjax._core.errors import InputError
@@ -80,6 +80,7 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
         raise InputError("expected a folder for the output, but this is a file", file=folder)
     target = folder.resolve()  # `--output .` has no name to put a folder beside
     partial = target.with_name(f".{target.name}.{secrets.token_hex(4)}.partial")
+    missing = [parent for parent in target.parents if not parent.exists()]
     try:
         partial.mkdir(parents=True)
     except OSError as error:
@@ -93,3 +94,6 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
             os.replace(source, destination)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+        for parent in missing:  # the innermost first; none that holds anything
+            with suppress(OSError):
+                parent.rmdir()
