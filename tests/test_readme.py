@@ -89,7 +89,7 @@ def test_constraints_are_plain_and_cover_the_dependencies() -> None:
 
 
 def test_commands_are_those_of_ci() -> None:
-    ci = (ROOT / ".ci" / "run").read_text("utf-8")
+    ci = (ROOT / ".ci" / "environment").read_text("utf-8")
     (tests,) = [line for text in blocks("sh") for line in text.splitlines() if "pytest" in line]
     assert "pytest -n 2" in tests
     assert '"$bin/pytest" -n 2' in ci
