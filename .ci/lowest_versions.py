@@ -4,7 +4,8 @@ import re
 import tomllib
 from pathlib import Path
 
-project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text("utf-8"))["project"]
+ROOT = Path(__file__).parents[1]
+project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 extras = project["optional-dependencies"]
 for requirement in sorted({*project["dependencies"], *(r for e in extras.values() for r in e)}):
     stated = re.match(r"([A-Za-z0-9._-]+)>=([0-9.]+)", requirement)
