@@ -1,0 +1,88 @@
+"""The package declares what it needs, and says of itself the same everywhere."""
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+import yaml
+
+import fynjax
+
+ROOT = Path(__file__).resolve().parents[1]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+PROJECT = PYPROJECT["project"]
+
+
+def normalised(requirement: str) -> str:
+    """Name of a requirement as package registries compare it."""
+    name = re.match(r"[A-Za-z0-9._-]+", requirement)
+    assert name, requirement
+    return re.sub(r"[-_.]+", "-", name.group()).lower()
+
+
+def undeclared(source: str, requirements: list[str]) -> set[str]:
+    """Distributions whose modules `source` imports and `requirements` does not name."""
+    declared = {normalised(requirement) for requirement in requirements}
+    modules = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            modules |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
+            modules.add(node.module.split(".")[0])
+    modules -= {*sys.stdlib_module_names, "fynjax"}
+    owners = packages_distributions()
+    return {
+        module
+        for module in modules
+        if declared.isdisjoint(map(normalised, owners.get(module, [module])))
+    }
+
+
+def test_what_is_imported_is_declared() -> None:
+    extras = PROJECT["optional-dependencies"]
+    requirements = [*PROJECT["dependencies"], *(r for extra in extras.values() for r in extra)]
+    recipes = {"make_sixs_table.py"}  # names its own requirements
+    for path in (ROOT / "fynjax").rglob("*.py"):
+        if path.name in recipes:
+            continue
+        assert not undeclared(path.read_text("utf-8"), requirements), path
+
+
+@pytest.mark.parametrize("source", ["import pytest.mark", "from pytest import mark"])
+def test_an_undeclared_import_is_noticed(source: str) -> None:
+    assert undeclared(source, ["numpy>=2", "py-test"]) == {"pytest"}
+    assert undeclared(source, ["pytest>=8"]) == set()
+
+
+def test_extras_have_the_same_bounds_among_the_tools_of_the_tests() -> None:
+    bounds = {normalised(r): r for r in PYPROJECT["dependency-groups"]["test"]}
+    for extra in PROJECT["optional-dependencies"].values():
+        for requirement in extra:
+            assert bounds.get(normalised(requirement), requirement) == requirement
+
+
+def test_lowest_versions_are_stated_for_every_dependency() -> None:
+    script = ROOT / ".ci" / "lowest_versions.py"
+    run = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
+    pinned = {normalised(line) for line in run.stdout.splitlines()}
+    extras = PROJECT["optional-dependencies"].values()
+    assert pinned == {normalised(r) for r in PROJECT["dependencies"]} | {
+        normalised(r) for extra in extras for r in extra
+    }
+    assert all("==" in line for line in run.stdout.splitlines())
+
+
+def test_one_version_everywhere() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
+    assert citation["version"] == PROJECT["version"] == fynjax.__version__
+    assert citation["license"] == PROJECT["license"]
+
+
+def test_types_are_published() -> None:
+    assert (ROOT / "fynjax" / "py.typed").is_file()
+    assert "Typing :: Typed" in PROJECT["classifiers"]
