@@ -7,7 +7,7 @@ from fynjax._core.errors import InputError
 from fynjax.assembly import build_plot
 from fynjax.io.plot import read_plot
 from fynjax.io.raster._cover_map import read_cover_map
-from fynjax.io.raster._geotiff import write_geotiff
+from fynjax.io.raster._writer import write_geotiff
 
 
 def written(folder, bands, names, pixel=0.5):

@@ -16,7 +16,7 @@ from fynjax._core.errors import InputError
 from fynjax.assembly._build import _probability
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.io.raster import read_probability_map, write_probability_map
-from fynjax.io.raster._geotiff import LOCAL_FRAME
+from fynjax.io.raster._writer import LOCAL_FRAME
 
 UTM = "EPSG:32734"
 CORNER = (310_000.0, 6_180_000.0)

@@ -11,7 +11,7 @@ import xarray as xr
 
 from fynjax._core.errors import InputError
 from fynjax.io.raster import Cube, read_cube, read_image
-from fynjax.io.raster._products import (
+from fynjax.io.raster._cubes import (
     NODATA,
     write_cube_envi,
     write_cube_geotiff,

@@ -15,7 +15,7 @@ from rasterio.enums import ColorInterp
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.io.raster._align import Alignment, align_bands
-from fynjax.io.raster._frame import check_frame, has_place, is_local, open_raster
+from fynjax.io.raster._reader import check_frame, has_place, is_local, open_raster
 
 _COLOURS = {ColorInterp.red: "red", ColorInterp.green: "green", ColorInterp.blue: "blue"}
 _NANOMETRES = {"nanometers": 1.0, "nm": 1.0, "micrometers": 1e3, "um": 1e3, "µm": 1e3}

@@ -12,7 +12,7 @@ from rasterio.windows import Window
 from scipy.interpolate import make_interp_spline
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster._frame import check_frame, is_local, open_raster
+from fynjax.io.raster._reader import check_frame, is_local, open_raster
 
 _TINY = 1e-4
 """Part of a cell by which edges may miss each other and still be the same [-]."""

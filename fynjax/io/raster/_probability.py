@@ -17,8 +17,8 @@ from rasterio import Affine
 from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster._geotiff import LOCAL_FRAME
 from fynjax.io.raster._over_plot import read_over_plot
+from fynjax.io.raster._writer import LOCAL_FRAME
 from fynjax.io.text import atomic_path
 
 

@@ -8,9 +8,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster._frame import open_raster
-from fynjax.io.raster._geotiff import _placement
-from fynjax.io.raster._products import QUANTITIES, Cube
+from fynjax.io.raster._cubes import QUANTITIES, Cube
+from fynjax.io.raster._reader import open_raster
+from fynjax.io.raster._writer import _placement
 from fynjax.io.spectra import envi_pair, header_wavelengths, read_header
 from fynjax.io.text import existing_file
 from fynjax.sensors import RADIANCE_UNITS

@@ -20,7 +20,7 @@ from rasterio.enums import ColorInterp
 
 from fynjax._core.errors import InputError
 from fynjax.io.raster._checks import check_north_up, check_square
-from fynjax.io.raster._frame import open_raster
+from fynjax.io.raster._reader import open_raster
 from fynjax.io.text import atomic_path, did_you_mean
 
 LOCAL_FRAME = 'LOCAL_CS["fynjax plot frame, origin south-west",UNIT["metre",1]]'

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 
 from fynjax._core.extras import require
-from fynjax.io.raster._geotiff import write_geotiff
 from fynjax.io.raster._netcdf import grid_mapping, image_array, write_run
+from fynjax.io.raster._writer import write_geotiff
 
 NODATA = -9999.0
 """Value of pixels without data in written products, as imaging spectrometers' products have it."""
