@@ -60,7 +60,7 @@ def ground_heights(plot: Plot) -> Float64[np.ndarray, "y x"] | None:
     if plot.terrain is None:
         return None
 
-    def only_band(names: list[str | None], path: Path) -> list[int]:
+    def only_band(names: list[str], path: Path) -> list[int]:
         if len(names) != 1:
             raise InputError(
                 f"expected a raster of one band, the height of the ground, but it has "
@@ -77,7 +77,7 @@ def ground_heights(plot: Plot) -> Float64[np.ndarray, "y x"] | None:
         origin_m=plot.map_origin_m,
         option="map_origin_m",
     )
-    if part.units[0].lower() not in ("", *METRES):
+    if part.units[0].lower() not in METRES:
         raise InputError(
             f"expected heights in metres, but the band says {part.units[0]!r}. `fynjax terrain "
             f"{plot.terrain.name} --height-unit ...` makes a raster in metres.",

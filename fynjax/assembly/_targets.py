@@ -11,13 +11,12 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-import rasterio
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.assembly._build import _diffuse
 from fynjax.assembly._ground import cover_spectra, soil_spectra
-from fynjax.compare import read_spectra_sample
+from fynjax.compare import read_drone_image, read_spectra_sample
 from fynjax.compare.structure import ComparisonSettings, cloud_structure
 from fynjax.inversion import (
     GAIN,
@@ -34,7 +33,7 @@ from fynjax.inversion import (
     weigh_targets,
 )
 from fynjax.io.plot import Plot, read_statistics, read_structure
-from fynjax.io.raster import read_image
+from fynjax.io.raster import open_raster
 from fynjax.io.text import existing_file, read_text
 from fynjax.metrics import (
     BANDS,
@@ -113,13 +112,11 @@ def target_kind(path: Path) -> Kind:
 
 
 def _band_count(path: Path) -> int:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # whoever reads it next tells what is wrong
-        try:
-            with rasterio.open(path) as file:
-                return int(file.count)
-        except rasterio.errors.RasterioIOError:
-            return 0
+    try:
+        with open_raster(path, "an image") as file:
+            return int(file.dataset.count)
+    except InputError:  # whoever reads it next says what is wrong
+        return 0
 
 
 def _header(path: Path) -> list[str]:
@@ -161,7 +158,7 @@ def read_targets(
                 file=path,
             )
         if kind == "image":
-            found[kind] = image_target(plot, path)
+            found[kind] = image_target(plot, path, progress)
         elif kind == "spectrum":
             found[kind] = spectrum_target(plot, path, progress)
         else:
@@ -178,16 +175,16 @@ def _used(plot: Plot, names: Sequence[str], what: str) -> list[int]:
     return keep
 
 
-def image_target(plot: Plot, path: Path) -> Measured:
+def image_target(plot: Plot, path: Path, progress: Progress) -> Measured:
     """The statistics of a drone's image (GeoTIFF) or of a table (CSV)."""
     share = plot.calibration.target_sd
     extra: dict[str, Any] = {}
     if path.suffix.lower() in (".tif", ".tiff"):
-        image, mask, _ = read_image(path, BANDS)
+        image = read_drone_image(path, progress, most_pixels=None)
         names = [IMAGE_STATISTICS[i] for i in _used(plot, IMAGE_STATISTICS, "the statistics")]
-        clean = jnp.asarray(np.where(mask, image, 0.0))
-        value = np.asarray(image_statistics(clean, names, jnp.asarray(mask)))
-        extra = {"target_valid_share": float(mask.mean())}
+        clean = jnp.asarray(np.where(image.mask, image.values, 0.0))
+        value = np.asarray(image_statistics(clean, names, jnp.asarray(image.mask)))
+        extra = {"target_valid_share": float(image.mask.mean())}
         data = weigh_targets(names, value, share)
     else:
         read = read_statistics(path, {*BANDS, *VEGETATION_INDICES})

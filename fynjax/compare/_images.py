@@ -13,19 +13,14 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
-from rasterio.enums import ColorInterp
-from rasterio.windows import Window
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
-from fynjax.io.raster import band_wavelength, check_scale, open_raster
+from fynjax.io.raster import RasterFile, open_raster
 from fynjax.metrics import BANDS
 
 FEW_PIXELS = 30
 """Compared pixels below which distributions say nothing."""
-_ROWS = 512
-"""Rows of a block."""
 
 # Names of each band in the wild, and the wavelengths [nm] that are taken for it: lowest, highest,
 # wanted.
@@ -101,7 +96,7 @@ def read_drone_image(
     *,
     bands: Sequence[str] | None = None,
     saturation: float | None = None,
-    most_pixels: int = 1_000_000,
+    most_pixels: int | None = 1_000_000,
 ) -> DroneImage:
     """Read green, red, red edge and near infrared of an image, in blocks of rows.
 
@@ -116,7 +111,7 @@ def read_drone_image(
     - `saturation`: reflectance [-] from which on a pixel is saturated and left out. In files of
       integers the largest value of their type always is, unless it is their no-data value.
     - `most_pixels`: of a larger image every k-th row and column is read, with the smallest k that
-      gives no more.
+      gives no more; `None` reads all.
 
     Warns where pixels pile up at a band's largest value, as clipped ones do.
 
@@ -125,23 +120,24 @@ def read_drone_image(
     """
     path = Path(path)
     with open_raster(path, "a drone image") as file:
-        alpha = [n for n in file.indexes if file.colorinterp[n - 1] == ColorInterp.alpha]
-        data = [n for n in file.indexes if n not in alpha or file.count == len(BANDS)]
-        found, taken, how = _find_bands(file, data, bands, path)
-        step = thinning(file.height, file.width, most_pixels)
-        values, valid, full = _read(file, found, step, progress)
-        t = file.transform
+        # Programs call the last of four bands alpha, also where it is near infrared.
+        data = file.dataset.indexes if file.dataset.count == len(BANDS) else file.bands
+        numbers, taken, how = _find_bands(file, data, bands)
+        step = 1 if most_pixels is None else thinning(*file.shape, most_pixels)
+        image = file.read(numbers, step=step, zero_is_data=False, progress=progress)
+        t = file.dataset.transform
         pixel = None
         if not t.is_identity and not (file.crs is not None and file.crs.is_geographic):
             pixel = float(np.hypot(t.a, t.d))
         crs = None if file.crs is None else file.crs.to_string()
-        scaled = any(file.scales[n - 1] != 1.0 for n in found)
-        kind = None if scaled else np.result_type(*(file.dtypes[n - 1] for n in found))
-        shape, north_up = (file.height, file.width), t.is_identity or t.e < 0
-    saturated = valid & full
+        scaled = any(file.dataset.scales[n - 1] != 1.0 for n in numbers)
+        kind = None if scaled else np.result_type(*(file.dataset.dtypes[n - 1] for n in numbers))
+        shape = file.shape
+    values, valid = image.values, image.mask
+    saturated = valid & image.full
     if saturation is not None:
         with np.errstate(invalid="ignore"):
-            saturated = valid & (full | (values >= saturation).any(axis=0))
+            saturated |= valid & (values >= saturation).any(axis=0)
     used = valid & ~saturated
     if not used.any():
         raise InputError(
@@ -149,8 +145,7 @@ def read_drone_image(
             f"and {int(saturated.sum())} saturated: none is left",
             file=path,
         )
-    _check_numbers(values[:, used], kind, path)
-    check_scale(values, used, path)
+    _check_scale(values[:, used], kind, path)
     if used.sum() < FEW_PIXELS:
         warnings.warn(
             f"{path}: {int(used.sum())} pixels are compared, which is too few for distributions; "
@@ -159,8 +154,6 @@ def read_drone_image(
         )
     _warn_of_clipping(values[:, used], path)
     values[:, ~used] = np.nan
-    if north_up:
-        values, used = values[:, ::-1], used[::-1]
     return DroneImage(
         file=path,
         values=np.ascontiguousarray(values),
@@ -177,27 +170,45 @@ def read_drone_image(
     )
 
 
-def _check_numbers(
+def _check_scale(
     pixels: Float[np.ndarray, "band pixel"], kind: np.dtype[Any] | None, path: Path
 ) -> None:
-    """Refuse numbers that are no fractions, with what they may be; `kind` where unscaled."""
-    brightest = float(np.median(pixels, axis=1).max())
-    if kind is None or brightest <= 1.5 or (kind.itemsize > 1 and brightest <= 100.0):
-        return
-    got = (
-        f"expected reflectance as a fraction, but the median of the brightest band is {brightest:g}"
-    )
-    if kind.itemsize == 1:
+    """Refuse numbers that are no fractions; no scale is guessed. `kind` where unscaled."""
+    lowest, medians = float(pixels.min()), np.median(pixels, axis=1)
+    darkest, brightest = float(medians.min()), float(medians.max())
+    if lowest < -0.5:
         raise InputError(
-            f"{got}, in 8 bits. Numbers of 0 to 255 are mostly a picture's brightness, which is no "
-            "reflectance: export reflectance from the program that made the mosaic. If 255 is a "
-            f"reflectance of 1, state it: gdal_edit.py -scale {1 / 255:.6g} {path.name}",
+            f"expected reflectance as a fraction, but got {lowest:g} (in "
+            f"{int((pixels < -0.5).any(axis=0).sum())} pixels). A no-data value that the file "
+            f"does not declare? Set it with: gdal_edit.py -a_nodata {lowest:g} {path.name}",
             file=path,
         )
+    if darkest < 0.0:
+        raise InputError(
+            f"expected reflectance of at least 0, but the median of a band is {darkest:g}. "
+            "Was a dark offset subtracted twice, or is this an index?",
+            file=path,
+        )
+    if brightest <= 1.5:
+        return
+    remedy = f"gdal_edit.py -scale {{:.9g}} {path.name}"
+    if kind is not None and kind.itemsize == 1:
+        hint = (
+            ", in 8 bits. Numbers of 0 to 255 are mostly a picture's brightness, which is no "
+            "reflectance: export reflectance from the program that made the mosaic. If 255 is a "
+            f"reflectance of 1, state it: gdal_edit.py -scale {1 / 255:.6g} {path.name}"
+        )
+    elif brightest <= 100.0:
+        hint = f". Is it in percent? Then state it: {remedy.format(0.01)}"
+    else:
+        hint = (
+            ". Is it in integers of 0 to 10000? Then state it: "
+            f"{remedy.format(0.0001)}. Times 32768, as Metashape and MicaSense write it? "
+            f"{remedy.format(1 / 32768)}"
+        )
     raise InputError(
-        f"{got}. Is it reflectance times 10000? Then state it: gdal_edit.py -scale 0.0001 "
-        f"{path.name}. Times 32768, as Metashape and MicaSense write it? gdal_edit.py -scale "
-        f"{1 / 32768:.9g} {path.name}",
+        "expected reflectance as a fraction, but the median of the brightest band is "
+        f"{brightest:g}{hint}",
         file=path,
     )
 
@@ -208,34 +219,6 @@ def thinning(rows: int, columns: int, most: int) -> int:
     while -(-rows // step) * -(-columns // step) > most:
         step += 1
     return step
-
-
-def _read(
-    file: Any, numbers: Sequence[int], step: int, progress: Progress
-) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Reflectance, which pixels are data, and which are at the top of an integer type."""
-    kinds = {np.dtype(file.dtypes[n - 1]) for n in numbers}
-    scales = np.array([file.scales[n - 1] for n in numbers])[:, None, None]
-    offsets = np.array([file.offsets[n - 1] for n in numbers])[:, None, None]
-    block = max(_ROWS // step, 1) * step
-    values, valid, full = [], [], []
-    starts = range(0, file.height, block)
-    with progress.stage(f"Read {Path(file.name).name}", len(starts)):
-        for start in starts:
-            window = Window(0, start, file.width, min(block, file.height - start))
-            raw = file.read(list(numbers), window=window)[:, ::step, ::step]
-            data = (file.read_masks(list(numbers), window=window)[:, ::step, ::step] > 0).all(0)
-            top = np.zeros(raw.shape[1:], bool)
-            if all(kind.kind in "iu" for kind in kinds):
-                top = (raw == np.iinfo(raw.dtype).max).any(axis=0)
-            part = raw.astype(np.float64) * scales + offsets
-            # Mosaics fill their border with zeros and rarely declare it.
-            data &= np.isfinite(part).all(axis=0) & ~(raw == 0).all(axis=0)
-            values.append(part)
-            valid.append(data)
-            full.append(top)
-            progress.advance()
-    return np.concatenate(values, axis=1), np.concatenate(valid), np.concatenate(full)
 
 
 def _plain(name: str) -> str:
@@ -249,10 +232,11 @@ def _role(name: str) -> str | None:
 
 
 def _find_bands(
-    file: Any, data: Sequence[int], stated: Sequence[str] | None, path: Path
+    file: RasterFile, data: Sequence[int], stated: Sequence[str] | None
 ) -> tuple[list[int], tuple[str, ...], str]:
     """Number in the file of each of `BANDS`, what the file calls it, and how it was found."""
-    described = [file.descriptions[n - 1] or "" for n in data]
+    path = file.path
+    described = [file.names[n - 1] for n in data]
     labels = [d or f"band {n}" for d, n in zip(described, data, strict=True)]
     option = "--real-bands or --simulated-bands green,red,red_edge,nir"
     if stated is not None:
@@ -274,22 +258,21 @@ def _find_bands(
     if all(roles.count(band) == 1 for band in BANDS):
         at = [roles.index(band) for band in BANDS]
         return [data[k] for k in at], tuple(labels[k] for k in at), "names"
-    waves = [band_wavelength(file, n, "") for n in data]
+    waves = file.wavelengths[np.array(data) - 1]
     near: dict[str, int] = {}
     for band, (_, (low, high, wanted)) in _KNOWN.items():
-        inside = [
-            (abs(w - wanted), k) for k, w in enumerate(waves) if w is not None and low <= w <= high
-        ]
+        inside = [(abs(w - wanted), k) for k, w in enumerate(waves) if low <= w <= high]
         if inside:
             near[band] = min(inside)[1]
     if set(near) == set(BANDS):
         at = [near[band] for band in BANDS]
         return [data[k] for k in at], tuple(f"{waves[k]:g} nm" for k in at), "wavelengths"
-    if len(data) == len(BANDS) and not any(roles) and not any(w is not None for w in waves):
+    if len(data) == len(BANDS) and not any(roles) and np.isnan(waves).all():
         return list(data), tuple(labels), "order"
     absent = next(b for b in BANDS if roles.count(b) != 1 and b not in near)
     shown = [
-        label if w is None else f"{label} {w:g} nm" for label, w in zip(labels, waves, strict=True)
+        label if np.isnan(w) else f"{label} {w:g} nm"
+        for label, w in zip(labels, waves, strict=True)
     ]
     raise InputError(
         f"expected the bands {', '.join(BANDS)}, but no single band is known as {absent} among "

@@ -1,6 +1,5 @@
 """Spectra as a comparison needs them: from tables, libraries, ASD files, cubes and NetCDF."""
 
-import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,20 +10,18 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 from numpy.typing import NDArray
-from rasterio.windows import Window
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax._core.spectral import check_wavelength
 from fynjax.compare._images import thinning
-from fynjax.io.raster import band_wavelength, open_raster
-from fynjax.io.spectra import envi_pair, header_wavelengths, read_header, read_usable_spectra
+from fynjax.io.raster import open_raster
+from fynjax.io.spectra import read_header, read_usable_spectra
 from fynjax.io.text import existing_file
 from fynjax.metrics import WATER_WINDOWS
 
 _RASTERS = (".img", ".bil", ".bip", ".bsq", ".dat", ".tif", ".tiff")
 _NETCDF = {".nc", ".nc4", ".h5", ".hdf5"}
-_ROWS = 64
 
 
 @dataclass(frozen=True)
@@ -122,10 +119,10 @@ def _read(path: Path, most: int, progress: Progress) -> _Part:
     if suffix in _NETCDF:
         return _read_netcdf(path, most)
     header = _header_of(path)
-    if header is not None and "librar" not in read_header(header).get("file type", "").lower():
-        return _read_cube(path, most, progress, header)
+    if header is not None and "librar" not in str(read_header(header).get("file type", "")).lower():
+        return _read_cube(path, most, progress)
     if header is None and suffix in _RASTERS:
-        return _read_cube(path, most, progress, None)
+        return _read_cube(path, most, progress)
     with progress.stage(f"Read {path.name}"):
         spectra, refused = read_usable_spectra(path)
     if refused and not spectra:
@@ -192,69 +189,23 @@ def _check_fractions(grid: NDArray[np.float64], values: NDArray[np.float64], pat
 # -- cubes ----------------------------------------------------------------------------------
 
 
-def _read_cube(path: Path, most: int, progress: Progress, header_path: Path | None) -> _Part:
-    header: dict[str, str] = {}
-    if header_path is not None:
-        header = read_header(header_path)
-        path = envi_pair(path, _RASTERS, "cube")[1]
+def _read_cube(path: Path, most: int, progress: Progress) -> _Part:
     with open_raster(path, "an image cube") as file:
-        waves = [band_wavelength(file, n, "") for n in file.indexes]
-        widths = _tagged_widths(file)
-        if header_path is not None and "wavelength" in header:
-            found, factor = header_wavelengths(header, header_path)
-            waves = list(found)
-            widths = factor * np.array(_numbers(header.get("fwhm", "")))
-        known = [w for w in waves if w is not None]
-        if len(known) != file.count or file.count < 2:
+        grid, fwhm, good = file.wavelengths, file.fwhm, file.good
+        known = int(np.isfinite(grid).sum())
+        if known != grid.size or known < 2:
             raise InputError(
-                f"expected a cube with a wavelength for each of {file.count} bands, but "
-                f"{len(known)} are stated (ENVI: `wavelength` in the header; GeoTIFF: the tag "
-                "`wavelength` of each band)",
+                f"expected a cube with a wavelength for each of {grid.size} bands, but {known} "
+                "are stated (ENVI: `wavelength` in the header; GeoTIFF: the tag `wavelength` of "
+                "each band)",
                 file=path,
             )
-        grid = np.array(known, float)
-        step = thinning(file.height, file.width, most)
-        scales = np.array(file.scales)[:, None, None]
-        offsets = np.array(file.offsets)[:, None, None]
-        divisor = _divisor(header, file)
-        block = max(_ROWS // step, 1) * step
-        rows = []
-        starts = range(0, file.height, block)
-        with progress.stage(f"Read {path.name}", len(starts)):
-            for start in starts:
-                window = Window(0, start, file.width, min(block, file.height - start))
-                raw = file.read(window=window, masked=True)[:, ::step, ::step]
-                part = raw.astype(float).filled(np.nan) * scales + offsets
-                part = np.where((part == 0.0).all(axis=0), np.nan, part) / divisor
-                rows.append(part.reshape(file.count, -1).T)
-                progress.advance()
-    values = np.concatenate(rows)
-    good = np.array(_numbers(header.get("bbl", "")))
-    if good.size == grid.size:
-        values[:, good == 0.0] = np.nan
+        step = thinning(*file.shape, most)
+        cube = file.read(step=step, zero_is_data=False, progress=progress)
+    values = np.where(good, cube.values[:, ::-1].reshape(grid.size, -1).T, np.nan)
     order = np.argsort(grid, kind="stable")
-    fwhm = widths[order] if widths.size == grid.size else None
     grid = check_wavelength(grid[order], f"{path}: the wavelengths")
-    return grid, values[:, order], fwhm, step
-
-
-def _tagged_widths(file: Any) -> NDArray[np.float64]:
-    """Full widths at half maximum [nm] as the tags of a GeoTIFF state them; empty where not."""
-    stated = [file.tags(n, ns="IMAGERY").get("FWHM_UM") for n in file.indexes]
-    if any(width is None for width in stated):
-        return np.array([])
-    return 1000.0 * np.array(stated, float)
-
-
-def _divisor(header: dict[str, str], file: Any) -> float:
-    """What the header says to divide by, unless GDAL has done so already."""
-    stated = _numbers(header.get("reflectance scale factor", ""))
-    applied = any(scale != 1.0 for scale in file.scales)
-    return stated[0] if stated and stated[0] > 0.0 and not applied else 1.0
-
-
-def _numbers(text: str) -> list[float]:
-    return [float(v) for v in re.findall(r"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?", text)]
+    return grid, values[:, order], None if np.isnan(fwhm).any() else fwhm[order], step
 
 
 # -- NetCDF ---------------------------------------------------------------------------------
@@ -273,7 +224,9 @@ def _read_netcdf(path: Path, most: int) -> _Part:
                 )
             name, grid, widths = waves
             return _spectra_in(nodes, name, grid, widths, most, path)
-    except OSError as error:
+    except (OSError, RuntimeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
         raise InputError(
             f"cannot be read as NetCDF ({error}). Is it cut short?", file=path
         ) from error

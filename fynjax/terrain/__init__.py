@@ -23,12 +23,11 @@ from fynjax.terrain._surface import (
     terrain_from_points,
     terrain_mesh,
 )
-from fynjax.terrain._units import UNITS, Bounds, check_bounds, check_positive
+from fynjax.terrain._units import Bounds, check_bounds, check_positive
 
 __all__ = [
     "GROUND_CLASSES",
     "TOLERANCE",
-    "UNITS",
     "WINDOW",
     "Bounds",
     "GroundMethod",

@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
+from fynjax.io.raster import check_metric, parse_crs
 from fynjax.io.text import existing_file
 from fynjax.terrain._units import (
     Bounds,
     check_bounds,
     check_coordinates,
     check_height_range,
-    check_metric,
-    parse_crs,
     unit_factor,
 )
 

@@ -2,32 +2,25 @@
 
 import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import rasterio
 from numpy.typing import NDArray
-from rasterio.crs import CRS
 from rasterio.windows import Window
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster import check_north_up, check_square, open_raster, write_geotiff
-from fynjax.io.text import atomic_path, write_text
+from fynjax.io.raster import METRES, UNITS, RasterFile, open_raster, parse_crs, write_geotiff
+from fynjax.io.text import write_text
 from fynjax.terrain._raster import Terrain
 from fynjax.terrain._surface import fill, terrain_mesh
 from fynjax.terrain._units import (
-    UNITS,
     Bounds,
     check_bounds,
     check_height_range,
-    check_metric,
     check_positive,
-    parse_crs,
     unit_factor,
 )
 
 _STEEPEST = 2.0
-_METRES = ("m", "metre", "meter", "metres", "meters")
 _WHAT = "a terrain raster"
 # Heights this large [m] move in steps of half a millimetre in single precision.
 _LARGE = 4096.0
@@ -43,20 +36,17 @@ def write_terrain(path: str | Path, terrain: Terrain) -> None:
     """
     low = float(terrain.heights.min())
     offset = low if np.abs(terrain.heights).max() > _LARGE else 0.0
-    with atomic_path(path) as partial:
-        write_geotiff(
-            partial,
-            terrain.heights[None] - offset,
-            ["ground_height"],
-            pixel_m=terrain.cell,
-            origin_m=terrain.origin,
-            crs=terrain.crs,
-            tags={"quantity": "height of the ground", "unit": "m"},
-        )
-        with rasterio.open(partial, "r+") as file:
-            file.units = ("m",)
-            if offset:
-                file.offsets = (offset,)
+    write_geotiff(
+        path,
+        terrain.heights[None] - offset,
+        ["ground_height"],
+        pixel_m=terrain.cell,
+        origin_m=terrain.origin,
+        crs=terrain.crs,
+        unit="m",
+        offset=offset,
+        tags={"quantity": "height of the ground", "unit": "m"},
+    )
 
 
 def write_mesh(path: str | Path, terrain: Terrain) -> None:
@@ -130,17 +120,18 @@ def read_filled(
     path = Path(path)
     check_positive("largest_gap", largest_gap)
     with open_raster(path, _WHAT) as file:
-        band = _band(file, path, band)
-        cell, system = _frame(file, path, crs, height_unit is not None)
-        unit = height_unit or _stated_unit(file, path, band)
-        window, corner = _window(file, path, cell, bounds)
-        raw = file.read(band, window=window)[::-1].astype(np.float64)
-        values = raw * file.scales[band - 1] + file.offsets[band - 1]
-        valid = file.read_masks(band, window=window)[::-1] > 0
-        declared = file.nodatavals[band - 1] is not None
-    valid &= np.isfinite(values)
+        band = _band(file, band)
+        stated = None if crs is None else parse_crs(crs, path)
+        system = file.check_place(crs=stated, height_stated=height_unit is not None)
+        unit = height_unit or _stated_unit(file, band)
+        cell = file.cell_m
+        assert cell is not None  # it has a place, in metres
+        part = file.read([band], window=_window(file, cell, bounds))
+        scale, offset = file.dataset.scales[band - 1], file.dataset.offsets[band - 1]
+        declared = file.dataset.nodatavals[band - 1] is not None
+    values, valid, corner = part.values[0], part.mask, part.origin
+    raw = np.round((values - offset) / scale, 6)
     values = values * unit_factor(unit or "metre")
-    values[~valid] = np.nan
     if min(valid.shape) < 2:
         raise InputError(
             f"expected at least two rows and columns of cells over the plot, but got "
@@ -163,86 +154,65 @@ def read_filled(
 def middle_of_raster(path: str | Path, size: float) -> Bounds:
     """A square of `size` [m] in the middle of a raster, its corner on that of a cell."""
     with open_raster(path, _WHAT) as file:
-        west, south, east, north = (float(edge) for edge in file.bounds)
-        cell = float(abs(file.transform.a))
+        west, south, east, north = file.dataset.bounds
+        cell = abs(file.dataset.transform.a)
     x = west + cell * round((east - west - size) / 2.0 / cell)
     y = south + cell * round((north - south - size) / 2.0 / cell)
     return x, y, x + size, y + size
 
 
-def _band(file: Any, path: Path, band: int | None) -> int:
+def _band(file: RasterFile, band: int | None) -> int:
     """Number of the band to read."""
-    if band is None and file.count == 1:
+    if band is None and file.dataset.count == 1:
         return 1
-    if band is None or band not in file.indexes:
+    if band is None or band not in file.dataset.indexes:
         named = (
             f"{number} {name}" if name else str(number)
-            for number, name in zip(file.indexes, file.descriptions, strict=True)
+            for number, name in zip(file.dataset.indexes, file.names, strict=True)
         )
         asked = "none was chosen" if band is None else f"{band} was chosen"
         raise InputError(
-            f"expected the number of the band with the heights (`band`): it has {file.count} "
-            f"({', '.join(named)}), and {asked}",
-            file=path,
+            f"expected the number of the band with the heights (`band`): it has "
+            f"{file.dataset.count} ({', '.join(named)}), and {asked}",
+            file=file.path,
         )
     return band
 
 
-def _frame(file: Any, path: Path, stated: str | None, height_stated: bool) -> tuple[float, CRS]:
-    """Side of a cell [m] and reference system."""
-    t = file.transform
-    system = parse_crs(stated, path) if stated is not None else file.crs
-    if system is None or t.is_identity:
-        raise InputError(
-            "expected a raster with a coordinate reference system and a place, but it has "
-            f"{'no system' if system is None else 'no place'}. Give it one: "
-            f"gdal_edit.py -a_srs EPSG:... {path.name}",
-            file=path,
-        )
-    check_metric(system, path, height_stated=height_stated)
-    check_north_up(t, path, "a raster")
-    check_square(t, path, "cells")
-    return float(t.a), system
-
-
-def _stated_unit(file: Any, path: Path, band: int) -> str | None:
+def _stated_unit(file: RasterFile, band: int) -> str | None:
     """The unit of heights that the band states."""
-    unit = (file.units[band - 1] or "").strip()
+    unit = file.units[band - 1]
     if not unit:
         return None
-    if unit.lower() not in _METRES:
+    if unit.lower() not in METRES:
         raise InputError(
             f"expected heights in metres, but the band says {unit!r}. State the height unit "
             f"({', '.join(UNITS)}).",
-            file=path,
+            file=file.path,
         )
     return "metre"
 
 
-def _window(
-    file: Any, path: Path, cell: float, bounds: Bounds | None
-) -> tuple[Window, tuple[float, float]]:
-    """The part of the raster that touches the plot, and its south-west corner."""
-    west, north = float(file.transform.c), float(file.transform.f)
-    rows, columns = file.height, file.width
+def _window(file: RasterFile, cell: float, bounds: Bounds | None) -> Window | None:
+    """The part of the raster that touches the plot; `None` is all of it."""
     if bounds is None:
-        return Window(0, 0, columns, rows), (west, north - rows * cell)
-    w, s, e, n = check_bounds(bounds)
-    low = (w - west) / cell, (north - n) / cell
-    high = (e - west) / cell, (north - s) / cell
+        return None
+    (rows, columns), edges = file.shape, file.dataset.bounds
+    west, south, east, north = check_bounds(bounds)
+    low = (west - edges.left) / cell, (edges.top - north) / cell
+    high = (east - edges.left) / cell, (edges.top - south) / cell
     tiny = 1e-6
     if min(low) < -tiny or high[0] > columns + tiny or high[1] > rows + tiny:
         raise InputError(
-            f"the raster covers ({west:.2f}, {north - rows * cell:.2f}) to "
-            f"({west + columns * cell:.2f}, {north:.2f}), but the plot is ({w:.2f}, {s:.2f}) to "
-            f"({e:.2f}, {n:.2f}). Are both in the same coordinate reference system?",
-            file=path,
+            f"the raster covers ({edges.left:.2f}, {edges.bottom:.2f}) to ({edges.right:.2f}, "
+            f"{edges.top:.2f}), but the plot is ({west:.2f}, {south:.2f}) to ({east:.2f}, "
+            f"{north:.2f}). Are both in the same coordinate reference system?",
+            file=file.path,
         )
     left, top = int(low[0] + tiny), int(low[1] + tiny)
     right = min(columns, int(np.ceil(high[0] - tiny)))
     bottom = min(rows, int(np.ceil(high[1] - tiny)))
-    corner = (west + left * cell, north - bottom * cell)
-    return Window(left, top, right - left, bottom - top), corner
+    return Window(left, top, right - left, bottom - top)
 
 
 def _check_missing(

@@ -1,27 +1,16 @@
 """Metres and nothing else inside: what a file says of its units, and what its numbers betray."""
 
-import re
 import warnings
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.crs import CRS
-from rasterio.errors import CRSError
 
 from fynjax._core.errors import InputError
+from fynjax.io.raster import UNITS
 
 Bounds = tuple[float, float, float, float]
 """West, south, east and north edge of a plot, in the coordinates of its cloud or raster [m]."""
-
-UNITS: dict[str, float] = {
-    "metre": 1.0,
-    "centimetre": 0.01,
-    "millimetre": 0.001,
-    "foot": 0.3048,
-    "us_survey_foot": 1200.0 / 3937.0,
-}
-"""Metres in each unit that coordinates may be stated in."""
 
 # A plot is no thinner than this, whether from photographs or laser [points m-2]: one in 5 m.
 _THINNEST = 0.04
@@ -45,64 +34,6 @@ def check_positive(name: str, value: float) -> None:
     """`InputError` for a setting that is not a positive number."""
     if not (np.isfinite(value) and value > 0.0):
         raise InputError(f"`{name}` must be positive, but is {value:g}")
-
-
-def named_unit(factor: float) -> str:
-    """Name of a unit of `factor` metres."""
-    near = min(UNITS, key=lambda name: abs(UNITS[name] / factor - 1.0))
-    return near if abs(UNITS[near] / factor - 1.0) < 1e-7 else f"units of {factor:g} m"
-
-
-def parse_crs(text: str | int, file: Path | None) -> CRS:
-    """A coordinate reference system from WKT, "EPSG:32734" or a number."""
-    try:
-        return CRS.from_user_input(text)
-    except CRSError as error:
-        raise InputError(
-            f"expected a coordinate reference system such as EPSG:32734, but got "
-            f"{str(text)[:60]!r}, which is not known",
-            file=file,
-        ) from error
-
-
-def _vertical_factor(wkt: str) -> float | None:
-    """Metres in the unit of heights, where a compound system states it."""
-    found = re.search(r'VERT(?:_?CS|CRS)\[.*?UNIT\["[^"]*",\s*([0-9.eE+-]+)', wkt, re.DOTALL)
-    return float(found.group(1)) if found else None
-
-
-def check_metric(
-    crs: CRS, file: Path | None, *, unit_stated: bool = False, height_stated: bool = False
-) -> None:
-    """Refuse a system in degrees, or in another unit than metres that the user has not stated."""
-    if crs.is_geographic:
-        raise InputError(
-            "expected coordinates in metres, but they are in degrees (longitude, latitude). "
-            "Reproject to a metric system first, such as the plot's UTM zone.",
-            file=file,
-        )
-    wkt = crs.to_wkt()
-    if wkt.startswith(("GEOCCS", "GEODCRS")):
-        raise InputError(
-            "expected x east, y north and z up, but the file's coordinates are geocentric (from "
-            "the middle of the Earth). Reproject to a metric system first, such as the plot's UTM "
-            "zone.",
-            file=file,
-        )
-    factor = crs.units_factor[1]
-    if abs(factor - 1.0) > 1e-9 and not unit_stated:
-        raise InputError(
-            f"expected coordinates in metres, but the file's system is in {named_unit(factor)}. "
-            f"Reproject to a metric system, or state the unit ({named_unit(factor)}).",
-            file=file,
-        )
-    vertical = _vertical_factor(wkt)
-    if vertical is not None and abs(vertical - 1.0) > 1e-9 and not height_stated:
-        raise InputError(
-            f"expected heights in metres, but the file's system has them in "
-            f"{named_unit(vertical)}. State the height unit ({named_unit(vertical)}).",
-            file=file,
-        )
 
 
 def check_coordinates(

@@ -10,7 +10,7 @@ import spectral
 import xarray as xr
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster import Cube, read_cube, read_image
+from fynjax.io.raster import Cube, read_cube
 from fynjax.io.raster._cubes import (
     NODATA,
     write_cube_envi,
@@ -105,22 +105,14 @@ def test_xarray_finds_units_coordinates_and_no_data(folder):
         assert data.attrs["seed"] == 3
 
 
-@pytest.mark.parametrize("file", ["radiance.tif", "radiance.hdr", "radiance.dat", "product.nc"])
+@pytest.mark.parametrize("file", ["radiance.tif", "radiance.hdr", "radiance.dat"])
 def test_what_was_written_is_read_back(folder, file):
-    found, truth = read_cube(folder / file, "radiance"), cube("radiance")
+    found, truth = read_cube(folder / file), cube("radiance")
     np.testing.assert_allclose(found.values, truth.values, rtol=1e-6)
     for name in ("wavelength", "fwhm", "good", "pixel_m", "origin_m"):
         np.testing.assert_allclose(getattr(found, name), getattr(truth, name))
     assert found.names == NAMES
     assert found.quantity == "radiance"
-
-
-def test_the_reader_of_drone_images_takes_a_product(folder):
-    with pytest.warns(UserWarning, match="1 of 12 pixels are masked"):
-        image, mask, meta = read_image(folder / "reflectance.tif", ("green", "red", "nir"))
-    np.testing.assert_allclose(image, cube().values[[1, 2, 4]], rtol=1e-6)
-    assert not mask[0, 1]
-    assert (meta.pixel_m, meta.origin_m) == (3.0, (0.5, -1.0))
 
 
 def copy_of(folder, tmp_path, old="", new=""):
@@ -135,11 +127,11 @@ SLIPS = [
     ("wavelength units = Nanometers", "wavelength units = Furlongs", "the unit is 'furlongs'"),
     ("450.5 , ", "0.4505 , 0.5 , ", "expected 5 values, one for each band, but got 6"),
     ("bbl = { 1 , ", "bbl = { yes , ", "expected lists of numbers"),
-    ("lines = 3", "lines = three", "needs samples, lines, bands and data type"),
-    ("samples = 4", "samples = 0", "at least one pixel"),
-    ("lines = 3", "lines = 30", "cut short: 30 lines of 4 samples in 5 bands need 2400 bytes"),
+    ("lines   = 3", "lines = three", "samples, lines, bands and data type.*three"),
+    ("samples = 4", "samples = 0", "cannot be read as an image .*samples"),
+    ("lines   = 3", "lines = 30", "cut short: .* needs 2400 bytes"),
     ("ENVI\n", "GIF\n", "starts with the word ENVI"),
-    ("bands = 5\n", "", "needs samples, lines, bands"),
+    ("bands   = 5\n", "", "samples, lines, bands and data type.*'bands'"),
 ]
 
 
@@ -211,7 +203,7 @@ def test_a_place_on_earth_is_found_by_every_reader(tmp_path, system):
     with xr.open_dataset(tmp_path / "c.nc", decode_coords="all") as data:
         np.testing.assert_allclose(data.x[:2], [600002.0, 600005.0])
         assert pyproj.CRS.from_cf(data.crs.attrs) == pyproj.CRS.from_user_input(system)
-    for name in ("a.tif", "b.hdr", "c.nc"):
+    for name in ("a.tif", "b.hdr"):
         found = read_cube(tmp_path / name)
         assert pyproj.CRS.from_wkt(found.crs).equals(
             pyproj.CRS.from_user_input(system), ignore_axis_order=True

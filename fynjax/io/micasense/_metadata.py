@@ -70,18 +70,19 @@ def read_rededge_band(path: str | Path) -> RedEdgeBand:
     """
     path = Path(path)
     with open_raster(path, "a raw picture of a multispectral camera") as file:
-        if file.count != 1 or file.dtypes[0] not in ("uint8", "uint16"):
+        picture = file.dataset
+        if picture.count != 1 or picture.dtypes[0] not in ("uint8", "uint16"):
             raise InputError(
                 "expected a raw picture of one band in counts (16 bits), but this has "
-                f"{file.count} of {file.dtypes[0]}. Is it a product, or a preview?",
+                f"{picture.count} of {picture.dtypes[0]}. Is it a product, or a preview?",
                 file=path,
             )
-        counts = file.read(1)
-        bits = int(file.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", counts.dtype.itemsize * 8))
+        counts = picture.read(1)
+        bits = int(picture.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", counts.dtype.itemsize * 8))
         stated = _Stated(
             path,
-            _xmp(file.tags(ns="xml:XMP").get("xml:XMP", ""), path),
-            {**file.tags(), **file.tags(ns="EXIF")},
+            _xmp(picture.tags(ns="xml:XMP").get("xml:XMP", ""), path),
+            {**picture.tags(), **picture.tags(ns="EXIF")},
         )
     if bits < 12:
         raise InputError(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from fynjax.io.plot._plot import Plot
-from fynjax.io.raster import has_place, is_local, open_raster
+from fynjax.io.raster import open_raster
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,8 @@ def plot_place(plot: Plot) -> Place:
         if path is None:
             continue
         with open_raster(path, what) as file:
-            if has_place(file) and not is_local(file.crs):
-                west, south = plot.map_origin_m or (file.bounds.left, file.bounds.bottom)
+            if file.crs is not None and file.on_earth:
+                bounds = file.dataset.bounds
+                west, south = plot.map_origin_m or (bounds.left, bounds.bottom)
                 return Place((float(west), float(south)), file.crs.to_wkt())
     return Place()

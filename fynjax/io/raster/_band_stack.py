@@ -5,7 +5,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,10 +14,9 @@ from rasterio.enums import ColorInterp
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.io.raster._align import Alignment, align_bands
-from fynjax.io.raster._reader import check_frame, has_place, is_local, open_raster
+from fynjax.io.raster._reader import open_raster
 
 _COLOURS = {ColorInterp.red: "red", ColorInterp.green: "green", ColorInterp.blue: "blue"}
-_NANOMETRES = {"nanometers": 1.0, "nm": 1.0, "micrometers": 1e3, "um": 1e3, "µm": 1e3}
 
 
 @dataclass(frozen=True)
@@ -174,38 +172,35 @@ class _Part:
 
 def _read(path: Path) -> _Part:
     with open_raster(path, "an image") as file:
-        placed = has_place(file)
-        if placed or file.crs is not None:
-            check_frame(file, path)
-        alpha = [k for k, c in enumerate(file.colorinterp, 1) if c == ColorInterp.alpha]
-        masks = not alpha or _is_mask(file.read(alpha[0]))
-        numbers = [k for k in file.indexes if not (masks and k in alpha)]
-        raw = file.read(numbers)
-        valid = file.read_masks(numbers) > 0
-        kept = np.result_type(raw.dtype, np.float32)  # exact for up to 16 bits, and half the memory
-        if kept.kind != "f":
-            raise InputError(f"expected an image of numbers, but it has {raw.dtype}", file=path)
-        values = raw.astype(kept)
-        for k, number in enumerate(numbers):
-            if (file.scales[number - 1], file.offsets[number - 1]) != (1.0, 0.0):
-                values[k] = values[k] * file.scales[number - 1] + file.offsets[number - 1]
-        xmp = str(file.tags(ns="xml:XMP").get("xml:XMP", "")) if len(numbers) == 1 else ""
+        if file.crs is not None:
+            file.check_place()
+        colours = file.dataset.colorinterp
+        numbers = file.bands
+        masks = len(numbers) == len(colours) or _is_mask(
+            file.dataset.read(next(n for n in file.dataset.indexes if n not in numbers))
+        )
+        if not masks:
+            numbers = file.dataset.indexes
+        # Exact for up to 16 bits, and half the memory.
+        kind = np.result_type(np.float32, *(file.dataset.dtypes[n - 1] for n in numbers))
+        raster = file.read(numbers, zero_is_data=False, dtype=kind)
+        xmp = ""
+        if len(numbers) == 1:
+            xmp = str(file.dataset.tags(ns="xml:XMP").get("xml:XMP", ""))
         names, waves = [], []
-        for number in numbers:
-            colour = _COLOURS.get(file.colorinterp[number - 1]) if masks else None
-            given = file.descriptions[number - 1] or _stated_in(xmp, "BandName") or colour
+        for number, wave in zip(numbers, file.wavelengths[np.array(numbers) - 1], strict=True):
+            colour = _COLOURS.get(colours[number - 1]) if masks else None
+            given = file.names[number - 1] or _stated_in(xmp, "BandName") or colour
             names.append((given or f"band {number}").strip())
-            waves.append(band_wavelength(file, number, xmp))
-        crs = None if file.crs is None or is_local(file.crs) else file.crs.to_wkt()
-        transform = file.transform
+            waves.append(_camera_wavelength(xmp) if np.isnan(wave) else float(wave))
+        placed, on_earth = file.has_place, file.on_earth
+        crs = file.crs.to_wkt() if file.crs is not None and on_earth else None
+    values = raster.values
     if xmp:
-        values -= _dark_level(xmp)
-    # Mosaics fill their border with zeros and rarely declare it; no ground reflects nothing.
-    valid &= ~(raw == 0).all(axis=0) & np.isfinite(values)
-    values[~valid] = np.nan
-    with_data = valid.any(axis=(1, 2))
-    mask = valid[with_data].all(axis=0) if with_data.any() else np.zeros(valid.shape[1:], bool)
-    return _Part(values[:, ::-1], mask[::-1], names, waves, transform, crs, placed)
+        values = values - kind.type(_dark_level(xmp))
+    with_data = np.isfinite(values).any(axis=(1, 2))
+    mask = np.isfinite(values[with_data]).all(axis=0) & with_data.any()
+    return _Part(values, mask, names, waves, raster.transform, crs, placed)
 
 
 def _is_mask(band: np.ndarray) -> bool:
@@ -218,23 +213,12 @@ def _is_mask(band: np.ndarray) -> bool:
     return float(np.mean((band == 0) | (band == top))) > 0.99
 
 
-def band_wavelength(file: Any, number: int, xmp: str) -> float | None:
-    """Centre of a band [nm], as its tags or the camera state it."""
-    tags = {key.lower(): value for key, value in file.tags(number).items()}
-    imagery = file.tags(number, ns="IMAGERY").get("CENTRAL_WAVELENGTH_UM")
-    if "wavelength" in tags:
-        text, unit = tags["wavelength"], tags.get("wavelength_units", "").strip().lower()
-    elif imagery is not None:
-        text, unit = imagery, "um"
-    else:
-        text, unit = _stated_in(xmp, "CentralWavelength"), "nm"
+def _camera_wavelength(xmp: str) -> float | None:
+    """Centre of the band [nm], as a camera states it."""
     try:
-        value = float(text or "")
+        return float(_stated_in(xmp, "CentralWavelength") or "") or None
     except ValueError:
         return None
-    if not (np.isfinite(value) and value > 0.0):
-        return None
-    return value * _NANOMETRES.get(unit, 1.0 if value > 100.0 else 1e3)
 
 
 def _stated_in(xmp: str, key: str) -> str | None:

@@ -27,19 +27,19 @@ def read_cover_map(
     **Raises:** `InputError` for a raster that cannot be read or placed, bands of other names, and
     shares below 0 or that sum to more than 1.
     """
-    found: list[str] = []
+    covers: list[str] = []
 
-    def choose(names: list[str | None], path: Path) -> list[int]:
+    def choose(names: list[str], path: Path) -> list[int]:
         for number, name in enumerate(names, 1):
-            plain = (name or "").strip().lower()
-            if plain not in COVERS or plain in found:
+            plain = name.lower()
+            if plain not in COVERS or plain in covers:
                 raise InputError(
                     f"expected bands named {', '.join(COVERS)} (any of them, once), but band "
                     f"{number} is {name or 'unnamed'!r}.{did_you_mean(plain, COVERS)} The names "
                     "are the bands' descriptions.",
                     file=path,
                 )
-            found.append(plain)
+            covers.append(plain)
         return list(range(len(names)))
 
     part = read_over_plot(
@@ -54,7 +54,7 @@ def read_cover_map(
             file=path,
         )
     shares = np.zeros((len(COVERS) + 1, *shape))
-    for name, values in zip(found, part.in_cells(shape), strict=True):
+    for name, values in zip(covers, part.in_cells(shape), strict=True):
         shares[1 + COVERS.index(name)] = np.clip(values, 0.0, 1.0)  # but for rounding
     shares[0] = np.maximum(1.0 - shares[1:].sum(axis=0), 0.0)
     return shares

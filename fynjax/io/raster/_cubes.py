@@ -1,21 +1,23 @@
-"""Image products of a sensor, out: GeoTIFF, ENVI and NetCDF."""
+"""Image products of a sensor: GeoTIFF, ENVI and NetCDF out, GeoTIFF and ENVI in."""
 
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyproj
+import rasterio
 import xarray as xr
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 
-from fynjax._core.extras import require
+from fynjax._core.errors import InputError
 from fynjax.io.raster._netcdf import grid_mapping, image_array, write_run
-from fynjax.io.raster._writer import write_geotiff
+from fynjax.io.raster._reader import open_raster
+from fynjax.io.raster._writer import north_up, write_geotiff
+from fynjax.sensors import RADIANCE_UNITS
 
 NODATA = -9999.0
 """Value of pixels without data in written products, as imaging spectrometers' products have it."""
@@ -34,6 +36,7 @@ QUANTITIES = {
     ),
 }
 """Unit, CF standard name and name of what a product may hold."""
+_NO_UNIT = ("", "1", "none", "unitless", "reflectance")
 
 
 @dataclass(frozen=True)
@@ -69,8 +72,8 @@ def write_cube_geotiff(path: str | Path, cube: Cube, record: Mapping[str, Any]) 
         cube.values,
         list(cube.names),
         **_place(cube),
-        wavelengths=_listed(cube.wavelength),
-        widths=_listed(cube.fwhm),
+        wavelengths=None if cube.wavelength is None else cube.wavelength.tolist(),
+        widths=None if cube.fwhm is None else cube.fwhm.tolist(),
         crs=cube.crs,
         nodata=NODATA,
         tags={
@@ -86,40 +89,46 @@ def write_cube_envi(path: str | Path, cube: Cube, record: Mapping[str, Any]) -> 
 
     Interleaved by line, float32. The header has wavelengths and widths in nanometres, the list of
     bad bands, the place and its reference system, and `record`. Neither file appears until both are
-    complete. Raises `MissingExtraError` without SPy (the extra `envi`).
+    complete.
     """
-    envi = require("spectral.io.envi", "envi", "spectral")
     path = Path(path)
     unit, _, name = QUANTITIES[cube.quantity]
-    values = np.where(np.isfinite(cube.values), cube.values, NODATA).astype(np.float32)
-    header: dict[str, Any] = {
-        "description": f"{name} [{unit}], {record.get('source', 'fynjax')}",
-        "band names": list(cube.names),
-        "bbl": [int(good) for good in cube.good],
-        "data ignore value": NODATA,
-        **_envi_place(cube),
-        "data units": unit,
-        "fynjax quantity": cube.quantity,
-        **{f"fynjax {key}": _plain(value) for key, value in record.items()},
+    bands, rows, columns = cube.values.shape
+    place = _place(cube)
+    header = {
+        "bbl": _listed([int(good) for good in cube.good]),
+        "data_units": unit,
+        "fynjax_quantity": cube.quantity,
+        **{f"fynjax_{key}": _plain(value) for key, value in record.items()},
     }
     if cube.wavelength is not None:
-        header["wavelength"] = [f"{v:.6g}" for v in cube.wavelength]
-        header["wavelength units"] = "Nanometers"
+        header["wavelength"] = _listed([f"{v:.6g}" for v in cube.wavelength])
+        header["wavelength_units"] = "Nanometers"
     if cube.fwhm is not None:
-        header["fwhm"] = [f"{v:.6g}" for v in cube.fwhm]
+        header["fwhm"] = _listed([f"{v:.6g}" for v in cube.fwhm])
+    profile = {
+        "dtype": "float32",
+        "count": bands,
+        "height": rows,
+        "width": columns,
+        "crs": None if cube.crs is None else CRS.from_user_input(cube.crs),
+        "transform": north_up(place["pixel_m"], place["origin_m"], rows),
+        "nodata": NODATA,
+        "interleave": "bil",
+    }
+    values = np.where(np.isfinite(cube.values), cube.values, NODATA).astype(np.float32)
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=".envi_") as folder:
-        written = Path(folder) / path.name
-        envi.save_image(
-            str(written),
-            np.ascontiguousarray(values[:, ::-1].transpose(1, 2, 0)),
-            dtype=np.float32,
-            interleave="bil",
-            ext=".dat",
-            byteorder=0,
-            metadata=header,
-        )
-        os.replace(written.with_suffix(".dat"), path.with_suffix(".dat"))
+        data = (Path(folder) / path.name).with_suffix(".dat")
+        with rasterio.open(data, "w", driver="ENVI", **profile) as file:
+            file.write(np.ascontiguousarray(values[:, ::-1]))
+            file.descriptions = cube.names
+            file.update_tags(ns="ENVI", **header)
+        written = data.with_suffix(".hdr")
+        text = written.read_text(encoding="utf-8")  # GDAL describes it by its temporary name
+        described = f"{name} [{unit}], {_plain(record.get('source', 'fynjax'))}"
+        written.write_text(text.replace(f"\n{data}}}", f"\n{described}}}"), encoding="utf-8")
+        os.replace(data, path.with_suffix(".dat"))
         os.replace(written, path)
 
 
@@ -173,30 +182,51 @@ def _place(cube: Cube) -> dict[str, Any]:
     return {"origin_m": cube.origin_m, "pixel_m": cube.pixel_m}
 
 
-def _envi_place(cube: Cube) -> dict[str, Any]:
-    """Where an ENVI header says that the image lies."""
-    (west, south), pixel = _place(cube).values()
-    # The corner of the first pixel, which is the north-western one.
-    corner = (west, south + cube.values.shape[1] * pixel, pixel, pixel)
-    numbers = ["1", "1", *(f"{v:.12g}" for v in corner)]
-    if cube.crs is None:
-        return {"map info": ["Arbitrary", *numbers, "0", "units=Meters"]}
-    system = pyproj.CRS.from_user_input(cube.crs)
-    esri = CRS.from_user_input(cube.crs).to_wkt(version="WKT1_ESRI")
-    name, zone = system.name.replace(",", " "), []
-    if system.utm_zone is not None and "WGS 84" in name:
-        half = "North" if system.utm_zone.endswith("N") else "South"
-        name, zone = "UTM", [system.utm_zone[:-1], half, "WGS-84"]
-    return {
-        "map info": [name, *numbers, *zone, "units=Meters"],
-        "coordinate system string": f"{{{esri}}}",  # of a list SPy would change the commas
-    }
-
-
-def _listed(values: NDArray[np.float64] | None) -> list[float] | None:
-    return None if values is None else values.tolist()
+def _listed(values: Sequence[Any]) -> str:
+    """A list as an ENVI header has it."""
+    return f"{{ {' , '.join(map(str, values))} }}"
 
 
 def _plain(value: Any) -> str:
     """Text without what an ENVI header takes for its own."""
     return " ".join(str(value).translate(str.maketrans("{}=", "()~")).split())
+
+
+def read_cube(path: str | Path) -> Cube:
+    """Read an image of any number of bands: ENVI (header or data file), GeoTIFF, or what else GDAL
+    reads. (A NetCDF product is one for xarray: `xr.open_dataset(path).reflectance`.)
+
+    **Returns:** a `Cube`: no-data values are NaN, wavelengths in nm whatever the header's unit.
+
+    **Raises:** `InputError` as `open_raster`; for a header with another number of wavelengths than
+    bands or an unknown unit; and for an image that is rotated.
+    """
+    with open_raster(path, "an image") as file:
+        pixel = file.cell_m
+        raster = file.read()
+        wavelength, fwhm = (None if np.isnan(v).any() else v for v in (file.wavelengths, file.fwhm))
+    if not np.isfinite(raster.values).any():
+        raise InputError(
+            "expected an image, but all of its pixels are without data", file=file.path
+        )
+    unit = file.tags.get("units", file.tags.get("data units", "")).strip()
+    if unit not in RADIANCE_UNITS and unit.lower() not in _NO_UNIT:
+        raise InputError(
+            f"expected values in one of {', '.join(map(repr, RADIANCE_UNITS))}, or reflectance "
+            f"('1'), but the file says {unit!r}",
+            file=file.header_path,
+        )
+    stated = file.tags.get("quantity", file.tags.get("fynjax quantity", ""))
+    quantity = stated if stated in QUANTITIES else "reflectance"
+    return Cube(
+        values=raster.values * RADIANCE_UNITS.get(unit, 1.0),
+        names=tuple(name or f"band_{n}" for n, name in enumerate(file.names, start=1)),
+        wavelength=wavelength,
+        fwhm=fwhm,
+        good=file.good & (bool(file.header) | np.isfinite(raster.values).any(axis=(1, 2))),
+        pixel_m=pixel,
+        origin_m=None if pixel is None else raster.origin,
+        quantity="radiance" if unit in RADIANCE_UNITS else quantity,
+        crs=file.crs.to_wkt() if file.crs else None,
+        attributes=file.tags,
+    )

@@ -3,16 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.enums import ColorInterp
 from rasterio.windows import Window
 from scipy.interpolate import make_interp_spline
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster._reader import check_frame, is_local, open_raster
+from fynjax.io.raster._reader import RasterFile, open_raster
 
 _TINY = 1e-4
 """Part of a cell by which edges may miss each other and still be the same [-]."""
@@ -60,7 +58,7 @@ def read_over_plot(
     path: Path,
     what: str,
     size_m: tuple[float, float],
-    choose: Callable[[list[str | None], Path], list[int]],
+    choose: Callable[[list[str], Path], list[int]],
     *,
     origin_m: tuple[float, float] | None,
     option: str,
@@ -79,41 +77,32 @@ def read_over_plot(
     if not (np.isfinite(size_m).all() and min(size_m) > 0.0):
         raise InputError(f"`size_m` must be positive [m], but is {size_m}")
     with open_raster(path, what) as file:
-        check_frame(file, path)
-        data = [k for k, c in enumerate(file.colorinterp, 1) if c != ColorInterp.alpha]
-        bands = [data[k] for k in choose([file.descriptions[k - 1] for k in data], path)]
-        corner = _corner(file, path, size_m, origin_m, option)
-        columns, rows = _edges(file, path, size_m, corner, option)
+        file.check_place()
+        bands = [file.bands[k] for k in choose([file.names[n - 1] for n in file.bands], path)]
+        corner = _corner(file, size_m, origin_m, option)
+        columns, rows = _edges(file, size_m, corner, option)
         first = (int(rows[0] + _TINY), int(columns[0] + _TINY))
         last = (int(np.ceil(rows[1] - _TINY)), int(np.ceil(columns[1] - _TINY)))
         window = Window(first[1], first[0], last[1] - first[1], last[0] - first[0])
-        values = file.read(bands, window=window).astype(np.float64)
-        scale, offset = (
-            np.array([of[k - 1] for k in bands])[:, None, None]
-            for of in (file.scales, file.offsets)
-        )
-        values = values * scale + offset
-        valid = (file.read_masks(bands, window=window) > 0).all(axis=0)
-        units = tuple((file.units[k - 1] or "").strip() for k in bands)
-        t = file.transform
-    valid &= np.isfinite(values).all(axis=0)
+        part = file.read(bands, window=window)
+    values, valid = part.values[:, ::-1], part.mask[::-1]
     if not valid.all():
-        row, column = np.argwhere(~valid)[0] + first
+        row, column = np.argwhere(~valid)[0]
+        x, y = part.transform @ (column + 0.5, row + 0.5)
         raise InputError(
             f"expected a value in every cell of the plot, but {int((~valid).sum())} of "
             f"{valid.size} have none (no data or NaN), the first at "
-            f"({t.c + (column + 0.5) * t.a:.2f}, {t.f + (row + 0.5) * t.e:.2f}). Fill them first, "
-            f"with 0 where that is meant: gdal_fillnodata.py {path.name} filled.tif",
+            f"({x:.2f}, {y:.2f}). Fill them first, with 0 where that is meant: "
+            f"gdal_fillnodata.py {path.name} filled.tif",
             file=path,
         )
     (r0, r1), (c0, c1) = rows, columns
     edges = (r0 - first[0], r1 - first[0]), (c0 - first[1], c1 - first[1])
-    return OverPlot(values, edges, units)
+    return OverPlot(values, edges, tuple(file.units[n - 1] for n in bands))
 
 
 def _corner(
-    file: Any,
-    path: Path,
+    file: RasterFile,
     size: tuple[float, float],
     origin: tuple[float, float] | None,
     option: str,
@@ -123,18 +112,18 @@ def _corner(
         if len(origin) != 2 or not np.isfinite(origin).all():
             raise InputError(f"`{option}` must be two numbers (x, y) [m], but is {origin}")
         return float(origin[0]), float(origin[1])
-    if is_local(file.crs):
+    if not file.on_earth:
         return 0.0, 0.0
-    west, south, east, north = file.bounds
+    west, south, east, north = file.dataset.bounds
     wide, deep = east - west, north - south
-    t = file.transform
+    t = file.dataset.transform
     if abs(wide - size[0]) > _slack(t.a, size[0]) or abs(deep - size[1]) > _slack(-t.e, size[1]):
         raise InputError(
             f"expected a raster as large as the plot, {size[0]:g} m x {size[1]:g} m, but it covers "
             f"{wide:g} m x {deep:g} m. Say where in it the plot lies: `{option}` is the plot's "
             f"south-west corner (x, y) in its coordinates, within ({west:.2f}, {south:.2f}) "
             f"to ({east:.2f}, {north:.2f}).",
-            file=path,
+            file=file.path,
         )
     return west, south
 
@@ -145,16 +134,17 @@ def _slack(cell: float, size: float) -> float:
 
 
 def _edges(
-    file: Any, path: Path, size: tuple[float, float], corner: tuple[float, float], option: str
+    file: RasterFile, size: tuple[float, float], corner: tuple[float, float], option: str
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """First and last edge of the plot in columns from the west, and in rows from the north."""
-    t = file.transform
-    west, south, east, north = file.bounds
+    t = file.dataset.transform
+    west, south, east, north = file.dataset.bounds
+    height, width = file.shape
     columns = (corner[0] - west) / t.a, (corner[0] + size[0] - west) / t.a
     rows = (north - corner[1] - size[1]) / -t.e, (north - corner[1]) / -t.e
     beyond = (
-        max(-columns[0], columns[1] - file.width) * t.a,
-        max(-rows[0], rows[1] - file.height) * -t.e,
+        max(-columns[0], columns[1] - width) * t.a,
+        max(-rows[0], rows[1] - height) * -t.e,
     )
     if any(b > _slack(c, s) for b, c, s in zip(beyond, (t.a, -t.e), size, strict=True)):
         raise InputError(
@@ -162,10 +152,10 @@ def _edges(
             f"({corner[0] + size[0]:.2f}, {corner[1] + size[1]:.2f}), but it covers "
             f"({west:.2f}, {south:.2f}) to ({east:.2f}, {north:.2f}). The plot's south-west "
             f"corner in its coordinates is set by `{option}`.",
-            file=path,
+            file=file.path,
         )
-    columns = max(columns[0], 0.0), min(columns[1], float(file.width))
-    rows = max(rows[0], 0.0), min(rows[1], float(file.height))
+    columns = max(columns[0], 0.0), min(columns[1], float(width))
+    rows = max(rows[0], 0.0), min(rows[1], float(height))
     return columns, rows
 
 

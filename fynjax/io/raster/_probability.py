@@ -3,23 +3,19 @@
 In memory a map is [y, x] with row 0 at the southern edge; on disk row 0 is the northern one.
 """
 
-import json
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rasterio
 from jaxtyping import Float64, UInt8
 from numpy.typing import NDArray
 from rasterio import Affine
-from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
 from fynjax.io.raster._over_plot import read_over_plot
-from fynjax.io.raster._writer import LOCAL_FRAME
-from fynjax.io.text import atomic_path
+from fynjax.io.raster._writer import write_geotiff
 
 
 def write_probability_map(
@@ -46,22 +42,15 @@ def write_probability_map(
     """
     if grey.ndim != 2 or grey.dtype != np.uint8:
         raise ValueError(f"`grey` must be uint8 [y, x], but is {grey.dtype} of shape {grey.shape}")
-    profile = {
-        "driver": "GTiff",
-        "dtype": "uint8",
-        "count": 1,
-        "height": grey.shape[0],
-        "width": grey.shape[1],
-        "crs": CRS.from_wkt(LOCAL_FRAME) if crs is None else CRS.from_user_input(crs),
-        "transform": transform,
-        "nodata": nodata,
-        "compress": "deflate",
-    }
-    with atomic_path(path) as partial, rasterio.open(partial, "w", **profile) as file:
-        file.write(np.ascontiguousarray(grey[::-1]), 1)
-        file.set_band_description(1, "probability")
-        told = {key: v if isinstance(v, str) else json.dumps(v) for key, v in (tags or {}).items()}
-        file.update_tags(**told)
+    write_geotiff(
+        path,
+        grey[None],
+        ["probability"],
+        transform=transform,
+        crs=crs,
+        nodata=nodata,
+        tags=tags,
+    )
 
 
 def read_probability_map(
@@ -113,11 +102,11 @@ def read_probability_map(
     return values
 
 
-def _only_band(names: list[str | None], path: Path) -> list[int]:
+def _only_band(names: list[str], path: Path) -> list[int]:
     if len(names) != 1:
-        told = ", ".join(name or f"band {k}" for k, name in enumerate(names, 1))
+        listed = ", ".join(name or f"band {k}" for k, name in enumerate(names, 1))
         raise InputError(
-            f"expected a map of one band of 0 to 255, but it has {len(names)} ({told}). Make "
+            f"expected a map of one band of 0 to 255, but it has {len(names)} ({listed}). Make "
             f"a map of an image with `fynjax pattern {path.name}`, or choose a band: "
             "gdal_translate -b 1",
             file=path,

@@ -1,82 +1,369 @@
-"""Rasters that lie on the ground: opened, and checked for north, metres and a place."""
+"""The one reader of rasters: every GeoTIFF, ENVI cube and map is opened and checked here.
 
+On disk row 0 is mostly the northern edge; in memory y increases to the north, as everywhere in
+fynjax. The flip happens here and nowhere else.
+"""
+
+import math
+import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import pyproj
+import numpy as np
 import rasterio
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from jaxtyping import Bool, Float
+from numpy.typing import DTypeLike, NDArray
+from rasterio import Affine
+from rasterio.crs import CRS
+from rasterio.enums import ColorInterp
+from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
+from rasterio.windows import Window
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster._checks import check_north_up
+from fynjax._core.progress import NullProgress, Progress
+from fynjax.io.raster._crs import check_metric, is_local
+from fynjax.io.spectra import envi_pair, header_numbers, in_nanometres, read_header
 from fynjax.io.text import existing_file
 
-METRES = ("m", "metre", "metres", "meter", "meters")
+METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its heights."""
+ENVI_DATA = (".dat", ".img", ".bil", ".bsq", ".bip")
+_BLOCK = 1 << 24
+"""Values read at once, where a raster is read by blocks of rows."""
+_EMPTY = 3000
+"""Bytes of values for each byte of a GeoTIFF above which it cannot hold them: deflate packs no
+tighter than 1 in 1032."""
+
+
+@dataclass(frozen=True)
+class Raster:
+    """Bands of a raster, or of a part of it."""
+
+    values: Float[np.ndarray, "band y x"]
+    """In the file's unit, its scale and offset applied; y to the north; NaN without data."""
+    mask: Bool[np.ndarray, "y x"]
+    """True where every band has data."""
+    full: Bool[np.ndarray, "y x"]
+    """True where a band has the largest value of its integer type."""
+    transform: Affine
+    """From column and row, counted from the north-west corner, to x and y in the file's system."""
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """South-west corner (x, y)."""
+        x, y = self.transform @ (0.0, float(self.values.shape[1]))
+        return float(x), float(y)
+
+
+@dataclass(frozen=True)
+class RasterFile:
+    """An open raster: what it states of itself. Bands are counted from 1."""
+
+    path: Path
+    what: str
+    """What it is to be, for errors, such as "a probability map"."""
+    dataset: Any
+    """As rasterio opened it."""
+    header: dict[str, Any]
+    """ENVI header; empty for other formats."""
+    header_path: Path
+
+    shape: tuple[int, int]
+    """Rows and columns."""
+    bands: tuple[int, ...]
+    """Numbers of the bands, without one that says where there are data (alpha)."""
+    names: tuple[str, ...]
+    """Description of each band; empty where it has none."""
+    units: tuple[str, ...]
+    """Unit of each band; empty where it has none."""
+    tags: dict[str, str]
+    """What the file states of its image as a whole."""
+    crs: CRS | None
+    """Coordinate reference system, if it states one."""
+
+    @cached_property
+    def _bands_nm(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Centre and full width at half maximum of each band [nm]; NaN where not stated."""
+        count = self.dataset.count
+        if self.header:
+            stated = header_numbers(self.header, "wavelength", count, self.header_path)
+            width = header_numbers(self.header, "fwhm", count, self.header_path)
+            unit = str(self.header.get("wavelength units", ""))
+            stated = np.full(count, np.nan) if stated is None else stated
+            width = np.full(count, np.nan) if width is None else width
+        else:
+            tags = [
+                {k.lower(): v for k, v in self.dataset.tags(n).items()} for n in range(1, count + 1)
+            ]
+            stated, width = (
+                np.array([_positive(of.get(key)) for of in tags]) for key in ("wavelength", "fwhm")
+            )
+            unit = next((of["wavelength_units"] for of in tags if "wavelength_units" in of), "")
+            if np.isnan(stated).all():  # as GDAL's own drivers have them
+                imagery = [self.dataset.tags(n, ns="IMAGERY") for n in range(1, count + 1)]
+                stated, width = (
+                    np.array([_positive(of.get(key)) for of in imagery])
+                    for key in ("CENTRAL_WAVELENGTH_UM", "FWHM_UM")
+                )
+                unit = "um"
+        if np.isnan(stated).all():
+            return stated, np.full(count, np.nan)
+        centre, factor = in_nanometres(stated, unit, self.header_path)
+        return centre, width * factor
+
+    @property
+    def wavelengths(self) -> Float[np.ndarray, " band"]:
+        """Centre of each band [nm]; NaN where not stated. `InputError` for another unit."""
+        return self._bands_nm[0]
+
+    @property
+    def fwhm(self) -> Float[np.ndarray, " band"]:
+        """Full width at half maximum of each band [nm]; NaN where not stated."""
+        return self._bands_nm[1]
+
+    @cached_property
+    def good(self) -> Bool[np.ndarray, " band"]:
+        """Bands that are to be used by the header's list of bad bands."""
+        count = self.dataset.count
+        listed = header_numbers(self.header, "bbl", count, self.header_path)
+        return np.ones(count, bool) if listed is None else listed != 0.0
+
+    # -- place ------------------------------------------------------------------------------
+
+    @property
+    def has_place(self) -> bool:
+        """Whether it has a coordinate reference system and a place in it."""
+        return self.crs is not None and not self.dataset.transform.is_identity
+
+    @property
+    def on_earth(self) -> bool:
+        """Whether its place is one on Earth, not in a frame of a plot's own."""
+        return self.crs is not None and self.has_place and not is_local(self.crs)
+
+    @property
+    def cell_m(self) -> float | None:
+        """Side of a cell [m]; `None` without a place, or where it is in degrees.
+
+        **Raises:** `InputError` for a raster that is rotated, and cells that are not square.
+        """
+        t = self.dataset.transform
+        if t.is_identity:
+            return None
+        self._check_upright(may_be_flipped=True)
+        if self.crs is not None and self.crs.is_geographic:
+            return None
+        width, height = abs(t.a), abs(t.e)
+        if abs(height - width) > 1e-3 * width:
+            raise InputError(
+                f"expected square cells, but they are {width:g} by {height:g}. Warp with -tr "
+                "first.",
+                file=self.path,
+            )
+        return float(width)
+
+    def check_place(self, *, crs: CRS | None = None, height_stated: bool = True) -> CRS:
+        """Its reference system, which is in metres; the raster has a place and is north up.
+
+        **Arguments:** `crs`, that which the user states, if any; `height_stated`: the unit of
+        heights is stated elsewhere, or there are none.
+
+        **Raises:** `InputError` without a system or a place, in degrees or feet, and for a raster
+        that is rotated or upside down.
+        """
+        system = self.crs if crs is None else crs
+        if system is None or self.dataset.transform.is_identity:
+            raise InputError(
+                "expected a raster with a coordinate reference system and a place, but it has "
+                f"{'no system' if system is None else 'no place'}. Give it one: "
+                f"gdal_edit.py -a_srs EPSG:... -a_ullr WEST NORTH EAST SOUTH {self.path.name}",
+                file=self.path,
+            )
+        check_metric(system, self.path, height_stated=height_stated)
+        self._check_upright()
+        return system
+
+    def _check_upright(self, *, may_be_flipped: bool = False) -> None:
+        t = self.dataset.transform
+        rotated = max(abs(t.b), abs(t.d)) > 1e-9 * abs(t.a)
+        if rotated or (not may_be_flipped and (t.a < 0 or t.e > 0)):
+            raise InputError(
+                f"expected {self.what} with north up, but this one is "
+                f"{'rotated' if rotated else 'upside down'}. Warp it first: "
+                f"gdalwarp {self.path.name} north_up.tif",
+                file=self.path,
+            )
+
+    # -- values -----------------------------------------------------------------------------
+
+    def read(
+        self,
+        bands: Sequence[int] | None = None,
+        *,
+        window: Window | None = None,
+        step: int = 1,
+        zero_is_data: bool = True,
+        dtype: DTypeLike = np.float64,
+        progress: Progress | None = None,
+    ) -> Raster:
+        """Read bands, all of them unless given, by blocks of rows.
+
+        **Arguments:**
+
+        - `window`: rows and columns to read.
+        - `step`: every `step`-th row and column is read, from the north-west corner.
+        - `zero_is_data`: false for images. Mosaics fill their border with zeros and rarely declare
+          it; no ground reflects nothing. A pixel that is 0 in every band has then no data.
+        - `dtype`: of the values.
+
+        **Raises:** `InputError` for values that are no real numbers, and for more of them than
+        this machine has memory for.
+        """
+        file, progress = self.dataset, NullProgress() if progress is None else progress
+        bands = list(file.indexes if bands is None else bands)
+        top, left, height, width = (
+            (0, 0, *self.shape)
+            if window is None
+            else (window.row_off, window.col_off, window.height, window.width)
+        )
+        shape = (len(bands), -(-height // step), -(-width // step))
+        self._check_size(shape, np.dtype(dtype).itemsize, len(bands) * height * width)
+        kinds = [np.dtype(file.dtypes[n - 1]) for n in bands]
+        if any(kind.kind not in "iuf" for kind in kinds):
+            raise InputError(f"expected numbers, but it has {kinds[0]}", file=self.path)
+        scale, offset = (
+            np.array([of[n - 1] for n in bands], dtype)[:, None, None]
+            for of in (file.scales, file.offsets)
+        )
+        if not (scale != 1.0).any():  # GDAL applies that of a header in its newer versions
+            scale = scale / np.asarray(self._divisor(), dtype)
+        values = np.empty(shape, dtype)
+        valid = np.empty(shape, bool)
+        full = np.zeros(shape[1:], bool)
+        block = max(_BLOCK // max(len(bands) * width, 1) // step, 1) * step
+        starts = range(0, height, block)
+        with progress.stage(f"Read {self.path.name}", len(starts)):
+            for start in starts:
+                part = Window(left, top + start, width, min(block, height - start))
+                raw = file.read(bands, window=part)[:, ::step, ::step]
+                data = file.read_masks(bands, window=part)[:, ::step, ::step] > 0
+                rows = slice(start // step, start // step + raw.shape[1])
+                values[:, rows] = raw
+                if not zero_is_data:
+                    data &= ~(raw == 0).all(axis=0)
+                valid[:, rows] = data
+                if raw.dtype.kind in "iu":
+                    full[rows] = (raw == np.iinfo(raw.dtype).max).any(axis=0)
+                progress.advance()
+        if (scale != 1.0).any() or (offset != 0.0).any():
+            values *= scale
+            values += offset
+        valid &= np.isfinite(values)
+        values[~valid] = np.nan
+        t = file.transform
+        if t.is_identity or t.e < 0:
+            values, valid, full = values[:, ::-1], valid[:, ::-1], full[::-1]
+            place = t @ Affine.translation(left, top) @ Affine.scale(step)
+        else:  # row 0 is the southern edge
+            place = t @ Affine.translation(left, top + height) @ Affine.scale(step, -step)
+        return Raster(values, np.asarray(valid.all(axis=0)), full, place)
+
+    def _divisor(self) -> float:
+        """What the ENVI header says to divide by."""
+        try:
+            divisor = float(self.header.get("reflectance scale factor", 1.0))
+        except (TypeError, ValueError):
+            divisor = math.nan
+        if not (math.isfinite(divisor) and divisor > 0.0):
+            raise InputError(
+                "expected a positive number as reflectance scale factor, but got "
+                f"{self.header['reflectance scale factor']!r}",
+                file=self.header_path,
+            )
+        return divisor
+
+    def _check_size(self, shape: tuple[int, ...], itemsize: int, stored: int) -> None:
+        """Refuse a raster that memory cannot hold, or that its file cannot hold."""
+        rows, columns = self.shape
+        stored *= np.dtype(self.dataset.dtypes[0]).itemsize
+        held = self.path.stat().st_size
+        if self.dataset.driver == "GTiff" and stored > max(_EMPTY * held, 1 << 30):
+            raise InputError(
+                f"cannot be read as {self.what}: it states {columns} x {rows} pixels in "
+                f"{self.dataset.count} bands, but its {held} bytes cannot hold them. Is it "
+                "damaged?",
+                file=self.path,
+            )
+        memory = math.inf
+        if hasattr(os, "sysconf"):
+            memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        needed = 2.0 * math.prod(shape) * itemsize
+        if needed > memory:
+            raise InputError(
+                f"{columns} x {rows} pixels in {shape[0]} bands need {needed / 2**30:.0f} GiB, "
+                f"but this machine has {memory / 2**30:.0f} GiB. Cut a part: gdalwarp -te WEST "
+                f"SOUTH EAST NORTH {self.path.name} part.tif",
+                file=self.path,
+            )
 
 
 @contextmanager
-def open_raster(path: str | Path, what: str) -> Iterator[Any]:
-    """A raster open for reading; what GDAL cannot read is an `InputError`.
+def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
+    """A raster open for reading: GeoTIFF, ENVI (data or header file), or what else GDAL reads.
 
     `what` names the file in errors, such as "a probability map".
+
+    **Raises:** `InputError` for a file that is missing, cut short, damaged or no raster, and an
+    ENVI header that lacks a field; also where GDAL fails inside the block.
     """
     path = existing_file(path, what)
+    header_path = path
+    beside = (path.with_suffix(".hdr"), path.with_name(path.name + ".hdr"))
+    tiff = path.suffix.lower() in (".tif", ".tiff")
+    header: dict[str, Any] = {}
+    if path.suffix.lower() == ".hdr" or (not tiff and any(p.is_file() for p in beside)):
+        header_path, path = envi_pair(path, ENVI_DATA, "image")
+        header = read_header(header_path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path) as file:
-                yield file
-    except RasterioError as error:
+            dataset = rasterio.open(path)
+        with dataset:
+            if not dataset.count:
+                raise InputError(f"expected {what}, but GDAL sees no bands in it", file=path)
+            listed = header.get("band names", ())
+            names = listed if len(listed) == dataset.count else dataset.descriptions
+            kinds = enumerate(dataset.colorinterp, 1)
+            yield RasterFile(
+                path=path,
+                what=what,
+                dataset=dataset,
+                header=header,
+                header_path=header_path,
+                shape=(dataset.height, dataset.width),
+                bands=tuple(n for n, kind in kinds if kind != ColorInterp.alpha),
+                names=tuple((name or "").strip() for name in names),
+                units=tuple((unit or "").strip() for unit in dataset.units),
+                tags={str(k): str(v) for k, v in (header or dataset.tags()).items()},
+                crs=dataset.crs,
+            )
+    except (RasterioError, CRSError, UnicodeDecodeError) as error:
         reason = " ".join(str(error.__cause__ or error).split())
         raise InputError(
-            f"cannot be read as {what} ({reason}). Is it cut short, or not a GeoTIFF? Copy it "
-            "again.",
+            f"cannot be read as {what} ({reason}). Is it cut short, or not a GeoTIFF? "
+            "Copy it again.",
             file=path,
         ) from error
 
 
-def has_place(file: Any) -> bool:
-    """Whether an open raster has a coordinate reference system and a place in it."""
-    return file.crs is not None and not file.transform.is_identity
-
-
-def is_local(crs: Any) -> bool:
-    """Whether a system is a frame of a plot's own, without a place on Earth."""
-    return not (crs.is_projected or crs.is_geographic)
-
-
-def check_frame(file: Any, path: Path) -> None:
-    """Refuse an open raster that is not north up, in metres and in a place.
-
-    **Raises:** `InputError` without a coordinate reference system or a place, in degrees or feet,
-    and for a raster that is rotated or upside down.
-    """
-    crs = file.crs
-    if not has_place(file):
-        raise InputError(
-            "expected a raster with a coordinate reference system and a place, but it has "
-            f"{'no system' if crs is None else 'no place'}. Give it one: "
-            f"gdal_edit.py -a_srs EPSG:... -a_ullr WEST NORTH EAST SOUTH {path.name}",
-            file=path,
-        )
-    unit, factor = crs.units_factor
-    if crs.is_geographic or abs(factor - 1.0) > 1e-9:
-        raise InputError(
-            f"expected coordinates in metres, but they are in units of {unit}. Reproject to a "
-            f"metric system first, such as the plot's UTM zone: gdalwarp -t_srs EPSG:... "
-            f"{path.name} metric.tif",
-            file=path,
-        )
-    axes = [axis.direction for axis in pyproj.CRS.from_wkt(crs.to_wkt()).axis_info]
-    if not is_local(crs) and {"west", "south"} & set(axes):
-        raise InputError(
-            f"expected a system whose coordinates grow to the east and north, but those of this "
-            f"one grow to the {' and '.join(axes)}. Reproject first, such as to the plot's UTM "
-            f"zone: gdalwarp -t_srs EPSG:... {path.name} utm.tif",
-            file=path,
-        )
-    check_north_up(file.transform, path, "a raster")
+def _positive(text: str | None) -> float:
+    """A positive number, or NaN."""
+    try:
+        value = float(text or "nan")
+    except ValueError:
+        return math.nan
+    return value if math.isfinite(value) and value > 0.0 else math.nan

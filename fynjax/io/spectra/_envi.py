@@ -1,7 +1,8 @@
-"""ENVI spectral libraries: a binary block of spectra with a text header."""
+"""ENVI headers and spectral libraries, as Spectral Python (SPy) reads them."""
 
-import re
+import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,67 +10,116 @@ from numpy.typing import NDArray
 from fynjax._core.errors import InputError
 from fynjax.io.spectra._record import Spectrum, note
 
-_DTYPES = {"1": "u1", "2": "i2", "3": "i4", "4": "f4", "5": "f8", "12": "u2", "13": "u4"}
-
-
 _MICROMETRES = ("micro", "um", "µm")
 _NANOMETRES = ("nano", "nm")
-_UNSAID = ("", "unknown", "index")
+_UNSTATED = ("", "unknown", "index")
 
 
-def read_header(path: Path) -> dict[str, str]:
-    """Keys and values of an ENVI header, keys in lower case; `InputError` where it is none."""
-    text = path.read_text(encoding="utf-8", errors="replace")
-    if not text.lstrip().upper().startswith("ENVI"):
-        raise InputError("expected an ENVI header, which starts with the word ENVI", file=path)
-    pairs = re.findall(r"^\s*([^=\n{}]+?)\s*=\s*(\{.*?\}|[^\n]*)", text, re.M | re.S)
-    return {key.strip().lower(): value.strip().strip("{}").strip() for key, value in pairs}
+def read_header(path: Path) -> dict[str, Any]:
+    """Fields of an ENVI header, names in lower case; what stands in braces is a list of texts.
+
+    **Raises:** `InputError` where it is no ENVI header, or lacks a field that tells how its data
+    are stored.
+    """
+    from spectral.io import envi  # takes a quarter of a second
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of names that are not in lower case
+            header = envi.read_envi_header(str(path))
+        envi.gen_params({"byte order": "0", **header})
+    except (envi.SpyException, LookupError, TypeError, ValueError) as error:
+        raise InputError(
+            f"cannot be read as an ENVI header, which starts with the word ENVI and has samples, "
+            f"lines, bands and data type ({type(error).__name__}: {' '.join(str(error).split())})",
+            file=path,
+        ) from error
+    return dict(header)
+
+
+def stored_bytes(header: dict[str, Any]) -> int:
+    """Bytes that the data file of a header must have at least."""
+    from spectral.io import envi
+
+    layout = envi.gen_params({"byte order": "0", **header})
+    cells = layout.nbands * layout.nrows * layout.ncols
+    return int(layout.offset + cells * np.dtype(layout.dtype).itemsize)
 
 
 def envi_pair(path: str | Path, suffixes: tuple[str, ...], what: str) -> tuple[Path, Path]:
-    """Header and data file of an ENVI file, given one of them; raises `InputError` for a lost one.
+    """Header and data file of an ENVI file, given one of them.
 
     `suffixes` are those that a data file may have, `what` it is.
+
+    **Raises:** `InputError` where one of them is missing, or the data are cut short.
     """
     path = Path(path)
-    if path.suffix.lower() != ".hdr":
-        options = [path.with_suffix(".hdr"), path.with_name(path.name + ".hdr")]
-        found = [p for p in options if p.is_file()]
-        if not found:
-            raise InputError(f"the ENVI header (.hdr) is missing beside this {what}", file=path)
-        if not path.is_file():
-            raise InputError("no such file", file=path)
-        return found[0], path
-    stem = path.with_suffix("")
-    names = [stem, *(path.with_suffix(s) for s in suffixes)]
-    names += [stem.with_suffix(s) for s in suffixes]
-    data = next((p for p in names if p.is_file()), None)
-    if data is None:
-        raise InputError(f"the data file ({suffixes[0]}) is missing beside this header", file=path)
+    header, data = path, path
+    if path.suffix.lower() == ".hdr":
+        stem = path.with_suffix("")
+        names = [stem, *(p.with_suffix(s) for s in suffixes for p in (path, stem))]
+        lost = f"the data file ({suffixes[0]}) is missing beside this header"
+        data = next((p for p in names if p.is_file()), path)
+    else:
+        names = [path.with_suffix(".hdr"), path.with_name(path.name + ".hdr")]
+        lost = f"the ENVI header (.hdr) is missing beside this {what}"
+        header = next((p for p in names if p.is_file()), path)
     if not path.is_file():
         raise InputError("no such file", file=path)
-    return path, data
+    if header == data:
+        raise InputError(lost, file=path)
+    needed, there = stored_bytes(read_header(header)), data.stat().st_size
+    if there < needed:
+        raise InputError(
+            f"the file is cut short: by its header it needs {needed} bytes, but it has {there}. "
+            "Copy it again.",
+            file=data,
+        )
+    return header, data
 
 
-def header_wavelengths(header: dict[str, str], path: Path) -> tuple[NDArray[np.float64], float]:
-    """Band centres of a header [nm], and the factor that made them nm of the file's numbers.
+def header_numbers(
+    header: dict[str, Any], key: str, count: int, path: Path
+) -> NDArray[np.float64] | None:
+    """A number for each of `count` bands; `None` where the header has none of this name."""
+    if key not in header:
+        return None
+    try:
+        values = np.array(header[key], dtype=float).reshape(-1)
+    except ValueError as error:
+        raise InputError(
+            f"expected lists of numbers, but {error}", file=path, column=key
+        ) from error
+    if values.size != count:
+        raise InputError(
+            f"expected {count} values, one for each band, but got {values.size}",
+            file=path,
+            column=key,
+        )
+    return values
 
-    Raises `KeyError` or `ValueError` where there are none, `InputError` for an unknown unit.
+
+def in_nanometres(
+    wavelength: NDArray[np.float64], unit: str, path: Path
+) -> tuple[NDArray[np.float64], float]:
+    """Band centres [nm], and the factor that made them nm of numbers in `unit`.
+
+    **Raises:** `InputError` for a unit that is neither nm nor µm, and for numbers that are in µm
+    where nm are stated.
     """
-    wavelength = np.array([float(x) for x in header["wavelength"].split(",")])
-    unit = header.get("wavelength units", "").lower()
-    if unit.startswith(_MICROMETRES) or (unit in _UNSAID and wavelength.max() < 100):
+    unit = unit.strip().lower()
+    highest = float(np.nanmax(wavelength))
+    if unit.startswith(_MICROMETRES) or (unit in _UNSTATED and highest < 100.0):
         return wavelength * 1000.0, 1000.0
-    if not unit.startswith(_NANOMETRES) and unit not in _UNSAID:
+    if not unit.startswith(_NANOMETRES) and unit not in _UNSTATED:
         raise InputError(
             f"expected wavelengths in Nanometers or Micrometers, but the unit is {unit!r}",
             file=path,
             column="wavelength units",
         )
-    if wavelength.max() < 100:
+    if highest < 100.0:
         raise InputError(
-            f"the header says {unit!r}, but wavelengths end at {wavelength.max():g}; are they µm?",
-            file=path,
+            f"wavelengths are stated in {unit!r}, but end at {highest:g}; are they µm?", file=path
         )
     return wavelength, 1.0
 
@@ -80,45 +130,35 @@ def read_envi_library(path: str | Path) -> list[Spectrum]:
     **Raises:** `InputError` if one of the two files is missing, the header lacks a needed field, or
     the data are cut short.
     """
+    from spectral.io import envi
+
     header_path, data_path = envi_pair(path, (".sli", ".slb"), "library")
     header = read_header(header_path)
+    kind = header.get("file type", "ENVI Spectral Library")
+    if "librar" not in str(kind).lower():
+        raise InputError(f"expected an ENVI spectral library, but this is {kind!r}", file=path)
+    layout = envi.gen_params({"byte order": "0", **header})
+    stated = header_numbers(header, "wavelength", layout.ncols, header_path)
+    if stated is None:
+        raise InputError("the header needs wavelength", file=header_path)
+    wavelength, factor = in_nanometres(stated, header.get("wavelength units", ""), header_path)
+    lines, bands = layout.nrows, layout.ncols
+    values = np.fromfile(data_path, layout.dtype, lines * bands, offset=layout.offset)
+    values = values.reshape(lines, bands).astype(float)
+    meta: dict[str, Any] = {"format": "ENVI spectral library"}
     try:
-        bands, lines = int(header["samples"]), int(header["lines"])
-        dtype = np.dtype(_DTYPES[header["data type"]])
-        wavelength, converted = header_wavelengths(header, header_path)
-    except (KeyError, ValueError) as error:
-        raise InputError(
-            f"the header needs samples, lines, data type and wavelength; wrong: {error}",
-            file=header_path,
-        ) from error
-    if "librar" not in header.get("file type", "librar").lower():
-        raise InputError(
-            f"expected an ENVI spectral library, but this is {header['file type']!r}",
-            file=header_path,
-        )
-    dtype = dtype.newbyteorder(">" if header.get("byte order", "0") == "1" else "<")
-    raw = data_path.read_bytes()[int(header.get("header offset", "0")) :]
-    if len(raw) < bands * lines * dtype.itemsize:
-        raise InputError(
-            f"the file is cut short: {lines} spectra of {bands} bands need "
-            f"{bands * lines * dtype.itemsize} bytes, but it has {len(raw)}",
-            file=data_path,
-        )
-    if len(wavelength) != bands:
-        raise InputError(f"{len(wavelength)} wavelengths for {bands} bands", file=header_path)
-    values = np.frombuffer(raw, dtype, bands * lines).reshape(lines, bands).astype(float)
-    meta: dict = {"format": "ENVI spectral library"}
-    scale = float(header.get("reflectance scale factor", "1") or 1)
-    if scale != 1:
-        values = values / scale
+        scale = float(header.get("reflectance scale factor", 1.0))
+        ignore = float(header.get("data ignore value", "nan"))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"expected a number, but {error}", file=header_path) from error
+    values = np.where(values == ignore, np.nan, values / scale)
+    if scale != 1.0:
         note(meta, f"divided by the header's reflectance scale factor {scale:g}")
-    if converted != 1.0:
+    if factor != 1.0:
         note(meta, "wavelengths converted from µm to nm")
-    names = [n.strip() for n in header.get("spectra names", "").split(",") if n.strip()]
-    names = names if len(names) == lines else [f"{data_path.stem}_{i + 1}" for i in range(lines)]
-    ignore = header.get("data ignore value")
-    if ignore is not None:
-        values = np.where(values * scale == float(ignore), np.nan, values)
+    names = header.get("spectra names", [])
+    if len(names) != lines:
+        names = [f"{data_path.stem}_{i + 1}" for i in range(lines)]
     return [
         Spectrum(name, wavelength, row, None, {**meta, "repairs": list(meta.get("repairs", []))})
         for name, row in zip(names, values)

@@ -1,6 +1,7 @@
 """Spectra from files: `read_spectra` recognises the format by the content."""
 
 import codecs
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +74,10 @@ def read_usable_spectra(
     elif _is_text(data):
         wide = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
         text = data.decode("utf-16" if wide else "utf-8-sig", errors="replace")
-        spectra = read_text_spectra(text, path)
+        try:
+            spectra = read_text_spectra(text, path)
+        except csv.Error as error:
+            raise InputError(f"cannot be read as a table ({error})", file=path) from error
     else:
         raise InputError(
             "unknown format: neither ASD binary (as6, as7, as8), ENVI spectral library, nor text",

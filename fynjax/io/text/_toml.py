@@ -40,7 +40,7 @@ def read_toml(path: Path, model: type[Model]) -> tuple[Model, str]:
     text = read_text(path)
     try:
         raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (RecursionError, ValueError) as error:  # also of numbers too long to convert
         at = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         hint = " Write paths with / or in single quotes." if "escape" in str(error) else ""
         raise InputError(
@@ -75,8 +75,8 @@ def _place(
     if len(error["loc"]) > 2:
         given = raw[str(loc[0])][str(loc[1])]
         position = error["loc"][2]
-        one = isinstance(given, list) and isinstance(position, int)
-        value = given[position] if one else given
+        listed = isinstance(given, list) and isinstance(position, int) and position < len(given)
+        value = given[position] if listed else given
         error = {**error, "type": "nested", "input": value}
     return model, error, loc
 

@@ -1,0 +1,96 @@
+"""Coordinate reference systems: those whose coordinates are metres to the east and north."""
+
+import re
+from pathlib import Path
+
+import pyproj
+from rasterio.crs import CRS
+from rasterio.errors import CRSError
+
+from fynjax._core.errors import InputError
+
+UNITS: dict[str, float] = {
+    "metre": 1.0,
+    "centimetre": 0.01,
+    "millimetre": 0.001,
+    "foot": 0.3048,
+    "us_survey_foot": 1200.0 / 3937.0,
+}
+"""Metres in each unit that coordinates may be stated in."""
+
+
+def parse_crs(text: str | int, file: Path | None) -> CRS:
+    """A coordinate reference system from WKT, "EPSG:32734" or a number."""
+    try:
+        return CRS.from_user_input(text)
+    except CRSError as error:
+        raise InputError(
+            f"expected a coordinate reference system such as EPSG:32734, but got "
+            f"{str(text)[:60]!r}, which is not known",
+            file=file,
+        ) from error
+
+
+def is_local(crs: CRS) -> bool:
+    """Whether a system is a frame of a plot's own, without a place on Earth."""
+    return not (crs.is_projected or crs.is_geographic)
+
+
+def _unit_name(factor: float) -> str:
+    """Name of a unit of `factor` metres."""
+    near = min(UNITS, key=lambda name: abs(UNITS[name] / factor - 1.0))
+    return near if abs(UNITS[near] / factor - 1.0) < 1e-7 else f"units of {factor:g} m"
+
+
+def check_metric(
+    crs: CRS, file: Path | None, *, unit_stated: bool = False, height_stated: bool = False
+) -> None:
+    """Refuse a system whose coordinates are not metres to the east and north.
+
+    `unit_stated` and `height_stated`: the user has stated the unit of coordinates or of heights,
+    so that the system need not be in metres.
+    """
+    wkt = crs.to_wkt()
+    remedy = "Reproject to a metric system first, such as the plot's UTM zone."
+    if crs.is_geographic:
+        raise InputError(
+            "expected coordinates in metres, but they are in degrees (longitude, latitude). "
+            + remedy,
+            file=file,
+        )
+    if wkt.startswith(("GEOCCS", "GEODCRS")):
+        raise InputError(
+            "expected x east, y north and z up, but the file's coordinates are geocentric (from "
+            f"the middle of the Earth). {remedy}",
+            file=file,
+        )
+    factor = crs.units_factor[1]
+    if abs(factor - 1.0) > 1e-9 and not unit_stated:
+        raise InputError(
+            f"expected coordinates in metres, but the file's system is in {_unit_name(factor)}. "
+            f"Reproject to a metric system, or state the unit ({_unit_name(factor)}).",
+            file=file,
+        )
+    try:
+        axes = [axis.direction for axis in pyproj.CRS.from_wkt(wkt).axis_info]
+    except pyproj.exceptions.CRSError as error:
+        raise InputError(
+            f"its coordinate reference system is damaged ({' '.join(str(error).split())}). State "
+            "it anew: gdal_edit.py -a_srs EPSG:...",
+            file=file,
+        ) from error
+    if not is_local(crs) and {"west", "south"} & set(axes):
+        raise InputError(
+            "expected a system whose coordinates grow to the east and north, but those of this "
+            f"one grow to the {' and '.join(axes)}. {remedy}",
+            file=file,
+        )
+    # Where a compound system states the unit of heights.
+    vertical = re.search(r'VERT(?:_?CS|CRS)\[.*?UNIT\["[^"]*",\s*([0-9.eE+-]+)', wkt, re.DOTALL)
+    factor = float(vertical.group(1)) if vertical else 1.0
+    if abs(factor - 1.0) > 1e-9 and not height_stated:
+        raise InputError(
+            f"expected heights in metres, but the file's system has them in "
+            f"{_unit_name(factor)}. State the height unit ({_unit_name(factor)}).",
+            file=file,
+        )
