@@ -256,7 +256,8 @@ print("Best seen:", " with ".join(f"{w:+.2f} {short(n)}" for n, w in best.items(
 # A parameter that the image does not see stays where the table put it, with the table's error. That
 # is honest, and it tells where a day in the field is worth most.
 #
-# **For your own data**: `read_plot("plot.toml")`, the image by `fynjax.compare.read_drone_image`, or
-# a table of its statistics by `fynjax.io.plot.read_statistics`; put into `free` what you doubt. The
-# command `fynjax calibrate plot.toml --target image.tif` does all of it and writes a page with these
+# **For your own data**: `read_plot("plot.toml")`, the image by
+# `fynjax.compare.read_drone_image`, or a table of its statistics by
+# `fynjax.io.plot.read_statistics`; put into `free` what you doubt. The command
+# `fynjax calibrate plot.toml --target image.tif` does all of it and writes a page with these
 # figures, and `fynjax demo` calibrates the plot burnt in 2006 to its real, published image.

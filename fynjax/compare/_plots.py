@@ -28,6 +28,7 @@ PREDICTORS = {
 MEASURES = (
     "spectral_angle", "rmse", "nrmse", "correlation", "relative_mean_difference",
 )  # fmt: skip
+"""How well two spectra agree."""
 
 
 @dataclass(frozen=True)
