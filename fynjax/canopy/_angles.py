@@ -42,7 +42,7 @@ class AbstractLeafAngle(eqx.Module):
         straight = mu * jnp.cos(leaf)
         # |sin| through a guarded root: its slope is infinite at the zenith.
         sine = jnp.sqrt(jnp.maximum(1.0 - mu**2, 1e-12)) * jnp.sin(leaf)
-        partly = sine > straight  # the leaf is seen from both sides as its azimuth turns
+        partly = sine > straight  # both sides face the ray as the azimuth turns
         ratio = jnp.where(partly, straight / jnp.where(partly, sine, 1.0), 0.0)
         root = jnp.sqrt(1.0 - ratio**2)
         turned = 2.0 / jnp.pi * (sine * root + straight * jnp.arcsin(ratio))

@@ -249,8 +249,8 @@ def _along_shoots(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Elements on the surfaces of shoots, between two relative heights of each shoot.
 
-    A shoot's elements stand for half its surface, with normals all round it: seen from any side
-    that is the silhouette of a thin cylinder (Chen and Black 1992).
+    A shoot's elements stand for half its surface, with normals all round it: from any side
+    their projected area is the silhouette of a thin cylinder (Chen and Black 1992).
     """
     turn, foot, tip, top = shoots.draw(shoots.number, seed)
     shoot = np.minimum((uniform[:, 0] * shoots.number).astype(int), shoots.number - 1)

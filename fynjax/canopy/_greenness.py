@@ -61,10 +61,10 @@ def band_roles(
             f"`wavelengths` must have one value for each of {len(plain)} bands, but has "
             f"{len(waves)}"
         )
-    found = {}
+    index_of_role = {}
     for role, (low, high, best) in _RANGES.items():
         if role in plain:
-            found[role] = plain.index(role)
+            index_of_role[role] = plain.index(role)
             continue
         near = [
             (abs(wave - best), k)
@@ -72,8 +72,8 @@ def band_roles(
             if wave is not None and low <= wave <= high
         ]
         if near:
-            found[role] = min(near)[1]
-    return found
+            index_of_role[role] = min(near)[1]
+    return index_of_role
 
 
 def choose_greenness(
@@ -108,7 +108,7 @@ def choose_greenness(
             raise InputError(
                 "expected bands known as red and near infrared, or as red, green and blue, but "
                 f"the image has {listed}. Name the bands in order (--bands green,red,nir or their "
-                "wavelengths in nm), or say which band is brighter where plants are (--greenness "
+                "wavelengths in nm), or state which band is brighter where plants are (--greenness "
                 "NAME; -NAME if darker)."
             )
     needed = {"ndvi": ("red", "nir"), "excess_green": ("red", "green", "blue")}.get(index)
@@ -118,7 +118,7 @@ def choose_greenness(
     if absent:
         raise InputError(
             f"{index} needs the bands {', '.join(needed)}, but no band of the image ({listed}) is "
-            f"known as {absent[0]}. Name the bands in order: --bands green,red,nir, say."
+            f"known as {absent[0]}. Name the bands in order, for example --bands green,red,nir."
         )
     used = [role[name] for name in needed]
     if index == "ndvi":

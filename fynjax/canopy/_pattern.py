@@ -111,8 +111,8 @@ def vegetation_pattern(
     if not (np.isfinite(greenness_weight) and greenness_weight >= 0.0):
         raise InputError(f"`greenness_weight` must be at least 0, but is {greenness_weight}")
     features = _features(spectra, greenness, float(greenness_weight))
-    found, inertia = _k_means(features, int(clusters), int(seed))
-    members = [spectra[found == k] for k in range(clusters)]
+    label, inertia = _k_means(features, int(clusters), int(seed))
+    members = [spectra[label == k] for k in range(clusters)]
     spectrum = np.stack([m.mean(axis=0, dtype=np.float64) for m in members])
     green = np.asarray(greenness.function(spectrum), float)
     if not np.isfinite(green).all():
@@ -125,10 +125,10 @@ def vegetation_pattern(
     rank = np.empty(clusters, np.int16)
     rank[order] = np.arange(clusters)
     cluster = np.full(used.shape, -1, np.int16)
-    cluster[used] = rank[found]
+    cluster[used] = rank[label]
     nodata = next(value for value in range(256) if value not in greys)
     grey = np.full(used.shape, nodata, np.uint8)
-    grey[used] = np.asarray(greys, np.uint8)[rank[found]]
+    grey[used] = np.asarray(greys, np.uint8)[rank[label]]
     return VegetationPattern(
         grey=grey,
         cluster=cluster,

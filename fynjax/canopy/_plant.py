@@ -43,17 +43,17 @@ def thin_plant(plant: PlantModel, n_elements: int, *, seed: int) -> PlantModel:
         return plant
     rng = np.random.default_rng([seed, 401])
     chosen, fraction = [], []
-    for one in np.unique(organ):
-        mine = np.flatnonzero(organ == one)
-        count = max(1, round(n_elements * len(mine) / len(organ)))
-        share = np.asarray(plant.area_fraction, float)[mine]
+    for kind in np.unique(organ):
+        elements = np.flatnonzero(organ == kind)
+        count = max(1, round(n_elements * len(elements) / len(organ)))
+        share = np.asarray(plant.area_fraction, float)[elements]
         steps = (np.arange(count) + rng.random()) / count
         total = share.sum()
         if total > 0.0:
-            found = np.searchsorted(np.cumsum(share) / total, steps)
+            drawn = np.searchsorted(np.cumsum(share) / total, steps)
         else:  # an organ without area stays one
-            found = (steps * len(mine)).astype(int)
-        chosen.append(mine[np.minimum(found, len(mine) - 1)])
+            drawn = (steps * len(elements)).astype(int)
+        chosen.append(elements[np.minimum(drawn, len(elements) - 1)])
         fraction.append(np.full(count, 1.0 / count if total > 0.0 else 0.0))
     index = np.concatenate(chosen)
     return PlantModel(

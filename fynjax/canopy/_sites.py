@@ -55,7 +55,7 @@ def poisson_disk(
         )
     if lx * ly / radius**2 > 3e8:
         raise InputError(
-            f"a radius of {radius} m on {lx} m x {ly} m asks for about "
+            f"a radius of {radius} m on {lx} m x {ly} m needs about "
             f"{0.60 * lx * ly / radius**2:.0f} points: are both in metres?"
         )
     from fynjax.canopy._bridson import fill
@@ -125,9 +125,9 @@ def assign_sites(
         usable = free[order] & np.isfinite(passes)
         order, passes = order[usable], passes[usable]
         if len(order) < number:
-            who = f"species {species} (counted from 0)" if names is None else repr(names[species])
+            label = f"species {species} (counted from 0)" if names is None else repr(names[species])
             raise InputError(
-                f"{who} wanted {number} sites but got {len(order)}: "
+                f"{label} wanted {number} sites but got {len(order)}: "
                 f"of {len(points)} points {np.count_nonzero(chance)} have a probability above "
                 f"zero and {np.count_nonzero(free)} were still free. Use a smaller radius, a "
                 "lower cover, or a probability map with a wider area above zero"

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
 
 
 def table1_2006() -> "pd.DataFrame":
-    """The species table of the 2006 burn plot, one row a taxon (`data/README.md` says whence).
+    """The species table of the 2006 burn plot, one row a taxon (sources: `data/README.md`).
 
     Columns: taxon, mean_diameter_cm [cm], cover_percent [%], height_max_m [m], growth_form, and
     with documented defaults packing_percent [%], fill_percent [%], branches [-],

@@ -2,8 +2,8 @@
 
 Every function reduces all elements of its arrays to one distribution; for several indices at once
 use `jax.vmap`. `valid` is a boolean mask of the pixels that count. A masked pixel may hold NaN and
-gets the gradient zero; a NaN that is not masked makes the result NaN, so that it cannot pass
-unseen. With no valid pixel at all the result is NaN.
+gets the gradient zero; a NaN that is not masked makes the result NaN, so that it cannot
+pass unnoticed. With no valid pixel at all the result is NaN.
 
 The two-sample functions call the samples `real` and `simulated`, as a comparison does; all are
 symmetric but the histograms' range, which pools both.

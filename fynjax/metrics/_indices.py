@@ -227,7 +227,7 @@ def _chosen(names: Sequence[str] | None) -> list[VegetationIndex]:
     if unknown or not names:
         raise InputError(
             f"vegetation indices must be among {', '.join(VEGETATION_INDICES)}, but "
-            f"{', '.join(map(repr, unknown)) or 'none'} was asked for."
+            f"{', '.join(map(repr, unknown)) or 'none'} was given."
         )
     return [VEGETATION_INDICES[name] for name in names]
 

@@ -65,7 +65,7 @@ def match_wavelengths(
     """
     if method not in MATCHING_METHODS:
         raise InputError(
-            f"wavelengths are matched by {', '.join(MATCHING_METHODS)}, but {method!r} was asked."
+            f"`method` must be one of {', '.join(MATCHING_METHODS)}, but is {method!r}."
         )
     x = check_wavelength(real, "the wavelengths of the real spectrum")
     y = check_wavelength(simulated, "the wavelengths of the simulated spectrum")

@@ -19,13 +19,13 @@ class Misfit(eqx.Module):
 
     An offset can repair the level and nothing else; after it, a gain about the mean the contrast;
     neither the shape. Where a spectrum's mean is large beside its range an offset and a gain
-    through zero change its level alike, so the level alone does not tell them apart. What does are
-    the two paths by which the line moves the mean,
+    through zero change its level alike, so the level alone cannot separate them. What separates
+    them are the two paths by which the line moves the mean,
 
         mean(simulated) - mean(real) = offset + (gain - 1) mean(real),
 
     and the errors that are left when one correction is fitted alone. The spectral angle and the
-    correlation tell neither: the first is blind to a gain, the second to gain and offset.
+    correlation show neither: a gain leaves the first unchanged, gain and offset the second.
     """
 
     mean_squared_error: Scalar

@@ -153,9 +153,9 @@ def spectrometer_indices(
         weights = jnp.asarray(box_matrix(grid, centre, width)[0], values.dtype)
         used = weights != 0.0  # a NaN elsewhere in the spectrum must not reach this band
         bands[name] = jnp.sum(jnp.where(used, values, 0.0) * weights, axis=-1)
-    found = {}
+    values_by_name = {}
     for index in _ALL:
         if set(index.bands) <= set(bands):
             raw = index.function(bands)
-            found[index.name] = jnp.where(jnp.isfinite(raw), raw, jnp.nan)
-    return found
+            values_by_name[index.name] = jnp.where(jnp.isfinite(raw), raw, jnp.nan)
+    return values_by_name

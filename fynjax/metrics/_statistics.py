@@ -50,16 +50,16 @@ def image_statistics(
         values, defined = smooth_vegetation_indices(image, indices)
         for i, index in enumerate(indices):
             layers[index] = (values[i], defined[i] & every)
-    found = []
+    statistics = []
     for name in names:
         match = _NAME.match(name)
-        assert match is not None  # check_statistics has seen to it
+        assert match is not None  # by check_statistics
         layer, mask = layers[match["layer"]]
         if match["kind"] == "mean":
-            found.append(mean(layer, mask))
+            statistics.append(mean(layer, mask))
         elif match["kind"] == "std":
-            found.append(standard_deviation(layer, mask))
+            statistics.append(standard_deviation(layer, mask))
         else:
             share = jnp.asarray([int(match["percent"]) / 100.0], layer.dtype)
-            found.append(quantiles(layer, share, mask)[0])
-    return jnp.stack(found)
+            statistics.append(quantiles(layer, share, mask)[0])
+    return jnp.stack(statistics)

@@ -109,8 +109,8 @@ def voxel_scene(
 
 def _leaf_angles(given: Any) -> list[str | AbstractLeafAngle]:
     """One distribution for all classes, or each class's."""
-    one = isinstance(given, str | AbstractLeafAngle) or not isinstance(given, Iterable)
-    several = [given] if one else list(given)
+    single = isinstance(given, str | AbstractLeafAngle) or not isinstance(given, Iterable)
+    several = [given] if single else list(given)
     if not all(isinstance(angle, str | AbstractLeafAngle) for angle in several):
         raise InputError(
             "`leaf_angles` must be a name or a distribution (see `fynjax.canopy.leaf_angle`), or a "

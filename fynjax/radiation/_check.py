@@ -1,4 +1,4 @@
-"""What a scene and its views must be to be rendered, said before it is tried."""
+"""Checks of scenes and views before they are rendered."""
 
 import math
 import os

@@ -45,8 +45,8 @@ def absorption(light: Light) -> Float[Array, "band z y x"]:
     `fluxes` times the irradiance. Differentiable.
     """
 
-    def one(scene: VoxelScene, field: DiffuseField) -> Array:
-        direct, diffuse = _met(light, scene, field)
+    def absorbed_per_volume(scene: VoxelScene, field: DiffuseField) -> Array:
+        direct, diffuse = _irradiance_on_leaves(light, scene, field)
         classes = scene.classes
         lost = (1.0 - classes.reflectance - classes.transmittance).T  # [band, class]
         area = jax.lax.map(
@@ -56,10 +56,10 @@ def absorption(light: Light) -> Float[Array, "band z y x"]:
         beam = direct[:, :, None, None, None] * light.sun.voxel_transmittance
         return jnp.sum(area * (beam + spread(diffuse, field.factor(scene))), axis=1)
 
-    return _by_band(light, one)
+    return _by_band(light, absorbed_per_volume)
 
 
-def _met(
+def _irradiance_on_leaves(
     light: Light, scene: VoxelScene, field: DiffuseField
 ) -> tuple[Float[Array, "band angle"], Float[Array, "band angle Z Y X"]]:
     """Irradiance on leaves, both sides counted, of each distribution of normals, per leaf area:
@@ -81,12 +81,12 @@ def _fluxes(light: Light, scene: VoxelScene, field: DiffuseField) -> Fluxes:
     incident = scene.illumination.incident
     column = scene.vertical * scene.shape[0]  # a mean per volume times this is one per ground area
     lost = (1.0 - classes.reflectance - classes.transmittance).T
-    direct, diffuse = _met(light, scene, field)
+    direct, diffuse = _irradiance_on_leaves(light, scene, field)
     owner = np.asarray(classes.angle_of_class)
     density = block_mean(scene.area_density, factor)
     lit = jnp.mean(scene.area_density * sun.voxel_transmittance, axis=(1, 2, 3))
-    seen = jnp.einsum("bczyx,czyx->bc", diffuse[:, owner], density) / density[0].size
-    absorbed = (direct[:, owner] * lit + seen) * lost * column
+    diffuse_on_leaves = jnp.einsum("bczyx,czyx->bc", diffuse[:, owner], density) / density[0].size
+    absorbed = (direct[:, owner] * lit + diffuse_on_leaves) * lost * column
     # On a slope, the ground's own surface is larger than the level area it stands on.
     larger = jnp.ones_like(sun.on_ground)
     if scene.terrain is not None:
@@ -134,8 +134,8 @@ def _by_band(light: Light, function: Callable[[VoxelScene, DiffuseField], Any]) 
     diffuse = light.diffuse
     if isinstance(diffuse, DiffuseField):
         return function(light.scene, diffuse)
-    one = jax.lax.map(
+    band_by_band = jax.lax.map(
         lambda band: function(light.scene.bands(band, 1), diffuse.bands(band, 1)),
         jnp.arange(light.scene.illumination.sun.shape[0]),
     )
-    return jax.tree.map(lambda leaf: leaf[:, 0], one)
+    return jax.tree.map(lambda leaf: leaf[:, 0], band_by_band)

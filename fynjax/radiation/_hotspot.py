@@ -8,7 +8,7 @@ rays cut out of it, integrated along the rays. For leaf area u per volume
 
 h the height above the point. A and H follow from the directions, the distribution of normals and
 the leaf's diameter by quadrature over the normals; F is then the same for all: for leaves of
-spherical distribution that are seen close to the sun's direction it is (1 - h / (3 H))^2 up to
+spherical distribution viewed from close to the sun's direction it is (1 - h / (3 H))^2 up to
 3 H and nothing above, within 0.02 elsewhere. No parameter is fitted to a canopy. (The
 overlap of discs is Kuusk's 1985; exponential kernels, as in SAIL, reach too far.)
 
@@ -61,22 +61,22 @@ class Overlap(eqx.Module):
 
     def at_points(self, state: tuple[Array, ...], area: Array) -> list[Array]:
         """C at each point of a piece with leaf area per volume `area`, and at its end."""
-        own = self.amplitude * area
+        local = self.amplitude * area
         real, wave, turn = state
         return [
-            real * e + wave * c - turn * s + own * gain
+            real * e + wave * c - turn * s + local * gain
             for (e, c, s), gain in zip(self.decay, self.gain)
         ]
 
     def advance(self, state: tuple[Array, ...], area: Array) -> tuple[Array, Array, Array]:
         """To the end of the piece."""
-        own = self.amplitude * area
+        local = self.amplitude * area
         real, wave, turn = state
         e, c, s = self.decay[-1]
         return (
-            real * e + own * self.end_gain[0],
-            wave * c - turn * s + own * self.end_gain[1],
-            wave * s + turn * c + own * self.end_gain[2],
+            real * e + local * self.end_gain[0],
+            wave * c - turn * s + local * self.end_gain[1],
+            wave * s + turn * c + local * self.end_gain[2],
         )
 
 
@@ -133,7 +133,7 @@ def overlaps(
     scales = rays.angular(
         lambda views: jnp.stack([overlap_scales(angle, sun, views) for angle in classes.angles])
     )
-    found = []
+    overlap_of_kind = []
     for angle, size in kinds(classes):
         amplitude, ratio = scales[angle]
         diameter = classes.leaf_diameter[size].astype(dtype)
@@ -143,9 +143,11 @@ def overlaps(
         shares = jnp.asarray((*POINTS, 1.0), dtype)[:, None, None] * height
         x = rate * shares
         turned = jnp.exp(-_WAVE_RATE * x)
-        own = shares * _REAL * _mean_wave(_REAL_RATE * x + 0j).real
-        wave = shares * _WAVE * _mean_wave(_WAVE_RATE * x)
+        real_gain = shares * _REAL * _mean_wave(_REAL_RATE * x + 0j).real
+        wave_gain = shares * _WAVE * _mean_wave(_WAVE_RATE * x)
         decay = tuple(zip(jnp.exp(-_REAL_RATE * x), turned.real, turned.imag))
-        end_gain = own[-1], wave.real[-1], wave.imag[-1]
-        found.append(Overlap(amplitude, decay, tuple(own + wave.real), end_gain))
-    return tuple(found)
+        end_gain = real_gain[-1], wave_gain.real[-1], wave_gain.imag[-1]
+        overlap_of_kind.append(
+            Overlap(amplitude, decay, tuple(real_gain + wave_gain.real), end_gain)
+        )
+    return tuple(overlap_of_kind)

@@ -1,9 +1,9 @@
-"""What a sensor sees: first order on the fine grid, the rest from the diffuse field.
+"""Radiance at a sensor: first order on the fine grid, the rest from the diffuse field.
 
 Down each ray, a layer contributes the light it scatters times the gap to the sensor. For direct
 sunlight scattered once, the gaps to sun and sensor are integrated along the ray as a product of
 exponentials. Extinction does not depend on the band, so the sum over layers is made once for all
-bands, as the sunlit area of each class that a pixel sees; leaf optics then enter linearly.
+bands, as the sunlit area of each class within a pixel; leaf optics then enter linearly.
 """
 
 from collections.abc import Callable
@@ -43,7 +43,7 @@ class Radiance(eqx.Module):
         return self.sunlit_leaves + self.diffuse_leaves + self.ground
 
 
-def see(
+def render_rays(
     scene: VoxelScene,
     sun: SunField,
     diffuse: DiffuseField,
@@ -58,8 +58,8 @@ def see(
     dtype = scene.area_density.dtype
     source = _diffuse_source(scene, diffuse, rays.central, factor, ordinates)
     projection = pixel_projection(classes.angles, rays)
-    # The source is that towards the middle of the view. Elsewhere the pixel sees another area of
-    # the same leaves, and what they send shrinks or grows with it.
+    # The source is that towards the middle of the view. Elsewhere the same leaves have
+    # another projected area, and their radiance changes in proportion to it.
     in_middle = jnp.stack([a.projection(rays.central[2]) for a in classes.angles]).astype(dtype)
     turning = projection / in_middle[:, None, None]
     if projection.shape[1:] == (1, 1):  # parallel rays
@@ -84,7 +84,7 @@ def see(
         return through * lit * ground.towards_sensor + shaded
 
     def piece(carry: tuple[Any, ...], layer: tuple[Any, ...]) -> tuple[tuple[Any, ...], None]:
-        depth, above, seen, glow, states, end = carry
+        depth, above, sunlit_area, diffuse_radiance, states, end = carry
         density, emitted, top_depth, height, terrain = layer
         # The piece begins at `height` and lies above it; the sun's depth is linear between planes.
         sampler = rays.sampler(height + 0.5 * step, voxels)
@@ -106,20 +106,24 @@ def see(
         mean = jnp.exp(-depth) * mean_transmittance(along)
         if terrain is not None:
             covering, unshaded = terrain
-            blocked, shine = end
+            blocked, ground_radiance = end
             mean = mean * (1.0 - blocked)
             weight = weight * (1.0 - blocked) * beams(height + step)(unshaded)
-        seen = seen + weight * (step / cosine) * area
-        for sent, seen_of_middle in zip(emitted, turning):
-            glow = glow + mean * (step / cosine) * seen_of_middle * sampler(sent)
+        sunlit_area = sunlit_area + weight * (step / cosine) * area
+        for sent, area_ratio in zip(emitted, turning):
+            diffuse_radiance = diffuse_radiance + mean * (step / cosine) * area_ratio * sampler(
+                sent
+            )
         depth = depth + along
         if terrain is not None:
             # The ray ends on the ground by the largest share of it that it has met.
             now = jnp.maximum(blocked, rays.sampler(height, voxels)(covering))
             through = jnp.exp(shared[-1] - below) if overlap else jnp.exp(-below)
-            shine = shine + (now - blocked) * jnp.exp(-depth) * on_ground(height, through)
-            end = now, shine
-        return (depth, below, seen, glow, states, end), None
+            ground_radiance = ground_radiance + (now - blocked) * jnp.exp(-depth) * on_ground(
+                height, through
+            )
+            end = now, ground_radiance
+        return (depth, below, sunlit_area, diffuse_radiance, states, end), None
 
     # One entry per piece of a layer, from the ground up; the plane below each piece carries the
     # sun's depth at its height along the beam.
@@ -142,7 +146,7 @@ def see(
         end,
     )
     # Recomputing a layer in the backward pass keeps memory to one layer's arrays.
-    (depth, at_ground, seen, glow, states, end), _ = jax.lax.scan(
+    (depth, at_ground, sunlit_area, diffuse_radiance, states, end), _ = jax.lax.scan(
         jax.checkpoint(piece), start, layers, reverse=True
     )
 
@@ -156,15 +160,15 @@ def see(
     reflect, transmit = rays.angular(phase)
     beam = light.sun.astype(dtype) / sun.cosine / jnp.pi
     first = beam[:, None, None] * (
-        jnp.einsum("cb,crk->brk", classes.reflectance, seen * reflect[owner])
-        + jnp.einsum("cb,crk->brk", classes.transmittance, seen * transmit[owner])
+        jnp.einsum("cb,crk->brk", classes.reflectance, sunlit_area * reflect[owner])
+        + jnp.einsum("cb,crk->brk", classes.transmittance, sunlit_area * transmit[owner])
     )
     gap = jnp.exp(-depth)
     if end is not None:
-        return Radiance(first, glow, end[1], gap)
+        return Radiance(first, diffuse_radiance, end[1], gap)
     shared = sum((state[0] + state[1] for state in states), start=jnp.zeros((), dtype))
     bare = on_ground(jnp.zeros((), dtype), jnp.exp(shared - at_ground))
-    return Radiance(first, glow, gap * bare, gap)
+    return Radiance(first, diffuse_radiance, gap * bare, gap)
 
 
 def _members(classes: OpticalClasses, kind: tuple[int, int]) -> Float[Array, " class"]:
@@ -178,7 +182,7 @@ def _sum_points(per_kind: list[list[Array]]) -> list[Array]:
 
 
 class _GroundLight(NamedTuple):
-    """Radiance of the ground, were it seen without canopy."""
+    """Radiance of the bare ground, without canopy above it."""
 
     direct: Float[Array, "band y x"]
     """In full sun, towards no direction in particular."""

@@ -69,7 +69,7 @@ def scattering_matrices(
 
 
 class Bands(eqx.Module):
-    """What tells one band from another on the coarse grid: one band, or many along a first axis."""
+    """What differs between bands on the coarse grid: one band, or many along a first axis."""
 
     reflectance: Float[Array, "*band class"]
     transmittance: Float[Array, "*band class"]
@@ -269,10 +269,10 @@ def solve_diffuse(
     """
     transport, bands = prepare_transport(scene, sun, factor, ordinates)
 
-    def one(band: Bands) -> DiffuseField:
+    def solve_band(band: Bands) -> DiffuseField:
         return transport.field(band, transport.solve(band, tolerance, iterations))
 
-    return jax.lax.map(one, bands)
+    return jax.lax.map(solve_band, bands)
 
 
 def _solve(

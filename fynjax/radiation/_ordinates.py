@@ -169,7 +169,7 @@ def coarse_grid(
     coarse = Coarse(tuple(attenuation), None, None, ordinates, dx, dz, scene.boundary)
     if scene.terrain is None:
         return coarse
-    # Steps of cells tell a slope from a level only roughly: how the bare ground is lit is known
+    # Steps of cells resolve a slope only roughly: the irradiance of the bare ground is known
     # exactly, and sets the scale.
     bare = dataclasses.replace(
         coarse,
@@ -235,9 +235,9 @@ def sweep(
         for (group, steps), cells in zip(coarse.groups, attenuation):
             move = jnp.asarray(coarse.moves(group, steps), dtype)
             lengths = jnp.asarray(coarse.lengths(group, steps), dtype)[:, None, None, None]
-            around, shining = outside[group], entering[group]
+            around, from_ground = outside[group], entering[group]
             # A step begins with its whole move: half a move back puts its middle on the path.
-            below = _shift(shining, -0.5 * move, around, coarse.boundary)
+            below = _shift(from_ground, -0.5 * move, around, coarse.boundary)
 
             def layer(
                 radiance: Array,
@@ -246,7 +246,7 @@ def sweep(
                 lengths: Array = lengths,
                 steps: int = steps,
                 around: Array = around,
-                shining: Array = shining,
+                from_ground: Array = from_ground,
                 below: Array = below,
             ) -> tuple[Array, tuple[Array, Array | None, Array | None]]:
                 emitted, (through, mean, emission), share = cell
@@ -254,7 +254,7 @@ def sweep(
                 # For every azimuth: the derivative is then summed over them once a layer.
                 wide = [jnp.broadcast_to(a, radiance.shape) for a in (through, mean, emission)]
                 through, mean, emission = wide
-                if terrain:  # on the way up, the ground at the bottom of the cell shines
+                if terrain:  # on the way up, the ground at the bottom of the cell adds its light
                     radiance = radiance + share[0] * (below - radiance)
 
                 def step(carry: tuple[Any, ...], _: None) -> tuple[tuple[Any, ...], None]:
@@ -262,7 +262,7 @@ def sweep(
                     radiance = _shift(radiance, move, around, coarse.boundary)
                     if terrain:  # what runs into a hillside ends there, and is its light from then
                         taken = radiance * share[2]
-                        radiance = radiance - taken + share[2] * share[3] * shining
+                        radiance = radiance - taken + share[2] * share[3] * from_ground
                         hit = hit + taken
                     total = total + radiance * mean + emitted * emission
                     return (radiance * through + emitted * mean, total, hit), None

@@ -276,9 +276,9 @@ def parallel_rays(
     pixel, for more than one view, and, outside a transformation, for values out of range.
     """
     x, y, footprint = check_pixels(x, y, footprint)
-    one = ": rays have one view, so take one call for each"
-    zenith = check_shape("view_zenith", view_zenith, (), one)
-    azimuth = check_shape("view_azimuth", view_azimuth, (), one)
+    hint = ": rays have one view, so take one call for each"
+    zenith = check_shape("view_zenith", view_zenith, (), hint)
+    azimuth = check_shape("view_azimuth", view_azimuth, (), hint)
     check_view(zenith, azimuth)
     towards = direction(zenith, azimuth).astype(x.dtype)
     return RayLattice(

@@ -185,9 +185,9 @@ def _assemble(
     shape = jax.tree.map(lambda a: a[0], bands.shape)
     over = jnp.concatenate([jnp.zeros_like(grounds[:1]), grounds])
 
-    def with_classes(seen: list[Array], area: Array) -> Float[Array, "class vector"]:
+    def with_classes(per_angle: list[Array], area: Array) -> Float[Array, "class vector"]:
         """Sum [vector, cell] of each distribution over the cells, weighted by its classes."""
-        return jnp.stack([seen[angle] @ area[c] for c, angle in enumerate(owner)])
+        return jnp.stack([per_angle[angle] @ area[c] for c, angle in enumerate(owner)])
 
     def scattered(state: tuple[Array, Array, Array]) -> Float[Array, "term kind class vector"]:
         def term(ground: Array) -> Float[Array, "kind class vector"]:

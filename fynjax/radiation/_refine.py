@@ -34,7 +34,7 @@ def solve_refined(
     coarse, coarse_bands = prepare_transport(scene, sun, factor, ordinates)
     fine, fine_bands = prepare_transport(scene, sun, (1, 1), ordinates)
 
-    def one(bands: tuple[Bands, Bands]) -> DiffuseField:
+    def solve_band(bands: tuple[Bands, Bands]) -> DiffuseField:
         low, high = bands
         flux = jnp.asarray(ordinates.fluxes.ravel(), scene.area_density.dtype)
         # What a loose first solve lacks, the second finds in what is left over.
@@ -63,4 +63,4 @@ def solve_refined(
             residual,
         )
 
-    return jax.lax.map(one, (coarse_bands, fine_bands))
+    return jax.lax.map(solve_band, (coarse_bands, fine_bands))

@@ -20,7 +20,7 @@ from fynjax.radiation._check import (
     concrete,
     short,
 )
-from fynjax.radiation._image import Radiance, see
+from fynjax.radiation._image import Radiance, render_rays
 from fynjax.radiation._multiple import DiffuseField, solve_diffuse
 from fynjax.radiation._ordinates import Ordinates, sky_radiance
 from fynjax.radiation._rays import AbstractRays, parallel_rays
@@ -87,7 +87,7 @@ class Accuracy(eqx.Module):
 
 
 class Light(eqx.Module):
-    """The light in a scene: solve it once, look at it from anywhere."""
+    """The light in a scene: solved once, rendered for any number of sensors."""
 
     scene: VoxelScene
     """With its empty layers on top, if the coarse grid needed any, and on terrain with what
@@ -244,21 +244,21 @@ def render(light: Light, rays: AbstractRays, *, chunk: int = 8) -> Radiance:
 def _render(light: Light, rays: AbstractRays, sublayers: int, chunk: int = 8) -> Radiance:
     scene, diffuse, ordinates = light.scene, light.diffuse, light.accuracy.ordinates
     if isinstance(diffuse, DiffuseField):
-        return see(scene, light.sun, diffuse, rays, ordinates, sublayers)
+        return render_rays(scene, light.sun, diffuse, rays, ordinates, sublayers)
     count = scene.illumination.sun.shape[0]
     size = min(chunk, count)
 
-    def some(start: Array) -> Radiance:
+    def render_chunk(start: Array) -> Radiance:
         field = diffuse.bands(start, size)
-        return see(scene.bands(start, size), light.sun, field, rays, ordinates, sublayers)
+        return render_rays(scene.bands(start, size), light.sun, field, rays, ordinates, sublayers)
 
     # The last chunk ends with the last band and repeats some of the one before.
     starts = np.minimum(np.arange(0, count, size), count - size)
     kept = np.concatenate([np.arange(a, min(a + size, count)) for a in range(0, count, size)])
-    place = kept - np.repeat(starts, size)[: len(kept)] + 0
-    chunks = jax.lax.map(some, jnp.asarray(starts))
-    which = np.arange(len(kept)) // size
-    pick = lambda field: field[which, place]  # noqa: E731
+    place_in_chunk = kept - np.repeat(starts, size)[: len(kept)] + 0
+    chunks = jax.lax.map(render_chunk, jnp.asarray(starts))
+    chunk_of_band = np.arange(len(kept)) // size
+    pick = lambda field: field[chunk_of_band, place_in_chunk]  # noqa: E731
     return Radiance(
         pick(chunks.sunlit_leaves), pick(chunks.diffuse_leaves), pick(chunks.ground), chunks.gap[0]
     )
@@ -293,11 +293,11 @@ def directional_reflectance(
     sublayers = light.accuracy.sublayers or pieces(zenith, aspect)
     incident = scene.illumination.incident
 
-    def one(angles: tuple[Array, Array]) -> Array:
+    def mean_reflectance(angles: tuple[Array, Array]) -> Array:
         rays = parallel_rays(x, y, width, *angles)
         return jnp.pi * _render(light, rays, sublayers).total.mean(axis=(1, 2)) / incident
 
-    return jax.lax.map(one, (zenith, azimuth))
+    return jax.lax.map(mean_reflectance, (zenith, azimuth))
 
 
 def _views(

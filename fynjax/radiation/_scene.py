@@ -1,4 +1,4 @@
-"""What the radiation layer needs to know of a scene: arrays on a voxel grid."""
+"""What radiative transfer takes of a scene: arrays on a voxel grid."""
 
 import equinox as eqx
 import jax

@@ -27,10 +27,10 @@ def terrain_gradient(scene: VoxelScene) -> tuple[Float[Array, "y x"], Float[Arra
     # At the edge of an open scene the difference spans one voxel, not two.
     span = jnp.full(height.shape, 2.0 * scene.horizontal, height.dtype)
     if scene.boundary == "open":
-        one = scene.horizontal
+        width = scene.horizontal
         return (
-            east / span.at[:, 0].set(one).at[:, -1].set(one),
-            north / span.at[0].set(one).at[-1].set(one),
+            east / span.at[:, 0].set(width).at[:, -1].set(width),
+            north / span.at[0].set(width).at[-1].set(width),
         )
     return east / span, north / span
 
@@ -128,8 +128,8 @@ def with_adjacent_ground(
 ) -> Float[Array, "band y x"]:
     """Reflectance of the ground, with what it sends to ground nearby and gets back.
 
-    A slope that sees the share V of the sky sees ground like itself in the rest: r is then
-    r / (1 - r (1 - V)) (after Dozier and Frew 1990), exact under even light.
+    A slope with the sky view factor V faces ground like itself in the rest of its hemisphere: r is
+    then r / (1 - r (1 - V)) (after Dozier and Frew 1990), exact under even light.
     """
     weights = jnp.asarray(fluxes, scene.ground.dtype) / jnp.pi
     sky_view = jnp.tensordot(weights, exposure(scene, vectors), axes=1)

@@ -1,9 +1,9 @@
 """Scenes too large for one solve: tiles with a rim of their surroundings.
 
 Light is local: what stands farther off than a few heights of the canopy, or than the longest
-shadow, changes little. Each tile is lit and seen together with a rim around it, whose outer edge
-is that of a scene of its own; of the picture only the tile is kept. All tiles have one shape, so
-that they share one compilation; memory is that of one, and time grows with the area.
+shadow, changes little. Each tile is solved and rendered together with a rim around it, whose outer
+edge is that of a scene of its own; of the picture only the tile is kept. All tiles have one shape,
+so that they share one compilation; memory is that of one, and time grows with the area.
 """
 
 import dataclasses
@@ -95,7 +95,7 @@ def render_tiles(
     high, wide = rays.y.shape[0] // rows, rays.x.shape[0] // columns
     surrounded = _surrounded(scene, rim)
 
-    def one(place: Array, surrounded: VoxelScene, rays: RayLattice) -> Radiance:
+    def render_tile(place: Array, surrounded: VoxelScene, rays: RayLattice) -> Radiance:
         row, column = place[0], place[1]
 
         def cut(field: Array) -> Array:
@@ -106,7 +106,7 @@ def render_tiles(
         pixels = lambda axis, at, size: jax.lax.dynamic_slice_in_dim(axis, at * size, size)  # noqa: E731
         # The part's own origin is the outer corner of its rim.
         shift = lambda at: (at * tile - rim) * scene.horizontal  # noqa: E731
-        seen = eqx.tree_at(
+        rays_of_tile = eqx.tree_at(
             lambda r: (r.x, r.y, r.slope_x, r.slope_y),
             rays,
             (
@@ -116,10 +116,12 @@ def render_tiles(
                 pixels(rays.slope_y, row, high),
             ),
         )
-        return render(solve_light(part, accuracy), seen)
+        return render(solve_light(part, accuracy), rays_of_tile)
 
-    def several(places: Array, surrounded: VoxelScene, rays: RayLattice) -> Radiance:
-        return jax.lax.map(jax.checkpoint(lambda place: one(place, surrounded, rays)), places)
+    def render_in_turn(places: Array, surrounded: VoxelScene, rays: RayLattice) -> Radiance:
+        return jax.lax.map(
+            jax.checkpoint(lambda place: render_tile(place, surrounded, rays)), places
+        )
 
     places = jnp.asarray(list(np.ndindex(rows, columns)))
     if mesh is not None:
@@ -128,10 +130,14 @@ def render_tiles(
         whole = jax.sharding.PartitionSpec()
         # Devices only: how arrays lie on them outside is the compiler's business.
         mesh = jax.sharding.Mesh(mesh.devices, mesh.axis_names)
-        several = jax.shard_map(
-            several, mesh=mesh, in_specs=(split, whole, whole), out_specs=split, check_vma=False
+        render_in_turn = jax.shard_map(
+            render_in_turn,
+            mesh=mesh,
+            in_specs=(split, whole, whole),
+            out_specs=split,
+            check_vma=False,
         )
-    parts = several(places, surrounded, rays)
+    parts = render_in_turn(places, surrounded, rays)
 
     def join(field: Array) -> Array:
         """[tile, ..., row, column] to [..., row, column]."""

@@ -1,4 +1,4 @@
-"""Cameras: which line of sight every pixel looks along.
+"""Cameras: the line of sight of every pixel.
 
 A camera knows its geometry only. For each pixel it gives the point where the line of sight through
 the pixel's centre meets a horizontal plane, and the unit vector from there to the camera. The
@@ -32,7 +32,7 @@ def _concrete(*values: Any) -> bool:
 
 
 class AbstractCamera(eqx.Module):
-    """What the renderer asks of a camera. Differentiable in every continuous field."""
+    """What the renderer needs of a camera. Differentiable in every continuous field."""
 
     @property
     @abc.abstractmethod
@@ -175,8 +175,8 @@ class FrameCamera(AbstractCamera):
         heading = jnp.deg2rad(self.heading.astype(self.position.dtype))
         east = right * jnp.cos(heading) + ahead * jnp.sin(heading)
         north = -right * jnp.sin(heading) + ahead * jnp.cos(heading)
-        seen = jnp.stack(jnp.broadcast_arrays(-east, -north, down))
-        return seen / jnp.sqrt(jnp.sum(seen**2, axis=0))
+        to_sensor = jnp.stack(jnp.broadcast_arrays(-east, -north, down))
+        return to_sensor / jnp.sqrt(jnp.sum(to_sensor**2, axis=0))
 
     def ground_coordinates(self, height: float | Float[Array, ""] = 0.0) -> Float[Array, "2 y x"]:
         """x and y [m] where the line of sight of each pixel meets the plane at `height` [m].
@@ -185,8 +185,8 @@ class FrameCamera(AbstractCamera):
         """
         if _concrete(height, self.position) and not float(self.position[2]) > float(height):
             raise InputError(
-                f"the camera must be above the plane it looks at ({float(height):g} m), but its "
-                f"altitude is {float(self.position[2]):g} m."
+                f"the camera must be above the plane that its lines of sight meet "
+                f"({float(height):g} m), but its altitude is {float(self.position[2]):g} m."
             )
         drop = self.position[2] - jnp.asarray(height, dtype=self.position.dtype)
         tx, ty = self.tangents()

@@ -48,9 +48,9 @@ class CameraRadiometry(eqx.Module):
             "row_gradient": (2,), "vignetting_centre": (2,),
         }  # fmt: skip
         for name, shape in shapes.items():
-            if (found := jnp.shape(getattr(self, name))) != shape:
+            if (actual := jnp.shape(getattr(self, name))) != shape:
                 raise InputError(
-                    f"`{name}` must have shape {shape}, but has {found}. For many pictures use "
+                    f"`{name}` must have shape {shape}, but has {actual}. For many pictures use "
                     "`jax.vmap`."
                 )
         if self.vignetting_is not in ("response", "correction"):

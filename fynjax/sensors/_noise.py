@@ -1,8 +1,8 @@
 """Sensor noise: how far a measured radiance may lie from the true one.
 
 A noise model is a distribution. It gives the standard deviation and the covariance that an
-inversion or an information analysis needs, and draws from a seed for an image that looks measured.
-Radiance is in W m-2 sr-1 µm-1 throughout, with bands on the last axis.
+inversion or an information analysis needs, and draws from a seed for an image with the noise of a
+measurement. Radiance is in W m-2 sr-1 µm-1 throughout, with bands on the last axis.
 """
 
 import abc

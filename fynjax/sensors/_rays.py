@@ -12,7 +12,8 @@ from fynjax.sensors._camera import AbstractCamera, FrameCamera, OrthographicCame
 from fynjax.sensors._pushbroom import PushbroomCamera, frame_of
 
 _NARROW = 0.02
-"""Spread of the rays' slopes, 1.1 degrees, up to which leaves look the same to all of them."""
+"""Spread of the rays' slopes, 1.1 degrees, up to which the leaves' projection is taken as the same
+for all of them."""
 
 
 def camera_rays(camera: AbstractCamera) -> AbstractRays:

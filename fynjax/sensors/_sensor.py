@@ -89,7 +89,7 @@ class Sensor(eqx.Module):
     def select(self, places: Sequence[int]) -> "Sensor":
         """The same sensor with the bands at `places` alone, in that order."""
         count, at = len(self.bands), np.asarray(places, int)
-        # What noise models know of each band has as many values as there are bands.
+        # A noise model's values per band must be as many as the bands.
         noise = jax.tree.map(lambda v: v[at] if np.shape(v) == (count,) else v, self.noise)
         pixel = None if self.band_pixel is None else tuple(self.band_pixel[i] for i in at)
         return dataclasses.replace(
@@ -118,7 +118,7 @@ class Sensor(eqx.Module):
         - `key`: JAX key or seed of the noise. Left out, there is none.
 
         Differentiable in `spectra`. Raises `InputError` for spectra that do not cover a band, and
-        where noise is asked for and the sensor has no noise model.
+        where noise is requested and the sensor has no noise model.
         """
         averaged = self.bands.average(wavelength, jnp.moveaxis(spectra, -3, -1), max_loss=max_loss)
         image = jnp.moveaxis(averaged, -1, -3)

@@ -94,10 +94,10 @@ def plant_from_branches(
 def _rotations(azimuth: np.ndarray, tilt: np.ndarray) -> np.ndarray:
     """Matrices [copy, 3, 3] that lean a plant towards north, then turn it clockwise."""
     turn, lean = np.deg2rad(azimuth), np.deg2rad(tilt)
-    zero, one = np.zeros_like(turn), np.ones_like(turn)
+    zero, unity = np.zeros_like(turn), np.ones_like(turn)
     leans = np.array(
         [
-            [one, zero, zero],
+            [unity, zero, zero],
             [zero, np.cos(lean), np.sin(lean)],
             [zero, -np.sin(lean), np.cos(lean)],
         ]
@@ -106,7 +106,7 @@ def _rotations(azimuth: np.ndarray, tilt: np.ndarray) -> np.ndarray:
         [
             [np.cos(turn), np.sin(turn), zero],
             [-np.sin(turn), np.cos(turn), zero],
-            [zero, zero, one],
+            [zero, zero, unity],
         ]
     )
     return np.einsum("ijn,jkn->nik", turns, leans)

@@ -6,7 +6,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 
-# Normals are told apart in this many steps of height and of azimuth, all of equal area.
+# Normals are sorted into this many rings and sectors of the hemisphere, all of equal area.
 _NORMAL_RINGS, _NORMAL_SECTORS = 8, 16
 _POSITION_BITS = 10
 
@@ -102,23 +102,23 @@ def check_vertex_normals(geometry: Any, name: str, file: str | None) -> None:
     normal, area = facets(vertices[faces])
     if not (np.isfinite(vertices).all() and area.sum() > 0.0):
         return  # worse is wrong, and is reported as such
-    own = np.zeros_like(vertices)
+    from_faces = np.zeros_like(vertices)
     for corner in range(3):
-        np.add.at(own, faces[:, corner], area[:, None] * normal)
+        np.add.at(from_faces, faces[:, corner], area[:, None] * normal)
     stored = np.asarray(geometry.vertex_normals, float)
-    # Where the two sides of a leaf share vertices, the mean normal is zero and tells nothing.
+    # Where the two sides of a leaf share vertices, the mean normal is zero and has no direction.
     weight = np.bincount(faces.ravel(), weights=np.repeat(area, 3), minlength=len(vertices))
-    telling = (np.linalg.norm(own, axis=1) > 0.1 * weight) & (weight > 0.0)
+    reliable = (np.linalg.norm(from_faces, axis=1) > 0.1 * weight) & (weight > 0.0)
     where = f"of material {name!r} " if name else ""
-    zero = telling & ~(np.linalg.norm(stored, axis=1) > 1e-6)
+    zero = reliable & ~(np.linalg.norm(stored, axis=1) > 1e-6)
     if zero.any():
         raise InputError(
             f"the vertex normals {where}must be unit vectors, but {zero.sum()} of {len(zero)} are "
             "zero or not finite: export the mesh anew with normals, or without any",
             file=file,
         )
-    against = telling & ((stored * own).sum(axis=1) < 0.0)
-    if weight[against].sum() > 0.5 * weight[telling].sum():
+    against = reliable & ((stored * from_faces).sum(axis=1) < 0.0)
+    if weight[against].sum() > 0.5 * weight[reliable].sum():
         raise InputError(
             f"the vertex normals {where}must point to the side from which the faces wind "
             "counter-clockwise, but most are inverted: recalculate the normals",

@@ -199,12 +199,12 @@ def _check_size(
     for organ, surface in surfaces.items():
         size = np.ptp(surface.vertices, axis=0)
         reach[organ] = max((size[0] + size[1]) / 2.0 / diameter, size[2] / height)
-    what = max(reach, key=lambda organ: reach[organ]).name.lower()
+    organ_too_large = max(reach, key=lambda organ: reach[organ]).name.lower()
     raise InputError(
-        f"a {taxon} {diameter:g} m wide and {height:g} m tall has no room for its {what} area: "
-        f"with it the plant is {wide:.3g} m wide and {high:.3g} m tall. Take a lower "
-        f"`leaf_area_index` or `wood_area_index`, or a `diameter` and `height` nearer those of "
-        f"table 1 ({row['mean_diameter_cm'] / 100.0:g} m and {row['height_max_m']:g} m)"
+        f"a {taxon} {diameter:g} m wide and {height:g} m tall has no room for its "
+        f"{organ_too_large} area: with it the plant is {wide:.3g} m wide and {high:.3g} m tall. "
+        "Take a lower `leaf_area_index` or `wood_area_index`, or a `diameter` and `height` nearer "
+        f"those of table 1 ({row['mean_diameter_cm'] / 100.0:g} m and {row['height_max_m']:g} m)"
     )
 
 
@@ -212,9 +212,9 @@ def _leaf_count(leaf: Leaf, leaf_area: float, max_triangles: int) -> int:
     if leaf.kind != "blade" or leaf_area == 0.0:
         return 0
     outline = OUTLINES[leaf.outline]
-    one = outline_area(outline) * leaf.length * leaf.width
+    blade_area = outline_area(outline) * leaf.length * leaf.width
     most = 0.8 * max_triangles / outline_triangles(outline)
-    return int(np.clip(round(leaf_area / one), 12, most))
+    return int(np.clip(round(leaf_area / blade_area), 12, most))
 
 
 def _perimeter(sides: int) -> float:

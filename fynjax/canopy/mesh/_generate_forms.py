@@ -102,9 +102,9 @@ def branched(trunks: np.ndarray, tips: np.ndarray, rise: float) -> Skeleton:
     carried = np.zeros(total)
     first = len(trunk_points)
     for index in range(len(tips) - 1, -1, -1):
-        own = slice(first + index * _TWIG_POINTS, first + (index + 1) * _TWIG_POINTS)
-        carried[own] = 1.0 + np.cumsum(carried[own][::-1])[::-1]
-        carried[bearer[index]] += carried[own][0]
+        points_of_twig = slice(first + index * _TWIG_POINTS, first + (index + 1) * _TWIG_POINTS)
+        carried[points_of_twig] = 1.0 + np.cumsum(carried[points_of_twig][::-1])[::-1]
+        carried[bearer[index]] += carried[points_of_twig][0]
     on_trunks = carried[:first].reshape(n_trunks, per_trunk)
     on_trunks = 1.0 + np.cumsum(on_trunks[:, ::-1], axis=1)[:, ::-1]
     on_twigs = carried[first:].reshape(len(tips), _TWIG_POINTS)

@@ -123,8 +123,8 @@ def build_organs(
         scale = factor / (0.5 * leaf.width)
     elif foliage is not None and lines.leafy is not None:
         base = _at(lines.leafy, foliage.twig, foliage.place)
-        one = outline_area(OUTLINES[leaf.outline]) * leaf.length * leaf.width
-        scale = float(np.sqrt(leaf_area / (one * (foliage.size**2).sum())))
+        blade_area = outline_area(OUTLINES[leaf.outline]) * leaf.length * leaf.width
+        scale = float(np.sqrt(leaf_area / (blade_area * (foliage.size**2).sum())))
         for _ in range(2):  # the arch adds a little area, in proportion
             long, wide = (scale * foliage.size * side for side in (leaf.length, leaf.width))
             made = blades(base, foliage.axis, foliage.normal, long, wide, OUTLINES[leaf.outline])

@@ -139,9 +139,9 @@ def _sample(
     counts = split_elements(n_elements, present)  # type: ignore[arg-type]  # any key will do
     for index, count in counts.items():
         uniform = quasi_random(count, 2, [seed, index])
-        mine = np.flatnonzero(material == index)
-        centre = triangles[mine].mean(axis=1)
-        chosen.append(mine[draw_evenly(area[mine], normal[mine], centre, count, [seed, index])])
+        faces = np.flatnonzero(material == index)
+        centre = triangles[faces].mean(axis=1)
+        chosen.append(faces[draw_evenly(area[faces], normal[faces], centre, count, [seed, index])])
         root = np.sqrt(uniform[:, :1])  # uniform in a triangle
         second = uniform[:, 1:]
         weights.append(np.concatenate([1 - root, root * (1 - second), root * second], axis=1))
@@ -158,29 +158,29 @@ def _solid_faces(
     """Which triangles bound bodies [face]. Warns where wood is taken for a sheet."""
     solid = np.zeros(len(mesh.faces), bool)
     open_wood = []
-    for index, one in enumerate(used):
+    for index, material in enumerate(used):
         name = mesh.materials[index]
-        mine = np.flatnonzero(mesh.material == index)
-        given = one.solid
+        faces = np.flatnonzero(mesh.material == index)
+        given = material.solid
         if given is None and solid_materials != "closed":
             given = name in solid_materials
-        if given is False or not len(mine):
+        if given is False or not len(faces):
             continue
-        triangles = mesh.triangles[mine]
+        triangles = mesh.triangles[faces]
         closed = closed_faces(triangles)
-        solid[mine] = closed if given is None else True
+        solid[faces] = closed if given is None else True
         if closed.any() and volume(triangles[closed]) < 0.0:
             raise InputError(
                 f"the closed surfaces of material {name!r} must have their normals outwards, but "
                 "they are inverted: flip the faces",
                 file=file,
             )
-        if given is None and one.organ == Organ.WOOD and not closed.all():
+        if given is None and material.organ == Organ.WOOD and not closed.all():
             open_wood.append(f"{np.mean(~closed):.0%} of the triangles of {name!r}")
     if open_wood:
         warnings.warn(
             f"{' and '.join(open_wood)} are wood with open edges and count as sheets, with all of "
-            "their area instead of half: close the surfaces, or say that the material is solid",
+            "their area instead of half: close the surfaces, or declare the material solid",
             stacklevel=3,
         )
     return solid
@@ -197,8 +197,8 @@ def _materials(
         if not any(organ is not None for organ in by_name.values()):
             if len(mesh.materials) > 1:
                 raise InputError(
-                    f"the materials {', '.join(map(repr, mesh.materials))} tell of no organ: say "
-                    "which are leaf, wood or flower in `organ_of_material`",
+                    f"the materials {', '.join(map(repr, mesh.materials))} name no known organ: "
+                    "state which are leaf, wood or flower in `organ_of_material`",
                     file=file,
                 )
             return [PlantMaterial(Organ.LEAF)]
@@ -212,6 +212,8 @@ def _materials(
                 file=file,
             )
         given = organ_of_material[name]
-        one = given if isinstance(given, PlantMaterial) else PlantMaterial(given)
-        used.append(PlantMaterial(organ_named(one.organ, name), one.optics, one.solid))
+        material = given if isinstance(given, PlantMaterial) else PlantMaterial(given)
+        used.append(
+            PlantMaterial(organ_named(material.organ, name), material.optics, material.solid)
+        )
     return used

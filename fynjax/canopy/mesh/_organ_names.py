@@ -21,9 +21,9 @@ def organ_of_name(name: str) -> Organ | None:
     """
     words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)
     bare = [re.sub(r"(material|mat|texture|tex)$", "", word.lower()) for word in words]
-    found = {_ORGANS.get(word, _ORGANS.get(word.rstrip("s"))) for word in bare}
-    found.discard(None)
-    return found.pop() if len(found) == 1 else None
+    organs = {_ORGANS.get(word, _ORGANS.get(word.rstrip("s"))) for word in bare}
+    organs.discard(None)
+    return organs.pop() if len(organs) == 1 else None
 
 
 def organ_named(organ: Organ | str | int, name: str = "") -> Organ:

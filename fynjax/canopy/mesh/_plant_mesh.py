@@ -133,14 +133,14 @@ def mesh_plant(
 
     Raises `InputError` where the elements of an organ have no area.
     """
-    organs = [int(organ_named(one.organ, name)) for one, name in zip(materials, names)]
+    organs = [int(organ_named(kind.organ, name)) for kind, name in zip(materials, names)]
     organ = np.array(organs)[material]
     organ_area = np.bincount(organ, weights=area, minlength=len(Organ))
-    for one in np.unique(organ):
-        if not organ_area[one] > 0.0:
+    for kind in np.unique(organ):
+        if not organ_area[kind] > 0.0:
             raise InputError(
-                f"the {Organ(one).name.lower()} of a plant must have area, but all of it is "
-                f"{organ_area[one]:g} m2: duplicate points?"
+                f"the {Organ(kind).name.lower()} of a plant must have area, but all of it is "
+                f"{organ_area[kind]:g} m2: duplicate points?"
             )
     width, height, depth = (float(side) for side in high - low)
     diameter = modelled_diameter(width, height)
@@ -151,7 +151,7 @@ def mesh_plant(
         jnp.asarray(np.where(normal[:, 2:] < 0.0, -normal, normal)),
         jnp.asarray(organ, jnp.int32),
     )
-    optics = tuple(one.optics or name for one, name in zip(materials, names))
+    optics = tuple(kind.optics or name for kind, name in zip(materials, names))
     return MeshPlant(
         plant,
         width,

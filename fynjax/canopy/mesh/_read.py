@@ -45,10 +45,12 @@ def plant_mesh_of(mesh: Any) -> PlantMesh:
             frame, name = mesh.graph[node]
             pieces.append((str(name), mesh.geometry[name], np.asarray(frame, float)))
     vertices, faces, material, names, first = [], [], [], list[str](), 0
-    for own_name, geometry, frame in pieces:
+    for geometry_name, geometry, frame in pieces:
         if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
             continue
-        name = str(getattr(getattr(geometry.visual, "material", None), "name", None) or own_name)
+        name = str(
+            getattr(getattr(geometry.visual, "material", None), "name", None) or geometry_name
+        )
         name = names_of_file.get(name, name)
         corners = np.asarray(geometry.faces)
         check_vertex_normals(geometry, name, file)
@@ -80,13 +82,13 @@ def _load_obj(file: str) -> tuple[Any, dict[str, str]]:
 
     text = Path(file).read_text(encoding="utf-8", errors="replace")
     names = list(dict.fromkeys(_USEMTL.findall(text)))
-    own = {name: f"material{index}" for index, name in enumerate(names)}
-    text = _USEMTL.sub(lambda found: f"usemtl {own[found[1]]}", text)
-    library = "".join(f"newmtl {name}\nKd 1 1 1\n" for name in own.values())
+    short_name = {name: f"material{index}" for index, name in enumerate(names)}
+    text = _USEMTL.sub(lambda match: f"usemtl {short_name[match[1]]}", text)
+    library = "".join(f"newmtl {name}\nKd 1 1 1\n" for name in short_name.values())
     loaded = trimesh.load(
         io.BytesIO(f"mtllib names\n{text}".encode()),
         file_type="obj",
         resolver={"names": library.encode()},
         process=False,
     )
-    return loaded, {short: name for name, short in own.items()}
+    return loaded, {short: name for name, short in short_name.items()}

@@ -1,11 +1,11 @@
 """Plant models from scanned plants: point clouds with normals.
 
-A scanner or a photogrammetric model gives points on surfaces, not surfaces. A point's area is
-that of its surroundings: its k nearest neighbours, seen along its normal, lie in a disc, of which
-it owns the k-th part. Where points lie at random on a smooth surface, that is the surface's area;
-where leaves are smaller than the disc, or closer together than the points, it is wrong, so give
-the plant's areas where they are known (`organ_area`). Each point stands for a sheet seen from one
-side: a leaf scanned from above and from below counts twice.
+A scanner or a photogrammetric model gives points on surfaces, not surfaces. A point's area is that
+of its surroundings: its k nearest neighbours, projected along its normal, lie in a disc, of which
+it stands for the k-th part. Where points lie at random on a smooth surface, that is the surface's
+area; where leaves are smaller than the disc, or closer together than the points, it is wrong, so
+give the plant's areas where they are known (`organ_area`). Each point stands for one side of a
+sheet: a leaf scanned from above and from below counts twice.
 """
 
 from pathlib import Path
@@ -113,32 +113,32 @@ def plant_model_from_points(
 
     area = np.zeros(len(points))
     known = {organ_named(key): float(value) for key, value in (organ_area or {}).items()}
-    for one in Organ:
-        mine = of_point == one
-        if one in known and not (np.isfinite(known[one]) and known[one] > 0.0 and mine.any()):
+    for kind in Organ:
+        members = of_point == kind
+        if kind in known and not (np.isfinite(known[kind]) and known[kind] > 0.0 and members.any()):
             raise InputError(
-                f"`organ_area` of {one.name.lower()} must be positive [m2] and the organ have "
-                f"points, but is {known[one]:g} with {mine.sum()} points"
+                f"`organ_area` of {kind.name.lower()} must be positive [m2] and the organ have "
+                f"points, but is {known[kind]:g} with {members.sum()} points"
             )
-        if mine.any():
-            area[mine] = _point_areas(points[mine], normals[mine], neighbours)
-            if not area[mine].sum() > 0.0:
+        if members.any():
+            area[members] = _point_areas(points[members], normals[members], neighbours)
+            if not area[members].sum() > 0.0:
                 raise InputError(
-                    f"the points of the {one.name.lower()} must spread over an area, but all "
-                    f"{mine.sum()} lie at one place: duplicate points?"
+                    f"the points of the {kind.name.lower()} must spread over an area, but all "
+                    f"{members.sum()} lie at one place: duplicate points?"
                 )
-        if one in known:
-            area[mine] *= known[one] / area[mine].sum()
+        if kind in known:
+            area[members] *= known[kind] / area[members].sum()
     chosen, portion = _thin(points, normals, of_point, area, n_elements, seed)
-    present = [one for one in Organ if (of_point == one).any()]
-    index = np.array([present.index(one) if one in present else -1 for one in Organ])
+    present = [kind for kind in Organ if (of_point == kind).any()]
+    index = np.array([present.index(kind) if kind in present else -1 for kind in Organ])
     return mesh_plant(
         points[chosen],
         normals[chosen],
         portion,
         index[of_point[chosen]],
-        tuple(one.name.lower() for one in present),
-        [PlantMaterial(one) for one in present],
+        tuple(kind.name.lower() for kind in present),
+        [PlantMaterial(kind) for kind in present],
         low,
         high,
         (0.0,) * len(present),
@@ -172,15 +172,17 @@ def _thin(
     if n_elements is None or n_elements >= len(organ):
         return np.arange(len(organ)), area
     total = np.bincount(organ, weights=area, minlength=len(Organ))
-    present = {one: float(total[one]) for one in Organ if total[one] > 0.0}
+    present = {kind: float(total[kind]) for kind in Organ if total[kind] > 0.0}
     if n_elements < len(present):
         raise InputError(f"`n_elements` must be at least {len(present)}, but is {n_elements}")
     chosen, portion = [], []
-    for one, count in split_elements(n_elements, present).items():
-        mine = np.flatnonzero(organ == one)
-        drawn = draw_evenly(area[mine], normals[mine], points[mine], count, [seed, int(one)])
-        chosen.append(mine[drawn])
-        portion.append(np.full(count, present[one] / count))
+    for kind, count in split_elements(n_elements, present).items():
+        members = np.flatnonzero(organ == kind)
+        drawn = draw_evenly(
+            area[members], normals[members], points[members], count, [seed, int(kind)]
+        )
+        chosen.append(members[drawn])
+        portion.append(np.full(count, present[kind] / count))
     return np.concatenate(chosen), np.concatenate(portion)
 
 
@@ -205,7 +207,7 @@ def _organs(organ: Any, count: int) -> np.ndarray:
     if isinstance(organ, str | Organ):
         return np.full(count, int(organ_named(organ)))
     organ = np.asarray(organ)
-    if organ.shape != (count,) or not np.isin(organ, [int(one) for one in Organ]).all():
+    if organ.shape != (count,) or not np.isin(organ, [int(kind) for kind in Organ]).all():
         raise InputError(
             f"`organ` must be 0 (leaf), 1 (wood) or 2 (flower) for each of {count} points, but has "
             f"the shape {organ.shape} and values {np.unique(organ)[:5].tolist()}"
@@ -249,10 +251,10 @@ def _text_columns(file: str) -> dict[str, np.ndarray]:
                 row=table.row,
                 column=names[places[axis]],
             )
-    found = table.columns(places, words=("organ",))
-    if "organ" in found:
-        found["organ"] = _organ_column(table, found["organ"])
-    return found
+    columns = table.columns(places, words=("organ",))
+    if "organ" in columns:
+        columns["organ"] = _organ_column(table, columns["organ"])
+    return columns
 
 
 def _organ_column(table: TextTable, cells: np.ndarray) -> np.ndarray:

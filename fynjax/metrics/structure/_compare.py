@@ -103,14 +103,14 @@ def check_grains(
     median_returns: float = MEDIAN_RETURNS,
 ) -> tuple[GrainCheck, ...]:
     """How each grain does under the paper's rule; arguments as `choose_grain` has them."""
-    grains = [one.grid.grain for one in structures]
+    grains = [structure.grid.grain for structure in structures]
     if not grains or any(b <= a for a, b in pairwise(grains)):
         raise InputError(f"grains must grow, but are {grains}")
-    means = [one.means(least_returns) for one in structures]
+    means = [structure.means(least_returns) for structure in structures]
     checks = []
-    for i, one in enumerate(structures):
-        number = one.returns
-        share = float(one.counted(least_returns).mean())
+    for i, structure in enumerate(structures):
+        number = structure.returns
+        share = float(structure.counted(least_returns).mean())
         middle = float(np.median(number))
         changes = []
         if i + 1 < len(structures):
@@ -128,7 +128,7 @@ def check_grains(
                 fits=share >= least_cells and middle >= median_returns,
                 median_change=float(np.median(changes)) if changes else None,
                 largest_change=max(changes) if changes else None,
-                bounds=one.grid.bounds,
+                bounds=structure.grid.bounds,
             )
         )
     return tuple(checks)
@@ -170,7 +170,7 @@ def bootstrap_interval(
     cells = np.asarray(values, np.float64)
     if cells.size < 2:
         return None
-    found = bootstrap(
+    interval = bootstrap(
         (cells,),
         np.mean,
         n_resamples=resamples,
@@ -179,7 +179,7 @@ def bootstrap_interval(
         rng=rng,
         batch=max(1, 10_000_000 // cells.size),
     ).confidence_interval
-    return float(found.low), float(found.high)
+    return float(interval.low), float(interval.high)
 
 
 def height_percentiles(height: ArrayLike, percents: Sequence[float]) -> NDArray[np.float64]:
@@ -204,5 +204,5 @@ def height_intersection(real: ArrayLike, simulated: ArrayLike, width: float) -> 
     """
     both = [np.asarray(h, np.float64) for h in (real, simulated)]
     bins = int(np.floor(max(h.max() for h in both) / width + 1e-6)) + 1
-    one, other = (height_shares(h, width, bins) for h in both)
-    return float(np.minimum(one, other).sum())
+    real_share, simulated_share = (height_shares(h, width, bins) for h in both)
+    return float(np.minimum(real_share, simulated_share).sum())

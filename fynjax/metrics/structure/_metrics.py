@@ -222,15 +222,15 @@ def cell_structure(returns: BinnedReturns) -> CellStructure:
     if settings.top == "plot":
         reached = np.broadcast_to(reached.any(axis=0), reached.shape) & (occupied > 0)[:, None]
     passed = under[:, None] + np.cumsum(counts, axis=1) - counts > 0.0
-    found, density, defined = profile_metrics(
+    values, density, defined = profile_metrics(
         np, counts, under, reached.astype(float), passed.astype(float), settings
     )
     if settings.gap_of == "leaf_area":
-        found["gap_fraction"] = leaf_area_gap(np, density, defined, settings, occupied)
+        values["gap_fraction"] = leaf_area_gap(np, density, defined, settings, occupied)
     else:
-        found["gap_fraction"] = _gap(returns, weight, cells)
-    found["rugosity"] = _rugosity(returns, cells)
-    found["height_cv"] = _height_cv(returns, cells)
+        values["gap_fraction"] = _gap(returns, weight, cells)
+    values["rugosity"] = _rugosity(returns, cells)
+    values["height_cv"] = _height_cv(returns, cells)
     first = settings.first_layer(settings.lowest)
     shown = np.where(defined > 0.0, density, np.nan)
     shown[:, :first] = np.nan
@@ -239,7 +239,7 @@ def cell_structure(returns: BinnedReturns) -> CellStructure:
         settings=settings,
         returns=occupied.reshape(grid.shape),
         metrics={
-            name: np.where(found[name][1], found[name][0], np.nan).reshape(grid.shape)
+            name: np.where(values[name][1], values[name][0], np.nan).reshape(grid.shape)
             for name in STRUCTURE_METRICS
         },
         edges=settings.base + settings.layer * np.arange(layers + 1),
@@ -252,9 +252,9 @@ def _gap(returns: BinnedReturns, weight: NDArray[np.float64], cells: int) -> tup
     settings = returns.settings
     if settings.gap_of == "canopy":
         highest = _highest(returns, cells)
-        seen = np.isfinite(highest)
-        number = seen.sum(axis=1)
-        return (seen & (highest < settings.gap_height)).sum(axis=1) / np.maximum(
+        occupied = np.isfinite(highest)
+        number = occupied.sum(axis=1)
+        return (occupied & (highest < settings.gap_height)).sum(axis=1) / np.maximum(
             number, 1
         ), number > 0
     total = np.bincount(returns.cell, weight, cells)

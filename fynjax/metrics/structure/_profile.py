@@ -81,7 +81,7 @@ def profile_metrics(
     - `floor`: added to shares before their logarithm is taken [-].
 
     MacArthur and Horn (1969): N_in returns are in a layer or below, N_out below, and the density
-    is ln(N_in / N_out) / (k dz). A layer that nothing passed says only that it is dense: it is
+    is ln(N_in / N_out) / (k dz). A layer that no light passed is only known to be dense: it is
     left out, which makes the mean of dense canopies too small.
     """
     entered = under[:, None] + xp.cumsum(counts, axis=1)

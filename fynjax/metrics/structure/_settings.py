@@ -18,7 +18,7 @@ STRUCTURE_METRICS: dict[str, str] = {
 """Unit of each structure metric, in the order of the paper's figure 13; "1" has none."""
 
 
-def _told(name: str) -> str:
+def _name_and_option(name: str) -> str:
     """A setting's name, and its option where `fynjax validate` has one."""
     hidden = ("ground_weight", "gap_extinction", "diversity_least_share", "degrees_lost")
     return f"`{name}`" if name in hidden else f"`{name}` (--{name.replace('_', '-')})"
@@ -101,15 +101,15 @@ class StructureSettings:
         ):
             if getattr(self, name) not in known:
                 raise InputError(
-                    f"{_told(name)} must be one of {', '.join(map(repr, known))}, but is "
-                    f"{getattr(self, name)!r}"
+                    f"{_name_and_option(name)} must be one of "
+                    f"{', '.join(map(repr, known))}, but is {getattr(self, name)!r}"
                 )
         apart = (self.lowest - self.diversity_lowest) / self.layer
         if abs(apart - round(apart)) > 1e-6:
             raise InputError(
-                f"{_told('lowest')} and {_told('diversity_lowest')} must be whole layers apart, "
-                f"but are {self.lowest:g} and {self.diversity_lowest:g} m with layers of "
-                f"{self.layer:g} m"
+                f"{_name_and_option('lowest')} and {_name_and_option('diversity_lowest')} must be "
+                f"whole layers apart, but are {self.lowest:g} and {self.diversity_lowest:g} m "
+                f"with layers of {self.layer:g} m"
             )
 
     def _check(self, name: str, *, lowest: float, open_end: bool) -> None:
@@ -117,7 +117,7 @@ class StructureSettings:
         good = isinstance(value, int | float) and np.isfinite(value)
         if not good or value < lowest or (open_end and value == lowest):
             kind = "positive" if open_end else "at least 0"
-            raise InputError(f"{_told(name)} must be {kind}, but is {value!r}")
+            raise InputError(f"{_name_and_option(name)} must be {kind}, but is {value!r}")
 
     @property
     def base(self) -> float:

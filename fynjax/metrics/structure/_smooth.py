@@ -178,8 +178,8 @@ def voxel_structure(
 
     def gap_at(heights: Float[Array, " level"]) -> Float[Array, "level canopy pixel"]:
         """Gap probability from the sky to heights above the ground, for canopy cells."""
-        one = jax.vmap(lambda g, a: jnp.interp(g + heights, levels, a), in_axes=(0, 1))
-        area = one(floor.ravel(), above.reshape(len(levels), -1))
+        area_above = jax.vmap(lambda g, a: jnp.interp(g + heights, levels, a), in_axes=(0, 1))
+        area = area_above(floor.ravel(), above.reshape(len(levels), -1))
         gaps = jnp.exp(-projection * area).reshape(*density.shape[1:], -1)
         gaps = gaps[: rows * wide, : columns * wide]
         pixel = round(across)
@@ -214,10 +214,10 @@ def voxel_structure(
     top_mean, top_square = _height_moments(column**hit, fine, 0.0)
     many = canopy_cells**2
     between = jnp.sum((top_mean - top_mean.mean(axis=1, keepdims=True)) ** 2, axis=1)
-    own = jnp.mean(jnp.maximum(top_square - top_mean**2, 0.0), axis=1)
+    within = jnp.mean(jnp.maximum(top_square - top_mean**2, 0.0), axis=1)
     # The sample variance expected of independent values with unequal means.
     lost = settings.degrees_lost
-    variance = between / max(many - lost, 1) + own * (1.0 if lost else (many - 1) / many)
+    variance = between / max(many - lost, 1) + within * (1.0 if lost else (many - 1) / many)
     if settings.gap_of == "canopy":
         share = jnp.mean(gap_at(jnp.asarray([settings.gap_height], dtype))[..., 0] ** hit, axis=1)
     mean, square = _height_moments(column.mean(axis=1), fine, settings.cv_lowest)
@@ -226,8 +226,8 @@ def voxel_structure(
         if settings.cv_lowest > 0.0
         else jnp.ones(rows * columns, dtype)
     )
-    seen = ratio(jnp, mass, jnp.asarray(number, dtype))
-    mean, square = ratio(jnp, mean, seen), ratio(jnp, square, seen)
+    share_above = ratio(jnp, mass, jnp.asarray(number, dtype))
+    mean, square = ratio(jnp, mean, share_above), ratio(jnp, square, share_above)
     spread = root(jnp, square - mean**2)
     return _assemble(
         counts,
@@ -283,7 +283,7 @@ def _assemble(
     under: Float[Array, " cell"],
     settings: StructureSettings,
     presence: float,
-    found: dict[str, tuple[Any, Any]],
+    metrics: dict[str, tuple[Any, Any]],
 ) -> SmoothStructure:
     """The metrics of layers beside those found already."""
     reached = jnp.cumsum(counts[:, ::-1], axis=1)[:, ::-1]
@@ -299,26 +299,26 @@ def _assemble(
     total = under + reached[:, 0]
     if settings.gap_of == "leaf_area":
         gap, _ = leaf_area_gap(jnp, density, defined, settings, total)
-        found["gap_fraction"] = (gap, _present(total, presence))
+        metrics["gap_fraction"] = (gap, _present(total, presence))
     first = settings.first_layer(settings.lowest)
     number = jnp.sum(defined[:, first:], axis=1)
     start = settings.first_layer(settings.diversity_lowest)
-    found["leaf_area_density_mean"] = (
+    metrics["leaf_area_density_mean"] = (
         layered["leaf_area_density_mean"][0],
         _present(number, presence),
     )
-    found["leaf_area_density_std"] = (
+    metrics["leaf_area_density_std"] = (
         layered["leaf_area_density_std"][0],
         _present(number - settings.degrees_lost, presence),
     )
     value, good = layered["foliage_height_diversity"]
-    found["foliage_height_diversity"] = (
+    metrics["foliage_height_diversity"] = (
         value,
         _present(reached[:, start], presence) * jnp.where(good, 1.0, 0.0),
     )
     return SmoothStructure(
-        {name: found[name][0] for name in STRUCTURE_METRICS},
-        {name: found[name][1].astype(counts.dtype) for name in STRUCTURE_METRICS},
+        {name: metrics[name][0] for name in STRUCTURE_METRICS},
+        {name: metrics[name][1].astype(counts.dtype) for name in STRUCTURE_METRICS},
     )
 
 
@@ -353,9 +353,9 @@ def _soft_rugosity(
     highest = jax.ops.segment_max(jax.lax.stop_gradient(h), canopy, number)
     lift = w * jnp.exp((h - highest[canopy]) / width)
     top = ratio(jnp, _sum(lift * h, canopy, number), _sum(lift, canopy, number))
-    seen = _present(_sum(w, canopy, number), _PRESENCE)
+    occupied = _present(_sum(w, canopy, number), _PRESENCE)
     cell = jnp.repeat(jnp.arange(cells), canopy_cells**2)
-    _, deviation, weight = _moments(top, seen, cell, cells, settings.degrees_lost)
+    _, deviation, weight = _moments(top, occupied, cell, cells, settings.degrees_lost)
     return deviation, _present(weight - 1.0, _PRESENCE)
 
 

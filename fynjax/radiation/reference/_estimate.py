@@ -1,4 +1,4 @@
-"""What a user asks of the reference: reflectance, fluxes and images, with standard errors."""
+"""The reference's results: reflectance, fluxes and images, with standard errors."""
 
 import os
 from collections.abc import Callable
@@ -50,7 +50,7 @@ class PixelRays(NamedTuple):
     origin: np.ndarray
     """Where the sensor is [m]."""
     direction: np.ndarray
-    """Where the pixel looks, away from the sensor; of any length."""
+    """Line of sight of the pixel, away from the sensor; of any length."""
     right: np.ndarray | None = None
     """Vector across a pixel at the distance of `direction`'s length. None: no width."""
     down: np.ndarray | None = None
@@ -159,9 +159,9 @@ def _reflectance(
 
 def _fluxes(world: World, photons: int, seed: int) -> FluxEstimates:
     mean, error = _batches(world, np.zeros((0, 3)), photons, seed)
-    one = [Estimate(mean[i], error[i]) for i in range(FIXED)]
+    fixed = [Estimate(mean[i], error[i]) for i in range(FIXED)]
     absorbed = Estimate(mean[FIXED:], error[FIXED:])
-    return FluxEstimates(one[0], absorbed, one[1], one[2], one[3], one[4])
+    return FluxEstimates(fixed[0], absorbed, fixed[1], fixed[2], fixed[3], fixed[4])
 
 
 def _batches(

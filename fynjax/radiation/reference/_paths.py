@@ -14,7 +14,15 @@ from fynjax.radiation.reference._random import (
     uniform,
     unit,
 )
-from fynjax.radiation.reference._trace import LEAF, SIDE, SKY, Meeting, fly, surface, transmittance
+from fynjax.radiation.reference._trace import (
+    LEAF,
+    SIDE,
+    SKY,
+    Meeting,
+    surface,
+    trace_path,
+    transmittance,
+)
 from fynjax.radiation.reference._world import Ground, Light, World
 
 _LIFT = 1e-7  # of a column's width, so that uneven ground does not shade itself
@@ -53,9 +61,9 @@ def sky_radiance(light: Light, d: Vector) -> float:
     row = min(int(u), zeniths - 2)
     column = math.floor(v)
     u, v = u - row, v - column
-    one, two = column % azimuths, (column + 1) % azimuths
-    low = (1.0 - v) * light.pattern[row, one] + v * light.pattern[row, two]
-    high = (1.0 - v) * light.pattern[row + 1, one] + v * light.pattern[row + 1, two]
+    left, right = column % azimuths, (column + 1) % azimuths
+    low = (1.0 - v) * light.pattern[row, left] + v * light.pattern[row, right]
+    high = (1.0 - v) * light.pattern[row + 1, left] + v * light.pattern[row + 1, right]
     return (1.0 - u) * low + u * high
 
 
@@ -162,7 +170,7 @@ def forward(world: World, views: np.ndarray, photons: int, seed: int) -> np.ndar
     medium, ground, light = world.medium, world.ground, world.light
     classes = medium.rho.shape[0]
     out = np.zeros(FIXED + classes + views.shape[0])
-    seen = FIXED + classes
+    first_view = FIXED + classes
     g, g_view = np.empty(medium.projection.shape[0]), np.empty(medium.projection.shape[0])
     for number in range(photons):
         from_sky = number + uniform(state) < light.sky * photons
@@ -171,7 +179,7 @@ def forward(world: World, views: np.ndarray, photons: int, seed: int) -> np.ndar
             out[4] -= weight
         scattered = False
         while weight > 0.0:
-            met = fly(world, p, d, -math.log(1.0 - uniform(state)), g)
+            met = trace_path(world, p, d, -math.log(1.0 - uniform(state)), g)
             p = (met[1], met[2], met[3])
             if met[0] == SKY or met[0] == SIDE:
                 x, y = p[0], p[1]
@@ -187,7 +195,7 @@ def forward(world: World, views: np.ndarray, photons: int, seed: int) -> np.ndar
                     facing = dot(n, view)
                     share = rho * facing if facing > 0.0 else -tau * facing
                     if share > 0.0:
-                        out[seen + v] += weight * share * _towards(world, p, view, g_view)
+                        out[first_view + v] += weight * share * _towards(world, p, view, g_view)
                 if uniform(state) * (rho + tau) >= rho:
                     n = (-n[0], -n[1], -n[2])
                 weight *= rho + tau
@@ -203,7 +211,7 @@ def forward(world: World, views: np.ndarray, photons: int, seed: int) -> np.ndar
                     share = amplitude * facing
                     if share > 0.0:
                         share *= ground_factor(ground, n, d, view)
-                        out[seen + v] += weight * share * _towards(world, p, view, g_view)
+                        out[first_view + v] += weight * share * _towards(world, p, view, g_view)
                 leaving = lambert(n, state)
                 reflected = weight * amplitude * ground_factor(ground, n, d, leaving)
                 out[3] += weight - reflected
@@ -223,14 +231,14 @@ def _path(
     """pi times the radiance that comes to `p` against the direction `d`, over the irradiance."""
     medium, ground, light = world.medium, world.ground, world.light
     beam = light.sun / light.sunward[2]
-    found, weight = 0.0, 1.0
+    radiance, weight = 0.0, 1.0
     while weight > 0.0:
-        met = fly(world, p, d, -math.log(1.0 - uniform(state)), g)
+        met = trace_path(world, p, d, -math.log(1.0 - uniform(state)), g)
         p = (met[1], met[2], met[3])
         if met[0] == SKY or met[0] == SIDE:
-            # Beside an open scene there is nothing, so the sky is seen there too.
+            # Beside an open scene there is nothing, so the sky lights it from there too.
             if d[2] > 0.0:
-                found += weight * light.sky * sky_radiance(light, d)
+                radiance += weight * light.sky * sky_radiance(light, d)
             break
         if met[0] == LEAF:
             owner, n = _leaf(world, met, d, g, state)
@@ -238,7 +246,7 @@ def _path(
             facing = dot(n, light.sunward)
             share = rho * facing if facing > 0.0 else -tau * facing
             if share * beam > 0.0:
-                found += weight * share * beam * transmittance(world, p, light.sunward, g_sun)
+                radiance += weight * share * beam * transmittance(world, p, light.sunward, g_sun)
             if uniform(state) * (rho + tau) >= rho:
                 n = (-n[0], -n[1], -n[2])
             weight *= rho + tau
@@ -250,14 +258,14 @@ def _path(
             if share * beam > 0.0:
                 along = (-light.sunward[0], -light.sunward[1], -light.sunward[2])
                 share *= ground_factor(ground, n, along, back)
-                found += weight * share * beam * transmittance(world, p, light.sunward, g_sun)
+                radiance += weight * share * beam * transmittance(world, p, light.sunward, g_sun)
             d = lambert(n, state)
             weight *= amplitude * ground_factor(ground, n, (-d[0], -d[1], -d[2]), back)
         if weight < _FAINT:
             if uniform(state) < 0.5:
                 break
             weight *= 2.0
-    return found
+    return radiance
 
 
 @compiled_with_arrays

@@ -12,7 +12,7 @@ from fynjax.radiation.reference._random import Vector, compiled
 from fynjax.radiation.reference._world import Discs, Ground, World
 
 LEAF, GROUND, SKY, SIDE = 0, 1, 2, 3
-_OPAQUE = 40.0  # optical depth beyond which nothing is seen
+_OPAQUE = 40.0  # optical depth beyond which transmittance is taken as zero
 _CLEAR = 1e-9  # distance within which a disc is the one that the ray starts from [m]
 Meeting = tuple[int, float, float, float, int, int, int, float]
 """What was met; where (x, y, z); the voxel (k, j, i) or the disc (d, 0, 0); the depth crossed."""
@@ -96,10 +96,10 @@ def ground_distance(ground: Ground, periodic: bool, p: Vector, d: Vector) -> flo
     if not periodic:
         for axis in range(2):
             if d[axis] != 0.0:
-                one, two = -p[axis] / d[axis], (ground.size[axis] - p[axis]) / d[axis]
-                start = max(start, min(one, two))
-                if max(one, two) < end:
-                    end, cut = max(one, two), True
+                near, far = -p[axis] / d[axis], (ground.size[axis] - p[axis]) / d[axis]
+                start = max(start, min(near, far))
+                if max(near, far) < end:
+                    end, cut = max(near, far), True
     if end < start:
         return math.inf
     x, y, z = p[0] + d[0] * start, p[1] + d[1] * start, p[2] + d[2] * start
@@ -140,9 +140,9 @@ def _enter(world: World, p: Vector, d: Vector) -> tuple[bool, Vector]:
     start, end = 0.0, math.inf
     for axis in range(2 if world.periodic else 0, 3):
         if d[axis] != 0.0:
-            one = (world.low[axis] - p[axis]) / d[axis]
-            two = (world.high[axis] - p[axis]) / d[axis]
-            start, end = max(start, min(one, two)), min(end, max(one, two))
+            near = (world.low[axis] - p[axis]) / d[axis]
+            far = (world.high[axis] - p[axis]) / d[axis]
+            start, end = max(start, min(near, far)), min(end, max(near, far))
         elif not world.low[axis] <= p[axis] <= world.high[axis]:
             return False, p
     if end < start:
@@ -156,7 +156,7 @@ def _enter(world: World, p: Vector, d: Vector) -> tuple[bool, Vector]:
 
 @compiled
 def _nearest(
-    discs: Discs, cell: int, p: Vector, d: Vector, best: float, found: int
+    discs: Discs, cell: int, p: Vector, d: Vector, best: float, nearest: int
 ) -> tuple[float, int]:
     """The nearest disc listed in a cell, if nearer than `best`."""
     for m in range(discs.first[cell], discs.first[cell + 1]):
@@ -171,12 +171,12 @@ def _nearest(
         if _CLEAR < t < best:
             x, y, z = d[0] * t - x, d[1] * t - y, d[2] * t - z
             if x * x + y * y + z * z < discs.radius[leaf] ** 2:
-                best, found = t, leaf
-    return best, found
+                best, nearest = t, leaf
+    return best, nearest
 
 
 @compiled
-def fly(world: World, p: Vector, d: Vector, budget: float, g: np.ndarray) -> Meeting:
+def trace_path(world: World, p: Vector, d: Vector, budget: float, g: np.ndarray) -> Meeting:
     """Follow a ray until the turbid medium has used up the optical depth `budget`, or a disc
     is met, or the ground, or the ray leaves.
 
@@ -209,14 +209,14 @@ def fly(world: World, p: Vector, d: Vector, budget: float, g: np.ndarray) -> Mee
         step_y = world.cell[1] / abs(d[1])
     tz = (world.low[2] + (k + rise) * world.cell[2] - p[2]) / d[2]
     step_z = world.cell[2] / abs(d[2])
-    t, depth, best, found = 0.0, 0.0, math.inf, -1
+    t, depth, best, nearest = 0.0, 0.0, math.inf, -1
     while True:
         leave = max(t, min(tx, ty, tz, end))
         if discs.active:
-            best, found = _nearest(discs, (k * ny + j) * nx + i, p, d, best, found)
+            best, nearest = _nearest(discs, (k * ny + j) * nx + i, p, d, best, nearest)
             if best <= leave:
                 at = p[0] + d[0] * best, p[1] + d[1] * best, p[2] + d[2] * best
-                return LEAF, at[0], at[1], at[2], found, 0, 0, 0.0
+                return LEAF, at[0], at[1], at[2], nearest, 0, 0, 0.0
         else:
             extinction = 0.0
             for angle in range(g.shape[0]):
@@ -260,6 +260,6 @@ def fly(world: World, p: Vector, d: Vector, budget: float, g: np.ndarray) -> Mee
 @compiled
 def transmittance(world: World, p: Vector, d: Vector, g: np.ndarray) -> float:
     """Share of light that gets from `p` out along the upward direction `d`."""
-    met = fly(world, p, d, _OPAQUE, g)
+    met = trace_path(world, p, d, _OPAQUE, g)
     free = met[0] == SKY or met[0] == SIDE
     return math.exp(-met[7]) if free else 0.0

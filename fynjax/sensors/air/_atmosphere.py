@@ -202,16 +202,16 @@ def band_atmosphere(atmosphere: Atmosphere, bands: BandSet) -> Atmosphere:
         return bands.average(atmosphere.wavelength, curve)
 
     total = atmosphere.direct + atmosphere.diffuse
-    seen = atmosphere.upward_transmittance * total
+    ground_signal = atmosphere.upward_transmittance * total
     # Opaque bands have no light to weight with: then any weight serves.
     tiny = jnp.finfo(total.dtype).tiny ** 0.5
     return Atmosphere(
         bands.centre,
         average(atmosphere.direct),
         average(atmosphere.diffuse),
-        average(seen) / (average(total) + tiny),
+        average(ground_signal) / (average(total) + tiny),
         average(atmosphere.path_radiance),
-        average(atmosphere.spherical_albedo * seen) / (average(seen) + tiny),
+        average(atmosphere.spherical_albedo * ground_signal) / (average(ground_signal) + tiny),
     )
 
 

@@ -66,7 +66,7 @@ class Scattered(NamedTuple):
     diffuse: Float[Array, " wavelength"]
     """Horizontal irradiance by the sky [-]."""
     albedo: Float[Array, " wavelength"]
-    """Albedo of the sky seen from the ground, before gas absorbs (in eq. 3-8) [-]."""
+    """Albedo of the sky for light from the ground, before gas absorbs (in eq. 3-8) [-]."""
 
 
 def scattered_light(

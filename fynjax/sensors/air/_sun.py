@@ -13,7 +13,7 @@ class SunPosition(NamedTuple):
     """The sun in the sky of one place and time."""
 
     zenith: float
-    """Zenith angle as seen, refraction included [degrees]."""
+    """Apparent zenith angle, refraction included [degrees]."""
     azimuth: float
     """Clockwise from north [degrees]."""
     solar_factor: float
@@ -54,7 +54,7 @@ def sun_position(
         raise InputError(
             f"the sun must be above the horizon, but is {zenith - 90.0:.1f} degrees below it at "
             f"latitude {latitude:g}, longitude {longitude:g}, {moment[0].isoformat()}: is the time "
-            f"in the zone it says, and is the place in {_UNITS}?"
+            f"in the time zone given, and is the place in {_UNITS}?"
         )
     return SunPosition(zenith, azimuth, distance**-2)
 
@@ -70,7 +70,7 @@ def _moment(time: datetime | str) -> Any:
         ) from error
     if moment.tzinfo is None:
         raise InputError(
-            f"`time` must say its time zone, but {time!r} has none: add 'Z' for UTC, or an offset "
+            f"`time` must have a time zone, but {time!r} has none: add 'Z' for UTC, or an offset "
             "such as '+02:00'."
         )
     return pd.DatetimeIndex([moment.tz_convert("UTC")])

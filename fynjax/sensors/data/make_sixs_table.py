@@ -95,10 +95,10 @@ def run(
 
 def numbers(text: str, label: str) -> list[float]:
     """The numbers after a label of 6SV's report."""
-    found = re.search(rf"{label}\s*:?\s*([-\d.Ee+ ]+)", text)
-    if found is None:
+    matches = re.search(rf"{label}\s*:?\s*([-\d.Ee+ ]+)", text)
+    if matches is None:
         raise RuntimeError(f"6SV printed no {label!r}")
-    return [float(cell) for cell in found[1].split()]
+    return [float(cell) for cell in matches[1].split()]
 
 
 def spectrum(text: str) -> np.ndarray:
@@ -157,7 +157,7 @@ def scattering_table(aerosol: int, ground: float, depths: Sequence[float]) -> xr
         gas = numbers(text, r"global gas\. trans\.")[2]
         down, up, _ = numbers(text, r"total  sca\.   \"    ")
         air, particles, _ = numbers(text, "optical depth total")
-        found = (
+        rows = (
             numbers(text, "apparent reflectance")[0] / gas,
             down,
             up,
@@ -166,7 +166,7 @@ def scattering_table(aerosol: int, ground: float, depths: Sequence[float]) -> xr
             particles,
             numbers(text, r"ground pressure  \[mb\]")[0],
         )
-        for name, value in zip(names, found, strict=True):
+        for name, value in zip(names, rows, strict=True):
             values[name][index] = value
         if index[2:] == (0, 0):
             print(f"ground {ground} km, aerosol {depths[a]}, sensor {HEIGHT[h]} km", flush=True)

@@ -159,8 +159,8 @@ def scan_beams(
         v = v + (rng.random(v.size) - 0.5) * step
         across = u - offset
         angle = np.rad2deg(np.arctan2(across, geometry.altitude))
-        seen = np.abs(angle) <= geometry.half_scan_angle
-        u, v, across, angle = u[seen], v[seen], across[seen], angle[seen]
+        in_scan = np.abs(angle) <= geometry.half_scan_angle
+        u, v, across, angle = u[in_scan], v[in_scan], across[in_scan], angle[in_scan]
         foot = middle + offset * right + v[:, None] * ahead
         down = np.column_stack([across[:, None] * right, np.full(len(u), -geometry.altitude)])
         # The sweep takes the time that its pulses take, whatever the flight does.

@@ -40,8 +40,8 @@ class PencilPaths(eqx.Module):
         """Optical depth down to a range [m] or to the ground, whichever comes first [-]."""
         index, share = self._place(distance)
         above = jnp.cumsum(self.depth, axis=0) - self.depth
-        own = jnp.take_along_axis(self.depth, index, axis=0)
-        return jnp.take_along_axis(above, index, axis=0) + share * own
+        in_step = jnp.take_along_axis(self.depth, index, axis=0)
+        return jnp.take_along_axis(above, index, axis=0) + share * in_step
 
     def returned(self, distance: Float[Array, "point pencil"]) -> Float[Array, "point pencil"]:
         """What the canopy down to a range [m] sends back [-]: each leaf through the gap that the
@@ -62,13 +62,13 @@ class PencilPaths(eqx.Module):
         whether that is above the ground."""
         below = jnp.cumsum(self.depth, axis=0)
         index = jnp.minimum(jnp.sum(below <= depth, axis=0), self.depth.shape[0] - 1)[None]
-        own = jnp.take_along_axis(self.depth, index, axis=0)[0]
-        above = jnp.take_along_axis(below, index, axis=0)[0] - own
-        some = own > 0
-        share = jnp.where(some, (depth - above) / jnp.where(some, own, 1.0), 1.0)
+        in_step = jnp.take_along_axis(self.depth, index, axis=0)[0]
+        above = jnp.take_along_axis(below, index, axis=0)[0] - in_step
+        some = in_step > 0
+        share = jnp.where(some, (depth - above) / jnp.where(some, in_step, 1.0), 1.0)
         distance = self.top + self.step * (index[0] + share)
         source = jnp.take_along_axis(self.source, index, axis=0)[0]
-        sent = jnp.where(some, source / jnp.where(some, own, 1.0), 0.0)
+        sent = jnp.where(some, source / jnp.where(some, in_step, 1.0), 0.0)
         return distance, sent, depth < self.depth_at(self.ground_range[None])[0]
 
 
@@ -118,7 +118,7 @@ def trace_pencils(
         (width * platform / cosine)[None],
     )
     angles = scene.classes.angles
-    seen = jnp.stack([a.projection(cosine).astype(dtype) for a in angles])
+    projection = jnp.stack([a.projection(cosine).astype(dtype) for a in angles])
     back = jnp.stack([backscatter(a, cosine).astype(dtype) for a in angles])
     lattice = Lattice(ny, nx, scene.horizontal, scene.boundary)
     length = scene.vertical / sublayers / cosine
@@ -129,7 +129,7 @@ def trace_pencils(
         here = jax.lax.dynamic_index_in_dim(fields, layer, 1, keepdims=False)
         met = rays.sampler(height.astype(dtype), lattice)(here)[:, 0]
         stop, send = jnp.split(met, 2)
-        return None, (jnp.sum(seen * stop, axis=0), jnp.sum(back * send, axis=0))
+        return None, (jnp.sum(projection * stop, axis=0), jnp.sum(back * send, axis=0))
 
     _, (stop, send) = jax.lax.scan(piece, None, jnp.arange(nz * sublayers))
     height, cosine_in, column = _ground(scene, foot, slopes, towards)

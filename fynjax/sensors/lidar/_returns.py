@@ -141,13 +141,13 @@ def _peaks(lidar: Lidar, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     scaled = 2.0 * np.sqrt(np.maximum(counts + variance, 0.0))
     # One row after the other, an empty sample between: one call finds the peaks of all.
     rows = np.pad(scaled, [(0, 0), (1, 1)], constant_values=empty)
-    found, _ = find_peaks(
+    peaks, _ = find_peaks(
         rows.ravel(),
         height=empty + lidar.threshold,
         prominence=lidar.threshold,
         wlen=2 * rows.shape[1] + 1,
     )
-    beam, sample = np.divmod(found, rows.shape[1])
+    beam, sample = np.divmod(peaks, rows.shape[1])
     sample = sample - 1
     inside = (sample > 0) & (sample < counts.shape[1] - 1)
     return beam[inside], sample[inside]

@@ -134,10 +134,10 @@ class _Receiver(eqx.Module):
 
 def _one_waveform(
     path: PencilPaths,
-    own: tuple[Array, Array, Array | None],
+    beam: tuple[Array, Array, Array | None],
     common: tuple[VoxelScene, Array, _Receiver],
 ) -> tuple[Array, Array]:
-    start, first, drawn = own
+    start, first, drawn = beam
     receiver = common[-1]
     if drawn is None:
         gap = jnp.exp(-path.depth_at(path.ground_range[None])[0])
@@ -197,7 +197,7 @@ def _map_beams(
     function: Callable[..., tuple[Array, Array]],
     batch: int,
     beams: LidarBeams,
-    own: Any,
+    per_beam: Any,
     common: tuple[VoxelScene, Array, Any],
     sublayers: int,
 ) -> tuple[Array, Array]:
@@ -210,11 +210,11 @@ def _map_beams(
         return jnp.pad(values, [(0, spare)] + [(0, 0)] * (values.ndim - 1), mode="edge")
 
     where = (jnp.asarray(beams.origin, dtype), jnp.asarray(beams.direction, dtype))
-    each = jax.tree.map(padded, (*where, own))
+    each = jax.tree.map(padded, (*where, per_beam))
     pencils = jnp.asarray(beams.pencils, dtype)
     width, count = beams.pencil_width, len(beams)
-    found = _mapped(function, batch, width, sublayers, each, pencils, common)
-    return jax.tree.map(lambda a: a[:count], found)
+    canopy_and_ground = _mapped(function, batch, width, sublayers, each, pencils, common)
+    return jax.tree.map(lambda a: a[:count], canopy_and_ground)
 
 
 @eqx.filter_jit
@@ -229,12 +229,12 @@ def _mapped(
 ) -> tuple[Array, Array]:
     scene, fields, _ = common
 
-    def one(beam: Any) -> tuple[Array, Array]:
-        origin, direction, own = beam
+    def trace_beam(beam: Any) -> tuple[Array, Array]:
+        origin, direction, per_beam = beam
         path = trace_pencils(scene, fields, origin, direction, pencils, width, sublayers)
-        return function(path, own, common)
+        return function(path, per_beam, common)
 
-    return jax.lax.map(jax.checkpoint(one), each, batch_size=batch)
+    return jax.lax.map(jax.checkpoint(trace_beam), each, batch_size=batch)
 
 
 def _check(scene: VoxelScene, beams: LidarBeams, straight: float) -> None:
