@@ -22,7 +22,11 @@ _AZIMUTHS = 96
 
 
 class AbstractLeafAngle(eqx.Module):
-    """Distribution of leaf normals."""
+    """Distribution of leaf normals, symmetric in azimuth.
+
+    Abstract: `SphericalLeafAngle`, `TrigonometricLeafAngle`, `EllipsoidalLeafAngle` and
+    `TabulatedLeafAngle` are the kinds, `leaf_angle` makes one by its name.
+    """
 
     @abc.abstractmethod
     def inclination_density(self, inclination: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -68,9 +72,11 @@ class SphericalLeafAngle(AbstractLeafAngle):
     """Normals as on a sphere: g = sin(inclination), G = 1/2 in every direction."""
 
     def inclination_density(self, inclination: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """g = sin(t) [1/rad] at the `inclination` t [rad, 0 to pi/2]."""
         return jnp.sin(inclination)
 
     def projection(self, cos_zenith: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """1/2 [-] in every direction `cos_zenith`."""
         return jnp.full_like(jnp.asarray(cos_zenith), 0.5)
 
 
@@ -87,6 +93,7 @@ class TrigonometricLeafAngle(AbstractLeafAngle):
     """Coefficient b of cos 4t [-]."""
 
     def inclination_density(self, inclination: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """g [1/rad] at the `inclination` t [rad, 0 to pi/2]. Differentiable in t, a and b."""
         second = self.second.astype(inclination.dtype)
         fourth = self.fourth.astype(inclination.dtype)
         wave = second * jnp.cos(2 * inclination) + fourth * jnp.cos(4 * inclination)
@@ -100,6 +107,7 @@ class EllipsoidalLeafAngle(AbstractLeafAngle):
     """Horizontal to vertical axis, chi [-], positive; 1 is spherical, large is flat leaves."""
 
     def inclination_density(self, inclination: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """g [1/rad] at the `inclination` [rad, 0 to pi/2]. Differentiable in it and in chi."""
         chi = self.ratio.astype(inclination.dtype)
         shape = jnp.cos(inclination) ** 2 + chi**2 * jnp.sin(inclination) ** 2
         density = chi**3 * jnp.sin(inclination) / shape**2
@@ -119,7 +127,16 @@ class TabulatedLeafAngle(AbstractLeafAngle):
     def from_normals(
         cls, normals: Float[Array, "n 3"], area: Float[Array, " n"], bins: int = 18
     ) -> "TabulatedLeafAngle":
-        """Area-weighted histogram of the inclinations of unit `normals`. Not differentiable."""
+        """Area-weighted histogram of the inclinations of a plant's normals.
+
+        **Arguments:**
+
+        - `normals`: unit vectors; their sign does not matter.
+        - `area`: weight of each [m2], positive in sum.
+        - `bins`: number of equal bins from 0 to 90 degrees.
+
+        Not differentiable.
+        """
         inclination = np.arccos(np.clip(np.abs(np.asarray(normals)[:, 2]), 0.0, 1.0))
         counts, _ = np.histogram(
             inclination, bins=bins, range=(0.0, 0.5 * np.pi), weights=np.asarray(area)
@@ -127,6 +144,7 @@ class TabulatedLeafAngle(AbstractLeafAngle):
         return cls(counts / counts.sum() / (0.5 * np.pi / bins))
 
     def inclination_density(self, inclination: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """g [1/rad] of the bin that holds `inclination` [rad, 0 to pi/2]; its slope is zero."""
         bins = self.density.shape[0]
         index = jnp.clip((inclination * (2 * bins / jnp.pi)).astype(int), 0, bins - 1)
         return self.density.astype(inclination.dtype)[index]
@@ -142,11 +160,23 @@ _TRIGONOMETRIC = {
 
 
 def leaf_angle(name: str) -> AbstractLeafAngle:
-    """The distribution of that name: spherical, uniform (in inclination), planophile,
-    erectophile, plagiophile or extremophile (de Wit 1965; Bunnik 1978).
+    """The leaf angle distribution of a given name.
 
-    RAMI's "uniform" means normals uniform on the sphere: that is `spherical` here.
-    Raises `InputError` for any other name.
+    **Arguments:**
+
+    - `name`: spherical, uniform (in inclination), planophile, erectophile, plagiophile or
+      extremophile (de Wit 1965; Bunnik 1978). RAMI's "uniform" means normals uniform on the
+      sphere: that is `spherical` here.
+
+    **Returns:** an `AbstractLeafAngle`.
+
+    **Raises:** `InputError` for any other name.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.canopy import leaf_angle
+    >>> flat = leaf_angle("planophile")
+    >>> flat.projection(jnp.array([1.0, 0.5])).round(3)  # G at zenith angles 0 and 60 degrees
+    Array([0.849, 0.473], dtype=float64)
     """
     if name == "spherical":
         return SphericalLeafAngle()

@@ -41,15 +41,28 @@ class CrownPacking(eqx.Module):
 
 
 def modelled_diameter(width: Any, height: Any) -> Any:
-    """Crown diameter of a plant model, eq. (7) [m].
+    """Crown diameter D of a plant model, eq. (7) of the fynbos scene paper [m].
 
-    `width` and `height` are its two horizontal extents (x and y of the bounding box) [m].
+    **Arguments:**
+
+    - `width`, `height`: its two horizontal extents (x and y of the bounding box) [m], arrays or
+      numbers; see the note on axes of this module.
+
+    Their mean: linear, hence differentiable.
     """
     return (width + height) / 2.0
 
 
 def crown_scale(crown_diameter: Any, modelled_diameter: Any) -> Any:
-    """Scale s that brings a plant model to the real crown diameter, eq. (6) [-]."""
+    """Scale s that brings a plant model to the real crown diameter, eq. (6) [-].
+
+    **Arguments:**
+
+    - `crown_diameter`: of the real plant [m].
+    - `modelled_diameter`: of the model, positive [m] (`modelled_diameter`).
+
+    Their ratio. Differentiable in both.
+    """
     return crown_diameter / modelled_diameter
 
 
@@ -81,11 +94,21 @@ def projected_area(
 
 
 def instance_area(diameter: Any, height: Any, packing: CrownPacking = CrownPacking()) -> Any:  # noqa: B008
-    """Ground area A of one instance of a real crown `diameter` and plant `height` [m2].
+    """Ground area A of one instance of a plant of known size [m2].
 
     Equations (5)-(9) for a model whose proportions are already those of the plant (a parametric
-    form), so that s D = `diameter` [m] and s depth = `height` [m], never less than the species'
-    minimum object area. Differentiable in every argument.
+    form), so that s D is the diameter and s depth the height.
+
+    **Arguments:**
+
+    - `diameter`: of the real crown [m], positive.
+    - `height`: of the real plant [m], positive.
+    - `packing`: how crowns of the species are counted.
+
+    **Returns:** the area, never less than the species' minimum object area. Arrays broadcast.
+
+    Differentiable in every argument; where the minimum object area takes over, the slope in the
+    others is zero.
     """
     area = projected_area(
         1.0,
@@ -99,17 +122,36 @@ def instance_area(diameter: Any, height: Any, packing: CrownPacking = CrownPacki
 
 
 def target_area(scene_area: Any, cover: Any) -> Any:
-    """Area that a species of `cover` [-] is to cover, eq. (1) [m2], of `scene_area` [m2]."""
+    """Area that a species is to cover, eq. (1) [m2].
+
+    **Arguments:**
+
+    - `scene_area`: area of the plot [m2].
+    - `cover`: cover of the species [-], 0 to 1.
+
+    Their product. Differentiable in both.
+    """
     return scene_area * cover
 
 
 def soft_count(
     target_area: Any, projected_area: Any, branches: Any = 1.0
 ) -> Float[Array, "*species"]:
-    """Real number of instances, eq. (10) without its ceiling [-].
+    """Real number of instances of a species, eq. (10) without its ceiling [-].
 
-    `target_area` and `projected_area` in m2, `projected_area` positive. Zero target gives zero,
-    with a finite slope. Differentiable in every argument.
+    **Arguments:**
+
+    - `target_area`: area to be covered [m2], not negative (`target_area`).
+    - `projected_area`: ground area of one instance [m2], positive (`instance_area`).
+    - `branches`: number of copies that make one plant [-].
+
+    Arrays, one value a species, broadcast. Differentiable in every argument; zero target gives
+    zero, with a finite slope.
+
+    >>> from fynjax.canopy import instance_area, soft_count, target_area
+    >>> area = instance_area(diameter=0.5, height=0.8)  # m2 of one crown
+    >>> round(float(soft_count(target_area(100.0, cover=0.1), area)), 2)
+    50.93
     """
     return jnp.asarray(branches * target_area / projected_area)
 
@@ -117,10 +159,23 @@ def soft_count(
 def hard_count(
     target_area: Any, projected_area: Any, branches: Any = 1
 ) -> Int[np.ndarray, "*species"] | int:
-    """Number of instances, eq. (10) with its ceiling [-]: an int, or an int array.
+    """Number of instances of a species, eq. (10) with its ceiling [-].
 
-    For concrete numbers, in float64; not differentiable (see `soft_count`). Zero cover gives
-    zero. Raises `InputError` for an area that is not positive, or a negative target.
+    **Arguments:**
+
+    - `target_area`: area to be covered [m2], not negative; zero gives zero.
+    - `projected_area`: ground area of one instance [m2], positive.
+    - `branches`: number of copies that make one plant [-].
+
+    **Returns:** an int, or an int array where the arguments are arrays.
+
+    For concrete numbers, in float64. Not differentiable: see `soft_count`.
+
+    **Raises:** `InputError` for a projected area that is not positive, or a negative target.
+
+    >>> from fynjax.canopy import hard_count
+    >>> hard_count(target_area=10.0, projected_area=0.196)
+    52
     """
     target = np.asarray(target_area, float)
     area = np.asarray(projected_area, float)

@@ -151,15 +151,29 @@ _SHARE = {Organ.LEAF: 0.75, Organ.WOOD: 0.17, Organ.FLOWER: 0.08}
 
 
 def plant_model(form: str, n_elements: int, *, seed: int) -> PlantModel:
-    """The plant model of a growth form, as `n_elements` area elements.
+    """The plant model of a growth form, as area elements in crown coordinates.
 
-    Forms: upright_ericoid, rounded_shrub, tussock, broad_leaved, climber, deadwood;
-    `FORM_DEFAULTS[form].description` says what each looks like. Where a form has several organs
-    about 75 % of the elements are leaf, 17 % wood and 8 % flower, whatever their areas: the
-    areas come with `instantiate`. Leaf normals follow the form's leaf angle distribution, those
-    of stems and culms are perpendicular to them, flowers are planophile. Azimuths are uniform.
+    **Arguments:**
 
-    `seed` fixes the draw. Raises `InputError` for another form, or fewer than 3 elements.
+    - `form`: upright_ericoid, rounded_shrub, tussock, broad_leaved, climber or deadwood;
+      `FORM_DEFAULTS[form].description` describes the shape of each.
+    - `n_elements`: number of area elements, at least 3. Where a form has several organs about 75 %
+      are leaf, 17 % wood and 8 % flower, whatever their areas: the areas come with `instantiate`.
+    - `seed`: the same seed gives the same plant.
+
+    Leaf normals follow the form's leaf angle distribution, those of stems and culms are
+    perpendicular to them, flowers are planophile. Azimuths are uniform.
+
+    **Returns:** a `PlantModel`. Its shape is fixed: there is nothing to differentiate in.
+
+    **Raises:** `InputError` for another form, or fewer than 3 elements.
+
+    >>> from fynjax.canopy import Organ, plant_model
+    >>> plant = plant_model("rounded_shrub", 100, seed=1)
+    >>> plant.position.shape, int((plant.organ == Organ.LEAF).sum())
+    ((100, 3), 75)
+    >>> float(plant.area_fraction[plant.organ == Organ.LEAF].sum().round(6))
+    1.0
     """
     if form not in FORM_DEFAULTS:
         raise InputError(f"`form` must be one of {', '.join(FORM_DEFAULTS)}, but is {form!r}")

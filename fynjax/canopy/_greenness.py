@@ -48,10 +48,18 @@ def _divide(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def band_roles(
     names: Sequence[str], wavelengths: Sequence[float | None] | None = None
 ) -> dict[str, int]:
-    """Which band is blue, green, red and near infrared: its place, for those that are there.
+    """Which band of an image is blue, green, red and near infrared, as far as is known.
 
-    By name where a band is called so ("Red", "NIR", "near infrared"), else by its wavelength [nm]:
-    the nearest to 475, 560, 660 or 840 nm among those in 430-520, 520-600, 620-700 or 760-1000.
+    **Arguments:**
+
+    - `names`: of the bands, in the image's order. A band called "blue", "green", "red" or "nir"
+      has that role.
+    - `wavelengths`: centres of the bands [nm], `None` where not known; they decide where names do
+      not, by the nearest band within the range of the colour.
+
+    **Returns:** index of the band of each role that is known, from 0.
+
+    **Raises:** `InputError` where names and wavelengths differ in number.
     """
     plain = [re.sub(r"[^a-z]", "", name.lower()) for name in names]
     plain = [_WORDS.get(name, name) for name in plain]
@@ -95,7 +103,15 @@ def choose_greenness(
           minus, of one that is darker there, such as "-red";
         - "auto": NDVI where red and near infrared are known, else excess green.
 
-    Raises `InputError` where the bands needed are not known.
+    **Returns:** a `Greenness`: its name, its formula and its function of spectra.
+
+    **Raises:** `InputError` where the bands needed are not known.
+
+    >>> import numpy as np
+    >>> from fynjax.canopy import choose_greenness
+    >>> ndvi = choose_greenness(["green", "red", "nir"])
+    >>> ndvi.formula, float(ndvi.function(np.array([0.05, 0.04, 0.36])).round(2))
+    ('(nir - red) / (nir + red)', 0.8)
     """
     role = band_roles(names, wavelengths)
     listed = ", ".join(names)

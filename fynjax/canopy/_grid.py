@@ -49,10 +49,17 @@ class VoxelGrid(eqx.Module):
         horizontal_size: float,
         vertical_size: float | None = None,
     ) -> "VoxelGrid":
-        """The grid over a plot of `extent` (lx, ly) [m] that reaches at least to `top` [m].
+        """The grid over a plot.
 
-        `vertical_size` is `horizontal_size` unless given. Raises `InputError` where the voxels
-        do not divide the plot's sides.
+        **Arguments:**
+
+        - `extent`: sides (lx, ly) of the plot [m].
+        - `top`: height that the grid reaches at least [m], positive.
+        - `horizontal_size`: side of a voxel [m]; must divide both sides of the plot.
+        - `vertical_size`: height of a voxel [m]; `horizontal_size` unless given.
+
+        **Raises:** `InputError` where the voxels do not divide the plot's sides, or for sizes that
+        are not positive.
         """
         counts = []
         for axis, side in zip("xy", extent, strict=True):
@@ -106,16 +113,18 @@ def deposit(
 ) -> Float[Array, "class z y x"]:
     """Area density that area elements give to a grid [m2 m-3].
 
-    Cloud-in-cell: each element is shared among the eight nearest voxels in proportion to their
-    nearness (the overlap of a voxel-sized box around the element with each of them), so that the
-    area on the grid is the area planted, at any resolution, and its centre of mass stays.
+    Cloud-in-cell (Hockney and Eastwood 1988): each element is shared among the eight nearest voxels
+    in proportion to their nearness (the overlap of a voxel-sized box around the element with each
+    of them), so that the area on the grid is the area planted, at any resolution, and its centre of
+    mass stays.
 
     **Arguments:**
 
     - `positions`: x, y, z of the elements [m].
     - `area`: their one-sided area [m2].
     - `class_index`: optical class of each, 0 to n_classes - 1.
-    - `grid`, `n_classes`: the size of the result.
+    - `grid`: the voxels.
+    - `n_classes`: number of optical classes.
     - `boundary`: "periodic" wraps sideways. "open" drops what falls outside: an element at the
       very edge keeps half, as if the grid were a window in a larger one, so that the densities
       of neighbouring windows add up to the whole.
@@ -123,10 +132,29 @@ def deposit(
     Upwards and downwards nothing is lost: elements below the bottom or above the top layer's
     centre go to that layer.
 
+    **Returns:** the density of each class in each voxel, in the dtype of `positions` and `area`.
+
     Differentiable in `area` (linear) and in `positions` (once, piecewise: the slope jumps where
-    an element crosses a voxel centre). The dtype of the result is that of `positions` and `area`.
-    Raises `InputError` for another `boundary`, a class index out of range (if it is known before
-    tracing), or a grid of more than 2^31 values.
+    an element crosses a voxel centre).
+
+    **Raises:** `InputError` for another `boundary`, a class index out of range (if it is known
+    before tracing), or a grid of more than 2^31 values.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.canopy import VoxelGrid, deposit
+    >>> grid = VoxelGrid((2, 2, 2), horizontal_size=0.5, vertical_size=0.5)
+    >>> density = deposit(
+    ...     positions=jnp.array([[0.25, 0.25, 0.25], [0.5, 0.75, 0.75]]),
+    ...     area=jnp.array([0.1, 0.2]),
+    ...     class_index=jnp.array([0, 0]),
+    ...     grid=grid,
+    ...     n_classes=1,
+    ... )
+    >>> density[0, :, :, 0].round(3)  # [z, y] of the western column
+    Array([[0.8, 0. ],
+           [0. , 0.8]], dtype=float64)
+    >>> float((density.sum() * grid.voxel_volume).round(6))  # m2: all of it
+    0.3
     """
     if boundary not in ("periodic", "open"):
         raise InputError(f"`boundary` must be 'periodic' or 'open', but is {boundary!r}")

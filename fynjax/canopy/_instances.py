@@ -15,11 +15,17 @@ from fynjax.canopy._plant import Organ, PlantModel
 def random_orientation(
     n: int, *, seed: int, rotation_spread: float = 0.0
 ) -> tuple[Float[np.ndarray, " plant"], Float[np.ndarray, " plant"]]:
-    """Azimuth and tilt of `n` plants [degrees], for `instantiate`.
+    """Azimuth and tilt of plants [degrees], for `instantiate`.
 
-    Azimuths are uniform in [0, 360). Tilts are the sizes of normal numbers whose standard
-    deviation is `rotation_spread` (sigma_rot, degrees), at most 90. The same seed gives the same
-    plants the same orientation, however many there are.
+    **Arguments:**
+
+    - `n`: number of plants.
+    - `seed`: the same seed gives the same plants the same orientation, however many there are.
+    - `rotation_spread`: standard deviation sigma_rot of the tilts [degrees], at least 0.
+
+    **Returns:** azimuths, uniform in [0, 360), and tilts, the sizes of normal numbers with the
+    standard deviation `rotation_spread`, at most 90. NumPy arrays; the tilts are linear in
+    `rotation_spread` up to that limit.
     """
     azimuth = 360.0 * np.random.default_rng([seed, 0]).random(n)
     tilt = rotation_spread * np.abs(np.random.default_rng([seed, 1]).standard_normal(n))
@@ -31,8 +37,14 @@ def stack_plants(
 ) -> PlantModel:
     """One shape for each plant: a `PlantModel` whose arrays have a leading axis `plant`.
 
-    `model_index` names the model of each plant; all models must have as many elements. Raises
-    `InputError` otherwise.
+    **Arguments:**
+
+    - `plants`: the models, each with as many elements as the others.
+    - `model_index`: index into `plants` of each plant.
+
+    **Returns:** the model that `instantiate` takes for plants of several species in one call.
+
+    **Raises:** `InputError` where the models differ in their number of elements.
     """
     sizes = {plant.position.shape[0] for plant in plants}
     if len(sizes) != 1:
@@ -54,25 +66,43 @@ def instantiate(
     flower_area: Float[Array, " plant"] | float = 0.0,
     tilt: Float[Array, " plant"] | None = None,
 ) -> tuple[Float[Array, "element 3"], Float[Array, " element"], Int[Array, " element"]]:
-    """Stand a plant model on every site: positions [m], areas [m2] and organs of all elements.
+    """Area elements of a plant model placed on every site.
 
     **Arguments:**
 
-    - `plant`: the shape, with k elements; or one shape for each plant (`stack_plants`), to stand
+    - `plant`: the shape, with k elements; or one shape for each plant (`stack_plants`), to place
       many species in one call, which compiles much faster than a call for each.
     - `sites`: x, y of the n plants [m].
     - `azimuth`: turn of each plant about the vertical [degrees], clockwise from above: the model's
       north side then faces that azimuth.
-    - `weight`: how much of each plant stands there [-], 0 to 1 (`soft_weights`). It scales the
-      areas, not the size.
+    - `weight`: weight of each plant [-], 0 to 1 (`soft_weights`). It scales the areas, not the
+      size.
     - `diameter`, `height`: of the crown and of the plant [m], for all or for each.
     - `leaf_area`, `wood_area`, `flower_area`: one-sided area of a plant of weight 1 [m2], for all
       or for each.
     - `tilt`: lean of each plant's axis from the vertical towards its azimuth [degrees].
 
-    The elements of a plant lie side by side: the results have the shapes [n k, 3], [n k], [n k].
-    The dtype follows `sites`. Differentiable in everything but `organ`. Raises `InputError` where
-    the azimuths look like radians (if they are known before tracing).
+    **Returns:** positions [m], one-sided areas [m2] and organs of all elements, of the shapes
+    [n k, 3], [n k] and [n k]; the elements of a plant lie side by side. The dtype follows `sites`.
+
+    Differentiable, to any order, in every floating argument.
+
+    **Raises:** `InputError` where the azimuths look like radians (if they are known before
+    tracing).
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.canopy import instantiate, plant_model
+    >>> position, area, organ = instantiate(
+    ...     plant_model("tussock", 50, seed=1),
+    ...     sites=jnp.array([[1.0, 1.0], [3.0, 2.0]]),
+    ...     azimuth=jnp.array([0.0, 90.0]),
+    ...     weight=jnp.array([1.0, 0.5]),
+    ...     diameter=0.6,
+    ...     height=0.5,
+    ...     leaf_area=0.4,
+    ... )
+    >>> position.shape, float(area.sum().round(6))
+    ((100, 3), 0.6)
     """
     _check_degrees(azimuth)
     sites = jnp.asarray(sites)
@@ -106,9 +136,15 @@ def instantiate(
 def unit_shapes(position: Any, azimuth: Any, tilt: Any, numpy: Any = np) -> tuple[Any, Any]:
     """Turned and leaning plants of unit size: [plant, element, 3] per diameter and per height.
 
-    An element then stands at site + diameter times the one + height times the other. `position`
-    is that of a `PlantModel`; `azimuth` and `tilt` [degrees] are those of `instantiate`;
-    `numpy` is the library that computes, numpy or jax.numpy.
+    An element of a plant is at site + diameter times the first array + height times the second.
+
+    **Arguments:**
+
+    - `position`: that of a `PlantModel`, [element, 3] or [plant, element, 3].
+    - `azimuth`, `tilt`: those of `instantiate` [degrees], one value a plant.
+    - `numpy`: the library that computes, `numpy` or `jax.numpy`.
+
+    Differentiable, with `jax.numpy`, in every array.
     """
     x, y, z = (position[..., axis] for axis in range(3))
     turn, lean = numpy.deg2rad(azimuth)[:, None], numpy.deg2rad(tilt)[:, None]

@@ -41,7 +41,12 @@ class VegetationPattern:
 
 
 def even_levels(clusters: int) -> tuple[int, ...]:
-    """Greys of evenly spaced chances up to 1: 85, 170 and 255 for three clusters."""
+    """Greys of evenly spaced chances up to 1: 85, 170 and 255 for three clusters.
+
+    **Arguments:**
+
+    - `clusters`: how many, 1 to 255.
+    """
     return tuple(round(255 * (k + 1) / clusters) for k in range(clusters))
 
 

@@ -33,10 +33,16 @@ class PlantModel(eqx.Module):
 
 
 def thin_plant(plant: PlantModel, n_elements: int, *, seed: int) -> PlantModel:
-    """The same plant of fewer elements; each organ keeps its share of them, at least one.
+    """The same plant with fewer elements.
 
-    Drawn in even steps along the elements, in proportion to their areas; those of an organ are
-    alike afterwards. A plant of no more than `n_elements` stays as it is.
+    **Arguments:**
+
+    - `plant`: the plant; one of no more than `n_elements` is returned as it is.
+    - `n_elements`: number of elements wanted. Each organ keeps its share of them, at least one.
+    - `seed`: fixes the start of the draw.
+
+    Elements are drawn in even steps along the list, in proportion to their areas; those of an organ
+    have equal areas afterwards. Not differentiable.
     """
     organ = np.asarray(plant.organ)
     if len(organ) <= n_elements:

@@ -20,14 +20,14 @@ def poisson_disk(
     seed: int,
     periodic: bool = False,
 ) -> Float[np.ndarray, "n 2"]:
-    """Blue-noise points on [0, lx) x [0, ly) [m]: no two closer than `radius`.
+    """Blue-noise points on a rectangle: no two closer than a given distance [m].
 
     Bridson's (2007) dart throwing on a grid of cells r / sqrt(2), as scipy's `qmc.PoissonDisk`
     does it: around a random active point `attempts` candidates are drawn uniformly by area from
     the disc of 2 r, of which those in the annulus r to 2 r may fit; all that fit are taken, and
     the point retires. (Bridson takes the first that fits and keeps the point active until all
     candidates fail, which packs 3 % more points.) With 30 attempts n r^2 / area is about 0.60.
-    The points come in the order in which they were found, neighbours near neighbours: shuffle
+    The points come in the order in which they were drawn, neighbours near neighbours: shuffle
     before taking a part (`assign_sites` does).
 
     **Arguments:**
@@ -38,8 +38,15 @@ def poisson_disk(
     - `seed`: the same seed gives the same points.
     - `periodic`: measure distances on the torus, for a plot that repeats itself.
 
-    Raises `InputError` for a value outside these ranges, and where more than 2e8 points would
+    **Returns:** points on [0, lx) x [0, ly) [m]. Not differentiable.
+
+    **Raises:** `InputError` for a value outside these ranges, and where more than 2e8 points would
     be needed (a radius in other units than the extent).
+
+    >>> from fynjax.canopy import poisson_disk
+    >>> points = poisson_disk((10.0, 10.0), 0.5, seed=1, periodic=True)
+    >>> points.shape
+    (237, 2)
     """
     lx, ly = (float(side) for side in extent)
     if not (np.isfinite([lx, ly, radius]).all() and min(lx, ly, radius) > 0.0):
@@ -74,9 +81,9 @@ def assign_sites(
 ) -> list[Float[np.ndarray, "site 2"]]:
     """Share one set of points out among the species: an ordered, disjoint list of sites for each.
 
-    The species take in sequence. Each meets the points still free in a random order of its own
-    and accepts one if a uniform number in [0, 255) is below the probability map's value there;
-    it goes round again, with new numbers, until it has what it needs. So the map sets the
+    The species choose in sequence. Each goes through the points still free in a random order of its
+    own and accepts a point if a uniform number in [0, 255) is below the probability map's value
+    there; it repeats this, with new numbers, until it has what it needs. So the map sets the
     pattern and `needed` the abundance, independently. A value of 0 never accepts.
 
     A species' list begins the same however long it is, and asking more for one species moves
@@ -86,14 +93,21 @@ def assign_sites(
     **Arguments:**
 
     - `points`: places [m], for instance from `poisson_disk`.
-    - `needed`: sites wanted, for each species.
-    - `probability`: None (everywhere alike), an array [y, x] of 0-255 with row 0 at the southern
+    - `needed`: number of sites for each species.
+    - `probability`: None (the same everywhere), an array [y, x] of 0-255 with row 0 at the southern
       edge, a function of (x, y) [m] that gives 0-255, or one of these for each species.
     - `extent`: (lx, ly) [m] that an array covers; required with an array.
     - `names`: of the species, for errors.
     - `seed`: the same seed gives the same sites.
 
-    Raises `InputError` where a species cannot reach its number, and for a bad map.
+    **Returns:** for each species its sites, [site, 2] [m]. Not differentiable.
+
+    **Raises:** `InputError` where a species cannot reach its number, and for a bad map.
+
+    >>> from fynjax.canopy import assign_sites, poisson_disk
+    >>> points = poisson_disk((10.0, 10.0), 0.5, seed=1)
+    >>> [len(sites) for sites in assign_sites(points, [20, 50], seed=1)]
+    [20, 50]
     """
     points = np.asarray(points, float)
     if points.ndim != 2 or points.shape[1] != 2:
@@ -191,9 +205,16 @@ def _acceptance(
 def soft_weights(
     count: Any, n_sites: int, *, width: Any = 1.0, softness: Any = 0.0
 ) -> Float[Array, " site"]:
-    """Weight in [0, 1] of each of a species' ordered sites when `count` plants stand on them.
+    """Weight in [0, 1] of each of a species' ordered sites, for a real number of plants.
 
-    See `site_weight`. If `count` exceeds `n_sites` the surplus is lost: provide enough sites.
+    **Arguments:**
+
+    - `count`: number of plants [-], at least 0. What exceeds `n_sites` is lost: provide enough
+      sites.
+    - `n_sites`: number of sites.
+    - `width`, `softness`: of the step from 1 to 0, as in `site_weight`.
+
+    Differentiable as `site_weight`.
     """
     return site_weight(count, np.arange(n_sites), width=width, softness=softness)
 
@@ -201,7 +222,7 @@ def soft_weights(
 def site_weight(
     count: Any, index: Any, *, width: Any = 1.0, softness: Any = 0.0
 ) -> Float[Array, "*site"]:
-    """Weight in [0, 1] of the site at place `index` (from 0) of a list where `count` plants stand.
+    """Weight in [0, 1] of a site in a species' ordered list, for a real number of plants.
 
     The weight is clip((count - index) / W + c, 0, 1) with W = width + softness count and
     c = max(0, (1 - 1 / W) / 2). At W = 1 whole plants carry 1 and the last one the fraction, so
@@ -209,10 +230,24 @@ def site_weight(
     the sum is still `count`, exactly for whole W. As W goes to 0 the hard scene returns:
     ceil(count) whole plants; `width=0` is that limit.
 
+    **Arguments:**
+
+    - `count`: number of plants [-], at least 0.
+    - `index`: place of the site in the list, from 0; broadcasts with `count`.
+    - `width`: of the step [plants], at least 0.
+    - `softness`: how the step widens with the number of plants [-], at least 0.
+
     W is held to at most 2 count + 1: a wider step would spill over the first site, and no plants
-    must mean no weight. `count` and `index` broadcast. Differentiable in `count`, `width` and
-    `softness`; at a kink the slope is the one to the right (at zero plants it is that of the
-    first plant appearing: 1 for W = 1).
+    must mean no weight.
+
+    Differentiable in `count`, `width` and `softness`; at a kink the slope is the one to the right
+    (at zero plants it is that of the first plant appearing: 1 for W = 1).
+
+    >>> from fynjax.canopy import soft_weights
+    >>> soft_weights(2.3, 4).round(3)
+    Array([1. , 1. , 0.3, 0. ], dtype=float64)
+    >>> soft_weights(2.3, 4, width=2.0).round(3)
+    Array([1. , 0.9, 0.4, 0. ], dtype=float64)
     """
     count = jnp.asarray(count)
     dtype = count.dtype if jnp.issubdtype(count.dtype, jnp.floating) else jnp.result_type(float)

@@ -25,13 +25,21 @@ _MOST_PARTS = 5_000_000
 def branch_rotation_spread(
     branches: Any, asymptote: Any = 35.0, growth: Any = 8.0
 ) -> Float[Array, "*n"]:
-    """sigma_rot [degrees] of a plant made of `branches` copies of one branch.
+    """sigma_rot [degrees] of a plant made of copies of one branch.
 
-    `asymptote` (1 - exp(-(branches - 1) / `growth`)): 0 for one branch, `asymptote` [degrees, 0
-    to 90] for very many; `growth` [branches, positive] is how many it takes. Form and numbers
-    are assumptions, see this module. Differentiable in every argument. Raises `InputError` for an
-    asymptote or a growth out of range, or `branches` that are not finite (if they are known before
-    tracing).
+    `asymptote` (1 - exp(-(branches - 1) / `growth`)). Form and numbers are assumptions, see this
+    module.
+
+    **Arguments:**
+
+    - `branches`: number of copies, finite; 1 gives 0.
+    - `asymptote`: the spread of very many branches [degrees, 0 to 90].
+    - `growth`: how many branches it takes [branches, positive].
+
+    Differentiable in every argument.
+
+    **Raises:** `InputError` for an asymptote or a growth out of range, or `branches` that are not
+    finite (if they are known before tracing).
     """
     for name, value, words, right in (
         ("branches", branches, "finite", np.isfinite),
@@ -51,7 +59,7 @@ def plant_from_branches(
     seed: int,
     rotation_spread: float | None = None,
 ) -> _Branch:
-    """A whole plant: `branches` copies of a branch, turned and tilted about its foot.
+    """A whole plant: copies of one branch, turned and tilted about its foot.
 
     **Arguments:**
 
@@ -63,13 +71,14 @@ def plant_from_branches(
     - `rotation_spread`: sigma_rot [degrees, 0 to 90]; `branch_rotation_spread(branches)` if left
       out.
 
-    All areas are `branches` times those of the branch. The bounding box is that of the copies (of
-    the elements, which lie a little inside that of the triangles), so that `modelled_diameter`
-    and `depth` suit eq. (5) to (9) with sigma_rot = 0. To instance the branch itself in a scene
-    instead, give `CrownPacking` its `branches` and `rotation_spread`.
+    **Returns:** the plant. All areas are `branches` times those of the branch. The bounding box is
+    that of the copies (of the elements, which lie a little inside that of the triangles), so that
+    `modelled_diameter` and `depth` suit eq. (5) to (9) with sigma_rot = 0. To instance the branch
+    itself in a scene instead, give `CrownPacking` its `branches` and `rotation_spread`. Not
+    differentiable.
 
-    Raises `InputError` for fewer than one branch, a spread out of range, or more than 5 million
-    triangles or elements in all.
+    **Raises:** `InputError` for fewer than one branch, a spread out of range, or more than 5
+    million triangles or elements in all.
     """
     if int(branches) != branches or branches < 1:
         raise InputError(f"`branches` must be a whole number of at least 1, but is {branches}")

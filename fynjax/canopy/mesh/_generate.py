@@ -65,8 +65,9 @@ class GeneratedPlant(eqx.Module):
 def leaf_sizes() -> "pd.DataFrame":
     """Leaf size of each taxon of table 1, with its source.
 
-    Columns: taxon, organ_form (blade, culm, thread or none), outline, length_mm, width_mm (the
-    diameter of culms and threads) [mm], basis (species, genus or assumed), source.
+    **Returns:** a pandas frame with the columns taxon, organ_form (blade, culm, thread or none),
+    outline, length_mm, width_mm (the diameter of culms and threads) [mm], basis (species, genus or
+    assumed) and source.
     """
     import pandas as pd  # late: the command line need not wait for it
 
@@ -91,24 +92,34 @@ def generate_plant(
 
     - `taxon`: its name in `table1_2006()`.
     - `seed`: fixes everything random; the same seed gives the same mesh.
-    - `diameter`, `height`: of the crown and of the plant [m], positive; those of table 1 (mean
+    - `diameter`, `height`: of the crown and of the plant [m], 0.01 to 10; those of table 1 (mean
       diameter, maximum height) if left out.
     - `leaf_area_index`, `wood_area_index`: one-sided area of leaves, half the surface of the wood,
-      per area of the crown's disc [-]; those of `FORM_DEFAULTS` if left out. Leaves are added
-      until their area is met; stems are made as thick as their area asks.
+      per area of the crown's disc [-], 0 to 20; those of `FORM_DEFAULTS` if left out. Leaves are
+      added until their area is met; stems get the thickness that their area needs.
     - `flowering`: part of full bloom, 0 to 1; full bloom is `FORM_DEFAULTS[...].flower_fraction`
       of the leaf area.
-    - `max_triangles`: roughly the most triangles of the mesh. Where the leaves would take more,
-      there are fewer and larger ones (`leaf_scale`).
+    - `max_triangles`: roughly the most triangles of the mesh, at least 2000. Where the leaves would
+      take more, there are fewer and larger ones (`leaf_scale`).
 
-    Leaf blades are flat sheets of two to five triangles, slightly arched; their normals follow
-    the leaf angle distribution of the form. Stems, culms, threads and spikelets are closed tubes,
-    of which half the surface is the one-sided area: `plant_model_from_mesh(mesh, n,
-    solid_materials="closed")` counts so. Threads of the climber lie nearly level and have the
-    normals of level cylinders.
+    **Returns:** a `GeneratedPlant`. Leaf blades are flat sheets of two to five triangles, slightly
+    arched; their normals follow the leaf angle distribution of the form. Stems, culms, threads and
+    spikelets are closed tubes, of which half the surface is the one-sided area:
+    `plant_model_from_mesh(mesh, n, solid_materials="closed")` counts so. Threads of the climber lie
+    nearly level and have the normals of level cylinders. The areas are met to rounding, diameter
+    and height to 1e-3. Not differentiable.
 
-    The areas are met to rounding, diameter and height to 1e-3. Raises `InputError` for an unknown
-    taxon, sizes and areas out of range, and areas that do not fit into the size.
+    **Raises:** `InputError` for an unknown taxon, sizes and areas out of range, and areas that do
+    not fit into the size.
+
+    >>> from fynjax.canopy import generate_plant, plant_model_from_mesh, table1_2006
+    >>> taxon = table1_2006()["taxon"][0]
+    >>> plant = generate_plant(taxon, seed=1, max_triangles=2000)
+    >>> plant.mesh.materials
+    ('leaf', 'wood')
+    >>> model = plant_model_from_mesh(plant.mesh, 100, solid_materials="closed")
+    >>> model.plant.position.shape
+    (100, 3)
     """
     table = table1_2006().set_index("taxon")
     if taxon not in table.index:

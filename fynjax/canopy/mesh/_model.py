@@ -31,12 +31,18 @@ from fynjax.canopy.mesh._read import default_up, plant_mesh_of
 def read_plant_mesh(mesh: Any, *, up: Literal["y", "z"] | None = None) -> PlantMesh:
     """The triangles and material names of a mesh, upright and in one frame.
 
-    `mesh`: a file trimesh reads (OBJ with MTL, PLY, STL, GLB), a `trimesh.Trimesh`, a
-    `trimesh.Scene` or a `PlantMesh`; in metres. `up`: its vertical axis; if left out y in
-    a GLB or glTF file, as that standard says, else z (trimesh exports a mesh to GLB as it is, z
-    upwards if it was so). A geometry without a material goes by its own name, a single mesh by
-    "". An OBJ's names are read without its MTL. Raises `InputError` for a mesh that cannot
-    be read, has no faces, or whose stored vertex normals are zero or point against its faces.
+    **Arguments:**
+
+    - `mesh`: a file trimesh reads (OBJ with MTL, PLY, STL, GLB), a `trimesh.Trimesh`, a
+      `trimesh.Scene` or a `PlantMesh`; in metres.
+    - `up`: its vertical axis; if left out y in a GLB or glTF file, as that standard defines, else z
+      (trimesh exports a mesh to GLB as it is, z upwards if it was so).
+
+    **Returns:** a `PlantMesh`, z upwards. A geometry without a material has its own name as
+    material, a single mesh "". An OBJ's names are read without its MTL.
+
+    **Raises:** `InputError` for a mesh that cannot be read, has no faces, or whose stored vertex
+    normals are zero or point against its faces.
     """
     up = default_up(mesh) if up is None else up
     if up not in ("y", "z"):
@@ -71,8 +77,8 @@ def plant_model_from_mesh(
     - `n_elements`: number of elements, shared among the materials by area, at least one each.
       None makes every facet an element: its centre, its area, its normal.
     - `organ_of_material`: organ ("leaf", "wood", "flower" or `Organ`) or `PlantMaterial` of each
-      material name. Without it the words of a name tell ("Bark", "leaves.001", "petal"); a mesh
-      of a single material that tells nothing is all leaf.
+      material name. Without it the organ is read from the words of the name ("Bark", "leaves.001",
+      "petal"); a mesh of a single material without such a word is all leaf.
     - `seed`: fixes the draw.
     - `up`: the vertical axis of the mesh, as in `read_plant_mesh`.
     - `solid_materials`: materials modelled as closed surfaces (a stem as a tube), of which half
@@ -81,10 +87,21 @@ def plant_model_from_mesh(
       where wood has others.
     - `maximum_extent`: a mesh larger than this [m] is taken to be in other units.
 
-    x and y are centred on the bounding box and divided by the modelled diameter (eq. 7), z by
-    the depth. Raises `InputError` for a mesh without faces or with no area, flat, not finite, in
-    other units (or smaller than 5 mm), with zero or inverted normals, or with a material that has
-    no organ, or several of which none is recognised.
+    **Returns:** a `MeshPlant`. x and y are centred on the bounding box and divided by the modelled
+    diameter (eq. 7), z by the depth. Not differentiable.
+
+    **Raises:** `InputError` for a mesh without faces or with no area, flat, not finite, in other
+    units (or smaller than 5 mm), with zero or inverted normals, or with a material that has no
+    organ, or several of which none is recognised.
+
+    >>> import trimesh
+    >>> from fynjax.canopy import plant_model_from_mesh
+    >>> box = trimesh.creation.box((0.4, 0.4, 0.6))  # closed, 1.28 m2 of surface
+    >>> plant = plant_model_from_mesh(box, 200, {"": "wood"}, solid_materials="closed")
+    >>> plant.organ_area.round(3)  # one-sided, of leaf, wood and flower [m2]
+    Array([0.  , 0.64, 0.  ], dtype=float64)
+    >>> plant.modelled_diameter, plant.depth
+    (0.4, 0.6)
     """
     file = str(mesh) if isinstance(mesh, str | Path) else None
     read = read_plant_mesh(mesh, up=up)

@@ -15,9 +15,14 @@ _ORGANS = {word: organ for organ, words in _WORDS.items() for word in words.spli
 
 
 def organ_of_name(name: str) -> Organ | None:
-    """The organ that the words of a name tell: "Leaves", "oak_bark.001", "PetalMat".
+    """The organ that the words of a name stand for: "Leaves", "oak_bark.001", "PetalMat".
 
-    None where no word is known, or where they tell of several organs ("leaf_stem").
+    **Arguments:**
+
+    - `name`: of a material or a part, in English.
+
+    **Returns:** the organ; None where no word is known, or where the words stand for several organs
+    ("leaf_stem").
     """
     words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)
     bare = [re.sub(r"(material|mat|texture|tex)$", "", word.lower()) for word in words]

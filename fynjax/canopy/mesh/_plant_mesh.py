@@ -129,9 +129,20 @@ def mesh_plant(
     high: np.ndarray,
     solid_share: tuple[float, ...],
 ) -> MeshPlant:
-    """Record of elements in metres, whose plant fills the box from `low` to `high` [m].
+    """Plant model of elements given in metres, with the sizes and areas it had.
 
-    Raises `InputError` where the elements of an organ have no area.
+    **Arguments:**
+
+    - `point`: [element, 3] places of the elements [m].
+    - `normal`: [element, 3] unit normals; their sign does not matter.
+    - `area`: [element] one-sided areas [m2].
+    - `material`: [element] index into `names` and `materials`.
+    - `names`: of the materials.
+    - `materials`: what each stands for.
+    - `low`, `high`: opposite corners of the box that the plant fills [m].
+    - `solid_share`: part of each material's area that bounds bodies [-].
+
+    **Raises:** `InputError` where the elements of an organ have no area.
     """
     organs = [int(organ_named(kind.organ, name)) for kind, name in zip(materials, names)]
     organ = np.array(organs)[material]

@@ -15,7 +15,14 @@ _USEMTL = re.compile(r"^[ \t]*usemtl[ \t]+(.*?)[ \t]*\r?$", re.MULTILINE)
 
 
 def default_up(mesh: Any) -> Literal["y", "z"]:
-    """The vertical axis that a mesh is taken to have: y in a glTF file, as its standard says."""
+    """The vertical axis that a mesh is taken to have.
+
+    **Arguments:**
+
+    - `mesh`: a file, or any object.
+
+    **Returns:** "y" for a glTF file (.glb, .gltf), as that standard defines, else "z".
+    """
     gltf = isinstance(mesh, str | Path) and Path(mesh).suffix.lower() in (".glb", ".gltf")
     return "y" if gltf else "z"
 
@@ -23,7 +30,7 @@ def default_up(mesh: Any) -> Literal["y", "z"]:
 def plant_mesh_of(mesh: Any) -> PlantMesh:
     """Triangles and materials of a file or an object of trimesh, in one frame.
 
-    Raises `InputError` for what `read_plant_mesh` says.
+    Raises `InputError` as `read_plant_mesh`.
     """
     import trimesh
 

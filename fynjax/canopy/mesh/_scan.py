@@ -37,13 +37,19 @@ def read_scan(
 ) -> tuple[
     Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"], Int[np.ndarray, " point"] | None
 ]:
-    """Points [m], normals and organs (None if the file has none) of a scanned plant.
+    """Points, normals and organs of a scanned plant.
 
-    PLY with the vertex properties x, y, z, nx, ny, nz, or text (CSV, TXT, XYZ; commas, semicolons,
-    tabs or blanks between) with these columns under a header, which may be a comment as
-    CloudCompare writes it, or in this order without one. A column `organ` holds leaf, wood,
-    flower or 0, 1, 2. Raises `InputError` for a file without normals or that cannot be read, and
-    with the row of a cell that is wrong.
+    **Arguments:**
+
+    - `path`: PLY with the vertex properties x, y, z, nx, ny, nz, or text (CSV, TXT, XYZ; commas,
+      semicolons, tabs or blanks between) with these columns under a header, which may be a comment
+      as CloudCompare writes it, or in this order without one. A column `organ` holds leaf, wood,
+      flower or 0, 1, 2.
+
+    **Returns:** points [m], normals [-], and the organ of each point, None if the file has none.
+
+    **Raises:** `InputError` for a file without normals or that cannot be read, and with the row of
+    a cell that is wrong.
     """
     file = str(path)
     is_ply = Path(path).suffix.lower() == ".ply"
@@ -77,17 +83,20 @@ def plant_model_from_points(
 
     **Arguments:**
 
-    - `points`: on its surfaces [m]. `normals`: unit normals; their sign does not matter.
+    - `points`: on its surfaces [m].
+    - `normals`: unit normals; their sign does not matter.
     - `n_elements`: number of elements, shared among the organs by area, at least one each; None
       keeps every point.
     - `organ`: of all points, or of each (0 leaf, 1 wood, 2 flower).
     - `organ_area`: one-sided area [m2] of organs where it is known; the others get the area that
-      the spacing of their points shows (see this module).
-    - `neighbours`: how many neighbours show a point's surroundings, at least 4.
+      follows from the spacing of their points (see this module).
+    - `neighbours`: number of neighbours that a point's surroundings are taken from, at least 4.
     - `up`, `maximum_extent`: as in `plant_model_from_mesh`.
     - `seed`: fixes which points are drawn.
 
-    Raises `InputError` for normals that are zero or not of unit length, points that are not
+    **Returns:** a `MeshPlant`. Not differentiable.
+
+    **Raises:** `InputError` for normals that are zero or not of unit length, points that are not
     finite, too few, flat or in other units, organs or areas out of range, and an organ whose
     points have no area.
     """
