@@ -172,7 +172,7 @@ def plant_model(form: str, n_elements: int, *, seed: int) -> PlantModel:
     >>> plant = plant_model("rounded_shrub", 100, seed=1)
     >>> plant.position.shape, int((plant.organ == Organ.LEAF).sum())
     ((100, 3), 75)
-    >>> float(plant.area_fraction[plant.organ == Organ.LEAF].sum().round(6))
+    >>> round(float(plant.area_fraction[plant.organ == Organ.LEAF].sum()), 6)
     1.0
     """
     if form not in FORM_DEFAULTS:

@@ -101,7 +101,7 @@ def instantiate(
     ...     height=0.5,
     ...     leaf_area=0.4,
     ... )
-    >>> position.shape, float(area.sum().round(6))
+    >>> position.shape, round(float(area.sum()), 6)
     ((100, 3), 0.6)
     """
     _check_degrees(azimuth)

@@ -23,7 +23,17 @@ Scalar = Float[Array, ""]
 
 
 def mean(values: Sample, valid: Mask | None = None) -> Scalar:
-    """Mean of the valid pixels, in their unit. Linear, hence differentiable to any order."""
+    """Mean of the valid pixels, in their unit.
+
+    **Arguments:**
+
+    - `values`: pixels of any shape.
+    - `valid`: true where a pixel counts; all unless given.
+
+    **Raises:** `InputError` for no pixel, or a mask of another shape.
+
+    Linear in `values`, hence differentiable to any order.
+    """
     x, weight = _flat(values, valid)
     return jnp.sum(x) / jnp.sum(weight)
 
@@ -31,7 +41,14 @@ def mean(values: Sample, valid: Mask | None = None) -> Scalar:
 def standard_deviation(values: Sample, valid: Mask | None = None) -> Scalar:
     """Population standard deviation of the valid pixels (divided by n), in their unit.
 
-    Differentiable; where all pixels are equal it is 0 with the gradient 0.
+    **Arguments:**
+
+    - `values`: pixels of any shape.
+    - `valid`: true where a pixel counts; all unless given.
+
+    **Raises:** `InputError` for no pixel, or a mask of another shape.
+
+    Differentiable in `values`; where all pixels are equal it is 0 with the gradient 0.
     """
     x, weight = _flat(values, valid)
     count = jnp.sum(weight)
@@ -49,8 +66,16 @@ def quantiles(
 ) -> Float[Array, " q"]:
     """Quantiles of the valid pixels by linear interpolation, in their unit (NumPy's default).
 
-    Differentiable almost everywhere, by sorting: each quantile moves with the one or two pixels
-    that it lies on, so no smoothed version is needed. Probabilities are in [0, 1].
+    **Arguments:**
+
+    - `values`: pixels of any shape.
+    - `probabilities`: in [0, 1].
+    - `valid`: true where a pixel counts; all unless given.
+
+    **Raises:** `InputError` for no pixel, or a mask of another shape.
+
+    Differentiable in `values` almost everywhere, by sorting: each quantile moves with the one or
+    two pixels that it lies on, so no smoothed version is needed.
     """
     x, weight = _flat(values, valid)
     count = jnp.sum(weight > 0)
@@ -72,15 +97,31 @@ def histogram_intersection(
     real_valid: Mask | None = None,
     simulated_valid: Mask | None = None,
 ) -> Scalar:
-    """Overlap of two normalised histograms, the sum over bins of the smaller share, in [0, 1].
+    """Overlap of two normalised histograms, the sum over bins of the smaller share [-], in [0, 1].
 
     Bins are equal and span the pooled range of the valid pixels, as in `numpy.histogram` (the last
     one closed); 256 of them reproduce the equal values that the paper prints for indices that are
     monotone functions of each other. One minus it is the total variation distance of the
-    histograms. Piecewise constant, so its gradient is zero: see `smooth_histogram_intersection`.
-    With `limits`, the lower and upper edge in the values' unit, the bins span these instead, and
-    pixels beyond count in the outermost bins.
-    Swain and Ballard (1991).
+    histograms.
+
+    **Arguments:**
+
+    - `real`, `simulated`: the two samples, pixels of any shape and in one unit.
+    - `bins`: number of bins, at least 1.
+    - `limits`: lower and upper edge of the histograms, in the values' unit; pixels beyond count in
+      the outermost bins. The pooled range unless given.
+    - `real_valid`, `simulated_valid`: true where a pixel counts; all unless given.
+
+    **Raises:** `InputError` for no pixel, or a mask of another shape.
+
+    Piecewise constant, so its gradient is zero: see `smooth_histogram_intersection`. Swain and
+    Ballard (1991).
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.metrics import histogram_intersection
+    >>> real, simulated = jnp.array([0.1, 0.2, 0.3, 0.4]), jnp.array([0.3, 0.4, 0.4, 0.5])
+    >>> float(histogram_intersection(real, simulated, bins=4))
+    0.5
     """
     x, wx = _flat(real, real_valid)
     y, wy = _flat(simulated, simulated_valid)
@@ -110,8 +151,21 @@ def ks_distance(
 ) -> Scalar:
     """Two-sample Kolmogorov-Smirnov distance, the largest gap of the two distributions [-].
 
-    Equal to the statistic of `scipy.stats.ks_2samp`. It depends on ranks only, so its gradient is
-    zero: see `smooth_ks_distance`.
+    Equal to the statistic of `scipy.stats.ks_2samp`.
+
+    **Arguments:**
+
+    - `real`, `simulated`: the two samples, pixels of any shape and in one unit.
+    - `real_valid`, `simulated_valid`: true where a pixel counts; all unless given.
+
+    **Raises:** `InputError` for no pixel, or a mask of another shape.
+
+    It depends on ranks only, so its gradient is zero: see `smooth_ks_distance`.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.metrics import ks_distance
+    >>> float(ks_distance(jnp.array([0.1, 0.2, 0.3, 0.4]), jnp.array([0.3, 0.4, 0.4, 0.5])))
+    0.5
     """
     x, wx = _flat(real, real_valid)
     y, wy = _flat(simulated, simulated_valid)
@@ -131,7 +185,22 @@ def wasserstein_distance(
     """First Wasserstein (earth mover's) distance, in the values' unit.
 
     The integral of the gap between the two distributions, equal to
-    `scipy.stats.wasserstein_distance`. Differentiable almost everywhere as it stands.
+    `scipy.stats.wasserstein_distance`.
+
+    **Arguments:**
+
+    - `real`, `simulated`: the two samples, pixels of any shape and in one unit.
+    - `real_valid`, `simulated_valid`: true where a pixel counts; all unless given.
+
+    **Raises:** `InputError` for no pixel, or a mask of another shape.
+
+    Differentiable in both samples almost everywhere as it stands.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.metrics import wasserstein_distance
+    >>> distance = wasserstein_distance(jnp.array([0.1, 0.2, 0.3]), jnp.array([0.3, 0.4, 0.5]))
+    >>> round(float(distance), 6)
+    0.2
     """
     x, wx = _flat(real, real_valid)
     y, wy = _flat(simulated, simulated_valid)
@@ -155,14 +224,20 @@ def soft_histogram(
     Every pixel is divided between the two bin centres it lies between, in proportion to nearness
     (linear binning), and each bin may then be spread by a Gaussian.
 
-    **Arguments:** `limits`, the lower and upper edge of the histogram, in the values' unit: pixels
-    beyond them count in the edge bin, without gradient; `smoothing`, the standard deviation of
-    the Gaussian, in bins (0: none).
+    **Arguments:**
+
+    - `values`: pixels of any shape.
+    - `limits`: lower and upper edge of the histogram, in the values' unit: pixels beyond them count
+      in the edge bin, without gradient.
+    - `bins`: number of bins, at least 2.
+    - `smoothing`: standard deviation of the Gaussian [bins], at least 0 (none).
+    - `valid`: true where a pixel counts; all unless given.
+
+    **Raises:** `InputError` for a number out of range, for no pixel, or a mask of another shape.
 
     Continuous and piecewise linear in `values`, differentiable but where a pixel crosses a bin
     centre; with `smoothing` of 1 or more the jumps of the slope there are small. Memory is a few
-    numbers for each pixel, never pixels times bins. Raises `InputError` for `bins` < 2 or a
-    negative `smoothing`.
+    numbers for each pixel, never pixels times bins.
     """
     if bins < 2 or smoothing < 0.0:
         raise InputError(
@@ -194,7 +269,7 @@ def smooth_histogram_intersection(
     real_valid: Mask | None = None,
     simulated_valid: Mask | None = None,
 ) -> Scalar:
-    """Differentiable counterpart of `histogram_intersection`, in [0, 1] to 0.001.
+    """Differentiable counterpart of `histogram_intersection` [-], in [0, 1] to 0.001.
 
     Soft histograms instead of hard ones, and a smallest value rounded off where the two are
     within 1e-3 of a bin's mean share. For distributions that are wide against a bin it lies within
@@ -202,8 +277,17 @@ def smooth_histogram_intersection(
     smoothing removes: at most sqrt(bins / (pi n)) for n pixels (0.09 for 10 000 and 0.02 for
     160 000; up to 0.046 and 0.012 measured on NDVI-like samples).
 
-    **Arguments:** `limits`, the fixed range of the histograms. If not given it is the pooled range
-    of the valid pixels and is held constant in the derivative; an inversion should fix it.
+    **Arguments:**
+
+    - `real`, `simulated`: the two samples, pixels of any shape and in one unit.
+    - `bins`, `smoothing`: of the histograms, as in `soft_histogram`.
+    - `limits`: range of the histograms, in the values' unit. If not given it is the pooled range of
+      the valid pixels and is held constant in the derivative; an inversion should fix it.
+    - `real_valid`, `simulated_valid`: true where a pixel counts; all unless given.
+
+    **Raises:** `InputError` as `soft_histogram`.
+
+    Differentiable in both samples, once, as `soft_histogram` is.
     """
     both = _soft_pair(real, simulated, bins, smoothing, limits, real_valid, simulated_valid)
     overlap = 1.0 - 0.5 * jnp.sum(_rounded_abs(both[0] - both[1], 1e-3 / bins))
@@ -227,8 +311,18 @@ def smooth_ks_distance(
     weighted with exp(sharpness * gap). Within 0.01 of the exact one for samples whose
     distributions are wide against a bin, and mostly below it.
 
-    **Arguments:** `sharpness` of the maximum, in units of one over the distance: the value is low
-    by a few times its inverse at most; `limits` as in `smooth_histogram_intersection`.
+    **Arguments:**
+
+    - `real`, `simulated`: the two samples, pixels of any shape and in one unit.
+    - `bins`, `smoothing`: of the histograms, as in `soft_histogram`.
+    - `sharpness`: of the maximum, in units of one over the distance: the value is low by a few
+      times its inverse at most.
+    - `limits`: as in `smooth_histogram_intersection`.
+    - `real_valid`, `simulated_valid`: true where a pixel counts; all unless given.
+
+    **Raises:** `InputError` as `soft_histogram`.
+
+    Differentiable in both samples, once, as `soft_histogram` is.
     """
     both = _soft_pair(real, simulated, bins, smoothing, limits, real_valid, simulated_valid)
     gap = _rounded_abs(jnp.cumsum(both[0] - both[1]), 1e-4)

@@ -142,16 +142,27 @@ def vegetation_indices(
 ) -> Float[Array, "index ..."]:
     """Vegetation indices of a four-band reflectance image, in the paper's forms [-].
 
-    **Arguments:** `image` with the bands green, red, red edge, near infrared first, reflectance
-    fractions; `names` from `VEGETATION_INDICES`, all twenty if not given.
+    **Arguments:**
 
-    A value that is undefined (0/0, x/0, the root of a negative NDVI, a NaN in a band the index
-    uses) is NaN; statistics take `jnp.isfinite` of it as their mask. Differentiable in `image`
-    wherever the value is defined, and an undefined value has the gradient zero, not NaN. The slope
-    is the index's own and grows without limit towards black bands and, for RDVI, towards
-    NDVI = 0: an objective is better built on `smooth_vegetation_indices`.
+    - `image`: reflectance fractions [-] of the bands green, red, red edge, near infrared, on the
+      first axis.
+    - `names`: from `VEGETATION_INDICES`; all twenty if not given.
 
-    Raises `InputError` for an unknown name or an image without four bands.
+    **Returns:** one image for each index. A value that is undefined (0/0, x/0, the root of a
+    negative NDVI, a NaN in a band the index uses) is NaN; statistics take `jnp.isfinite` of it as
+    their mask.
+
+    **Raises:** `InputError` for an unknown name or an image without four bands.
+
+    Differentiable in `image` wherever the value is defined, and an undefined value has the gradient
+    zero, not NaN. The slope is the index's own and grows without limit towards black bands and, for
+    RDVI, towards NDVI = 0: an objective is better built on `smooth_vegetation_indices`.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.metrics import vegetation_indices
+    >>> pixel = jnp.array([0.06, 0.05, 0.15, 0.35])  # green, red, red edge, near infrared
+    >>> vegetation_indices(pixel, ["NDVI", "GNDVI"]).round(3)
+    Array([0.75 , 0.707], dtype=float64)
     """
     chosen, bands = _chosen(names), _bands(image)
     values = []
@@ -186,12 +197,17 @@ def smooth_vegetation_indices(
     gradient zero: give the mask to the statistic. What a root is taken of is lifted off zero in
     the same way, by 1e-3.
 
-    **Arguments:** as `vegetation_indices`; `floor` in reflectance [-], positive.
+    **Arguments:**
 
-    **Returns:** values and mask, one for each index. Infinitely differentiable in `image` (at
-    fixed mask), with finite slopes of at most about max(band) / floor^2. EVI alone, which is no
-    target, keeps a pole where G = (1 + N + 6 R) / 7.5. Raises `InputError` as
-    `vegetation_indices`.
+    - `image`, `names`: as in `vegetation_indices`.
+    - `floor`: reflectance that a black band is lifted to [-], positive.
+
+    **Returns:** values and mask, one for each index.
+
+    **Raises:** `InputError` as `vegetation_indices`, and for a floor that is not positive.
+
+    Infinitely differentiable in `image` (at fixed mask), with finite slopes of at most about
+    max(band) / floor^2. EVI alone, which is no target, keeps a pole where G = (1 + N + 6 R) / 7.5.
     """
     if not floor > 0.0:
         raise InputError(f"`floor` must be a positive reflectance, but is {floor:g}.")

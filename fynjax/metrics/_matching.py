@@ -44,7 +44,7 @@ def match_wavelengths(
     simulated_fwhm: ArrayLike | None = None,
     method: MatchingMethod = "auto",
 ) -> WavelengthMatch:
-    """Bring two wavelength grids together.
+    """Weights that bring two spectra onto common bands.
 
     The coarser grid (by its median step; the real one if they differ by less than a fifth) gives
     the common bands, and the other spectrum is brought onto them. Bands that the other one does
@@ -60,8 +60,17 @@ def match_wavelengths(
       over Gaussian bands of the coarser grid's widths; "auto" is "response" where the finer grid
       has at least two steps in a band's width, else "linear".
 
+    **Returns:** a `WavelengthMatch`: common bands, one matrix of weights for each spectrum (the
+    weighted spectra are then linear in the given ones), and a statement of what was done.
+
     **Raises:** `InputError` for a grid that is none in nm, an unknown method, or grids that have
     fewer than two bands in common.
+
+    >>> import numpy as np
+    >>> from fynjax.metrics import match_wavelengths
+    >>> match = match_wavelengths(np.arange(400.0, 500.0, 20.0), np.arange(400.0, 500.0, 2.0))
+    >>> match.method, match.wavelength
+    ('response', array([420., 440., 460., 480.]))
     """
     if method not in MATCHING_METHODS:
         raise InputError(

@@ -65,13 +65,28 @@ class Misfit(eqx.Module):
 def misfit_decomposition(real: Spectrum, simulated: Spectrum, valid: Mask | None = None) -> Misfit:
     """Split the squared error of a simulated spectrum into level, contrast and shape (`Misfit`).
 
-    Both spectra are on one grid; `valid` is a mask on it, and a masked value may be NaN.
+    **Arguments:**
+
+    - `real`, `simulated`: spectra on one grid, in one unit.
+    - `valid`: true where a wavelength counts; all unless given. A masked value may be NaN.
+
+    **Raises:** `InputError` if the shapes differ.
+
     Differentiable in both spectra, but for the roots where the error left is exactly zero: there
     they are 0 with the gradient 0. A constant real spectrum has no slope: its gain is NaN, and all
-    that rests on it. Raises `InputError` if the shapes differ.
+    that rests on it.
 
     Source: Gauch, Hwang and Fick (2003), Agronomy Journal 95, 1442-1446, with the real spectrum as
     the independent variable.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.metrics import misfit_decomposition
+    >>> real = jnp.array([0.1, 0.2, 0.4])
+    >>> misfit = misfit_decomposition(real, 1.5 * real + 0.02)
+    >>> round(float(misfit.gain), 6), round(float(misfit.offset), 6)
+    (1.5, 0.02)
+    >>> misfit.shares.round(3)  # level, contrast, shape
+    Array([0.828, 0.172, 0.   ], dtype=float64)
     """
     x, y, count = _pair(real, simulated, valid)
     keep: Bool[Array, " wavelength"] = (

@@ -47,11 +47,22 @@ def spectral_mask(
     region: str | tuple[float, float] = "full",
     exclude: Sequence[tuple[float, float]] = WATER_WINDOWS,
 ) -> Bool[np.ndarray, " wavelength"]:
-    """Wavelengths [nm] inside a region and outside all excluded windows; both ends included.
+    """Wavelengths inside a region and outside all excluded windows, as true and false.
 
-    `region` is a name in `SPECTRAL_REGIONS` or its lower and upper end [nm]. Raises `InputError`
-    for an unknown region, a window that is no (lower, upper) in nm, or if fewer than two
-    wavelengths are left.
+    **Arguments:**
+
+    - `wavelength`: of the spectrum [nm], increasing.
+    - `region`: a name in `SPECTRAL_REGIONS`, or its lower and upper end [nm]; both included.
+    - `exclude`: windows (lower, upper) [nm] that are left out, ends included.
+
+    **Raises:** `InputError` for an unknown region, a window that is no (lower, upper) in nm, or if
+    fewer than two wavelengths are left.
+
+    >>> import numpy as np
+    >>> from fynjax.metrics import spectral_mask
+    >>> wavelength = np.arange(400.0, 2451.0, 10.0)
+    >>> int(spectral_mask(wavelength, "swir2").sum()), int(spectral_mask(wavelength).sum())
+    (35, 161)
     """
     grid = check_wavelength(wavelength)
     if isinstance(region, str):
@@ -81,10 +92,22 @@ def spectral_mask(
 def spectral_angle(real: Spectrum, simulated: Spectrum, valid: Mask | None = None) -> Scalar:
     """Angle between two spectra as vectors [degrees], in [0, 180] (Kruse et al. 1993).
 
+    **Arguments:**
+
+    - `real`, `simulated`: spectra on one grid.
+    - `valid`: true where a wavelength counts; all unless given. A masked value may be NaN.
+
+    **Raises:** `InputError` if the shapes differ.
+
     Computed from the half angle's tangent (Kahan), so it is accurate and has bounded slopes at
-    small angles, where the arc cosine has neither. Differentiable but where the two are
+    small angles, where the arc cosine has neither. Differentiable in both but where they are
     proportional, a corner: there it is 0 to rounding and its gradient finite. NaN if a spectrum
     is all zero.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.metrics import spectral_angle
+    >>> round(float(spectral_angle(jnp.array([1.0, 0.0]), jnp.array([1.0, 1.0]))), 6)
+    45.0
     """
     x, y, _ = _pair(real, simulated, valid)
     x, y = x / _norm(x), y / _norm(y)
@@ -94,7 +117,19 @@ def spectral_angle(real: Spectrum, simulated: Spectrum, valid: Mask | None = Non
 def rmse(real: Spectrum, simulated: Spectrum, valid: Mask | None = None) -> Scalar:
     """Root mean square error, in the spectra's unit.
 
-    Differentiable; where the two are equal it is 0 with the gradient 0.
+    **Arguments:**
+
+    - `real`, `simulated`: spectra on one grid, in one unit.
+    - `valid`: true where a wavelength counts; all unless given. A masked value may be NaN.
+
+    **Raises:** `InputError` if the shapes differ.
+
+    Differentiable in both; where they are equal it is 0 with the gradient 0.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.metrics import rmse
+    >>> round(float(rmse(jnp.array([0.1, 0.3]), jnp.array([0.2, 0.2]))), 6)
+    0.1
     """
     x, y, count = _pair(real, simulated, valid)
     return _norm(y - x) / jnp.sqrt(count)
@@ -103,7 +138,10 @@ def rmse(real: Spectrum, simulated: Spectrum, valid: Mask | None = None) -> Scal
 def nrmse(real: Spectrum, simulated: Spectrum, valid: Mask | None = None) -> Scalar:
     """RMSE over the range (largest less smallest value) of the real spectrum [-], a fraction.
 
-    Differentiable; the range is that of the valid wavelengths. NaN or infinite if it is zero.
+    **Arguments:** `real`, `simulated`, `valid` and errors as for `rmse`.
+
+    Differentiable in both; the range is that of the valid wavelengths. NaN or infinite if it is
+    zero.
     """
     values = jnp.asarray(real)
     keep = jnp.ones(values.shape, bool) if valid is None else jnp.asarray(valid)
@@ -116,7 +154,9 @@ def nrmse(real: Spectrum, simulated: Spectrum, valid: Mask | None = None) -> Sca
 def pearson_correlation(real: Spectrum, simulated: Spectrum, valid: Mask | None = None) -> Scalar:
     """Pearson correlation of two spectra [-], in [-1, 1].
 
-    Differentiable. NaN if a spectrum is constant, for which it is not defined.
+    **Arguments:** `real`, `simulated`, `valid` and errors as for `rmse`.
+
+    Differentiable in both. NaN if a spectrum is constant, for which it is not defined.
     """
     x, y, count = _pair(real, simulated, valid)
     keep = jnp.ones(x.shape, bool) if valid is None else jnp.asarray(valid)
@@ -128,7 +168,12 @@ def pearson_correlation(real: Spectrum, simulated: Spectrum, valid: Mask | None 
 def relative_mean_difference(
     real: Spectrum, simulated: Spectrum, valid: Mask | None = None
 ) -> Scalar:
-    """Difference of the means over the real mean, (simulated - real) / real [-]. Differentiable."""
+    """Difference of the means over the real mean, (simulated - real) / real [-].
+
+    **Arguments:** `real`, `simulated`, `valid` and errors as for `rmse`.
+
+    Differentiable in both. Infinite or NaN where the real mean is zero.
+    """
     x, y, _ = _pair(real, simulated, valid)
     return (jnp.sum(y) - jnp.sum(x)) / jnp.sum(x)
 
@@ -136,10 +181,25 @@ def relative_mean_difference(
 def spectral_agreement(
     real: Spectrum, simulated: Spectrum, valid: Mask | None = None
 ) -> SpectralAgreement:
-    """All measures of agreement over the valid wavelengths (see `spectral_mask`).
+    """All measures of agreement of two spectra over the valid wavelengths.
 
-    Both spectra are on one grid; `valid` is a mask on it. A masked value may be NaN. Differentiable
-    in both spectra. Raises `InputError` if the shapes differ.
+    **Arguments:**
+
+    - `real`, `simulated`: spectra on one grid, in one unit.
+    - `valid`: true where a wavelength counts (`spectral_mask`); all unless given. A masked value
+      may be NaN.
+
+    **Returns:** a `SpectralAgreement`.
+
+    **Raises:** `InputError` if the shapes differ.
+
+    Differentiable in both spectra, as each of its measures.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.metrics import spectral_agreement
+    >>> agreement = spectral_agreement(jnp.array([0.1, 0.2, 0.4]), jnp.array([0.1, 0.2, 0.5]))
+    >>> round(float(agreement.rmse), 4), round(float(agreement.relative_mean_difference), 4)
+    (0.0577, 0.1429)
     """
     return SpectralAgreement(
         spectral_angle=spectral_angle(real, simulated, valid),

@@ -133,14 +133,27 @@ def spectrometer_indices(
 ) -> dict[str, Float[Array, "*spectrum"]]:
     """Indices of figure 12 from reflectance spectra [-], by name.
 
-    **Arguments:** `wavelength` of the spectra [nm], increasing and concrete (not traced);
-    `spectra`, reflectance fractions, wavelengths on the last axis.
+    **Arguments:**
+
+    - `wavelength`: of the spectra [nm], increasing and concrete (not traced).
+    - `spectra`: reflectance fractions, wavelengths on the last axis.
 
     A band is the mean of the spectrum, linear between its wavelengths, over `SPECTROMETER_BANDS`.
-    An index is left out where the spectra do not reach one of its bands or have no wavelength
-    within a band's width of its middle. Values are NaN where they are undefined (0/0, the root of
-    a negative number). Differentiable in `spectra` where defined. Raises `InputError` for a grid
-    that is none in nm.
+
+    **Returns:** each index by its name. An index is left out where the spectra do not reach one of
+    its bands or have no wavelength within a band's width of its middle. Values are NaN where they
+    are undefined (0/0, the root of a negative number).
+
+    **Raises:** `InputError` for a grid that is none in nm.
+
+    Differentiable in `spectra` where defined.
+
+    >>> import numpy as np
+    >>> from fynjax.metrics import spectrometer_indices
+    >>> wavelength = np.arange(400.0, 1001.0, 10.0)
+    >>> index = spectrometer_indices(wavelength, np.where(wavelength < 700.0, 0.05, 0.45))
+    >>> round(float(index["NDVI"]), 3), len(index)
+    (0.8, 14)
     """
     grid = check_wavelength(wavelength)
     values = jnp.asarray(spectra)

@@ -14,7 +14,14 @@ _NAME = re.compile(r"^(?P<layer>[A-Za-z]\w*)\.(?P<kind>mean|std|q(?P<percent>\d{
 
 
 def check_statistics(names: Sequence[str]) -> None:
-    """Raise `InputError` for a name that is no statistic of a band or an index."""
+    """Check the names of image statistics.
+
+    **Arguments:**
+
+    - `names`: such as "nir.mean" (see `image_statistics`).
+
+    **Raises:** `InputError` for a name that is no statistic of a band or an index.
+    """
     for name in names:
         match = _NAME.match(name)
         if match is None or match["layer"] not in (*BANDS, *VEGETATION_INDICES):
@@ -29,14 +36,27 @@ def image_statistics(
     names: Sequence[str],
     valid: Bool[Array, "y x"] | None = None,
 ) -> Float[Array, " statistic"]:
-    """Statistics such as 'nir.mean', 'NDVI.std', 'GCI.q25' over the pixels of an image.
+    """Statistics of bands and vegetation indices over the pixels of an image.
 
-    **Arguments:** `image` with the bands green, red, red_edge, nir, reflectance [-]; `names`;
-    `valid`, true where a pixel counts.
+    **Arguments:**
+
+    - `image`: reflectance [-] of the bands green, red, red_edge, nir, in this order.
+    - `names`: "band or index", a dot, and "mean", "std" or "qNN" (a percentile, 00 to 99), such as
+      "nir.mean", "NDVI.std", "GCI.q25".
+    - `valid`: true where a pixel counts; all unless given.
+
+    **Returns:** one value for each name, in the unit of its band or index.
+
+    **Raises:** `InputError` for an unknown name.
 
     Indices are the smooth ones, which are finite in black pixels; pixels where an index is
-    undefined are left out of its statistics. Differentiable in `image`. Raises `InputError` for
-    an unknown name.
+    undefined are left out of its statistics. Differentiable in `image`.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.metrics import image_statistics
+    >>> image = jnp.array([0.06, 0.05, 0.15, 0.35])[:, None, None] * jnp.ones((4, 3, 3))
+    >>> image_statistics(image, ["nir.mean", "NDVI.q50"]).round(3)
+    Array([0.35, 0.75], dtype=float64)
     """
     check_statistics(names)
     indices = list(

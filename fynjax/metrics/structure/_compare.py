@@ -65,9 +65,18 @@ def choose_grain(
     Least change alone takes any grain of several, by chance: large ones hold so few cells that a
     change can be small, and cut off more of the plot.
 
-    **Arguments:** `structures` of one cloud with grains that grow.
+    **Arguments:**
 
-    **Raises:** `InputError` if no grain fits; the message says what each of them lacks.
+    - `structures`: of one cloud, with grains that grow.
+    - `least_returns`: returns with which a cell counts.
+    - `least_cells`: share of cells that must count [-], 0 to 1.
+    - `median_returns`: median of the returns of cells, at least.
+    - `largest_change`: change of metrics up to which a grain is taken [-]; None takes the least.
+
+    **Returns:** cells of the grain chosen, and a `GrainCheck` for each of `structures`. Not
+    differentiable.
+
+    **Raises:** `InputError` if no grain fits; the message lists what each of them lacks.
     """
     checks = check_grains(
         structures,
@@ -102,7 +111,15 @@ def check_grains(
     least_cells: float = LEAST_CELLS,
     median_returns: float = MEDIAN_RETURNS,
 ) -> tuple[GrainCheck, ...]:
-    """How each grain does under the paper's rule; arguments as `choose_grain` has them."""
+    """How each grain does under the paper's rule.
+
+    **Arguments:**
+
+    - `structures`: of one cloud, with grains that grow.
+    - `least_returns`, `least_cells`, `median_returns`: as in `choose_grain`.
+
+    **Raises:** `InputError` for grains that do not grow.
+    """
     grains = [structure.grid.grain for structure in structures]
     if not grains or any(b <= a for a, b in pairwise(grains)):
         raise InputError(f"grains must grow, but are {grains}")
@@ -137,9 +154,18 @@ def check_grains(
 def thinnings(
     returns: int, target: int, repetitions: int, rng: np.random.Generator
 ) -> Iterator[NDArray[np.int64]]:
-    """Numbers of `target` of `returns` returns, drawn without replacement, in order, repeatedly.
+    """Random subsets of a cloud's returns, each of the same size.
 
-    Raises `InputError` if there are fewer than `target`.
+    **Arguments:**
+
+    - `returns`: number of returns of the cloud.
+    - `target`: number of returns of each subset, 1 to `returns`.
+    - `repetitions`: number of subsets.
+    - `rng`: source of the draws.
+
+    **Returns:** an iterator over the indices of each subset, increasing, drawn without replacement.
+
+    **Raises:** `InputError` if there are fewer returns than `target`.
     """
     if not 0 < target <= returns:
         raise InputError(f"cannot thin {returns} returns to {target}")
@@ -148,7 +174,15 @@ def thinnings(
 
 
 def central_interval(values: ArrayLike, confidence: float = 0.95) -> tuple[float, float]:
-    """The central part of the values, by quantiles; `confidence` is its share [-]."""
+    """The central part of a sample, by quantiles.
+
+    **Arguments:**
+
+    - `values`: of any unit.
+    - `confidence`: share of the values inside [-], 0 to 1.
+
+    **Returns:** lower and upper end, in the unit of the values.
+    """
     tail = 50.0 * (1.0 - confidence)
     low, high = np.percentile(np.asarray(values, np.float64), [tail, 100.0 - tail])
     return float(low), float(high)
@@ -161,9 +195,18 @@ def bootstrap_interval(
     confidence: float = 0.95,
     rng: np.random.Generator,
 ) -> tuple[float, float] | None:
-    """Percentile interval of the mean over cells, by resampling cells; none for less than two.
+    """Percentile interval of the mean over cells, by resampling cells (Efron 1979).
 
     Cells are taken as independent; neighbours that are alike make the interval too narrow.
+
+    **Arguments:**
+
+    - `values`: one a cell, of any unit.
+    - `resamples`: number of resamples.
+    - `confidence`: probability that the interval covers [-], 0 to 1.
+    - `rng`: source of the draws.
+
+    **Returns:** lower and upper end, in the unit of the values; None for fewer than two cells.
     """
     from scipy.stats import bootstrap
 
@@ -183,13 +226,25 @@ def bootstrap_interval(
 
 
 def height_percentiles(height: ArrayLike, percents: Sequence[float]) -> NDArray[np.float64]:
-    """Percentiles of heights [m] by linear interpolation (type 7 of R, NumPy's own)."""
+    """Percentiles of heights [m] by linear interpolation (type 7 of R, NumPy's default).
+
+    **Arguments:**
+
+    - `height`: of returns above the ground [m].
+    - `percents`: 0 to 100.
+    """
     return np.percentile(np.asarray(height, np.float64), percents)
 
 
 def height_shares(height: ArrayLike, width: float, bins: int) -> NDArray[np.float64]:
-    """Share of returns in each of `bins` bins of `width` [m] from the ground; higher ones in the
-    last."""
+    """Share of returns in each bin of heights [-].
+
+    **Arguments:**
+
+    - `height`: of returns above the ground [m].
+    - `width`: height of a bin [m], positive; bins begin at the ground.
+    - `bins`: number of bins; higher returns count in the last.
+    """
     # As for layers, what is a rounding error below an edge is on it.
     index = np.floor(np.asarray(height, np.float64) / width + 1e-6).astype(np.int64)
     counts = np.bincount(np.clip(index, 0, bins - 1), minlength=bins)
@@ -197,10 +252,20 @@ def height_shares(height: ArrayLike, width: float, bins: int) -> NDArray[np.floa
 
 
 def height_intersection(real: ArrayLike, simulated: ArrayLike, width: float) -> float:
-    """Sum of the smaller share of both in bins of heights [-]; `width` of a bin [m].
+    """Overlap of two distributions of heights, the sum over bins of the smaller share [-].
 
-    Bins begin at the ground. The value depends on the width, and on the number of returns where
-    they are few for each bin.
+    The value depends on the width, and on the number of returns where they are few for each bin.
+
+    **Arguments:**
+
+    - `real`, `simulated`: heights of returns above the ground [m].
+    - `width`: height of a bin [m], positive; bins begin at the ground.
+
+    Not differentiable: see `smooth_height_intersection`.
+
+    >>> from fynjax.metrics import height_intersection
+    >>> height_intersection([0.05, 0.15, 0.25, 0.35], [0.05, 0.06, 0.15, 0.25], width=0.1)
+    0.75
     """
     both = [np.asarray(h, np.float64) for h in (real, simulated)]
     bins = int(np.floor(max(h.max() for h in both) / width + 1e-6)) + 1

@@ -42,12 +42,23 @@ class CellGrid:
 def cell_grid(
     bounds: tuple[float, float, float, float], grain: float, *, slack: float = 0.0
 ) -> CellGrid:
-    """The whole cells of side `grain` [m] in a rectangle, from its south-west corner.
+    """The whole cells of a given side in a rectangle, from its south-west corner.
 
     What is left over at the eastern and northern edge belongs to no cell: 3 m cells leave a strip
-    of 1 m of a plot of 10 m. With `slack` [m] the cells may be that much wider than the rectangle,
-    in the middle of which they then lie: for a rectangle of points, which never reach the very
-    edge of their plot. Raises `InputError` where not one cell fits.
+    of 1 m of a plot of 10 m.
+
+    **Arguments:**
+
+    - `bounds`: west, south, east and north edge of the plot [m].
+    - `grain`: side of a cell [m], positive.
+    - `slack`: the cells may be that much wider than the rectangle [m], in the middle of which they
+      then lie: for a rectangle of points, which never reach the very edge of their plot.
+
+    **Raises:** `InputError` where not one cell fits.
+
+    >>> from fynjax.metrics import cell_grid
+    >>> cell_grid((0.0, 0.0, 10.0, 10.0), 3.0).shape
+    (3, 3)
     """
     west, south, east, north = bounds
     if not (np.isfinite(grain) and grain > 0.0):
@@ -150,8 +161,12 @@ def bin_returns(
 
     - `x`, `y`: places [m]; returns outside of all cells are left out.
     - `height`: above ground [m]; below 0 counts as 0.
+    - `grid`: the cells (`cell_grid`).
+    - `settings`: layers and thresholds.
     - `weight`: what each return counts [-]: one over the number of returns of its pulse, or 0 and
       1 to choose first returns; 1 unless given.
+
+    **Returns:** a `BinnedReturns`, for `cell_structure`. Not differentiable.
 
     **Raises:** `InputError` for arrays of different length, NaN, weights that are negative, no
     return inside, or more cells times layers than memory is for.
@@ -203,11 +218,27 @@ def bin_returns(
 def cell_structure(returns: BinnedReturns) -> CellStructure:
     """Exact structure metrics in each cell.
 
-    Those of `STRUCTURE_METRICS`, each as `returns.settings` define it. Undefined, and NaN, are:
-    the diversity of a cell without a return in its layers; the density's mean without a layer and
-    its deviation with less than two; the rugosity of less than two canopy cells with returns; the
-    coefficient of variation of less than two returns, or of returns that all lie on the ground;
-    all of them in a cell without a return.
+    **Arguments:**
+
+    - `returns`: sorted into cells and layers (`bin_returns`).
+
+    **Returns:** a `CellStructure` with the metrics of `STRUCTURE_METRICS`, each as
+    `returns.settings` define it. Undefined, and NaN, are: the diversity of a cell without a return
+    in its layers; the density's mean without a layer and its deviation with less than two; the
+    rugosity of less than two canopy cells with returns; the coefficient of variation of less than
+    two returns, or of returns that all lie on the ground; all of them in a cell without a return.
+
+    Not differentiable: see `smooth_cell_structure`.
+
+    >>> import numpy as np
+    >>> from fynjax.metrics import StructureSettings, bin_returns, cell_grid, cell_structure
+    >>> rng = np.random.default_rng(1)
+    >>> x, y, height = rng.random(400) * 2.0, rng.random(400) * 2.0, rng.random(400)
+    >>> cells = cell_grid((0.0, 0.0, 2.0, 2.0), 1.0)
+    >>> returns = bin_returns(x, y, height, cells, StructureSettings())
+    >>> structure = cell_structure(returns)
+    >>> structure.metrics["gap_fraction"].shape, round(structure.means()["height_cv"], 2)
+    ((2, 2), 0.55)
     """
     grid, settings = returns.grid, returns.settings
     cells, layers = grid.rows * grid.columns, returns.layers
