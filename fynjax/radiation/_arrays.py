@@ -37,22 +37,40 @@ def voxel_scene(
 
     **Arguments:**
 
-    - `area_density`: one-sided area per volume of each class [m2 m-3], layers from the ground up,
-      rows from the south, columns from the west.
-    - `reflectance`, `transmittance`: of one side of a leaf [-].
+    - `area_density`: one-sided area per volume of each class [m2 m-3], not negative; layers from
+      the ground up, rows from the south, columns from the west.
+    - `reflectance`, `transmittance`: of one side of a leaf [-], at least 0 and at most 1 in sum.
     - `voxel`: edges of a voxel in x, y and z [m]; the first two must be equal.
-    - `ground`: reflectance, one value a band or a map for each [-].
-    - `sun_zenith` in [0, 89.5), `sun_azimuth` clockwise from north: where the sun stands [degrees].
-    - `sun`, `sky`: irradiance on the horizontal plane [any unit], one value or one a band;
-      `sky_pattern`: see `Illumination`.
-    - `leaf_angles`: a name (see `fynjax.canopy.leaf_angle`) or a distribution, for all classes
-      or each.
+    - `ground`: reflectance [-], one value a band or a map for each, 0 to 1.
+    - `sun_zenith`: zenith angle of the sun [degrees], in [0, 89.5).
+    - `sun_azimuth`: azimuth of the sun, clockwise from north [degrees].
+    - `sun`, `sky`: direct and diffuse irradiance on the horizontal plane [any unit], one value or
+      one a band, not negative.
+    - `sky_pattern`: relative radiance of the sky, see `Illumination`.
+    - `leaf_angles`: a name (see `fynjax.canopy.leaf_angle`) or a distribution, for all classes or
+      each.
     - `leaf_diameter`: of round leaves [m], for all classes or each; makes the hot spot.
-    - `ground_shape`, `terrain`, `boundary`: see `VoxelScene`. Terrain together with
-      `ground_shape` is refused by `solve_light`: ground of a shape of its own must be level.
+    - `ground_shape`, `terrain`, `boundary`: see `VoxelScene`. Terrain together with `ground_shape`
+      is refused by `solve_light`: ground of a shape of its own must be level.
 
-    Raises `InputError` for shapes that do not go together, for what is not numbers, and for values
-    out of range (where they are known, that is outside a transformation).
+    **Returns:** a `VoxelScene`, in the floating type of `area_density`. Differentiable: the arrays
+    become its leaves.
+
+    **Raises:** `InputError` for shapes that do not go together, for what is not numbers, and for
+    values out of range (where they are known, that is outside a transformation).
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.radiation import voxel_scene
+    >>> scene = voxel_scene(
+    ...     area_density=jnp.full((1, 2, 4, 4), 2.0),  # one class, 2 layers, 4 x 4 columns
+    ...     reflectance=jnp.array([[0.05, 0.45]]),  # red, near infrared
+    ...     transmittance=jnp.array([[0.03, 0.45]]),
+    ...     voxel=(0.25, 0.25, 0.25),
+    ...     ground=jnp.array([0.2, 0.3]),
+    ...     sun_zenith=30.0,
+    ... )
+    >>> scene.shape, scene.height
+    ((2, 4, 4), 0.5)
     """
     density = as_floats("area_density", area_density)
     dtype = density.dtype

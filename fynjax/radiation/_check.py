@@ -165,7 +165,15 @@ def check_attitude(
 
 
 def check_scene(scene: VoxelScene) -> None:
-    """Raise `InputError` for what cannot be rendered: shapes always, values where known."""
+    """Check a scene before it is rendered.
+
+    **Arguments:**
+
+    - `scene`: the canopy, its optics, its ground and its illumination.
+
+    **Raises:** `InputError` for what cannot be rendered: shapes that do not go together, and values
+    out of range where they are known, that is outside a transformation.
+    """
     density, classes, sun = scene.area_density, scene.classes, scene.illumination
     if density.ndim != 4 or 0 in density.shape:
         raise InputError(

@@ -20,6 +20,7 @@ class Fluxes(eqx.Module):
     """Where the incident light goes, as shares of the irradiance above the canopy [-]."""
 
     albedo: Float[Array, " band"]
+    """Upward through the top of the grid."""
     absorbed: Float[Array, "band class"]
     """Absorbed by each optical class."""
     transmitted: Float[Array, " band"]
@@ -27,13 +28,37 @@ class Fluxes(eqx.Module):
     transmitted_direct: Float[Array, " band"]
     """Of it, direct sun."""
     ground_absorbed: Float[Array, " band"]
+    """Absorbed by the ground."""
 
 
 def fluxes(light: Light) -> Fluxes:
-    """Albedo, absorption and transmission.
+    """Albedo, absorption and transmission of a scene.
 
-    With periodic sides and level ground they close to the tolerance of the solve. On terrain,
-    upward light that meets a slope counts as lost. Differentiable.
+    **Arguments:**
+
+    - `light`: from `solve_light`.
+
+    **Returns:** `Fluxes`, as shares of the irradiance above the canopy [-]. With periodic sides and
+    level ground albedo, absorption by canopy and by ground sum to one, to the tolerance of the
+    solve. On terrain, upward light that meets a slope counts as lost.
+
+    Differentiable in every array of the scene.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.radiation import fluxes, solve_light, voxel_scene
+    >>> scene = voxel_scene(
+    ...     area_density=jnp.full((1, 2, 4, 4), 2.0),
+    ...     reflectance=jnp.array([[0.05, 0.45]]),
+    ...     transmittance=jnp.array([[0.03, 0.45]]),
+    ...     voxel=(0.25, 0.25, 0.25),
+    ...     ground=jnp.array([0.2, 0.3]),
+    ...     sun_zenith=30.0,
+    ... )
+    >>> share = fluxes(solve_light(scene))
+    >>> share.albedo.round(2)
+    Array([0.06, 0.35], dtype=float64)
+    >>> (share.albedo + share.absorbed.sum(axis=1) + share.ground_absorbed).round(3)
+    Array([1., 1.], dtype=float64)
     """
     return _by_band(light, lambda scene, field: _fluxes(light, scene, field))
 
@@ -41,8 +66,29 @@ def fluxes(light: Light) -> Fluxes:
 def absorption(light: Light) -> Float[Array, "band z y x"]:
     """Light absorbed per volume in each voxel [irradiance unit m-1].
 
-    Times the voxel's height and averaged over the columns it sums to the absorbed share of
-    `fluxes` times the irradiance. Differentiable.
+    **Arguments:**
+
+    - `light`: from `solve_light`.
+
+    **Returns:** one grid a band. Times the voxel's height and averaged over the columns it sums to
+    the absorbed share of `fluxes` times the irradiance.
+
+    Differentiable in every array of the scene.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.radiation import absorption, solve_light, voxel_scene
+    >>> scene = voxel_scene(
+    ...     area_density=jnp.full((1, 2, 4, 4), 2.0),
+    ...     reflectance=jnp.array([[0.05, 0.45]]),
+    ...     transmittance=jnp.array([[0.03, 0.45]]),
+    ...     voxel=(0.25, 0.25, 0.25),
+    ...     ground=jnp.array([0.2, 0.3]),
+    ...     sun_zenith=30.0,
+    ... )
+    >>> absorbed = absorption(solve_light(scene))
+    >>> absorbed.mean(axis=(2, 3)).round(2)  # [band, layer]: more in red, and in the upper layer
+    Array([[0.87, 1.04],
+           [0.18, 0.2 ]], dtype=float64)
     """
 
     def absorbed_per_volume(scene: VoxelScene, field: DiffuseField) -> Array:

@@ -40,6 +40,7 @@ class Radiance(eqx.Module):
 
     @property
     def total(self) -> Float[Array, "band row column"]:
+        """Sum of the parts."""
         return self.sunlit_leaves + self.diffuse_leaves + self.ground
 
 

@@ -16,15 +16,18 @@ def area_scattering(
     incoming: Float[Array, "incoming 3"],
     outgoing: Float[Array, "outgoing 3"],
 ) -> tuple[Float[Array, "incoming outgoing"], Float[Array, "incoming outgoing"]]:
-    """Geometric factors (Gamma_r, Gamma_t) of reflection and transmission [-].
+    """Geometric factors (Gamma_r, Gamma_t) of reflection and transmission by leaves [-].
 
     **Arguments:**
 
     - `angle`: distribution of leaf normals.
     - `incoming`, `outgoing`: unit vectors along which the light *travels*.
 
-    (1/pi) times the integral of either over all outgoing directions is G of the incoming one.
-    Differentiable in the directions and in the parameters of `angle`.
+    **Returns:** one factor for each pair of directions. (1/pi) times the integral of either over
+    all outgoing directions is the projection G of the incoming one.
+
+    Differentiable in the directions and in the parameters of `angle`. Ross (1981), eq. 2.4.3;
+    Shultis and Myneni (1988).
     """
     if isinstance(angle, SphericalLeafAngle):
         # Closed form in the scattering angle b (Ross 1981): exact, and cheap per pixel. The

@@ -30,9 +30,13 @@ class Lattice(NamedTuple):
     """Cells of a layer: those of the voxels, or of the beams of the sun."""
 
     rows: int
+    """Along y."""
     columns: int
+    """Along x."""
     spacing: float
+    """Side of a cell [m]."""
     boundary: str
+    """As in `VoxelScene`."""
 
 
 class AbstractRays(eqx.Module):
@@ -269,11 +273,19 @@ def parallel_rays(
     view_zenith: Float[Array, ""],
     view_azimuth: Float[Array, ""],
 ) -> RayLattice:
-    """Rays of a distant sensor at `view_zenith` in [0, 90) and `view_azimuth` [degrees].
+    """Rays of a distant sensor, one direction for all pixels.
 
-    `x`, `y`: centres of the columns and rows of pixels on the ground [m]; `footprint`: edge of a
-    pixel there [m]. Differentiable in all but `footprint`. Raises `InputError` where there is no
-    pixel, for more than one view, and, outside a transformation, for values out of range.
+    **Arguments:**
+
+    - `x`, `y`: centres of the columns and rows of pixels on the ground [m], increasing.
+    - `footprint`: edge of a pixel there [m], positive.
+    - `view_zenith`: zenith angle of the sensor [degrees], in [0, 90).
+    - `view_azimuth`: azimuth of the sensor, clockwise from north [degrees].
+
+    **Raises:** `InputError` where there is no pixel, for more than one view, and, outside a
+    transformation, for values out of range.
+
+    Differentiable in all but `footprint`.
     """
     x, y, footprint = check_pixels(x, y, footprint)
     hint = ": rays have one view, so take one call for each"
@@ -297,10 +309,26 @@ def nadir_rays(
     footprint: float,
     camera: tuple[float, float, float],
 ) -> RayLattice:
-    """Rays of a frame camera at `camera` = (x, y, altitude) in m that looks straight down.
+    """Rays of a frame camera that looks straight down.
 
-    `x`, `y`, `footprint` and errors: as for `parallel_rays`. Differentiable in `x`, `y` and the
-    first two numbers of `camera`; the altitude must be known, and may be infinite.
+    **Arguments:**
+
+    - `x`, `y`: centres of the columns and rows of pixels on the ground [m], increasing.
+    - `footprint`: edge of a pixel there [m], positive.
+    - `camera`: (x, y, altitude) of the camera [m]. The altitude counts from the bottom of the grid;
+      it must be known and positive, and may be infinite.
+
+    **Raises:** `InputError` where there is no pixel, and, outside a transformation, for values out
+    of range.
+
+    Differentiable in `x`, `y` and the first two numbers of `camera`.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.radiation import nadir_rays
+    >>> centres = (jnp.arange(8) + 0.5) * 0.125
+    >>> rays = nadir_rays(centres, centres, footprint=0.125, camera=(0.5, 0.5, 30.0))
+    >>> rays.shape, rays.sensor_height
+    ((8, 8), 30.0)
     """
     x, y, footprint = check_pixels(x, y, footprint)
     cx, cy, altitude = check_camera(camera)
@@ -325,15 +353,26 @@ def perspective_rays(
 
     **Arguments:**
 
-    - `camera`, `target`: where it is and the point it looks at, (x, y, z) in m, z above the
-      bottom of the grid. The picture's upper edge points up, or north where it looks straight
-      down.
+    - `camera`, `target`: place of the camera and the point that its axis meets, (x, y, z) in m, z
+      above the bottom of the grid. The picture's upper edge points up, or north where the axis
+      points straight down.
     - `rows`, `columns`: pixels, which are square. Rows count from the picture's lower edge, so
       that they run northward in a picture taken straight down.
-    - `field_of_view`: full angle that the columns span [degrees].
+    - `field_of_view`: full angle that the columns span [degrees], in (0, 170).
+    - `dtype`: floating type of the rays.
 
-    Raises `InputError` where a pixel would look at or above the horizon, and for a camera below
-    the bottom of the grid, or without pixels.
+    **Raises:** `InputError` where the line of sight of a pixel is at or above the horizon, and for
+    a camera below the bottom of the grid, or without pixels.
+
+    Not differentiable in these numbers, which must be known; differentiable in the arrays of the
+    `RayField` it returns.
+
+    >>> from fynjax.radiation import perspective_rays
+    >>> rays = perspective_rays(
+    ...     (0.5, -10.0, 10.0), (0.5, 0.5, 0.0), rows=6, columns=8, field_of_view=5.0
+    ... )
+    >>> rays.shape, rays.sensor_height
+    ((6, 8), 10.0)
     """
     check_whole("rows", rows)
     check_whole("columns", columns)

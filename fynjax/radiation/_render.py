@@ -83,6 +83,7 @@ class Accuracy(eqx.Module):
 
     @property
     def ordinates(self) -> Ordinates:
+        """Directions of the diffuse light."""
         return Ordinates.create(self.levels, self.azimuths)
 
 
@@ -104,16 +105,36 @@ class Light(eqx.Module):
 
 
 def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
-    """Solve for the light in `scene`.
+    """Solve for the light in a scene: direct sun on the voxels, diffuse light by discrete
+    ordinates.
 
     **Arguments:**
 
     - `scene`: the canopy, its optics, its ground and its illumination.
     - `accuracy`: how finely; the defaults suit voxels of 10 cm.
 
-    Raises `InputError` for shapes that do not go together and, outside `jit`, for values out of
-    range. Differentiable, in forward and reverse mode, in every array of `scene`; the derivative
-    of the diffuse field is one solve with the transposed operator.
+    **Returns:** the `Light`, from which `render`, `directional_reflectance`, `fluxes` and
+    `absorption` take what they need.
+
+    **Raises:** `InputError` for shapes that do not go together and, outside `jit`, for values out
+    of range.
+
+    Differentiable, in forward and reverse mode, in every array of `scene`; the derivative of the
+    diffuse field is one solve with the transposed operator.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.radiation import solve_light, voxel_scene
+    >>> scene = voxel_scene(
+    ...     area_density=jnp.full((1, 2, 4, 4), 2.0),
+    ...     reflectance=jnp.array([[0.05, 0.45]]),
+    ...     transmittance=jnp.array([[0.03, 0.45]]),
+    ...     voxel=(0.25, 0.25, 0.25),
+    ...     ground=jnp.array([0.2, 0.3]),
+    ...     sun_zenith=30.0,
+    ... )
+    >>> light = solve_light(scene)
+    >>> bool((light.residual < 0.05).all())
+    True
     """
     accuracy = Accuracy() if accuracy is None else accuracy
     check_scene(scene)
@@ -217,7 +238,7 @@ def sun_margin(scene: VoxelScene, accuracy: Accuracy) -> int:
 
 
 def render(light: Light, rays: AbstractRays, *, chunk: int = 8) -> Radiance:
-    """Radiance along each ray of a sensor, per band. Differentiable.
+    """Radiance along each ray of a sensor, per band [irradiance unit sr-1].
 
     **Arguments:**
 
@@ -225,9 +246,30 @@ def render(light: Light, rays: AbstractRays, *, chunk: int = 8) -> Radiance:
     - `rays`: `parallel_rays`, `nadir_rays` or `perspective_rays`.
     - `chunk`: bands rendered at once where they were reduced to few solves; bounds the memory.
 
-    Multiple scattering is taken towards the middle of the field of view and scaled by the leaf
-    area that each pixel sees; direct sun, scattered once, is taken towards each pixel. Raises
-    `InputError` for a sensor inside the canopy.
+    **Returns:** `Radiance`, with its parts. Multiple scattering is taken towards the middle of the
+    field of view and scaled by the leaf area within each pixel; direct sun, scattered once, is
+    taken towards each pixel.
+
+    **Raises:** `InputError` for a sensor inside the canopy, or a `chunk` that is no number of
+    bands.
+
+    Differentiable in every array of the scene and of the rays.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.radiation import nadir_rays, render, solve_light, voxel_scene
+    >>> scene = voxel_scene(
+    ...     area_density=jnp.full((1, 2, 4, 4), 2.0),
+    ...     reflectance=jnp.array([[0.05, 0.45]]),
+    ...     transmittance=jnp.array([[0.03, 0.45]]),
+    ...     voxel=(0.25, 0.25, 0.25),
+    ...     ground=jnp.array([0.2, 0.3]),
+    ...     sun_zenith=30.0,
+    ... )
+    >>> centres = (jnp.arange(8) + 0.5) * 0.125
+    >>> rays = nadir_rays(centres, centres, footprint=0.125, camera=(0.5, 0.5, 30.0))
+    >>> radiance = render(solve_light(scene), rays)
+    >>> radiance.total.shape, round(float(radiance.gap.mean()), 2)  # exp(-G LAI) = exp(-0.5)
+    ((2, 8, 8), 0.61)
     """
     check_whole("chunk", chunk)
     if rays.sensor_height < light.scene.height:
@@ -267,7 +309,29 @@ def _render(light: Light, rays: AbstractRays, sublayers: int, chunk: int = 8) ->
 def reflectance_factor(
     light: Light, rays: AbstractRays, *, chunk: int = 8
 ) -> Float[Array, "band row column"]:
-    """pi times radiance over the irradiance above the canopy [-], as a panel calibrates it."""
+    """Reflectance factor along each ray: pi times radiance over the irradiance above the canopy
+    [-].
+
+    **Arguments:** `light`, `rays`, `chunk`, errors and derivatives as for `render`.
+
+    It is what an image holds after calibration with a panel.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.radiation import nadir_rays, reflectance_factor, solve_light, voxel_scene
+    >>> scene = voxel_scene(
+    ...     area_density=jnp.full((1, 2, 4, 4), 2.0),
+    ...     reflectance=jnp.array([[0.05, 0.45]]),
+    ...     transmittance=jnp.array([[0.03, 0.45]]),
+    ...     voxel=(0.25, 0.25, 0.25),
+    ...     ground=jnp.array([0.2, 0.3]),
+    ...     sun_zenith=30.0,
+    ... )
+    >>> centres = (jnp.arange(8) + 0.5) * 0.125
+    >>> rays = nadir_rays(centres, centres, footprint=0.125, camera=(0.5, 0.5, 30.0))
+    >>> image = reflectance_factor(solve_light(scene), rays)
+    >>> image.mean(axis=(1, 2)).round(2)  # red, near infrared
+    Array([0.08, 0.33], dtype=float64)
+    """
     incident = light.scene.illumination.incident[:, None, None]
     return jnp.pi * render(light, rays, chunk=chunk).total / incident
 
@@ -277,10 +341,34 @@ def directional_reflectance(
 ) -> Float[Array, "view band"]:
     """Mean reflectance factor of the whole scene for distant views [-].
 
-    `view_zenith` in [0, 90), `view_azimuth` clockwise from north, in degrees; one of them may be
-    a single number for all views. With no sky light this is the bidirectional reflectance factor
-    (BRF). Differentiable. Raises `InputError` for views that do not pair and, outside a
-    transformation, for views that do not look down.
+    **Arguments:**
+
+    - `light`: from `solve_light`.
+    - `view_zenith`: zenith angles of the views [degrees], in [0, 90).
+    - `view_azimuth`: their azimuths, clockwise from north [degrees]. One of the two may be a single
+      number for all views.
+
+    **Returns:** one value a view and band. With no sky light this is the bidirectional reflectance
+    factor (BRF), else the hemispherical-directional one (HDRF).
+
+    **Raises:** `InputError` for views that do not pair and, outside a transformation, for views
+    that do not look down.
+
+    Differentiable in the views and in every array of the scene.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.radiation import directional_reflectance, solve_light, voxel_scene
+    >>> scene = voxel_scene(
+    ...     area_density=jnp.full((1, 2, 4, 4), 2.0),
+    ...     reflectance=jnp.array([[0.05, 0.45]]),
+    ...     transmittance=jnp.array([[0.03, 0.45]]),
+    ...     voxel=(0.25, 0.25, 0.25),
+    ...     ground=jnp.array([0.2, 0.3]),
+    ...     sun_zenith=30.0,
+    ... )
+    >>> directional_reflectance(solve_light(scene), jnp.array([0.0, 45.0]), 180.0).round(2)
+    Array([[0.08, 0.33],
+           [0.07, 0.37]], dtype=float64)
     """
     zenith, azimuth = _views(view_zenith, view_azimuth, light.scene.area_density.dtype)
     scene, lattice = light.scene, light.accuracy.lattice

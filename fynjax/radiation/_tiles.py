@@ -33,22 +33,26 @@ def render_tiles(
     rim: int | None = None,
     mesh: jax.sharding.Mesh | None = None,
 ) -> Radiance:
-    """Radiance along each ray, solved and rendered tile by tile.
+    """Radiance along each ray of a large scene, solved and rendered tile by tile.
 
     **Arguments:**
 
     - `scene`: as for `solve_light`, of any size.
     - `rays`: `parallel_rays` or `nadir_rays` whose pixels cover the scene evenly from its
       south-west corner, a whole number to a tile.
+    - `accuracy`: as for `solve_light`.
     - `tile`: edge of a tile [voxels]; must divide the scene's sides.
     - `rim`: width of the surroundings solved with each tile [voxels]. By default what the longest
       shadow and the most slanted ray cross, and twice the height of the scene.
     - `mesh`: devices that share the tiles, with one axis; their number must divide that of the
       tiles. By default one after another on one device.
 
-    Raises `InputError` where tiles, pixels and devices do not go together. Differentiable; the
-    backward pass solves each tile once more. Against the solve of the whole scene, see the rim
-    in `tests/radiation/test_tiles.py`.
+    **Returns:** `Radiance` [irradiance unit sr-1]. It differs from that of the whole scene by what
+    lies beyond the rim (measured in `tests/radiation/test_tiles.py`).
+
+    **Raises:** `InputError` where tiles, pixels and devices do not go together.
+
+    Differentiable as `render`; the backward pass solves each tile once more.
     """
     check_scene(scene)
     _, ny, nx = scene.shape

@@ -19,7 +19,7 @@ _PIXELS = 256  # that one thread takes at a time
 
 
 class Estimate(NamedTuple):
-    """A Monte Carlo estimate and its standard error."""
+    """A Monte Carlo estimate and its standard error, in one unit and of one shape."""
 
     mean: np.ndarray
     error: np.ndarray
@@ -40,6 +40,7 @@ class FluxEstimates(NamedTuple):
     transmitted_direct: Estimate
     """Of it, direct sun."""
     ground_absorbed: Estimate
+    """Absorbed by the ground."""
     sides: Estimate
     """What leaves through the sides less what comes in through them; 0 if they are periodic."""
 
@@ -66,11 +67,12 @@ def reflectance(
     seed: int,
     band: int,
 ) -> Estimate:
-    """Mean reflectance factor of the scene for distant views [-], as `directional_reflectance`.
+    """Mean reflectance factor of the scene for distant views [-], by Monte Carlo.
 
-    Photons fly from sun and sky; whenever one meets a leaf or the ground, what it sends towards
-    each view is added with its exact transmittance on the way out (local estimate). In an open
-    scene the pixels are those whose rays pass the scene's area at the bottom of the grid.
+    Photons are traced from sun and sky; whenever one meets a leaf or the ground, what it scatters
+    towards each view is added with its exact transmittance on the way out (local estimate). In an
+    open scene the pixels are those whose rays pass the scene's area at the bottom of the grid.
+    `directional_reflectance` is the same quantity by discrete ordinates.
 
     **Arguments:**
 
@@ -78,7 +80,14 @@ def reflectance(
     - `view_zenith`, `view_azimuth`: [view] degrees, zenith in [0, 90).
     - `photons`: rounded up to a multiple of 32, the batches that give the standard error.
     - `seed`: the result depends on it alone, whatever the number of processors.
-    - `band`: place of the band, from zero.
+    - `band`: index of the band, from zero.
+
+    **Returns:** an `Estimate`, one value a view.
+
+    **Raises:** `InputError` for a view that does not look down, fewer than one photon, and a scene
+    that `check_scene` refuses.
+
+    Not differentiable.
     """
     return _reflectance(build_world(scene, band), view_zenith, view_azimuth, photons, seed)
 
@@ -93,35 +102,59 @@ def disc_reflectance(
     seed: int,
     band: int,
 ) -> Estimate:
-    """`reflectance` with explicit `leaves` (see `discs`) in the place of the turbid medium.
+    """`reflectance` with explicit leaves in the place of the turbid medium.
 
     It has the hot spot of leaves of finite size. The error is that of one layout; layouts differ.
+
+    **Arguments:**
+
+    - `leaves`: from `discs`.
+    - `scene`, `view_zenith`, `view_azimuth`, `photons`, `seed`, `band`: as for `reflectance`.
     """
     world = with_leaves(scene, leaves, band)
     return _reflectance(world, view_zenith, view_azimuth, photons, seed)
 
 
 def fluxes(scene: VoxelScene, *, photons: int, seed: int, band: int) -> FluxEstimates:
-    """Albedo, absorption and transmission of a turbid scene; arguments as for `reflectance`."""
+    """Albedo, absorption and transmission of a turbid scene, by Monte Carlo.
+
+    **Arguments:** `scene`, `photons`, `seed`, `band` and errors as for `reflectance`.
+
+    **Returns:** `FluxEstimates`, shares of the irradiance above the canopy [-].
+    """
     return _fluxes(build_world(scene, band), photons, seed)
 
 
 def disc_fluxes(
     scene: VoxelScene, leaves: Leaves, *, photons: int, seed: int, band: int
 ) -> FluxEstimates:
-    """`fluxes` with explicit `leaves` in the place of the turbid medium."""
+    """`fluxes` with explicit leaves in the place of the turbid medium.
+
+    **Arguments:**
+
+    - `leaves`: from `discs`.
+    - `scene`, `photons`, `seed`, `band`: as for `reflectance`.
+    """
     return _fluxes(with_leaves(scene, leaves, band), photons, seed)
 
 
 def image(
     scene: VoxelScene, rays: RayLattice | PixelRays, *, samples: int, seed: int, band: int
 ) -> Estimate:
-    """Reflectance factor of each pixel: pi times radiance over the irradiance above the canopy.
+    """Reflectance factor of each pixel, by Monte Carlo [-].
 
     Paths run backward from points drawn evenly over the pixel's footprint (`RayLattice`) or
     solid angle (`PixelRays`); wherever one meets a leaf or the ground the sun is added with its
-    exact transmittance, and the sky where one escapes. Returns [row, column], or the shape of
-    the rays' arrays less their last axis; other arguments as for `reflectance`.
+    exact transmittance, and the sky where one escapes.
+
+    **Arguments:**
+
+    - `scene`, `seed`, `band`: as for `reflectance`.
+    - `rays`: the pixels.
+    - `samples`: paths for each pixel.
+
+    **Returns:** pi times radiance over the irradiance above the canopy, [row, column], or the shape
+    of the rays' arrays less their last axis.
     """
     return _image(build_world(scene, band), rays, samples, seed)
 
@@ -135,7 +168,13 @@ def disc_image(
     seed: int,
     band: int,
 ) -> Estimate:
-    """`image` with explicit `leaves` in the place of the turbid medium."""
+    """`image` with explicit leaves in the place of the turbid medium.
+
+    **Arguments:**
+
+    - `leaves`: from `discs`.
+    - `scene`, `rays`, `samples`, `seed`, `band`: as for `image`.
+    """
     return _image(with_leaves(scene, leaves, band), rays, samples, seed)
 
 

@@ -26,12 +26,18 @@ class Leaves(NamedTuple):
 
 
 def discs(scene: VoxelScene, seed: int) -> Leaves:
-    """Draw leaves from the area density of `scene`.
+    """Draw leaves, as discs, from the area density of a scene.
 
     In each voxel and for each class, their number is Poisson distributed about density times
-    volume over the area of one leaf, of diameter `classes.leaf_diameter`; centres are even over
-    the voxel and normals follow the class's distribution, so leaves may stick out of their voxel.
-    Raises `InputError` if the classes have no leaf diameter, or one that is not positive.
+    volume over the area of one leaf; centres are even over the voxel and normals follow the class's
+    distribution, so leaves may stick out of their voxel.
+
+    **Arguments:**
+
+    - `scene`: with `classes.leaf_diameter` [m], positive.
+    - `seed`: the same seed gives the same leaves.
+
+    **Raises:** `InputError` if the classes have no leaf diameter, or one that is not positive.
     """
     classes = scene.classes
     world = build_world(scene, 0)
