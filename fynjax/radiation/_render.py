@@ -105,8 +105,7 @@ class Light(eqx.Module):
 
 
 def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
-    """Solve for the light in a scene: direct sun on the voxels, diffuse light by discrete
-    ordinates.
+    """Solve for the light in a scene: direct sun on voxels, diffuse light by discrete ordinates.
 
     **Arguments:**
 
@@ -309,8 +308,7 @@ def _render(light: Light, rays: AbstractRays, sublayers: int, chunk: int = 8) ->
 def reflectance_factor(
     light: Light, rays: AbstractRays, *, chunk: int = 8
 ) -> Float[Array, "band row column"]:
-    """Reflectance factor along each ray: pi times radiance over the irradiance above the canopy
-    [-].
+    """Reflectance factor along each ray [-]: pi times radiance over the incident irradiance.
 
     **Arguments:** `light`, `rays`, `chunk`, errors and derivatives as for `render`.
 

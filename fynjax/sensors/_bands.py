@@ -32,6 +32,14 @@ class BandSet(eqx.Module):
 
     All of it is static (plain numbers, hashable): a band set adds no leaves to a pytree, and
     `average` may be called inside `jax.jit`. Raises `InputError` when the fields do not match.
+
+    >>> import jax.numpy as jnp
+    >>> import numpy as np
+    >>> from fynjax.sensors import BandSet
+    >>> bands = BandSet(("red", "nir"), centre=(650.0, 860.0), fwhm=(32.0, 52.0))
+    >>> wavelength = np.arange(500.0, 1001.0, 5.0)
+    >>> bands.average(wavelength, jnp.asarray(wavelength / 1000.0)).round(3)
+    Array([0.65, 0.86], dtype=float64)
     """
 
     names: tuple[str, ...] = eqx.field(static=True, converter=tuple)
@@ -132,10 +140,15 @@ class BandSet(eqx.Module):
 def band_set_of_curves(curves: Mapping[str, Curve]) -> BandSet:
     """Bands with tabulated responses, by name.
 
-    **Arguments:** `curves`, for each name the wavelengths [nm] and the relative response [-],
-    linear between them and zero outside. The centre is the mean wavelength of the response, the
-    width the distance of the outermost points at half its maximum. Raises `InputError` as
-    `tabulated_matrix`.
+    **Arguments:**
+
+    - `curves`: for each name the wavelengths [nm], increasing, and the relative response [-], not
+      negative, linear between them and zero outside.
+
+    **Returns:** a `BandSet`. The centre is the mean wavelength of the response, the width the
+    distance of the outermost points at half its maximum.
+
+    **Raises:** `InputError` for a curve that is no response on a grid in nm.
     """
     centres, widths = [], []
     for name, (wavelength, response) in curves.items():

@@ -273,11 +273,21 @@ class OrthographicCamera(AbstractCamera):
 def check_ground_sample_distance(
     camera: FrameCamera, stated: float, *, tolerance: float = 0.02, name: str = "camera"
 ) -> float:
-    """Compare a stated ground sample distance [m] with the optics, and return the optics' own.
+    """Compare a stated ground sample distance with the optics, and return the optics' value [m].
 
-    Warns (`UserWarning`) when they differ by more than the fraction `tolerance`; the optics are
-    what fynjax renders with. `name` opens the warning. Not differentiable. Raises `InputError` if
-    `stated` is not positive.
+    Warns (`UserWarning`) when they differ by more than a given fraction; the optics are what fynjax
+    renders with.
+
+    **Arguments:**
+
+    - `camera`: optics and altitude.
+    - `stated`: ground sample distance that a source states [m], positive.
+    - `tolerance`: largest relative difference without a warning [-].
+    - `name`: of the camera; opens the warning.
+
+    **Raises:** `InputError` if `stated` is not positive.
+
+    Not differentiable.
     """
     if not stated > 0.0:
         raise InputError(f"a ground sample distance must be positive, in m, but is {stated:g}.")

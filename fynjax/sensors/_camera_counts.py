@@ -81,11 +81,18 @@ class CameraRadiometry(eqx.Module):
 def counts_to_radiance(
     counts: Float[Array, "row column"], camera: CameraRadiometry
 ) -> Float[Array, "row column"]:
-    """Radiance [W m-2 sr-1 um-1] of a picture in counts.
+    """Radiance of a picture in counts [W m-2 sr-1 um-1].
 
     L = a1 / g V (p - p_black) / (t + a2 y - a3 t y), p = counts / full scale, V = 1 / (1 + k0 r +
     ... + k5 r^6). Pixels darker than the dark level come out negative: they are noise, and cutting
-    them off would make shadows too bright. Differentiable in all arguments.
+    them off would make shadows too bright.
+
+    **Arguments:**
+
+    - `counts`: of the pixels [-], 0 to the camera's full scale.
+    - `camera`: coefficients a, k, exposure t, gain g and dark level of the picture.
+
+    Differentiable in all arguments.
     """
     counts = real_array(counts)
     scale = camera.sensitivity / (camera.gain * camera.exposure * camera.full_scale)
@@ -95,7 +102,12 @@ def counts_to_radiance(
 def radiance_to_counts(
     radiance: Float[Array, "row column"], camera: CameraRadiometry
 ) -> Float[Array, "row column"]:
-    """Counts of a picture of this radiance [W m-2 sr-1 um-1]; inverse of `counts_to_radiance`.
+    """Counts of a picture of a given radiance [-]; inverse of `counts_to_radiance`.
+
+    **Arguments:**
+
+    - `radiance`: of the pixels [W m-2 sr-1 um-1].
+    - `camera`: as in `counts_to_radiance`.
 
     Neither rounded nor cut off at the full scale, so differentiable in all arguments.
     """

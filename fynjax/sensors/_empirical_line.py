@@ -76,9 +76,9 @@ def empirical_line(
 ) -> EmpiricalLine:
     """The line through panels of known reflectance, by weighted least squares.
 
-    Weights are the effective variances s_rho^2 + (gain s_signal)^2 of each panel (York 1966), found
-    anew with the gain. Two panels are met exactly whatever the weights are; these make the
-    covariance all the same.
+    Weights are the effective variances s_rho^2 + (gain s_signal)^2 of each panel (York 1966),
+    computed again with each estimate of the gain. Two panels are met exactly whatever the weights
+    are, which still give the covariance.
 
     **Arguments:**
 
@@ -86,11 +86,26 @@ def empirical_line(
     - `reflectance`: their reflectance factors [-], for each band or the same in all.
     - `signal_sd`, `reflectance_sd`: standard deviations of these means (not of pixels); errors of
       different panels are independent. Where both are zero the panels count alike and the
-      covariance is zero but for rounding: nothing was said of how sure they are.
+      covariance is zero but for rounding: their uncertainty was not given.
 
-    Differentiable in all arguments. **Raises:** `InputError`, where values are known before
-    tracing, for fewer than two panels, panels of equal reflectance or equal signal, and brighter
-    panels with less signal.
+    **Returns:** an `EmpiricalLine`: gain, offset and their covariance, for each band.
+
+    **Raises:** `InputError`, where values are known before tracing, for fewer than two panels,
+    panels of equal reflectance or equal signal, and brighter panels with less signal.
+
+    Differentiable in all arguments. Smith and Milton (1999).
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.sensors import empirical_line
+    >>> line = empirical_line(
+    ...     signal=jnp.array([[20.0], [120.0]]),  # counts of two panels in one band
+    ...     reflectance=jnp.array([[0.05], [0.55]]),
+    ...     signal_sd=1.0,
+    ...     reflectance_sd=0.01,
+    ... )
+    >>> pixel = jnp.array([60.0])
+    >>> line.reflectance(pixel).round(3), line.standard_deviation(pixel, signal_sd=1.0).round(3)
+    (Array([0.25], dtype=float64), Array([0.009], dtype=float64))
     """
     x, y = real_array(signal), real_array(reflectance)
     if x.ndim != 2 or x.shape[0] < 2 or y.shape not in {x.shape, (x.shape[0], 1)}:
@@ -130,11 +145,20 @@ def one_panel_line(
 ) -> EmpiricalLine:
     """The line through one panel and zero: for a signal without dark level or haze.
 
-    **Arguments:** as `empirical_line`, for one panel; `offset_sd` [-] is how far from zero the
-    reflectance of no signal may be, which one panel cannot tell.
+    **Arguments:**
 
-    Differentiable. **Raises:** `InputError` unless signal and reflectance are positive, where they
-    are known before tracing.
+    - `signal`: mean signal of the panel, positive, in any unit linear in radiance.
+    - `reflectance`: its reflectance factor [-], positive, for each band or the same in all.
+    - `signal_sd`, `reflectance_sd`: standard deviations of these means.
+    - `offset_sd`: how far from zero the reflectance of no signal may be [-], which one panel cannot
+      determine.
+
+    **Returns:** an `EmpiricalLine`.
+
+    **Raises:** `InputError` unless signal and reflectance are positive, where they are known before
+    tracing.
+
+    Differentiable in all arguments.
     """
     x, y = real_array(signal), real_array(reflectance)
     y = jnp.broadcast_to(y, x.shape)
@@ -155,10 +179,17 @@ def irradiance_line(
 ) -> EmpiricalLine:
     """Reflectance pi L / E from measured irradiance, as a line over radiance.
 
-    **Arguments:** `irradiance` of the horizontal plane, and its standard deviation, in the unit of
-    the radiance times sr, such as W m-2 um-1.
+    **Arguments:**
 
-    Differentiable. **Raises:** `InputError` unless it is positive, where known before tracing.
+    - `irradiance`: of the horizontal plane, positive, in the unit of the radiance times sr, such as
+      W m-2 um-1.
+    - `irradiance_sd`: its standard deviation, in that unit.
+
+    **Returns:** an `EmpiricalLine`.
+
+    **Raises:** `InputError` unless the irradiance is positive, where it is known before tracing.
+
+    Differentiable in both arguments.
     """
     light = real_array(irradiance)
     _positive(light, "`irradiance`")
@@ -213,9 +244,13 @@ def panel_coverage(
       `pixel_m` and `origin_m` they are in pixels: 0 is the outer edge of the first one, 0.5 its
       middle. A rectangle is its four corners.
     - `shape`: (y, x) of the image. y grows with its row.
+    - `pixel_m`: edge of a pixel [m].
     - `origin_m`: (x, y) of the outer corner of the first pixel [m].
+    - `samples`: points along each edge of a pixel, at least 1.
 
     **Raises:** `InputError` for a polygon of fewer corners, without area, or outside the image.
+
+    Not differentiable.
     """
     from rasterio import Affine
     from rasterio.features import rasterize
@@ -254,13 +289,21 @@ def panel_reading(
     *,
     saturation: Float[Array, " band"] | float | None = None,
 ) -> PanelReading:
-    """Mean and spread of the pixels that a panel covers wholly. Differentiable in `image`.
+    """Mean and spread of the pixels that a panel covers wholly.
 
-    **Arguments:** `coverage` as from `panel_coverage`, known before tracing; `saturation`, the
-    signal from which on a band's pixels are full.
+    **Arguments:**
+
+    - `image`: signal of the pixels, in any unit.
+    - `coverage`: as from `panel_coverage` [-], known before tracing.
+    - `saturation`: signal from which on a band's pixels are full, in the image's unit; None: no
+      limit.
+
+    **Returns:** a `PanelReading`, in the image's unit.
 
     **Raises:** `InputError` where no pixel lies wholly inside, and, where the image is known before
     tracing, for pixels that are saturated or no numbers.
+
+    Differentiable in `image`.
     """
     image = real_array(image)
     inside = np.asarray(coverage) >= 1.0 - 1e-9
@@ -302,10 +345,15 @@ def place_panels(
 ) -> Float[Array, "band y x"]:
     """A map of ground reflectance with flat panels laid on it [-].
 
-    **Arguments:** `coverage`, the share of each pixel under each panel (`panel_coverage`);
-    `panels`, their reflectance [-]. Differentiable in `reflectance` and `panels`.
+    **Arguments:**
+
+    - `reflectance`: of the ground [-].
+    - `coverage`: share of each pixel under each panel [-] (`panel_coverage`).
+    - `panels`: their reflectance [-].
 
     **Raises:** `InputError` for shapes that do not fit, and where panels overlap, if that is known.
+
+    Differentiable in `reflectance` and `panels`.
     """
     ground, cover, panel = real_array(reflectance), real_array(coverage), real_array(panels)
     if ground.ndim != 3 or cover.shape[1:] != ground.shape[1:] or panel.ndim != 2:

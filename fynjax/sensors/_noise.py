@@ -119,14 +119,21 @@ def radiometric_noise(
     unit: str = "uW cm-2 sr-1 nm-1",
     integrations: float = 1.0,
 ) -> RadiometricNoise:
-    """Noise of the bands at `centre` [nm] from a table of coefficients on `wavelength` [nm].
+    """Noise of bands, from a table of its coefficients over wavelength.
 
-    **Arguments:** `a`, `b`, `c` on `wavelength`, for radiance in `unit` (one of
-    `RADIANCE_UNITS`); they are interpolated linearly. `integrations`: frames that one pixel
-    averages.
+    **Arguments:**
 
-    Raises `InputError` for an unknown unit, a bad wavelength grid, and bands that lie beyond the
-    table by more than its nearest step.
+    - `wavelength`: of the table [nm], increasing.
+    - `a`, `b`, `c`: coefficients of `RadiometricNoise` on it, for radiance in `unit`; they are
+      interpolated linearly.
+    - `centre`: of the bands [nm].
+    - `unit`: of the table, one of `RADIANCE_UNITS`.
+    - `integrations`: frames that one pixel averages.
+
+    **Returns:** a `RadiometricNoise`, in W m-2 sr-1 µm-1. Not differentiable.
+
+    **Raises:** `InputError` for an unknown unit, a bad wavelength grid, and bands that lie beyond
+    the table by more than its nearest step.
     """
     if unit not in RADIANCE_UNITS:
         raise InputError(

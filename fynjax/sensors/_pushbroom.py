@@ -76,6 +76,13 @@ class PushbroomCamera(AbstractCamera):
 
 
 def frame_of(camera: AbstractCamera) -> FrameCamera | None:
-    """The optics of a frame camera, or of a pushbroom sensor's line; None for another kind."""
+    """The optics of a frame camera, or of a pushbroom sensor's line.
+
+    **Arguments:**
+
+    - `camera`: of any kind.
+
+    **Returns:** the `FrameCamera`, or None for a camera without one.
+    """
     frame = camera.line if isinstance(camera, PushbroomCamera) else camera
     return frame if isinstance(frame, FrameCamera) else None

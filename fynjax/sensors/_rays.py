@@ -19,10 +19,16 @@ for all of them."""
 def camera_rays(camera: AbstractCamera) -> AbstractRays:
     """Rays of all pixels of a camera, for `fynjax.radiation.render` and `reflectance_factor`.
 
-    The camera's zero level is the bottom of the grid. Orthographic cameras, frame cameras that
-    look straight down with the upper edge north, and pushbroom sensors that fly north give
-    lattices of rays, which render fast; all others, and cameras with traced fields, give free
-    rays. Their positions and directions are differentiable in the camera's fields.
+    **Arguments:**
+
+    - `camera`: its zero level is the bottom of the grid.
+
+    **Returns:** orthographic cameras, frame cameras that point straight down with the upper edge
+    north, and pushbroom sensors with a northward track give lattices of rays, which render fast;
+    all others, and cameras with traced fields, give free rays. Their positions and directions are
+    differentiable in the camera's fields.
+
+    **Raises:** `InputError` as `parallel_rays` and `nadir_rays`.
     """
     if isinstance(camera, OrthographicCamera):
         x, y = camera.ground_coordinates()
@@ -55,10 +61,15 @@ def map_rays(
 ) -> RayLattice | RayField:
     """Rays from a regular grid of the ground to a camera: those of an orthorectified image.
 
-    **Arguments:** `x`, `y`, centres of the pixels on the zero level, which is the bottom of the
-    grid [m]; `footprint`, their edge [m]. The camera's own pixels play no part. A frame camera
-    sees all points from one place, whatever its tilt and heading; a pushbroom sensor sees each
-    from where its line of sight passes over it.
+    **Arguments:**
+
+    - `camera`: its own pixels play no part. All rays of a frame camera end at one place, whatever
+      its tilt and heading; those of a pushbroom sensor end where its line of sight passes over the
+      pixel.
+    - `x`, `y`: centres of the pixels on the zero level, which is the bottom of the grid [m].
+    - `footprint`: their edge [m], positive.
+
+    **Raises:** `InputError` as `nadir_rays`; `TypeError` for another kind of camera.
 
     Differentiable in `x` and `y`; the camera's fields must be known.
     """

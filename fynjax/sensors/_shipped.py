@@ -39,10 +39,22 @@ def shipped_sensors() -> tuple[str, ...]:
 
 
 def shipped_sensor(name: str) -> Sensor:
-    """A shipped sensor by name, such as 'mavic_3m'.
+    """A shipped sensor by name.
 
-    Warns where its file states a ground sample distance that its optics do not give. Raises
-    `InputError` for an unknown name.
+    **Arguments:**
+
+    - `name`: one of `shipped_sensors()`, such as "mavic_3m".
+
+    Warns where its file states a ground sample distance that its optics do not give.
+
+    **Raises:** `InputError` for an unknown name.
+
+    >>> from fynjax.sensors import shipped_sensor
+    >>> sensor = shipped_sensor("mavic_3m")
+    >>> sensor.bands.names
+    ('green', 'red', 'red_edge', 'nir')
+    >>> round(float(sensor.ground_sample_distance(50.0)), 4)  # m, from 50 m above the ground
+    0.023
     """
     path = sensor_folder() / f"{name}.toml"
     if name not in shipped_sensors():
@@ -64,12 +76,15 @@ def _shipped_table(name: str) -> Table:
 def build_sensor(description: Mapping[str, Any], read_table: Callable[[str], Table]) -> Sensor:
     """A sensor from the contents of its file.
 
-    **Arguments:** `description`, the tables and keys of a sensor file (`data_schemas/
-    sensor.schema.json`), valid; `read_table`, from the name of a table beside the file to its
-    columns.
+    **Arguments:**
+
+    - `description`: tables and keys of a sensor file (`data_schemas/sensor.schema.json`), valid.
+    - `read_table`: from the name of a table beside the file to its columns.
 
     Warns where the file states a ground sample distance that its optics do not give: the optics
-    are used. Raises `InputError` for bands or noise that do not fit together.
+    are used.
+
+    **Raises:** `InputError` for bands or noise that do not fit together.
     """
     bands, pixel = _bands(description["bands"], read_table)
     psf, noise = description.get("psf"), description.get("noise")
@@ -165,7 +180,11 @@ def mavic_3m() -> BandSet:
 def mavic_3m_paper_camera(position: ArrayLike = (5.0, 5.0, 50.0)) -> AbstractCamera:
     """Mavic 3M camera as the fynbos scene paper models it: 4 mm, 2 µm, 640 x 480 pixels.
 
-    `position` is (x, y, altitude) [m]. At 50 m: 2.5 cm pixels, 16 m x 12 m on the ground.
+    **Arguments:**
+
+    - `position`: (x, y, altitude) [m].
+
+    At 50 m: 2.5 cm pixels, 16 m x 12 m on the ground.
     """
     return _placed("mavic_3m_paper", position)
 
@@ -173,8 +192,12 @@ def mavic_3m_paper_camera(position: ArrayLike = (5.0, 5.0, 50.0)) -> AbstractCam
 def mavic_3m_camera(position: ArrayLike = (5.0, 5.0, 50.0)) -> AbstractCamera:
     """Mavic 3M camera by its maker: 4.34 mm, 2 µm, 2592 x 1944 pixels.
 
-    `position` is (x, y, altitude) [m]. At 50 m: 2.30 cm pixels, 59.7 m x 44.8 m on the ground.
-    Source: DJI, Mavic 3M Image Processing Guide v1.0 (2023).
+    **Arguments:**
+
+    - `position`: (x, y, altitude) [m].
+
+    At 50 m: 2.30 cm pixels, 59.7 m x 44.8 m on the ground. Source: DJI, Mavic 3M Image Processing
+    Guide v1.0 (2023).
     """
     return _placed("mavic_3m", position)
 

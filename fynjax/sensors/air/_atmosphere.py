@@ -113,10 +113,16 @@ def check_sun(zenith: float) -> None:
 def ground_irradiance(
     atmosphere: Atmosphere, reflectance: Float[Array, "*batch wavelength"]
 ) -> Float[Array, "*batch wavelength"]:
-    """Irradiance of a wide ground of this reflectance, (direct + diffuse) / (1 - S rho).
+    """Irradiance of a wide ground, (direct + diffuse) / (1 - S rho) [W m-2 um-1].
 
-    [W m-2 um-1]. Light that the ground sends up and the air sends back is counted to all orders.
-    Differentiable.
+    Light that the ground sends up and the air sends back is counted to all orders.
+
+    **Arguments:**
+
+    - `atmosphere`: of one sun; its sensor plays no part.
+    - `reflectance`: rho of the ground [-], on the atmosphere's wavelengths, its last axis.
+
+    Differentiable, to any order, in both.
     """
     black = atmosphere.direct + atmosphere.diffuse
     return black / (1.0 - atmosphere.spherical_albedo * reflectance)
@@ -127,16 +133,29 @@ def at_sensor_radiance(
     reflectance: Float[Array, "*batch wavelength"],
     background: Float[Array, "*batch wavelength"] | None = None,
 ) -> Float[Array, "*batch wavelength"]:
-    """Radiance at the sensor over a ground of this reflectance [W m-2 sr-1 um-1].
+    """Radiance at the sensor over a ground of given reflectance [W m-2 sr-1 um-1].
 
     L = path + T_up rho E / (pi (1 - S rho)), for example Vermote et al. (1997), eq. 8 and 16.
 
-    **Arguments:** `reflectance` of the pixel (reflectance factor towards the sensor, fraction) on
-    the atmosphere's wavelengths, its last axis; `background`, the reflectance of the wide
-    surroundings that light the pixel by way of the air, the pixel's own if left out. Light that
-    the surroundings send into the line of sight (adjacency) is not told from the pixel's.
+    **Arguments:**
 
-    Differentiable in all arguments.
+    - `atmosphere`: of one sun and one sensor.
+    - `reflectance`: of the pixel (reflectance factor towards the sensor, fraction) on the
+      atmosphere's wavelengths, its last axis.
+    - `background`: reflectance of the wide surroundings that light the pixel by way of the air; the
+      pixel's own if left out. Light that the surroundings send into the line of sight (adjacency)
+      is not separated from the pixel's.
+
+    Differentiable, to any order, in all arguments.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.sensors import ClearAir, at_sensor_radiance, surface_reflectance
+    >>> from fynjax.sensors import tabulated_atmosphere
+    >>> atmosphere = tabulated_atmosphere(ClearAir(sun_zenith=30.0))
+    >>> radiance = at_sensor_radiance(atmosphere, jnp.full(len(atmosphere.wavelength), 0.3))
+    >>> reflectance = surface_reflectance(atmosphere, radiance)
+    >>> round(float(reflectance[0]), 6), round(float(reflectance.min()), 6)  # opaque near 1400 nm
+    (0.3, 0.0)
     """
     reflectance = _on_grid(atmosphere, reflectance, "reflectance")
     around = reflectance if background is None else _on_grid(atmosphere, background, "background")
@@ -145,10 +164,15 @@ def at_sensor_radiance(
 
 
 def is_transparent(atmosphere: Atmosphere, threshold: float = 0.01) -> Float[Array, " wavelength"]:
-    """Where the air lets through enough to see the ground, as true and false [bool].
+    """Where the air transmits enough light to observe the ground, as true and false [bool].
 
     True where a white ground would send the sensor at least `threshold` times the largest radiance
     of any wavelength. Water vapour makes the air opaque near 1400 and 1900 nm.
+
+    **Arguments:**
+
+    - `atmosphere`: of one sun and one sensor.
+    - `threshold`: share of the largest radiance [-], 0 to 1.
     """
     signal = atmosphere.upward_transmittance * (atmosphere.direct + atmosphere.diffuse)
     return signal >= threshold * jnp.max(signal)
@@ -162,15 +186,20 @@ def surface_reflectance(
     threshold: float = 0.01,
     opaque: float = 0.0,
 ) -> Float[Array, "*batch wavelength"]:
-    """Reflectance of the ground from the radiance at the sensor; inverse of `at_sensor_radiance`.
+    """Reflectance of the ground from radiance at the sensor [-]: inverts `at_sensor_radiance`.
 
     y = pi (L - path) / (T_up E), rho = y / (1 + S y), or y (1 - S background).
 
-    **Arguments:** `radiance` [W m-2 sr-1 um-1], wavelengths on the last axis; `background`, the
-    reflectance of the wide surroundings, the pixel's own if left out. Where the air is opaque (see
-    `is_transparent`, `threshold`) nothing is known of the ground and the value `opaque` is given.
+    **Arguments:**
 
-    Differentiable; the slope is zero where the air is opaque.
+    - `atmosphere`: of one sun and one sensor.
+    - `radiance`: L at the sensor [W m-2 sr-1 um-1], wavelengths on the last axis.
+    - `background`: reflectance of the wide surroundings [-]; the pixel's own if left out.
+    - `threshold`: where the air is opaque, see `is_transparent`.
+    - `opaque`: value where the air is opaque and the ground cannot be observed.
+
+    Differentiable in the arrays; the slope is zero where the air is opaque. An example stands at
+    `at_sensor_radiance`.
     """
     radiance = _on_grid(atmosphere, radiance, "radiance")
     clear = is_transparent(atmosphere, threshold)
@@ -193,9 +222,16 @@ def band_atmosphere(atmosphere: Atmosphere, bands: BandSet) -> Atmosphere:
     it passes on, the spherical albedo with what reaches the sensor. With it, images in bands can
     go to radiance and back without their spectra. Averaging the radiance itself
     (`bands.average(atmosphere.wavelength, radiance)`) is exact and to be preferred where the
-    spectrum is known. Linear or smooth in every curve. Raises `InputError` as `BandSet.weights`.
+    spectrum is known.
 
-    The bands must be in increasing order of their centres.
+    **Arguments:**
+
+    - `atmosphere`: on its own wavelengths, which must cover the bands.
+    - `bands`: of the sensor, in increasing order of their centres.
+
+    **Raises:** `InputError` where a band lies outside the atmosphere's wavelengths.
+
+    Differentiable in every curve of `atmosphere`: linear or smooth.
     """
 
     def average(curve: Float[Array, " wavelength"]) -> Float[Array, " band"]:

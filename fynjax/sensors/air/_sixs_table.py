@@ -157,7 +157,14 @@ def _prepare(table: dict[str, Constants]) -> _Table:
 
 
 def table_limits(path: str | Path | None = None) -> dict[str, tuple[float, float]]:
-    """Range of each of `ClearAir`'s fields that a table covers, in the fields' units."""
+    """Range of each of `ClearAir`'s fields that a table covers, in the fields' units.
+
+    **Arguments:**
+
+    - `path`: of a table made by `data/make_sixs_table.py`, the shipped one if left out.
+
+    **Returns:** lowest and highest value of each field, by its name.
+    """
     table = _load(None if path is None else Path(path))
     _, water, mass = table.gas_axes
     zenith = min(
@@ -172,7 +179,15 @@ def table_limits(path: str | Path | None = None) -> dict[str, tuple[float, float
 
 
 def check_within_table(air: ClearAir, path: str | Path | None = None) -> None:
-    """Raise `InputError` for a field outside a table, where it is known before tracing."""
+    """Check that an atmosphere lies within a table.
+
+    **Arguments:**
+
+    - `air`: the atmosphere.
+    - `path`: of the table, the shipped one if left out.
+
+    **Raises:** `InputError` for a field outside the table, where it is known before tracing.
+    """
     for name, (low, high) in table_limits(path).items():
         value = getattr(air, name)
         known = not isinstance(value, jax.core.Tracer)
@@ -185,19 +200,28 @@ def check_within_table(air: ClearAir, path: str | Path | None = None) -> None:
 def tabulated_atmosphere(air: ClearAir, path: str | Path | None = None) -> Atmosphere:
     """Atmosphere interpolated in a table of 6SV, every 2.5 nm from 400 to 2500 nm.
 
-    All five curves, for a sensor that looks straight down from any height. Sunlight is that of the
-    table's solar spectrum (shipped: TSIS-1) times `air.solar_factor`. The upward transmittance is
-    what the sensor gains per light on the ground, so it knows which lines are dark already and may
-    exceed that of a fresh beam. Aerosol is one type (shipped: 6SV's continental). Pressure changes
-    scattering by air, and oxygen, carbon dioxide and methane in proportion.
+    All five curves, for a nadir sensor at any height. Sunlight is that of the table's solar
+    spectrum (shipped: TSIS-1) times `air.solar_factor`. The upward transmittance is the sensor's
+    gain per light on the ground, whose absorption lines are dark already, and may exceed that of
+    unfiltered light. Aerosol is one type (shipped: 6SV's continental). Pressure changes scattering
+    by air, and oxygen, carbon dioxide and methane in proportion.
 
-    **Arguments:** `air`, within `table_limits()`; `path` of a table made by
-    `data/make_sixs_table.py`, the shipped one if left out.
+    **Arguments:**
+
+    - `air`: the atmosphere, within `table_limits()`.
+    - `path`: of a table made by `data/make_sixs_table.py`, the shipped one if left out.
 
     **Raises:** `InputError` for a field outside the table, where it is known before tracing; a
-    traced one is moved to the nearest end, with slope zero. Differentiable in all fields of `air`;
-    twice, but for height in ozone. Vermote et al. (1997), IEEE Transactions on Geoscience and
-    Remote Sensing 35, 675-686; Kotchenova et al. (2006), Applied Optics 45, 6762-6774.
+    traced one is moved to the nearest end, with slope zero.
+
+    Differentiable in all fields of `air`; twice, but for height in ozone. Vermote et al. (1997),
+    IEEE Transactions on Geoscience and Remote Sensing 35, 675-686; Kotchenova et al. (2006),
+    Applied Optics 45, 6762-6774.
+
+    >>> from fynjax.sensors import ClearAir, tabulated_atmosphere
+    >>> atmosphere = tabulated_atmosphere(ClearAir(sun_zenith=30.0, water_vapour=2.0))
+    >>> len(atmosphere.wavelength), atmosphere.wavelength[0], atmosphere.wavelength[-1]
+    (841, 400.0, 2500.0)
     """
     check_within_table(air, path)
     table = _load(None if path is None else Path(path))

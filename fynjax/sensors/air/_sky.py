@@ -12,11 +12,16 @@ def clear_sky_diffuse_fraction(
 ) -> Float[Array, " wavelength"]:
     """Diffuse over global irradiance on a horizontal plane under a clear sky [-].
 
-    **Arguments:** `wavelength` [nm], 400 to 2500; `sun_zenith` [degrees], below 85;
-    `aerosol_optical_depth` at 500 nm [-], 0 to about 0.5.
+    **Arguments:**
+
+    - `wavelength`: [nm], 400 to 2500.
+    - `sun_zenith`: zenith angle of the sun [degrees], below 85.
+    - `aerosol_optical_depth`: at 500 nm [-], 0 to about 0.5.
 
     The scattering part of SPCTRL2 (Bird and Riordan 1984) at sea level over a black ground. Gases
-    absorb direct and diffuse light alike there, and so leave the share as it is. Differentiable.
+    absorb direct and diffuse light alike there, and so leave the share as it is.
+
+    Differentiable in all arguments.
     """
     aerosol = aerosol_depth(wavelength, aerosol_optical_depth, 500.0)
     light = scattered_light(wavelength, sun_zenith, rayleigh_depth(wavelength), aerosol)

@@ -122,10 +122,17 @@ def clear_sky_atmosphere(air: ClearAir) -> Atmosphere:
     are small; for high ones use `tabulated_atmosphere`. Between the model's wavelengths (19 nm
     apart, up to 90 nm in the near infrared) curves are meant to be linear.
 
-    **Arguments:** `air`, with sun zenith below 85 degrees.
+    **Arguments:**
+
+    - `air`: the atmosphere, with a sun zenith below 85 degrees.
 
     Differentiable in all fields of `air`. Bird and Riordan (1986), Journal of Climate and Applied
     Meteorology 25, 87-97.
+
+    >>> from fynjax.sensors import ClearAir, clear_sky_atmosphere
+    >>> atmosphere = clear_sky_atmosphere(ClearAir(sun_zenith=30.0))
+    >>> len(atmosphere.wavelength), bool((atmosphere.direct >= 0.0).all())
+    (122, True)
     """
     dtype = jnp.result_type(*vars(air).values())
     wavelength, solar, water, ozone, mixed = (

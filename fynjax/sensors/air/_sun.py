@@ -29,12 +29,24 @@ def sun_position(
 ) -> SunPosition:
     """Position of the sun by the algorithm of NREL (Reda and Andreas 2004), through pvlib.
 
-    **Arguments:** `latitude`, degrees north, and `longitude`, degrees east; `time`, a datetime
-    with a time zone or an ISO string with one, such as "2017-11-08T18:42:29Z"; `altitude` of the
-    ground above the sea [m], from which the refraction takes its pressure.
+    **Arguments:**
+
+    - `latitude`: degrees north, -90 to 90.
+    - `longitude`: degrees east, -180 to 180.
+    - `time`: a datetime with a time zone or an ISO string with one, such as "2017-11-08T18:42:29Z".
+    - `altitude`: of the ground above the sea [m], from which the refraction takes its pressure.
+
+    **Returns:** a `SunPosition`: zenith and azimuth [degrees].
 
     **Raises:** `InputError` for a place that is none on earth, a time without a time zone, and a
-    sun at or below the horizon; `MissingExtraError` without pvlib. Not differentiable.
+    sun at or below the horizon; `MissingExtraError` without pvlib.
+
+    Not differentiable.
+
+    >>> from fynjax.sensors import sun_position
+    >>> sun = sun_position(-34.5, 19.5, "2023-11-08T10:00:00Z")  # Grootbos, noon in spring
+    >>> round(float(sun.zenith), 1), round(float(sun.azimuth), 1)
+    (18.8, 19.4)
     """
     for name, value, limit in (("latitude", latitude, 90.0), ("longitude", longitude, 180.0)):
         if not abs(value) <= limit:

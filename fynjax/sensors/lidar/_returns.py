@@ -55,9 +55,13 @@ def received_electrons(
 ) -> Float[Array, "beam sample"]:
     """Electrons that a receiver counts, its mean background taken off [-].
 
-    **Arguments:** `waveform`, apparent reflectance as of `Waveforms.total`; `key`, a JAX key of
-    the noise: Poisson in return and background, Gaussian in reading. Without it the mean, which
-    is differentiable in `waveform`.
+    **Arguments:**
+
+    - `lidar`: the system, with its noise.
+    - `beams`: of `lidar.beams`.
+    - `waveform`: apparent reflectance as of `Waveforms.total` [-].
+    - `key`: a JAX key of the noise: Poisson in return and background, Gaussian in reading. Without
+      it the mean is returned, which is differentiable in `waveform`.
 
     The return falls with the square of range and with the irradiance of the beam: a white plate
     in the middle beam, facing it at the usual altitude, gives `LidarNoise.signal_electrons`. Air
@@ -82,16 +86,24 @@ def detect_returns(
 ) -> LidarReturns:
     """Discrete returns of recorded waveforms.
 
-    **Arguments:** `electrons` as of `received_electrons`; `truth`, the noise-free waveforms, which
-    tell ground from vegetation.
+    **Arguments:**
 
-    A return is a local maximum that stands out by `lidar.threshold` standard deviations of the
-    noise, both above an empty record and above the dip towards a higher neighbour (its
-    prominence). Counted in standard deviations, v = 2 sqrt(electrons + background + read²), weak
-    and strong echoes have the same noise (Anscombe 1948). Range and width are those of the
-    Gaussian through the three highest samples (as in Wagner et al. 2006, without their fit).
-    Of more than `lidar.max_returns` in a pulse the strongest stay. Two surfaces closer than about
-    the pulse's length in range are one return. Not differentiable; `expected_returns` is.
+    - `lidar`: threshold, noise and most returns of the system.
+    - `beams`: of `lidar.beams`.
+    - `electrons`: as of `received_electrons`.
+    - `truth`: the noise-free waveforms, which separate ground from vegetation.
+
+    **Returns:** `LidarReturns`. A return is a local maximum that stands out by `lidar.threshold`
+    standard deviations of the noise, both above an empty record and above the dip towards a higher
+    neighbour (its prominence). Counted in standard deviations, v = 2 sqrt(electrons + background +
+    read²), weak and strong echoes have the same noise (Anscombe 1948). Range and width are those of
+    the Gaussian through the three highest samples (as in Wagner et al. 2006, without their fit). Of
+    more than `lidar.max_returns` in a pulse the strongest stay. Two surfaces closer than about the
+    pulse's length in range are one return.
+
+    **Raises:** `InputError` for electrons that are not finite.
+
+    Not differentiable; `expected_returns` is. An example stands at `lidar_waveforms`.
     """
     counts = np.asarray(electrons, float)
     if not np.isfinite(counts).all():

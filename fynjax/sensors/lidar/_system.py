@@ -163,9 +163,13 @@ def shipped_lidars() -> tuple[str, ...]:
 
 
 def shipped_lidar(name: str) -> Lidar:
-    """A shipped LiDAR by name, such as 'flash_lidar_paper'.
+    """A shipped LiDAR by name.
 
-    Raises `InputError` for an unknown name.
+    **Arguments:**
+
+    - `name`: one of `shipped_lidars()`, such as "flash_lidar_paper".
+
+    **Raises:** `InputError` for an unknown name.
     """
     if name not in shipped_lidars():
         raise InputError(
@@ -175,7 +179,12 @@ def shipped_lidar(name: str) -> Lidar:
 
 
 def build_lidar(description: Mapping[str, Any]) -> Lidar:
-    """A LiDAR from the contents of its file (`data_schemas/lidar.schema.json`), valid."""
+    """A LiDAR from the contents of its file.
+
+    **Arguments:**
+
+    - `description`: tables and keys of the file (`data_schemas/lidar.schema.json`), valid.
+    """
     laser, receiver = description["laser"], description["receiver"]
     where = dict(description["geometry"])
     kind = where.pop("kind")

@@ -62,6 +62,7 @@ def lidar_waveforms(
     **Arguments:**
 
     - `scene`: in one band, the laser's. Its sun and sky play no part.
+    - `lidar`: pulse, receiver and geometry.
     - `beams`: of `lidar.beams`; known numbers, not traced.
     - `key`: a JAX key. Left out, the result is the mean over all canopies of such leaf area, and
       differentiable in everything of `scene`. With a key each pencil of a beam goes on until it
@@ -73,8 +74,33 @@ def lidar_waveforms(
     - `sublayers`: steps in a layer of voxels; more where beams are far from upright.
     - `batch`: beams at a time, which bounds the memory.
 
-    The receiver integrates over a sample; the pulse is Gaussian. Raises `InputError` for a scene
-    in several bands, a sensor inside the grid, and beams without samples.
+    **Returns:** `Waveforms`, apparent reflectance in each sample. The receiver integrates over a
+    sample; the pulse is Gaussian.
+
+    **Raises:** `InputError` for a scene in several bands, a sensor inside the grid, and beams
+    without samples.
+
+    Differentiable, without a key, in every array of `scene`.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.radiation import voxel_scene
+    >>> from fynjax.sensors import detect_returns, lidar_waveforms
+    >>> from fynjax.sensors import received_electrons, shipped_lidar
+    >>> scene = voxel_scene(
+    ...     area_density=jnp.full((1, 2, 4, 4), 1.0),
+    ...     reflectance=jnp.array([[0.45]]),  # at the laser's wavelength
+    ...     transmittance=jnp.array([[0.45]]),
+    ...     voxel=(0.25, 0.25, 0.25),
+    ...     ground=jnp.array([0.3]),
+    ...     sun_zenith=30.0,
+    ... )
+    >>> lidar = shipped_lidar("scanning_lidar")
+    >>> beams = lidar.beams((1.0, 1.0), top=scene.height)
+    >>> waveforms = lidar_waveforms(scene, lidar, beams)
+    >>> electrons = received_electrons(lidar, beams, waveforms.total)
+    >>> returns = detect_returns(lidar, beams, electrons, waveforms)
+    >>> len(beams) > 0, len(returns) > 0
+    (True, True)
     """
     _check(scene, beams, straight)
     if beams.samples < 1:
@@ -161,13 +187,21 @@ def expected_returns(
 ) -> tuple[Float[Array, " layer"], Float[Array, ""]]:
     """Expected number of beams whose light first meets the canopy in each layer, and the ground.
 
-    **Arguments:** `edges`, borders of the layers above the bottom of the grid, rising [m]; the
-    rest as for `lidar_waveforms`.
+    This is the gap law itself, without detector: of a beam whose pencils hit different heights each
+    height gets its share.
+
+    **Arguments:**
+
+    - `edges`: borders of the layers above the bottom of the grid, rising [m].
+    - `scene`, `beams`, `sublayers`, `batch`: as for `lidar_waveforms`.
 
     **Returns:** hits of the canopy in each layer and hits of the ground [-]; with edges from 0 to
-    the top they sum to the number of beams. This is the gap law itself, without detector: of a
-    beam whose pencils hit different heights each height gets its share. Differentiable in the
-    area density and the inclination of leaves, and in the height of the ground.
+    the top they sum to the number of beams.
+
+    **Raises:** `InputError` as `lidar_waveforms`.
+
+    Differentiable in the area density and the inclination of leaves, and in the height of the
+    ground.
     """
     _check(scene, beams, 0.0)
     heights = jnp.asarray(edges, scene.area_density.dtype)
