@@ -21,8 +21,9 @@ def require(module: str, extra: str, package: str | None = None) -> ModuleType:
     """
     try:
         with warnings.catch_warnings():
-            # Compiled wrappers warn of the Python they were built for, which no user can change.
+            # Of the Python a wrapper was compiled for, or of a next version: no user can change it.
             warnings.simplefilter("ignore", DeprecationWarning)
+            warnings.simplefilter("ignore", FutureWarning)
             return importlib.import_module(module)
     except ModuleNotFoundError as error:
         if error.name is not None and error.name != module.split(".")[0]:
