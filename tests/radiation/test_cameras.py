@@ -21,9 +21,6 @@ from fynjax.radiation import (
 from tests.radiation.scenes import patchy, solver
 from tests.radiation.test_monte_carlo_reference import with_fields
 
-pytestmark = pytest.mark.study
-
-
 ACCURACY = Accuracy(
     sublayers=3, margin=6, coarsening=(1, 1), levels=4, azimuths=8, tolerance=1e-10, iterations=200
 )
@@ -43,7 +40,7 @@ def tilted(rows=5, columns=6, field_of_view=20.0):
     )
 
 
-@pytest.fixture(scope="module", params=["periodic", pytest.param("open", marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=["periodic", pytest.param("open", marks=pytest.mark.study)])
 def scene(request):
     return patchy(request.param)
 
@@ -102,6 +99,7 @@ def test_straight_down_it_is_the_nadir_camera(light):
     np.testing.assert_allclose(pixels(light, down), want, rtol=1e-4)
 
 
+@pytest.mark.study
 def test_each_pixel_is_a_parallel_view_of_one_point(light):
     """The light scattered once and the ground; what was scattered more is taken towards the
     middle of the picture."""
@@ -128,6 +126,7 @@ def test_each_pixel_is_a_parallel_view_of_one_point(light):
     np.testing.assert_allclose(got.gap.ravel(), want.gap.ravel(), rtol=1e-4)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("parts", "tolerance"), [(1, 0.06), pytest.param(4, 0.025, marks=pytest.mark.slow)]
 )
@@ -166,6 +165,7 @@ def image_sum(scene):
     return jnp.sum(weights * reflectance_factor(solver(ACCURACY)(scene), rays))
 
 
+@pytest.mark.study
 def test_derivative_of_a_tilted_image(scene):
     """With respect to the density and to the sun, in one random direction."""
     value, slope = jax.jit(image_sum), jax.jit(jax.grad(image_sum))

@@ -10,9 +10,6 @@ from tests.radiation.scenes import fluxes_of, patchy, reflectance_of, solver
 from tests.radiation.test_monte_carlo import clumps
 from tests.radiation.test_monte_carlo_reference import with_fields
 
-pytestmark = pytest.mark.study
-
-
 absorption_of = jax.jit(absorption)
 
 TIGHT = {"tolerance": 1e-8, "iterations": 200}
@@ -53,7 +50,16 @@ def many_bands(count=40):
 
 
 @pytest.mark.parametrize(
-    ("how", "boundary"), [*((how, "periodic") for how in HOW), ("refined", "open")]
+    ("how", "boundary"),
+    [
+        ("refined", "periodic"),
+        *(
+            pytest.param(how, "periodic", marks=pytest.mark.study)
+            for how in HOW
+            if how != "refined"
+        ),
+        pytest.param("refined", "open", marks=pytest.mark.study),
+    ],
 )
 def test_voxels_sum_to_the_classes(how, boundary):
     scene = with_fields(many_bands(3), boundary=boundary)
@@ -93,6 +99,7 @@ def test_leaves_that_lose_nothing_absorb_nothing():
     assert np.all(per_voxel[:, third] > 0)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("boundary", ["periodic", pytest.param("open", marks=pytest.mark.slow)])
 def test_classes_and_voxels_against_photons(boundary):
     scene = with_fields(clumps("planophile", "spherical", 2), boundary=boundary)
@@ -106,6 +113,7 @@ def test_classes_and_voxels_against_photons(boundary):
             assert np.all(np.abs(value - found.mean) < 0.015 * found.mean + 3 * found.error), name
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("shape", [(5, 7, 9), (3, 6, 9), (1, 1, 1)])
 def test_odd_sizes(shape):
     """The default accuracy takes any size: against one empty layer more, and finer cells."""
@@ -126,6 +134,7 @@ def test_odd_sizes(shape):
     np.testing.assert_allclose(per_voxel, flux.absorbed.sum(axis=1), rtol=1e-9)
 
 
+@pytest.mark.study
 def test_odd_sizes_are_as_even_ones():
     """The scene twice side by side is the same scene."""
     scene = patchy(shape=(5, 7, 9))
@@ -139,6 +148,7 @@ def test_odd_sizes_are_as_even_ones():
     np.testing.assert_allclose(one, two, rtol=0.01)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("solves", [12, 24])
 def test_many_bands_are_those_solved_one_by_one(solves):
     """Images of 40 bands, three at a time or all at once."""

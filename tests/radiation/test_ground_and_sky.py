@@ -22,9 +22,6 @@ from tests.radiation.scenes import closure, fluxes_of, patchy, reflectance_of, s
 from tests.radiation.test_monte_carlo import clumps
 from tests.radiation.test_monte_carlo_reference import bare, rahman, with_fields
 
-pytestmark = pytest.mark.study
-
-
 ACCURACY = Accuracy(
     lattice=2, sublayers=2, coarsening=(1, 1), levels=4, azimuths=12, tolerance=1e-6, margin=6
 )
@@ -40,6 +37,7 @@ def seen(scene, accuracy=ACCURACY):
     return np.asarray(reflectance_of(solver(accuracy)(scene), *map(jnp.asarray, VIEWS)))
 
 
+@pytest.mark.study
 def test_lambert_is_a_case():
     scene = patchy()
     lambert = shaped(scene, RahmanPintyVerstraete([1.0, 1.0], [0.0, 0.0], [1.0, 1.0]))
@@ -49,7 +47,14 @@ def test_lambert_is_a_case():
         np.testing.assert_allclose(got, want, rtol=1e-5)
 
 
-@pytest.mark.parametrize("parameters", [(0.75, -0.12, 0.3), (1.2, 0.1, 1.0), (0.6, -0.3, 0.05)])
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        (0.75, -0.12, 0.3),
+        pytest.param((1.2, 0.1, 1.0), marks=pytest.mark.study),
+        pytest.param((0.6, -0.3, 0.05), marks=pytest.mark.study),
+    ],
+)
 def test_bare_ground_is_the_formula(parameters):
     """Distant views and each pixel of a wide camera (interpolated between few directions)."""
     k, theta, rho_c = parameters
@@ -67,6 +72,7 @@ def test_bare_ground_is_the_formula(parameters):
     np.testing.assert_allclose(got, want, rtol=0.01)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("boundary", ["periodic", pytest.param("open", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("band", [0, 1])
 def test_under_a_canopy_against_photons(boundary, band):
@@ -80,7 +86,7 @@ def test_under_a_canopy_against_photons(boundary, band):
     assert np.abs(plain / want.mean - 1).max() > 0.05
 
 
-@pytest.mark.parametrize("sky", [0.0, 0.6])
+@pytest.mark.parametrize("sky", [pytest.param(0.0, marks=pytest.mark.study), 0.6])
 def test_energy_closes(sky):
     scene = shaped(with_fields(patchy(sky=(sky, sky)), ground=0.4 * jnp.ones(2)))
     accuracy = Accuracy(coarsening=(2, 2), levels=4, azimuths=8, tolerance=1e-9, refine=False)
@@ -93,6 +99,7 @@ def patterned(scene, pattern):
     return with_fields(scene, illumination__sky_pattern=jnp.asarray(pattern))
 
 
+@pytest.mark.study
 def test_an_even_pattern_is_an_even_sky():
     scene = patchy(sky=(0.7, 0.4))
     even = patterned(scene, np.full((4, 6), 7.0))
@@ -103,7 +110,13 @@ def random_pattern(*shape):
     return np.random.default_rng(3).uniform(0.2, 3.0, shape)
 
 
-@pytest.mark.parametrize("shape", [(5, 8), (2, 5, 8), (2, 1), (2, 2, 12)])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        (2, 5, 8),
+        *(pytest.param(s, marks=pytest.mark.study) for s in ((5, 8), (2, 1), (2, 2, 12))),
+    ],
+)
 def test_the_irradiance_is_that_of_the_sky(shape):
     """Whatever the pattern: the flux on the ordinates, and on level ground without a canopy."""
     sky = jnp.array([0.7, 1.3])
@@ -156,6 +169,7 @@ def hedges(side, parts):
     )
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("side", [0, 6], ids=["north", "south"])
 def test_a_sky_bright_on_one_side_against_photons(side):
     """A sweep spreads a beam by about a voxel, which brings light behind a hedge of two voxels:
@@ -235,6 +249,7 @@ VARIABLES = {
 }
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("what", VARIABLES)
 def test_derivative(what, scene, gradient):
     select = VARIABLES[what]
@@ -246,6 +261,7 @@ def test_derivative(what, scene, gradient):
     assert float(jnp.sum(select(gradient) * step)) == pytest.approx(difference, rel=1e-6)
 
 
+@pytest.mark.study
 def test_finite_at_the_edge(scene):
     """Lambert's case, a view and a sun overhead, and a dark sky."""
     lambert = shaped(scene, RahmanPintyVerstraete([1.0, 1.0], [0.0, 0.0], [1.0, 1.0]))
