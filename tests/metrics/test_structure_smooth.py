@@ -24,9 +24,9 @@ from tests.metrics.structure_clouds import LOW_PRESETS, fynbos_cells
 
 OF_AREA = replace(StructureSettings(), diversity_of="leaf_area", top="plot")
 CONVENTIONS = {**LOW_PRESETS, "of area": OF_AREA}
-# Compiling is what these tests cost: a smooth form for each convention is left to the slow ones.
+# Compiling is what these tests cost: the other conventions are left to the studies.
 SOME = [
-    pytest.param(name, marks=() if name in ("fynjax", "of area") else pytest.mark.slow)
+    pytest.param(name, marks=() if name in ("fynjax", "of area") else pytest.mark.study)
     for name in CONVENTIONS
 ]
 
@@ -146,7 +146,7 @@ def drawn(density, pulses, rng):
 
 
 @pytest.mark.parametrize(("pulses", "bound"), [(40.0, 0.06), (693.0, 0.02)])
-@pytest.mark.parametrize("name", [*SOME, pytest.param("canopy", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", [*SOME, pytest.param("canopy", marks=pytest.mark.study)])
 def test_voxels_against_drawn_clouds(name, pulses, bound) -> None:
     """Means over cells, against the mean of drawn clouds, which has its own error of 1 % or so."""
     gap_of_canopy = replace(StructureSettings(), gap_of="canopy", cv_lowest=0.25, degrees_lost=0)
