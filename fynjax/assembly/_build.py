@@ -135,7 +135,7 @@ def plot_parameters(
     litter, char, rock = plot.ground.fractions if fractions is None else fractions
     models = [None] * len(plot.species) if plants is None else plants
 
-    def column(name: str, default: float | None = None) -> jnp.ndarray:
+    def column(name: str) -> jnp.ndarray:
         values = []
         for s, model in zip(plot.species, models, strict=True):
             value = getattr(s, name)
@@ -143,7 +143,7 @@ def plot_parameters(
                 crown = np.pi / 4.0 * model.modelled_diameter**2
                 value = float(model.organ_area[AREA_INDICES[name]]) / crown
             if value is None:
-                value = getattr(FORM_DEFAULTS[s.growth_form], name) if default is None else default
+                value = getattr(FORM_DEFAULTS[s.growth_form], name)
             values.append(float(value))
         return jnp.asarray(values)
 
@@ -153,8 +153,8 @@ def plot_parameters(
             cover=column("cover"),
             diameter=column("diameter_m"),
             height=column("height_m"),
-            packing=column("packing", 0.0),
-            fill=column("fill", 1.0),
+            packing=column("packing"),
+            fill=column("fill"),
             leaf_area_index=column("leaf_area_index"),
             wood_area_index=column("wood_area_index"),
             shoot_clumping=column("shoot_clumping"),
@@ -168,7 +168,6 @@ def plot_parameters(
             litter_fraction=jnp.asarray(litter),
             char_fraction=jnp.asarray(char),
             rock_fraction=jnp.asarray(rock),
-            wood_brightness=jnp.asarray(1.0),
         ),
         LightParameters(
             sun_zenith=jnp.asarray(plot.sun.zenith_deg),

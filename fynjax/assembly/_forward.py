@@ -10,7 +10,7 @@ import pandas as pd
 from fynjax.assembly._build import build_plot
 from fynjax.inversion import COARSE, ParameterSpace, coarser, free_space
 from fynjax.io.plot import Plot, drone_bands
-from fynjax.scene import PlotModel, PlotParameters, parameter_units
+from fynjax.scene import PARAMETERS, PlotModel, PlotParameters, parameter_kind
 from fynjax.sensors import BandSet
 
 STRIDE = 9
@@ -26,10 +26,6 @@ class Prepared(NamedTuple):
     """The model that a search uses: coarse light, thick layers."""
     parameters: PlotParameters
     space: ParameterSpace
-
-
-# Shown as fields crews write them: unit in the table -> factor.
-_SHOWN_UNITS = {"cover": ("%", 100.0), "diameter": ("cm", 100.0)}
 
 
 def prepare(
@@ -60,9 +56,8 @@ def batch_for_device() -> int | None:
 
 def shown_unit(name: str) -> tuple[str, str, float]:
     """Kind, unit as field crews write it, and the factor to it, of a parameter."""
-    kind = name.rsplit(".", 1)[-1]
-    unit, factor = _SHOWN_UNITS.get(kind, (parameter_units()[kind], 1.0))
-    return kind, unit, factor
+    kind = parameter_kind(name)
+    return kind, PARAMETERS[kind].shown_unit, PARAMETERS[kind].shown_factor
 
 
 def parameter_columns(names: Sequence[str], columns: dict[str, Any]) -> pd.DataFrame:

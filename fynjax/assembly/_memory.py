@@ -18,7 +18,7 @@ def check_memory(plot: Plot) -> None:
     """Refuse a plot whose plants this machine has no memory for, before it runs out of it."""
     area, elements = float(np.prod(plot.size_m)), 0.0
     for s in plot.species:
-        crown = np.pi / 4.0 * s.diameter_m**2 * (1.0 - (s.packing or 0.0)) * (s.fill or 1.0)
+        crown = np.pi / 4.0 * s.diameter_m**2 * (1.0 - s.packing) * s.fill
         each = max(crown, s.minimum_object_area_m2 or 0.0)
         count = _ROOM * (s.branches or 1) * area * s.cover / each
         elements += count * element_count(s.diameter_m, s.height_m, plot.voxel_m)

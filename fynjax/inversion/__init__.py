@@ -24,7 +24,7 @@ from fynjax.inversion._sensitivity import (
     sobol_indices,
 )
 from fynjax.inversion._sensor_sweep import SensorSetting, even_bands, sweep_sensors
-from fynjax.inversion._space import PLAUSIBLE, ParameterSpace, make_space, match_names
+from fynjax.inversion._space import ParameterSpace, make_space, match_names
 from fynjax.inversion._targets import (
     GAIN,
     IMAGE_STATISTICS,
@@ -49,7 +49,6 @@ __all__ = [
     "GAIN",
     "IMAGE_STATISTICS",
     "OFFSET",
-    "PLAUSIBLE",
     "SEEN",
     "AbstractView",
     "Calibration",

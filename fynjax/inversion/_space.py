@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax.scene import PARAMETERS, parameter_kind
 
 
 class ParameterSpace(eqx.Module):
@@ -86,64 +87,47 @@ class ParameterSpace(eqx.Module):
         return {name: values[i] for i, name in enumerate(self.names)}
 
 
-PLAUSIBLE: dict[str, tuple[float, float]] = {
-    "cover": (0.0, 1.0),
-    "diameter": (0.01, 10.0),
-    "height": (0.02, 20.0),
-    "packing": (0.0, 0.95),
-    "fill": (0.05, 1.0),
-    "leaf_area_index": (0.0, 12.0),
-    "wood_area_index": (0.0, 6.0),
-    "shoot_clumping": (0.0, 0.8),
-    "structure": (1.0, 3.5),
-    "chlorophyll": (0.0, 120.0),
-    "carotenoids": (0.0, 30.0),
-    "anthocyanins": (0.0, 40.0),
-    "brown_pigments": (0.0, 2.0),
-    "water": (0.0005, 0.08),
-    "dry_matter": (0.0005, 0.06),
-    "brightness": (0.1, 2.0),
-    "moisture": (0.0, 1.0),
-    "litter_fraction": (0.0, 1.0),
-    "char_fraction": (0.0, 1.0),
-    "rock_fraction": (0.0, 1.0),
-    "wood_brightness": (0.1, 2.5),
-    "sun_zenith": (0.0, 85.0),
-    "aerosol": (0.0, 1.0),
-}
-"""Plausible range of each kind of parameter, by the last word of its name: what fynbos plants,
-soils and skies can be, in the parameter's own unit. Assumptions, meant wide."""
-# Cover and diameter stay where the sites held ready suffice.
-_RELATIVE: dict[str, tuple[float, float]] = {"cover": (0.3, 1.8), "diameter": (0.65, 1.6)}
+_ROOM: dict[str, tuple[float, float]] = {"cover": (0.3, 1.8), "diameter": (0.65, 1.6)}
+"""Factors on cover and diameter between which the sites held ready for plants suffice."""
+_FROM_BOUND, _SD_AT_BOUND = 0.02, 0.1
+"""Prior of a value that lies on its bound: how far inside, and how wide [usual range]."""
 
 
 def make_space(values: dict[str, float], relative_sd: dict[str, float]) -> ParameterSpace:
-    """The space of the parameters in `values`, with plausible bounds.
+    """The space of the parameters in `values`, within the bounds of `fynjax.scene.PARAMETERS`.
+
+    Covers and diameters are bounded closer where the plants held ready would not suffice.
 
     **Arguments:** `values`, the prior centre by name, in the parameters' own units; `relative_sd`,
-    the prior's standard deviation over its centre, by name. A centre at or beyond a bound is
-    moved just inside, a width of zero (a parameter whose centre is zero) to a tenth of the range.
+    the prior's standard deviation over its centre, by name. A value on its bound (dry soil, a leaf
+    without anthocyanins) can be no centre of a distribution within the bounds: the centre is 2 %
+    of the usual range inside, and a standard deviation of zero becomes a tenth of that range.
+
+    **Raises:** `InputError` for a value outside its bounds, and a parameter that has no prior.
     """
-    names = tuple(values)
     bounds, priors, widths = [], [], []
-    for name in names:
-        kind, value = name.rsplit(".", 1)[-1], float(values[name])
-        if kind not in PLAUSIBLE:
-            raise InputError(f"{name} cannot be free: only {', '.join(PLAUSIBLE)} can")
-        low, high = PLAUSIBLE[kind]
-        if kind in _RELATIVE and value > 0:
-            low, high = (
-                max(low, _RELATIVE[kind][0] * value),
-                min(high, _RELATIVE[kind][1] * value),
-            )
-        inside = float(np.clip(value, low + 0.02 * (high - low), high - 0.02 * (high - low)))
+    for name, value in values.items():
+        kind = parameter_kind(name)
+        record = PARAMETERS.get(kind)
+        if record is None or record.relative_sd is None:
+            free = [k for k, known in PARAMETERS.items() if known.relative_sd is not None]
+            raise InputError(f"{name} cannot be free: only {', '.join(free)} can")
+        record.check(value, f"the prior of {name}")
+        low, high = record.lower, record.upper
+        usual = record.usual[1] - record.usual[0]
+        if kind in _ROOM and value > 0:
+            low, high = max(low, _ROOM[kind][0] * value), min(high, _ROOM[kind][1] * value)
+            usual = min(usual, high - low)
+        centre = value
+        if not low < value < high:
+            centre = low + _FROM_BOUND * usual if value <= low else high - _FROM_BOUND * usual
         sd = relative_sd[name] * abs(value)
         bounds.append((low, high))
-        priors.append(inside)
-        widths.append(sd if sd > 0 else 0.1 * (high - low))
+        priors.append(centre)
+        widths.append(sd if sd > 0 else _SD_AT_BOUND * usual)
     limits = np.asarray(bounds, float).reshape(-1, 2)
     return ParameterSpace(
-        names,
+        tuple(values),
         jnp.asarray(limits[:, 0]),
         jnp.asarray(limits[:, 1]),
         jnp.asarray(priors),

@@ -13,7 +13,7 @@ from fynjax.inversion import Calibration, ImageView
 from fynjax.io.plot import Plot
 from fynjax.io.raster import image_array
 from fynjax.metrics import BANDS, image_statistics
-from fynjax.scene import PlotModel, named_values, parameter_units
+from fynjax.scene import PARAMETERS, PlotModel, named_values, parameter_kind
 
 
 def parameter_table(calibration: Calibration) -> pd.DataFrame:
@@ -123,11 +123,10 @@ def calibration_dataset(plot: Plot, model: PlotModel, result: Calibration) -> xr
         )
 
     fit = result.fit
-    units = parameter_units()
-    kinds = [name.rsplit(".", 1)[-1] for name in fit.names]
+    units = [PARAMETERS[parameter_kind(name)].unit for name in fit.names]
     free = {
         "parameter": ("parameter", list(fit.names), {"long_name": "free parameter"}),
-        "parameter_unit": ("parameter", [units[k] for k in kinds], {"long_name": "its unit"}),
+        "parameter_unit": ("parameter", units, {"long_name": "its unit"}),
     }
     statistic = {"statistic": ("statistic", list(fit.data.names), {"long_name": "statistic"})}
 

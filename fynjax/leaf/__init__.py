@@ -18,7 +18,7 @@ from fynjax.leaf._measurement import (
     LeafStack,
     transmittance_from_two_readings,
 )
-from fynjax.leaf._parameters import LeafParameters
+from fynjax.leaf._parameters import LEAF_PARAMETERS, LeafParameters
 from fynjax.leaf._posterior import LeafPosterior, sample_leaf_posterior
 from fynjax.leaf._problem import FitDomain
 from fynjax.leaf._prospect import LeafOptics, interface_transmissivity, prospect
@@ -26,6 +26,7 @@ from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
 
 __all__ = [
     "LARGEST_JUMP",
+    "LEAF_PARAMETERS",
     "TRAIT_DISCREPANCY",
     "AbstractMeasurement",
     "ErrorModel",

@@ -14,12 +14,12 @@ from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel, bin_centres
 from fynjax.leaf._measurement import AbstractMeasurement
-from fynjax.leaf._parameters import LeafParameters
+from fynjax.leaf._parameters import LEAF_PARAMETERS, LeafParameters
 from fynjax.leaf._problem import (
-    PRIORS,
     FitDomain,
     Setup,
     binned_data,
+    leaf_bounds,
     leaf_priors,
     leaf_problems,
     make_setup,
@@ -269,7 +269,7 @@ def assemble(
     """The result in the parameters' own units, and a status for each leaf."""
     names, free = setup.names, setup.free
     got = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-    bounds = np.array([PRIORS[name][:2] for name in names])
+    bounds = leaf_bounds(names)
     width = bounds[:, 1] - bounds[:, 0]
     deviation = np.sqrt(np.einsum("npp->np", got["covariance"]))
     z = got["z"]
@@ -300,7 +300,7 @@ def assemble(
         got[key][few] = np.nan
     spread = np.sqrt(np.einsum("npp->np", covariance))
     values = dict(zip(names, got["x"].T))
-    zeros = {name: 0.0 for name in PRIORS if name not in names}
+    zeros = {name: 0.0 for name in LEAF_PARAMETERS if name not in names}
     chosen = [names.index(name) for name in free]
     return LeafFit(
         parameters=LeafParameters.many(**zeros, **values),

@@ -14,11 +14,11 @@ from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel
 from fynjax.leaf._fit import LeafFit, assemble, fit_chunk, solve_leaves
 from fynjax.leaf._measurement import AbstractMeasurement
-from fynjax.leaf._parameters import LeafParameters
+from fynjax.leaf._parameters import LEAF_PARAMETERS, LeafParameters
 from fynjax.leaf._problem import (
-    PRIORS,
     FitDomain,
     binned_data,
+    leaf_bounds,
     leaf_priors,
     make_setup,
     usable_bins,
@@ -57,14 +57,14 @@ class LeafGroups(eqx.Module):
 
 
 def _parameters(z: np.ndarray, names: Sequence[str]) -> LeafParameters:
-    bounds = np.array([PRIORS[name][:2] for name in names])
+    bounds = leaf_bounds(names)
     x = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) / (1.0 + np.exp(-z))
     values = dict(zip(names, np.moveaxis(x, -1, 0)))
-    filled: dict[str, Any] = {n: values.get(n, np.zeros(z.shape[:-1])) for n in PRIORS}
+    filled: dict[str, Any] = {n: values.get(n, np.zeros(z.shape[:-1])) for n in LEAF_PARAMETERS}
     make = LeafParameters
     for _ in range(z.ndim - 1):
         make = jax.vmap(make)
-    return make(*(jnp.asarray(filled[name]) for name in PRIORS))
+    return make(*(jnp.asarray(filled[name]) for name in LEAF_PARAMETERS))
 
 
 def fit_leaf_groups(

@@ -24,6 +24,7 @@ from fynjax.leaf._error_model import (
     to_bins,
 )
 from fynjax.leaf._measurement import AbstractMeasurement, IntegratingSphere
+from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._prospect import interface_transmissivity
 
 FitDomain = Literal["full", "optimal"]
@@ -41,28 +42,18 @@ _REFLECTANCE_LINE, _TRANSMITTANCE_LINE, _LINE_DEVIATION = (1.745, 0.133), (1.330
 _IMPOSSIBLE = (-0.1, 1.2)
 
 
-class Prior(NamedTuple):
-    """Bounds, middle and spread of a parameter, the spread in its logit coordinate."""
-
-    lower: float
-    upper: float
-    middle: float
-    spread: float
+def leaf_bounds(names: Sequence[str]) -> Float[np.ndarray, "parameter 2"]:
+    """Lower and upper bounds of parameters."""
+    return np.array([(LEAF_PARAMETERS[n].lower, LEAF_PARAMETERS[n].upper) for n in names])
 
 
-# Bounds after the R package `prospect`; middles and spreads are those of leaves at large: LMA
-# after Wright et al. 2004 (Nature 428, 821; median 88 g/m2), the rest wide enough not to bind.
-PRIORS: dict[str, Prior] = {
-    "structure": Prior(0.8, 4.0, 1.5, 1.2),
-    "chlorophyll": Prior(0.0, 150.0, 35.0, 0.8),
-    "carotenoids": Prior(0.0, 40.0, 8.0, 0.8),
-    "anthocyanins": Prior(0.0, 50.0, 0.5, 1.5),
-    "brown_pigments": Prior(0.0, 4.0, 0.02, 1.5),
-    "water": Prior(0.0, 0.1, 0.01, 0.6),
-    "dry_matter": Prior(0.0, 0.06, 0.008, 0.8),
-    "proteins": Prior(0.0, 0.006, 0.0008, 0.6),
-    "carbon_constituents": Prior(0.0, 0.054, 0.007, 0.8),
-}
+def _population(name: str) -> tuple[float, float]:
+    """Centre of the prior of leaves at large, and its spread in the logit coordinate."""
+    record = LEAF_PARAMETERS[name]
+    assert record.population is not None
+    centre, relative = record.population
+    below, above = centre - record.lower, record.upper - centre
+    return centre, relative * centre * (record.upper - record.lower) / (below * above)
 
 
 class Setup(NamedTuple):
@@ -96,7 +87,8 @@ def make_setup(
             raise ValueError(f"`free` names {name!r}, which PROSPECT-{version} does not have")
     index, absorption = coefficients_at(version, native_wavelength())
     binned = to_bins(native_wavelength(), np.vstack([index, absorption]))
-    bounds = np.array([PRIORS[name][:2] for name in names])
+    bounds = leaf_bounds(names)
+    known = {name: _population(name) for name in names}
     optics = lm.Optics(
         jnp.asarray(binned[1:]),
         jnp.asarray(interface_transmissivity(40.0, binned[0])),
@@ -109,8 +101,8 @@ def make_setup(
     offset = np.zeros((1, 2, bin_centres().size))
     offset[0, 0] = measurement.offset_deviation
     shared = np.stack([model.reflectance_factors, model.transmittance_factors], axis=1)
-    middle = np.array([PRIORS[n].middle if n in free else 1e-4 * PRIORS[n].upper for n in names])
-    spread = np.array([PRIORS[n].spread if n in free else 1e-3 for n in names])
+    middle = np.where(np.isin(names, free), [known[n][0] for n in names], 1e-4 * bounds[:, 1])
+    spread = np.where(np.isin(names, free), [known[n][1] for n in names], 1e-3)
     return Setup(
         names,
         free,
@@ -197,7 +189,8 @@ def leaf_priors(
     ratio = np.where(by_t, (1.0 - t) / t, r / (1.0 - r))
     slope, offset = np.where(by_t, np.array(_TRANSMITTANCE_LINE)[:, None],
                              np.array(_REFLECTANCE_LINE)[:, None])  # fmt: skip
-    low, high = PRIORS["structure"][:2]
+    low, high = leaf_bounds(["structure"])[0]
+    # What the line says beyond the bounds counts as at their edge, where its weight is small.
     unit = np.clip((slope * ratio + offset - low) / (high - low), 0.02, 0.98)
     deviation = _LINE_DEVIATION / ((high - low) * unit * (1.0 - unit))
     known = "structure" in setup.free

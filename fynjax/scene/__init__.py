@@ -6,12 +6,14 @@ from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard
 from fynjax.scene._model import Camera, PlotModel, band_wavelengths, build_model, ground_at, replant
 from fynjax.scene._parameters import (
     LEAF_FIELDS,
+    PARAMETERS,
     GroundParameters,
     LightParameters,
     PlotParameters,
     SpeciesParameters,
     named_values,
-    parameter_units,
+    parameter_kind,
+    parameter_reference,
     with_values,
 )
 from fynjax.scene._planting import Planting, draw_planting, element_count, leafy_species
@@ -22,6 +24,7 @@ from fynjax.scene._spectra import background_spectrum, shipped_covers
 __all__ = [
     "COVERS",
     "LEAF_FIELDS",
+    "PARAMETERS",
     "Camera",
     "GroundParameters",
     "Instances",
@@ -48,7 +51,8 @@ __all__ = [
     "height_profile",
     "leafy_species",
     "named_values",
-    "parameter_units",
+    "parameter_kind",
+    "parameter_reference",
     "plot_sensing",
     "projected_cover",
     "random_patches",

@@ -1,73 +1,240 @@
 """Everything of a plot that may be calibrated, in one pytree."""
 
 import dataclasses
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from fynjax.leaf import LeafParameters
+from fynjax._core.parameters import (
+    CENTIMETRES,
+    PERCENT,
+    Parameter,
+    parameter_field,
+    parameters_of,
+)
+from fynjax.leaf import LEAF_PARAMETERS, LeafParameters
 
-LEAF_FIELDS = {
-    "structure": "-",
-    "chlorophyll": "ug cm-2",
-    "carotenoids": "ug cm-2",
-    "anthocyanins": "ug cm-2",
-    "brown_pigments": "-",
-    "water": "cm",
-    "dry_matter": "g cm-2",
-}
-"""Leaf parameters of PROSPECT-D and their units."""
+if TYPE_CHECKING:
+    import pandas as pd
+
+LEAF_FIELDS = (
+    "structure",
+    "chlorophyll",
+    "carotenoids",
+    "anthocyanins",
+    "brown_pigments",
+    "water",
+    "dry_matter",
+)
+"""Leaf parameters of a plot: those of PROSPECT-D, in the order of a leaf table's columns."""
+
+
+def _share(**record: Any) -> Any:
+    bounds: dict[str, Any] = {"lower": 0.0, "upper": 1.0, "usual": (0.0, 1.0)}
+    return parameter_field(unit="-", relative_sd=0.3, **bounds, **record)
 
 
 class SpeciesParameters(eqx.Module):
-    """Size and number of the plants of each species."""
+    """Size and number of the plants of each species: vectors over species.
 
-    cover: Float[Array, " species"]
-    """Share of the ground under the crowns, overlap counted twice [-]."""
-    diameter: Float[Array, " species"]
-    """Mean crown diameter [m]."""
-    height: Float[Array, " species"]
-    """Greatest height [m]."""
-    packing: Float[Array, " species"]
-    """Share of a crown over its neighbours, PE of eq. (8) [-], below 1."""
-    fill: Float[Array, " species"]
-    """Share of the crown circle that the plant fills, FF of eq. (9) [-], above 0."""
-    leaf_area_index: Float[Array, " species"]
-    """One-sided leaf area over the crown's ground area [m2 m-2]."""
-    wood_area_index: Float[Array, " species"]
-    """One-sided wood area over the crown's ground area [m2 m-2]."""
-    shoot_clumping: Float[Array, " species"]
-    """Probability that light which a leaf scatters meets another leaf of its shoot [-], 0 (leaves
-    at random in their voxel) to below 1."""
+    What each means, its unit, bounds and prior: `PARAMETERS`.
+    """
+
+    cover: Float[Array, " species"] = parameter_field(
+        symbol="c",
+        name="Cover",
+        unit="-",
+        shown=PERCENT,
+        lower=0.0,
+        upper=1.0,
+        usual=(0.0, 0.6),
+        relative_sd=0.25,
+        description="Share of the ground under the crowns, overlap with other species counted "
+        "twice. Field crews judge it by eye, to about a quarter.",
+    )
+    diameter: Float[Array, " species"] = parameter_field(
+        symbol="D",
+        name="Mean crown diameter",
+        unit="m",
+        shown=CENTIMETRES,
+        lower=0.01,
+        upper=10.0,
+        usual=(0.1, 2.0),
+        relative_sd=0.25,
+        description="Mean of a crown's two horizontal extents, equation (7). A smaller plant "
+        "is less than a tenth of a voxel, a larger one is a tree.",
+    )
+    height: Float[Array, " species"] = parameter_field(
+        symbol="H",
+        name="Greatest height in the plot",
+        unit="m",
+        lower=0.01,
+        upper=20.0,
+        usual=(0.1, 4.0),
+        relative_sd=0.15,
+        description="Of the tallest plant of the species. A smaller plant is less than a tenth of "
+        "a voxel, a larger one is a tree.",
+    )
+    packing: Float[Array, " species"] = parameter_field(
+        required=True,
+        symbol="PE",
+        name="Packing",
+        unit="-",
+        shown=PERCENT,
+        lower=0.0,
+        upper=0.99,
+        usual=(0.0, 0.7),
+        default=0.0,
+        relative_sd=0.3,
+        description="Share of a crown that lies over its neighbours, PE of equation (8). The "
+        "number of plants is as 1 / (1 - PE): a hundredfold at the upper bound.",
+    )
+    fill: Float[Array, " species"] = parameter_field(
+        required=True,
+        symbol="FF",
+        name="Fill",
+        unit="-",
+        shown=PERCENT,
+        lower=0.01,
+        upper=1.0,
+        usual=(0.5, 1.0),
+        default=1.0,
+        relative_sd=0.3,
+        description="Share of the crown circle that the plant fills, FF of equation (9). The "
+        "number of plants is as 1 / FF: a hundredfold at the lower bound.",
+    )
+    leaf_area_index: Float[Array, " species"] = parameter_field(
+        symbol="LAI",
+        name="Leaf area index of the crown",
+        unit="m2 m-2",
+        lower=0.0,
+        upper=20.0,
+        usual=(0.5, 4.0),
+        relative_sd=0.3,
+        description="One-sided leaf area over the crown's own ground area. Leaves at random "
+        "would let a share exp(-20/2) = 5e-5 of the light through at the upper bound.",
+    )
+    wood_area_index: Float[Array, " species"] = parameter_field(
+        symbol="WAI",
+        name="Wood area index of the crown",
+        unit="m2 m-2",
+        lower=0.0,
+        upper=20.0,
+        usual=(0.0, 1.5),
+        relative_sd=0.3,
+        description="One-sided wood area, half of its surface, over the crown's own ground area; "
+        "bounded as the leaf area index.",
+    )
+    shoot_clumping: Float[Array, " species"] = parameter_field(
+        symbol="p",
+        name="Shoot clumping",
+        unit="-",
+        lower=0.0,
+        upper=0.8,
+        usual=(0.0, 0.6),
+        relative_sd=0.3,
+        description="Probability that light which a leaf scatters meets another leaf of its "
+        "shoot: 0 for leaves at random in their voxel, 0.44 in a pine shoot (Smolander and "
+        "Stenberg 2005). At 0.8 light meets a shoot's leaves five times on average.",
+    )
 
 
 class GroundParameters(eqx.Module):
-    """What is not green."""
+    """What is not green.
 
-    brightness: Float[Array, ""]
-    """Factor on the soil's reflectance [-]."""
-    moisture: Float[Array, ""]
-    """Share of the wet soil in the mixture of dry and wet [-]."""
-    litter_fraction: Float[Array, ""]
-    """Share of the ground under litter [-]."""
-    char_fraction: Float[Array, ""]
-    """Share of the ground under ash and charcoal [-]."""
-    rock_fraction: Float[Array, ""]
-    """Share of the ground that is rock [-]."""
-    wood_brightness: Float[Array, ""]
-    """Factor on the reflectance of bark and deadwood [-]."""
+    What each means, its unit, bounds and prior: `PARAMETERS`.
+    """
+
+    brightness: Float[Array, ""] = parameter_field(
+        symbol="b",
+        name="Soil brightness",
+        unit="-",
+        lower=0.1,
+        upper=2.5,
+        usual=(0.4, 1.5),
+        default=1.0,
+        relative_sd=0.3,
+        description="Factor on the soil's reflectance: a tenth of the shipped dry soil is as "
+        "dark as char, 2.5 times as bright as white quartz sand.",
+    )
+    moisture: Float[Array, ""] = _share(
+        symbol="m",
+        name="Soil moisture",
+        default=0.0,
+        description="Share of the wet in the mixed dry and wet soil.",
+    )
+    litter_fraction: Float[Array, ""] = _share(
+        symbol="f_l",
+        name="Litter",
+        default=0.2,
+        description="Share of the ground under litter.",
+    )
+    char_fraction: Float[Array, ""] = _share(
+        symbol="f_c",
+        name="Char",
+        default=0.0,
+        description="Share of the ground under ash and charcoal.",
+    )
+    rock_fraction: Float[Array, ""] = _share(
+        symbol="f_r",
+        name="Rock",
+        default=0.0,
+        description="Share of the ground that is rock.",
+    )
+    wood_brightness: Float[Array, ""] = parameter_field(
+        symbol="b_w",
+        name="Wood brightness",
+        unit="-",
+        lower=0.1,
+        upper=2.5,
+        usual=(0.5, 1.5),
+        default=1.0,
+        relative_sd=0.3,
+        description="Factor on the reflectance of bark and deadwood: from charred to bleached.",
+    )
 
 
 class LightParameters(eqx.Module):
-    """Sun and sky."""
+    """Sun and sky.
 
-    sun_zenith: Float[Array, ""]
-    """[degrees], 0 to below 90."""
-    sun_azimuth: Float[Array, ""]
-    """Clockwise from north [degrees]."""
-    aerosol: Float[Array, ""]
-    """Aerosol optical depth at 500 nm [-]."""
+    What each means, its unit, bounds and prior: `PARAMETERS`.
+    """
+
+    sun_zenith: Float[Array, ""] = parameter_field(
+        symbol="theta_s",
+        name="Sun zenith angle",
+        unit="degree",
+        lower=0.0,
+        upper=89.0,
+        usual=(5.0, 75.0),
+        default=30.0,
+        relative_sd=0.3,
+        description="Angle from straight up to the sun, which is above the horizon.",
+    )
+    sun_azimuth: Float[Array, ""] = parameter_field(
+        symbol="phi_s",
+        name="Sun azimuth",
+        unit="degree",
+        lower=0.0,
+        upper=360.0,
+        usual=(0.0, 360.0),
+        default=0.0,
+        description="Direction to the sun, clockwise from north (90 is east). It repeats itself, "
+        "so that it has no prior.",
+    )
+    aerosol: Float[Array, ""] = parameter_field(
+        symbol="tau_a",
+        name="Aerosol optical depth",
+        unit="-",
+        lower=0.0,
+        upper=2.0,
+        usual=(0.02, 0.5),
+        default=0.1,
+        relative_sd=0.3,
+        description="At 500 nm, of the clear-sky model. Above 2 smoke or dust hides the sun.",
+    )
 
 
 class PlotParameters(eqx.Module):
@@ -80,28 +247,56 @@ class PlotParameters(eqx.Module):
     light: LightParameters
 
 
-def parameter_units() -> dict[str, str]:
-    """Unit of each kind of parameter, by the last word of its name."""
-    return {
-        "cover": "-",
-        "diameter": "m",
-        "height": "m",
-        "packing": "-",
-        "fill": "-",
-        "leaf_area_index": "m2 m-2",
-        "wood_area_index": "m2 m-2",
-        "shoot_clumping": "-",
-        **LEAF_FIELDS,
-        "brightness": "-",
-        "moisture": "-",
-        "litter_fraction": "-",
-        "char_fraction": "-",
-        "rock_fraction": "-",
-        "wood_brightness": "-",
-        "sun_zenith": "degree",
-        "sun_azimuth": "degree",
-        "aerosol": "-",
+PARAMETERS: dict[str, Parameter] = {
+    **parameters_of(SpeciesParameters),
+    **{name: LEAF_PARAMETERS[name] for name in LEAF_FIELDS},
+    **parameters_of(GroundParameters),
+    **parameters_of(LightParameters),
+}
+"""What is known of each kind of parameter of a plot, by the last word of its name."""
+
+
+def parameter_kind(name: str) -> str:
+    """Last word of a parameter's name, such as `cover` of `species.Erica irregularis.cover`."""
+    return name.rsplit(".", 1)[-1]
+
+
+def parameter_reference() -> "pd.DataFrame":
+    """A table of all parameters, with those of leaves that only PROSPECT-PRO has.
+
+    Columns: group, parameter, symbol, name, unit, default, lower, upper, usual_lower, usual_upper,
+    prior_relative_sd, shown_unit (that of files and tables) and description. All numbers but the
+    last two columns' are in `unit`; NaN where there is none.
+    """
+    import pandas as pd  # late: the command line need not wait for it
+
+    groups = {
+        "species": SpeciesParameters,
+        "leaf": LeafParameters,
+        "ground": GroundParameters,
+        "light": LightParameters,
     }
+    rows = [
+        {
+            "group": group,
+            "parameter": field,
+            "symbol": record.symbol,
+            "name": record.name,
+            "unit": record.unit,
+            "default": record.default,
+            "lower": record.lower,
+            "upper": record.upper,
+            "usual_lower": record.usual[0],
+            "usual_upper": record.usual[1],
+            "prior_relative_sd": record.relative_sd,
+            "shown_unit": record.shown_unit,
+            "description": record.description,
+        }
+        for group, module in groups.items()
+        for field, record in parameters_of(module).items()
+    ]
+    numbers = ["default", "prior_relative_sd"]
+    return pd.DataFrame(rows).astype(dict.fromkeys(numbers, float))
 
 
 def named_values(parameters: PlotParameters, taxa: tuple[str, ...]) -> dict[str, Array]:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.inversion import PLAUSIBLE, ParameterSpace, make_space, match_names
-from fynjax.scene import parameter_units
+from fynjax.inversion import ParameterSpace, make_space, match_names
 
 
 @pytest.fixture
@@ -36,14 +35,28 @@ def test_slope_is_the_derivative(space):
     np.testing.assert_allclose(jnp.diagonal(jacobian), space.slope(u), rtol=1e-12)
 
 
-def test_every_parameter_but_the_azimuth_can_be_free():
-    assert set(parameter_units()) - set(PLAUSIBLE) == {"sun_azimuth"}
+def test_a_value_on_its_bound_gets_a_prior_inside():
+    space = make_space(
+        {"ground.moisture": 0.0, "a.fill": 1.0, "a.leaf.structure": 0.8}, dict.fromkeys(
+            ("ground.moisture", "a.fill", "a.leaf.structure"), 0.3
+        ),
+    )  # fmt: skip
+    np.testing.assert_allclose(space.prior, [0.02, 0.99, 0.84], rtol=1e-6)
+    np.testing.assert_allclose(space.prior_sd, [0.1, 0.3, 0.24], rtol=1e-6)
 
 
-def test_a_zero_centre_gets_a_width():
-    space = make_space({"ground.moisture": 0.0}, {"ground.moisture": 0.3})
-    assert 0.0 < float(space.prior[0]) < 0.05
-    assert float(space.prior_sd[0]) == pytest.approx(0.1)
+@pytest.mark.parametrize(
+    ("name", "value", "bound"),
+    [("a.leaf.structure", 5.4, "5"), ("a.leaf.water", 0.3, "0.2"), ("a.cover", -0.1, "0")],
+)
+def test_a_prior_outside_its_bounds_is_refused_and_both_are_named(name, value, bound):
+    with pytest.raises(InputError, match=rf"{name} .*\b{bound}\b.* got {value}"):
+        make_space({name: value}, {name: 0.3})
+
+
+def test_a_thick_leaf_is_a_prior_as_it_was_fitted():
+    space = make_space({"a.leaf.structure": 3.8}, {"a.leaf.structure": 0.15})
+    assert float(space.prior[0]) == pytest.approx(3.8, rel=1e-6)
 
 
 @pytest.mark.parametrize(

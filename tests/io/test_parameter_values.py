@@ -49,7 +49,7 @@ SLIPS = [
     ("name,estimate\nground.moisture,-0.1\n", "moisture from 0 to 1 -, but got -0.1"),
     ("name,unit,estimate\nspecies.Erica irregularis.cover,%,350\n", "cover from 0 to 100 %"),
     ("name,estimate\nspecies.Erica irregularis.cover,35\n", "expected the unit of cover, - or %"),
-    ("name,estimate\nlight.sun_zenith,95\n", "sun_zenith from 0 to 88.99"),
+    ("name,estimate\nlight.sun_zenith,95\n", "sun_zenith from 0 to 89 "),
     ("name,estimate\nground.litter_fraction,.9\nground.char_fraction,.9\n", "sum to 1.8"),
     ("name,estimate\nground.moisture,nan\n", "estimate"),
     ("name,estimate\nground.moisture,1\nground.moisture,1\n", "is there twice"),

@@ -12,12 +12,12 @@ from fynjax.assembly._ground import soil_spectra
 from fynjax.canopy import FORM_DEFAULTS, table1_2006
 from fynjax.io.plot import (
     GROWTH_FORMS,
-    PROSPECT_COLUMNS,
     example_folder,
     read_plot,
     read_statistics,
 )
 from fynjax.io.plot._plot_file import shipped_growth_forms
+from fynjax.scene import LEAF_FIELDS
 
 
 @pytest.fixture
@@ -78,7 +78,7 @@ def test_leaf_rows_fall_back_to_the_star_row(folder):
     assert by_taxon["Deadwood"].leaf is None
     assert by_taxon["Restio eleocharis"].leaf.parameters["dry_matter"] == 0.05
     default = by_taxon["Erica irregularis"].leaf.parameters
-    assert tuple(default) == PROSPECT_COLUMNS
+    assert tuple(default) == LEAF_FIELDS
     assert default["chlorophyll"] == 60.0
 
 
@@ -227,7 +227,7 @@ def test_unknown_taxon_in_the_leaf_table_names_the_nearest(folder):
 LEAF_SLIPS = [
     ("0.05,0.05,", "0.05,500,", "dry_matter", r"g m-2\? In g cm-2 .* 0.05"),
     ("0.05,0.05,", "50,0.05,", "water", "g m-2"),
-    ("2.2,50,", "0.5,50,", "structure", "from 1 to 5"),
+    ("2.2,50,", "0.5,50,", "structure", "from 0.8 to 5"),
     ("0.05,0.05,", "0.05,0.05,leaf.asd", None, "got both"),
     ("0.05,0.05,", "0.05,,", None, "dry_matter is empty"),
 ]
@@ -266,7 +266,7 @@ PLOT_SLIPS = [
     ("voxel_m = 0.1", "voxel = 0.1", "plot.voxel", "Did you mean 'voxel_m'"),
     ('boundary = "periodic"', 'boundary = "period"', "plot.boundary", "Did you mean 'periodic'"),
     ('"species.csv"', '"specie.csv"', "plot.species_table", "Did you mean 'species.csv'"),
-    ("brightness = 0.8", "brightness = 20", "ground.brightness", "from 0.2 to 2"),
+    ("brightness = 0.8", "brightness = 20", "ground.brightness", "from 0.1 to 2.5"),
     (
         "aerosol_optical_depth = 0.1",
         "aerosol_optical_depth = 5",

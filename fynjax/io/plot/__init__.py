@@ -4,7 +4,6 @@ from fynjax.io.plot._parameter_values import with_parameter_table
 from fynjax.io.plot._place import Place, plot_place
 from fynjax.io.plot._plot import (
     GROWTH_FORMS,
-    PROSPECT_COLUMNS,
     Air,
     Calibration,
     Ground,
@@ -36,7 +35,6 @@ from fynjax.io.plot._statistics import TargetStatistics, read_statistics, read_s
 
 __all__ = [
     "GROWTH_FORMS",
-    "PROSPECT_COLUMNS",
     "Air",
     "Calibration",
     "Ground",

@@ -9,18 +9,6 @@ from fynjax.io.text import Strict, number
 DEFAULT_FREE = ("species.*.cover", "species.*.diameter", "species.*.leaf.*", "ground.*")
 """Patterns of parameters that a calibration frees unless told otherwise."""
 
-DEFAULT_RELATIVE_SD = {
-    "*.cover": 0.25,
-    "*.diameter": 0.25,
-    "*.height": 0.15,
-    "*.structure": 0.15,
-    "*.anthocyanins": 0.5,
-    "*.brown_pigments": 0.5,
-    "*": 0.3,
-}
-"""Relative standard deviation of the prior, by pattern; the first that fits is taken. Covers
-seen by eye are uncertain by about a quarter."""
-
 
 class CalibrationTable(Strict):
     """What a calibration may move, and how far it trusts the field table."""

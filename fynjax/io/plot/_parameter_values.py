@@ -6,24 +6,19 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from fynjax._core.errors import InputError
+from fynjax._core.parameters import CENTIMETRES, PERCENT, Parameter
 from fynjax.io.plot._rows import ParameterRow
 from fynjax.io.text import did_you_mean, read_rows
-from fynjax.scene import PlotParameters, named_values, parameter_units, with_values
+from fynjax.scene import PARAMETERS, PlotParameters, named_values, parameter_kind, with_values
 
-_FACTORS = {"%": ("-", 0.01), "cm": ("m", 0.01)}
-"""Units as field crews write them: the one they stand for, and its part."""
-_IN_FIELD_UNITS = {"cover": "%", "diameter": "cm"}
-_RANGES = {
-    "cover": (0.0, 1.0), "diameter": (0.01, 10.0), "height": (0.01, 20.0),
-    "packing": (0.0, 0.99), "fill": (0.01, 1.0), "leaf_area_index": (0.0, 20.0),
-    "wood_area_index": (0.0, 20.0), "shoot_clumping": (0.0, 0.8), "structure": (1.0, 5.0),
-    "chlorophyll": (0.0, 150.0), "carotenoids": (0.0, 50.0), "anthocyanins": (0.0, 50.0),
-    "brown_pigments": (0.0, 5.0), "water": (0.0, 0.2), "dry_matter": (0.0, 0.1),
-    "brightness": (0.05, 2.0), "moisture": (0.0, 1.0), "litter_fraction": (0.0, 1.0),
-    "char_fraction": (0.0, 1.0), "rock_fraction": (0.0, 1.0), "wood_brightness": (0.0, 3.0),
-    "sun_zenith": (0.0, 88.99), "sun_azimuth": (-360.0, 360.0), "aerosol": (0.0, 2.0),
-}  # fmt: skip
-"""What the plot's own tables allow, in the parameters' units."""
+_FIELD_UNITS = {"-": PERCENT, "m": CENTIMETRES}
+"""Units as field crews write them, and the factor to them, by the unit that they stand for."""
+
+
+def _accepted(record: Parameter) -> dict[str, float]:
+    """Units that a parameter may be stated in, and the factor to each."""
+    field = dict([_FIELD_UNITS[record.unit]]) if record.unit in _FIELD_UNITS else {}
+    return {record.unit: 1.0, **field, record.shown_unit: record.shown_factor}
 
 
 def with_parameter_table(
@@ -32,9 +27,9 @@ def with_parameter_table(
     """`parameters` with the estimates of a table, such as the parameters.csv of a calibration.
 
     **Raises:** `InputError` for a name that the plot has not or that is there twice, another unit
-    than the parameter's, and a negative value.
+    than the parameter's, and a value outside its bounds.
     """
-    known, units = named_values(parameters, taxa), parameter_units()
+    known = named_values(parameters, taxa)
     values: dict[str, Array] = {}
     for number, row in read_rows(path, ParameterRow, "a table of parameters"):
         if row.name not in known:
@@ -47,37 +42,28 @@ def with_parameter_table(
             )
         if row.name in values:
             raise InputError(f"{row.name!r} is there twice", file=path, row=number, column="name")
-        kind = row.name.rsplit(".", 1)[-1]
-        if row.unit is None and kind in _IN_FIELD_UNITS:
+        kind = parameter_kind(row.name)
+        record = PARAMETERS[kind]
+        accepted = _accepted(record)
+        if row.unit is None and record.shown is not None:
             raise InputError(
-                f"expected the unit of {kind}, {_units(units[kind])}: calibrations write "
-                f"{_IN_FIELD_UNITS[kind]}",
+                f"expected the unit of {kind}, {' or '.join(accepted)}: calibrations write "
+                f"{record.shown_unit}",
                 file=path,
                 row=number,
                 column="unit",
             )
-        stated = units[kind] if row.unit is None else row.unit
-        # Water is in cm by itself.
-        own, factor = (
-            (stated, 1.0) if stated == units[kind] else _FACTORS.get(stated, (stated, 1.0))
-        )
-        if own != units[kind]:
+        unit = record.unit if row.unit is None else row.unit
+        if unit not in accepted:
             raise InputError(
-                f"expected {kind} in {_units(units[kind])}, but got {row.unit!r}",
+                f"expected {kind} in {' or '.join(accepted)}, but got {unit!r}",
                 file=path,
                 row=number,
                 column="unit",
             )
-        low, high = _RANGES[kind]
-        if not low <= factor * row.estimate <= high:
-            raise InputError(
-                f"expected {kind} from {low / factor:g} to {high / factor:g} {stated}, but got "
-                f"{row.estimate:g}",
-                file=path,
-                row=number,
-                column="estimate",
-            )
-        values[row.name] = jnp.asarray(factor * row.estimate)
+        factor = accepted[unit]
+        record.check(row.estimate, kind, (unit, factor), file=path, row=number, column="estimate")
+        values[row.name] = jnp.asarray(row.estimate / factor)
     changed = with_values(parameters, taxa, values)
     ground = changed.ground
     covered = float(ground.litter_fraction + ground.char_fraction + ground.rock_fraction)
@@ -89,7 +75,3 @@ def with_parameter_table(
             column="estimate",
         )
     return changed
-
-
-def _units(own: str) -> str:
-    return " or ".join([own, *(unit for unit, (of, _) in _FACTORS.items() if of == own)])

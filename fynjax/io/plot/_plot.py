@@ -8,18 +8,11 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from fynjax.io.plot._rows import PROSPECT_REQUIRED, GrowthForm
+from fynjax.io.plot._rows import GrowthForm
+from fynjax.scene import PARAMETERS, parameter_kind
 from fynjax.sensors import Panel
 
 Floats = NDArray[np.float64]
-
-PROSPECT_COLUMNS = (
-    *PROSPECT_REQUIRED[:3],
-    "anthocyanins",
-    "brown_pigments",
-    *PROSPECT_REQUIRED[3:],
-)
-"""PROSPECT-D parameters, in the order of the leaf table's columns."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +20,7 @@ class LeafSource:
     """Where the optics of a taxon's leaves come from: exactly one of the two is set."""
 
     parameters: dict[str, float] | None
-    """PROSPECT-D parameters by column name, in PROSPECT's units (`PROSPECT_COLUMNS`)."""
+    """PROSPECT-D parameters by column name, in PROSPECT's units (`fynjax.scene.LEAF_FIELDS`)."""
     spectrum: Path | None
     """File of a measured reflectance spectrum, to be fitted."""
 
@@ -47,9 +40,9 @@ class Species:
     """One of `GROWTH_FORMS`."""
     leaf: LeafSource | None
     """Leaf optics; `None` where the plot has no leaf table, and for deadwood."""
-    packing: float | None
+    packing: float
     """Share of a crown over its neighbours, PE/100 of equation (8) [-]."""
-    fill: float | None
+    fill: float
     """Share of the crown circle filled, FF/100 of equation (9) [-]."""
     branches: int | None
     """Branch models of one plant [-]."""
@@ -168,7 +161,7 @@ class Calibration:
     target_sd: float
     """Relative standard deviation of a target that states none [-]."""
     priors: dict[str, float]
-    """Relative prior standard deviation by pattern [-], the user's first, then the defaults."""
+    """Relative prior standard deviation by pattern [-]; without one, that of the parameter."""
     max_iterations: int
     starts: int = 1
     """Searches: from the prior's centre, the others from draws of the prior."""
@@ -182,8 +175,11 @@ class Calibration:
         return any(fnmatchcase(statistic, pattern) for pattern in self.targets)
 
     def relative_sd(self, name: str) -> float:
-        """Relative prior standard deviation of parameter `name` [-]."""
-        return next(sd for pattern, sd in self.priors.items() if fnmatchcase(name, pattern))
+        """Relative prior standard deviation of parameter `name` [-]; 0 where it has none."""
+        for pattern, sd in self.priors.items():
+            if fnmatchcase(name, pattern):
+                return sd
+        return PARAMETERS[parameter_kind(name)].relative_sd or 0.0
 
 
 @dataclass(frozen=True)

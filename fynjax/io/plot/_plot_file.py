@@ -10,10 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.io.plot._calibration import DEFAULT_RELATIVE_SD
 from fynjax.io.plot._plot import (
     GROWTH_FORMS,
-    PROSPECT_COLUMNS,
     Calibration,
     Floats,
     Ground,
@@ -22,10 +20,11 @@ from fynjax.io.plot._plot import (
     Sky,
     Species,
 )
-from fynjax.io.plot._plot_tables import PlotFile
+from fynjax.io.plot._plot_tables import COVER_FRACTIONS, PlotFile
 from fynjax.io.plot._rows import LeafRow, SkyRow, SpeciesRow
 from fynjax.io.plot._sensor import DRONE, plot_air, plot_sensor, plot_sun
 from fynjax.io.text import did_you_mean, existing_file, line_of, read_rows, read_toml
+from fynjax.scene import LEAF_FIELDS, PARAMETERS
 
 
 def example_folder() -> Path:
@@ -118,9 +117,18 @@ def _read_leaves(path: Path, taxa: list[str]) -> dict[str, LeafSource]:
             spectrum = _beside(path, row.spectrum, "a leaf spectrum", number, "spectrum")
             sources[row.taxon] = LeafSource(None, spectrum)
         else:
-            values = {name: float(getattr(row, name) or 0.0) for name in PROSPECT_COLUMNS}
+            values = {name: _stated(getattr(row, name), name) for name in LEAF_FIELDS}
             sources[row.taxon] = LeafSource(values, None)
     return sources
+
+
+def _stated(value: float | None, kind: str) -> float:
+    """What a file states of a parameter, in the parameter's unit, or its default."""
+    record = PARAMETERS[kind]
+    if value is None:
+        assert record.default is not None
+        return record.default
+    return value / record.shown_factor
 
 
 def _beside(owner: Path, name: str, what: str, row: int | None, column: str) -> Path:
@@ -203,7 +211,8 @@ def read_plot(path: str | Path) -> Plot:
     species = []
     for number, row in rows:
         form = _growth_form(row, shipped, species_path, number)
-        if row.mean_diameter_cm / 100 > min(size):
+        diameter = _stated(row.mean_diameter_cm, "diameter")
+        if diameter > min(size):
             raise InputError(
                 f"expected a crown smaller than the plot ({min(size):g} m), but got "
                 f"{row.mean_diameter_cm:g} cm",
@@ -222,13 +231,13 @@ def read_plot(path: str | Path) -> Plot:
         species.append(
             Species(
                 taxon=row.taxon,
-                diameter_m=row.mean_diameter_cm / 100,
-                cover=row.cover_percent / 100,
+                diameter_m=diameter,
+                cover=_stated(row.cover_percent, "cover"),
                 height_m=row.height_max_m,
                 growth_form=form,
                 leaf=None if form == "deadwood" else leaf,
-                packing=None if row.packing_percent is None else row.packing_percent / 100,
-                fill=None if row.fill_percent is None else row.fill_percent / 100,
+                packing=_stated(row.packing_percent, "packing"),
+                fill=_stated(row.fill_percent, "fill"),
                 branches=row.branches,
                 rotation_spread_deg=row.rotation_spread_deg,
                 minimum_object_area_m2=row.minimum_object_area_m2,
@@ -269,7 +278,9 @@ def read_plot(path: str | Path) -> Plot:
         *(one.plant for one in species),
         *spectra,
     )
-    wet = 1.0 if parsed.ground.soil == "wet" else 0.0
+    fractions = [_stated(getattr(parsed.ground, name), name) for name in COVER_FRACTIONS]
+    wet = 1.0 if parsed.ground.soil == "wet" else None
+    moisture = wet if parsed.ground.moisture is None else parsed.ground.moisture
     calibration = parsed.calibration
     return Plot(
         file=path,
@@ -286,12 +297,8 @@ def read_plot(path: str | Path) -> Plot:
         ground=Ground(
             soil_path,
             parsed.ground.brightness,
-            wet if parsed.ground.moisture is None else parsed.ground.moisture,
-            (
-                0.2 if parsed.ground.litter_fraction is None else parsed.ground.litter_fraction,
-                parsed.ground.char_fraction or 0.0,
-                parsed.ground.rock_fraction or 0.0,
-            ),
+            _stated(moisture, "moisture"),
+            (fractions[0], fractions[1], fractions[2]),
             (cover_paths[0], cover_paths[1], cover_paths[2]),
             parsed.ground.patch_m,
             cover_map,
@@ -306,10 +313,7 @@ def read_plot(path: str | Path) -> Plot:
             free=tuple(calibration.free),
             targets=tuple(calibration.targets),
             target_sd=calibration.target_sd,
-            priors={
-                **calibration.priors,
-                **{k: v for k, v in DEFAULT_RELATIVE_SD.items() if k not in calibration.priors},
-            },
+            priors=dict(calibration.priors),
             max_iterations=calibration.max_iterations,
             starts=calibration.starts,
         ),

@@ -6,7 +6,8 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from fynjax.io.plot._calibration import CalibrationTable
-from fynjax.io.text import Slip, Strict, number
+from fynjax.io.text import Slip, Strict, number, optional_quantity, quantity
+from fynjax.scene import PARAMETERS
 
 
 def _size_is_positive(value: float | tuple[float, float]) -> float | tuple[float, float]:
@@ -75,13 +76,9 @@ class SunTable(Strict):
     slips: ClassVar[dict[str, Slip]] = {
         "zenith_deg": lambda v: "At or below the horizon. Is it the elevation?" if v >= 89 else None
     }
-    zenith_deg: float = number("Angle from straight up", "degree", default=30.0, ge=0, lt=89)
-    azimuth_deg: float = number(
-        "Direction to the sun, clockwise from north (90 is east)",
-        "degree",
-        default=0.0,
-        ge=0,
-        le=360,
+    zenith_deg: float = quantity(PARAMETERS["sun_zenith"], default=PARAMETERS["sun_zenith"].default)
+    azimuth_deg: float = quantity(
+        PARAMETERS["sun_azimuth"], default=PARAMETERS["sun_azimuth"].default
     )
     latitude_deg: float | None = number(
         "Of the plot, north; with longitude_deg and time instead of the angles",
@@ -117,8 +114,8 @@ class SunTable(Strict):
 class SkyTable(Strict):
     """What the sky adds to the sun."""
 
-    aerosol_optical_depth: float = number(
-        "Aerosol optical depth at 500 nm of the clear-sky model", "-", default=0.1, ge=0, le=2
+    aerosol_optical_depth: float = quantity(
+        PARAMETERS["aerosol"], default=PARAMETERS["aerosol"].default
     )
     table: str | None = Field(
         default=None, description="CSV with wavelength_nm, diffuse_fraction; replaces the model."
@@ -135,23 +132,15 @@ class GroundTable(Strict):
         default="dry",
         description="'dry', 'wet', or the path of a spectrum (wavelength_nm, reflectance).",
     )
-    brightness: float = number("Factor on the soil's reflectance", "-", default=1.0, ge=0.2, le=2)
-    moisture: float | None = number(
-        "Share of the wet in the mixed dry and wet soil; not with a spectrum of your own",
-        "-",
+    brightness: float = quantity(PARAMETERS["brightness"], default=PARAMETERS["brightness"].default)
+    moisture: float | None = quantity(
+        PARAMETERS["moisture"],
         default=None,
-        ge=0,
-        le=1,
+        note="that of `soil` if left out; not with a spectrum of your own",
     )
-    litter_fraction: float | None = number(
-        "Share of the ground under litter; 0.2 if left out", "-", default=None, ge=0, le=1
-    )
-    char_fraction: float | None = number(
-        "Share of the ground under ash and charcoal; 0 if left out", "-", default=None, ge=0, le=1
-    )
-    rock_fraction: float | None = number(
-        "Share of the ground that is rock; 0 if left out", "-", default=None, ge=0, le=1
-    )
+    litter_fraction: float | None = optional_quantity(PARAMETERS["litter_fraction"])
+    char_fraction: float | None = optional_quantity(PARAMETERS["char_fraction"])
+    rock_fraction: float | None = optional_quantity(PARAMETERS["rock_fraction"])
     litter: str | None = Field(
         default=None, description="Spectrum of the litter (wavelength_nm, reflectance)."
     )
@@ -294,7 +283,11 @@ class AtmosphereTable(Strict):
     )
     water_vapour_cm: float = number("Column of water vapour", "cm", default=1.5, ge=0, le=12)
     aerosol_optical_depth: float | None = number(
-        "At 550 nm; left out, that of [sky]", "-", default=None, ge=0, le=2
+        "At 550 nm; left out, that of [sky]",
+        "-",
+        default=None,
+        ge=PARAMETERS["aerosol"].lower,
+        le=PARAMETERS["aerosol"].upper,
     )
     ozone_cm_atm: float = number("Column of ozone", "cm-atm", default=0.3, ge=0, le=1)
     pressure_hpa: float = number(

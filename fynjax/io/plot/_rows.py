@@ -4,12 +4,16 @@ from typing import ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from fynjax.io.text import Slip, Strict, number
+from fynjax.io.text import Slip, Strict, number, optional_quantity, quantity
+from fynjax.scene import PARAMETERS
 
 GrowthForm = Literal[
     "upright_ericoid", "rounded_shrub", "tussock", "broad_leaved", "climber", "deadwood"
 ]
 """Shapes a plant can have."""
+
+
+_OF_THE_FORM = "that of the growth form if left out"
 
 
 def _diameter_slip(value: float) -> str | None:
@@ -28,27 +32,15 @@ class SpeciesRow(Strict):
     }
 
     taxon: str = Field(description="Scientific name, or 'Deadwood'.", min_length=1)
-    mean_diameter_cm: float = number("Mean crown diameter", "cm", ge=1, le=1000)
-    cover_percent: float = number("Share of the ground under the crowns", "%", ge=0, le=100)
-    height_max_m: float = number("Greatest height in the plot", "m", gt=0, le=20)
+    mean_diameter_cm: float = quantity(PARAMETERS["diameter"])
+    cover_percent: float = quantity(PARAMETERS["cover"])
+    height_max_m: float = quantity(PARAMETERS["height"])
     growth_form: GrowthForm | None = Field(
         default=None,
         description="Shape of the plant. May be left out for a taxon of the shipped table.",
     )
-    packing_percent: float | None = number(
-        "Share of a crown that lies over its neighbours, PE of equation (8)",
-        "%",
-        default=None,
-        ge=0,
-        lt=100,
-    )
-    fill_percent: float | None = number(
-        "Share of the crown circle that the plant fills, FF of equation (9)",
-        "%",
-        default=None,
-        gt=0,
-        le=100,
-    )
+    packing_percent: float | None = optional_quantity(PARAMETERS["packing"])
+    fill_percent: float | None = optional_quantity(PARAMETERS["fill"])
     branches: int | None = Field(
         default=None,
         description="Branch models that make up one plant [-].",
@@ -63,26 +55,22 @@ class SpeciesRow(Strict):
         ge=0,
         le=90,
     )
-    leaf_area_index: float | None = number(
-        "One-sided leaf area over the crown's own ground area", "m2 m-2", default=None, ge=0, le=20
+    leaf_area_index: float | None = quantity(
+        PARAMETERS["leaf_area_index"], default=None, note=_OF_THE_FORM
     )
     minimum_object_area_m2: float | None = number(
         "Least ground area that one plant counts for", "m2", default=None, ge=0, le=100
     )
-    wood_area_index: float | None = number(
-        "One-sided wood area over the crown's own ground area", "m2 m-2", default=None, ge=0, le=20
+    wood_area_index: float | None = quantity(
+        PARAMETERS["wood_area_index"], default=None, note=_OF_THE_FORM
     )
     plant: str | None = Field(
         default=None,
         description="Mesh of one plant (OBJ, PLY, STL, GLB; metres), or the elements.csv that "
         "`fynjax plant` writes; a path from the table's folder. Left out: the growth form's shape.",
     )
-    shoot_clumping: float | None = number(
-        "Probability that light which a leaf scatters meets another leaf of its shoot",
-        "-",
-        default=None,
-        ge=0,
-        le=0.8,
+    shoot_clumping: float | None = quantity(
+        PARAMETERS["shoot_clumping"], default=None, note=_OF_THE_FORM
     )
 
 
@@ -118,19 +106,13 @@ class LeafRow(Strict):
         description="Name as in the species table; '*' is every taxon without a row of its own.",
         min_length=1,
     )
-    structure: float | None = number("Structure parameter N", "-", default=None, ge=1, le=5)
-    chlorophyll: float | None = number("Chlorophyll a+b", "ug cm-2", default=None, ge=0, le=150)
-    carotenoids: float | None = number("Carotenoids", "ug cm-2", default=None, ge=0, le=50)
-    anthocyanins: float | None = number(
-        "Anthocyanins; 0 if left out", "ug cm-2", default=None, ge=0, le=50
-    )
-    brown_pigments: float | None = number(
-        "Brown pigments; 0 if left out", "-", default=None, ge=0, le=5
-    )
-    water: float | None = number("Equivalent water thickness", "cm", default=None, ge=0, le=0.2)
-    dry_matter: float | None = number(
-        "Dry matter, leaf mass per area", "g cm-2", default=None, ge=0, le=0.1
-    )
+    structure: float | None = quantity(PARAMETERS["structure"], default=None)
+    chlorophyll: float | None = quantity(PARAMETERS["chlorophyll"], default=None)
+    carotenoids: float | None = quantity(PARAMETERS["carotenoids"], default=None)
+    anthocyanins: float | None = optional_quantity(PARAMETERS["anthocyanins"])
+    brown_pigments: float | None = optional_quantity(PARAMETERS["brown_pigments"])
+    water: float | None = quantity(PARAMETERS["water"], default=None)
+    dry_matter: float | None = quantity(PARAMETERS["dry_matter"], default=None)
     spectrum: str | None = Field(
         default=None, description="Measured reflectance to fit; a path from the table's folder."
     )

@@ -11,6 +11,7 @@ from fynjax.io.plot._plot import Air, Plot, Sensor, Sun
 from fynjax.io.plot._plot_tables import AtmosphereTable, SensorTable, SunTable
 from fynjax.io.text import did_you_mean, line_of
 from fynjax.metrics import BANDS
+from fynjax.scene import PARAMETERS
 from fynjax.sensors import (
     SPACE,
     BandSet,
@@ -25,7 +26,6 @@ from fynjax.sensors import Sensor as Instrument
 DRONE = "mavic_3m"
 """The sensor of a plot file that names none."""
 _DRONE_ALTITUDE, _DRONE_PIXEL = 50.0, 0.025  # m, of the paper
-_LOWEST_SUN = 89.0
 
 
 def sensor_altitude(instrument: Instrument) -> float:
@@ -139,9 +139,10 @@ def plot_sun(table: SunTable, path: Path, text: str) -> Sun:
         sun = sun_position(table.latitude_deg, table.longitude_deg, table.time)
     except InputError as error:
         raise refused(str(error)) from error
-    if sun.zenith >= _LOWEST_SUN:
+    lowest = PARAMETERS["sun_zenith"].upper
+    if sun.zenith > lowest:
         raise refused(
-            f"expected the sun at least {90.0 - _LOWEST_SUN:g} degree above the horizon, but it is "
+            f"expected the sun at least {90.0 - lowest:g} degree above the horizon, but it is "
             f"{90.0 - sun.zenith:.2f} degrees above it at that time"
         )
     return Sun(sun.zenith, sun.azimuth, sun.solar_factor)

@@ -11,20 +11,10 @@ import xarray as xr
 
 import fynjax
 from fynjax.io.text import atomic_path
-from fynjax.leaf import LeafFit, LeafGroups, LeafPosterior
+from fynjax.leaf import LEAF_PARAMETERS, LeafFit, LeafGroups, LeafPosterior
 
-# Column of traits.csv, unit.
-_UNITS = {
-    "structure": "1",
-    "chlorophyll": "ug cm-2",
-    "carotenoids": "ug cm-2",
-    "anthocyanins": "ug cm-2",
-    "brown_pigments": "1",
-    "water": "cm",
-    "dry_matter": "g cm-2",
-    "proteins": "g cm-2",
-    "carbon_constituents": "g cm-2",
-}
+_UNITS = {name: "1" if p.unit == "-" else p.unit for name, p in LEAF_PARAMETERS.items()}
+"""Units as the CF conventions write them."""
 
 
 def traits_table(fit: LeafFit, files: Sequence[str], names: Sequence[str]) -> pd.DataFrame:

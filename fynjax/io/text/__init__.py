@@ -2,7 +2,7 @@
 
 from fynjax.io.text._atomic import atomic_path, remove_replaced, staged_folder, write_text
 from fynjax.io.text._named import shipped_or_own
-from fynjax.io.text._strict import Slip, Strict, number
+from fynjax.io.text._strict import Slip, Strict, number, optional_quantity, quantity
 from fynjax.io.text._tables import existing_file, read_rows, read_text
 from fynjax.io.text._toml import line_of, read_toml
 from fynjax.io.text._validate import did_you_mean, first_error, sentence
@@ -16,6 +16,8 @@ __all__ = [
     "first_error",
     "line_of",
     "number",
+    "optional_quantity",
+    "quantity",
     "read_rows",
     "read_text",
     "read_toml",

@@ -9,6 +9,8 @@ from typing import Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from fynjax._core.parameters import Parameter
+
 Slip = Callable[[float], str | None]
 
 
@@ -33,6 +35,27 @@ def number(
         allow_inf_nan=False,
         json_schema_extra={"unit": unit},
     )
+
+
+def quantity(parameter: Parameter, *, default: Any = ..., note: str = "") -> Any:
+    """A number that holds `parameter`, in its shown unit and within its bounds."""
+    factor, unit = parameter.shown_factor, parameter.shown_unit
+    return Field(
+        default,
+        description=f"{parameter.name}{'; ' if note else ''}{note} [{unit}]. "
+        f"{parameter.description}",
+        ge=factor * parameter.lower,
+        le=factor * parameter.upper,
+        allow_inf_nan=False,
+        json_schema_extra={"unit": unit},
+    )
+
+
+def optional_quantity(parameter: Parameter) -> Any:
+    """The same where nothing needs to be stated: None stands for the parameter's default."""
+    assert parameter.default is not None
+    default = parameter.shown_factor * parameter.default
+    return quantity(parameter, default=None, note=f"{default:g} if left out")
 
 
 class Strict(BaseModel):

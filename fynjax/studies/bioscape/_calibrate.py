@@ -113,7 +113,9 @@ def calibrate_plots(
     bands, flights = _chosen_bands(spectrometer, [measured[p.name] for p in read], folder)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # told once, above
-        run_bioscape(folder, output / "plots", plots=[p.name for p in read], traits=traits)
+        written = run_bioscape(
+            folder, output / "plots", plots=[p.name for p in read], traits=traits
+        )
     files = [read_plot(output / "plots" / p.name / "plot.toml") for p in read]
     field = field_values(read)
     slots = slots_of(files)
@@ -174,6 +176,7 @@ def calibrate_plots(
             )
         record = provenance(seed=seed, inputs=inputs)
         summary = write_findings(output, findings, resolution, plantings, record)
+    summary["warnings"] += written["warnings"]
     if left := [p.name for p in everything if p not in read]:
         summary["warnings"].append(
             f"{len(left)} plots have no measured spectrum and are left out: {', '.join(left)}"

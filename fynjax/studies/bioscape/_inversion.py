@@ -4,6 +4,7 @@ The parameters are those of a whole plot. A mean spectrum cannot tell species ap
 parameter moves all species of a plot together, by a factor on what its tables say.
 """
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,7 +26,7 @@ from fynjax.inversion import (
     fit,
     weigh_spectrum,
 )
-from fynjax.scene import PlotModel, PlotParameters
+from fynjax.scene import PARAMETERS, PlotModel, PlotParameters
 from fynjax.studies.bioscape._plots import BioscapePlot
 
 MODEL_SD = 0.05
@@ -45,6 +46,11 @@ class Free:
     sd: float
 
 
+def _of_the_ground(kind: str, centre: float, sd: float) -> Free:
+    record = PARAMETERS[kind]
+    return Free(f"{record.name.lower()} [-]", record.lower, record.upper, centre, sd)
+
+
 FREE: dict[str, Free] = {
     "cover": Free("factor on the crowns' cover of all live species", 0.2, 2.5, 1.0, 0.25),
     "standing_dead": Free("factor on the cover of dead plants that stand", 0.05, 2.2, 1.0, 0.5),
@@ -54,10 +60,10 @@ FREE: dict[str, Free] = {
     "chlorophyll": Free("factor on chlorophyll and carotenoids", 0.1, 2.0, 1.0, 0.3),
     "brown_pigments": Free("factor on brown pigments", 0.02, 8.0, 1.0, 0.7),
     "structure": Free("factor on PROSPECT's N", 0.6, 1.5, 1.0, 0.1),
-    "soil_brightness": Free("factor on the soil's reflectance", 0.1, 2.5, 1.0, 0.3),
-    "soil_moisture": Free("share of the wet soil [-]", 0.0, 1.0, 0.2, 0.15),
-    "litter": Free("share of the ground under litter [-]", 0.0, 1.0, 0.5, 0.2),
-    "wood_brightness": Free("factor on the reflectance of bark and deadwood", 0.2, 2.5, 1.0, 0.3),
+    "soil_brightness": _of_the_ground("brightness", 1.0, 0.3),
+    "soil_moisture": _of_the_ground("moisture", 0.2, 0.15),
+    "litter": _of_the_ground("litter_fraction", 0.5, 0.2),
+    "wood_brightness": _of_the_ground("wood_brightness", 1.0, 0.3),
 }
 """Priors where the tables are the prior: covers to a quarter, as a crew sees them; the rest wide,
 assumed."""
@@ -83,13 +89,9 @@ class Reference:
         return np.minimum(self.plot.live * (1.0 - np.exp(-self.crowns * factor)) / whole, 1.0)
 
     def factor(self, live: float) -> float:
-        """Inverse of `live`, within the parameter's bounds."""
-        whole = 1.0 - np.exp(-self.crowns)
-        share = min(live / self.plot.live * whole, 1.0 - 1e-6)
-        found = -np.log1p(-share) / self.crowns
-        known = FREE["cover"]
-        reach = known.upper - known.lower
-        return float(np.clip(found, known.lower + 0.05 * reach, known.upper - 0.05 * reach))
+        """Inverse of `live`; infinite where no number of crowns covers so much."""
+        share = live / self.plot.live * (1.0 - np.exp(-self.crowns))
+        return float(-np.log1p(-share) / self.crowns) if share < 1.0 else np.inf
 
     def leaf_mass(self, factor: Any) -> Any:
         """Leaf mass per projected area, weighted with cover [g m-2]."""
@@ -186,21 +188,39 @@ def prior_space(
     """Priors of a plot's parameters: those of `FREE`, about the plot's own tables.
 
     `elsewhere`, mean and standard deviation of some of `QUANTITIES` over other plots, replaces
-    what the plot's tables say of them.
+    what the plot's tables say of them. Warns where their mean cover asks for more or fewer crowns
+    than the plot has room for: the centre is then a twentieth of the range inside that bound.
     """
     centre, sd = ({n: getattr(f, k) for n, f in FREE.items()} for k in ("centre", "sd"))
-    # Half-way between certain and unknown, in the coordinate of a share.
+    # Crews do not tell 0 from 5 %, nor 95 from 100. The spread is half-way between certain and
+    # unknown, in the coordinate of a share.
     centre["litter"] = float(np.clip(plot.litter_fraction, 0.05, 0.95))
     sd["litter"] = centre["litter"] * (1.0 - centre["litter"])
     reference = Reference(plot)
     for name, (mean, spread) in ({} if elsewhere is None else elsewhere).items():
         free = QUANTITIES[name][0]
         if name == "live_cover":  # the scene's traits are already that mean, its cover is not
-            centre[free] = reference.factor(mean / 100.0)
+            centre[free] = _crowns_for(reference, mean)
         near = [quantity(reference, name, centre[free] + d) for d in (-0.01, 0.01)]
         sd[free] = spread * 0.02 / (near[1] - near[0])
     columns = zip(*((f.lower, f.upper, centre[n], sd[n]) for n, f in FREE.items()))
     return ParameterSpace(tuple(FREE), *(jnp.asarray(c, float) for c in columns))
+
+
+def _crowns_for(reference: Reference, live_percent: float) -> float:
+    """Factor on the crowns that gives a live cover, within what a plot has room for."""
+    wanted, free = reference.factor(live_percent / 100.0), FREE["cover"]
+    if free.lower < wanted < free.upper:
+        return wanted
+    margin = 0.05 * (free.upper - free.lower)
+    used = free.lower + margin if wanted <= free.lower else free.upper - margin
+    warnings.warn(
+        f"{reference.plot.name}: the mean live cover of other plots, {live_percent:.0f} %, asks "
+        f"for {wanted:.3g} times its crowns, outside {free.lower:g} to {free.upper:g}; the prior "
+        f"is centred on {used:.3g}",
+        stacklevel=3,
+    )
+    return used
 
 
 def plot_data(

@@ -9,8 +9,8 @@ from typing import Any
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.io.plot import PROSPECT_COLUMNS
 from fynjax.io.text import write_text
+from fynjax.scene import LEAF_FIELDS, PARAMETERS
 from fynjax.sensors import sun_position
 from fynjax.studies.bioscape._assumed import CLOSED_COVER, DOME, PLOT_SIDE_M, pigments, plant_size
 from fynjax.studies.bioscape._plots import BioscapePlot, BioscapeSpecies, Visit, read_bioscape
@@ -23,12 +23,6 @@ DEAD = "Standing dead plants"
 """Taxon of the dead cover that stands: bare stems, as large as the dominant species, with the
 measured spectrum of bark. PROSPECT is no model of dead culms and stems."""
 
-LARGEST = {"water": 0.2, "dry_matter": 0.1}
-"""Largest values that a leaf table takes [cm, g cm-2]; only succulents and thick culms pass it."""
-
-_LEAF_UNITS = dict.fromkeys(PROSPECT_COLUMNS, "ug cm-2") | {
-    "structure": "-", "brown_pigments": "-", "water": "cm", "dry_matter": "g cm-2",
-}  # fmt: skip
 _TRAIT_UNITS = {
     "leaf_mass_per_area": "g m-2 projected", "water_content": "% of fresh mass",
     "nitrogen": "mg g-1", "carbon": "mg g-1",
@@ -36,25 +30,35 @@ _TRAIT_UNITS = {
 _ASSUMED = "growth form default"
 
 
+def _per_area(species: BioscapeSpecies) -> dict[str, float]:
+    """Water [cm] and dry matter [g cm-2] of a species' leaf per half of its surface."""
+    dry = species.traits["leaf_mass_per_area"].value / species.shape.area_ratio / 1e4
+    wet = species.traits["water_content"].value / 100.0
+    return {"water": dry * wet / (1.0 - wet), "dry_matter": dry}
+
+
 def leaf_parameters(species: BioscapeSpecies) -> dict[str, float]:
     """PROSPECT-D parameters of a species' leaf, in PROSPECT's units, per half of its surface.
 
     Dry matter is the leaf mass per projected area over the shape's `area_ratio`; water is that
-    times w / (1 - w), with w the share of water in the fresh mass (1 g of water is 1 cm3). Both
-    at most `LARGEST`. Structure and pigments are those of the growth form.
+    times w / (1 - w), with w the share of water in the fresh mass (1 g of water is 1 cm3). Values
+    above PROSPECT's bounds, of the thickest succulents, become those: `beyond_prospect` names
+    them. Structure and pigments are those of the growth form.
     """
-    dry = species.traits["leaf_mass_per_area"].value / species.shape.area_ratio / 1e4
-    wet = species.traits["water_content"].value / 100.0
-    measured = {"water": dry * wet / (1.0 - wet), "dry_matter": dry}
     return pigments(species.shape.growth_form) | {
-        name: min(value, LARGEST[name]) for name, value in measured.items()
+        name: min(value, PARAMETERS[name].upper) for name, value in _per_area(species).items()
     }
+
+
+def beyond_prospect(species: BioscapeSpecies) -> dict[str, float]:
+    """Values above PROSPECT's bounds that `leaf_parameters` cuts, by parameter."""
+    return {n: v for n, v in _per_area(species).items() if v > PARAMETERS[n].upper}
 
 
 def mean_leaf(plot: BioscapePlot) -> dict[str, float]:
     """Leaf of the species that are not listed: the mean of those listed, weighted with cover."""
     leaves = [(s.cover / plot.listed_cover, leaf_parameters(s)) for s in plot.species]
-    return {name: sum(share * leaf[name] for share, leaf in leaves) for name in PROSPECT_COLUMNS}
+    return {name: sum(share * leaf[name] for share, leaf in leaves) for name in LEAF_FIELDS}
 
 
 def write_plot_files(plot: BioscapePlot, folder: str | Path) -> None:
@@ -190,8 +194,8 @@ def _leaves_csv(plot: BioscapePlot) -> str:
     leaves = [(s.taxon, leaf_parameters(s)) for s in plot.species]
     if plot.other_cover > 0:
         leaves.append((OTHER, mean_leaf(plot)))
-    rows = [(taxon, *(leaf[name] for name in PROSPECT_COLUMNS)) for taxon, leaf in leaves]
-    return "".join(f"# {note}\n" for note in notes) + _table([("taxon", *PROSPECT_COLUMNS), *rows])
+    rows = [(taxon, *(leaf[name] for name in LEAF_FIELDS)) for taxon, leaf in leaves]
+    return "".join(f"# {note}\n" for note in notes) + _table([("taxon", *LEAF_FIELDS), *rows])
 
 
 def _sources(plot: BioscapePlot) -> list[tuple[Any, ...]]:
@@ -212,20 +216,21 @@ def _sources(plot: BioscapePlot) -> list[tuple[Any, ...]]:
             rows.append((s.taxon, trait, sourced.value, _TRAIT_UNITS[trait], sourced.source, note))
         for name, value in leaf.items():
             source = _ASSUMED
-            if name in LARGEST:
+            if name in ("water", "dry_matter"):
                 water = s.traits["water_content"].source
                 source = lma.source if name == "dry_matter" else max(
                     lma.source, water, key=SOURCES.index
                 )  # fmt: skip
-            note = (
-                "cut to the largest that a leaf table takes" if value == LARGEST.get(name) else ""
-            )
-            rows.append((s.taxon, name, value, _LEAF_UNITS[name], source, note))
+            above = beyond_prospect(s).get(name)
+            note = "" if above is None else f"cut from {above:.4g}, which PROSPECT does not take"
+            rows.append((s.taxon, name, value, PARAMETERS[name].unit, source, note))
     if plot.other_cover > 0:
         cover = plot.other_cover * 100
         rows.append((OTHER, "cover", cover, "%", "live cover less the listed species", ""))
         for name, value in mean_leaf(plot).items():
-            rows.append((OTHER, name, value, _LEAF_UNITS[name], "mean of the listed species", ""))
+            rows.append(
+                (OTHER, name, value, PARAMETERS[name].unit, "mean of the listed species", "")
+            )
     if plot.standing_dead > 0:
         size, like = plot.dominant.size, f"as {plot.dominant.taxon}"
         rows += [
@@ -318,6 +323,14 @@ def run_bioscape(
         for source in SOURCES
     }
     told = ", ".join(f"{100 * v:.1f} % {k}" for k, v in shares.items() if v > 0)
+    cut = {
+        f"{s.taxon}: expected {name} of at most {PARAMETERS[name].upper:g} "
+        f"{PARAMETERS[name].unit}, but its traits give {value:.4g}; its leaf is written with the "
+        "largest"
+        for plot in read
+        for s in plot.species
+        for name, value in beyond_prospect(s).items()
+    }
     return {
         "headline": [
             f"{len(read)} plots with {len({s.taxon for p in read for s in p.species})} species.",
@@ -325,6 +338,7 @@ def run_bioscape(
         ],
         "files": {"plots.csv": "all plots, one a row"}
         | {f"{p.name}/plot.toml": f"{len(p.species)} species" for p in read},
+        "warnings": sorted(cut),
         "bioscape": {
             "plots": [plot.name for plot in read],
             "cover_share_by_trait_source": shares,

@@ -63,7 +63,9 @@ def validate_plots(
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # told once, above
-        run_bioscape(folder, output / "plots", plots=[p.name for p in read], traits=traits)
+        written = run_bioscape(
+            folder, output / "plots", plots=[p.name for p in read], traits=traits
+        )
     files = [read_plot(output / "plots" / p.name / "plot.toml") for p in read]
     with progress.stage("Plant the plots"):
         scenes = build_scenes(files, bands, resolution, [seed] * len(files))
@@ -81,6 +83,7 @@ def validate_plots(
         record = provenance(seed=seed, inputs=inputs)
         about = plot_table(read, files, spectra, measured)
         summary = write_report(output, pair, about, resolution, record)
+    summary["warnings"] += written["warnings"]
     unknown = sorted(set(measured) - set(pair.plots)) if plots is None else []
     if unknown:
         summary["warnings"].append(

@@ -1,0 +1,108 @@
+"""What is known of a physical parameter, in one record that the field holding it carries.
+
+Files, schemas, tables, bounds and priors of fits, and the reference page read it from there.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+
+from fynjax._core.errors import InputError
+from fynjax._core.math import real_array
+
+# Rounding of float32: a bound that was stored in single precision is still within itself.
+_ROUNDING = 1e-6
+
+PERCENT, CENTIMETRES = ("%", 100.0), ("cm", 100.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """A physical parameter: how it is written, where it may lie, what is known of it beforehand.
+
+    **Raises:** `ValueError` for a default or a usual range outside the bounds.
+    """
+
+    symbol: str
+    """As equations write it."""
+    name: str
+    """In words, as titles and the first words of a description."""
+    unit: str
+    """Unit of every value inside the package, such as 'm', '-' or 'ug cm-2'."""
+    lower: float
+    """Least value that anything accepts, and lower end of the interval that a fit searches."""
+    upper: float
+    """Largest value, and upper end of that interval."""
+    usual: tuple[float, float]
+    """Range that is common; values outside it are possible."""
+    description: str
+    """What it means, with the reason or the source of its bounds."""
+    default: float | None = None
+    """Value where nothing is stated; None where there is none, or it is that of the growth form."""
+    relative_sd: float | None = None
+    """Standard deviation of the prior over the value that a plot's tables state; None where the
+    parameter cannot be free."""
+    population: tuple[float, float] | None = None
+    """Centre of the prior where no value is stated, and its standard deviation over that."""
+    shown: tuple[str, float] | None = None
+    """Unit of files and tables, and the factor from `unit` to it; None: `unit` itself."""
+    hint: str = ""
+    """Likely slip where a value lies outside the bounds."""
+
+    def __post_init__(self) -> None:
+        inside = [*self.usual, *(v for v in (self.default,) if v is not None)]
+        if not all(self.lower <= value <= self.upper for value in inside):
+            raise ValueError(f"{self.name}: default or usual range outside the bounds")
+
+    @property
+    def shown_unit(self) -> str:
+        """Unit of files and tables."""
+        return self.unit if self.shown is None else self.shown[0]
+
+    @property
+    def shown_factor(self) -> float:
+        """Factor from `unit` to `shown_unit`."""
+        return 1.0 if self.shown is None else self.shown[1]
+
+    def contains(self, value: float) -> bool:
+        """Whether `value` lies within the bounds, these included."""
+        slack = _ROUNDING * max(abs(self.lower), abs(self.upper))
+        return self.lower - slack <= value <= self.upper + slack
+
+    def check(
+        self, value: float, what: str, stated: tuple[str, float] | None = None, **where: Any
+    ) -> None:
+        """Raise `InputError` unless `value` lies within the bounds.
+
+        **Arguments:** `what`, the value in words; `stated`, unit of `value` and the factor from
+        `unit` to it, where it differs; `where`, file, row and column as `InputError` takes them.
+        """
+        unit, factor = (self.unit, 1.0) if stated is None else stated
+        if not self.contains(value / factor):
+            raise InputError(
+                f"expected {what} from {factor * self.lower:g} to {factor * self.upper:g} {unit}, "
+                f"but got {value:g}{f'; {self.hint}' if self.hint else ''}",
+                **where,
+            )
+
+
+def parameter_field(*, required: bool = False, **record: Any) -> Any:
+    """A field of an `eqx.Module` that holds a real array, with what `Parameter` takes of it.
+
+    The parameter's default is that of the field too, unless it is `required`.
+    """
+    parameter = Parameter(**record)
+    without = required or parameter.default is None
+    default = {} if without else {"default": parameter.default}
+    return eqx.field(converter=real_array, metadata={"parameter": parameter}, **default)
+
+
+def parameters_of(module: Any) -> dict[str, Parameter]:
+    """The parameters that a class's fields hold, by name of the field."""
+    return {
+        field.name: field.metadata["parameter"]
+        for field in dataclasses.fields(module)
+        if "parameter" in field.metadata
+    }
