@@ -95,7 +95,7 @@ def parameter_field(*, required: bool = False, **record: Any) -> Any:
     """
     parameter = Parameter(**record)
     without = required or parameter.default is None
-    default = {} if without else {"default": parameter.default}
+    default: dict[str, Any] = {} if without else {"default": parameter.default}
     return eqx.field(converter=real_array, metadata={"parameter": parameter}, **default)
 
 
