@@ -60,22 +60,16 @@ def ground_heights(plot: Plot) -> Float64[np.ndarray, "y x"] | None:
     if plot.terrain is None:
         return None
 
-    def only_band(names: list[str], path: Path) -> list[int]:
-        if len(names) != 1:
-            raise InputError(
-                f"expected a raster of one band, the height of the ground, but it has "
-                f"{len(names)}. Make one with `fynjax terrain {path.name}`.",
-                file=path,
-            )
-        return [0]
-
     part = read_over_plot(
         plot.terrain,
         "a raster of heights",
         plot.size_m,
-        only_band,
         origin_m=plot.map_origin_m,
         option="map_origin_m",
+    )
+    part.check_single(
+        "a raster of one band, the height of the ground",
+        f"Make one with `fynjax terrain {plot.terrain.name}`.",
     )
     if part.units[0].lower() not in METRES:
         raise InputError(

@@ -96,7 +96,6 @@ def lowest_ground(plot: Plot) -> float:
         plot.terrain,
         "a raster of heights",
         plot.size_m,
-        lambda names, path: [0],
         origin_m=plot.map_origin_m,
         option="map_origin_m",
     )

@@ -25,7 +25,7 @@ from fynjax.terrain import (
     heights_above_ground,
     middle_of_raster,
     read_cloud,
-    read_filled,
+    read_terrain,
     terrain_from_points,
     whole_cells,
     write_mesh,
@@ -169,12 +169,12 @@ def _from_raster(
     path: Path, bounds: Bounds | None, size: float | None, cell: float | None, **options: Any
 ) -> tuple[Terrain, dict[str, float]]:
     plot = bounds if size is None else middle_of_raster(path, size)
-    terrain, filled = read_filled(path, plot, **options)
+    terrain = read_terrain(path, plot, **options)
     if cell is not None:
         terrain = terrain.resample(cell, plot)
     elif size is not None and plot is not None:
         whole_cells(plot, terrain.cell)  # else the terrain would be wider than asked for
-    return terrain, {"cells_filled": filled}
+    return terrain, {"cells_filled": terrain.filled}
 
 
 def _middle(bounds: Bounds, size: float) -> Bounds:

@@ -9,7 +9,6 @@ write_terrain("terrain.tif", terrain)
 from fynjax.terrain._cloud import GROUND_CLASSES, PointCloud, read_cloud
 from fynjax.terrain._files import (
     middle_of_raster,
-    read_filled,
     read_terrain,
     write_mesh,
     write_terrain,
@@ -41,7 +40,6 @@ __all__ = [
     "heights_above_ground",
     "middle_of_raster",
     "read_cloud",
-    "read_filled",
     "read_terrain",
     "terrain_from_points",
     "terrain_mesh",

@@ -95,28 +95,6 @@ def read_terrain(
     a value that stands for missing data and is not declared (a whole number, the lowest or the
     highest, with a jump all around; a warning where the file declares another).
     """
-    return read_filled(
-        path,
-        bounds,
-        crs=crs,
-        height_unit=height_unit,
-        fill_gaps=fill_gaps,
-        largest_gap=largest_gap,
-        band=band,
-    )[0]
-
-
-def read_filled(
-    path: str | Path,
-    bounds: Bounds | None,
-    *,
-    crs: str | None,
-    height_unit: str | None,
-    fill_gaps: bool,
-    largest_gap: float,
-    band: int | None,
-) -> tuple[Terrain, float]:
-    """`read_terrain`, and the share of cells that had no height [-]."""
     path = Path(path)
     check_positive("largest_gap", largest_gap)
     with open_raster(path, _WHAT) as file:
@@ -146,9 +124,8 @@ def read_filled(
     _check_heights(values, cell, path, unit_known=unit is not None)
     if not valid.all():
         values = _filled(values, valid, cell, corner, fill_gaps, largest_gap, path)
-    wkt = system.to_wkt()
-    terrain = Terrain(values, cell, corner, None if "fynjax plot frame" in wkt else wkt)
-    return terrain, float((~valid).mean())
+    wkt = None if "fynjax plot frame" in system.to_wkt() else system.to_wkt()
+    return Terrain(values, cell, corner, wkt, filled=float((~valid).mean()))
 
 
 def middle_of_raster(path: str | Path, size: float) -> Bounds:

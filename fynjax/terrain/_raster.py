@@ -26,6 +26,8 @@ class Terrain:
     """South-west corner (x, y) of the raster [m]."""
     crs: str | None = None
     """Coordinate reference system as WKT; `None` is a frame of the plot's own."""
+    filled: float = 0.0
+    """Share of the cells of its file that had no height and were interpolated [-]."""
 
     def __post_init__(self) -> None:
         values = np.asarray(self.heights, np.float64)

@@ -1,7 +1,6 @@
 """What a MicaSense camera writes into a picture of one band, and its counts."""
 
 import re
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ from fynjax._core.errors import InputError
 from fynjax.io.raster import open_raster
 from fynjax.sensors import CameraRadiometry
 
-_RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 _PER_MICROMETRE = 1e3
 """MicaSense states radiance and irradiance per nm."""
 _CONVERTER_STEP = 16
@@ -81,7 +79,7 @@ def read_rededge_band(path: str | Path) -> RedEdgeBand:
         bits = int(picture.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", counts.dtype.itemsize * 8))
         stated = _Stated(
             path,
-            _xmp(picture.tags(ns="xml:XMP").get("xml:XMP", ""), path),
+            file.xmp,
             {**picture.tags(), **picture.tags(ns="EXIF")},
         )
     if bits < 12:
@@ -187,27 +185,6 @@ class _Stated:
                 file=self.path,
             )
         return value
-
-
-def _xmp(text: str, path: Path) -> dict[str, list[str]]:
-    """Properties by their name without namespace, each a list of texts."""
-    text = text.strip().strip("\0")
-    if not text:
-        return {}
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise InputError("the metadata (XMP) must not define entities, but do", file=path)
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise InputError(f"the metadata (XMP) cannot be read: {error}", file=path) from error
-    found: dict[str, list[str]] = {}
-    for description in root.iter(f"{_RDF}Description"):
-        for name, value in description.attrib.items():
-            found.setdefault(name.rpartition("}")[2], [value.strip()])
-        for child in description:
-            items = [item.text or "" for item in child.iter(f"{_RDF}li")] or [child.text or ""]
-            found.setdefault(child.tag.rpartition("}")[2], [item.strip() for item in items])
-    return found
 
 
 def _irradiance(stated: _Stated) -> tuple[float | None, float | None]:

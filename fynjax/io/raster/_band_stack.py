@@ -184,20 +184,20 @@ def _read(path: Path) -> _Part:
         # Exact for up to 16 bits, and half the memory.
         kind = np.result_type(np.float32, *(file.dataset.dtypes[n - 1] for n in numbers))
         raster = file.read(numbers, zero_is_data=False, dtype=kind)
-        xmp = ""
-        if len(numbers) == 1:
-            xmp = str(file.dataset.tags(ns="xml:XMP").get("xml:XMP", ""))
+        xmp = file.xmp if len(numbers) == 1 else {}
         names, waves = [], []
         for number, wave in zip(numbers, file.wavelengths[np.array(numbers) - 1], strict=True):
             colour = _COLOURS.get(colours[number - 1]) if masks else None
-            given = file.names[number - 1] or _stated_in(xmp, "BandName") or colour
+            given = file.names[number - 1] or "".join(xmp.get("BandName", [])[:1]) or colour
             names.append((given or f"band {number}").strip())
-            waves.append(_camera_wavelength(xmp) if np.isnan(wave) else float(wave))
+            waves.append(
+                (_numbers(xmp, "CentralWavelength") or [None])[0] if np.isnan(wave) else float(wave)
+            )
         placed, on_earth = file.has_place, file.on_earth
         crs = file.crs.to_wkt() if file.crs is not None and on_earth else None
     values = raster.values
-    if xmp:
-        values = values - kind.type(_dark_level(xmp))
+    if dark := _numbers(xmp, "DarkRowValue"):  # what the camera's covered pixels read
+        values = values - kind.type(np.mean(dark))
     with_data = np.isfinite(values).any(axis=(1, 2))
     mask = np.isfinite(values[with_data]).all(axis=0) & with_data.any()
     return _Part(values, mask, names, waves, raster.transform, crs, placed)
@@ -213,25 +213,13 @@ def _is_mask(band: np.ndarray) -> bool:
     return float(np.mean((band == 0) | (band == top))) > 0.99
 
 
-def _camera_wavelength(xmp: str) -> float | None:
-    """Centre of the band [nm], as a camera states it."""
+def _numbers(xmp: dict[str, list[str]], key: str) -> list[float]:
+    """Positive numbers that a camera states under a name."""
     try:
-        return float(_stated_in(xmp, "CentralWavelength") or "") or None
+        values = [float(part) for text in xmp.get(key, []) for part in text.split(",")]
     except ValueError:
-        return None
-
-
-def _stated_in(xmp: str, key: str) -> str | None:
-    """The first value of a key of a camera's metadata, written as an attribute or an element."""
-    found = re.search(rf':{key}(?:="|>\s*(?:<rdf:Seq>\s*<rdf:li>)?)\s*([^<"]+)', xmp)
-    return found.group(1).strip() if found else None
-
-
-def _dark_level(xmp: str) -> float:
-    """What the camera's covered pixels read, 0 where it does not say."""
-    found = re.search(r":DarkRowValue>(.*?)</\w+:DarkRowValue>", xmp, re.DOTALL)
-    levels = [float(v) for v in re.findall(r">\s*([\d.]+)\s*<", found.group(1))] if found else []
-    return float(np.mean(levels)) if levels else 0.0
+        return []
+    return [value for value in values if np.isfinite(value) and value > 0.0]
 
 
 def _check_together(a: _Part, b: _Part, first: Path, path: Path) -> None:

@@ -27,24 +27,16 @@ def read_cover_map(
     **Raises:** `InputError` for a raster that cannot be read or placed, bands of other names, and
     shares below 0 or that sum to more than 1.
     """
-    covers: list[str] = []
-
-    def choose(names: list[str], path: Path) -> list[int]:
-        for number, name in enumerate(names, 1):
-            plain = name.lower()
-            if plain not in COVERS or plain in covers:
-                raise InputError(
-                    f"expected bands named {', '.join(COVERS)} (any of them, once), but band "
-                    f"{number} is {name or 'unnamed'!r}.{did_you_mean(plain, COVERS)} The names "
-                    "are the bands' descriptions.",
-                    file=path,
-                )
-            covers.append(plain)
-        return list(range(len(names)))
-
-    part = read_over_plot(
-        path, "a map of the ground", size_m, choose, origin_m=origin_m, option=option
-    )
+    part = read_over_plot(path, "a map of the ground", size_m, origin_m=origin_m, option=option)
+    covers = [name.lower() for name in part.names]
+    for number, cover in enumerate(covers, 1):
+        if cover not in COVERS or cover in covers[: number - 1]:
+            raise InputError(
+                f"expected bands named {', '.join(COVERS)} (any of them, once), but band {number} "
+                f"is {part.names[number - 1] or 'unnamed'!r}.{did_you_mean(cover, COVERS)} The "
+                "names are the bands' descriptions.",
+                file=path,
+            )
     total = part.values.sum(axis=0)
     if part.values.min() < 0.0 or total.max() > 1.0 + 1e-3:
         wrong = part.values.min() if part.values.min() < 0.0 else total.max()

@@ -1,6 +1,5 @@
 """The part of a raster that lies over a plot."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,12 +21,24 @@ Edges = tuple[float, float]
 class OverPlot:
     """Bands of a raster where it lies over a plot."""
 
+    file: Path
     values: NDArray[np.float64]
     """[band, row, column], rows from the north, all cells that the plot touches."""
     edges: tuple[Edges, Edges]
     """First and last edge of the plot in rows and in columns of `values`."""
+    names: tuple[str, ...]
+    """Description of each band; empty where it has none."""
     units: tuple[str, ...]
     """Unit of each band, as the file states it; empty where it states none."""
+
+    def check_single(self, expected: str, remedy: str) -> None:
+        """Refuse a raster of several bands; `expected` is what one band is to be."""
+        if len(self.names) != 1:
+            listed = ", ".join(name or f"band {k}" for k, name in enumerate(self.names, 1))
+            raise InputError(
+                f"expected {expected}, but it has {len(self.names)} ({listed}). {remedy}",
+                file=self.file,
+            )
 
     def in_own_cells(self) -> NDArray[np.float64]:
         """[band, y, x], y to the north: the cells as they are where the plot's edges meet those of
@@ -58,7 +69,6 @@ def read_over_plot(
     path: Path,
     what: str,
     size_m: tuple[float, float],
-    choose: Callable[[list[str], Path], list[int]],
     *,
     origin_m: tuple[float, float] | None,
     option: str,
@@ -68,7 +78,6 @@ def read_over_plot(
     **Arguments:**
 
     - `what`: names the file in errors, such as "a probability map".
-    - `choose`: from the bands' descriptions (without an alpha band) to the indices of those wanted.
     - the rest as in `read_probability_map`.
 
     **Raises:** `InputError` for a raster that cannot be read or placed, does not cover the plot,
@@ -78,13 +87,12 @@ def read_over_plot(
         raise InputError(f"`size_m` must be positive [m], but is {size_m}")
     with open_raster(path, what) as file:
         file.check_place()
-        bands = [file.bands[k] for k in choose([file.names[n - 1] for n in file.bands], path)]
         corner = _corner(file, size_m, origin_m, option)
         columns, rows = _edges(file, size_m, corner, option)
         first = (int(rows[0] + _TINY), int(columns[0] + _TINY))
         last = (int(np.ceil(rows[1] - _TINY)), int(np.ceil(columns[1] - _TINY)))
         window = Window(first[1], first[0], last[1] - first[1], last[0] - first[0])
-        part = file.read(bands, window=window)
+        part = file.read(file.bands, window=window)
     values, valid = part.values[:, ::-1], part.mask[::-1]
     if not valid.all():
         row, column = np.argwhere(~valid)[0]
@@ -98,7 +106,8 @@ def read_over_plot(
         )
     (r0, r1), (c0, c1) = rows, columns
     edges = (r0 - first[0], r1 - first[0]), (c0 - first[1], c1 - first[1])
-    return OverPlot(values, edges, tuple(file.units[n - 1] for n in bands))
+    names, units = (tuple(of[n - 1] for n in file.bands) for of in (file.names, file.units))
+    return OverPlot(path, values, edges, names, units)
 
 
 def _corner(

@@ -88,8 +88,11 @@ def read_probability_map(
     Warns where the map has one value all over the plot.
     """
     path = Path(path)
-    part = read_over_plot(
-        path, "a probability map", size_m, _only_band, origin_m=origin_m, option=option
+    part = read_over_plot(path, "a probability map", size_m, origin_m=origin_m, option=option)
+    part.check_single(
+        "a map of one band of 0 to 255",
+        f"Make a map of an image with `fynjax pattern {path.name}`, or choose a band: "
+        "gdal_translate -b 1",
     )
     _check_values(part.values, path)
     values = np.clip(part.in_own_cells()[0], 0.0, 255.0)
@@ -100,18 +103,6 @@ def read_probability_map(
             stacklevel=2,
         )
     return values
-
-
-def _only_band(names: list[str], path: Path) -> list[int]:
-    if len(names) != 1:
-        listed = ", ".join(name or f"band {k}" for k, name in enumerate(names, 1))
-        raise InputError(
-            f"expected a map of one band of 0 to 255, but it has {len(names)} ({listed}). Make "
-            f"a map of an image with `fynjax pattern {path.name}`, or choose a band: "
-            "gdal_translate -b 1",
-            file=path,
-        )
-    return [0]
 
 
 def _check_values(values: NDArray[np.float64], path: Path) -> None:

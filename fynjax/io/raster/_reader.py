@@ -7,6 +7,7 @@ fynjax. The flip happens here and nowhere else.
 import math
 import os
 import warnings
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,12 +28,13 @@ from rasterio.windows import Window
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.io.raster._crs import check_metric, is_local
-from fynjax.io.spectra import envi_pair, header_numbers, in_nanometres, read_header
+from fynjax.io.spectra import header_numbers, in_nanometres, open_envi
 from fynjax.io.text import existing_file
 
 METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its heights."""
 ENVI_DATA = (".dat", ".img", ".bil", ".bsq", ".bip")
+_RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 _BLOCK = 1 << 24
 """Values read at once, where a raster is read by blocks of rows."""
 _EMPTY = 3000
@@ -132,6 +134,29 @@ class RasterFile:
         count = self.dataset.count
         listed = header_numbers(self.header, "bbl", count, self.header_path)
         return np.ones(count, bool) if listed is None else listed != 0.0
+
+    @cached_property
+    def xmp(self) -> dict[str, list[str]]:
+        """What a camera has written of its picture (XMP): texts by name without namespace."""
+        text = self.dataset.tags(ns="xml:XMP").get("xml:XMP", "").strip().strip("\0")
+        if not text:
+            return {}
+        if "<!DOCTYPE" in text or "<!ENTITY" in text:
+            raise InputError("the metadata (XMP) must not define entities, but do", file=self.path)
+        try:
+            root = ElementTree.fromstring(text)
+        except ElementTree.ParseError as error:
+            raise InputError(
+                f"the metadata (XMP) cannot be read: {error}", file=self.path
+            ) from error
+        stated: dict[str, list[str]] = {}
+        for description in root.iter(f"{_RDF}Description"):
+            for name, value in description.attrib.items():
+                stated.setdefault(name.rpartition("}")[2], [value.strip()])
+            for child in description:
+                items = [item.text or "" for item in child.iter(f"{_RDF}li")] or [child.text or ""]
+                stated.setdefault(child.tag.rpartition("}")[2], [item.strip() for item in items])
+        return stated
 
     # -- place ------------------------------------------------------------------------------
 
@@ -326,8 +351,7 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
     tiff = path.suffix.lower() in (".tif", ".tiff")
     header: dict[str, Any] = {}
     if path.suffix.lower() == ".hdr" or (not tiff and any(p.is_file() for p in beside)):
-        header_path, path = envi_pair(path, ENVI_DATA, "image")
-        header = read_header(header_path)
+        header, header_path, path = open_envi(path, ENVI_DATA, "image")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)

@@ -1,7 +1,7 @@
 """Spectra from ASD files, text and ENVI libraries; results of leaf fits."""
 
 from fynjax.io.spectra._asd import read_asd
-from fynjax.io.spectra._envi import envi_pair, header_numbers, in_nanometres, read_header
+from fynjax.io.spectra._envi import header_numbers, in_nanometres, open_envi, read_header
 from fynjax.io.spectra._leaf_results import (
     posterior_dataset,
     species_table,
@@ -15,10 +15,10 @@ from fynjax.io.spectra._record import Spectrum, note
 
 __all__ = [
     "Spectrum",
-    "envi_pair",
     "header_numbers",
     "in_nanometres",
     "note",
+    "open_envi",
     "posterior_dataset",
     "read_asd",
     "read_header",

@@ -18,6 +18,8 @@ _UNSTATED = ("", "unknown", "index")
 def read_header(path: Path) -> dict[str, Any]:
     """Fields of an ENVI header, names in lower case; what stands in braces is a list of texts.
 
+    `layout` has nrows, ncols, nbands, offset and dtype of the data file, as SPy has them.
+
     **Raises:** `InputError` where it is no ENVI header, or lacks a field that tells how its data
     are stored.
     """
@@ -27,34 +29,28 @@ def read_header(path: Path) -> dict[str, Any]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of names that are not in lower case
             header = envi.read_envi_header(str(path))
-        envi.gen_params({"byte order": "0", **header})
+        layout = envi.gen_params({"byte order": "0", **header})
     except (envi.SpyException, LookupError, TypeError, ValueError) as error:
         raise InputError(
             f"cannot be read as an ENVI header, which starts with the word ENVI and has samples, "
             f"lines, bands and data type ({type(error).__name__}: {' '.join(str(error).split())})",
             file=path,
         ) from error
-    return dict(header)
+    return {**header, "layout": layout}
 
 
-def stored_bytes(header: dict[str, Any]) -> int:
-    """Bytes that the data file of a header must have at least."""
-    from spectral.io import envi
-
-    layout = envi.gen_params({"byte order": "0", **header})
-    cells = layout.nbands * layout.nrows * layout.ncols
-    return int(layout.offset + cells * np.dtype(layout.dtype).itemsize)
-
-
-def envi_pair(path: str | Path, suffixes: tuple[str, ...], what: str) -> tuple[Path, Path]:
-    """Header and data file of an ENVI file, given one of them.
+def open_envi(
+    path: str | Path, suffixes: tuple[str, ...], what: str
+) -> tuple[dict[str, Any], Path, Path]:
+    """Header, its file and the data file of an ENVI file, given one of the two files.
 
     `suffixes` are those that a data file may have, `what` it is.
 
-    **Raises:** `InputError` where one of them is missing, or the data are cut short.
+    **Raises:** `InputError` where one of them is missing, or the data are cut short; as
+    `read_header`.
     """
     path = Path(path)
-    header, data = path, path
+    header_path, data = path, path
     if path.suffix.lower() == ".hdr":
         stem = path.with_suffix("")
         names = [stem, *(p.with_suffix(s) for s in suffixes for p in (path, stem))]
@@ -63,19 +59,20 @@ def envi_pair(path: str | Path, suffixes: tuple[str, ...], what: str) -> tuple[P
     else:
         names = [path.with_suffix(".hdr"), path.with_name(path.name + ".hdr")]
         lost = f"the ENVI header (.hdr) is missing beside this {what}"
-        header = next((p for p in names if p.is_file()), path)
-    if not path.is_file():
-        raise InputError("no such file", file=path)
-    if header == data:
-        raise InputError(lost, file=path)
-    needed, there = stored_bytes(read_header(header)), data.stat().st_size
-    if there < needed:
+        header_path = next((p for p in names if p.is_file()), path)
+    if header_path == data:
+        raise InputError(lost if path.is_file() else "no such file", file=path)
+    header = read_header(header_path)
+    layout = header["layout"]
+    cells = layout.nbands * layout.nrows * layout.ncols
+    needed = int(layout.offset + cells * np.dtype(layout.dtype).itemsize)
+    if (there := data.stat().st_size) < needed:
         raise InputError(
             f"the file is cut short: by its header it needs {needed} bytes, but it has {there}. "
             "Copy it again.",
             file=data,
         )
-    return header, data
+    return header, header_path, data
 
 
 def header_numbers(
@@ -130,14 +127,11 @@ def read_envi_library(path: str | Path) -> list[Spectrum]:
     **Raises:** `InputError` if one of the two files is missing, the header lacks a needed field, or
     the data are cut short.
     """
-    from spectral.io import envi
-
-    header_path, data_path = envi_pair(path, (".sli", ".slb"), "library")
-    header = read_header(header_path)
+    header, header_path, data_path = open_envi(path, (".sli", ".slb"), "library")
     kind = header.get("file type", "ENVI Spectral Library")
     if "librar" not in str(kind).lower():
         raise InputError(f"expected an ENVI spectral library, but this is {kind!r}", file=path)
-    layout = envi.gen_params({"byte order": "0", **header})
+    layout = header["layout"]
     stated = header_numbers(header, "wavelength", layout.ncols, header_path)
     if stated is None:
         raise InputError("the header needs wavelength", file=header_path)
