@@ -238,7 +238,7 @@ def spectrum_target(plot: Plot, path: Path, progress: Progress) -> Measured:
     except InputError as error:
         raise InputError(str(error), file=path) from error
     told = (
-        f"{path.name}: {sample.told()} Their mean is compared in {len(bands)} bands, "
+        f"{path.name}: {sample.description()} Their mean is compared in {len(bands)} bands, "
         f"{bands.centre[0]:.0f} to {bands.centre[-1]:.0f} nm outside the water windows, at the "
         "full width of the bands. Errors: "
         f"{100 * share:.2g} % and the noise of AVIRIS-NG in each band for itself; a factor of "

@@ -192,7 +192,7 @@ def _histograms(
 
 
 def _notes(real: DroneImage, simulated: DroneImage) -> list[str]:
-    notes = [f"Real image: {real.told()}", f"Simulated image: {simulated.told()}"]
+    notes = [f"Real image: {real.description()}", f"Simulated image: {simulated.description()}"]
     p, q = real.pixel_m, simulated.pixel_m
     if p is not None and q is not None:
         if max(p, q) > 1.2 * min(p, q):

@@ -67,7 +67,7 @@ class DroneImage:
         """The compared pixels."""
         return self.values[:, self.mask]
 
-    def told(self) -> str:
+    def description(self) -> str:
         """What was read, in sentences."""
         rows, columns = self.shape
         place = "" if self.pixel_m is None else f" of {self.pixel_m:g} m"

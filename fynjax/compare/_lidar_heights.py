@@ -38,9 +38,9 @@ class Heights:
         """Root mean square distance of the returns' percentiles from the others' [m]."""
         if RETURNED not in self.percentiles:
             return None
-        own = self.percentiles[RETURNED]
+        returned = self.percentiles[RETURNED]
         return {
-            name: float(np.sqrt(np.mean((own - self.percentiles[name]) ** 2)))
+            name: float(np.sqrt(np.mean((returned - self.percentiles[name]) ** 2)))
             for name in self.percentiles
             if name != RETURNED
         }

@@ -47,7 +47,7 @@ def compare_with_published(image: DroneImage) -> PublishedComparison:
         rows.append(_row(f"{name}.std", sound, paper.real_std, paper.sim_std, float(std)))
     assert len(rows) == len(BANDS) + 2 * len(VEGETATION_INDICES)
     notes = [
-        f"Simulated image: {image.told()}",
+        f"Simulated image: {image.description()}",
         "The real image itself is not published: only means and standard deviations can be "
         "compared, no histograms.",
     ]

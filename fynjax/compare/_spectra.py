@@ -42,7 +42,7 @@ class SpectraSample:
     step: int = 1
     """Of a cube, every `step`-th row and column was read."""
 
-    def told(self) -> str:
+    def description(self) -> str:
         """What was read, in sentences."""
         grid = self.wavelength
         text = (

@@ -103,7 +103,11 @@ def compare_spectra(
         regions.append(_region_row(name, means, mask, grid))
         row = _misfit_row(name, _misfit(means, mask))
         misfits.append(_without_line(row) if is_constant(means[0][mask]) else row)
-    notes = [f"Real: {real.told()}", f"Simulated: {simulated.told()}", match.statement]
+    notes = [
+        f"Real: {real.description()}",
+        f"Simulated: {simulated.description()}",
+        match.statement,
+    ]
     notes.append(
         "Left out: below 400 and above 2450 nm"
         + "".join(f", {low:g} to {high:g} nm" for low, high in windows)

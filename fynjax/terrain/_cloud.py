@@ -101,9 +101,9 @@ def read_cloud(
     **Returns:** `PointCloud`, in metres.
 
     **Raises:** `InputError` for a file that is missing, cut short, of another format, has NaN, is
-    in degrees or in another unit than metres that was not stated. Units are told from the
+    in degrees or in another unit than metres that was not stated. Units are known from the
     reference system, the header, and numbers that cannot be metres of a plot (a point in 25 m2,
-    relief of twice the plot's width); feet without any of these cannot be told from metres.
+    relief of twice the plot's width); feet without any of these look like metres.
     Single heights below -500 or above 9000 m are refused; if all are, that is a warning.
     `MissingExtraError` for LAS without the extra `terrain`.
     """
@@ -112,24 +112,24 @@ def read_cloud(
         raise InputError("expected a point cloud, but the file is empty", file=path)
     suffix = path.suffix.lower()
     if suffix in (".las", ".laz"):
-        x, y, z, labels, found = _read_las(
+        x, y, z, labels, stated = _read_las(
             path, unit is not None, unit is not None or height_unit is not None
         )
     elif suffix == ".ply":
         x, y, z, labels = _read_ply(path)
-        found = None
+        stated = None
     elif suffix in (".xyz", ".txt", ".csv"):
         from fynjax.terrain._text import read_text_cloud
 
         x, y, z, labels = read_text_cloud(path, unit_stated=unit is not None)
-        found = None
+        stated = None
     else:
         raise InputError(
             f"expected a point cloud (.las, .laz, .ply, .xyz, .txt or .csv), but this is a "
             f"{suffix or 'file without a suffix'}",
             file=path,
         )
-    system = found if crs is None else parse_crs(crs, path)
+    system = stated if crs is None else parse_crs(crs, path)
     stated = unit is not None
     if system is not None:
         check_metric(

@@ -48,9 +48,9 @@ def find_ground(
       turned upside down (Zhang et al. 2016). "labels" takes `GROUND_CLASSES` of the file.
     - `cell`: side of the filter's cells [m]; about a point in every cell is enough. `None` is
       twice the mean distance of points, and 0.5 to 2 m.
-    - `window`: radius [m] of the widest closed stand of plants with no ground seen inside it, at
-      most half of the cloud's diagonal, since no stand in it is wider; `None` is 5 or, in a
-      smaller cloud, that half; "smrf" only.
+    - `window`: radius [m] of the widest closed stand of plants without a point on the ground
+      inside it, at most half of the cloud's diagonal, since no stand in it is wider; `None` is 5
+      or, in a smaller cloud, that half; "smrf" only.
     - `slope`: how much steeper than the cloud as a whole the ground may be over a window's radius,
       as rise over run [-]; "smrf" only. 0.15 is what Pingel et al. use for all scenes alike.
     - `tolerance`: how far above or below the surface of the lowest points ground may lie [m]; for
@@ -153,7 +153,7 @@ def _morphological(
 def _levelled(cloud: PointCloud, window: float) -> NDArray[np.float64]:
     """x and y from the south-west corner, z above the plane that the lowest points lie on [m].
 
-    Windows are level, so that on a hillside they see less of a plant the steeper it is; and
+    Windows are level, so that on a hillside they hold less of a plant the steeper it is; and
     heights above the sea would make the relative error large at which the filter's solver stops.
     """
     west, south, _, _ = cloud.bounds
@@ -188,9 +188,9 @@ def _cloth(points: NDArray[np.float64], cell: float, tolerance: float) -> NDArra
     with _silent_stdout():
         csf.setPointCloud(points)
         csf.do_filtering(ground, rest, False)
-    found = np.zeros(len(points), bool)
-    found[np.array(ground, dtype=np.int64)] = True
-    return found
+    is_ground = np.zeros(len(points), bool)
+    is_ground[np.array(ground, dtype=np.int64)] = True
+    return is_ground
 
 
 @contextmanager

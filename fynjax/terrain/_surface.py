@@ -46,7 +46,7 @@ def terrain_from_points(
     - `cell`: side of a cell [m].
     - `bounds`: the plot, which `cell` must divide, and which may stick out of the cloud by two
       cells; unless given, the whole cells inside the cloud.
-    - `largest_gap`: how far a cell may be from ground that was seen [m].
+    - `largest_gap`: how far a cell may be from a point on the ground [m].
 
     **Raises:** `InputError` for a cloud without ground, one that does not cover the plot, or a
     gap larger than allowed; `MissingExtraError` without the extra `terrain`.

@@ -66,6 +66,11 @@ def read_text_cloud(path: Path, *, unit_stated: bool) -> tuple[Any, Any, Any, An
         if table.names is None
         else _columns(table.names, path, table.row, unit_stated)
     )
-    found = table.columns(places)
-    labels = found.get("classification")
-    return found["x"], found["y"], found["z"], None if labels is None else labels.astype(np.uint8)
+    columns = table.columns(places)
+    labels = columns.get("classification")
+    return (
+        columns["x"],
+        columns["y"],
+        columns["z"],
+        None if labels is None else labels.astype(np.uint8),
+    )

@@ -76,7 +76,7 @@ def test_scaled_integers_no_data_border_and_saturation(tmp_path: Path) -> None:
     assert np.isnan(got.values[:, 30 - 1 - 9, 9]).all()
     limited = read(path, saturation=0.9)
     assert (limited.saturated, limited.mask.sum()) == (2, 600 - 23)
-    assert "2 saturated left out" in limited.told()
+    assert "2 saturated left out" in limited.description()
     with pytest.raises(InputError, match="none is left"):
         read(path, saturation=0.01)
     with pytest.raises(InputError, match=r"gdal_edit\.py -scale 0\.0001"):
@@ -94,7 +94,7 @@ def test_a_large_image_is_thinned_evenly_across_blocks(tmp_path: Path) -> None:
         np.testing.assert_array_equal(got.values, image[:, ::step, ::step][:, ::-1])
         assert got.mask.size <= most
         assert step == 1 or -(-1300 // (step - 1)) * -(-70 // (step - 1)) > most
-        assert (f"every {step}th row" in got.told()) == (step > 1)
+        assert (f"every {step}th row" in got.description()) == (step > 1)
 
 
 def test_clipped_values_are_told_and_a_missing_system_is_no_matter(tmp_path: Path) -> None:

@@ -98,7 +98,7 @@ def test_what_is_missing_is_left_out_and_counted(tmp_path: Path) -> None:
     assert got.dead == 3
     assert not set(WAVE[[45, 46, 60]]) & set(got.wavelength)
     assert (len(got.values), got.left_out) == (10, 1)
-    assert "3 bands without values left out" in got.told()
+    assert "3 bands without values left out" in got.description()
     scaled = write_envi(tmp_path / "b", 1e4 * cube(), **{"reflectance scale factor": "10000"})
     np.testing.assert_allclose(read(scaled).values, cube().reshape(len(WAVE), -1).T, rtol=1e-6)
     spectra = cube().reshape(len(WAVE), -1).T

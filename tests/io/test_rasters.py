@@ -92,7 +92,7 @@ def test_masked_pixels_are_counted(tmp_path, image):
     write(tmp_path / "i.tif", image)
     back = read_image(tmp_path / "i.tif")
     assert back.without_data == 3
-    assert "3 without data left out" in back.told()
+    assert "3 without data left out" in back.description()
     assert sorted(zip(*np.nonzero(~back.mask), strict=True)) == [(5, 7), (6, 7), (8, 9)]
     assert np.isnan(back.values[:, 5, 7]).all()
     assert np.isfinite(back.pixels).all()

@@ -210,8 +210,8 @@ def _spectral_factor(unit: str, kind: str) -> float | None:
         return None
     factor = 1.0
     for table in (_POWER, _AREA, _WIDTH):
-        found = [part for part in parts if part in table]
-        if len(found) != 1:
+        known = [part for part in parts if part in table]
+        if len(known) != 1:
             return None
-        factor *= table[found[0]]
+        factor *= table[known[0]]
     return factor

@@ -41,17 +41,17 @@ def scene_meshes(
     )
     species = parameters.species
     meshes: list[PlantMesh | None] = []
-    for one, (taxon, form) in enumerate(zip(model.taxa, model.forms)):
-        if counts[one] == 0:
+    for taxon_index, (taxon, form) in enumerate(zip(model.taxa, model.forms)):
+        if counts[taxon_index] == 0:
             meshes.append(None)
             continue
         made = generate_plant(
             _known(taxon, form),
-            seed + one,
-            diameter=float(species.diameter[one]),
-            height=float(species.height[one]),
-            leaf_area_index=float(species.leaf_area_index[one]),
-            wood_area_index=float(species.wood_area_index[one]),
+            seed + taxon_index,
+            diameter=float(species.diameter[taxon_index]),
+            height=float(species.height[taxon_index]),
+            leaf_area_index=float(species.leaf_area_index[taxon_index]),
+            wood_area_index=float(species.wood_area_index[taxon_index]),
             flowering=model.flowering,
             max_triangles=each,
         )
@@ -94,10 +94,10 @@ def write_scene_mesh(
     first = 1
     with atomic_path(path) as partial, partial.open("w", encoding="utf-8") as file:
         file.write(f"# lengths in metres, z upwards\nmtllib {path.stem}.mtl\n")
-        for one, mesh in enumerate(meshes):
+        for taxon_index, mesh in enumerate(meshes):
             if mesh is None:
                 continue
-            name = instances.taxa[one].lower().replace(" ", "_")
+            name = instances.taxa[taxon_index].lower().replace(" ", "_")
             low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
             wide = float((high - low)[:2].mean())
             position = mesh.vertices / np.array([wide, wide, high[2] - low[2]])
@@ -106,9 +106,11 @@ def write_scene_mesh(
                 faces = mesh.faces[mesh.material == index]
                 parts.append((f"{name}_{organ}", faces, "f %d %d %d\n" * len(faces)))
                 wood = Organ.WOOD.name.lower() == organ
-                materials[f"{name}_{organ}"] = (0.36, 0.27, 0.20) if wood else colours[one]
+                materials[f"{name}_{organ}"] = (0.36, 0.27, 0.20) if wood else colours[taxon_index]
             rows = "v %.5f %.5f %.5f\n" * len(position)
-            for number, plant in enumerate(np.flatnonzero(instances.species == one), start=1):
+            for number, plant in enumerate(
+                np.flatnonzero(instances.species == taxon_index), start=1
+            ):
                 per_diameter, per_height = unit_shapes(
                     position, instances.azimuth[[plant]], instances.tilt[[plant]]
                 )

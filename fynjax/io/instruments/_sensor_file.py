@@ -131,14 +131,14 @@ def _order_slip(
     centres: list[float], widths: list[float], any_order: bool
 ) -> tuple[int, str] | None:
     """The first band that is out of order or there twice, and what to say of it."""
-    seen: dict[tuple[float, float], int] = {}
+    first_index: dict[tuple[float, float], int] = {}
     for index, band in enumerate(zip(centres, widths)):
-        if band in seen:
+        if band in first_index:
             return index, (
-                f"band {index + 1} is a duplicate of band {seen[band] + 1}: both lie at "
+                f"band {index + 1} is a duplicate of band {first_index[band] + 1}: both lie at "
                 f"{band[0]:g} nm with a width of {band[1]:g} nm. Leave one out."
             )
-        seen[band] = index
+        first_index[band] = index
     steps = np.diff(centres)
     if any_order or np.all(steps > 0):
         return None

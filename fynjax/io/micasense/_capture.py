@@ -78,7 +78,7 @@ def find_captures(paths: Sequence[str | Path]) -> dict[str, list[Path]]:
     **Raises:** `InputError` for a path that does not exist, a file that is not called so, or a
     folder without such files.
     """
-    found: dict[str, list[tuple[int, Path]]] = {}
+    captures: dict[str, list[tuple[int, Path]]] = {}
     for given in map(Path, paths):
         if given.is_dir():
             files = [p for p in sorted(given.iterdir()) if _NAME.fullmatch(p.name)]
@@ -102,10 +102,10 @@ def find_captures(paths: Sequence[str | Path]) -> dict[str, list[Path]]:
                 beside = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
                 raise InputError(f"no such file.{did_you_mean(path.name, beside)}", file=path)
             entry = (int(name["band"]), path)
-            group = found.setdefault(name["capture"], [])
+            group = captures.setdefault(name["capture"], [])
             if entry not in group:
                 group.append(entry)
-    for name_of, group in found.items():
+    for name_of, group in captures.items():
         numbers = [number for number, _ in group]
         if len(set(numbers)) != len(numbers):
             raise InputError(
@@ -113,7 +113,7 @@ def find_captures(paths: Sequence[str | Path]) -> dict[str, list[Path]]:
                 f"{max(numbers, key=numbers.count)} is there more than once, in several folders",
                 file=group[0][1],
             )
-    return {name: [path for _, path in sorted(group)] for name, group in found.items()}
+    return {name: [path for _, path in sorted(group)] for name, group in captures.items()}
 
 
 def same_capture(path: str | Path, captures: dict[str, list[Path]]) -> tuple[str, list[Path]]:
@@ -174,18 +174,18 @@ def aligned_radiance(
     progress = NullProgress() if progress is None else progress
     with progress.stage(f"Align the bands of {capture.name}", len(capture.bands) - 1):
         try:
-            values, cut, told = align_bands(radiance, progress=progress)
+            values, cut, alignments = align_bands(radiance, progress=progress)
         except InputError as error:
             raise InputError(str(error), file=capture.bands[0].path) from error
     near = np.empty(values.shape, bool)
-    for k, band in enumerate(told):
+    for k, band in enumerate(alignments):
         # Where the first band's pixels lie in this one: the rest of the map moves it too little.
         rows, columns = (
             np.clip(np.arange(s.start, s.stop) - round(shift), 0, size - 1)
             for s, shift, size in zip(cut, band.shift[::-1], full.shape[1:], strict=True)
         )
         near[k] = values[k] >= _CLOSE * full[k][np.ix_(rows, columns)]
-    return AlignedCapture(values, _grown(near), tuple(told))
+    return AlignedCapture(values, _grown(near), tuple(alignments))
 
 
 def _grown(mask: Bool[np.ndarray, "band y x"]) -> Bool[np.ndarray, "band y x"]:

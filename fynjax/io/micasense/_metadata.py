@@ -170,9 +170,9 @@ class _Stated:
         return values if values and np.isfinite(values).all() else None
 
     def maybe_exif(self, key: str) -> float | None:
-        found = re.search(r"[-+\d.eE]+", self.tags.get(f"EXIF_{key}", ""))
+        number = re.search(r"[-+\d.eE]+", self.tags.get(f"EXIF_{key}", ""))
         try:
-            return float(found.group()) if found else None
+            return float(number.group()) if number else None
         except ValueError:
             return None
 

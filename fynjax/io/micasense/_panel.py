@@ -137,8 +137,8 @@ def read_panel(capture: Capture, area: NDArray[np.float64] | None = None) -> Pan
     pictures = capture.radiance()
     if area is not None:
         how, areas = "given", [np.asarray(area, float)] * len(stated)
-    elif all(one is not None for one in stated):
-        how, areas = "stated by the camera", [one for one in stated if one is not None]
+    elif all(corners is not None for corners in stated):
+        how, areas = "stated by the camera", [corners for corners in stated if corners is not None]
     else:
         how, areas = "found in the picture", []
         for band, picture in zip(capture.bands, pictures, strict=True):

@@ -68,9 +68,9 @@ def align_bands(
 
     first = edges(image[0])
     corners = np.array([[0, 0], [columns - 1, 0], [columns - 1, rows - 1], [0, rows - 1]], float)
-    seen = [corners]
+    outlines = [corners]
     aligned = [image[0]]
-    told = [Alignment((0.0, 0.0), 0.0, 1.0)]
+    alignments = [Alignment((0.0, 0.0), 0.0, 1.0)]
     middle = np.array([[(columns - 1) / 2.0, (rows - 1) / 2.0]])
     for number in range(1, bands):
         other = edges(image[number])
@@ -78,8 +78,8 @@ def align_bands(
         onto = transform.AffineTransform(translation=-shift)
         onto = _fitted(first, transform.warp(other, onto, order=1), onto, tile)
         after = transform.warp(other, onto, order=1)
-        seen.append(onto.inverse(corners))
-        y, x = _common(seen[:1] + seen[-1:])
+        outlines.append(onto.inverse(corners))
+        y, x = _common(outlines[:1] + outlines[-1:])
         match = float(np.corrcoef(first[y, x].ravel(), after[y, x].ravel())[0, 1])
         if not match > _LEAST_MATCH:
             raise InputError(
@@ -89,22 +89,22 @@ def align_bands(
         _, moved = _tile_shifts(first, after, tile)
         missed = float(np.median(np.hypot(*moved.T))) if len(moved) else float("nan")
         east, north = (middle - onto(middle))[0]
-        told.append(Alignment((float(east), float(north)), missed, match))
+        alignments.append(Alignment((float(east), float(north)), missed, match))
         warped = transform.warp(image[number], onto, order=1, preserve_range=True)
         aligned.append(warped.astype(image.dtype))
         progress.advance(match=match)
-    y, x = _common(seen)
-    return np.stack([band[y, x] for band in aligned]), (y, x), told
+    y, x = _common(outlines)
+    return np.stack([band[y, x] for band in aligned]), (y, x), alignments
 
 
 def _shift(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """By how much (x, y) the content of `b` must move to lie on `a` [pixel]."""
     registration = require("skimage.registration", "pattern", "scikit-image")
     # Not normalised to phase: at the noise of a camera that follows fixed patterns of its chip.
-    found = registration.phase_cross_correlation(
+    shift = registration.phase_cross_correlation(
         a - a.mean(), b - b.mean(), upsample_factor=10, normalization=None
     )[0]
-    return np.asarray(found[::-1], float)
+    return np.asarray(shift[::-1], float)
 
 
 def _tile_shifts(
@@ -119,10 +119,10 @@ def _tile_shifts(
             p, q = (band[y : y + tile, x : x + tile] for band in (a, b))
             if np.ptp(p) == 0.0 or np.ptp(q) == 0.0:
                 continue
-            found = _shift((p - p.mean()) * taper, (q - q.mean()) * taper)
-            if np.hypot(*found) < tile / 8.0:
+            shift = _shift((p - p.mean()) * taper, (q - q.mean()) * taper)
+            if np.hypot(*shift) < tile / 8.0:
                 middles.append((x + (tile - 1) / 2.0, y + (tile - 1) / 2.0))
-                shifts.append(found)
+                shifts.append(shift)
     return np.array(middles).reshape(-1, 2), np.array(shifts).reshape(-1, 2)
 
 

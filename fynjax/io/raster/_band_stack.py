@@ -142,10 +142,10 @@ def read_band_stack(
             progress = NullProgress() if progress is None else progress
             with progress.stage("Align the bands", len(values) - 1):
                 try:
-                    values, cut, found = align_bands(values, progress=progress)
+                    values, cut, alignments = align_bands(values, progress=progress)
                 except InputError as error:
                     raise InputError(str(error), file=files[0]) from error
-            mask, alignment = mask[cut], tuple(found)
+            mask, alignment = mask[cut], tuple(alignments)
         transform = Affine(pixel_m, 0.0, 0.0, 0.0, -pixel_m, mask.shape[0] * pixel_m)
         crs = None
     elif pixel_m is not None:
@@ -185,7 +185,8 @@ def _read(path: Path) -> _Part:
         kind = np.result_type(np.float32, *(file.dataset.dtypes[n - 1] for n in numbers))
         raster = file.read(numbers, zero_is_data=False, dtype=kind)
         xmp = file.xmp if len(numbers) == 1 else {}
-        names, waves = [], []
+        names: list[str] = []
+        waves: list[float | None] = []
         for number, wave in zip(numbers, file.wavelengths[np.array(numbers) - 1], strict=True):
             colour = _COLOURS.get(colours[number - 1]) if masks else None
             given = file.names[number - 1] or "".join(xmp.get("BandName", [])[:1]) or colour

@@ -97,16 +97,16 @@ def write_leaf_netcdf(dataset: xr.Dataset, path: str | Path) -> None:
 _VARIANTS = 5
 
 
-def species_table(found: LeafGroups, seed: int) -> pd.DataFrame:
+def species_table(groups: LeafGroups, seed: int) -> pd.DataFrame:
     """The mean leaf of each species (variant 0), and material variants of it."""
-    drawn = found.variants(_VARIANTS, seed)
+    drawn = groups.variants(_VARIANTS, seed)
     rows = []
-    for g, species in enumerate(found.groups):
-        mean = {n: float(np.asarray(getattr(found.mean, n))[g]) for n in found.names}
+    for g, species in enumerate(groups.groups):
+        mean = {n: float(np.asarray(getattr(groups.mean, n))[g]) for n in groups.names}
         rows.append({"species": species, "variant": 0, **mean})
         for v in range(_VARIANTS):
-            one = {n: float(np.asarray(getattr(drawn, n))[g, v]) for n in found.names}
-            rows.append({"species": species, "variant": v + 1, **one})
+            values = {n: float(np.asarray(getattr(drawn, n))[g, v]) for n in groups.names}
+            rows.append({"species": species, "variant": v + 1, **values})
     return pd.DataFrame(rows)
 
 

@@ -101,7 +101,9 @@ def _is_text(data: bytes) -> bool:
 
 def reflectances(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
     """Wavelengths [nm] and reflectance of the spectra of a file."""
-    found = [(s.wavelength, s.reflectance) for s in read_spectra(path) if s.reflectance is not None]
-    if not found:
+    spectra = [
+        (s.wavelength, s.reflectance) for s in read_spectra(path) if s.reflectance is not None
+    ]
+    if not spectra:
         raise InputError("a reflectance spectrum was expected, but the file has none", file=path)
-    return found
+    return spectra

@@ -142,18 +142,18 @@ def _paired(
     """Spectra from named columns; a transmittance column joins the reflectance of its name."""
     records: dict[str, dict[str, Any]] = {}
     for label, values in columns.items():
-        own = {**meta, "repairs": list(meta.get("repairs", []))}
+        row_meta = {**meta, "repairs": list(meta.get("repairs", []))}
         if _percent(label):
             values = values / 100.0
-            note(own, "converted from percent as the header says")
+            note(row_meta, "converted from percent as the header says")
         clean = re.sub(r"\(?%\)?|\[%\]|percent", "", label, flags=re.I).strip(" _")
         through, back = _TRAN.search(clean), _REFL.search(clean)
         kind = "transmittance" if through and not back else "reflectance"
         match = through if kind == "transmittance" else back
         base = (clean[: match.start()] + clean[match.end() :]).strip(" _.-()") if match else clean
-        record = records.setdefault(base or stem, {"meta": own})
+        record = records.setdefault(base or stem, {"meta": row_meta})
         if kind in record:  # two columns whose names differ only in case or marks
-            record = records.setdefault(label, {"meta": own})
+            record = records.setdefault(label, {"meta": row_meta})
         record[kind] = values
     return [
         Spectrum(name, wavelength, r.get("reflectance"), r.get("transmittance"), r["meta"])
@@ -184,8 +184,8 @@ def _by_row(
             )  # fmt: skip
         values = np.array([_value(row[i], file, number, header[i]) for i in bands])
         name = row[name_at] if name_at is not None and row[name_at] else f"{file.stem}_{number - 1}"
-        own = {**meta, "repairs": list(meta.get("repairs", []))}
-        own["columns"] = {header[i]: row[i] for i in others}
+        row_meta = {**meta, "repairs": list(meta.get("repairs", []))}
+        row_meta["columns"] = {header[i]: row[i] for i in others}
         through = kind_at is not None and row[kind_at].lower().startswith("t")
         old = records.get(name)
         if old is not None and through and old.transmittance is None:
@@ -196,7 +196,7 @@ def _by_row(
             continue
         unique = name if old is None else f"{name}_row{number}"
         records[unique] = Spectrum(
-            unique, wavelength, None if through else values, values if through else None, own
+            unique, wavelength, None if through else values, values if through else None, row_meta
         )
     return list(records.values())
 
