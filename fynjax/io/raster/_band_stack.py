@@ -191,9 +191,8 @@ def _read(path: Path) -> _Part:
             colour = _COLOURS.get(colours[number - 1]) if masks else None
             given = file.names[number - 1] or "".join(xmp.get("BandName", [])[:1]) or colour
             names.append((given or f"band {number}").strip())
-            waves.append(
-                (_numbers(xmp, "CentralWavelength") or [None])[0] if np.isnan(wave) else float(wave)
-            )
+            stated = _numbers(xmp, "CentralWavelength") if np.isnan(wave) else [float(wave)]
+            waves.append(stated[0] if stated else None)
         placed, on_earth = file.has_place, file.on_earth
         crs = file.crs.to_wkt() if file.crs is not None and on_earth else None
     values = raster.values
