@@ -149,13 +149,20 @@ def at_sensor_radiance(
     Differentiable, to any order, in all arguments.
 
     >>> import jax.numpy as jnp
-    >>> from fynjax.sensors import ClearAir, at_sensor_radiance, surface_reflectance
-    >>> from fynjax.sensors import tabulated_atmosphere
-    >>> atmosphere = tabulated_atmosphere(ClearAir(sun_zenith=30.0))
-    >>> radiance = at_sensor_radiance(atmosphere, jnp.full(len(atmosphere.wavelength), 0.3))
-    >>> reflectance = surface_reflectance(atmosphere, radiance)
-    >>> round(float(reflectance[0]), 6), round(float(reflectance.min()), 6)  # opaque near 1400 nm
-    (0.3, 0.0)
+    >>> from fynjax.sensors import Atmosphere, at_sensor_radiance, surface_reflectance
+    >>> atmosphere = Atmosphere(
+    ...     wavelength=(560.0, 860.0),
+    ...     direct=jnp.array([1200.0, 700.0]),
+    ...     diffuse=jnp.array([250.0, 60.0]),
+    ...     upward_transmittance=jnp.array([0.85, 0.95]),
+    ...     path_radiance=jnp.array([25.0, 5.0]),
+    ...     spherical_albedo=jnp.array([0.11, 0.05]),
+    ... )
+    >>> radiance = at_sensor_radiance(atmosphere, jnp.array([0.06, 0.35]))
+    >>> radiance.round(1)
+    Array([48.7, 86.9], dtype=float64)
+    >>> surface_reflectance(atmosphere, radiance).round(6)
+    Array([0.06, 0.35], dtype=float64)
     """
     reflectance = _on_grid(atmosphere, reflectance, "reflectance")
     around = reflectance if background is None else _on_grid(atmosphere, background, "background")
