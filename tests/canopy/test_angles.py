@@ -199,5 +199,5 @@ def test_single_precision_stays_single(name):
 
 
 def test_an_unknown_name_is_refused():
-    with pytest.raises(InputError, match=r"must be one of spherical, uniform.*but is 'Planophile'"):
+    with pytest.raises(InputError, match=r"`name`.*spherical.*'Planophile'"):
         leaf_angle("Planophile")

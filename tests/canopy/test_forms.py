@@ -129,7 +129,7 @@ def test_culms_look_like_thin_cylinders() -> None:
 
 
 def test_bad_forms() -> None:
-    with pytest.raises(InputError, match="must be one of upright_ericoid"):
+    with pytest.raises(InputError, match=r"`form`.*upright_ericoid"):
         plant_model("tree", 10, seed=0)
     with pytest.raises(InputError, match="at least 3"):
         plant_model("tussock", 2, seed=0)

@@ -91,7 +91,7 @@ def test_materials_become_organs(tmp_path: Path) -> None:
     scene.export(path)
     read = plant_model_from_mesh(path, 100, organs, solid_materials=("bark",))
     np.testing.assert_allclose(read.organ_area, direct.organ_area, rtol=1e-6)
-    with pytest.raises(InputError, match=r"plant.obj: material 'petals' must have an organ"):
+    with pytest.raises(InputError, match=r"plant.obj: .*'petals'"):
         plant_model_from_mesh(path, 100, {"leaves": "leaf", "bark": "wood"})
     # The names stand in the OBJ, and say the same without the MTL and without a mapping.
     (tmp_path / "material.mtl").unlink()
@@ -99,15 +99,13 @@ def test_materials_become_organs(tmp_path: Path) -> None:
         bare = plant_model_from_mesh(path, 100, given, solid_materials=("bark",))
         np.testing.assert_allclose(bare.organ_area, direct.organ_area, rtol=1e-6)
     path.write_text(path.read_text().replace("petals", "oddity"))
-    with pytest.raises(InputError, match="material 'oddity' must have an organ"):
+    with pytest.raises(InputError, match="'oddity'"):
         plant_model_from_mesh(path, 100)
     for name in ("leaves", "bark"):
         path.write_text(path.read_text().replace(name, f"my {name[:2]}"))
-    with pytest.raises(
-        InputError, match=r"plant.obj: the materials .*'my ba'.*`organ_of_material`"
-    ):
+    with pytest.raises(InputError, match=r"plant.obj: .*'my ba'.*`organ_of_material`"):
         plant_model_from_mesh(path, 100)
-    with pytest.raises(InputError, match="must be leaf, wood or flower"):
+    with pytest.raises(InputError, match=r"leaf.*wood.*flower"):
         plant_model_from_mesh(scene, 100, organs | {"bark": "stem"})
 
 
@@ -155,7 +153,7 @@ def test_each_connected_surface_is_closed_or_not() -> None:
     other.apply_translation([0.1, 0.1, 0.5])  # touches the first in a corner
     stray = trimesh.Trimesh([[0, 0, 1], [0.2, 0, 1], [0, 0.2, 1]], [[0, 1, 2]])
     wood = trimesh.util.concatenate([box, other, stray])
-    with pytest.warns(UserWarning, match="4% of the triangles of 'wood' are wood with open edges"):
+    with pytest.warns(UserWarning, match="4% .*'wood'"):
         model = plant_model_from_mesh(named(wood=wood), None, solid_materials="closed")
     assert float(model.organ_area[1]) == pytest.approx(0.5 * 2 * box.area + 0.02)
     assert model.solid_share == pytest.approx([2 * box.area / (2 * box.area + 0.02)])

@@ -275,12 +275,12 @@ def test_materials_of_the_file_map_to_organs_and_optics(tmp_path: Path) -> None:
     assert set(optics[organ == Organ.WOOD]) == {"bark"}
     assert set(optics[organ == Organ.FLOWER]) == {"flower"}
     del known["flower"]
-    with pytest.raises(InputError, match=r"plant.obj: material 'flower' must have an organ"):
+    with pytest.raises(InputError, match=r"plant.obj: .*'flower'"):
         plant_model_from_mesh(path, 500, known)
     # Names speak for themselves, but then all of them must.
     (tmp_path / "plant.mtl").write_text((tmp_path / "plant.mtl").read_text().replace("wood", "x"))
     path.write_text(path.read_text().replace("usemtl wood", "usemtl x"))
-    with pytest.raises(InputError, match="material 'x' must have an organ"):
+    with pytest.raises(InputError, match="'x'"):
         plant_model_from_mesh(path, 500)
 
 
@@ -318,7 +318,7 @@ def test_bad_normals_and_surfaces_inside_out(tmp_path: Path) -> None:
     path.write_text(obj_of("0 0 1"))
     assert float(plant_model_from_mesh(path, 10).organ_area[0]) == pytest.approx(1.0099, abs=1e-4)
     path.write_text(obj_of("0 0 -1"))
-    with pytest.raises(InputError, match=r"leaf.obj: the vertex normals .*inverted"):
+    with pytest.raises(InputError, match=r"leaf.obj: .*normals .*inverted"):
         plant_model_from_mesh(path, 10)
     path.write_text(obj_of("0 0 0"))
     with pytest.raises(InputError, match="zero"):

@@ -77,7 +77,7 @@ def test_points_all_at_one_place_have_no_area() -> None:
     organ = np.r_[np.ones(20, int), np.zeros(80, int)]
     areas: tuple[dict[Organ | str, float], ...] = ({}, {"wood": 0.1})
     for known in areas:
-        with pytest.raises(InputError, match=r"points of the wood .* duplicate points"):
+        with pytest.raises(InputError, match=r"wood .*duplicate points"):
             plant_model_from_points(points, normals, organ=organ, organ_area=known)
 
 
@@ -122,7 +122,7 @@ def test_files(tmp_path: Path) -> None:
             np.testing.assert_array_equal(read_organ, organ)
     bare = tmp_path / "bare.xyz"
     np.savetxt(bare, points)
-    with pytest.raises(InputError, match=r"bare.xyz: .*normals.* no nx, ny, nz"):
+    with pytest.raises(InputError, match=r"bare.xyz: .*nx, ny, nz"):
         read_scan(bare)
     bare.write_text("0 0 0 0 0 1\n0 0 x 0 0 1\n")
     with pytest.raises(InputError, match=r"bare.xyz, row 2"):
@@ -209,9 +209,9 @@ def test_bad_clouds() -> None:
         plant_model_from_points(points[:8], normals[:8])
     with pytest.raises(InputError, match="`points` and `normals`"):
         plant_model_from_points(points, normals[:8])
-    with pytest.raises(InputError, match="`organ` must be 0"):
+    with pytest.raises(InputError, match="`organ`"):
         plant_model_from_points(points, normals, organ=np.full(100, 5))
-    with pytest.raises(InputError, match="leaf, wood or flower"):
+    with pytest.raises(InputError, match=r"leaf.*wood.*flower"):
         plant_model_from_points(points, normals, organ="root")
     with pytest.raises(InputError, match="`organ_area` of wood"):
         plant_model_from_points(points, normals, organ_area={"wood": 0.1})

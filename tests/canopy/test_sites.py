@@ -165,9 +165,9 @@ def test_one_map_a_species() -> None:
 
 def test_a_target_out_of_reach_is_said_with_numbers() -> None:
     few = POINTS[:50]
-    with pytest.raises(InputError, match=r"species 1 .* wanted 30 sites but got 20"):
+    with pytest.raises(InputError, match=r"species 1 .*30.* 20"):
         assign_sites(few, [30, 30], seed=0)
-    with pytest.raises(InputError, match="wanted 1 sites but got 0"):
+    with pytest.raises(InputError, match=r"1 sites.* 0"):
         assign_sites(few, [1], seed=0, probability=np.zeros((3, 3)), extent=(10, 10))
 
 

@@ -261,7 +261,7 @@ def test_a_coarsening_that_does_not_divide_the_grid(coarsening, message):
 
 
 def test_an_open_scene_with_a_traced_sun_needs_a_margin():
-    with pytest.raises(InputError, match=r"`accuracy.margin` must be given"):
+    with pytest.raises(InputError, match=r"`accuracy\.margin`"):
         jax.eval_shape(solve_light, patchy("open"))
 
 
@@ -269,12 +269,12 @@ def test_a_sky_bright_only_between_the_directions_of_the_light():
     pattern = jnp.zeros((91, 36)).at[0].set(1.0)
     scene = with_static(illumination=with_pattern(pattern))
     check_scene(scene)  # it has light
-    with pytest.raises(InputError, match="zero in all directions of 3 zeniths and 6 azimuths"):
+    with pytest.raises(InputError, match="3 zeniths and 6 azimuths"):
         solve_light(scene)
 
 
 def test_shapes_are_checked_under_jit_too():
-    with pytest.raises(InputError, match=r"`classes.reflectance` must have shape"):
+    with pytest.raises(InputError, match=r"`classes\.reflectance` .*shape"):
         jax.eval_shape(solve_light, change(lambda s: s.area_density, DENSITY[:2]))
 
 

@@ -88,7 +88,7 @@ def test_views_that_do_not_pair(zenith, azimuth):
         directional_reflectance(unlit(), zenith, azimuth)
     with pytest.raises(InputError, match=message):  # shapes are known under jit too
         jax.eval_shape(lambda z, a: directional_reflectance(unlit(), z, a), zenith, azimuth)
-    with pytest.raises(InputError, match=r"`view_zenith` must be a single number.*one view"):
+    with pytest.raises(InputError, match=r"`view_zenith` .*one view"):
         parallel_rays(centres(2), centres(3), 0.1, zenith, 0.0)
 
 
@@ -205,7 +205,7 @@ def test_the_lowest_sight_line_decides_on_the_horizon():
 
     lowest = math.degrees(math.asin(float(towards(half + math.radians(1.2)).cosine.min())))
     assert 1.15 < lowest < 1.5
-    with pytest.raises(InputError, match="at or above the horizon"):
+    with pytest.raises(InputError, match="horizon"):
         towards(half + math.radians(0.9))
 
 
@@ -247,10 +247,10 @@ def test_tiles_refused(rays, options, message):
 @pytest.mark.parametrize("chunk", [0, -1, 1.5])
 def test_chunks_refused(chunk):
     for show in (render, reflectance_factor):
-        with pytest.raises(InputError, match="`chunk` must be a whole number of at least 1"):
+        with pytest.raises(InputError, match=r"`chunk`.* 1"):
             show(unlit(), over(), chunk=chunk)
 
 
 def test_a_camera_in_the_canopy_is_refused():
-    with pytest.raises(InputError, match=r"above the grid, which is 0.4 m high, but is at 0.15 m"):
+    with pytest.raises(InputError, match=r"0\.4 m .*0\.15 m"):
         reflectance_factor(unlit(), nadir_rays(X, X, 0.1, (0.1, 0.1, 0.15)))

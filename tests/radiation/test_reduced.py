@@ -387,5 +387,5 @@ def test_ground_shape_must_not_differ_between_bands():
     check_reducible(scene)
     check_reducible(shrubs())
     bad = eqx.tree_at(lambda s: s.ground_shape.k, scene, jnp.linspace(0.7, 0.9, len(REPEATED)))
-    with pytest.raises(InputError, match=r"`k` goes from 0\.7 to 0\.9"):
+    with pytest.raises(InputError, match=r"`k` .*0\.7 .*0\.9"):
         check_reducible(bad)

@@ -41,10 +41,10 @@ def test_tiles_make_the_same_picture():
 
 def test_tiles_that_do_not_fit():
     scene = patchy(**SCENE)
-    with pytest.raises(InputError, match="7 does not divide its 24 voxels along y"):
+    with pytest.raises(InputError, match=r"`tile`.* 7 .*24 voxels along y"):
         render_tiles(scene, rays(), ACCURACY, tile=7)
     x = (jnp.arange(25) + 0.5) * 0.1
-    with pytest.raises(InputError, match="25 along y do not spread over 2 tiles"):
+    with pytest.raises(InputError, match=r"25 along y .*2 tiles"):
         render_tiles(scene, parallel_rays(x, x, 0.1, 0.0, 0.0), ACCURACY, tile=12, rim=4)
 
 

@@ -171,9 +171,9 @@ def test_panels_that_make_no_line(signal, known, message):
 
 
 def test_light_and_panels_that_are_none():
-    with pytest.raises(InputError, match=r"panel's signal must be positive .* -3 in band 2"):
+    with pytest.raises(InputError, match=r"signal .* -3 in band 2"):
         one_panel_line(np.array([1.0, -3.0]), 0.5)
-    with pytest.raises(InputError, match="`irradiance` must be positive"):
+    with pytest.raises(InputError, match=r"`irradiance`.*positive"):
         irradiance_line(np.zeros(2))
 
 
@@ -214,10 +214,10 @@ def test_reading_of_a_panel():
     np.testing.assert_allclose(reading.mean_sd, inside.std(axis=(1, 2)) / 380**0.5, rtol=1e-14)
     assert_gradients(lambda i: panel_reading(i, np.ones((2, 3))), image[:, :2, :3])
     image[1, 12, 15] = 60.0
-    with pytest.raises(InputError, match=r"saturated, but in band 2 0.26 % of its"):
+    with pytest.raises(InputError, match=r"saturated.*band 2 0\.26 %"):
         panel_reading(image, cover, saturation=60.0)
     image[0, 12, 15] = np.nan
-    with pytest.raises(InputError, match="band 1 has pixels without data"):
+    with pytest.raises(InputError, match=r"band 1 .*without data"):
         panel_reading(image, cover)
     with pytest.raises(InputError, match="covers none"):
         panel_reading(image, np.full((40, 50), 0.9))
@@ -268,7 +268,7 @@ def test_gradients_of_the_camera():
     counts = np.random.default_rng(4).uniform(6e3, 6e4, (5, 4))
     back = jax.jit(lambda g: counts_to_radiance(*g))
     assert_gradients(back, (counts, MICASENSE), rtol=1e-5)
-    with pytest.raises(InputError, match="`exposure` must have shape"):
+    with pytest.raises(InputError, match=r"`exposure` .*shape"):
         CameraRadiometry(1.0, np.ones(3), 0.0)
     with pytest.raises(InputError, match="`vignetting_is`"):
         CameraRadiometry(1.0, 1.0, 0.0, vignetting_is="none")

@@ -291,7 +291,7 @@ def test_bad_input_is_refused():
     optics = lambda s: (s.classes.reflectance, s.classes.transmittance, s.ground)  # noqa: E731
     with pytest.raises(InputError, match="one band"):
         lidar_waveforms(eqx.tree_at(optics, scene, (two, two, two[0])), lidar, beams)
-    with pytest.raises(InputError, match="share from 0 to 1"):
+    with pytest.raises(InputError, match=r"`straight`.*0 to 1"):
         lidar_waveforms(scene, lidar, beams, straight=40.0)
     with pytest.raises(InputError, match=r"Lidar\.beams"):
         lidar_waveforms(scene, lidar, dataclasses.replace(beams, samples=0))

@@ -297,7 +297,7 @@ def test_other_files(tmp_path):
         read_cloud(tmp_path / "a.docx")
     with pytest.raises(InputError, match="cannot be read as LAS"):
         read_cloud(tmp_path / "a.las")
-    with pytest.raises(InputError, match=r"no such file.*Did you mean 'a.las'"):
+    with pytest.raises(InputError, match=r"no such file.*'a\.las'"):
         read_cloud(tmp_path / "b.las")
 
 
@@ -323,7 +323,7 @@ def test_numbers_that_are_no_metres(tmp_path):
     with pytest.raises(InputError, match="Are heights in another unit"):
         read_cloud(saved(path, mixed))
     np.testing.assert_allclose(read_cloud(path, height_unit="centimetre").z, local[:, 2])
-    with pytest.raises(InputError, match="`unit` must be one of metre"):
+    with pytest.raises(InputError, match=r"`unit` .*metre"):
         read_cloud(path, unit="cm")
     with pytest.raises(InputError, match="EPSG:32734"):
         read_cloud(saved(path, local), crs="EPSG:1")
@@ -332,7 +332,7 @@ def test_numbers_that_are_no_metres(tmp_path):
 def test_a_height_that_stands_for_missing_data(tmp_path):
     points = POINTS.copy()
     points[7, 2] = -9999.0
-    with pytest.raises(InputError, match=r"a\.xyz: .*got -9999 among heights of about 351"):
+    with pytest.raises(InputError, match=r"a\.xyz: .*-9999 .*351"):
         read_cloud(saved(tmp_path / "a.xyz", points))
 
 

@@ -73,12 +73,12 @@ def test_a_part_of_a_raster_is_read(tmp_path):
 
 def test_heights_in_other_units(tmp_path):
     path = raster(tmp_path / "a.tif", HEIGHTS / np.float32(0.3048), unit="ft")
-    with pytest.raises(InputError, match=r"the band says 'ft'\. State the height unit"):
+    with pytest.raises(InputError, match=r"band .*'ft'"):
         read_terrain(path)
     back = read_terrain(path, height_unit="foot")
     np.testing.assert_allclose(back.heights, terrain_of().heights, atol=1e-5)
     steep = raster(tmp_path / "b.tif", HEIGHTS * np.float32(100.0))
-    with pytest.raises(InputError, match=r"rises 30\.0 m in each metre"):
+    with pytest.raises(InputError, match=r"30\.0 m in each metre"):
         read_terrain(steep)
     np.testing.assert_allclose(read_terrain(steep, height_unit="centimetre").heights, back.heights)
 

@@ -79,13 +79,13 @@ def test_systems_of_real_clouds(shared_data):
 
 def test_a_patch_without_ground_is_said(shared_data, tmp_path):
     path = shared_data / "eco" / "lidar" / "vegetation_1_3.las"
-    with pytest.warns(UserWarning, match="lies at -81458 m, which is no height above the sea"):
+    with pytest.warns(UserWarning, match="-81458 m"):
         cloud = read_cloud(path)
-    with pytest.raises(InputError, match=r"class 2 \(ground\), but 0 of 10683"):
+    with pytest.raises(InputError, match=r"class 2 .*0 of 10683"):
         find_ground(cloud, "labels")
     with (
         pytest.warns(UserWarning, match="no height above the sea"),
-        pytest.warns(UserWarning, match="4 % of the plot's cells lie outside"),
+        pytest.warns(UserWarning, match="4 % of the plot's cells"),
         pytest.warns(UserWarning, match="may have no points on the ground"),
     ):
         summary = terrain(path, tmp_path, cell=0.5)
@@ -136,7 +136,7 @@ def test_heights_of_real_shrubs_on_a_slope(shared_data):
 
 def test_a_band_of_a_real_raster_is_chosen(shared_data):
     path = shared_data / "eco" / "sfm_shrub" / "20160725_AC_ORC_P01_HAG.tif"
-    with pytest.raises(InputError, match=r"6 \(1 min, 2 max, .* 6 stdev\), and none was chosen"):
+    with pytest.raises(InputError, match=r"6 \(1 min, 2 max, .* 6 stdev\)"):
         read_terrain(path)
     with rasterio.open(path) as file:
         whole, inside = file.read(2), file.transform @ (20, 20)

@@ -102,16 +102,16 @@ def test_labels(plot):
     with pytest.raises(InputError, match="the cloud has none"):
         find_ground(PointCloud(cloud.x, cloud.y, cloud.z), "labels")
     plants = cloud.select(~truth)
-    with pytest.raises(InputError, match=r"class 2 \(ground\), but 0 of .*the cloud has 3"):
+    with pytest.raises(InputError, match=r"class 2 .*has 3"):
         find_ground(plants, "labels")
 
 
 def test_no_ground_is_said(plot):
     cloud, truth, _ = plot
-    with pytest.raises(InputError, match="0 points of the cloud are ground"):
+    with pytest.raises(InputError, match=r"0 points .*ground"):
         terrain_from_points(cloud, np.zeros(len(cloud), bool))
     inside = np.hypot(cloud.x - CORNER[0] - 15.0, cloud.y - CORNER[1] - 15.0) < 8.0
-    with pytest.raises(InputError, match=r"none was seen within 7\.\d m of \(41231\d"):
+    with pytest.raises(InputError, match=r"7\.\d m of \(41231\d"):
         terrain_from_points(cloud, truth & ~inside, largest_gap=5.0)
     west, south = CORNER
     with pytest.raises(
@@ -176,7 +176,7 @@ def test_a_plane_is_kept_through_gaps_and_at_the_edges():
     """Laplace interpolation is exact on planes, and so are means and what continues them."""
     cloud = cloud_of(plane)
     seen = (np.hypot(cloud.x - 9.0, cloud.y - 11.0) > 4.0) & (cloud.x > 1.0) & (cloud.y < 18.5)
-    with pytest.warns(UserWarning, match="3 % of the plot's cells lie outside of all ground"):
+    with pytest.warns(UserWarning, match="3 % of the plot's cells"):
         terrain = terrain_from_points(cloud, seen, cell=0.5, bounds=(0.0, 0.0, 20.0, 20.0))
     x, y = terrain.centres
     np.testing.assert_allclose(terrain.heights, plane(x[None, :], y[:, None]), atol=1e-3)
@@ -223,7 +223,7 @@ def test_heights_between_centres_follow_a_plane_to_the_edge():
     x, y = rng.uniform(west, east, 50), rng.uniform(south, north, 50)
     x[:2], y[:2] = (west, east), (south, north)
     np.testing.assert_allclose(terrain.height_at(x, y), plane(x, y), rtol=1e-12)
-    with pytest.raises(InputError, match=r"1 of 2 points lie outside, the first at \(9.10, 0.00\)"):
+    with pytest.raises(InputError, match=r"1 of 2 points .*\(9\.10, 0\.00\)"):
         terrain.height_at([4.0, 9.1], [0.0, 0.0])
 
 
@@ -268,7 +268,7 @@ def test_terrain_on_voxel_columns():
     assert heights.min() == 0.0
     whole = terrain.on_voxels(VoxelGrid((6, 4, 10), 1.0, 0.5))
     assert whole.shape == (4, 6)
-    with pytest.raises(InputError, match=r"rises 1\.30 m over the plot, but the voxel grid is 1 m"):
+    with pytest.raises(InputError, match=r"1\.30 m .*1 m"):
         terrain.on_voxels(VoxelGrid((4, 3, 2), 1.0, 0.5))
     with pytest.raises(InputError, match="the terrain covers"):
         terrain.on_voxels(grid, (6.0, -2.0))
