@@ -20,6 +20,7 @@ COMPLETE = (
     "fynjax.metrics",
     "fynjax.radiation",
     "fynjax.sensors",
+    "fynjax.terrain",
 )
 """Packages, with those inside them, in which every public function documents its parameters."""
 

@@ -65,10 +65,10 @@ class Journal:
                 raise InputError(
                     "no checkpoint, or a damaged one; remove its folder to start again", file=path
                 ) from error
-        found = step()
-        kept = {f"a{i}": np.asarray(value) for i, value in enumerate(found)}
+        arrays = step()
+        kept = {f"a{i}": np.asarray(value) for i, value in enumerate(arrays)}
         _write(path, lambda work: _save(work, kept))
-        return found
+        return arrays
 
 
 _MARK = "calibration.mark"

@@ -1,4 +1,4 @@
-"""How a long job tells its caller where it is. The job knows nothing of terminals."""
+"""How a long job reports its progress to its caller. The job knows nothing of terminals."""
 
 from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol, runtime_checkable
@@ -21,7 +21,7 @@ class NullProgress:
     """Reports nothing: the default of every job."""
 
     def stage(self, name: str, total: int | None = None) -> AbstractContextManager[None]:
-        """Open a stage that nobody sees."""
+        """Open a stage that is not reported."""
         return nullcontext()
 
     def advance(self, n: int = 1, **info: float | str) -> None:

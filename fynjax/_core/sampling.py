@@ -241,7 +241,8 @@ def _split_r_hat(chain: np.ndarray) -> float:
 
 
 def _autocorrelation(chain: np.ndarray) -> float:
-    """Of the slowest parameter; infinite where it cannot be told or a parameter never moved."""
+    """Of the slowest parameter; infinite where it cannot be estimated or a parameter never
+    moved."""
     with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):
         warnings.simplefilter("ignore")
         tau = np.asarray(emcee.autocorr.integrated_time(chain, tol=0, quiet=True))
@@ -270,7 +271,7 @@ def _transitions(
     _, adapt, _ = dual_averaging_adaptation(_ACCEPTANCE)
     kernel = blackjax.nuts.build_kernel()
 
-    def one(chain: tuple[Array, Any, Any]) -> tuple[Any, tuple[Array, Array]]:
+    def step_chain(chain: tuple[Array, Any, Any]) -> tuple[Any, tuple[Array, Array]]:
         key, state, scale = chain
         log_step = jnp.where(tuning, scale.log_step_size, scale.log_step_size_avg)
         state, info = kernel(key, state, density, jnp.exp(log_step), mass)
@@ -280,7 +281,7 @@ def _transitions(
 
     states, scales = carry
     keys = jax.random.split(key, states.logdensity.size)
-    return jax.lax.map(one, (keys, states, scales))
+    return jax.lax.map(step_chain, (keys, states, scales))
 
 
 def hamiltonian(
@@ -338,8 +339,8 @@ def hamiltonian(
         carry, (accepted, diverged) = _transitions(
             density, mass, jax.random.fold_in(key, len(rows)), carry, jnp.asarray(done < 0)
         )
-        told = (carry[0].logdensity, accepted, diverged)
-        rows.append(np.column_stack([carry[0].position, *told]))
+        statistics = (carry[0].logdensity, accepted, diverged)
+        rows.append(np.column_stack([carry[0].position, *statistics]))
         if saved is not None:
             saved.keep_up(rows, carry)
         if report is not None:
@@ -354,7 +355,7 @@ def _judge_hamiltonian(rows: list[np.ndarray], target: float) -> Draws:
     judged = _judge(every[:, :, :-3], target)
     diverged = float(np.mean(every[:, :, -1]))
     if diverged > _DIVERGENT:
-        why = "the density has a kink, an edge, or a scale that the covariance does not tell"
+        why = "the density has a kink, an edge, or a scale that the covariance lacks"
         status = f"not converged: {100 * diverged:.0f} % of the trajectories diverged; {why}"
         judged = judged._replace(status=status)
     return judged._replace(log_density=every[:, :, -3], acceptance=float(np.mean(every[:, :, -2])))
@@ -377,8 +378,8 @@ class _ChainFile:
         if parts.get("signature") != self._signature:
             raise _foreign(self.path)
         leaves, structure = jax.tree.flatten(like)
-        found = [jnp.asarray(parts[f"leaf{i}"], leaf.dtype) for i, leaf in enumerate(leaves)]
-        return list(parts["rows"]), jax.tree.unflatten(structure, found)
+        arrays = [jnp.asarray(parts[f"leaf{i}"], leaf.dtype) for i, leaf in enumerate(leaves)]
+        return list(parts["rows"]), jax.tree.unflatten(structure, arrays)
 
     def keep_up(self, rows: list[np.ndarray], carry: Any) -> None:
         if time.monotonic() - self._last > _SAVE_SECONDS:

@@ -53,10 +53,10 @@ class TextTable:
         import pandas as pd
 
         table = self._read(set(places.values()), {places[name] for name in words if name in places})
-        found: dict[str, NDArray[Any]] = {}
+        columns: dict[str, NDArray[Any]] = {}
         for name, place in places.items():
             if name in words:
-                found[name] = table[place].to_numpy(str)
+                columns[name] = table[place].to_numpy(str)
                 continue
             values = pd.to_numeric(table[place], errors="coerce").to_numpy(np.float64)
             bad = ~np.isfinite(values)
@@ -75,8 +75,8 @@ class TextTable:
                     row=self.row_of(index),
                     column=self.names[place] if self.names else name,
                 )
-            found[name] = values
-        return found
+            columns[name] = values
+        return columns
 
     def row_of(self, index: int) -> int:
         """Row in the file, from 1, of what stands at `index` in the columns, from 0."""
@@ -156,7 +156,7 @@ class TextTable:
 def open_text_table(
     path: str | Path, what: str = "a point cloud", needed: Collection[str] = ("x", "y", "z")
 ) -> TextTable:
-    """Tell how a table of numbers is written, from its first lines.
+    """Find how a table of numbers is written, from its first lines.
 
     Commas, semicolons, tabs or blanks separate, and may end a row; points are decimal; a
     byte-order mark may stand first. Lines that start with `#` are comments, and those with `//`
@@ -213,11 +213,11 @@ def places_of(names: Iterable[str], aliases: Mapping[str, Iterable[str]]) -> dic
 
 def name_and_unit(header: str) -> tuple[str, str]:
     """A column's name and its unit, in small letters: "X [cm]" is ("x", "cm")."""
-    found = re.fullmatch(
+    match = re.fullmatch(
         r"(.*?)[\s_\[(]+(m|cm|mm|ft|feet|foot|us_?ft|deg|degrees?|metres?|meters?)[\])]*",
         header.strip().lower(),
     )
-    return (found.group(1).strip(), found.group(2)) if found else (header.strip().lower(), "")
+    return (match.group(1).strip(), match.group(2)) if match else (header.strip().lower(), "")
 
 
 def _plain(names: Iterable[str]) -> set[str]:

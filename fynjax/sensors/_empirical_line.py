@@ -16,7 +16,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.math import real_array
 
 _ROUNDS = 4
-"""Times the weights are found anew with the slope: the last changes it by less than 1e-6 of its
+"""Times the weights are computed again with the slope: the last changes it by less than 1e-6 of its
 standard deviation where panels are known to 10 %."""
 
 
@@ -57,7 +57,7 @@ class EmpiricalLine(eqx.Module):
     def relit(
         self, ratio: Float[Array, " band"], ratio_sd: Float[Array, " band"] | float = 0.0
     ) -> "EmpiricalLine":
-        """The line under `ratio` times the light under which it was found [-]."""
+        """The line under `ratio` times the light under which it was measured [-]."""
         ratio, sd = real_array(ratio), real_array(ratio_sd)
         _positive(ratio, "`ratio` of the light")
         gain = self.gain / ratio

@@ -157,7 +157,7 @@ def _read_las(path: Path, unit_stated: bool, height_stated: bool) -> tuple[Any, 
     laspy = require("laspy", "terrain")
     if path.suffix.lower() == ".laz":
         require("lazrs", "terrain")
-    # A logger without a handler prints to stderr, and the error below says it better.
+    # A logger without a handler prints to stderr, and the error below is clearer.
     logging.getLogger("laspy").addHandler(logging.NullHandler())
     try:
         las = laspy.read(path)

@@ -29,7 +29,12 @@ _JUMP = 10.0
 
 
 def write_terrain(path: str | Path, terrain: Terrain) -> None:
-    """Write the heights as a GeoTIFF of one band, whole or not at all; northern row first.
+    """Write the heights as a GeoTIFF of one band, complete or not at all; northern row first.
+
+    **Arguments:**
+
+    - `path`: of the file.
+    - `terrain`: the heights of the ground.
 
     In single precision, in metres. Where heights are beyond 4096 m, the band's offset (which GDAL,
     GIS and `read_terrain` add) is the lowest of them, so that steps stay below half a millimetre.
@@ -50,10 +55,15 @@ def write_terrain(path: str | Path, terrain: Terrain) -> None:
 
 
 def write_mesh(path: str | Path, terrain: Terrain) -> None:
-    """Write `terrain_mesh` as OBJ, whole or not at all.
+    """Write `terrain_mesh` as OBJ, complete or not at all.
+
+    **Arguments:**
+
+    - `path`: of the file.
+    - `terrain`: the heights of the ground.
 
     Map coordinates lose their decimals in programs of single precision, so the plot's frame is
-    written; the first lines say where it is.
+    written; the first lines hold its place.
     """
     from trimesh.exchange.obj import export_obj
 
@@ -129,7 +139,15 @@ def read_terrain(
 
 
 def middle_of_raster(path: str | Path, size: float) -> Bounds:
-    """A square of `size` [m] in the middle of a raster, its corner on that of a cell."""
+    """A square in the middle of a raster, with its corner on that of a cell.
+
+    **Arguments:**
+
+    - `path`: a raster that GDAL reads.
+    - `size`: side of the square [m].
+
+    **Returns:** west, south, east and north edge, in the raster's coordinates [m].
+    """
     with open_raster(path, _WHAT) as file:
         west, south, east, north = file.dataset.bounds
         cell = abs(file.dataset.transform.a)

@@ -38,7 +38,7 @@ def find_ground(
     slope: float = 0.15,
     tolerance: float = TOLERANCE,
 ) -> NDArray[np.bool_]:
-    """Tell the points on the ground from those on plants.
+    """Separate the points on the ground from those on plants.
 
     **Arguments:**
 

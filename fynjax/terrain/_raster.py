@@ -194,7 +194,17 @@ def _centres(
 
 
 def whole_cells(bounds: Bounds, cell: float) -> tuple[int, int]:
-    """Rows and columns of square cells in a rectangle; `InputError` if they do not divide it."""
+    """Number of square cells in a rectangle.
+
+    **Arguments:**
+
+    - `bounds`: west, south, east and north edge [m].
+    - `cell`: side of a cell [m].
+
+    **Returns:** rows and columns.
+
+    **Raises:** `InputError` if the cells do not divide the rectangle.
+    """
     west, south, east, north = check_bounds(bounds)
     counts = []
     for axis, side in (("y", north - south), ("x", east - west)):

@@ -42,11 +42,14 @@ def terrain_from_points(
 
     **Arguments:**
 
-    - `cloud`, `ground`: points, and which of them are ground, as `find_ground` tells.
+    - `cloud`: points in metres.
+    - `ground`: true for each point that is ground, from `find_ground`.
     - `cell`: side of a cell [m].
-    - `bounds`: the plot, which `cell` must divide, and which may stick out of the cloud by two
-      cells; unless given, the whole cells inside the cloud.
-    - `largest_gap`: how far a cell may be from a point on the ground [m].
+    - `bounds`: the plot, which `cell` must divide, and which may reach two cells beyond the cloud;
+      unless given, the whole cells inside the cloud.
+    - `largest_gap`: how far a cell may be from a ground point [m].
+
+    **Returns:** a `Terrain`. Not differentiable. An example stands at `canopy_height`.
 
     **Raises:** `InputError` for a cloud without ground, one that does not cover the plot, or a
     gap larger than allowed; `MissingExtraError` without the extra `terrain`.
@@ -91,7 +94,16 @@ def _whole_cells_inside(bounds: Bounds, cell: float) -> Bounds:
 
 
 def check_covered(cloud: Bounds, plot: Bounds, cell: float) -> None:
-    """Refuse a plot that sticks out of a cloud: ground there would be a guess."""
+    """Check that a plot lies within a cloud: ground beyond its points would be a guess.
+
+    **Arguments:**
+
+    - `cloud`: west, south, east and north edge of the cloud [m].
+    - `plot`: those of the plot [m].
+    - `cell`: side of a cell of the ground [m]; the plot may reach two cells beyond the cloud.
+
+    **Raises:** `InputError` for a plot that reaches farther.
+    """
     w, s, e, n = cloud
     west, south, east, north = plot
     slack = _SLACK_CELLS * cell * (1.0 + 1e-6)
@@ -206,7 +218,14 @@ def interpolate(points: NDArray[np.float64], places: NDArray[np.float64]) -> NDA
 def heights_above_ground(cloud: PointCloud, terrain: Terrain) -> Float64[np.ndarray, " point"]:
     """Height of each point above the ground below it [m].
 
-    Raises `InputError` for points outside the terrain: crop the cloud to its bounds first.
+    **Arguments:**
+
+    - `cloud`: points in metres.
+    - `terrain`: of the same reference system; linear between the centres of its cells.
+
+    **Raises:** `InputError` for points outside the terrain: crop the cloud to its bounds first.
+
+    Not differentiable. An example stands at `canopy_height`.
     """
     return cloud.z - terrain.height_at(cloud.x, cloud.y)
 
@@ -216,7 +235,25 @@ def canopy_height(
 ) -> Float64[np.ndarray, "y x"]:
     """The highest point above ground in each cell over the terrain [m]; NaN without a point.
 
-    Ground counts as 0, and what the cloud has below it too. `cell` is the terrain's unless given.
+    **Arguments:**
+
+    - `cloud`: points in metres; those outside the terrain are left out.
+    - `terrain`: of the same reference system.
+    - `cell`: side of a cell [m]; the terrain's unless given.
+
+    Ground counts as 0, and what the cloud has below it too. Not differentiable.
+
+    **Raises:** `InputError` for a cell that does not divide the terrain.
+
+    >>> import numpy as np
+    >>> from fynjax.terrain import PointCloud, canopy_height, terrain_from_points
+    >>> centres = np.arange(0.25, 4.0, 0.5)
+    >>> x, y = (places.ravel() for places in np.meshgrid(centres, centres))
+    >>> plant = np.hypot(x - 2.0, y - 2.0) < 0.5  # a plant 0.8 m high on a slope of 10 %
+    >>> cloud = PointCloud(x, y, 100.0 + 0.1 * x + 0.8 * plant)
+    >>> terrain = terrain_from_points(cloud, ~plant, cell=0.5, bounds=(0.0, 0.0, 4.0, 4.0))
+    >>> round(float(np.nanmax(canopy_height(cloud, terrain))), 3)
+    0.8
     """
     size = terrain.cell if cell is None else float(cell)
     rows, columns = whole_cells(terrain.bounds, size)
@@ -232,10 +269,14 @@ def canopy_height(
 def terrain_mesh(terrain: Terrain) -> "trimesh.Trimesh":
     """The ground as triangles, two for each cell, facing up.
 
-    In the plot's frame: x east and y north from the raster's south-west corner, z above its
-    lowest cell's centre [m]. Vertices are the corners of cells, each the mean of the cells that
-    meet there (at the edges, their slope goes on, which may lead below 0): the mesh has the
-    extent of the raster.
+    **Arguments:**
+
+    - `terrain`: the heights of the ground.
+
+    **Returns:** a mesh in the plot's frame: x east and y north from the raster's south-west corner,
+    z above its lowest cell's centre [m]. Vertices are the corners of cells, each the mean of the
+    cells that meet there (at the edges their slope goes on, which may lead below 0): the mesh has
+    the extent of the raster.
     """
     import trimesh
 

@@ -31,7 +31,15 @@ def unit_factor(unit: str) -> float:
 
 
 def check_positive(name: str, value: float) -> None:
-    """`InputError` for a setting that is not a positive number."""
+    """Check a setting.
+
+    **Arguments:**
+
+    - `name`: of the setting, for the error.
+    - `value`: what it is.
+
+    **Raises:** `InputError` unless the value is a positive number.
+    """
     if not (np.isfinite(value) and value > 0.0):
         raise InputError(f"`{name}` must be positive, but is {value:g}")
 
@@ -44,7 +52,7 @@ def check_coordinates(
     *,
     unit_stated: bool,
 ) -> None:
-    """Refuse points whose numbers cannot be metres, as far as numbers can tell."""
+    """Refuse points whose numbers cannot be metres, as far as numbers show it."""
     if len(x) < 3:
         raise InputError(f"expected a point cloud, but it has {len(x)} points", file=file)
     bad = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
@@ -121,7 +129,16 @@ def check_height_range(
 
 
 def check_bounds(bounds: Bounds) -> Bounds:
-    """The four numbers, or an `InputError` for those that are no rectangle."""
+    """Check the edges of a plot.
+
+    **Arguments:**
+
+    - `bounds`: west, south, east and north edge [m].
+
+    **Returns:** the same four numbers.
+
+    **Raises:** `InputError` for numbers that are no rectangle.
+    """
     values = tuple(float(value) for value in bounds)
     if len(values) != 4 or not np.all(np.isfinite(values)):
         raise InputError(f"`bounds` must be (west, south, east, north) [m], but are {bounds}")
