@@ -20,8 +20,8 @@ from fynjax.compare import bands_2006, consistent_targets, table4_2006
 from fynjax.inversion import ImageView, calibrate_plot, free_space, join_data, weigh_targets
 from fynjax.io.plot import Plot, as_plot, drone_bands, example_folder, read_plot
 from fynjax.io.raster import provenance
-from fynjax.jobs._run_files import calibration_files, render_files
-from fynjax.jobs._run_tables import Reference
+from fynjax.jobs._calibration_page import calibration_files, render_files
+from fynjax.jobs._calibration_tables import Reference
 from fynjax.metrics import BANDS
 from fynjax.scene import PlotModel, PlotParameters
 

@@ -21,7 +21,7 @@ from fynjax.io.plot import (
     StructureRow,
 )
 from fynjax.io.text import write_text
-from fynjax.jobs._summary import RunSummary
+from fynjax.jobs._result import RunSummary
 
 SCHEMAS: dict[str, type[BaseModel]] = {
     "plot": PlotFile,
@@ -36,7 +36,7 @@ SCHEMAS: dict[str, type[BaseModel]] = {
     "sensor_band_row": BandRow,
     "sensor_curve_row": CurveRow,
     "sensor_noise_row": NoiseRow,
-    "fit_result": RunSummary,
+    "summary": RunSummary,
 }
 """Model behind each `data_schemas/<name>.schema.json`."""
 

@@ -68,7 +68,7 @@ def test_a_table_of_statistics_is_approached(rendered, tmp_path):
     assert {"report.html", "parameters.csv", "run.nc"} <= set(other["files"])
     assert all((output / name).stat().st_size for name in other["files"])
     schema = json.loads(
-        (example_folder().parents[4] / "data_schemas" / "fit_result.schema.json").read_text("utf-8")
+        (example_folder().parents[3] / "data_schemas" / "summary.schema.json").read_text("utf-8")
     )
     row = schema["$defs"]["StatisticSummary"]
     for statistic in json.loads(json.dumps(other["statistics"], default=float)):

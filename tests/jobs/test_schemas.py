@@ -82,5 +82,5 @@ def test_schema_and_model_refuse_the_same_leaf_rows():
 
 def test_a_summary_is_valid():
     summary = RunSummary(command="demo", version="0", output="o", seed=0, status="ok")
-    assert is_valid("fit_result", json.loads(summary.model_dump_json()))
-    assert not is_valid("fit_result", {"command": "demo"})
+    assert is_valid("summary", json.loads(summary.model_dump_json()))
+    assert not is_valid("summary", {"command": "demo"})

@@ -14,7 +14,7 @@ from fynjax.inversion import Calibration
 from fynjax.io.plot import Plot, plot_place
 from fynjax.io.raster import image_array, write_geotiff, write_run
 from fynjax.io.text import write_text
-from fynjax.jobs._run_tables import (
+from fynjax.jobs._calibration_tables import (
     Reference,
     calibration_dataset,
     largest_errors,
