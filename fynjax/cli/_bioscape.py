@@ -48,7 +48,6 @@ def bioscape(
             folder, target, plots=plot or None, traits=traits, progress=progress
         ),
         output,
-        seed=0,
         as_json=json,
         quiet=quiet,
     )

@@ -62,7 +62,6 @@ def build(
             progress=progress,
         ),
         output,
-        seed=seed,
         as_json=json,
         quiet=quiet,
     )

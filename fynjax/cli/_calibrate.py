@@ -51,7 +51,6 @@ def calibrate(
             plot, target, folder, seed=seed, checkpoint=own, progress=progress
         ),
         output,
-        seed=seed,
         as_json=json,
         quiet=quiet,
         checkpoint=own,

@@ -54,7 +54,6 @@ def calibrate_plots(
             progress=progress,
         ),
         output,
-        seed=seed,
         as_json=json,
         quiet=quiet,
         checkpoint=own,

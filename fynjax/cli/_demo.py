@@ -19,13 +19,12 @@ def demo(
 
     Example:  fynjax demo --output my_demo
     """
-    from fynjax import jobs
+    from fynjax.studies import fynbos_2006
 
     run_job(
         "demo",
-        lambda folder, progress: jobs.demo(folder, seed=seed, progress=progress),
+        lambda folder, progress: fynbos_2006.demo(folder, seed=seed, progress=progress),
         output,
-        seed=seed,
         as_json=json,
         quiet=quiet,
     )

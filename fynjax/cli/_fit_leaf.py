@@ -91,7 +91,6 @@ def fit_leaf(
             **further,
         ),
         output,
-        seed=seed,
         as_json=json,
         quiet=quiet,
     )

@@ -72,7 +72,6 @@ def information(
             progress=progress,
         ),
         output,
-        seed=seed,
         as_json=json,
         quiet=quiet,
     )

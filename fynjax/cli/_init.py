@@ -1,30 +1,12 @@
 """`fynjax init`."""
 
-import json as json_text
-import re
-import shutil
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-import fynjax
 from fynjax._core.errors import InputError
-from fynjax.cli._runtime import Json, Quiet, Seed, tell
-
-FILES = {
-    "plot.toml": "the plot, its light and sensor, and what to calibrate",
-    "species.csv": "taxon, crown diameter, cover, height",
-    "leaves.csv": "leaf chemistry by taxon, or measured spectra",
-    "statistics.csv": "what the drone saw, as numbers",
-    "README.txt": "what to do with them",
-}
-
-PUBLISHED = 2006
-ASSUMED = (
-    "only the plot burnt in 2006 is published: sizes, covers and ground of another year are "
-    "assumptions about recovery after fire, not measurements"
-)
+from fynjax.cli._runtime import Json, Quiet, Seed, show
 
 Folder = Annotated[Path | None, typer.Argument(metavar="DIR", help="Folder to make.")]
 
@@ -52,90 +34,14 @@ def init(
 
     Example:  fynjax init my_plot && fynjax render my_plot/plot.toml
     """
-    from fynjax.io.plot import example_folder
-    from fynjax.io.text import staged_folder
+    from fynjax.studies import fynbos_2006
 
     if folder is not None and output is not None and folder != output:
         raise InputError(f"expected one folder, but got {str(folder)!r} and {str(output)!r}")
     target = folder or output or Path("fynjax_plot")
-    # What the drone saw of the published plot is no target for another.
-    files = {k: v for k, v in FILES.items() if burnt == PUBLISHED or k != "statistics.csv"}
-    there = [name for name in files if (target / name).exists()]
-    if there:
-        raise InputError(
-            f"expected a folder without {there[0]!r}; `init` overwrites nothing. Name another.",
-            file=target,
-        )
-    with staged_folder(target) as staged:
-        for name in files:
-            shutil.copyfile(example_folder() / name, staged / name)
-        plot = staged / "plot.toml"
-        text = plot.read_text(encoding="utf-8")
-        text = re.sub(r"(?m)^seed = 0 ", f"seed = {seed} ", text)
-        if burnt != PUBLISHED:
-            text = _at_another_age(burnt, text, staged)
-        plot.write_text(text, encoding="utf-8")
-    summary = {
-        "command": "init",
-        "version": fynjax.__version__,
-        "output": str(target),
-        "seed": seed,
-        "status": "ok",
-        "headline": [] if burnt == PUBLISHED else [f"Assumed: {ASSUMED}."],
-        "files": files,
-        "warnings": [] if burnt == PUBLISHED else [ASSUMED],
-    }
+    result = fynbos_2006.init(target, burnt=burnt, seed=seed)
     if json:
-        print(json_text.dumps(summary, indent=2))
+        print(result.model_dump_json(indent=2))
     elif not quiet:
-        tell(summary)
+        show(result)
         print(f"Next: fynjax render {target / 'plot.toml'}")
-
-
-def _at_another_age(burnt: int, text: str, folder: Path) -> str:
-    """The plot file of a plot that burnt in another year; writes its species table beside it."""
-    from fynjax.studies.fynbos_2006 import SURVEY_YEAR, ground_after_fire, table_after_fire
-
-    age = SURVEY_YEAR - burnt
-    try:
-        table = table_after_fire(age)
-    except InputError as error:
-        raise InputError(
-            f"`--burnt` must be a year from {SURVEY_YEAR - 40} to {SURVEY_YEAR - 1}, since plots "
-            f"are as of {SURVEY_YEAR}, but is {burnt}"
-        ) from error
-    table["packing_percent"] = [0 if way == "dead" else 50 for way in table["after_fire"]]
-    columns = ["taxon", "mean_diameter_cm", "cover_percent", "height_max_m", "growth_form"]
-    rows = table[[*columns, "packing_percent"]].to_csv(
-        index=False, float_format="%.3g", lineterminator="\n"
-    )
-    head = (
-        f"# A plot burnt in {burnt}, {age} years old. ASSUMED, not measured: the table of the plot "
-        "burnt\n# in 2006 with sizes and covers scaled by curves of recovery after fire\n"
-        "# (fynjax.canopy.table_after_fire). Packing is assumed as in the plot of 2006.\n"
-    )
-    (folder / "species.csv").write_text(head + rows, encoding="utf-8")
-    guide = folder / "README.txt"
-    lines = guide.read_text(encoding="utf-8").splitlines(keepends=True)
-    told = "".join(x for x in lines if "calibrate" not in x and not x.startswith("statistics.csv"))
-    told = told.replace(
-        "Sources: species.csv and statistics.csv hold facts from tables 1 and 4 of",
-        f"ASSUMED: species.csv, litter and char in plot.toml are for an age of {age} years, by\n"
-        "curves of recovery after fire; nobody measured them. They start from table 1 of",
-    )
-    guide.write_text(told, encoding="utf-8")
-    litter = float(re.search(r"(?m)^litter_fraction = ([0-9.]+)", text)[1])  # type: ignore[index]
-    ground = ground_after_fire(age, litter)
-    text = re.sub(
-        r"^# A plot of fynbos that burnt in 2006, at Grootbos, South Africa. ",
-        f"# A plot of fynbos as it may look {age} years after a fire of {burnt}. Only the plot\n"
-        "# burnt in 2006 is published; species table, litter and char of this one are assumptions."
-        "\n# ",
-        text,
-    )
-    text = text.replace("burnt 2006", f"burnt {burnt} (assumed)")
-    text = text.replace("#   fynjax calibrate plot.toml --target statistics.csv\n", "")
-    text = re.sub(
-        r"(?m)^litter_fraction = [0-9.]+ ", f"litter_fraction = {ground.litter:.2f} ", text
-    )
-    return re.sub(r"(?m)^# char_fraction = [0-9.]+ ", f"char_fraction = {ground.char:.2f} ", text)

@@ -84,7 +84,6 @@ def pattern(
             progress=progress,
         ),
         output,
-        seed=seed,
         as_json=json,
         quiet=quiet,
     )

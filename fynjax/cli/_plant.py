@@ -4,12 +4,15 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fynjax._core.errors import InputError
 from fynjax.cli._runtime import Json, Output, Quiet, Seed, run_job
+
+if TYPE_CHECKING:
+    from fynjax.jobs import PlantResult
 
 Source = Annotated[
     str,
@@ -111,7 +114,6 @@ def plant(
                 jobs.plant(source, folder, progress=progress, seed=seed, **options)
             ),
             output,
-            seed=seed,
             as_json=json,
             quiet=quiet,
         )
@@ -124,8 +126,8 @@ def _as_options(text: str) -> str:
     return re.sub(rf"`({'|'.join(_SAME)})`", lambda m: f"`--{m[1].replace('_', '-')}`", text)
 
 
-def _renamed_warnings(summary: dict[str, Any]) -> dict[str, Any]:
-    return summary | {"warnings": [_as_options(text) for text in summary["warnings"]]}
+def _renamed_warnings(result: "PlantResult") -> "PlantResult":
+    return result.model_copy(update={"warnings": [_as_options(text) for text in result.warnings]})
 
 
 @contextmanager

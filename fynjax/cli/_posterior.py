@@ -67,7 +67,6 @@ def posterior(
             progress=progress,
         ),
         output,
-        seed=seed,
         as_json=json,
         quiet=quiet,
         checkpoint=own,

@@ -95,7 +95,6 @@ def reflectance(
             progress=progress,
         ),
         output,
-        seed=0,
         as_json=json,
         quiet=quiet,
     )

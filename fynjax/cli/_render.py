@@ -31,7 +31,6 @@ def render(
         "render",
         lambda folder, progress: jobs.render(plot, folder, seed=seed, progress=progress),
         output,
-        seed=seed,
         as_json=json,
         quiet=quiet,
     )

@@ -1,7 +1,6 @@
 """What every command shares: options, JAX settings, the summary, and one line for an error."""
 
 import json
-import math
 import os
 import signal
 import sys
@@ -10,12 +9,14 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-import fynjax
 from fynjax._core.progress import Progress
+
+if TYPE_CHECKING:
+    from fynjax.jobs import JobResult
 
 Seed = Annotated[
     int, typer.Option(min=0, max=2**31 - 1, help="Seed of everything random.", show_default=True)
@@ -63,21 +64,6 @@ def prepare_jax() -> None:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-
-
-def _jsonable(value: Any) -> Any:
-    """Plain JSON: arrays as lists, paths as text, NaN and infinity as null."""
-    if isinstance(value, dict):
-        return {str(k): _jsonable(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_jsonable(v) for v in value]
-    if hasattr(value, "model_dump"):
-        return _jsonable(value.model_dump())
-    if hasattr(value, "tolist"):  # NumPy and JAX arrays and scalars
-        return _jsonable(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)
 
 
 def _message(warning: warnings.WarningMessage) -> str:
@@ -138,17 +124,16 @@ def _ended_by_kill() -> Iterator[Callable[[], None]]:
 
 def run_job(
     command: str,
-    job: Callable[[Path, Progress], dict[str, Any]],
+    job: Callable[[Path, Progress], "JobResult"],
     output: Path,
     *,
-    seed: int | None,
     as_json: bool,
     quiet: bool,
     checkpoint: Path | None = None,
 ) -> None:
-    """Run `job(folder, progress)` and tell its result.
+    """Run `job(folder, progress)` and print its result.
 
-    Where an interrupted job leaves a `checkpoint`, its user is told so. The job writes into a
+    Where an interrupted job leaves a `checkpoint`, a line names it. The job writes into a
     folder beside `output`, whose files are moved to `output` when all of it has succeeded. Then
     those files go that an earlier run of the same command listed and this one did not write: they
     would stand beside results that they do not belong to. Warnings wait until then: if the job
@@ -174,41 +159,30 @@ def run_job(
                     file=sys.stderr,
                 )
                 sys.exit(130)
-            told = list(dict.fromkeys(map(_message, caught)))
-            summary = _jsonable(
-                {
-                    "status": "ok",
-                    "headline": [],
-                    "seed": seed,
-                    **result,
-                    "command": command,
-                    "version": fynjax.__version__,
-                    "output": str(output),
-                    "warnings": [*result.get("warnings", []), *told],
-                }
+            messages = list(dict.fromkeys(map(_message, caught)))
+            result = result.model_copy(
+                update={"output": str(output), "warnings": [*result.warnings, *messages]}
             )
-            text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
+            text = result.model_dump_json(indent=2)
             write_text(folder / "summary.json", text + "\n")
             check_killed()
             written = [p.relative_to(folder) for p in folder.rglob("*") if p.is_file()]
         remove_replaced(output, earlier, [*written, *_stated_files()])
-    for line in summary["warnings"]:
+    for line in result.warnings:
         print(f"fynjax: warning: {line}", file=sys.stderr)
     if as_json:
         print(text)
     elif not quiet:
-        tell(summary)
+        show(result)
 
 
-def tell(summary: dict[str, Any]) -> None:
+def show(result: "JobResult") -> None:
     """The result in a few lines on stdout."""
-    for line in summary["headline"]:
+    for line in result.headline:
         print(line)
-    if summary["status"] != "ok":
-        print(f"Status: {summary['status']}")
-    folder = Path(summary["output"])
-    files = summary.get("files", {})
-    width = max((len(name) for name in files), default=0)
-    print(f"Written to {folder}")
-    for name, what in files.items():
+    if result.status != "ok":
+        print(f"Status: {result.status}")
+    width = max((len(name) for name in result.files), default=0)
+    print(f"Written to {result.output}")
+    for name, what in result.files.items():
         print(f"  {name:<{width}}  {what}")

@@ -57,7 +57,6 @@ def sensitivity(
             progress=progress,
         ),
         output,
-        seed=seed,
         as_json=json,
         quiet=quiet,
     )

@@ -76,7 +76,6 @@ def simulate(
             progress=progress,
         ),
         output,
-        seed=seed,
         as_json=json,
         quiet=quiet,
     )

@@ -5,12 +5,14 @@ import re
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 
 from fynjax._core.errors import InputError
 from fynjax.cli._runtime import Json, Output, Quiet, run_job
+
+T = TypeVar("T")
 
 
 class Method(StrEnum):
@@ -31,9 +33,7 @@ class Unit(StrEnum):
     us_survey_foot = "us_survey_foot"
 
 
-def _naming_options(
-    job: Callable[..., dict[str, Any]], *given: Any, **named: Any
-) -> dict[str, Any]:
+def _naming_options(job: Callable[..., T], *given: Any, **named: Any) -> T:
     """What `job` returns; its errors name options instead of arguments: `--largest-gap`."""
     try:
         return job(*given, **named)
@@ -139,7 +139,6 @@ def terrain(
             progress=progress,
         ),
         output,
-        seed=0,
         as_json=json,
         quiet=quiet,
     )

@@ -320,7 +320,6 @@ def validate(
             progress=progress,
         ),
         output,
-        seed=seed,
         as_json=json,
         quiet=quiet,
     )

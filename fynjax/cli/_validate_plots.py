@@ -63,7 +63,6 @@ def validate_plots(
             progress=progress,
         ),
         output,
-        seed=seed,
         as_json=json,
         quiet=quiet,
     )

@@ -1,26 +1,39 @@
+from ._build import BuildResult as BuildResult
 from ._build import build as build
+from ._calibrate import CalibrateResult as CalibrateResult
 from ._calibrate import calibrate as calibrate
-from ._calibrate import demo as demo
-from ._calibrate import render as render
+from ._calibrate import calibrate_to as calibrate_to
+from ._calibration_tables import Reference as Reference
+from ._fit_leaf import FitLeafResult as FitLeafResult
 from ._fit_leaf import fit_leaf as fit_leaf
+from ._information import InformationResult as InformationResult
 from ._information import information as information
+from ._pattern import PatternResult as PatternResult
 from ._pattern import pattern as pattern
+from ._plant import PlantResult as PlantResult
 from ._plant import plant as plant
+from ._posterior import PosteriorResult as PosteriorResult
 from ._posterior import posterior as posterior
+from ._reflectance import ReflectanceResult as ReflectanceResult
 from ._reflectance import reflectance as reflectance
-from ._result import (
-    ParameterSummary as ParameterSummary,
-)
-from ._result import (
-    RunSummary as RunSummary,
-)
-from ._result import (
-    StatisticSummary as StatisticSummary,
-)
+from ._render import RenderResult as RenderResult
+from ._render import render as render
+from ._result import JobResult as JobResult
+from ._result import Number as Number
+from ._result import ParameterSummary as ParameterSummary
+from ._result import Record as Record
+from ._result import Rows as Rows
+from ._result import StatisticSummary as StatisticSummary
+from ._run import Run as Run
+from ._run import peak_memory_mib as peak_memory_mib
+from ._sensitivity import SensitivityResult as SensitivityResult
 from ._sensitivity import sensitivity as sensitivity
 from ._simulate import PRODUCTS as PRODUCTS
+from ._simulate import SimulateResult as SimulateResult
 from ._simulate import simulate as simulate
-from ._simulate_lidar import simulate_lidar as simulate_lidar
+from ._simulate_lidar import SimulateLidarResult as SimulateLidarResult
+from ._terrain import TerrainResult as TerrainResult
 from ._terrain import terrain as terrain
+from ._validate import ValidateResult as ValidateResult
 from ._validate import ValidationData as ValidationData
 from ._validate import validate as validate

@@ -1,7 +1,6 @@
 """What `fynjax build` does: the hard scene of a plot, its cover, its voxels and its pictures."""
 
 import dataclasses
-import time
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -11,15 +10,16 @@ import jax
 import numpy as np
 import pandas as pd
 import xarray as xr
+from pydantic import Field
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.assembly import build_plot
 from fynjax.io.instruments import scene_meshes, write_scene_mesh
 from fynjax.io.plot import Plot, as_plot
-from fynjax.io.raster import provenance, write_run
-from fynjax.io.text import write_text
-from fynjax.jobs._calibrate import _Clock, peak_memory_mib
+from fynjax.io.raster import write_run
+from fynjax.jobs._result import JobResult, Rows
+from fynjax.jobs._run import Run, peak_memory_mib
 from fynjax.report.figures import (
     check_view,
     mesh_image,
@@ -27,10 +27,9 @@ from fynjax.report.figures import (
     plan_view,
     profile_view,
     rgb,
-    save_figure,
     species_colours,
 )
-from fynjax.report.pages import Page
+from fynjax.report.pages import Page, Picture, Section, Table
 from fynjax.scene import (
     Instances,
     PlotModel,
@@ -53,6 +52,17 @@ _COVER_HEADERS = {
 }
 
 
+class BuildResult(JobResult):
+    """What `build` planted: plants of each taxon and their cover."""
+
+    command: Literal["build"] = "build"
+    size_m: tuple[float, float]
+    plants: dict[str, int]
+    cover: Rows = Field(description="Rows of cover.csv.")
+    build_memory_mib: float = Field(description="Largest memory before pictures and meshes [MiB].")
+    triangles: int | None = None
+
+
 def build(
     plot: Plot | str | Path,
     output: Path,
@@ -64,7 +74,7 @@ def build(
     max_triangles: int = 5_000_000,
     view: Literal["points", "meshes"] = "points",
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> BuildResult:
     """Build the hard scene of a plot file into the folder `output`.
 
     **Arguments:**
@@ -75,18 +85,14 @@ def build(
     - `mesh`, `max_triangles`: write the scene as OBJ, of at most so many triangles.
     - `view`: what the oblique picture shows: clouds of area elements, or the generated meshes of
       the taxa (needs PyVista, the extra `view`).
-
-    **Returns:** the summary: headline, files, counts, cover, times [s], memory [MiB].
     """
-    progress = NullProgress() if progress is None else progress
     if view == "meshes":
         check_view()
     read = as_plot(plot)
     read = read if size is None else _resized(read, size)
     chosen = read.seed if seed is None else seed
-    seconds: dict[str, float] = {}
-    began = time.perf_counter()
-    with progress.stage("Plant the plot"), _Clock(seconds, "plants"):
+    run = Run(output, seed=chosen, progress=progress)
+    with run.stage("Plant the plot", "plants"):
         model, parameters = build_plot(read, seed=chosen)
         real = np.asarray(model.counts(parameters), float)
         instances = hard_instances(model, parameters)
@@ -94,81 +100,81 @@ def build(
         del model  # its spare plants
     meshes, triangles, paint = None, 0, None
     if view == "meshes":
-        with progress.stage("Grow the meshes"), _Clock(seconds, "meshes_of_the_view"):
+        with run.stage("Grow the meshes", "meshes_of_the_view"):
             shown, _ = scene_meshes(
                 instances, hard, parameters, max_triangles=_VIEW_TRIANGLES, seed=chosen
             )
             paint = partial(mesh_image, instances, shown, hard.forms, hard.terrain)
     if mesh:  # early: it may be refused
-        with progress.stage("Grow the meshes"), _Clock(seconds, "meshes"):
+        with run.stage("Grow the meshes", "meshes"):
             meshes, triangles = scene_meshes(
                 instances, hard, parameters, max_triangles=max_triangles, seed=chosen
             )
-    with progress.stage("Fill the voxels"), _Clock(seconds, "voxels"):
+    with run.stage("Fill the voxels", "voxels"):
         density = eqx.filter_jit(lambda m, p: m.area_density(p))(hard, parameters)
         jax.block_until_ready(density)
     memory = peak_memory_mib()
-    seconds["build"] = seconds["plants"] + seconds["voxels"]
+    run.seconds["build"] = run.seconds["plants"] + run.seconds["voxels"]
     periodic = hard.boundary == "periodic"
-    with progress.stage("Measure the cover"), _Clock(seconds, "cover"):
+    with run.stage("Measure the cover", "cover"):
         cover = projected_cover(instances, cell=cell, periodic=periodic)
         table = cover_table(read, parameters, instances, real, cover)
-    record = provenance(seed=chosen, inputs=read.inputs)
-    files = {
-        "instances.csv": "every plant: place, turn, size",
-        "cover.csv": "cover of each species, asked and measured",
-        "voxels.nc": "area density of each optical class, NetCDF",
-        "plan.png": "the plants from above",
-        "oblique.png": "the plants from obliquely above",
-        "profile.png": "leaf and wood area density against height",
-        "report.html": "all of it on one page",
-    }
-    extra: dict[str, Any] = {}
-    with progress.stage("Write"), _Clock(seconds, "write"):
-        write_text(output / "instances.csv", instance_table(instances).to_csv(index=False))
-        write_text(output / "cover.csv", table.to_csv(index=False, float_format="%.4f"))
-        write_run(output / "voxels.nc", voxel_dataset(hard, density), record)
+    record = run.record(read.inputs)
+    with run.stage("Write", "write"):
+        run.table(
+            "instances.csv", instance_table(instances), "every plant: place, turn, size", None
+        )
+        run.table("cover.csv", table, "cover of each species, asked and measured", "%.4f")
+        voxels = run.path("voxels.nc", "area density of each optical class, NetCDF")
+        write_run(voxels, voxel_dataset(hard, density), record)
         del density
-    with progress.stage("Draw"), _Clock(seconds, "figures"):
+    with run.stage("Draw", "figures"):
         edges = _layers(instances, hard)
         profile = height_profile(hard, parameters, edges)
-        figures = {
-            "plan": plan_view(
-                instances, hard.forms, periodic=periodic,
-                title=f"{read.name}: {len(instances)} plants from above",
+        pictures = [
+            Picture(
+                "plan.png",
+                plan_view(
+                    instances, hard.forms, periodic=periodic,
+                    title=f"{read.name}: {len(instances)} plants from above",
+                ),
+                "the plants from above",
+                "The crowns from above, the tallest on top.",
             ),
-            "oblique": oblique_view(
-                instances, hard.forms, periodic=periodic, ground=hard.terrain,
-                title=f"{read.name}: from the south-south-west", paint=paint,
+            Picture(
+                "oblique.png",
+                oblique_view(
+                    instances, hard.forms, periodic=periodic, ground=hard.terrain,
+                    title=f"{read.name}: from the south-south-west", paint=paint,
+                ),
+                "the plants from obliquely above",
+                "The plants from the south-south-west.",
             ),
-            "profile": profile_view(profile, edges, instances, hard.forms),
-        }  # fmt: skip
-        for name, figure in figures.items():
-            save_figure(figure, output / f"{name}.png")
+            Picture(
+                "profile.png",
+                profile_view(profile, edges, instances, hard.forms),
+                "leaf and wood area density against height",
+                "Leaf area (seen from outside the shoots) and wood area against height.",
+            ),
+        ]  # fmt: skip
     if meshes is not None:
-        with progress.stage("Write the mesh"), _Clock(seconds, "write_mesh"):
+        with run.stage("Write the mesh", "write_mesh"):
             colours = [tuple(rgb(c).tolist()) for c in species_colours(hard.forms)]
-            write_scene_mesh(output / "scene.obj", instances, meshes, colours)
-        files |= {
-            "scene.obj": f"the plants as {triangles} triangles, metres",
-            "scene.mtl": "their materials",
-        }
-        extra["triangles"] = triangles
-    seconds["total"] = time.perf_counter() - began
+            obj = run.path("scene.obj", f"the plants as {triangles} triangles, metres")
+            write_scene_mesh(obj, instances, meshes, colours)
+            run.path("scene.mtl", "their materials")
     headline = _headline(read, instances, table)
-    _page(output, read, table, headline, seconds, memory, record)
-    return {
-        "headline": headline,
-        "files": files,
-        "size_m": list(read.size_m),
-        "seed": chosen,
-        "plants": dict(zip(instances.taxa, instances.counts.tolist())),
-        "cover": table.to_dict("records"),
-        "timings_s": seconds,
-        "build_memory_mib": memory,
-        "peak_memory_mib": peak_memory_mib(),
-        **extra,
-    }
+    run.total()
+    run.page(_page(run, read, table, headline, pictures, memory, record))
+    return run.result(
+        BuildResult,
+        headline=headline,
+        size_m=read.size_m,
+        plants=dict(zip(instances.taxa, instances.counts.tolist())),
+        cover=table,
+        build_memory_mib=memory,
+        triangles=None if meshes is None else triangles,
+    )
 
 
 def _layers(instances: Instances, model: PlotModel) -> np.ndarray:
@@ -246,7 +252,7 @@ def instance_table(instances: Instances) -> pd.DataFrame:
 def voxel_dataset(model: PlotModel, density: Any) -> xr.Dataset:
     """Area density [class, z, y, x] with its coordinates, ready for `write_run`."""
     x, y, z = model.grid.centres
-    names = [f"{model.taxa[one]}, leaf" for one in leafy_species(model.forms)] + ["wood", "flower"]
+    names = [f"{model.taxa[k]}, leaf" for k in leafy_species(model.forms)] + ["wood", "flower"]
 
     def axis(letter: str, values: np.ndarray, what: str) -> tuple[str, np.ndarray, dict[str, str]]:
         standard = {
@@ -256,7 +262,7 @@ def voxel_dataset(model: PlotModel, density: Any) -> xr.Dataset:
         return letter, values, {"units": "m", "axis": letter.upper(), "long_name": what} | standard
 
     level = model.terrain is None
-    found: dict[str, Any] = {
+    variables: dict[str, Any] = {
         "area_density": (
             ("class", "z", "y", "x"),
             np.asarray(density),
@@ -264,10 +270,10 @@ def voxel_dataset(model: PlotModel, density: Any) -> xr.Dataset:
         )
     }
     if not level:
-        told = {"long_name": "height of the ground above its lowest", "units": "m"}
-        found["ground"] = (("y", "x"), model.terrain, told)
+        what = {"long_name": "height of the ground above its lowest", "units": "m"}
+        variables["ground"] = (("y", "x"), model.terrain, what)
     return xr.Dataset(
-        found,
+        variables,
         coords={
             "class": ("class", names, {"long_name": "optical class"}),
             "z": axis(
@@ -295,43 +301,29 @@ def _headline(plot: Plot, instances: Instances, table: pd.DataFrame) -> list[str
 
 
 def _page(
-    folder: Path,
+    run: Run,
     plot: Plot,
     table: pd.DataFrame,
     headline: list[str],
-    seconds: dict[str, float],
+    pictures: list[Picture],
     memory: float,
-    record: Any,
-) -> None:
-    page = Page(f"Scene: {plot.name}", headline[0])
+    record: dict[str, str | int],
+) -> Page:
     whole = table.iloc[-1]
-    page.key_figures(
-        {
-            "plants": str(whole.plants),
-            "ground under crowns": f"{whole.species_percent:.1f} %",
-            "crowns in full": f"{whole.crowns_percent:.1f} %",
-            "time of the build": f"{seconds['build']:.1f} s",
-            "its memory": f"{memory / 1024:.1f} GiB",
-        }
-    )
-    page.paragraph(" ".join(headline[1:]))
-    page.figure(folder / "plan.png", "The crowns from above, the tallest on top.")
-    page.figure(folder / "oblique.png", "The plants from the south-south-west.")
-    page.figure(
-        folder / "profile.png",
-        "Leaf area (seen from outside the shoots) and wood area against height.",
-    )
-    page.table(
+    keys = {
+        "plants": str(whole.plants),
+        "ground under crowns": f"{whole.species_percent:.1f} %",
+        "crowns in full": f"{whole.crowns_percent:.1f} %",
+        "time of the build": f"{run.seconds['build']:.1f} s",
+        "its memory": f"{memory / 1024:.1f} GiB",
+    }
+    cover = Table(
         table,
+        "Cover. Counted: crowns less packing and gaps, what eq. (10) steers to the cover asked "
+        "for. Ground under the species: overlap counts once.",
         headers=_COVER_HEADERS,
         units=dict.fromkeys(_COVER_HEADERS, "%"),
-        caption="Cover. Counted: crowns less packing and gaps, what eq. (10) steers to the cover "
-        "asked for. Ground under the species: overlap counts once.",
     )
-    page.table(
-        pd.DataFrame({"what": list(seconds), "seconds": list(seconds.values())}),
-        caption=f"Wall time; peak memory of the build {memory:.0f} MiB.",
-        folded=True,
-    )
-    page.footer(record)
-    page.write(folder / "report.html")
+    times = run.times(f"Wall time; peak memory of the build {memory:.0f} MiB.", folded=True)
+    parts = [" ".join(headline[1:]), *pictures, cover, times]
+    return Page(f"Scene: {plot.name}", headline[0], [Section("", parts)], keys, record)

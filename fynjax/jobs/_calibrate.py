@@ -1,67 +1,66 @@
-"""The jobs behind the commands: read, compute, write."""
+"""What `fynjax calibrate` does: the parameters of a plot that explain what was measured of it."""
 
-import resource
-import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+import pandas as pd
 
-from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.assembly import Measured, build_plot, read_targets
-from fynjax.compare import bands_2006, consistent_targets, table4_2006
-from fynjax.inversion import ImageView, calibrate_plot, free_space, join_data, weigh_targets
-from fynjax.io.plot import Plot, as_plot, drone_bands, example_folder, read_plot
-from fynjax.io.raster import provenance
-from fynjax.jobs._calibration_page import calibration_files, render_files
-from fynjax.jobs._calibration_tables import Reference
-from fynjax.metrics import BANDS
+from fynjax.inversion import Calibration, calibrate_plot, free_space, join_data
+from fynjax.io.plot import Plot, as_plot, drone_bands
+from fynjax.io.raster import write_run
+from fynjax.jobs._calibration_page import (
+    agreement_sentences,
+    calibration_page,
+    parameter_sentences,
+)
+from fynjax.jobs._calibration_tables import (
+    Reference,
+    calibration_dataset,
+    parameter_table,
+    statistic_table,
+)
+from fynjax.jobs._render import check_finite, write_image
+from fynjax.jobs._result import JobResult, Number, ParameterSummary, Record, StatisticSummary
+from fynjax.jobs._run import Run
+from fynjax.report.pages import Page
 from fynjax.scene import PlotModel, PlotParameters
 
 
-def render(
-    plot: Plot | str | Path,
-    output: Path,
-    *,
-    seed: int | None = None,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Render a plot's image into `output`: GeoTIFF, NetCDF, figures and a page.
+class TargetSummary(Record):
+    """What one sensor measured."""
 
-    **Arguments:** `plot`, or its file; `seed`, the plot's if left out.
-    """
-    progress = NullProgress() if progress is None else progress
-    read = as_plot(plot)
-    seed = read.seed if seed is None else seed
-    seconds: dict[str, float] = {}
-    with progress.stage("Build the plot"), _Clock(seconds, "build"):
-        model, parameters = build_plot(read, seed=seed, bands=drone_bands(read))
-    render = eqx.filter_jit(lambda m, p: (m.image(p), m.counts(p)))
-    with progress.stage("Render"), _Clock(seconds, "render"):
-        image, counts = jax.block_until_ready(render(model, parameters))
-    _check_finite(image, read)
-    with progress.stage("Write"):
-        record = provenance(seed=seed, inputs=read.inputs)
-        files = render_files(output, read, model, np.asarray(image), np.asarray(counts), record)
-    means = ", ".join(f"{b} {float(v):.4f}" for b, v in zip(BANDS, jnp.mean(image, axis=(1, 2))))
-    return {
-        "headline": [f"{read.name}: mean reflectance {means}."],
-        "seed": seed,
-        "files": files,
-        "timings_s": seconds,
-        "statistics": [
-            {"statistic": f"{b}.mean", "target": None, "before": float(v), "after": None}
-            for b, v in zip(BANDS, jnp.mean(image, axis=(1, 2)))
-        ],
-        "peak_memory_mib": peak_memory_mib(),
-    }
+    kind: str
+    file: str
+    description: str
+    target_valid_share: Number = None
+    spectra: int | None = None
+    spectrum_bands: int | None = None
+    returns: int | None = None
+    ground: str | None = None
+    grain_m: Number = None
+
+
+class StartSummary(Record):
+    """Where the searches ended."""
+
+    objective: list[float]
+    apart_sd: list[Number]
+    minima: int
+
+
+class CalibrateResult(JobResult):
+    """What `calibrate` and `demo` found: parameters and statistics before and after."""
+
+    command: Literal["calibrate", "demo"] = "calibrate"
+    targets: list[TargetSummary]
+    parameters: list[ParameterSummary]
+    statistics: list[StatisticSummary]
+    weakly_constrained_directions: list[dict[str, float]]
+    starts: StartSummary
 
 
 def calibrate(
@@ -72,152 +71,121 @@ def calibrate(
     seed: int | None = None,
     checkpoint: Path | None = None,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> CalibrateResult:
     """Calibrate a plot to what one or several sensors measured.
 
     **Arguments:** `plot`, or its file; `seed`, the plot's if left out; `targets`, at most one of
     each kind: a drone image (GeoTIFF) or its statistics (CSV); a spectrum, or an image of many
-    bands; a point cloud or its structure (CSV).
-    `checkpoint`, a folder that keeps every step: an interrupted run goes on from it.
+    bands; a point cloud or its structure (CSV). `checkpoint`, a folder that keeps every step: an
+    interrupted run goes on from it.
     """
-    progress = NullProgress() if progress is None else progress
     read = as_plot(plot)
-    seed = read.seed if seed is None else seed
     paths = [targets] if isinstance(targets, Path) else list(targets)
-    found = read_targets(read, paths, seed=seed, progress=progress)
-    return _calibrate(
-        read,
-        found,
-        output,
-        seed=seed,
-        progress=progress,
-        inputs=(*read.inputs, *paths),
-        checkpoint=checkpoint,
-    )
+    run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
+    measured = read_targets(read, paths, seed=run.seed, progress=run.progress)
+    return calibrate_to(read, measured, run, inputs=(*read.inputs, *paths), checkpoint=checkpoint)
 
 
-def demo(output: Path, *, seed: int, progress: Progress | None = None) -> dict[str, Any]:
-    """Calibrate the shipped 2006 plot to the published statistics of its real drone image."""
-    read = read_plot(example_folder() / "plot.toml")
-    known = {t.key: t.value for t in consistent_targets()}
-    targets = [t for t in consistent_targets() if t.key in DEMO_TARGETS]
-    names, share = tuple(t.key for t in targets), read.calibration.target_sd
-    value = np.array([t.value for t in targets])
-    # The band means are known to three decimals.
-    sd = np.where([t.derived for t in targets], np.hypot(share * value, _LAST_DIGIT), np.nan)
-    data = weigh_targets(names, value, share, sd=sd)
-    told = f"{len(names)} published statistics of the real drone image."
-    return _calibrate(
-        read,
-        (Measured("image", read.file, data, ImageView(names), told),),
-        output,
-        seed=seed,
-        progress=NullProgress() if progress is None else progress,
-        inputs=read.inputs,
-        reference=Reference(known, *paper_simulation()),
-        goals={"mean of a band": 3.0, "mean of an index": 5.0},
-    )
-
-
-_LAST_DIGIT = 0.0005 / 3**0.5
-DEMO_TARGETS = (
-    *(f"{layer}.mean" for layer in (*BANDS, "NDVI", "GNDVI", "SR", "GCI")),
-    *("NDVI.std", "GNDVI.std"),
-)
-"""Fitted in the demo. The other consistent indices are functions of the same bands; they are
-reported beside, as a check."""
-
-
-def paper_simulation() -> tuple[dict[str, float], dict[str, float]]:
-    """The paper's own DIRSIG simulation of the 2006 plot: statistics where they are printed, and
-    the relative errors of the band means, of which it prints only the size [%]."""
-    found: dict[str, float] = {}
-    for name, row in table4_2006().items():
-        found[f"{name}.mean"], found[f"{name}.std"] = row.sim_mean, row.sim_std
-    errors = {f"{n}.mean": 100.0 * b.sim_abs_difference for n, b in bands_2006().items()}
-    return found, errors
-
-
-def _calibrate(
+def calibrate_to(
     plot: Plot,
     measured: Sequence[Measured],
-    output: Path,
+    run: Run,
     *,
-    seed: int,
-    progress: Progress,
-    inputs: Sequence[Path],
+    inputs: Sequence[Path | None],
     reference: Reference | None = None,
-    goals: dict[str, float] | None = None,
     checkpoint: Path | None = None,
-) -> dict[str, Any]:
-    seconds: dict[str, float] = {}
-    began = time.perf_counter()
-    with progress.stage("Build the plot"), _Clock(seconds, "build"):
+    command: Literal["calibrate", "demo"] = "calibrate",
+) -> CalibrateResult:
+    """Calibrate a plot that was read to measurements that were read, and write what comes of it.
+
+    **Arguments:** `inputs`, the files that the plot and the measurements are from; `reference`,
+    what else is known of the real image.
+    """
+    with run.stage("Build the plot", "build"):
         # Without a drone's image the bands are those that the other views bring.
-        drone = any(one.kind == "image" for one in measured)
-        model, parameters = build_plot(plot, seed=seed, bands=drone_bands(plot) if drone else None)
+        drone = any(sensor.kind == "image" for sensor in measured)
+        bands = drone_bands(plot) if drone else None
+        model, parameters = build_plot(plot, seed=run.seed, bands=bands)
         space = free_space(model, parameters, plot.calibration.free, plot.calibration.relative_sd)
     steps, starts = plot.calibration.max_iterations, plot.calibration.starts
     evaluations = starts * (steps + (steps + 1) // 2)
-    with progress.stage("Calibrate", total=evaluations), _Clock(seconds, "calibrate"):
+    with run.stage("Calibrate", "calibrate", total=evaluations):
         result = calibrate_plot(
             model,
             parameters,
-            join_data([one.data for one in measured]),
+            join_data([sensor.data for sensor in measured]),
             space,
-            views=[one.view for one in measured],
+            views=[sensor.view for sensor in measured],
             max_steps=steps,
             starts=starts,
-            seed=seed,
+            seed=run.seed,
             checkpoint=checkpoint,
-            report=lambda stage, loss, norm: progress.advance(
+            report=lambda stage, loss, norm: run.progress.advance(
                 1, stage=stage, loss=f"{loss:.1f}", gradient=f"{norm:.1f}"
             ),
         )
-    seconds |= {
+    run.seconds |= {
         "render": result.seconds["render_s"],
         "search_step": result.seconds["step_s"],
         "search": result.seconds["search_s"],
     }
     if result.image_after is not None:
-        _check_finite(result.image_after, plot)
-    warnings = _short_of_sites(model, result.after)
-    with progress.stage("Write"):
-        seconds["total"] = time.perf_counter() - began
-        record = provenance(seed=seed, inputs=inputs)
-        summary = calibration_files(
-            output,
-            plot,
-            model,
-            result,
-            measured,
-            reference or Reference(),
-            goals or {},
-            record,
-            seconds,
-            peak_memory_mib(),
+        check_finite(result.image_after, plot)
+    reference = Reference() if reference is None else reference
+    parameters_of_fit, statistics = parameter_table(result), statistic_table(result, reference)
+    with run.stage("Write"):
+        page = calibration_page(
+            run, plot, result, measured, (parameters_of_fit, statistics), reference, inputs
         )
-    return {
-        **summary,
-        "seed": seed,
-        **{key: value for one in measured for key, value in one.extra.items()},
-        "timings_s": seconds,
-        "peak_memory_mib": peak_memory_mib(),
-        "warnings": warnings,
-        "converged": result.fit.converged,
-        "status": "ok" if result.fit.converged else f"not converged: {result.fit.status}",
-    }
+        _write(run, plot, model, result, page, (parameters_of_fit, statistics))
+    rows = statistics.rename(columns={"real": "target"})
+    return run.result(
+        CalibrateResult,
+        command=command,
+        headline=[
+            *agreement_sentences(plot, measured, statistics, reference),
+            *parameter_sentences(result),
+        ],
+        warnings=_short_of_sites(model, result.after),
+        converged=result.fit.converged,
+        status="ok" if result.fit.converged else f"not converged: {result.fit.status}",
+        targets=[
+            TargetSummary(
+                kind=sensor.kind, file=sensor.file.name, description=sensor.told, **sensor.extra
+            )
+            for sensor in measured
+        ],
+        parameters=parameters_of_fit[list(ParameterSummary.model_fields)].to_dict("records"),
+        statistics=rows[list(StatisticSummary.model_fields)].to_dict("records"),
+        weakly_constrained_directions=result.fit.unseen_directions(),
+        starts=StartSummary(
+            objective=result.ends.objective.tolist(),
+            apart_sd=result.ends.apart.tolist(),
+            minima=result.ends.minima,
+        ),
+    )
 
 
-def _check_finite(image: Float[Array, "band y x"], plot: Plot) -> None:
-    """No NaN reaches a product."""
-    bad = int(np.sum(~np.isfinite(np.asarray(image))))
-    if bad:
-        raise InputError(
-            f"{bad} values of the rendered image are not finite. Is the sun near the horizon, or a "
-            "parameter at the end of its range?",
-            file=plot.file,
-        )
+def _write(
+    run: Run,
+    plot: Plot,
+    model: PlotModel,
+    result: Calibration,
+    page: Page,
+    tables: tuple[pd.DataFrame, pd.DataFrame],
+) -> None:
+    parameters, statistics = tables
+    run.table("parameters.csv", parameters, "prior, estimate, sd of every parameter")
+    each = "every statistic" if result.image_before is None else "every band and index"
+    run.table("statistics.csv", statistics, f"{each}, real and simulated")
+    for when, what in (("before", "of the field table"), ("after", "after calibration")):
+        image = getattr(result, f"image_{when}")
+        if image is not None:
+            path = run.path(f"image_{when}.tif", f"image {what}, GeoTIFF")
+            write_image(path, np.asarray(image), plot, model, page.record)
+    dataset = calibration_dataset(plot, model, result)
+    write_run(run.path("run.nc", "the whole run, NetCDF"), dataset, page.record)
+    run.page(page)
 
 
 def _short_of_sites(model: PlotModel, parameters: PlotParameters) -> list[str]:
@@ -229,22 +197,3 @@ def _short_of_sites(model: PlotModel, parameters: PlotParameters) -> list[str]:
         for taxon, wanted, sites in zip(model.taxa, np.asarray(model.counts(parameters)), ready)
         if wanted > sites
     ]
-
-
-def peak_memory_mib() -> float:
-    """Largest resident memory of the process so far [MiB]."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)
-
-
-class _Clock:
-    """Adds the wall time of a block to a table, under a name."""
-
-    def __init__(self, table: dict[str, float], name: str) -> None:
-        self._table, self._name = table, name
-
-    def __enter__(self) -> None:
-        self._began = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self._table[self._name] = time.perf_counter() - self._began

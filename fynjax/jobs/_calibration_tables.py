@@ -1,53 +1,52 @@
 """The numbers of a run, as tables and as the data of its run file."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 import numpy as np
 import pandas as pd
 import xarray as xr
 
-from fynjax.assembly import shown_unit
-from fynjax.inversion import Calibration, ImageView
+from fynjax.assembly import Measured, parameter_columns
+from fynjax.inversion import Calibration, ImageView, SpectrumView
 from fynjax.io.plot import Plot
 from fynjax.io.raster import image_array
-from fynjax.metrics import BANDS, image_statistics
+from fynjax.jobs._render import plant_counts
+from fynjax.metrics import BANDS, STRUCTURE_METRICS, image_statistics
 from fynjax.scene import PARAMETERS, PlotModel, named_values, parameter_kind
 
 
 def parameter_table(calibration: Calibration) -> pd.DataFrame:
     """Every free parameter: prior, estimate, and how far the data pinned it down."""
     fit = calibration.fit
-    rows = []
-    for i, name in enumerate(fit.names):
-        kind, unit, factor = shown_unit(name)
-        rows.append(
-            {
-                "name": name,
-                "kind": kind,
-                "unit": unit,
-                "prior": factor * float(fit.space.prior[i]),
-                "prior_sd": factor * float(fit.space.prior_sd[i]),
-                "estimate": factor * float(fit.estimate[i]),
-                "sd": factor * float(fit.sd[i]),
-                "lower": factor * float(fit.space.lower[i]),
-                "upper": factor * float(fit.space.upper[i]),
-                "constrained": float(fit.constrained[i]),
-            }
-        )
-    return pd.DataFrame(rows)
+    table = parameter_columns(
+        fit.names,
+        {
+            "prior": fit.space.prior,
+            "prior_sd": fit.space.prior_sd,
+            "estimate": fit.estimate,
+            "sd": fit.sd,
+            "lower": fit.space.lower,
+            "upper": fit.space.upper,
+        },
+    )
+    return table.assign(constrained=np.asarray(fit.constrained, float))
 
 
-class Reference(NamedTuple):
+@dataclass(frozen=True)
+class Reference:
     """What else is known of the real image, and what another simulation made of it."""
 
-    real: Mapping[str, float] = {}
+    real: Mapping[str, float] = field(default_factory=dict)
     """Statistics of the real image that were not fitted, or were, by name."""
-    simulated: Mapping[str, float] = {}
+    simulated: Mapping[str, float] = field(default_factory=dict)
     """The other simulation's statistics."""
-    error_percent: Mapping[str, float] = {}
+    error_percent: Mapping[str, float] = field(default_factory=dict)
     """Its relative errors where only those are known, without sign [%]."""
+    goals: Mapping[str, float] = field(default_factory=dict)
+    """Errors that the calibration aims at, by what they are of [%]."""
 
 
 def statistic_table(calibration: Calibration, reference: Reference) -> pd.DataFrame:
@@ -86,26 +85,47 @@ def statistic_table(calibration: Calibration, reference: Reference) -> pd.DataFr
     return table
 
 
-def largest_errors(statistics: pd.DataFrame) -> tuple[dict[str, float], dict[str, float]]:
-    """Largest error of the fitted means of bands, and of indices."""
+def largest_errors(statistics: pd.DataFrame) -> pd.DataFrame:
+    """Largest error of the fitted means of bands and of indices [%], before and after.
+
+    Rows are "a band mean" and "a fitted index mean"; one of which nothing was fitted is left out.
+    """
     means = statistics[statistics["fitted"] & statistics["statistic"].str.endswith(".mean")]
-    band = means["statistic"].str.split(".").str[0].isin(BANDS)
-    return tuple(  # type: ignore[return-value]
-        {
-            c: float(part[f"{c}_error_percent"].abs().max()) if len(part) else float("nan")
-            for c in ("before", "after")
-        }
-        for part in (means[band], means[~band])
-    )
+    is_band = means["statistic"].str.split(".").str[0].isin(BANDS)
+    parts = {"a band mean": means[is_band], "a fitted index mean": means[~is_band]}
+    rows = {
+        what: [part[f"{when}_error_percent"].abs().max() for when in ("before", "after")]
+        for what, part in parts.items()
+        if len(part)
+    }
+    return pd.DataFrame.from_dict(rows, orient="index", columns=["before", "after"])
 
 
-def plant_counts(model: PlotModel, counts: np.ndarray) -> xr.DataArray:
-    """Plants of each species."""
-    return xr.DataArray(
-        np.asarray(counts, float),
-        dims="species",
-        coords={"species": ("species", list(model.taxa), {"long_name": "taxon"})},
-        attrs={"long_name": "plants on the plot, eq. (10) without its ceiling", "units": "1"},
+_COLUMNS = ["real", "target_sd", "before", "after"]
+
+
+def sensor_table(measured: Measured, statistics: pd.DataFrame) -> pd.DataFrame:
+    """The statistics of one sensor: real with its error, and simulated before and after."""
+    rows = statistics.set_index("statistic").loc[list(measured.data.names), _COLUMNS].reset_index()
+    if isinstance(measured.view, SpectrumView):
+        rows.insert(0, "wavelength_nm", measured.view.bands.centre)
+    else:
+        metrics = [name.split(".", 1)[1] for name in rows["statistic"]]
+        rows.insert(0, "metric", metrics)
+        rows.insert(1, "unit", [STRUCTURE_METRICS[name] for name in metrics])
+    return rows.drop(columns="statistic")
+
+
+def sensor_misfit(measured: Measured, table: pd.DataFrame) -> str:
+    """How well a spectrum or a cloud is met before and after, in a sentence."""
+    error = table[["before", "after"]].sub(table["real"], axis=0)
+    if measured.kind == "spectrum":
+        rmse = np.sqrt((error**2).mean())
+        return f"RMSE of the spectrum {rmse['before']:.3f} before, {rmse['after']:.3f} after."
+    largest = error.abs().div(table["target_sd"], axis=0).max()
+    return (
+        f"Largest deviation of a structure metric {largest['before']:.1f} of its standard "
+        f"deviations before, {largest['after']:.1f} after."
     )
 
 

@@ -1,4 +1,4 @@
-"""The job behind `fynjax fit-leaf`: files of spectra in, traits and spectra out."""
+"""What `fynjax fit-leaf` does: files of spectra in, traits and spectra out."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -21,6 +21,8 @@ from fynjax.io.spectra import (
     write_leaf_netcdf,
     write_traits_csv,
 )
+from fynjax.jobs._result import JobResult, Record
+from fynjax.jobs._run import Run
 from fynjax.leaf import (
     LARGEST_JUMP,
     AbstractMeasurement,
@@ -33,7 +35,8 @@ from fynjax.leaf import (
     fit_leaf_groups,
     sample_leaf_posterior,
 )
-from fynjax.report.figures import leaf_fit_figure, save_figure
+from fynjax.report.figures import leaf_fit_figure
+from fynjax.report.pages import Picture
 
 MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
     "sphere": IntegratingSphere,
@@ -43,8 +46,37 @@ MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
 Sampling = Literal["none", "emcee", "nuts"]
 """How the posterior is sampled, if at all."""
 _GRID = np.arange(350.0, 2501.0)
-_TOLD_JUMP = 0.005
-_TOLD_REFUSALS = 5
+_NOTED_JUMP = 0.005
+"""Relative jump between detectors from which on a repair is noted [-]."""
+_NAMED_REFUSALS = 5
+"""Refused spectra that the warnings name."""
+
+
+class RefusedSpectrum(Record):
+    """A spectrum that could not be used, and why."""
+
+    file: str
+    name: str
+    reason: str
+
+
+class SpectrumRepair(Record):
+    """What was repaired while a spectrum was read."""
+
+    file: str
+    name: str
+    repair: str
+
+
+class FitLeafResult(JobResult):
+    """What `fit_leaf` found: how many spectra were fitted, repaired and refused."""
+
+    command: Literal["fit-leaf"] = "fit-leaf"
+    spectra: int
+    converged_spectra: int
+    doubtful_spectra: int
+    refused: list[RefusedSpectrum]
+    repairs: list[SpectrumRepair]
 
 
 def _without_jumps(spectrum: Spectrum) -> Spectrum:
@@ -58,7 +90,7 @@ def _without_jumps(spectrum: Spectrum) -> Spectrum:
         if values is not None:
             values, jumps = correct_detector_jumps(spectrum.wavelength, values, changes)
             for at, jump in zip(changes, jumps):
-                if np.isfinite(jump) and abs(jump) > _TOLD_JUMP:
+                if np.isfinite(jump) and abs(jump) > _NOTED_JUMP:
                     what = "taken out" if abs(jump) <= LARGEST_JUMP else "too large, left alone"
                     note(meta, f"detectors change at {at:g} nm: {100 * jump:+.1f} %, {what}")
         parts.append(values)
@@ -121,7 +153,7 @@ def fit_leaf(
     posterior: Sampling = "none",
     seed: int = 0,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> FitLeafResult:
     """Fit every spectrum of every file; write traits, spectra and a figure into `output`.
 
     A file or a spectrum that cannot be used does not stop the others: it becomes a row of
@@ -139,11 +171,7 @@ def fit_leaf(
       fitted together, and `species.csv` holds the mean leaf and five material variants of each.
     - `posterior`: "none", or sample it by "emcee" or "nuts" into `posterior.nc`.
     - `seed`: seed of the posterior's random numbers; the fit itself draws none.
-    - `progress`: told of every chunk of leaves.
-
-    **Returns:** a summary: `headline` (sentences), `spectra`, `converged`, `doubtful`, `refused`
-    (file, name and reason), `repairs` (file, spectrum and sentence), `files` (name and what it
-    holds).
+    - `progress`: advances with every chunk of leaves.
 
     **Raises:** `InputError` if no file holds a usable spectrum, or the table of groups is wrong,
     or for an unknown measurement; `MissingExtraError` for a sampler not installed.
@@ -159,72 +187,80 @@ def fit_leaf(
             usable, bad = read_usable_spectra(path)
         except InputError as error:
             usable, bad = [], [("", error)]
-        spectra += [(str(path), _without_jumps(one)) for one in usable]
+        spectra += [(str(path), _without_jumps(spectrum)) for spectrum in usable]
         refused += [(str(path), name, error) for name, error in bad]
     if not spectra:
         raise refused[0][2] if refused else InputError("no file of spectra was given")
     r = np.stack([_on_grid(s, s.reflectance) for _, s in spectra])
     t = np.stack([_on_grid(s, s.transmittance) for _, s in spectra])
     files, names = [f for f, _ in spectra], [s.name for _, s in spectra]
-    folder = Path(output)
+    run = Run(output, seed=seed, progress=progress)
     options: dict[str, Any] = {
         "version": version, "measurement": MEASUREMENTS[measurement](), "domain": domain
     }  # fmt: skip
-    written = {
-        "traits.csv": "parameters, deviations, 90 % intervals and status of each spectrum",
-        "spectra.nc": "measured, fitted and predicted R and T on the fit's bins",
-        "spectra.png": "measured and fitted spectra",
-    }
     together = None
     if groups is not None:
         together = fit_leaf_groups(_GRID, r, t, groups=_read_groups(groups, names), **options)
-        written["species.csv"] = "mean leaf and material variants of each species"
-    fit = leaf.fit_leaf(_GRID, r, t, progress=progress, **options) if together is None else (
-        together.leaves)  # fmt: skip
+        fit = together.leaves
+    else:
+        fit = leaf.fit_leaf(_GRID, r, t, progress=run.progress, **options)
     settings = {
         "prospect_version": version,
         "measurement": measurement,
         "domain": domain,
         "seed": str(seed),
     }
-    if posterior != "none":
-        drawn = sample_leaf_posterior(
-            _GRID, r, t, sampler=posterior, seed=seed, progress=progress, **options
-        )
-        write_leaf_netcdf(posterior_dataset(drawn, fit, files, names, settings),
-                          folder / "posterior.nc")  # fmt: skip
-        written["posterior.nc"] = "draws of the parameters and of T from the posterior"
     table = traits_table(fit, files, names)
     table["repairs"] = ["; ".join(s.meta["repairs"]) for _, s in spectra]
     if refused:
         rows = [{"file": f, "name": n, "status": f"refused: {e}"} for f, n, e in refused]
         table = pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
-    write_leaf_netcdf(spectra_dataset(fit, files, names, settings), folder / "spectra.nc")
-    write_traits_csv(table, folder / "traits.csv")
+    what = "parameters, deviations, 90 % intervals and status of each spectrum"
+    write_traits_csv(table, run.path("traits.csv", what))
+    what = "measured, fitted and predicted R and T on the fit's bins"
+    dataset = spectra_dataset(fit, files, names, settings)
+    write_leaf_netcdf(dataset, run.path("spectra.nc", what))
+    run.picture(Picture("spectra.png", leaf_fit_figure(fit, names), "measured and fitted spectra"))
     if together is not None:
-        write_traits_csv(species_table(together, seed), folder / "species.csv")
-    save_figure(leaf_fit_figure(fit, names), folder / "spectra.png")
-    good = sum(status == "converged" for status in fit.status)
+        what = "mean leaf and material variants of each species"
+        write_traits_csv(species_table(together, seed), run.path("species.csv", what))
+    if posterior != "none":
+        draws = sample_leaf_posterior(
+            _GRID, r, t, sampler=posterior, seed=seed, progress=run.progress, **options
+        )
+        what = "draws of the parameters and of T from the posterior"
+        dataset = posterior_dataset(draws, fit, files, names, settings)
+        write_leaf_netcdf(dataset, run.path("posterior.nc", what))
+    return _result(run, list(fit.status), spectra, refused)
+
+
+def _result(
+    run: Run,
+    status: list[str],
+    spectra: list[tuple[str, Spectrum]],
+    refused: list[tuple[str, str, InputError]],
+) -> FitLeafResult:
+    good = status.count("converged")
     headline = [f"{good} of {len(spectra)} spectra fitted without doubt."]
     if good < len(spectra):
         headline.append("The others say why in the column status of traits.csv.")
     repaired = sum(bool(s.meta["repairs"]) for _, s in spectra)
     if repaired:
         headline.append(f"{repaired} were repaired while reading, see the column repairs.")
-    told = [f"Refused: {error}" for _, _, error in refused[:_TOLD_REFUSALS]]
-    if len(refused) > _TOLD_REFUSALS:
-        told.append(f"{len(refused) - _TOLD_REFUSALS} more were refused, see traits.csv.")
-    return {
-        "headline": headline,
-        "warnings": told,
-        "spectra": len(spectra),
-        "converged": good,
-        "doubtful": len(spectra) - good,
-        "refused": [{"file": f, "name": n, "reason": str(e)} for f, n, e in refused],
-        "repairs": [
-            {"file": f, "name": s.name, "repair": sentence}
+    warnings = [f"Refused: {error}" for _, _, error in refused[:_NAMED_REFUSALS]]
+    if len(refused) > _NAMED_REFUSALS:
+        warnings.append(f"{len(refused) - _NAMED_REFUSALS} more were refused, see traits.csv.")
+    return run.result(
+        FitLeafResult,
+        headline=headline,
+        warnings=warnings,
+        spectra=len(spectra),
+        converged_spectra=good,
+        doubtful_spectra=len(spectra) - good,
+        refused=[RefusedSpectrum(file=f, name=n, reason=str(e)) for f, n, e in refused],
+        repairs=[
+            SpectrumRepair(file=f, name=s.name, repair=sentence)
             for f, s in spectra
             for sentence in s.meta["repairs"]
         ],
-        "files": written,
-    }
+    )

@@ -2,20 +2,29 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 import pandas as pd
 
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.assembly import prepare, shown_unit
 from fynjax.inversion import Information, SensorSetting, even_bands, sweep_sensors
 from fynjax.io.plot import Plot, as_plot
-from fynjax.io.raster import provenance
-from fynjax.io.text import write_text
-from fynjax.jobs._calibrate import peak_memory_mib
-from fynjax.report.figures import bound_plot, save_figure, short_name
-from fynjax.report.pages import Page
+from fynjax.jobs._result import JobResult, Rows
+from fynjax.jobs._run import Run
+from fynjax.report.figures import bound_plot, short_name
+from fynjax.report.pages import Page, Part, Picture, Section, Table
+
+
+class InformationResult(JobResult):
+    """What `information` found: where covers are lost, and what the first sensor cannot resolve."""
+
+    command: Literal["information"] = "information"
+    limits: Rows
+    """Rows of limits.csv."""
+    weakly_constrained_directions: list[dict[str, float]]
+    """Combinations of parameters that the first sensor does not resolve, with their weights."""
 
 
 def information(
@@ -32,19 +41,18 @@ def information(
     replants: int = 4,
     seed: int | None = None,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> InformationResult:
     """Bounds on a plot's parameters for sensors of every pixel, number of bands, noise and sun.
 
     **Arguments:** `free`, patterns of parameters that replace those of the plot file; `gsd` [m],
     multiples of the smallest; `bands`, each a divisor of the largest, share `spectrum` [nm]; the
     rest as `sweep_sensors` has it. Writes a table, figures and a page.
     """
-    progress = NullProgress() if progress is None else progress
     read = as_plot(plot)
-    seed = read.seed if seed is None else seed
-    with progress.stage("Build the plot"):
-        ready = prepare(read, free, seed=seed, bands=even_bands(max(bands), *spectrum))
-    found = sweep_sensors(
+    run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
+    with run.stage("Build the plot"):
+        ready = prepare(read, free, seed=run.seed, bands=even_bands(max(bands), *spectrum))
+    sweep = sweep_sensors(
         ready.model,
         ready.parameters,
         ready.space,
@@ -54,26 +62,42 @@ def information(
         sun_zenith=sun_zenith,
         error=error,
         replants=replants,
-        seed=seed,
-        progress=progress,
+        seed=run.seed,
+        progress=run.progress,
     )
-    table = bound_table(found, np.asarray(ready.space.prior))
-    first, best = found[0]
+    table = bound_table(sweep, np.asarray(ready.space.prior))
+    first, best = sweep[0]
     covers = [n for n in ready.space.names if n.startswith("species.") and n.endswith(".cover")]
-    with progress.stage("Write"):
-        record = provenance(seed=seed, inputs=[p for p in ready.plot.inputs if p is not None])
-        limits = limit_table(table, covers)
-        result = _write(output, ready.plot.name, table, limits, covers, first, best, record)
-    return {"seed": seed, **result}
+    limits = limit_table(table, covers)
+    sensor = f"{first.bands} bands, pixels of {first.gsd:g} m, noise {100 * first.noise:g} %"
+    weak = best.unseen()
+    headline = [
+        *_limit_sentences(table, limits),
+        f"{sensor}: {len(weak)} of {len(best.names)} directions of the parameters are weakly "
+        f"constrained; {int((best.constrained > 0.75).sum())} parameters have their error halved "
+        "or better.",
+    ]
+    with run.stage("Write"):
+        run.table("bounds.csv", table, "bounds on every parameter by every sensor")
+        what = "the pixel from which on each cover is indistinguishable from absence"
+        run.table("limits.csv", limits, what)
+        sections = [_cover_section(table, limits, covers)] if covers else []
+        sections.append(_direction_section(sensor, weak, table))
+        record = run.record(read.inputs)
+        title = f"Information: {read.name}"
+        run.page(Page(title, " ".join(headline), sections, record=record))
+    return run.result(
+        InformationResult, headline=headline, limits=limits, weakly_constrained_directions=weak
+    )
 
 
 def bound_table(
-    found: Sequence[tuple[SensorSetting, Information]], value: np.ndarray
+    sweep: Sequence[tuple[SensorSetting, Information]], value: np.ndarray
 ) -> pd.DataFrame:
     """One row a sensor and parameter, in field units."""
     rows = []
-    for setting, one in found:
-        for i, name in enumerate(one.names):
+    for setting, bounds in sweep:
+        for i, name in enumerate(bounds.names):
             _, unit, factor = shown_unit(name)
             rows.append(
                 {
@@ -85,23 +109,23 @@ def bound_table(
                     "parameter": name,
                     "unit": unit,
                     "value": factor * value[i],
-                    "prior_sd": factor * one.prior_sd[i],
-                    "alone": factor * one.alone[i],
-                    "bound": factor * one.bound[i],
-                    "unaided": factor * one.unaided[i],
-                    "with_prior": factor * one.with_prior[i],
-                    "constrained": one.constrained[i],
+                    "prior_sd": factor * bounds.prior_sd[i],
+                    "alone": factor * bounds.alone[i],
+                    "bound": factor * bounds.bound[i],
+                    "unaided": factor * bounds.unaided[i],
+                    "with_prior": factor * bounds.with_prior[i],
+                    "constrained": bounds.constrained[i],
                 }
             )
     return pd.DataFrame(rows)
 
 
 def limit_table(table: pd.DataFrame, covers: Sequence[str]) -> pd.DataFrame:
-    """The finest pixel from which on a species' cover is not to be told from absence.
+    """The finest pixel from which on a species' cover is indistinguishable from absence.
 
     For each species, number of bands, noise and sun: the smallest pixel of the sweep from which
-    on, at it and at every larger one, the bound exceeds the cover; NaN where the largest still
-    tells it.
+    on, at it and at every larger one, the bound exceeds the cover; NaN where it does not at the
+    largest.
     """
     rows = []
     keys = ["parameter", "bands", "noise", "sun_zenith"]
@@ -122,71 +146,48 @@ def limit_table(table: pd.DataFrame, covers: Sequence[str]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*keys, "cover_percent", "lost_from_gsd_m"])
 
 
-def _write(
-    folder: Path,
-    name: str,
-    table: pd.DataFrame,
-    limits: pd.DataFrame,
-    covers: Sequence[str],
-    setting: SensorSetting,
-    best: Information,
-    record: Any,
-) -> dict[str, Any]:
-    write_text(folder / "bounds.csv", table.to_csv(index=False, float_format="%.6g"))
-    write_text(folder / "limits.csv", limits.to_csv(index=False, float_format="%.6g"))
-    files = {
-        "report.html": "all of it on one page",
-        "bounds.csv": "bounds on every parameter by every sensor",
-        "limits.csv": "the pixel from which on each cover is not to be told from absence",
-    }
-    headline = []
+def _limit_sentences(table: pd.DataFrame, limits: pd.DataFrame) -> list[str]:
+    """For each number of bands, how many covers are lost at which pixels."""
     finest, coarsest = table["gsd_m"].min(), table["gsd_m"].max()
+    lines = []
     for count, part in limits.groupby("bands"):
-        gone = part[part["lost_from_gsd_m"] <= finest]
-        later = part[(part["lost_from_gsd_m"] > finest)]
-        told = part[part["lost_from_gsd_m"].isna()]
-        headline.append(
-            f"{count} bands: of {len(part)} covers {len(gone)} exceed their bound at no pixel, "
-            f"{len(later)} only at fine ones, {len(told)} up to {coarsest:g} m."
+        lost = part["lost_from_gsd_m"]
+        lines.append(
+            f"{count} bands: of {len(part)} covers {int((lost <= finest).sum())} exceed their "
+            f"bound at no pixel, {int((lost > finest).sum())} only at fine ones, "
+            f"{int(lost.isna().sum())} up to {coarsest:g} m."
         )
-    unseen = best.unseen()
-    sensor = f"{setting.bands} bands, pixels of {setting.gsd:g} m, noise {100 * setting.noise:g} %"
-    headline.append(
-        f"{sensor}: {len(unseen)} of {len(best.names)} directions are out of sight; of the "
-        f"parameters {int((best.constrained > 0.75).sum())} have their error halved or better."
+    return lines
+
+
+def _cover_section(table: pd.DataFrame, limits: pd.DataFrame, covers: Sequence[str]) -> Section:
+    first = table[
+        (table["noise"] == table["noise"].iloc[0])
+        & (table["sun_zenith"] == table["sun_zenith"].iloc[0])
+    ]
+    picture = Picture(
+        "cover_bounds.png",
+        bound_plot(first, covers),
+        "bound on each cover against the pixel",
+        "Cramér-Rao bound on each species' cover over the cover itself, the other parameters as "
+        "uncertain as their priors. In the shaded part the cover is indistinguishable from "
+        "absence; lines that leave the panel have no bound.",
     )
-    page = Page(f"Information: {name}", " ".join(headline))
-    if covers:
-        first = table[
-            (table["noise"] == table["noise"].iloc[0])
-            & (table["sun_zenith"] == table["sun_zenith"].iloc[0])
-        ]
-        save_figure(bound_plot(first, covers), folder / "cover_bounds.png")
-        files["cover_bounds.png"] = "bound on each cover against the pixel"
-        page.section("Cover").figure(
-            folder / "cover_bounds.png",
-            "Cramér-Rao bound on each species' cover over the cover itself, the other parameters "
-            "as uncertain as their priors. In the shaded part the cover is not to be told from "
-            "absence; lines that leave the panel have no bound.",
-        )
-        page.table(limits.assign(parameter=limits["parameter"].map(short_name)),
-                   caption="Where each cover is lost (–: not in this sweep).")  # fmt: skip
-    page.section("Out of sight").paragraph(
-        f"Directions that {sensor} cannot see (largest members): "
-        + "; ".join(
-            ", ".join(f"{short_name(n)} {w:+.2f}" for n, w in d.items()) for d in unseen[:8]
-        )
-        + "."
-        if unseen
-        else "There is no direction out of sight."
+    rows = limits.assign(parameter=limits["parameter"].map(short_name))
+    return Section("Cover", [picture, Table(rows, "Where each cover is lost (–: not here).")])
+
+
+def _direction_section(
+    sensor: str, weak: Sequence[dict[str, float]], table: pd.DataFrame
+) -> Section:
+    named = "; ".join(
+        ", ".join(f"{short_name(name)} {weight:+.2f}" for name, weight in direction.items())
+        for direction in weak[:8]
     )
-    page.table(table, caption="Every bound.", folded=True)
-    page.footer(record)
-    page.write(folder / "report.html")
-    return {
-        "headline": headline,
-        "files": files,
-        "limits": limits.to_dict("records"),
-        "unseen": unseen,
-        "peak_memory_mib": peak_memory_mib(),
-    }
+    parts: list[Part] = [
+        f"Combinations of parameters that {sensor} constrain weakly (largest members): {named}."
+        if weak
+        else "Every combination of parameters is well constrained.",
+        Table(table, "Every bound.", folded=True),
+    ]
+    return Section("Weakly constrained directions", parts)

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.canopy import (
     Greenness,
     VegetationPattern,
@@ -13,7 +13,66 @@ from fynjax.canopy import (
     vegetation_pattern,
 )
 from fynjax.io.raster import BandStack, read_band_stack, write_probability_map
-from fynjax.report.figures import pattern_figure, save_figure
+from fynjax.jobs._result import JobResult, Record
+from fynjax.jobs._run import Run
+from fynjax.report.figures import pattern_figure
+from fynjax.report.pages import Picture
+
+
+class MapSummary(Record):
+    """Where the map lies."""
+
+    bounds_m: tuple[float, float, float, float]
+    """West, south, east, north."""
+    pixel_m: tuple[float, float]
+    crs: str | None
+    masked_pixels: int
+    nodata: int | None
+
+
+class BandSummary(Record):
+    """A band of the image."""
+
+    name: str
+    wavelength_nm: float | None
+
+
+class GreennessSummary(Record):
+    """What orders the clusters."""
+
+    name: str
+    formula: str
+    weight: float
+
+
+class ClusterSummary(Record):
+    """A cluster of pixels."""
+
+    level: int
+    share: float
+    greenness: float
+    mean_spectrum: list[float]
+    standard_deviation: list[float]
+
+
+class AlignmentSummary(Record):
+    """How a band was moved onto the first."""
+
+    shift_px: tuple[float, float]
+    residual_px: float
+    match: float
+
+
+class PatternResult(JobResult):
+    """What `pattern` found: the map's place and the clusters."""
+
+    command: Literal["pattern"] = "pattern"
+    map: MapSummary
+    bands: list[BandSummary]
+    greenness: GreennessSummary
+    clusters: list[ClusterSummary]
+    inertia: float
+    alignment: list[AlignmentSummary] | None
 
 
 def pattern(
@@ -29,24 +88,23 @@ def pattern(
     align: bool = True,
     seed: int = 0,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> PatternResult:
     """Write `map.tif` and `pattern.png` of an image into the folder `output`.
 
     **Arguments:** `paths`, `bands`, `pixel` and `align` as `read_band_stack` has them; `greenness`
     is the index of `choose_greenness`; `clusters`, `greenness_weight`, `levels` and `seed` as
     `vegetation_pattern` has them.
 
-    **Returns:** the summary: headline, files, the map's frame, the clusters.
-
     **Raises:** what these functions raise.
     """
-    progress = NullProgress() if progress is None else progress
-    output = Path(output)
-    with progress.stage("Read the image"):
-        stack = read_band_stack(paths, bands=bands, pixel_m=pixel, align=align, progress=progress)
+    run = Run(output, seed=seed, progress=progress)
+    with run.stage("Read the image"):
+        stack = read_band_stack(
+            paths, bands=bands, pixel_m=pixel, align=align, progress=run.progress
+        )
     try:
         green = choose_greenness(stack.names, stack.wavelengths, index=greenness)
-        with progress.stage("Cluster the pixels"):
+        with run.stage("Cluster the pixels"):
             pattern = vegetation_pattern(
                 stack.values,
                 green,
@@ -59,9 +117,9 @@ def pattern(
     except InputError as error:
         raise InputError(str(error), file=paths[0]) from error
     masked = int((~stack.mask).sum())
-    with progress.stage("Write"):
+    with run.stage("Write"):
         write_probability_map(
-            output / "map.tif",
+            run.path("map.tif", "probability map, 0 to 255, for `probability_map` of a plot file"),
             pattern.grey,
             stack.transform,
             crs=stack.crs,
@@ -75,16 +133,18 @@ def pattern(
                 "seed": seed,
             },
         )
-        save_figure(pattern_figure(stack, pattern, green), output / "pattern.png")
-    return _summary(stack, pattern, green, greenness_weight, masked)
+        what = "the image, the map and the clusters' spectra"
+        run.picture(Picture("pattern.png", pattern_figure(stack, pattern, green), what))
+    return _result(run, stack, pattern, green, greenness_weight)
 
 
-def _summary(
-    stack: BandStack, pattern: VegetationPattern, green: Greenness, weight: float, masked: int
-) -> dict[str, Any]:
+def _result(
+    run: Run, stack: BandStack, pattern: VegetationPattern, green: Greenness, weight: float
+) -> PatternResult:
     rows, columns = stack.mask.shape
     t = stack.transform
-    told = "; ".join(
+    masked = int((~stack.mask).sum())
+    clusters = "; ".join(
         f"{100 * share:.0f} % at {level} ({green.name} {value:.3g})"
         for share, level, value in zip(
             pattern.share, pattern.levels, pattern.greenness, strict=True
@@ -93,7 +153,7 @@ def _summary(
     headline = [
         f"{columns * t.a:g} m x {rows * -t.e:g} m in pixels of {t.a:g} m, "
         f"{len(stack.names)} bands: {stack.known_as}.",
-        f"Clusters by {green.name} = {green.formula}: {told}.",
+        f"Clusters by {green.name} = {green.formula}: {clusters}.",
     ]
     if masked:
         headline.append(
@@ -107,41 +167,34 @@ def _summary(
             "the median of a band."
         )
         alignment = [
-            {"shift_px": band.shift, "residual_px": band.residual, "match": band.match}
+            AlignmentSummary(shift_px=band.shift, residual_px=band.residual, match=band.match)
             for band in stack.alignment
         ]
-    west, north = t.c, t.f
-    return {
-        "headline": headline,
-        "files": {
-            "map.tif": "probability map, 0 to 255, for `probability_map` of a plot file",
-            "pattern.png": "the image, the map and the clusters' spectra",
-        },
-        "map": {
-            "bounds_m": [west, north + rows * t.e, west + columns * t.a, north],
-            "pixel_m": [t.a, -t.e],
-            "crs": stack.crs,
-            "masked_pixels": masked,
-            "nodata": pattern.nodata if masked else None,
-        },
-        "bands": [
-            {"name": name, "wavelength_nm": wave}
+    return run.result(
+        PatternResult,
+        headline=headline,
+        map=MapSummary(
+            bounds_m=(t.c, t.f + rows * t.e, t.c + columns * t.a, t.f),
+            pixel_m=(t.a, -t.e),
+            crs=stack.crs,
+            masked_pixels=masked,
+            nodata=pattern.nodata if masked else None,
+        ),
+        bands=[
+            BandSummary(name=name, wavelength_nm=wave)
             for name, wave in zip(stack.names, stack.wavelengths, strict=True)
         ],
-        "greenness": {"name": green.name, "formula": green.formula, "weight": weight},
-        "clusters": [
-            {
-                "level": level,
-                "share": pattern.share[k],
-                "greenness": pattern.greenness[k],
-                "mean_spectrum": pattern.spectrum[k],
-                "standard_deviation": pattern.spread[k],
-            }
+        greenness=GreennessSummary(name=green.name, formula=green.formula, weight=weight),
+        clusters=[
+            ClusterSummary(
+                level=level,
+                share=pattern.share[k],
+                greenness=pattern.greenness[k],
+                mean_spectrum=pattern.spectrum[k].tolist(),
+                standard_deviation=pattern.spread[k].tolist(),
+            )
             for k, level in enumerate(pattern.levels)
         ],
-        "inertia": pattern.inertia,
-        "alignment": alignment,
-    }
-
-
-# -- the picture ----------------------------------------------------------------------------
+        inertia=pattern.inertia,
+        alignment=alignment,
+    )

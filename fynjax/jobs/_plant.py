@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.canopy import (
     GeneratedPlant,
     MeshPlant,
@@ -25,8 +25,11 @@ from fynjax.canopy import (
     table1_2006,
 )
 from fynjax.canopy.mesh import default_up, organ_of_name
-from fynjax.io.text import Strict, did_you_mean, existing_file, read_rows
-from fynjax.report.figures import plant_figure, save_figure
+from fynjax.io.text import Strict, did_you_mean, existing_file, read_rows, write_text
+from fynjax.jobs._result import JobResult, Record
+from fynjax.jobs._run import Run
+from fynjax.report.figures import plant_figure
+from fynjax.report.pages import Picture
 
 _MESHES = (".obj", ".ply", ".stl", ".glb", ".gltf")
 _SCANS = (".xyz", ".csv", ".txt")
@@ -54,6 +57,43 @@ class MaterialRow(Strict):
     solid: bool | None = Field(None, description="yes, no or nothing")
 
 
+class MaterialSummary(Record):
+    """A material of the plant, and what it counts as."""
+
+    name: str
+    organ: str
+    optics: str
+    area_m2: float
+    solid_share: float
+
+    @property
+    def surface(self) -> str:
+        """Sheets, closed surfaces, or a share of both."""
+        if self.solid_share == 0.0:
+            return "sheets"
+        closed = "closed surfaces (half of the area counts)"
+        if self.solid_share > 0.9999:
+            return closed
+        return f"{100 * self.solid_share:.3g} % {closed}, else sheets"
+
+
+class PlantResult(JobResult):
+    """What `plant` made: size, areas and materials. `None` is what the source does not have."""
+
+    command: Literal["plant"] = "plant"
+    form: str | None
+    n_leaves: int | None
+    leaf_scale: float | None
+    twig_radius_m: float | None
+    up: str | None
+    triangles: int | None
+    area_m2: dict[str, float]
+    """One-sided, by organ."""
+    diameter_m: float
+    height_m: float
+    materials: list[MaterialSummary]
+
+
 def plant(
     source: str,
     output: str | Path,
@@ -70,7 +110,7 @@ def plant(
     max_triangles: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> PlantResult:
     """Write `elements.csv` and `plant.png` of a plant into the folder `output`.
 
     **Arguments:**
@@ -84,13 +124,10 @@ def plant(
 
     A taxon, or a mesh made of branches, is written as `plant.obj` too.
 
-    **Returns:** the summary: headline, files, sizes, areas, materials.
-
     **Raises:** `InputError` for arguments that mean nothing for such a source, and what these
     functions raise.
     """
-    progress = NullProgress() if progress is None else progress
-    output = Path(output)
+    run = Run(output, seed=seed, progress=progress)
     kind = _kind(source)
     given = {
         "materials": materials,
@@ -113,7 +150,7 @@ def plant(
     limit = _MAXIMUM_EXTENT if maximum_extent is None else maximum_extent
     copies: dict[str, Any] = {"seed": seed, "rotation_spread": rotation_spread}
     made, mesh = None, None
-    with progress.stage("Read the plant" if kind != "taxon" else "Grow the plant"):
+    with run.stage("Read the plant" if kind != "taxon" else "Grow the plant"):
         if kind == "scan":
             points, normals, organ = read_scan(source)
             model = plant_model_from_points(
@@ -145,17 +182,15 @@ def plant(
             model = plant_model_from_mesh(
                 mesh, n_elements, known, seed, solid_materials="closed", maximum_extent=limit
             )
-    files = {"elements.csv": "the plant as area elements"}
-    with progress.stage("Write"):
+    with run.stage("Write"):
         if mesh is not None and (made is not None or branches > 1):
             obj, mtl = mesh.obj("plant.mtl")
-            (output / "plant.obj").write_text(obj, encoding="utf-8")
-            (output / "plant.mtl").write_text(mtl, encoding="utf-8")
-            files |= {"plant.obj": "its mesh, in metres", "plant.mtl": "its materials"}
-        _write_elements(output / "elements.csv", model)
-        save_figure(plant_figure(model), output / "plant.png")
-    files["plant.png"] = "the elements from the side and from above"
-    return {"files": files, **_summary(model, made, mesh, axis, materials is not None)}
+            write_text(run.path("plant.obj", "its mesh, in metres"), obj)
+            write_text(run.path("plant.mtl", "its materials"), mtl)
+        _write_elements(run.path("elements.csv", "the plant as area elements"), model)
+        what = "the elements from the side and from above"
+        run.picture(Picture("plant.png", plant_figure(model), what))
+    return _result(run, model, made, mesh, axis, materials is not None)
 
 
 def _kind(source: str) -> str:
@@ -190,22 +225,22 @@ def _has_faces(path: Path) -> bool:
 
 def _read_materials(
     path: str | Path, mesh: PlantMesh, made: GeneratedPlant | None
-) -> dict[str, Any]:
+) -> dict[str, PlantMaterial]:
     """Organ, optical class and solidity of each material, from a CSV."""
-    found: dict[str, Any] = {}
+    known: dict[str, PlantMaterial] = {}
     # A taxon out of bloom has no flowers, but its table may.
     allowed = mesh.materials if made is None else _ORGANS
     for number, row in read_rows(path, MaterialRow, "a table of materials"):
-        if row.material not in allowed or row.material in found:
-            why = "is there twice" if row.material in found else "is not in the mesh, which has "
-            if row.material not in found:
+        if row.material not in allowed or row.material in known:
+            why = "is there twice" if row.material in known else "is not in the mesh, which has "
+            if row.material not in known:
                 why += ", ".join(map(repr, allowed)) + "."
                 why += did_you_mean(row.material, allowed)
             raise InputError(
                 f"material {row.material!r} {why}", file=path, row=number, column="material"
             )
-        found[row.material] = PlantMaterial(row.organ, row.optics, row.solid)
-    return found
+        known[row.material] = PlantMaterial(row.organ, row.optics, row.solid)
+    return known
 
 
 def _write_elements(path: Path, model: MeshPlant) -> None:
@@ -226,73 +261,70 @@ def _write_elements(path: Path, model: MeshPlant) -> None:
             writer.writerow([*numbers, _ORGANS[organ], model.optics[material], *size])
 
 
-def _summary(
+def _result(
+    run: Run,
     model: MeshPlant,
     made: GeneratedPlant | None,
     mesh: PlantMesh | None,
     axis: str,
     stated: bool,
-) -> dict[str, Any]:
+) -> PlantResult:
     areas = dict(zip(_ORGANS, model.organ_area.tolist(), strict=True))
-    told = ", ".join(f"{name} {area:.4g} m2" for name, area in areas.items() if area > 0.0)
+    named = ", ".join(f"{name} {area:.4g} m2" for name, area in areas.items() if area > 0.0)
     headline = [
         f"{len(model.area)} elements of a plant {model.depth:.3g} m tall and "
-        f"{model.modelled_diameter:.3g} m wide; one-sided area {told}"
+        f"{model.modelled_diameter:.3g} m wide; one-sided area {named}"
     ]
-    summary: dict[str, Any] = {"warnings": []}
+    warnings = []
     if made is not None:
-        summary |= {
-            "form": made.form,
-            "n_leaves": made.n_leaves,
-            "leaf_scale": made.leaf_scale,
-            "twig_radius_m": made.twig_radius,
-        }
         leaves = f"{made.n_leaves} leaves, culms or threads of {made.leaf_scale:.3g} times the "
         leaves = f"{leaves}size in the table; " if made.n_leaves else ""
         headline.append(f"{made.form.replace('_', ' ')}; {leaves}{len(made.mesh.faces)} triangles")
         if made.leaf_scale > _LARGEST_LEAF_SCALE:
-            summary["warnings"].append(
+            warnings.append(
                 f"the leaves are {made.leaf_scale:.2f} times as large as in the table, and fewer: "
                 "allow more `max_triangles`"
             )
     else:
         headline.append(f"Vertical axis of the file: {axis}")
-        summary["up"] = axis
-    organ, material = np.asarray(model.plant.organ), np.asarray(model.material)
-    listed: list[dict[str, Any]] = []
-    for index, name in enumerate(model.materials):
-        mine = material == index
-        if mine.any():
-            listed.append(
-                {
-                    "name": name,
-                    "organ": _ORGANS[organ[mine][0]],
-                    "optics": model.optics[index],
-                    "area_m2": float(np.asarray(model.area)[mine].sum()),
-                    "solid_share": model.solid_share[index],
-                }
-            )
+    materials = _materials(model)
     if mesh is not None:
-        summary["triangles"] = len(mesh.faces)
-        parts = [f"{one['name']!r} is {one['organ']}, {_surface(one)}" for one in listed]
+        parts = [f"{m.name!r} is {m.organ}, {m.surface}" for m in materials]
         headline.append("Materials: " + "; ".join(parts))
-        if not stated and len(listed) == 1 and organ_of_name(listed[0]["name"]) is None:
-            summary["warnings"].append(
-                f"the mesh has but one material, {listed[0]['name']!r}, which tells of no organ: "
+        if not stated and len(materials) == 1 and organ_of_name(materials[0].name) is None:
+            warnings.append(
+                f"the mesh has one material, {materials[0].name!r}, whose name says no organ: "
                 "all of it counts as leaf"
             )
-    return summary | {
-        "headline": headline,
-        "area_m2": areas,
-        "diameter_m": model.modelled_diameter,
-        "height_m": model.depth,
-        "materials": listed,
-    }
+    return run.result(
+        PlantResult,
+        headline=headline,
+        warnings=warnings,
+        form=None if made is None else made.form,
+        n_leaves=None if made is None else made.n_leaves,
+        leaf_scale=None if made is None else made.leaf_scale,
+        twig_radius_m=None if made is None else made.twig_radius,
+        up=axis if made is None else None,
+        triangles=None if mesh is None else len(mesh.faces),
+        area_m2=areas,
+        diameter_m=model.modelled_diameter,
+        height_m=model.depth,
+        materials=materials,
+    )
 
 
-def _surface(material: dict[str, Any]) -> str:
-    share = material["solid_share"]
-    if share == 0.0:
-        return "sheets"
-    closed = "closed surfaces (half of the area counts)"
-    return closed if share > 0.9999 else f"{100 * share:.3g} % {closed}, else sheets"
+def _materials(model: MeshPlant) -> list[MaterialSummary]:
+    """The materials that have elements."""
+    organ, material = np.asarray(model.plant.organ), np.asarray(model.material)
+    area = np.asarray(model.area)
+    return [
+        MaterialSummary(
+            name=name,
+            organ=_ORGANS[organ[material == k][0]],
+            optics=model.optics[k],
+            area_m2=float(area[material == k].sum()),
+            solid_share=model.solid_share[k],
+        )
+        for k, name in enumerate(model.materials)
+        if (material == k).any()
+    ]

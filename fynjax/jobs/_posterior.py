@@ -6,7 +6,7 @@ import os
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +14,7 @@ import pandas as pd
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.assembly import (
     STRIDE,
     Prepared,
@@ -37,23 +37,42 @@ from fynjax.inversion import (
     sample_posterior,
 )
 from fynjax.io.plot import Plot, as_plot
-from fynjax.io.raster import file_hash, provenance
-from fynjax.io.text import atomic_path, write_text
-from fynjax.jobs._calibrate import peak_memory_mib
+from fynjax.io.raster import file_hash
+from fynjax.io.text import atomic_path
+from fynjax.jobs._result import JobResult, Number, ParameterSummary
+from fynjax.jobs._run import Run
 from fynjax.report.figures import (
     corner_plot,
     parameter_plot,
     predictive_plot,
-    save_figure,
     short_name,
 )
-from fynjax.report.pages import Page
+from fynjax.report.pages import Page, Part, Picture, Section, Table
 
 _ARRAYS = tuple(
     f.name
     for f in dataclasses.fields(FitResult)
     if f.name not in ("space", "data", "converged", "status")
 )
+
+
+class PosteriorParameter(ParameterSummary):
+    """One parameter: prior, posterior mean and quantiles, and how its chain mixed."""
+
+    q05: Number
+    median: Number
+    q95: Number
+    ess_bulk: Number = None
+    ess_tail: Number = None
+    r_hat: Number = None
+
+
+class PosteriorResult(JobResult):
+    """What `posterior` found of every parameter."""
+
+    command: Literal["posterior"] = "posterior"
+    parameters: list[PosteriorParameter]
+    posterior_status: str
 
 
 def posterior(
@@ -68,7 +87,7 @@ def posterior(
     checkpoint: Path,
     seed: int | None = None,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> PosteriorResult:
     """Sample the posterior of a plot's parameters given what one or several sensors measured.
 
     The plot is calibrated first. The sampling renders as the calibration's search does, corrected
@@ -83,22 +102,21 @@ def posterior(
         require(package, "posterior")
     if method == "nuts":
         require("blackjax", "nuts")
-    progress = NullProgress() if progress is None else progress
     read = as_plot(plot)
-    seed = read.seed if seed is None else seed
+    run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
     paths = [targets] if isinstance(targets, Path) else list(targets)
-    measured = read_targets(read, paths, seed=seed, progress=progress)
-    data, views = join_data([one.data for one in measured]), [one.view for one in measured]
-    with progress.stage("Build the plot"):
-        drone = any(one.kind == "image" for one in measured)
-        ready = prepare(read, free, seed=seed, drone=drone)
+    measured = read_targets(read, paths, seed=run.seed, progress=run.progress)
+    data, views = join_data([m.data for m in measured]), [m.view for m in measured]
+    with run.stage("Build the plot"):
+        drone = any(sensor.kind == "image" for sensor in measured)
+        ready = prepare(read, free, seed=run.seed, drone=drone)
     inputs = (*(p for p in ready.plot.inputs if p is not None), *paths)
-    mark = _mark(ready.space, [file_hash(p) for p in inputs], seed)
+    mark = _mark(ready.space, [file_hash(p) for p in inputs], run.seed)
     start, grown, offset = _start(
-        checkpoint / "calibration.npz", mark, ready, data, views, progress
+        checkpoint / "calibration.npz", mark, ready, data, views, run.progress
     )
     cheap = [view.for_search(ready.model, STRIDE) for view in views]
-    found = sample_posterior(
+    sampled = sample_posterior(
         PlotForward(ready.parameters, ready.space.names, cheap),
         grown,
         ready.space,
@@ -108,16 +126,32 @@ def posterior(
         context=(ready.quick,),
         target=target_size,
         max_steps=max_steps,
-        seed=seed,
+        seed=run.seed,
         batch=batch_for_device(),
         checkpoint=None if method == "laplace" else checkpoint / f"{method}.chain",
-        progress=progress,
+        progress=run.progress,
     )
-    if not found.whitened.size:
-        raise InputError(f"no posterior: {found.status}", file=read.file)
-    with progress.stage("Write"):
-        record = provenance(seed=seed, inputs=inputs)
-        return {"seed": seed, **_write(output, ready, found, record, checkpoint)}
+    if not sampled.whitened.size:
+        raise InputError(f"no posterior: {sampled.status}", file=read.file)
+    table = posterior_table(sampled)
+    headline = _headline(ready, sampled, table)
+    if not sampled.converged and sampled.method != "laplace":
+        headline.append(f"The chain is kept in {checkpoint}: the same command goes on with it.")
+    record = run.record(inputs)
+    with run.stage("Write"):
+        run.table("parameters.csv", table, "prior and posterior of every parameter")
+        path = run.path("posterior.nc", "every draw, as arviz reads it (InferenceData)")
+        with atomic_path(path) as partial:
+            sampled.inference_data({k: str(v) for k, v in record.items()}).to_netcdf(str(partial))
+        run.page(_page(ready, sampled, table, headline, record))
+    return run.result(
+        PosteriorResult,
+        headline=headline,
+        parameters=table.to_dict("records"),
+        converged=sampled.converged,
+        status="ok" if sampled.converged else sampled.status,
+        posterior_status=sampled.status,
+    )
 
 
 def _mark(space: ParameterSpace, hashes: Sequence[str], seed: int) -> str:
@@ -189,15 +223,15 @@ def _start(
     return fit, result.data, result.offset
 
 
-def posterior_table(found: Posterior) -> pd.DataFrame:
+def posterior_table(sampled: Posterior) -> pd.DataFrame:
     """Every parameter: prior, mean, sd, quantiles, how far it is constrained, how it mixed."""
-    values = found.values.reshape(-1, len(found.names))
-    low, middle, high = found.quantiles(0.05, 0.5, 0.95)
+    values = sampled.values.reshape(-1, len(sampled.names))
+    low, middle, high = sampled.quantiles(0.05, 0.5, 0.95)
     table = parameter_columns(
-        found.names,
+        sampled.names,
         {
-            "prior": found.space.prior,
-            "prior_sd": found.space.prior_sd,
+            "prior": sampled.space.prior,
+            "prior_sd": sampled.space.prior_sd,
             "estimate": values.mean(axis=0),
             "sd": values.std(axis=0),
             "q05": low,
@@ -205,89 +239,74 @@ def posterior_table(found: Posterior) -> pd.DataFrame:
             "q95": high,
         },
     )
-    table["constrained"] = found.constrained
-    diagnostics = found.diagnostics() if found.method != "laplace" else {}
+    table["constrained"] = sampled.constrained
+    diagnostics = sampled.diagnostics() if sampled.method != "laplace" else {}
     for kind in ("ess_bulk", "ess_tail", "r_hat"):
         if diagnostics:
-            table[kind] = [diagnostics[name][kind] for name in found.names]
+            table[kind] = [diagnostics[name][kind] for name in sampled.names]
     return table
 
 
-def _write(
-    folder: Path, ready: Prepared, found: Posterior, record: Any, checkpoint: Path
-) -> dict[str, Any]:
-    table = posterior_table(found)
-    write_text(folder / "parameters.csv", table.to_csv(index=False, float_format="%.6g"))
-    with atomic_path(folder / "posterior.nc") as partial:
-        found.inference_data({k: str(v) for k, v in record.items()}).to_netcdf(str(partial))
-    order = np.argsort(-found.constrained)
-    factor = np.array([shown_unit(name)[2] for name in found.names])
-    draws = found.values.reshape(-1, len(found.names)) * factor
-    prior, prior_sd = (
-        factor * np.asarray(part) for part in (found.space.prior, found.space.prior_sd)
+def _headline(ready: Prepared, sampled: Posterior, table: pd.DataFrame) -> list[str]:
+    order = np.argsort(-sampled.constrained)
+    shown = table.iloc[[i for i in order[:5] if sampled.constrained[i] > 0.3]]
+    named = "; ".join(
+        f"{short_name(row.name)} {row.median:.3g} ({row.q05:.3g} to {row.q95:.3g}) {row.unit}"
+        for row in map(PosteriorParameter.model_validate, shown.to_dict("records"))
     )
-    figures = {
-        "corner": (
+    return [
+        f"{ready.plot.name}: {sampled.effective_size:.0f} effective draws by {sampled.method}.",
+        f"Constrained most, median and 90 % interval: {named}."
+        if named
+        else "The data constrain none of the parameters much.",
+    ]
+
+
+def _page(
+    ready: Prepared,
+    sampled: Posterior,
+    table: pd.DataFrame,
+    headline: list[str],
+    record: dict[str, str | int],
+) -> Page:
+    order = np.argsort(-sampled.constrained)
+    units = [shown_unit(name) for name in sampled.names]
+    factor = np.array([f for _, _, f in units])
+    draws = sampled.values.reshape(-1, len(sampled.names)) * factor
+    prior, prior_sd = (
+        factor * np.asarray(part) for part in (sampled.space.prior, sampled.space.prior_sd)
+    )
+    data = sampled.data
+    parts: list[Part] = [f"Status: {sampled.status}."]
+    if sampled.method != "laplace":
+        parts.append(
+            "The chain renders one stand realisation. The errors of the statistics include the "
+            "variance over realisations, but sensitivity that is chance of this one counts as "
+            "information, so that intervals are too narrow where few plants decide. The method "
+            "'laplace' allows for it."
+        )
+    parts += [
+        Picture(
+            "corner.png",
             corner_plot(
                 draws[:, order],
-                [f"{found.names[i]} [{shown_unit(found.names[i])[1]}]" for i in order],
+                [f"{sampled.names[i]} [{units[i][1]}]" for i in order],
                 prior=(prior[order], prior_sd[order]),
             ),
             "draws of the parameters that the data constrain most, and of their pairs",
         ),
-        "predictive": (
-            predictive_plot(found.predicted, found.data.value, found.data.sd, found.data.names),
+        Picture(
+            "predictive.png",
+            predictive_plot(sampled.predicted, data.value, data.sd, data.names),
             "statistics that the posterior predicts against the measured ones",
         ),
-        "parameters": (parameter_plot(table), "prior and posterior of every parameter"),
-    }
-    for name, (figure, _) in figures.items():
-        save_figure(figure, folder / f"{name}.png")
-    shown = [i for i in order[:5] if found.constrained[i] > 0.3]
-    told = "; ".join(
-        f"{short_name(found.names[i])} {table['median'][i]:.3g} "
-        f"({table['q05'][i]:.3g} to {table['q95'][i]:.3g}) {table['unit'][i]}"
-        for i in shown
-    )
-    headline = [
-        f"{ready.plot.name}: {found.effective_size:.0f} effective draws by {found.method}.",
-        f"Constrained most, median and 90 % interval: {told}."
-        if told
-        else "The data constrain none of the parameters much.",
+        Picture("parameters.png", parameter_plot(table), "prior and posterior of every parameter"),
+        Table(table, "Every parameter.", folded=True),
     ]
-    if not found.converged and found.method != "laplace":
-        headline.append(f"The chain is kept in {checkpoint}: the same command goes on with it.")
-    page = Page(f"Posterior: {ready.plot.name}", " ".join(headline))
-    page.key_figures(
-        {
-            "effective draws": f"{found.effective_size:.0f}",
-            "accepted": f"{100 * found.acceptance:.0f} %",
-            "parameters": str(len(found.names)),
-        }
-    )
-    page.paragraph(f"Status: {found.status}.")
-    if found.method != "laplace":
-        page.paragraph(
-            "The chain renders one planting; what others change is in the errors of the "
-            "statistics, but slopes that are chance of this planting count as knowledge, so that "
-            "intervals are too narrow where few plants decide. The method 'laplace' allows for it."
-        )
-    for name, (_, caption) in figures.items():
-        page.figure(folder / f"{name}.png", caption[0].upper() + caption[1:] + ".")
-    page.table(table, caption="Every parameter.", folded=True)
-    page.footer(record)
-    page.write(folder / "report.html")
-    return {
-        "headline": headline,
-        "files": {
-            "report.html": "all of it on one page",
-            "parameters.csv": "prior and posterior of every parameter",
-            "posterior.nc": "every draw, as arviz reads it (InferenceData)",
-            **{f"{name}.png": caption for name, (_, caption) in figures.items()},
-        },
-        "parameters": table.to_dict("records"),
-        "converged": found.converged,
-        "status": "ok" if found.converged else found.status,
-        "posterior_status": found.status,
-        "peak_memory_mib": peak_memory_mib(),
+    keys = {
+        "effective draws": f"{sampled.effective_size:.0f}",
+        "accepted": f"{100 * sampled.acceptance:.0f} %",
+        "parameters": str(len(sampled.names)),
     }
+    title = f"Posterior: {ready.plot.name}"
+    return Page(title, " ".join(headline), [Section("", parts)], keys, record)

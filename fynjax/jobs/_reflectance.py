@@ -3,14 +3,14 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.io.micasense import (
     AlignedCapture,
     Capture,
@@ -25,18 +25,34 @@ from fynjax.io.micasense import (
 from fynjax.io.raster import Cube, provenance, write_cube_geotiff
 from fynjax.io.text import write_text
 from fynjax.jobs._reflectance_record import (
+    CaptureSummary,
+    PanelSummary,
     calibration_table,
+    capture_sentence,
+    capture_summary,
+    capture_warnings,
     panel_sentences,
-    sentence_of,
-    told_of_capture,
-    told_of_panel,
-    warnings_of,
+    panel_summary,
 )
-from fynjax.report.figures import capture_figure, panel_figure, save_figure
+from fynjax.jobs._result import JobResult
+from fynjax.jobs._run import Run
+from fynjax.report.figures import capture_figure, panel_figure
+from fynjax.report.pages import Picture
 from fynjax.sensors import EmpiricalLine, empirical_line, irradiance_line, one_panel_line
 
 LIGHTS = ("panel", "sensor", "both")
 """Where the light comes from that reflectance is relative to."""
+
+
+class ReflectanceResult(JobResult):
+    """What `reflectance` converted, and by what calibration."""
+
+    command: Literal["reflectance"] = "reflectance"
+    light: str
+    panel_sd: float
+    light_sd: float
+    panels: list[PanelSummary]
+    captures: dict[str, CaptureSummary]
 
 
 def reflectance(
@@ -53,7 +69,7 @@ def reflectance(
     pixel: float | None = None,
     align: bool = True,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> ReflectanceResult:
     """Write the reflectance of raw captures into the folder `output`.
 
     **Arguments:**
@@ -64,7 +80,7 @@ def reflectance(
       out, captures whose metadata say that they show one.
     - `reflectances`, `areas`: of each panel in the same order, as `panel_reflectance` has the
       first, the second as text "x,y x,y x,y ..."; one reflectance serves for all.
-    - `light`: 'panel' (steady since the panel was seen), 'sensor' (pi L / E by the downwelling
+    - `light`: 'panel' (steady since the panel's picture), 'sensor' (pi L / E by the downwelling
       light sensor) or 'both' (the panel, and the sensor for changes since). 'panel' if left out,
       or 'sensor' where there is no panel.
     - `panel_sd`, `light_sd`: standard deviation of the panel's reflectance and of the light,
@@ -72,78 +88,89 @@ def reflectance(
     - `height` of flight above the ground [m], or `pixel` on the ground [m]; with neither,
       coordinates are in pixels.
 
-    **Returns:** the summary: headline, files, the calibration.
-
     **Raises:** `InputError` as the readers, and for panels, light and captures that do not fit.
     """
-    progress = NullProgress() if progress is None else progress
-    output = Path(output)
+    run = Run(output, progress=progress)
     _check(panels, reflectances, areas, light, panel_sd, light_sd, height, pixel)
-    found = find_captures(images)
-    with progress.stage("Read the panels"):
-        seen = _panels(found, panels, areas, light)
+    captures = find_captures(images)
+    with run.stage("Read the panels"):
+        read = _panels(captures, panels, areas, light)
         known = [
-            panel_reflectance(_nth(reflectances, k), one.capture) for k, one in enumerate(seen)
+            panel_reflectance(_nth(reflectances, k), panel.capture) for k, panel in enumerate(read)
         ]
-    light = light or ("panel" if seen else "sensor")
-    shown = {one.capture.name for one in seen}
-    wanted = {name: paths for name, paths in found.items() if name not in shown}
+    light = light or ("panel" if read else "sensor")
+    of_panels = {panel.capture.name for panel in read}
+    wanted = {name: paths for name, paths in captures.items() if name not in of_panels}
     if not wanted:
         raise InputError(
-            f"expected captures to convert, but there are only those of panels: {', '.join(shown)}"
+            "expected captures to convert, but there are only those of panels: "
+            f"{', '.join(of_panels)}"
         )
-    line = _line(seen, known, light, panel_sd) if seen and light != "sensor" else None
-    files: dict[str, str] = {}
-    headline, record, sharp = [], {}, []
-    inputs = [path for one in seen for path in one.capture.paths]
-    with progress.stage("Convert", len(wanted)):
+    line = _line(read, known, light, panel_sd) if read and light != "sensor" else None
+    headline, warnings = panel_sentences(read, known, light), []
+    converted: dict[str, CaptureSummary] = {}
+    inputs = [path for panel in read for path in panel.capture.paths]
+    with run.stage("Convert", total=len(wanted)):
         for name, paths in wanted.items():
             capture = read_capture(name, paths)
             inputs += paths
-            own, change = _own_line(capture, line, seen, light, light_sd)
-            aligned = aligned_radiance(capture, align=align, progress=progress)
+            relit, change = _line_of(capture, line, read, light, light_sd)
+            aligned = aligned_radiance(capture, align=align, progress=run.progress)
             side = _pixel(capture, height, pixel)
-            told = provenance(inputs=paths)
-            cube, doubt = _cubes(capture, aligned, own, side or 1.0)
-            tags = {
-                **told,
-                "calibration": f"light: {light}",
-                "coordinates": "metres" if side else "pixels: no height or size was given",
-            }
-            write_cube_geotiff(output / f"{name}_reflectance.tif", cube, tags)
-            tags["quantity_of"] = "standard deviation by panel and light, noise of pixels left out"
-            write_cube_geotiff(output / f"{name}_reflectance_sd.tif", doubt, tags)
-            save_figure(capture_figure(cube, name, pixels=side is None), output / f"{name}.png")
-            files |= {
-                f"{name}_reflectance.tif": f"reflectance of {len(cube.names)} bands",
-                f"{name}_reflectance_sd.tif": "its standard deviation, by panel and light",
-                f"{name}.png": "picture: true and false colour, vegetation index",
-            }
-            record[name] = told_of_capture(capture, aligned, own, change, cube, side)
-            headline.append(sentence_of(name, record[name]))
-            sharp += warnings_of(name, record[name], light)
-            progress.advance()
-    if seen:
-        save_figure(panel_figure(seen, known), output / "panels.png")
-        files["panels.png"] = "picture: the panels in every band, and the area that was read"
-    run = {
-        "light": light,
-        "panel_sd": panel_sd,
-        "light_sd": light_sd,
-        "panels": [told_of_panel(one, rho) for one, rho in zip(seen, known, strict=True)],
-        "captures": record,
+            cube, doubt = _cubes(capture, aligned, relit, side or 1.0)
+            _write_capture(run, name, cube, doubt, paths, light, in_pixels=side is None)
+            summary = capture_summary(capture, aligned, relit, change, cube, side)
+            converted[name] = summary
+            headline.append(capture_sentence(name, summary))
+            warnings += capture_warnings(name, summary, light)
+            run.progress.advance()
+    if read:
+        what = "picture: the panels in every band, and the area that was read"
+        run.picture(Picture("panels.png", panel_figure(read, known), what))
+    what = "gain, offset and their uncertainty, for each capture and band"
+    write_text(run.path("calibration.csv", what), calibration_table(converted))
+    path = run.path("provenance.json", "what was read, how, and what came of it")
+    result = run.result(
+        ReflectanceResult,
+        headline=headline,
+        warnings=warnings,
+        light=light,
+        panel_sd=panel_sd,
+        light_sd=light_sd,
+        panels=[panel_summary(panel, rho) for panel, rho in zip(read, known, strict=True)],
+        captures=converted,
+    )
+    calibration = result.model_dump(
+        mode="json", include={"light", "panel_sd", "light_sd", "panels", "captures"}
+    )
+    record = {**provenance(inputs=dict.fromkeys(inputs)), **calibration}
+    write_text(path, json.dumps(record, indent=2) + "\n")
+    return result
+
+
+def _write_capture(
+    run: Run,
+    name: str,
+    cube: Cube,
+    doubt: Cube,
+    paths: Sequence[Path],
+    light: str,
+    *,
+    in_pixels: bool,
+) -> None:
+    """Write a capture's reflectance, its standard deviation and a picture."""
+    tags = {
+        **provenance(inputs=paths),
+        "calibration": f"light: {light}",
+        "coordinates": "pixels: no height or size was given" if in_pixels else "metres",
     }
-    write_text(output / "calibration.csv", calibration_table(record))
-    text = json.dumps({**provenance(inputs=dict.fromkeys(inputs)), **run}, indent=2)
-    write_text(output / "provenance.json", text + "\n")
-    files["calibration.csv"] = "gain, offset and their uncertainty, for each capture and band"
-    files["provenance.json"] = "what was read, how, and what came of it"
-    return {
-        "headline": [*panel_sentences(seen, known, light), *headline],
-        "files": files,
-        **run,
-        "warnings": sharp,
-    }
+    what = f"reflectance of {len(cube.names)} bands"
+    write_cube_geotiff(run.path(f"{name}_reflectance.tif", what), cube, tags)
+    tags["quantity_of"] = "standard deviation by panel and light, noise of pixels left out"
+    what = "its standard deviation, by panel and light"
+    write_cube_geotiff(run.path(f"{name}_reflectance_sd.tif", what), doubt, tags)
+    what = "picture: true and false colour, vegetation index"
+    run.picture(Picture(f"{name}.png", capture_figure(cube, name, pixels=in_pixels), what))
 
 
 def _check(
@@ -193,7 +220,7 @@ def _corners(text: str) -> NDArray[np.float64]:
 
 
 def _panels(
-    found: dict[str, list[Path]],
+    captures: dict[str, list[Path]],
     panels: Sequence[str | Path],
     areas: Sequence[str],
     light: str | None,
@@ -201,39 +228,39 @@ def _panels(
     if light == "sensor" and not panels:
         return []
     if panels:
-        named = [same_capture(panel, found) for panel in panels]
-        captures = {name: read_capture(name, paths) for name, paths in named}
+        named = [same_capture(panel, captures) for panel in panels]
+        shown = {name: read_capture(name, paths) for name, paths in named}
         return [
-            read_panel(captures[name], _corners(areas[k]) if areas else None)
+            read_panel(shown[name], _corners(areas[k]) if areas else None)
             for k, (name, _) in enumerate(named)
         ]
-    every = [read_capture(name, paths) for name, paths in found.items()]
+    every = [read_capture(name, paths) for name, paths in captures.items()]
     marked = [c for c in every if all(band.panel_reflectance is not None for band in c.bands)]
     if not marked and light is not None:
         raise InputError(
             f"expected a picture of a panel for light from {light!r}, but no capture says that it "
-            f"shows one. Name it: --panel {next(iter(found))}"
+            f"shows one. Name it: --panel {next(iter(captures))}"
         )
     return [read_panel(capture) for capture in marked]
 
 
 def _line(
-    seen: Sequence[PanelSeen], known: Sequence[NDArray[np.float64]], light: str, panel_sd: float
+    panels: Sequence[PanelSeen], known: Sequence[NDArray[np.float64]], light: str, panel_sd: float
 ) -> EmpiricalLine:
     """The line through the panels, under the light of the first one's picture."""
-    first = seen[0].capture
-    for one in seen[1:]:
-        _check_bands(one.capture, first)
+    first = panels[0].capture
+    for panel in panels[1:]:
+        _check_bands(panel.capture, first)
     change = [
-        _light_ratio(one.capture, first) if light == "both" else np.ones(len(first.bands))
-        for one in seen
+        _light_ratio(panel.capture, first) if light == "both" else np.ones(len(first.bands))
+        for panel in panels
     ]
-    signal = jnp.array([one.mean / by for one, by in zip(seen, change, strict=True)])
+    signal = jnp.array([panel.mean / by for panel, by in zip(panels, change, strict=True)])
     error = jnp.array(
-        [one.spread / np.sqrt(one.count) / by for one, by in zip(seen, change, strict=True)]
+        [panel.spread / np.sqrt(panel.count) / by for panel, by in zip(panels, change, strict=True)]
     )
     rho = jnp.array(known)
-    if len(seen) == 1:
+    if len(panels) == 1:
         return one_panel_line(
             signal[0], rho[0], signal_sd=error[0], reflectance_sd=panel_sd * rho[0]
         )
@@ -265,18 +292,18 @@ def _light_ratio(capture: Capture, first: Capture) -> NDArray[np.float64]:
     return _sensor_light(capture) / _sensor_light(first)
 
 
-def _own_line(
+def _line_of(
     capture: Capture,
     line: EmpiricalLine | None,
-    seen: Sequence[PanelSeen],
+    panels: Sequence[PanelSeen],
     light: str,
     light_sd: float,
 ) -> tuple[EmpiricalLine, NDArray[np.float64] | None]:
-    """The line under a capture's own light, and how the sensor saw light change since the panel."""
+    """The line under the light of a capture, and by what factor it changed since the panel."""
     if line is None:
         level = jnp.asarray(_sensor_light(capture))
         return irradiance_line(level, irradiance_sd=light_sd * level), None
-    first = seen[0].capture
+    first = panels[0].capture
     _check_bands(capture, first)
     stated = all(b.irradiance is not None for b in (*capture.bands, *first.bands))
     change = _light_ratio(capture, first) if stated or light == "both" else None

@@ -1,82 +1,137 @@
-"""What is told and kept of a calibration to reflectance."""
+"""What is kept of a calibration to reflectance: records, sentences, warnings."""
 
 import csv
 import io
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fynjax.io.micasense import AlignedCapture, Capture, PanelSeen
 from fynjax.io.raster import Cube
+from fynjax.jobs._result import Number, Record
 from fynjax.sensors import EmpiricalLine
 
 
-def told_of_capture(
+class CapturedBand(Record):
+    """A band of a capture, with its line: reflectance = gain x radiance + offset."""
+
+    name: str
+    wavelength_nm: float
+    fwhm_nm: float
+    gain: float
+    offset: float
+    gain_sd: float
+    offset_sd: float
+    covariance: float
+    light_since_panel: float | None
+    """Light over that at the time of the panel's picture [-]."""
+    saturated: float
+    """Share of the pixels [-]."""
+    median_reflectance: Number
+
+
+class CaptureSummary(Record):
+    """A capture that was converted."""
+
+    capture: str | None
+    time: str | None
+    size: list[int]
+    """Columns and rows."""
+    pixel_m: float | None
+    light_sensor_tilt_deg: float | None
+    alignment_residual_px: float | None
+    bands: list[CapturedBand]
+
+
+class PanelBand(Record):
+    """A panel in a band."""
+
+    name: str
+    reflectance: float
+    radiance: float
+    spread: float
+    pixels: int
+    area_px: list[list[float]]
+    reflectance_by_light_sensor: float | None
+
+
+class PanelSummary(Record):
+    """A panel in a capture."""
+
+    capture: str
+    found: str
+    bands: list[PanelBand]
+
+
+def capture_summary(
     capture: Capture,
     aligned: AlignedCapture,
     line: EmpiricalLine,
     change: NDArray[np.float64] | None,
     cube: Cube,
     side: float | None,
-) -> dict[str, Any]:
+) -> CaptureSummary:
     """What is recorded of a converted capture; `change` is that of the light since the panel."""
     middle = np.nanmedian(cube.values, axis=(1, 2))
-    return {
-        "capture": capture.bands[0].capture,
-        "time": capture.bands[0].time,
-        "size": list(cube.values.shape[:0:-1]),
-        "pixel_m": side,
-        "light_sensor_tilt_deg": capture.bands[0].irradiance_tilt,
-        "alignment_residual_px": (
+    first = capture.bands[0]
+    return CaptureSummary(
+        capture=first.capture,
+        time=first.time,
+        size=list(cube.values.shape[:0:-1]),
+        pixel_m=side,
+        light_sensor_tilt_deg=first.irradiance_tilt,
+        alignment_residual_px=(
             None if aligned.alignment is None else max(a.residual for a in aligned.alignment)
         ),
-        "bands": [
-            {
-                "name": band.name,
-                "wavelength_nm": band.wavelength,
-                "fwhm_nm": band.fwhm,
-                "gain": float(line.gain[k]),
-                "offset": float(line.offset[k]),
-                "gain_sd": float(np.sqrt(line.covariance[k, 0, 0])),
-                "offset_sd": float(np.sqrt(line.covariance[k, 1, 1])),
-                "covariance": float(line.covariance[k, 0, 1]),
-                "light_since_panel": None if change is None else float(change[k]),
-                "saturated": float(aligned.full[k].mean()),
-                "median_reflectance": float(middle[k]),
-            }
+        bands=[
+            CapturedBand(
+                name=band.name,
+                wavelength_nm=band.wavelength,
+                fwhm_nm=band.fwhm,
+                gain=float(line.gain[k]),
+                offset=float(line.offset[k]),
+                gain_sd=float(np.sqrt(line.covariance[k, 0, 0])),
+                offset_sd=float(np.sqrt(line.covariance[k, 1, 1])),
+                covariance=float(line.covariance[k, 0, 1]),
+                light_since_panel=None if change is None else float(change[k]),
+                saturated=float(aligned.full[k].mean()),
+                median_reflectance=float(middle[k]),
+            )
             for k, band in enumerate(capture.bands)
         ],
-    }
+    )
 
 
-def sentence_of(name: str, told: dict[str, Any]) -> str:
-    names, values = zip(*((b["name"], b["median_reflectance"]) for b in told["bands"]))
-    bands = _by_band(names, values)
-    width, height = told["size"]
-    side = f" of {told['pixel_m']:.3g} m" if told["pixel_m"] else ""
-    miss = told["alignment_residual_px"]
+def capture_sentence(name: str, summary: CaptureSummary) -> str:
+    """A converted capture in a sentence."""
+    values = [np.nan if b.median_reflectance is None else b.median_reflectance
+              for b in summary.bands]  # fmt: skip
+    bands = _by_band([b.name for b in summary.bands], values)
+    width, height = summary.size
+    side = f" of {summary.pixel_m:.3g} m" if summary.pixel_m else ""
+    miss = summary.alignment_residual_px
     aligned = "" if miss is None else f"; bands aligned to {miss:.1f} pixels"
     return f"{name}: {width} x {height} pixels{side}{aligned}. Median reflectance {bands}."
 
 
-def warnings_of(name: str, told: dict[str, Any], light: str) -> list[str]:
-    found = []
-    worst = max(told["bands"], key=lambda b: b["saturated"])
-    if worst["saturated"] > 0.01:
-        found.append(
-            f"{name}: {100 * worst['saturated']:.1f} % of {worst['name']} are saturated, and have "
+def capture_warnings(name: str, summary: CaptureSummary, light: str) -> list[str]:
+    """What a user should mind of a converted capture."""
+    warnings = []
+    worst = max(summary.bands, key=lambda band: band.saturated)
+    if worst.saturated > 0.01:
+        warnings.append(
+            f"{name}: {100 * worst.saturated:.1f} % of {worst.name} are saturated, and have "
             "no data in the product"
         )
-    changes = [b["light_since_panel"] for b in told["bands"] if b["light_since_panel"] is not None]
+    changes = [b.light_since_panel for b in summary.bands if b.light_since_panel is not None]
     if light == "panel" and changes and max(abs(c - 1.0) for c in changes) > 0.1:
-        found.append(
+        warnings.append(
             f"{name}: the light sensor says that the light changed by a factor of "
-            f"{min(changes):.2f} to {max(changes):.2f} since the panel was seen (a sensor that was "
-            "tilted says so too). Where light did change, use --light both"
+            f"{min(changes):.2f} to {max(changes):.2f} since the picture of the panel (a tilted "
+            "sensor says so too). Where light did change, use --light both"
         )
-    return found
+    return warnings
 
 
 def _by_band(names: Sequence[str], values: Sequence[float] | NDArray[np.float64]) -> str:
@@ -84,10 +139,10 @@ def _by_band(names: Sequence[str], values: Sequence[float] | NDArray[np.float64]
 
 
 def panel_sentences(
-    seen: Sequence[PanelSeen], known: Sequence[NDArray[np.float64]], light: str
+    panels: Sequence[PanelSeen], known: Sequence[NDArray[np.float64]], light: str
 ) -> list[str]:
     """What the reflectance rests on."""
-    if not seen:
+    if not panels:
         return ["No panel: reflectance is pi L / E by the downwelling light sensor."]
     by = {
         "panel": "the light is taken as steady since",
@@ -95,44 +150,46 @@ def panel_sentences(
         "sensor": "it is not used: reflectance is pi L / E by the light sensor",
     }[light]
     return [
-        f"Panel in {one.capture.name}, {one.found}: reflectance "
-        f"{_by_band(one.capture.names, rho)}, "
-        f"{min(one.count)} pixels or more in each band, spread "
-        f"{100 * float(np.max(one.spread / one.mean)):.1f} %; {by}."
-        for one, rho in zip(seen, known, strict=True)
+        f"Panel in {panel.capture.name}, {panel.found}: reflectance "
+        f"{_by_band(panel.capture.names, rho)}, "
+        f"{min(panel.count)} pixels or more in each band, spread "
+        f"{100 * float(np.max(panel.spread / panel.mean)):.1f} %; {by}."
+        for panel, rho in zip(panels, known, strict=True)
     ]
 
 
-def told_of_panel(one: PanelSeen, known: NDArray[np.float64]) -> dict[str, Any]:
-    return {
-        "capture": one.capture.name,
-        "found": one.found,
-        "bands": [
-            {
-                "name": band.name,
-                "reflectance": float(known[k]),
-                "radiance": float(one.mean[k]),
-                "spread": float(one.spread[k]),
-                "pixels": one.count[k],
-                "area_px": one.areas[k].round(1).tolist(),
-                "reflectance_by_light_sensor": (
+def panel_summary(panel: PanelSeen, known: NDArray[np.float64]) -> PanelSummary:
+    """What is recorded of a panel; `known` is its reflectance in each band."""
+    return PanelSummary(
+        capture=panel.capture.name,
+        found=panel.found,
+        bands=[
+            PanelBand(
+                name=band.name,
+                reflectance=float(known[k]),
+                radiance=float(panel.mean[k]),
+                spread=float(panel.spread[k]),
+                pixels=int(panel.count[k]),
+                area_px=panel.areas[k].round(1).tolist(),
+                reflectance_by_light_sensor=(
                     None
                     if band.irradiance is None
-                    else float(np.pi * one.mean[k] / band.irradiance)
+                    else float(np.pi * panel.mean[k] / band.irradiance)
                 ),
-            }
-            for k, band in enumerate(one.capture.bands)
+            )
+            for k, band in enumerate(panel.capture.bands)
         ],
-    }
+    )
 
 
-def calibration_table(record: dict[str, Any]) -> str:
+def calibration_table(captures: Mapping[str, CaptureSummary]) -> str:
+    """The lines of every capture and band, as CSV."""
     columns = ("name", "wavelength_nm", "gain", "offset", "gain_sd", "offset_sd", "covariance")
     text = io.StringIO()
     text.write("# reflectance = gain x radiance [W m-2 sr-1 um-1] + offset\n")
     table = csv.writer(text, lineterminator="\n")
     table.writerow(["capture", "band", *columns[1:]])
-    for name, told in record.items():
-        for band in told["bands"]:
-            table.writerow([name, *(band[c] for c in columns)])
+    for name, capture in captures.items():
+        for band in capture.bands:
+            table.writerow([name, *(getattr(band, c) for c in columns)])
     return text.getvalue()

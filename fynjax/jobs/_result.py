@@ -1,56 +1,87 @@
-"""The summary a run returns, as pydantic models."""
+"""What a job returns: the record that `--json` prints and `summary.json` holds."""
 
-from pydantic import BaseModel, ConfigDict, Field
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from fynjax import __version__
+
+Scalar = bool | int | float | str | None
+"""A value of a table, as JSON has it; None where a number is not finite."""
 
 
-class ParameterSummary(BaseModel):
-    """One parameter, before and after."""
+def _finite(value: Any) -> Any:
+    """A Python value for a NumPy scalar; None for NaN and infinity, which JSON lacks."""
+    value = value.item() if hasattr(value, "item") else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
-    name: str = Field(description="Name as patterns see it, such as 'species.Restio.cover'.")
-    kind: str = Field(description="What it is, such as 'cover'.")
-    unit: str
-    prior: float
-    prior_sd: float | None
-    estimate: float
-    sd: float | None = Field(description="Standard deviation after the fit.")
-    constrained: float | None = Field(
-        default=None,
-        description="1 - (sd / prior_sd)^2: 0, the data said nothing; 1, they said all [-].",
+
+def _finite_values(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {str(name): _finite(value) for name, value in values.items()}
+
+
+def _rows(table: Any) -> Any:
+    """The rows of a pandas table, or of records."""
+    rows = table.to_dict("records") if hasattr(table, "to_dict") else table
+    return [_finite_values(row) if isinstance(row, Mapping) else row for row in rows]
+
+
+Number = Annotated[float | None, BeforeValidator(_finite)]
+"""A number, or None where it is not finite."""
+Rows = Annotated[list[dict[str, Scalar]], BeforeValidator(_rows)]
+"""The rows of a table, by the names of its columns."""
+
+
+class Record(BaseModel):
+    """A part of a result. Records never change, and take no field that they do not name."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="null")
+
+
+class JobResult(Record):
+    """What every job returns. Jobs with more to say add fields of their own."""
+
+    command: str = Field(description="Which command it is of, such as 'calibrate'.")
+    version: str = Field(__version__, description="Version of fynjax.")
+    output: str = Field(description="Folder of the files.")
+    seed: int
+    status: str = Field("ok", description="'ok', or why the answer is to be doubted.")
+    converged: bool | None = Field(None, description="Null where nothing was fitted.")
+    headline: list[str] = Field(
+        [], description="The result in sentences, as the terminal shows it."
+    )
+    files: dict[str, str] = Field({}, description="What each file is, by its name in the folder.")
+    warnings: list[str] = []
+    timings_s: dict[str, float] = Field({}, description="Wall time by stage [s].")
+    peak_memory_mib: float | None = Field(
+        None, description="Largest resident memory of the process [MiB]."
     )
 
 
-class StatisticSummary(BaseModel):
+class ParameterSummary(Record):
+    """One parameter, before and after."""
+
+    name: str = Field(description="Name that patterns match, such as 'species.Restio.cover'.")
+    kind: str = Field(description="What it is, such as 'cover'.")
+    unit: str
+    prior: Number
+    prior_sd: Number
+    estimate: Number
+    sd: Number = Field(description="Standard deviation after the fit.")
+    constrained: Number = Field(
+        None, description="1 - (sd / prior_sd)^2: share of the prior variance removed [-]."
+    )
+
+
+class StatisticSummary(Record):
     """One statistic of the image, before and after."""
 
     statistic: str
-    fitted: bool | None = Field(default=None, description="Whether the calibration fitted it.")
-    target: float | None
-    target_sd: float | None = None
-    before: float | None
-    after: float | None
-    reference: float | None = Field(
-        default=None, description="Another simulation of the same plot."
-    )
-
-
-class RunSummary(BaseModel):
-    """What `--json` prints and `summary.json` holds."""
-
-    model_config = ConfigDict(extra="allow")
-
-    command: str = Field(description="Which command made it, such as 'calibrate'.")
-    version: str = Field(description="Version of fynjax.")
-    output: str = Field(description="Folder of the files.")
-    seed: int
-    status: str = Field(description="'ok', or why the answer is to be doubted.")
-    converged: bool | None = Field(default=None, description="Null where nothing was fitted.")
-    headline: list[str] = Field(
-        default_factory=list, description="The result in sentences, as the terminal shows it."
-    )
-    files: dict[str, str] = Field(
-        default_factory=dict, description="What each file is, by its name in the folder."
-    )
-    timings_s: dict[str, float] = Field(default_factory=dict, description="Seconds by stage [s].")
-    parameters: list[ParameterSummary] = Field(default_factory=list)
-    statistics: list[StatisticSummary] = Field(default_factory=list)
-    warnings: list[str] = Field(default_factory=list)
+    fitted: bool | None = Field(None, description="Whether the calibration fitted it.")
+    target: Number
+    target_sd: Number = None
+    before: Number
+    after: Number
+    reference: Number = Field(None, description="Another simulation of the same plot.")

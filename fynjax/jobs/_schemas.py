@@ -6,9 +6,9 @@
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel
+from pydantic import Field, TypeAdapter
 
 from fynjax.io.instruments import BandRow, CurveRow, LidarFile, NoiseRow, SensorFile
 from fynjax.io.plot import (
@@ -21,9 +21,43 @@ from fynjax.io.plot import (
     StructureRow,
 )
 from fynjax.io.text import write_text
-from fynjax.jobs._result import RunSummary
+from fynjax.jobs import (
+    BuildResult,
+    CalibrateResult,
+    FitLeafResult,
+    InformationResult,
+    PatternResult,
+    PlantResult,
+    PosteriorResult,
+    ReflectanceResult,
+    RenderResult,
+    SensitivityResult,
+    SimulateLidarResult,
+    SimulateResult,
+    TerrainResult,
+    ValidateResult,
+)
 
-SCHEMAS: dict[str, type[BaseModel]] = {
+Summary = Annotated[
+    BuildResult
+    | CalibrateResult
+    | FitLeafResult
+    | InformationResult
+    | PatternResult
+    | PlantResult
+    | PosteriorResult
+    | ReflectanceResult
+    | RenderResult
+    | SensitivityResult
+    | SimulateResult
+    | SimulateLidarResult
+    | TerrainResult
+    | ValidateResult,
+    Field(description="What `--json` prints and `summary.json` holds, by the command."),
+]
+"""Results of the commands of `fynjax.jobs`; those of `fynjax.studies` add fields likewise."""
+
+SCHEMAS: dict[str, Any] = {
     "plot": PlotFile,
     "species_table_row": SpeciesRow,
     "leaf_table_row": LeafRow,
@@ -36,14 +70,15 @@ SCHEMAS: dict[str, type[BaseModel]] = {
     "sensor_band_row": BandRow,
     "sensor_curve_row": CurveRow,
     "sensor_noise_row": NoiseRow,
-    "summary": RunSummary,
+    "summary": Summary,
 }
 """Model behind each `data_schemas/<name>.schema.json`."""
 
 
 def json_schema(name: str) -> dict[str, Any]:
     """Schema `name` of `SCHEMAS`, JSON Schema Draft 2020-12."""
-    schema = SCHEMAS[name].model_json_schema()
+    mode = "serialization" if name == "summary" else "validation"  # a file written, or read
+    schema = TypeAdapter(SCHEMAS[name]).json_schema(mode=mode)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 

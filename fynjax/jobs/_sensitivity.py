@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.assembly import STRIDE, batch_for_device, prepare, shown_unit
 from fynjax.inversion import (
     DerivativeMeasures,
@@ -20,15 +20,24 @@ from fynjax.inversion import (
     sobol_indices,
 )
 from fynjax.io.plot import Plot, as_plot
-from fynjax.io.raster import provenance
-from fynjax.io.text import write_text
-from fynjax.jobs._calibrate import peak_memory_mib
+from fynjax.jobs._result import JobResult, Rows
+from fynjax.jobs._run import Run
 from fynjax.metrics import check_statistics
-from fynjax.report.figures import indices_plot, save_figure, short_name, tornado_plot
-from fynjax.report.pages import Page
+from fynjax.report.figures import indices_plot, short_name, tornado_plot
+from fynjax.report.pages import Page, Picture, Section, Table
 
 METRICS = ("red.mean", "nir.mean", "NDVI.mean", "NDVI.std")
 """Metrics of a run that names none."""
+
+
+class SensitivityResult(JobResult):
+    """What `sensitivity` found: slopes at the plot's parameters, shares of variance over priors."""
+
+    command: Literal["sensitivity"] = "sensitivity"
+    slopes: Rows
+    """Rows of slopes.csv."""
+    variance: Rows
+    """Rows of variance.csv; none where no samples were asked for."""
 
 
 def sensitivity(
@@ -41,12 +50,13 @@ def sensitivity(
     sobol_samples: int = 0,
     seed: int | None = None,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> SensitivityResult:
     """Slopes and elasticities of a plot's metrics; over the priors too, if samples are asked for.
 
     **Arguments:** `metrics`, such as "NDVI.mean"; `free`, patterns of parameters that replace
-    those of the plot file; `derivative_samples` (renders with slopes) and `sobol_samples` (times
-    parameters and two, renders), powers of two, or 0 for none. Writes tables, figures and a page.
+    those of the plot file; `derivative_samples`, samples for derivative-based global sensitivity
+    (DGSM), and `sobol_samples` (each takes as many renders as there are parameters, and two), are
+    powers of two, or 0 for none. Writes tables, figures and a page.
     """
     names = tuple(metrics)
     if not names:
@@ -54,23 +64,25 @@ def sensitivity(
     check_statistics(names)
     if sobol_samples:
         require("SALib", "sensitivity")
-    progress = NullProgress() if progress is None else progress
     read = as_plot(plot)
-    seed = read.seed if seed is None else seed
-    with progress.stage("Build the plot"):
-        ready = prepare(read, free, seed=seed)
+    run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
+    with run.stage("Build the plot"):
+        ready = prepare(read, free, seed=run.seed)
     space = ready.space
     predict = plot_statistics(ready.parameters, space.names, names, STRIDE)
     at = np.asarray(space.prior)
-    with progress.stage("Slopes"):
+    with run.stage("Slopes"):
         local = local_sensitivity(predict, space.names, names, at, context=(ready.quick,))
     if not (np.isfinite(local.value).all() and np.isfinite(local.jacobian).all()):
         raise InputError(
             "a metric or its slope is not finite at the plot's parameters", file=read.file
         )
     common: dict[str, Any] = {
-        "context": (ready.quick,), "seed": seed, "batch": batch_for_device(), "progress": progress,
-    }  # fmt: skip
+        "context": (ready.quick,),
+        "seed": run.seed,
+        "batch": batch_for_device(),
+        "progress": run.progress,
+    }
     measures = indices = None
     if derivative_samples:
         measures = derivative_measures(predict, space, names, samples=derivative_samples, **common)
@@ -92,9 +104,27 @@ def sensitivity(
     table = pd.DataFrame(rows)
     over_priors = measures is not None or indices is not None
     spread = _spread_table(names, space.names, measures, indices) if over_priors else None
-    with progress.stage("Write"):
-        record = provenance(seed=seed, inputs=read.inputs)
-        return {"seed": seed, **_write(output, read.name, table, spread, record)}
+    headline = []
+    for metric, part in table.groupby("metric", sort=False):
+        steepest = part.loc[part["elasticity"].abs().sort_values(ascending=False).index[:3]]
+        named = ", ".join(
+            f"{short_name(str(r.parameter))} ({r.elasticity:+.2g} %)" for r in steepest.itertuples()
+        )
+        headline.append(f"{metric} changes most, for 1 % more, by {named}.")
+    with run.stage("Write"):
+        run.table("slopes.csv", table, "slope and elasticity of every metric by every parameter")
+        sections = [_slope_section(table)]
+        if spread is not None:
+            run.table("variance.csv", spread, "shares of the metrics' variance over the priors")
+            sections.append(_variance_section(spread))
+        record = run.record(read.inputs)
+        run.page(Page(f"Sensitivity: {read.name}", " ".join(headline), sections, record=record))
+    return run.result(
+        SensitivityResult,
+        headline=headline,
+        slopes=table,
+        variance=[] if spread is None else spread,
+    )
 
 
 def _spread_table(
@@ -120,43 +150,21 @@ def _spread_table(
     )
 
 
-def _write(
-    folder: Path, name: str, table: pd.DataFrame, spread: pd.DataFrame | None, record: Any
-) -> dict[str, Any]:
-    write_text(folder / "slopes.csv", table.to_csv(index=False, float_format="%.6g"))
-    files = {
-        "report.html": "all of it on one page",
-        "slopes.csv": "slope and elasticity of every metric by every parameter",
-        "elasticities.png": "largest elasticities of each metric",
-    }
-    save_figure(tornado_plot(table), folder / "elasticities.png")
-    headline = []
-    for metric, part in table.groupby("metric", sort=False):
-        most = part.loc[part["elasticity"].abs().sort_values(ascending=False).index[:3]]
-        told = ", ".join(
-            f"{short_name(str(r.parameter))} ({r.elasticity:+.2g} %)" for r in most.itertuples()
-        )
-        headline.append(f"{metric} moves most, for 1 % more, by {told}.")
-    page = Page(f"Sensitivity: {name}", " ".join(headline))
-    page.section("At the plot's parameters").figure(
-        folder / "elasticities.png", "Change of each metric for 1 % more of a parameter."
+def _slope_section(table: pd.DataFrame) -> Section:
+    picture = Picture(
+        "elasticities.png",
+        tornado_plot(table),
+        "largest elasticities of each metric",
+        "Change of each metric for 1 % more of a parameter.",
     )
-    page.table(table, caption="Every slope.", folded=True)
-    if spread is not None:
-        write_text(folder / "variance.csv", spread.to_csv(index=False, float_format="%.6g"))
-        save_figure(indices_plot(spread), folder / "variance.png")
-        files["variance.csv"] = "shares of the metrics' variance over the priors"
-        files["variance.png"] = "the same as a picture"
-        page.section("Over the priors").figure(
-            folder / "variance.png", "Shares of each metric's variance while all priors vary."
-        )
-        page.table(spread, caption="Every share.", folded=True)
-    page.footer(record)
-    page.write(folder / "report.html")
-    return {
-        "headline": headline,
-        "files": files,
-        "slopes": table.to_dict("records"),
-        "variance": [] if spread is None else spread.to_dict("records"),
-        "peak_memory_mib": peak_memory_mib(),
-    }
+    return Section("At the plot's parameters", [picture, Table(table, "Every slope.", folded=True)])
+
+
+def _variance_section(spread: pd.DataFrame) -> Section:
+    picture = Picture(
+        "variance.png",
+        indices_plot(spread),
+        "shares of each metric's variance over the priors",
+        "Shares of each metric's variance while all priors vary.",
+    )
+    return Section("Over the priors", [picture, Table(spread, "Every share.", folded=True)])

@@ -4,30 +4,25 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
 import numpy as np
 
 from fynjax._core.errors import InputError, MissingExtraError
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.assembly import build_sensing
 from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import Air, Place, Plot, as_plot, plot_place
-from fynjax.io.raster import (
-    Cube,
-    provenance,
-    write_cube_envi,
-    write_cube_geotiff,
-    write_cubes_netcdf,
-)
+from fynjax.io.raster import Cube, write_cube_envi, write_cube_geotiff, write_cubes_netcdf
 from fynjax.io.text import write_text
-from fynjax.jobs._calibrate import _Clock, peak_memory_mib
-from fynjax.jobs._simulate_lidar import simulate_lidar
+from fynjax.jobs._result import JobResult
+from fynjax.jobs._run import Run
+from fynjax.jobs._simulate_lidar import SimulateLidarResult, simulate_lidar
 from fynjax.jobs._simulate_record import run_record, short_record, warnings_of
-from fynjax.report.figures import quick_looks, save_figure, spectrum_figure
-from fynjax.report.pages import Page
+from fynjax.report.figures import quick_looks, spectrum_figure
+from fynjax.report.pages import Page, Picture, Section
 from fynjax.scene import Observation, PlotParameters, PlotSensing
 from fynjax.sensors import Lidar, Sensor
 
@@ -35,6 +30,17 @@ AIR_MODELS = ("table", "clear-sky", "none")
 """What an atmosphere may be named by, instead of a file."""
 PRODUCTS = ("reflectance", "radiance")
 """Image products that can be written."""
+
+
+class SimulateResult(JobResult):
+    """What `simulate` measured with an imaging sensor."""
+
+    command: Literal["simulate"] = "simulate"
+    bands: int
+    pixels: tuple[int, int]
+    """Rows and columns."""
+    pixel_m: float
+    noise: bool
 
 
 def simulate(
@@ -49,7 +55,7 @@ def simulate(
     products: Sequence[str] = PRODUCTS,
     seed: int | None = None,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> SimulateResult | SimulateLidarResult:
     """Simulate what any sensor measures over a plot, into the folder `output`.
 
     **Arguments:**
@@ -70,15 +76,12 @@ def simulate(
     how noisy it is (`noise=False`: the receiver without noise), gives waveforms and a point cloud
     of the hard scene.
 
-    **Returns:** the summary: headline, files, times [s], memory [MiB], warnings.
-
     **Raises:** `InputError` as `read_plot`, `load_instrument` and `build_sensing`, for noise of a
     sensor that has no model of it, and for altitude, pixel, atmosphere or a choice of products
     with a LiDAR; `MissingExtraError` for a LiDAR without laspy and lazrs.
     """
-    progress = NullProgress() if progress is None else progress
     read = as_plot(plot)
-    chosen = read.seed if seed is None else seed
+    run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
     name = sensor or read.sensor.path or read.sensor.name
     instrument = name if isinstance(name, (Sensor, Lidar)) else load_instrument(name)
     files = [] if isinstance(name, (Sensor, Lidar)) or not Path(name).is_file() else [Path(name)]
@@ -90,42 +93,36 @@ def simulate(
                 f"expected no {wrong[0]} with the LiDAR {instrument.name!r}: its file says all of "
                 "it"
             )
-        return simulate_lidar(
-            read, instrument, output, seed=chosen, noise=noise is not False, files=files,
-            progress=progress,
-        )  # fmt: skip
+        return simulate_lidar(run, read, instrument, noise=noise is not False, files=files)
     air = _chosen_air(read, atmosphere)
     asked = read.sensor.noise if noise is None and _is_own(read, instrument) else noise
     noisy = instrument.noise is not None and air.model != "none" if asked is None else asked
     _check(read, instrument, air, noisy, products)
-    seconds: dict[str, float] = {}
-    with progress.stage("Build the plot"), _Clock(seconds, "build"):
+    with run.stage("Build the plot", "build"):
         sensing, parameters = build_sensing(
-            read, instrument, seed=chosen, altitude=altitude, pixel=pixel, air=air
+            read, instrument, seed=run.seed, altitude=altitude, pixel=pixel, air=air
         )
-    with progress.stage("Measure"):
-        seen = _measure(sensing, parameters, chosen if noisy else None, seconds)
-    cubes = _cubes(sensing, instrument, seen, products, plot_place(read))
+    with run.stage("Measure"):
+        observation = _measure(sensing, parameters, run.seed if noisy else None, run)
+    cubes = _cubes(sensing, instrument, observation, products, plot_place(read))
     _check_finite(cubes, read)
-    inputs = [*read.inputs, *files, *([] if air.file is None else [air.file])]
-    record = provenance(seed=chosen, inputs=dict.fromkeys(inputs))
-    run = run_record(read, instrument, sensing, air, noisy, seen, seconds)
-    with progress.stage("Write"):
-        written, warnings = _write(output, read, instrument, cubes, {**record, **short_record(run)})
-        text = json.dumps({**record, **run}, indent=2, ensure_ascii=False, allow_nan=False)
-        write_text(output / "run.json", text + "\n")
-    return {
-        "headline": _headline(read, instrument, sensing, cubes, seconds),
-        "files": written,
-        "seed": chosen,
-        "timings_s": seconds,
-        "bands": len(sensing.sensor.bands),
-        "pixels": list(sensing.shape),
-        "pixel_m": sensing.pixel,
-        "noise": bool(noisy),
-        "peak_memory_mib": peak_memory_mib(),
-        "warnings": [*warnings_of(read, sensing, instrument), *warnings],
-    }
+    inputs = [*read.inputs, *files, air.file]
+    record = run.record(inputs)
+    made = run_record(read, instrument, sensing, air, noisy, observation, run.seconds)
+    with run.stage("Write"):
+        warnings = _write(run, read, instrument, cubes, {**record, **short_record(made)})
+        text = json.dumps({**record, **made}, indent=2, ensure_ascii=False, allow_nan=False)
+        path = run.path("run.json", "versions, seed, sensor, atmosphere, accuracy, times")
+        write_text(path, text + "\n")
+    return run.result(
+        SimulateResult,
+        headline=_headline(read, instrument, sensing, cubes, run.seconds),
+        bands=len(sensing.sensor.bands),
+        pixels=sensing.shape,
+        pixel_m=sensing.pixel,
+        noise=bool(noisy),
+        warnings=[*warnings_of(read, sensing, instrument), *warnings],
+    )
 
 
 def _is_own(plot: Plot, instrument: Sensor) -> bool:
@@ -163,7 +160,7 @@ def _measure(
     sensing: PlotSensing,
     parameters: PlotParameters,
     key: int | None,
-    seconds: dict[str, float],
+    job: Run,
 ) -> Observation:
     """The observation; times of compiling and of measuring apart."""
     # The air is the same for all bands and pixels: its table need not be compiled with them.
@@ -173,16 +170,16 @@ def _measure(
         return sensing.observe(parameters, key=key)
 
     observe: Any = eqx.filter_jit(run)
-    with _Clock(seconds, "compile_bands"):
+    with job.timed("compile_bands"):
         compiled = observe.lower(sensing, parameters).compile()
-    with _Clock(seconds, "bands"):
+    with job.timed("bands"):
         return jax.block_until_ready(compiled(sensing, parameters))
 
 
 def _cubes(
     sensing: PlotSensing,
     instrument: Sensor,
-    seen: Observation,
+    observation: Observation,
     products: Sequence[str],
     place: Place,
 ) -> dict[str, Cube]:
@@ -208,15 +205,15 @@ def _cubes(
             place.crs,
         )
 
-    found = {}
+    cubes = {}
     if "reflectance" in products:
-        clear = np.asarray(seen.transparent)
-        found["reflectance"] = cube("reflectance", seen.reflectance, clear)
-        if seen.reflectance_sd is not None:
-            found["reflectance_sd"] = cube("reflectance_sd", seen.reflectance_sd, clear)
-    if "radiance" in products and seen.radiance is not None:
-        found["radiance"] = cube("radiance", seen.radiance, np.ones(len(bands), bool))
-    return found
+        clear = np.asarray(observation.transparent)
+        cubes["reflectance"] = cube("reflectance", observation.reflectance, clear)
+        if observation.reflectance_sd is not None:
+            cubes["reflectance_sd"] = cube("reflectance_sd", observation.reflectance_sd, clear)
+    if "radiance" in products and observation.radiance is not None:
+        cubes["radiance"] = cube("radiance", observation.radiance, np.ones(len(bands), bool))
+    return cubes
 
 
 def _check_finite(cubes: dict[str, Cube], plot: Plot) -> None:
@@ -231,34 +228,38 @@ def _check_finite(cubes: dict[str, Cube], plot: Plot) -> None:
 
 
 def _write(
-    folder: Path, plot: Plot, instrument: Sensor, cubes: dict[str, Cube], record: dict[str, Any]
-) -> tuple[dict[str, str], list[str]]:
-    """Write all files; their names with what they hold, and warnings."""
-    files, warnings = {}, []
+    run: Run, plot: Plot, instrument: Sensor, cubes: dict[str, Cube], record: dict[str, Any]
+) -> list[str]:
+    """Write the products and the page; returns warnings."""
+    warnings = []
     for name, cube in cubes.items():
-        write_cube_geotiff(folder / f"{name}.tif", cube, record)
-        files[f"{name}.tif"] = f"{name}, GeoTIFF"
+        write_cube_geotiff(run.path(f"{name}.tif", f"{name}, GeoTIFF"), cube, record)
         try:
-            write_cube_envi(folder / f"{name}.hdr", cube, record)
-            files[f"{name}.hdr"] = f"{name}, ENVI: header of {name}.dat"
+            write_cube_envi(run.folder / f"{name}.hdr", cube, record)
+            run.path(f"{name}.hdr", f"{name}, ENVI: header of {name}.dat")
         except MissingExtraError as error:
             warnings = [f"no ENVI files were written. {error}"]
-    write_cubes_netcdf(folder / "product.nc", cubes, record)
-    files["product.nc"] = f"{' and '.join(cubes)}, NetCDF"
-    page = Page(plot.name, f"What {instrument.name} measures of the plot.")
+    path = run.path("product.nc", f"{' and '.join(cubes)}, NetCDF")
+    write_cubes_netcdf(path, cubes, record)
     first = next(iter(cubes.values()))
-    for file, figure in quick_looks(first, plot.name).items():
-        save_figure(figure, folder / file)
-        files[file] = "quick look"
-        page.figure(folder / file, f"{first.quantity.capitalize()}, {file[:-4].replace('_', ' ')}.")
-    save_figure(spectrum_figure(cubes), folder / "spectrum.png")
-    files["spectrum.png"] = "mean and range of the pixels by wavelength"
-    page.figure(folder / "spectrum.png", "Mean over the pixels, and their range.")
-    page.footer(record)
-    page.write(folder / "report.html")
-    files["report.html"] = "pictures on one page"
-    files["run.json"] = "versions, seed, sensor, atmosphere, accuracy, times"
-    return files, warnings
+    pictures = [
+        Picture(
+            file,
+            figure,
+            "quick look",
+            f"{first.quantity.capitalize()}, {file[:-4].replace('_', ' ')}.",
+        )
+        for file, figure in quick_looks(first, plot.name).items()
+    ]
+    spectrum = Picture(
+        "spectrum.png",
+        spectrum_figure(cubes),
+        "mean and range of the pixels by wavelength",
+        "Mean over the pixels, and their range.",
+    )
+    lead = f"What {instrument.name} measures of the plot."
+    run.page(Page(plot.name, lead, [Section("", [*pictures, spectrum])], record=record))
+    return warnings
 
 
 def _headline(

@@ -1,30 +1,27 @@
-"""A LiDAR over a plot: point cloud, waveforms, pictures."""
+"""What `fynjax simulate` does with a LiDAR: point cloud, waveforms, pictures."""
 
 import dataclasses
-import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
 import numpy as np
-import pandas as pd
 import xarray as xr
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax._core.progress import Progress
 from fynjax.assembly import build_plot, cover_spectra, soil_spectra
 from fynjax.compare import Heights, compare_heights, lowest_ground
 from fynjax.io.instruments import write_cloud
 from fynjax.io.plot import Plot, plot_place
-from fynjax.io.raster import provenance, write_run
-from fynjax.io.text import write_text
-from fynjax.jobs._calibrate import _Clock, peak_memory_mib
+from fynjax.io.raster import write_run
+from fynjax.jobs._result import JobResult, Number
+from fynjax.jobs._run import Run
 from fynjax.radiation import VoxelScene
-from fynjax.report.figures import height_profiles, save_figure, side_view
-from fynjax.report.pages import Page
+from fynjax.report.figures import height_profiles, side_view
+from fynjax.report.pages import Page, Picture, Section, Table
 from fynjax.scene import Camera, PlotModel, band_wavelengths, hard_model
 from fynjax.sensors import (
     Lidar,
@@ -38,50 +35,52 @@ from fynjax.sensors import (
 from fynjax.sensors.lidar import GROUND
 
 
+class SimulateLidarResult(JobResult):
+    """What `simulate` measured with a LiDAR."""
+
+    command: Literal["simulate"] = "simulate"
+    returns: int
+    returns_per_m2: float
+    pulses_per_m2: float
+    share_of_pulses_with_returns: float
+    ground_returns: int
+    percentile_rmse_m: dict[str, Number] | None
+    """How far percentiles of height of the returns are from those of the plants [m]."""
+
+
 def simulate_lidar(
-    plot: Plot,
-    lidar: Lidar,
-    folder: Path,
-    *,
-    seed: int,
-    noise: bool,
-    files: Sequence[Path],
-    progress: Progress,
-) -> dict[str, Any]:
-    """Fly a LiDAR over a plot's hard scene; cloud, waveforms and pictures into `folder`.
+    run: Run, plot: Plot, lidar: Lidar, *, noise: bool, files: Sequence[Path]
+) -> SimulateLidarResult:
+    """Simulate a LiDAR over a plot's hard scene; write cloud, waveforms and pictures.
 
     **Arguments:**
 
-    - `seed`: of plants, pulses, the leaves they hit and noise.
+    - `run`, whose seed is that of plants, pulses, the leaves they hit and noise.
     - `noise`: whether the receiver is noisy. Which leaf a pencil of light hits is drawn always.
     - `files`: the LiDAR's own file, for the provenance record.
 
     The optics are those of the plot's leaves, wood and ground at the laser's wavelength. Single
     scattering, see `lidar_waveforms`.
 
-    **Returns:** the summary: headline, files, densities and percentiles, times [s], memory [MiB].
-
     **Raises:** `InputError` as `build_plot` and `Lidar.beams`, and where no pulse has a return;
     `MissingExtraError` without laspy and lazrs.
     """
     for package in ("laspy", "lazrs"):
         require(package, "terrain")
-    seconds: dict[str, float] = {}
-    began = time.perf_counter()
-    with progress.stage("Build the plot"), _Clock(seconds, "build"):
-        model, parameters = build_plot(plot, seed=seed)
+    with run.stage("Build the plot", "build"):
+        model, parameters = build_plot(plot, seed=run.seed)
         model = laser_model(plot, hard_model(model, parameters), lidar)
         scene = eqx.filter_jit(lambda m, p: m.scene(p))(model, parameters)
         jax.block_until_ready(scene)
     ground = 0.0 if model.terrain is None else float(np.mean(model.terrain))
-    beams = lidar.beams(plot.size_m, top=scene.height, ground=ground, seed=seed)
-    leaves, counting = jax.random.split(jax.random.key(seed))
+    beams = lidar.beams(plot.size_m, top=scene.height, ground=ground, seed=run.seed)
+    leaves, counting = jax.random.split(jax.random.key(run.seed))
     sublayers = _sublayers(beams, scene.vertical / scene.horizontal)
-    with progress.stage("Trace the pulses"), _Clock(seconds, "waveforms"):
+    with run.stage("Trace the pulses", "waveforms"):
         echoes = lidar_waveforms(scene, lidar, beams, key=leaves, sublayers=sublayers)
         electrons = received_electrons(lidar, beams, echoes.total, key=counting if noise else None)
         jax.block_until_ready(electrons)
-    with progress.stage("Find the returns"), _Clock(seconds, "returns"):
+    with run.stage("Find the returns", "returns"):
         returns = detect_returns(lidar, beams, np.asarray(electrons), echoes)
     if len(returns) == 0:
         raise InputError(
@@ -89,43 +88,39 @@ def simulate_lidar(
             f"{lidar.geometry.altitude:g} m below, and is the signal above the noise?",
             file=plot.file,
         )
-    with progress.stage("Compare with what was planted"), _Clock(seconds, "profile"):
-        compared = compare_heights(model, parameters, scene, beams, returns, sublayers=sublayers)
-    record = provenance(seed=seed, inputs=[*plot.inputs, *files])
+    with run.stage("Compare with what was planted", "profile"):
+        heights = compare_heights(model, parameters, scene, beams, returns, sublayers=sublayers)
+    record = run.record([*plot.inputs, *files])
     record["lidar"] = lidar.name
     record["noise"] = "drawn" if noise else "none"
-    summary = _summary(plot, lidar, beams, returns, compared)
-    summary["warnings"] = _warnings(lidar, scene, beams, echoes)
-    with progress.stage("Write"), _Clock(seconds, "write"):
+    with run.stage("Write", "write"):
         place = plot_place(plot)
         lowest = 0.0 if plot.terrain is None or place.crs is None else lowest_ground(plot)
-        cloud, origin = folder / "cloud.laz", (*place.origin_m, lowest)
+        cloud, origin = run.path("cloud.laz", "point cloud, LAS 1.4"), (*place.origin_m, lowest)
         write_cloud(cloud, returns, origin_m=origin, crs=place.crs, attributes=record)
-        dataset = waveform_dataset(lidar, beams, np.asarray(electrons), echoes)
-        write_run(folder / "waveforms.nc", dataset, record)
-        write_text(folder / "heights.csv", compared.table().to_csv(index=False))
-    with progress.stage("Draw"), _Clock(seconds, "figures"):
-        title = f"{plot.name}, {lidar.name}"
-        side = side_view(returns, compared.height, plot.size_m, title=title)
-        save_figure(side, folder / "cloud.png")
-        save_figure(height_profiles(compared), folder / "profile.png")
-    seconds["total"] = time.perf_counter() - began
-    _page(folder, plot, lidar, summary, compared, seconds, record)
-    files = {
-        "cloud.laz": "point cloud, LAS 1.4",
-        "waveforms.nc": "waveform of every pulse, NetCDF",
-        "heights.csv": "percentiles of height of returns and of planted area",
-        "cloud.png": "the cloud from the side and from above",
-        "profile.png": "returns and planted area against height",
-        "report.html": "all of it on one page",
-    }
-    return {
-        **summary,
-        "files": files,
-        "seed": seed,
-        "timings_s": seconds,
-        "peak_memory_mib": peak_memory_mib(),
-    }
+        waveforms = run.path("waveforms.nc", "waveform of every pulse, NetCDF")
+        write_run(waveforms, waveform_dataset(lidar, beams, np.asarray(electrons), echoes), record)
+        what = "percentiles of height of returns and of planted area"
+        run.table("heights.csv", heights.table(), what, None)
+    counts = _counts(plot, beams, returns)
+    headline = _headline(plot, lidar, counts, heights)
+    warnings = _warnings(lidar, scene, beams, echoes)
+    with run.stage("Draw", "figures"):
+        run.total()
+        sections = _sections(run, plot, lidar, returns, heights, [*headline[1:], *warnings])
+        keys = {
+            "returns per m²": f"{counts['returns_per_m2']:.1f}",
+            "pulses per m²": f"{counts['pulses_per_m2']:.1f}",
+            "ground": f"{100 * counts['ground_returns'] / counts['returns']:.1f} %",
+        }
+        run.page(Page(f"LiDAR: {plot.name}", headline[0], sections, keys, record))
+    return run.result(
+        SimulateLidarResult,
+        headline=headline,
+        warnings=warnings,
+        percentile_rmse_m=heights.rmse,
+        **counts,
+    )
 
 
 def laser_model(plot: Plot, model: PlotModel, lidar: Lidar) -> PlotModel:
@@ -217,70 +212,53 @@ def _warnings(lidar: Lidar, scene: VoxelScene, beams: LidarBeams, echoes: Wavefo
     return [f"{text}, {lidar.gate[0]:g} to {lidar.gate[1]:g} m" for text in lost]
 
 
-def _summary(
-    plot: Plot,
-    lidar: Lidar,
-    beams: LidarBeams,
-    returns: LidarReturns,
-    compared: Heights,
-) -> dict[str, Any]:
+def _counts(plot: Plot, beams: LidarBeams, returns: LidarReturns) -> dict[str, float]:
+    """How many returns there are, by their names in the result."""
     area = float(np.prod(plot.size_m))
-    ground = int(np.sum(returns.classification == GROUND))
-    density, pulses = len(returns) / area, len(beams) / area
-    seen = len(np.unique(returns.beam)) / len(beams)
-    headline = [
-        f"{plot.name}, {lidar.name}: {len(returns)} returns, {density:.1f} per m² of "
-        f"{pulses:.1f} pulses per m²; {100 * seen:.1f} % of the pulses have a return.",
-        f"{100 * ground / len(returns):.1f} % of the returns are ground.",
-    ]
-    if (rmse := compared.rmse) is not None:
-        off = ", ".join(f"{value:.3f} m off those of {name}" for name, value in rmse.items())
-        headline.append(f"Percentiles of height of the vegetation returns are {off} (rmse).")
     return {
-        "headline": headline,
         "returns": len(returns),
-        "returns_per_m2": density,
-        "pulses_per_m2": pulses,
-        "share_of_pulses_with_returns": seen,
-        "ground_returns": ground,
-        "percentile_rmse_m": compared.rmse,
+        "returns_per_m2": len(returns) / area,
+        "pulses_per_m2": len(beams) / area,
+        "share_of_pulses_with_returns": len(np.unique(returns.beam)) / len(beams),
+        "ground_returns": int(np.sum(returns.classification == GROUND)),
     }
 
 
-def _page(
-    folder: Path,
-    plot: Plot,
-    lidar: Lidar,
-    summary: dict[str, Any],
-    compared: Heights,
-    seconds: dict[str, float],
-    record: Any,
-) -> None:
-    page = Page(f"LiDAR: {plot.name}", summary["headline"][0])
-    page.key_figures(
-        {
-            "returns per m²": f"{summary['returns_per_m2']:.1f}",
-            "pulses per m²": f"{summary['pulses_per_m2']:.1f}",
-            "ground": f"{100 * summary['ground_returns'] / summary['returns']:.1f} %",
-        }
-    )
-    page.paragraph(" ".join([*summary["headline"][1:], *summary["warnings"]]))
-    page.figure(folder / "cloud.png", "The cloud from the south, and from above.")
-    page.figure(
-        folder / "profile.png",
-        "Vegetation returns against height, beside where the light first meets plants (the gap "
-        "law) and where their area is. Higher plants hide lower ones, so the second lies above "
-        "the third.",
-    )
-    page.table(compared.table(), caption="Percentiles of height above ground.", folded=True)
-    page.paragraph(
+def _headline(plot: Plot, lidar: Lidar, counts: dict[str, float], heights: Heights) -> list[str]:
+    lines = [
+        f"{plot.name}, {lidar.name}: {counts['returns']} returns, {counts['returns_per_m2']:.1f} "
+        f"per m² of {counts['pulses_per_m2']:.1f} pulses per m²; "
+        f"{100 * counts['share_of_pulses_with_returns']:.1f} % of the pulses have a return.",
+        f"{100 * counts['ground_returns'] / counts['returns']:.1f} % of the returns are ground.",
+    ]
+    if heights.rmse is not None:
+        off = ", ".join(f"{value:.3f} m off those of {n}" for n, value in heights.rmse.items())
+        lines.append(f"Percentiles of height of the vegetation returns are {off} (rmse).")
+    return lines
+
+
+def _sections(run: Run, plot: Plot, lidar: Lidar, returns: LidarReturns, heights: Heights,
+              remarks: list[str]) -> list[Section]:  # fmt: skip
+    title = f"{plot.name}, {lidar.name}"
+    parts = [
+        " ".join(remarks),
+        Picture(
+            "cloud.png",
+            side_view(returns, heights.height, plot.size_m, title=title),
+            "the cloud from the side and from above",
+            "The cloud from the south, and from above.",
+        ),
+        Picture(
+            "profile.png",
+            height_profiles(heights),
+            "returns and planted area against height",
+            "Vegetation returns against height, beside where the light first meets plants (the "
+            "gap law) and where their area is. Higher plants hide lower ones, so the second lies "
+            "above the third.",
+        ),
+        Table(heights.table(), "Percentiles of height above ground.", folded=True),
         f"{lidar.source} Single scattering: light that leaves send on and back more than once is "
-        "left out."
-    )
-    page.table(
-        pd.DataFrame({"what": list(seconds), "seconds": list(seconds.values())}),
-        caption="Wall time.",
-        folded=True,
-    )
-    page.footer(record)
-    page.write(folder / "report.html")
+        "left out.",
+        run.times(folded=True),
+    ]
+    return [Section("", parts)]

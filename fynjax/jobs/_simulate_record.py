@@ -1,4 +1,4 @@
-"""What is told of an image product: what made it, and what to mind."""
+"""What made an image product, and what a user should mind of it."""
 
 import dataclasses
 import json
@@ -23,7 +23,7 @@ def run_record(
     sensing: PlotSensing,
     air: Air,
     noisy: bool,
-    seen: Observation,
+    observation: Observation,
     seconds: dict[str, float],
 ) -> dict[str, Any]:
     """What made the product, for `run.json`."""
@@ -34,7 +34,7 @@ def run_record(
         angles = {"tilt_deg": frame.tilt, "heading_deg": frame.heading}
     elif isinstance(camera, OrthographicCamera):
         angles = {"view_zenith_deg": camera.view_zenith, "view_azimuth_deg": camera.view_azimuth}
-    residual = np.asarray(seen.residual)
+    residual = np.asarray(observation.residual)
     return {
         "versions": {n: version(n) for n in ("jax", "equinox", "numpy", "rasterio", "xarray")},
         "plot": {

@@ -1,15 +1,18 @@
-"""From a file to terrain, in one call: what `fynjax terrain` does."""
+"""What `fynjax terrain` does: the ground of a plot from a point cloud or a height raster."""
 
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.io.raster import write_geotiff
-from fynjax.report.figures import write_picture
+from fynjax.jobs._result import JobResult, Record
+from fynjax.jobs._run import Run
+from fynjax.report.figures import terrain_figure
+from fynjax.report.pages import Picture
 from fynjax.terrain import (
     TOLERANCE,
     WINDOW,
@@ -37,7 +40,35 @@ _RASTERS = (".tif", ".tiff", ".img", ".vrt", ".asc")
 _ROUGH = 0.27
 _LARGEST_GAP = 10.0
 _AROUND = 10.0
-"""Points this far around the plot [m] are kept: the filter is worst at the edge of what it sees."""
+"""Points this far around the plot [m] are kept: the filter is worst at the edge of its points."""
+
+
+class TerrainSummary(Record):
+    """The terrain in numbers. `None` is what the file cannot say."""
+
+    bounds_m: tuple[float, float, float, float]
+    """West, south, east, north."""
+    cell_m: float
+    lowest_m: float
+    relief_m: float
+    median_slope_deg: float
+    cells_filled: float | None = None
+    """Share of a raster's cells that had no height [-]."""
+    points: int | None = None
+    ground_share: float | None = None
+    """Share of a cloud's points that are ground [-]."""
+    cells_with_ground: float | None = None
+    """Share of the cells with ground points [-]."""
+    ground_scatter_m: float | None = None
+    canopy_height_median_m: float | None = None
+    canopy_height_99_m: float | None = None
+
+
+class TerrainResult(JobResult):
+    """What `terrain` made."""
+
+    command: Literal["terrain"] = "terrain"
+    terrain: TerrainSummary
 
 
 def terrain(
@@ -58,7 +89,7 @@ def terrain(
     fill_gaps: bool = False,
     band: int | None = None,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> TerrainResult:
     """Write the terrain of a plot from a point cloud or a height raster.
 
     Into the folder `output`: `terrain.tif`, `terrain.obj`, `terrain.png` and, from a cloud,
@@ -75,14 +106,14 @@ def terrain(
     - `largest_gap`: see `terrain_from_points` and `read_terrain`; 10 unless given.
     - `unit`, `height_unit`, `crs`: see `read_cloud`; `fill_gaps`, `band`: see `read_terrain`.
 
-    **Returns:** the summary: headline, files, and figures of the terrain in metres. Warns where
-    the ground found is so rough that it may be the inside of plants.
+    **Returns:** the result. Warns where the ground is so rough that it may be the inside of
+    plants.
 
     **Raises:** what these functions raise, and `InputError` for settings that the file or the
     method does not use.
     """
-    progress = NullProgress() if progress is None else progress
-    path, output = Path(path), Path(output)
+    run = Run(output, progress=progress)
+    path = Path(path)
     is_raster = path.suffix.lower() in _RASTERS
     if bounds is not None:
         if size is not None:
@@ -103,40 +134,34 @@ def terrain(
     gap = _LARGEST_GAP if largest_gap is None else largest_gap
     try:
         if is_raster:
-            with progress.stage("Read the raster"):
+            with run.stage("Read the raster"):
                 terrain, figures = _from_raster(
                     path, bounds, size, cell, crs=crs, height_unit=height_unit,
                     fill_gaps=fill_gaps, largest_gap=gap, band=band,
                 )  # fmt: skip
             canopy = None
         else:
-            with progress.stage("Read the cloud"):
+            with run.stage("Read the cloud"):
                 cloud = read_cloud(path, unit=unit, height_unit=height_unit, crs=crs)
             terrain, canopy, figures = _from_cloud(
                 cloud,
                 bounds if size is None else _middle(cloud.bounds, size),
                 0.25 if cell is None else cell,
                 gap,
-                progress,
+                run,
                 **{k: v for k, v in {"method": method, **lengths}.items() if v is not None},
             )
     except InputError as error:
         if error.file is not None:
             raise
         raise InputError(str(error), file=path) from error
-    files = {
-        "terrain.tif": "height of the ground [m]",
-        "terrain.obj": "the same as a mesh, in the plot's frame",
-        "terrain.png": "picture of it",
-    }
-    with progress.stage("Write"):
-        write_terrain(output / "terrain.tif", terrain)
-        write_mesh(output / "terrain.obj", terrain)
-        write_picture(output / "terrain.png", terrain, canopy)
+    with run.stage("Write"):
+        write_terrain(run.path("terrain.tif", "height of the ground [m]"), terrain)
+        write_mesh(run.path("terrain.obj", "the same as a mesh, in the plot's frame"), terrain)
+        run.picture(Picture("terrain.png", terrain_figure(terrain, canopy), "picture of it"))
         if canopy is not None:
-            files["canopy_height.tif"] = "highest point above ground in each cell [m]"
             write_geotiff(
-                output / "canopy_height.tif",
+                run.path("canopy_height.tif", "highest point above ground in each cell [m]"),
                 canopy[None],
                 ["canopy_height"],
                 pixel_m=terrain.cell,
@@ -144,7 +169,7 @@ def terrain(
                 crs=terrain.crs,
                 tags={"quantity": "height of the canopy above ground", "unit": "m"},
             )
-    return _summary(terrain, files, figures)
+    return _result(run, terrain, figures)
 
 
 def _check_used(is_raster: bool, fill_gaps: bool, settings: dict[str, Any]) -> None:
@@ -190,15 +215,15 @@ def _from_cloud(
     bounds: Bounds | None,
     cell: float,
     largest_gap: float,
-    progress: Progress,
+    run: Run,
     **options: Any,
 ) -> tuple[Terrain, Any, dict[str, float]]:
     if bounds is not None:
         check_covered(cloud.bounds, bounds, cell)
         cloud = cloud.crop(bounds, max(_AROUND, options.get("window", WINDOW), largest_gap))
-    with progress.stage("Find the ground"):
+    with run.stage("Find the ground"):
         ground = find_ground(cloud, **options)
-    with progress.stage("Fill the surface"):
+    with run.stage("Fill the surface"):
         terrain = terrain_from_points(
             cloud, ground, cell=cell, bounds=bounds, largest_gap=largest_gap
         )
@@ -208,19 +233,19 @@ def _from_cloud(
     west, south, _, _ = terrain.bounds
     i = np.minimum(((points.x - west) / cell).astype(int), columns - 1)
     j = np.minimum(((points.y - south) / cell).astype(int), rows - 1)
-    seen = len(np.unique(j * columns + i)) / (rows * columns)
+    covered = len(np.unique(j * columns + i)) / (rows * columns)
     scatter = float(np.sqrt(np.mean(heights_above_ground(points, terrain) ** 2)))
     if scatter > _ROUGH * options.get("tolerance", TOLERANCE):
         warnings.warn(
-            f"the ground found scatters by {100 * scatter:.0f} cm about its surface, nearly as "
+            f"the ground scatters by {100 * scatter:.0f} cm about its surface, nearly as "
             "much as the tolerance allows: the cloud may have no points on the ground there. Look "
             "at terrain.png.",
             stacklevel=3,
         )
     figures = {
-        "points": float(len(cloud)),
+        "points": len(cloud),
         "ground_share": float(ground.mean()),
-        "cells_with_ground": seen,
+        "cells_with_ground": covered,
         "ground_scatter_m": scatter,
         "canopy_height_median_m": float(np.nanmedian(canopy)),
         "canopy_height_99_m": float(np.nanpercentile(canopy, 99)),
@@ -228,33 +253,31 @@ def _from_cloud(
     return terrain, canopy, figures
 
 
-def _summary(terrain: Terrain, files: dict[str, str], figures: dict[str, float]) -> dict[str, Any]:
-    west, south, east, north = terrain.bounds
+def _result(run: Run, terrain: Terrain, figures: dict[str, float]) -> TerrainResult:
     gx, gy = terrain.gradient()
-    slope = float(np.degrees(np.arctan(np.median(np.hypot(gx, gy)))))
-    headline = [
-        f"{east - west:g} m x {north - south:g} m in cells of {terrain.cell:g} m; the ground spans "
-        f"{terrain.relief:.2f} m, slope {slope:.1f} degrees in the median."
-    ]
-    if figures.get("cells_filled"):
-        headline.append(
-            f"{100 * figures['cells_filled']:.1f} % of the cells had no height and were filled."
-        )
-    if "ground_share" in figures:
-        headline.append(
-            f"Ground is {100 * figures['ground_share']:.0f} % of the points and seen in "
-            f"{100 * figures['cells_with_ground']:.0f} % of the cells; it scatters by "
-            f"{100 * figures['ground_scatter_m']:.1f} cm about the surface."
-        )
-    return {
-        "headline": headline,
-        "files": files,
-        "terrain": {
-            "bounds_m": [west, south, east, north],
+    summary = TerrainSummary.model_validate(
+        {
+            "bounds_m": terrain.bounds,
             "cell_m": terrain.cell,
             "lowest_m": float(terrain.heights.min()),
             "relief_m": terrain.relief,
-            "median_slope_deg": slope,
+            "median_slope_deg": float(np.degrees(np.arctan(np.median(np.hypot(gx, gy))))),
             **figures,
-        },
-    }
+        }
+    )
+    west, south, east, north = terrain.bounds
+    headline = [
+        f"{east - west:g} m x {north - south:g} m in cells of {terrain.cell:g} m; the ground spans "
+        f"{terrain.relief:.2f} m, slope {summary.median_slope_deg:.1f} degrees in the median."
+    ]
+    if summary.cells_filled:
+        headline.append(
+            f"{100 * summary.cells_filled:.1f} % of the cells had no height and were filled."
+        )
+    if summary.ground_share is not None:
+        headline.append(
+            f"{100 * summary.ground_share:.0f} % of the points are ground, in "
+            f"{100 * figures['cells_with_ground']:.0f} % of the cells; they scatter by "
+            f"{100 * figures['ground_scatter_m']:.1f} cm about the surface."
+        )
+    return run.result(TerrainResult, headline=headline, terrain=summary)

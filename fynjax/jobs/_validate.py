@@ -1,14 +1,16 @@
-"""Real against simulated data of any of three sensors: what `fynjax validate` does."""
+"""What `fynjax validate` does: real against simulated data of any of three sensors."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-import pandas as pd
+import numpy as np
+import xarray as xr
+from pydantic import Field
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.compare import (
     DroneComparison,
     PublishedComparison,
@@ -18,22 +20,28 @@ from fynjax.compare import (
     compare_with_published,
     read_drone_image,
     read_spectra_sample,
-    records,
     validation_dataset,
     wins,
 )
-from fynjax.io.raster import provenance, write_run
-from fynjax.io.text import existing_file, write_text
+from fynjax.compare.structure import (
+    StructureComparison,
+    cloud_settings,
+    compare_clouds,
+    grain_table,
+)
+from fynjax.io.raster import write_run
+from fynjax.io.text import existing_file
+from fynjax.jobs._result import JobResult, Record, Rows
+from fynjax.jobs._run import Run
 from fynjax.metrics import WATER_WINDOWS, MatchingMethod
+from fynjax.report.figures import words
 from fynjax.report.pages import (
-    Files,
     Page,
-    drone_headline,
+    Section,
     drone_section,
     published_section,
-    spectral_headline,
     spectral_section,
-    told,
+    structure_section,
 )
 
 PUBLISHED = "published"
@@ -77,16 +85,63 @@ class ValidationData:
 
     def files(self) -> list[Path]:
         """Every file, each of which must exist."""
-        found = []
+        paths: list[Path] = []
         for what, group in (
             ("a drone image", [self.real_drone, self.simulated_drone]),
             ("spectra", [*self.real_spectra, *self.simulated_spectra]),
             ("a point cloud", [self.real_cloud, self.simulated_cloud]),
         ):
-            found += [
+            paths += [
                 existing_file(path, what) for path in group if path and str(path) != PUBLISHED
             ]
-        return found
+        return paths
+
+
+Drone = DroneComparison | PublishedComparison
+
+
+class DroneSummary(Record):
+    """Two drone images compared, or one with published statistics."""
+
+    bands: Rows | None = Field(None, description="Rows of drone_bands.csv.")
+    indices: Rows | None = Field(None, description="Rows of drone_indices.csv.")
+    published: Rows | None = Field(None, description="Rows of drone_published.csv.")
+    notes: list[str]
+
+
+class SpectraSummary(Record):
+    """Two sets of spectra compared."""
+
+    matching: str
+    regions: Rows = Field(description="Rows of spectral_agreement.csv.")
+    misfit: Rows = Field(description="Rows of spectral_misfit.csv.")
+    indices: Rows = Field(description="Rows of spectral_indices.csv.")
+    notes: list[str]
+
+
+class StructureSummary(Record):
+    """Two point clouds compared."""
+
+    settings: dict[str, Any] = Field(description="What the metrics depend on.")
+    options: dict[str, Any] = Field(description="How the clouds were read and compared.")
+    grain_m: float
+    bounds_m: tuple[float, float, float, float]
+    plot_bounds_m: tuple[float, float, float, float]
+    grains: Rows = Field(description="Grains that were tried.")
+    matched_returns: int
+    thinned: str
+    clouds: dict[str, dict[str, str | float | None]] = Field(description="Each of the two clouds.")
+    metrics: Rows = Field(description="Rows of structure.csv.")
+    notes: list[str]
+
+
+class ValidateResult(JobResult):
+    """What `validate` compared; None where a pair of files was not given."""
+
+    command: Literal["validate"] = "validate"
+    drone: DroneSummary | None
+    spectra: SpectraSummary | None
+    structure: StructureSummary | None
 
 
 def validate(
@@ -103,7 +158,7 @@ def validate(
     cloud_options: Mapping[str, Any] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> ValidateResult:
     """Compare real with simulated data, and write tables, figures, a run file and the page.
 
     **Arguments:** `real_bands`, `simulated_bands`, `saturation` and `most_pixels` as
@@ -111,18 +166,15 @@ def validate(
     `structure_preset`, a name in `fynjax.metrics.STRUCTURE_PRESETS`, and `cloud_options` that
     override it, as `cloud_settings` has them; `seed` of what is drawn in the comparison of clouds.
 
-    **Returns:** the summary: headline, files, every number.
-
     **Raises:** `InputError` as the readers and comparisons do.
     """
-    progress = NullProgress() if progress is None else progress
-    output = Path(output)
+    run = Run(output, seed=seed, progress=progress)
     inputs = data.files()
-    drone: DroneComparison | PublishedComparison | None = None
+    drone: Drone | None = None
     if data.simulated_drone:
         simulated = read_drone_image(
             data.simulated_drone,
-            progress,
+            run.progress,
             bands=simulated_bands,
             saturation=saturation,
             most_pixels=most_pixels,
@@ -132,149 +184,218 @@ def validate(
         else:
             real = read_drone_image(
                 data.real_drone or "",
-                progress,
+                run.progress,
                 bands=real_bands,
                 saturation=saturation,
                 most_pixels=most_pixels,
             )
-            drone = compare_drone_images(real, simulated, progress)
+            drone = compare_drone_images(real, simulated, run.progress)
     spectra: SpectralComparison | None = None
     if data.simulated_spectra:
         spectra = compare_spectra(
-            read_spectra_sample(data.real_spectra, progress),
-            read_spectra_sample(data.simulated_spectra, progress),
+            read_spectra_sample(data.real_spectra, run.progress),
+            read_spectra_sample(data.simulated_spectra, run.progress),
             method=matching,
             windows=windows,
         )
-    structure = _structure(data, structure_preset, cloud_options or {}, seed, progress)
-    with progress.stage("Write"):
-        return _write(output, inputs, drone, spectra, structure, seed)
-
-
-def _structure(
-    data: ValidationData,
-    preset: str | None,
-    options: Mapping[str, Any],
-    seed: int,
-    progress: Progress,
-) -> Any | None:
-    if not (data.real_cloud and data.simulated_cloud):
-        return None
-    from fynjax.compare.structure import cloud_settings, compare_clouds
-
-    return compare_clouds(
-        data.real_cloud,
-        data.simulated_cloud,
-        settings=cloud_settings(preset, options),
-        seed=seed,
-        progress=progress,
+    structure: StructureComparison | None = None
+    if data.real_cloud and data.simulated_cloud:
+        structure = compare_clouds(
+            data.real_cloud,
+            data.simulated_cloud,
+            settings=cloud_settings(structure_preset, cloud_options or {}),
+            seed=seed,
+            progress=run.progress,
+        )
+    headline: list[str] = []
+    keys: dict[str, str] = {}
+    sections: list[Section] = []
+    record = run.record(inputs)
+    with run.stage("Write"):
+        if drone is not None:
+            _write_drone(run, drone)
+            headline += _drone_sentences(drone)
+            keys |= _drone_figures(drone)
+            published = isinstance(drone, PublishedComparison)
+            sections.append(published_section(drone) if published else drone_section(drone))
+        if spectra is not None:
+            _write_spectra(run, spectra)
+            headline += _spectral_sentences(spectra)
+            keys |= _spectral_figures(spectra)
+            sections.append(spectral_section(spectra))
+        if drone is not None or spectra is not None:
+            path = run.path("validation.nc", "every number, NetCDF")
+            write_run(path, validation_dataset(drone, spectra), record)
+        if structure is not None:
+            _write_structure(run, structure, record)
+            headline.append(_structure_sentence(structure))
+            sections.append(structure_section(structure))
+        lead = "Simulated against real data, after section 4 of the scene paper."
+        run.page(Page("Validation", lead, sections, keys, record))
+    return run.result(
+        ValidateResult,
+        headline=headline,
+        drone=None if drone is None else _drone_summary(drone),
+        spectra=None if spectra is None else _spectra_summary(spectra),
+        structure=None if structure is None else _structure_summary(structure),
     )
 
 
-def _write(
-    output: Path,
-    inputs: Sequence[Path],
-    drone: DroneComparison | PublishedComparison | None,
-    spectra: SpectralComparison | None,
-    structure: Any | None,
-    seed: int,
-) -> dict[str, Any]:
-    record = provenance(seed=seed, inputs=inputs)
-    headline, files = _headline(drone, spectra), Files()
-    summary: dict[str, Any] = {}
-    page = Page("Validation", "Simulated against real data, after section 4 of the scene paper.")
-    page.key_figures(_key_figures(drone, spectra))
-    files["report.html"] = "all of it on one page"
+def _write_drone(run: Run, drone: Drone) -> None:
     if isinstance(drone, PublishedComparison):
-        files |= published_section(page, drone)
-        files |= _tables(output, {"drone_published": drone.statistics})
-        summary["drone"] = {"published": records(drone.statistics), "notes": drone.notes}
-    elif drone is not None:
-        files |= drone_section(page, output, drone)
-        files |= _tables(output, {"drone_bands": drone.bands, "drone_indices": drone.indices})
-        summary["drone"] = {
-            "bands": records(drone.bands),
-            "indices": records(drone.indices),
-            "notes": drone.notes,
-        }
-    if spectra is not None:
-        files |= spectral_section(page, output, spectra)
-        tables = {
-            "spectra": spectra.spectra,
-            "spectral_agreement": spectra.regions,
-            "spectral_misfit": spectra.misfit,
-            "spectral_indices": spectra.indices,
-        }
-        files |= _tables(output, tables)
-        summary["spectra"] = {
-            "matching": spectra.match.method,
-            "regions": records(spectra.regions),
-            "misfit": records(spectra.misfit),
-            "indices": records(spectra.indices),
-            "notes": spectra.notes,
-        }
-    if drone is not None or spectra is not None:
-        write_run(output / "validation.nc", validation_dataset(drone, spectra), record)
-        files["validation.nc"] = "every number, NetCDF"
-    if structure is not None:
-        from fynjax.report.pages import structure_headline, structure_section
-
-        files |= structure_section(page, output, structure, record)
-        headline += structure_headline(structure)
-        summary["structure"] = structure.as_dict()
-    page.footer(record)
-    page.write(output / "report.html")
-    return {"headline": headline, "files": files, **summary}
+        what = "statistics beside the published ones"
+        run.table("drone_published.csv", drone.statistics, what, "%.9g")
+        return
+    run.table("drone_bands.csv", drone.bands, "bands, real and simulated", "%.9g")
+    run.table("drone_indices.csv", drone.indices, "the twenty indices, with formulas", "%.9g")
 
 
-_CSV = {
-    "drone_bands": "bands, real and simulated",
-    "drone_indices": "the twenty indices, with formulas",
-    "drone_published": "statistics beside the published ones",
-    "spectra": "both mean spectra on common bands",
-    "spectral_agreement": "agreement by region (table 5)",
-    "spectral_misfit": "offset, gain and shape of the misfit",
-    "spectral_indices": "indices of the spectra, with formulas",
-}
-
-
-def _tables(folder: Path, tables: dict[str, pd.DataFrame]) -> Files:
-    for name, table in tables.items():
-        write_text(folder / f"{name}.csv", table.to_csv(index=False, float_format="%.9g"))
-    return {f"{name}.csv": _CSV[name] for name in tables}
-
-
-def _headline(
-    drone: DroneComparison | PublishedComparison | None, spectra: SpectralComparison | None
-) -> list[str]:
-    lines: list[str] = []
+def _drone_summary(drone: Drone) -> DroneSummary:
     if isinstance(drone, PublishedComparison):
-        nearer, of = wins(drone.statistics)
-        lines.append(
-            f"Against the published statistics of the 2006 plot's real image: nearer than the "
-            f"paper's DIRSIG in {nearer} of {of} numbers that are sound."
-        )
-    elif drone is not None:
-        lines += drone_headline(drone)
-    if spectra is not None:
-        lines += spectral_headline(spectra)
-    return lines
+        return DroneSummary(published=drone.statistics, notes=drone.notes)
+    return DroneSummary(bands=drone.bands, indices=drone.indices, notes=drone.notes)
 
 
-def _key_figures(
-    drone: DroneComparison | PublishedComparison | None, spectra: SpectralComparison | None
-) -> dict[str, str]:
-    figures: dict[str, str] = {}
-    if isinstance(drone, DroneComparison):
-        largest = drone.bands["difference_percent"].abs().max()
-        overlap = drone.indices["histogram_intersection"].median()
-        figures["largest difference of a band mean"] = f"{largest:.1f} %"
-        figures["median histogram intersection, 20 indices"] = f"{overlap:.2f}"
-    elif drone is not None:
-        nearer, of = wins(drone.statistics)
-        figures["numbers nearer to the real image than the paper's DIRSIG"] = f"{nearer} of {of}"
-    if spectra is not None and len(spectra.regions):
-        row = spectra.regions.iloc[0]
-        figures[f"spectral angle, {row['region']}"] = told(row["spectral_angle_deg"], ".1f", "°")
-        figures[f"RMSE, {row['region']}"] = f"{row['rmse']:.3f}"
-    return figures
+def _drone_sentences(drone: Drone) -> list[str]:
+    if isinstance(drone, PublishedComparison):
+        nearer, count = wins(drone.statistics)
+        return [
+            "Against the published statistics of the 2006 plot's real image: nearer than the "
+            f"paper's DIRSIG in {nearer} of {count} numbers that are sound."
+        ]
+    bands = ", ".join(
+        f"{words(r['band'])} {r['difference_percent']:+.1f} %"
+        for r in drone.bands.to_dict("records")
+    )
+    table = drone.indices
+    worst = table.loc[table["difference_percent"].abs().idxmax()]
+    return [
+        f"Drone, simulated against real means: {bands} (the paper's DIRSIG: 12 to 24 %).",
+        f"Twenty indices: median histogram intersection "
+        f"{table['histogram_intersection'].median():.2f}, median KS {table['ks'].median():.2f}, "
+        f"largest difference of a mean {worst['index']} {worst['difference_percent']:+.0f} %.",
+    ]
+
+
+def _drone_figures(drone: Drone) -> dict[str, str]:
+    if isinstance(drone, PublishedComparison):
+        nearer, count = wins(drone.statistics)
+        return {"numbers nearer to the real image than the paper's DIRSIG": f"{nearer} of {count}"}
+    largest = drone.bands["difference_percent"].abs().max()
+    overlap = drone.indices["histogram_intersection"].median()
+    return {
+        "largest difference of a band mean": f"{largest:.1f} %",
+        "median histogram intersection, 20 indices": f"{overlap:.2f}",
+    }
+
+
+def _write_spectra(run: Run, spectra: SpectralComparison) -> None:
+    for name, table, what in (
+        ("spectra.csv", spectra.spectra, "both mean spectra on common bands"),
+        ("spectral_agreement.csv", spectra.regions, "agreement by region (table 5)"),
+        ("spectral_misfit.csv", spectra.misfit, "offset, gain and shape of the misfit"),
+        ("spectral_indices.csv", spectra.indices, "indices of the spectra, with formulas"),
+    ):
+        run.table(name, table, what, "%.9g")
+
+
+def _spectra_summary(spectra: SpectralComparison) -> SpectraSummary:
+    return SpectraSummary(
+        matching=spectra.match.method,
+        regions=spectra.regions,
+        misfit=spectra.misfit,
+        indices=spectra.indices,
+        notes=spectra.notes,
+    )
+
+
+def _defined(value: float, form: str, unit: str = "") -> str:
+    """A number with its unit, or that it is undefined."""
+    return f"{value:{form}}{unit}" if np.isfinite(value) else "undefined"
+
+
+def _spectral_sentences(spectra: SpectralComparison) -> list[str]:
+    reading = dict(zip(spectra.misfit["region"], spectra.misfit["reading"], strict=True))
+    return [
+        f"Spectra, {row['region']}: angle {_defined(row['spectral_angle_deg'], '.1f', '°')}, RMSE "
+        f"{row['rmse']:.4f}, r {_defined(row['correlation'], '.3f')}, mean "
+        f"{row['real_mean']:.3f} real and {row['simulated_mean']:.3f} simulated; "
+        f"{reading[row['region']]}."
+        for row in spectra.regions.to_dict("records")
+    ]
+
+
+def _spectral_figures(spectra: SpectralComparison) -> dict[str, str]:
+    if spectra.regions.empty:
+        return {}
+    row = spectra.regions.iloc[0]
+    return {
+        f"spectral angle, {row['region']}": _defined(row["spectral_angle_deg"], ".1f", "°"),
+        f"RMSE, {row['region']}": f"{row['rmse']:.3f}",
+    }
+
+
+def _write_structure(
+    run: Run, structure: StructureComparison, record: dict[str, str | int]
+) -> None:
+    table, settings = structure.table(), structure.settings_table()
+    run.table("structure.csv", table, "structure metrics with their intervals", "%.9g")
+    run.table("structure_settings.csv", settings, "every setting they depend on", None)
+    curves = structure.curves()
+    for name, rows, what in (
+        (
+            "grains",
+            grain_table(structure.grains, structure.grain, structure.plot),
+            "grains that were tried, with their cells, area and bounds",
+        ),
+        ("profile", curves["profile"], "leaf area density by layer of both clouds [m2 m-3]"),
+        ("percentiles", curves["percentiles"], "percentiles of height of both clouds [m]"),
+        ("histogram", curves["histogram"], "share of returns by height of both clouds"),
+    ):
+        run.table(f"structure_{name}.csv", rows, what, "%.9g")
+    path = run.path("structure.nc", "every number of both clouds, with maps by cell, NetCDF")
+    write_run(path, _named(structure.dataset()), record)
+
+
+def _named(dataset: xr.Dataset) -> xr.Dataset:
+    """With a name and a unit for every variable, as the run files of fynjax have them."""
+    for name, variable in dataset.variables.items():
+        variable.attrs.setdefault("long_name", str(name).replace("_", " "))
+        if variable.dtype.kind in "fiu":
+            variable.attrs.setdefault("units", "1")
+    return dataset
+
+
+def _structure_sentence(structure: StructureComparison) -> str:
+    changes = [
+        f"{metric.name.replace('_', ' ')} {metric.difference_percent:+.0f} %"
+        for metric in structure.metrics
+        if metric.difference_percent is not None and np.isfinite(metric.difference_percent)
+    ]
+    return (
+        f"Structure at {structure.grain:g} m, simulated against real: "
+        f"{', '.join(changes) or 'no metric is defined in both'}; heights overlap by "
+        f"{structure.height_intersection.value:.2f}, their percentiles differ by "
+        f"{structure.percentile_rmse.value:.3f} m RMSE."
+    )
+
+
+def _structure_summary(structure: StructureComparison) -> StructureSummary:
+    shown = (
+        *("file", "returns", "density", "ground", "ground_share", "below_ground"),
+        *("below_ground_share", "too_high", "highest", "nearly_highest"),
+    )
+    sides = {"real": structure.real, "simulated": structure.simulated}
+    return StructureSummary(
+        settings=structure.settings.as_dict(),
+        options=structure.options,
+        grain_m=structure.grain,
+        bounds_m=structure.bounds,
+        plot_bounds_m=structure.plot,
+        grains=[asdict(grain) for grain in structure.grains],
+        matched_returns=structure.matched_returns,
+        thinned=structure.thinned,
+        clouds={n: {key: getattr(side, key) for key in shown} for n, side in sides.items()},
+        metrics=structure.table(),
+        notes=structure.notes,
+    )

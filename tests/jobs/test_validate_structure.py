@@ -1,6 +1,5 @@
 """What a comparison of clouds says and writes: noise, birds, cells, files."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -96,7 +95,6 @@ FEW = {"real_ground": "none", "simulated_ground": "none", "repetitions": 3, "bou
 def notes(folder: Path, real: str = "real", preset: str | None = None, **options: object) -> str:
     settings = cloud_settings(preset, {**FEW, **options})
     found = compare_clouds(folder / f"{real}.las", folder / "simulated.las", settings=settings)
-    json.dumps(found.as_dict(), allow_nan=False)
     return " ".join(found.notes)
 
 

@@ -1,6 +1,6 @@
 """What a comparison of two clouds found, as numbers, tables and data sets."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -171,44 +171,6 @@ class StructureComparison:
         everything |= {"cell_bounds": list(self.bounds), "plot_bounds": list(self.plot)}
         everything["thinned"] = self.thinned
         return pd.DataFrame({"setting": list(everything), "value": list(everything.values())})
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and words, for JSON: what is undefined is `None`."""
-        return {
-            "settings": self.settings.as_dict(),
-            "options": self.options,
-            "seed": self.seed,
-            "grain_m": self.grain,
-            "bounds_m": list(self.bounds),
-            "plot_bounds_m": list(self.plot),
-            "cells": int(next(iter(self.real.cells.values())).size),
-            "grains": [asdict(one) for one in self.grains],
-            "matched_returns": self.matched_returns,
-            "thinned": self.thinned,
-            "clouds": {
-                name: {
-                    key: getattr(side, key)
-                    for key in (
-                        *("file", "returns", "density", "ground", "ground_share"),
-                        *(
-                            "below_ground",
-                            "below_ground_share",
-                            "too_high",
-                            "highest",
-                            "nearly_highest",
-                        ),
-                    )
-                }
-                for name, side in self._sides()
-            },
-            "metrics": [
-                {**asdict(one), "difference_percent": one.difference_percent}
-                for one in self.metrics
-            ],
-            "height_percentile_rmse_m": asdict(self.percentile_rmse),
-            "height_intersection": asdict(self.height_intersection),
-            "notes": list(self.notes),
-        }
 
     def dataset(self) -> xr.Dataset:
         """Maps, means with intervals, profiles, percentiles and histograms, with all settings."""

@@ -30,7 +30,7 @@ from fynjax.report.figures._scene_oblique import oblique_view
 from fynjax.report.figures._scene_view import check_view, mesh_image
 from fynjax.report.figures._structure import structure_figure, structure_maps
 from fynjax.report.figures._style import FIGURE_DPI, REAL, save_figure, style, words
-from fynjax.report.figures._terrain import write_picture
+from fynjax.report.figures._terrain import terrain_figure
 from fynjax.report.figures._validation import band_box_plot, index_pair_histograms
 from fynjax.report.figures._validation_spectra import (
     mean_spectra_plot,
@@ -86,7 +86,7 @@ __all__ = [
     "structure_figure",
     "structure_maps",
     "style",
+    "terrain_figure",
     "tornado_plot",
     "words",
-    "write_picture",
 ]

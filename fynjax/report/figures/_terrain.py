@@ -1,13 +1,13 @@
 """The terrain as a picture: what is wrong with a surface shows at once under a low sun."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
+from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
-from fynjax.io.text import atomic_path
 from fynjax.terrain import Terrain
 
 
@@ -27,13 +27,8 @@ def hillshade(
     return np.maximum(cosine, 0.0)
 
 
-def write_picture(
-    path: str | Path, terrain: Terrain, canopy: NDArray[np.float64] | None = None
-) -> None:
-    """Write heights over a shaded relief as PNG, and beside it the height of the canopy."""
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import ScalarFormatter
-
+def terrain_figure(terrain: Terrain, canopy: NDArray[np.float64] | None = None) -> Figure:
+    """Heights over a shaded relief, and beside it the height of the canopy."""
     west, south, east, north = terrain.bounds
     extent = (0.0, east - west, 0.0, north - south)
     figure = Figure(figsize=(5.4 if canopy is None else 10.4, 4.6), layout="constrained")
@@ -55,5 +50,4 @@ def write_picture(
     for panel in axes:
         panel.set_xlabel("East [m]")
         panel.set_ylabel("North [m]")
-    with atomic_path(path) as partial:
-        figure.savefig(partial, dpi=160, facecolor="white")
+    return figure

@@ -1,16 +1,18 @@
-"""One HTML page that needs nothing else: pictures inside, no scripts, no network."""
+"""One HTML page, made from sections: pictures inside, no scripts, no network."""
 
 import base64
 import html
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
 from fynjax.io.text import write_text
-from fynjax.report.figures import FIGURE_DPI
+from fynjax.report.figures import FIGURE_DPI, save_figure
 
 _CSS = """
 :root { color-scheme: light; }
@@ -75,116 +77,151 @@ def _cell(value: Any, digits: int) -> str:
     return html.escape(str(value))
 
 
+@dataclass(frozen=True)
+class Picture:
+    """A figure with the file that it becomes."""
+
+    file: str
+    """Name of the file in the folder of results (PNG)."""
+    figure: Figure
+    what: str
+    """What the file is, for the list of files."""
+    caption: str = ""
+    """Below the figure on the page; `what` as a sentence if left out."""
+
+    def write(self, folder: Path) -> None:
+        """Write the file into `folder`, whole or not at all."""
+        save_figure(self.figure, folder / self.file)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a page."""
+
+    rows: pd.DataFrame
+    caption: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """By column, shown below its header."""
+    headers: Mapping[str, str] = field(default_factory=dict)
+    """By column; one without a header shows its name with spaces for underscores."""
+    digits: int = 4
+    """Significant digits of numbers."""
+    folded: bool = False
+    """Whether the table is hidden behind its caption."""
+
+
+Part = str | Picture | Table
+"""A paragraph, a figure or a table."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """Part of a page under one heading; without a title it has none."""
+
+    title: str
+    parts: Sequence[Part]
+
+
+@dataclass(frozen=True)
 class Page:
-    """A report that grows from top to bottom and is written at the end.
+    """What a page shows, from top to bottom. Every text is escaped: none can become markup."""
 
-    Every text is escaped; nothing a user names can become markup.
-    """
+    title: str
+    lead: str
+    sections: Sequence[Section]
+    key_figures: Mapping[str, str] = field(default_factory=dict)
+    """The numbers that matter most, shown large: value by what it is."""
+    record: Mapping[str, Any] = field(default_factory=dict)
+    """How the page came to be, as `fynjax.io.raster.provenance` has it."""
 
-    def __init__(self, title: str, lead: str = "") -> None:
-        self._title = html.escape(title)
-        self._parts = [f"<h1>{self._title}</h1>"]
-        if lead:
-            self._parts.append(f'<p class="lead">{html.escape(lead)}</p>')
 
-    def section(self, title: str) -> "Page":
-        """A heading."""
-        self._parts.append(f"<h2>{html.escape(title)}</h2>")
-        return self
-
-    def paragraph(self, text: str) -> "Page":
-        """A paragraph."""
-        self._parts.append(f"<p>{html.escape(text)}</p>")
-        return self
-
-    def key_figures(self, figures: Mapping[str, str]) -> "Page":
-        """The numbers that matter most, large: value by what it is."""
+def write_page(page: Page, folder: Path, file: str = "report.html") -> dict[str, str]:
+    """Write a page and its pictures into `folder`; returns file names with what they hold."""
+    files = {file: "all of it on one page"}
+    title = html.escape(page.title)
+    body = [f"<h1>{title}</h1>"]
+    if page.lead:
+        body.append(f'<p class="lead">{html.escape(page.lead)}</p>')
+    if page.key_figures:
         cells = "".join(
             f'<div class="key"><b>{html.escape(value)}</b><span>{html.escape(what)}</span></div>'
-            for what, value in figures.items()
+            for what, value in page.key_figures.items()
         )
-        self._parts.append(f'<div class="keys">{cells}</div>')
-        return self
+        body.append(f'<div class="keys">{cells}</div>')
+    for section in page.sections:
+        if section.title:
+            body.append(f"<h2>{html.escape(section.title)}</h2>")
+        for part in section.parts:
+            if isinstance(part, Picture):
+                part.write(folder)
+                files[part.file] = part.what
+                body.append(_picture(part, folder))
+            else:
+                body.append(_table(part) if isinstance(part, Table) else _paragraph(part))
+    body.append(_footer(page.record))
+    text = (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{title}</title><style>{_CSS}</style></head>\n<body><main>\n"
+        + "\n".join(body)
+        + "\n</main></body></html>\n"
+    )
+    write_text(folder / file, text)
+    return files
 
-    def figure(self, path: str | Path, caption: str) -> "Page":
-        """A figure that `save_figure` wrote as PNG, with its caption."""
-        png = Path(path).read_bytes()
-        inches = int.from_bytes(png[16:20], "big") / FIGURE_DPI  # the width in a PNG's header
-        text = html.escape(caption, quote=True)
-        data = base64.b64encode(png).decode("ascii")
-        self._parts.append(
-            f'<figure><img style="width: {inches * 105:.0f}px" alt="{text}" '
-            f'src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>'
-        )
-        return self
 
-    def table(
-        self,
-        table: pd.DataFrame,
-        *,
-        caption: str = "",
-        units: Mapping[str, str] | None = None,
-        headers: Mapping[str, str] | None = None,
-        digits: int = 4,
-        folded: bool = False,
-    ) -> "Page":
-        """A table, numbers to `digits` significant digits.
+def _paragraph(text: str) -> str:
+    return f"<p>{html.escape(text)}</p>"
 
-        **Arguments:** `units` and `headers` by column name; a column without a header shows its
-        name with spaces for underscores. `folded` hides a long table behind its caption.
-        """
-        units, headers = units or {}, headers or {}
-        text = {c for c in table.columns if not pd.api.types.is_numeric_dtype(table[c])}
-        head = "".join(
-            f"<th{_class(c in text)}>{html.escape(headers.get(c, str(c).replace('_', ' ')))}"
-            + (f"<small>[{html.escape(units[c])}]</small>" if c in units else "")
-            + "</th>"
-            for c in table.columns
-        )
-        columns: Sequence[Any] = list(table.columns)
-        body = "".join(
-            "<tr>"
-            + "".join(
-                f"<td{_class(c in text)}>{_cell(value, digits)}</td>"
-                for c, value in zip(columns, row, strict=True)
-            )
-            + "</tr>"
-            for row in table.itertuples(index=False, name=None)
-        )
-        grid = (
-            f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
-            f"<tbody>{body}</tbody></table></div>"
-        )
-        label = html.escape(caption)
-        if folded:
-            grid = f"<details><summary>{label or 'Table'}</summary>{grid}</details>"
-        elif caption:
-            grid = f'<p class="caption">{label}</p>{grid}'
-        self._parts.append(grid)
-        return self
 
-    def footer(self, entries: Mapping[str, Any]) -> "Page":
-        """How the page came to be, such as the record of `fynjax.io.provenance`."""
-        rows = "".join(
-            f"<dt>{html.escape(str(k).replace('_', ' '))}</dt><dd>{html.escape(str(v))}</dd>"
-            for k, v in entries.items()
-        )
-        self._parts.append(f"<footer><dl>{rows}</dl></footer>")
-        return self
+def _picture(picture: Picture, folder: Path) -> str:
+    png = (folder / picture.file).read_bytes()
+    inches = int.from_bytes(png[16:20], "big") / FIGURE_DPI  # the width in a PNG's header
+    caption = picture.caption or f"{picture.what[0].upper()}{picture.what[1:]}."
+    text = html.escape(caption, quote=True)
+    data = base64.b64encode(png).decode("ascii")
+    return (
+        f'<figure><img style="width: {inches * 105:.0f}px" alt="{text}" '
+        f'src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>'
+    )
 
-    def html(self) -> str:
-        """The page as text."""
-        return (
-            '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">'
-            f"<title>{self._title}</title><style>{_CSS}</style></head>\n<body><main>\n"
-            + "\n".join(self._parts)
-            + "\n</main></body></html>\n"
-        )
 
-    def write(self, path: str | Path) -> None:
-        """Write the page, whole or not at all."""
-        write_text(path, self.html())
+def _table(table: Table) -> str:
+    rows = table.rows
+    text = {c for c in rows.columns if not pd.api.types.is_numeric_dtype(rows[c])}
+    head = "".join(
+        f"<th{_class(c in text)}>"
+        + html.escape(table.headers.get(c, str(c).replace("_", " ")))
+        + (f"<small>[{html.escape(table.units[c])}]</small>" if c in table.units else "")
+        + "</th>"
+        for c in rows.columns
+    )
+    columns: Sequence[Any] = list(rows.columns)
+    body = "".join(
+        "<tr>"
+        + "".join(
+            f"<td{_class(c in text)}>{_cell(value, table.digits)}</td>"
+            for c, value in zip(columns, row, strict=True)
+        )
+        + "</tr>"
+        for row in rows.itertuples(index=False, name=None)
+    )
+    grid = (
+        f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )
+    caption = html.escape(table.caption)
+    if table.folded:
+        return f"<details><summary>{caption or 'Table'}</summary>{grid}</details>"
+    return f'<p class="caption">{caption}</p>{grid}' if caption else grid
+
+
+def _footer(record: Mapping[str, Any]) -> str:
+    rows = "".join(
+        f"<dt>{html.escape(str(k).replace('_', ' '))}</dt><dd>{html.escape(str(v))}</dd>"
+        for k, v in record.items()
+    )
+    return f"<footer><dl>{rows}</dl></footer>"
 
 
 def _class(is_text: bool) -> str:

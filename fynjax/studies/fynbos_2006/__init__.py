@@ -1,15 +1,5 @@
-"""The 2006 burn plot of the article: its recovery after fire."""
+"""The 2006 burn plot of the article: its files, its calibration, its recovery after fire."""
 
-from fynjax.studies.fynbos_2006._recovery import (
-    SURVEY_YEAR,
-    GroundAfterFire,
-    ground_after_fire,
-    table_after_fire,
-)
+import lazy_loader
 
-__all__ = [
-    "SURVEY_YEAR",
-    "GroundAfterFire",
-    "ground_after_fire",
-    "table_after_fire",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,98 @@
+"""A job at work: its folder and what was written there, its stages and their times."""
+
+import resource
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pandas as pd
+
+from fynjax._core.progress import NullProgress, Progress
+from fynjax.io.raster import provenance
+from fynjax.io.text import write_text
+from fynjax.jobs._result import JobResult
+from fynjax.report.pages import Page, Picture, Table, write_page
+
+Result = TypeVar("Result", bound=JobResult)
+
+
+def peak_memory_mib() -> float:
+    """Largest resident memory of the process so far [MiB]."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)
+
+
+class Run:
+    """Where a job writes, what it has written, and how long its stages took."""
+
+    def __init__(self, folder: str | Path, *, seed: int = 0, progress: Progress | None = None):
+        self.folder = Path(folder)
+        self.seed = seed
+        self.progress = NullProgress() if progress is None else progress
+        self.files: dict[str, str] = {}
+        """What each file is, by its name."""
+        self.seconds: dict[str, float] = {}
+        """Wall time by stage [s]."""
+        self._began = time.perf_counter()
+
+    @contextmanager
+    def stage(self, name: str, timed_as: str = "", total: int | None = None) -> Iterator[None]:
+        """A stage of `total` steps; its time is kept as `timed_as`, if that is given."""
+        with self.progress.stage(name, total), self.timed(timed_as):
+            yield
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """Keep the wall time of the block as `name`, unless that is empty."""
+        began = time.perf_counter()
+        yield
+        if name:
+            self.seconds[name] = time.perf_counter() - began
+
+    def total(self) -> float:
+        """Wall time since the job began [s]; kept as 'total'."""
+        self.seconds["total"] = time.perf_counter() - self._began
+        return self.seconds["total"]
+
+    def record(self, inputs: Sequence[str | Path | None]) -> dict[str, str | int]:
+        """Versions, seed and the hashes of the input files, for products and the page."""
+        known = dict.fromkeys(Path(path) for path in inputs if path is not None)
+        return provenance(seed=self.seed, inputs=known)
+
+    def path(self, name: str, what: str) -> Path:
+        """Where to write the file `name`, which is listed as `what`."""
+        self.files[name] = what
+        return self.folder / name
+
+    def table(self, name: str, table: pd.DataFrame, what: str, form: str | None = "%.6g") -> None:
+        """Write a table as CSV, its numbers in the format `form`."""
+        write_text(self.path(name, what), table.to_csv(index=False, float_format=form))
+
+    def picture(self, picture: Picture) -> None:
+        """Write a picture that stands on no page."""
+        picture.write(self.folder)
+        self.files[picture.file] = picture.what
+
+    def page(self, page: Page) -> None:
+        """Write the page with its figures."""
+        self.files |= write_page(page, self.folder)
+
+    def times(self, caption: str = "Wall time.", *, folded: bool = False) -> Table:
+        """The stages' times, for the page."""
+        rows = pd.DataFrame({"what": list(self.seconds), "seconds": list(self.seconds.values())})
+        return Table(rows, caption, folded=folded)
+
+    def result(self, kind: type[Result], **fields: Any) -> Result:
+        """The job's result: `fields`, and what the run knows itself."""
+        self.total()
+        return kind(
+            output=str(self.folder),
+            seed=self.seed,
+            files=self.files,
+            timings_s=self.seconds,
+            peak_memory_mib=peak_memory_mib(),
+            **fields,
+        )

@@ -1,0 +1,9 @@
+from ._demo import DEMO_TARGETS as DEMO_TARGETS
+from ._demo import demo as demo
+from ._demo import paper_simulation as paper_simulation
+from ._init import InitResult as InitResult
+from ._init import init as init
+from ._recovery import SURVEY_YEAR as SURVEY_YEAR
+from ._recovery import GroundAfterFire as GroundAfterFire
+from ._recovery import ground_after_fire as ground_after_fire
+from ._recovery import table_after_fire as table_after_fire
