@@ -17,8 +17,13 @@ def calibrate_plots(
     traits: TraitLibrary = None,
     size: Size = 5.0,
     voxel: Voxel = 0.25,
-    plantings: Annotated[
-        int, typer.Option(min=3, max=50, help="Plantings of each plot that chance is judged by.")
+    realisations: Annotated[
+        int,
+        typer.Option(
+            min=3,
+            max=50,
+            help="Stand realisations used to estimate sampling variance.",
+        ),
     ] = 3,
     checkpoint: Checkpoint = None,
     seed: Seed = 0,
@@ -48,7 +53,7 @@ def calibrate_plots(
             plots=plot or None,
             traits=traits,
             resolution=Resolution(size, voxel),
-            plantings=plantings,
+            realisations=realisations,
             seed=seed,
             checkpoint=own,
             progress=progress,

@@ -31,8 +31,8 @@ def information(
         typer.Option(metavar="DEG,...", help="Zenith angles of the sun; the plot's if left out."),
     ] = None,
     free: Free = None,
-    replants: Annotated[
-        int, typer.Option(min=2, help="Other plantings on which chance is measured.")
+    realisations: Annotated[
+        int, typer.Option(min=2, help="Stand realisations used to estimate sampling variance.")
     ] = 4,
     output: Output = Path("output/information"),
     seed: OwnSeed = None,
@@ -67,7 +67,7 @@ def information(
             spectrum=(limits[0], limits[1]),
             noise=levels,
             sun_zenith=suns,
-            replants=replants,
+            realisations=realisations,
             seed=seed,
             progress=progress,
         ),

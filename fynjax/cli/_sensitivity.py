@@ -19,7 +19,9 @@ def sensitivity(
     derivatives: Annotated[
         int,
         typer.Option(
-            min=0, metavar="N", help="Renders with slopes over the priors, a power of two; 0: none."
+            min=0,
+            metavar="N",
+            help="Samples for derivative-based global sensitivity (DGSM), a power of two; 0: none.",
         ),
     ] = 0,
     sobol: Annotated[

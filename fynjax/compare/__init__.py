@@ -1,6 +1,6 @@
 """Real beside simulated, as numbers: drone images, spectra, many plots, published tables."""
 
-from fynjax.compare._dataset import records, unit_of, validation_dataset
+from fynjax.compare._dataset import unit_of, validation_dataset
 from fynjax.compare._drone import DroneComparison, compare_drone_images
 from fynjax.compare._images import DroneImage, read_drone_image
 from fynjax.compare._lidar_heights import LEVELS, Heights, compare_heights, lowest_ground
@@ -75,7 +75,6 @@ __all__ = [
     "misfit_table",
     "read_drone_image",
     "read_spectra_sample",
-    "records",
     "table4_2006",
     "table5_2006",
     "unit_of",

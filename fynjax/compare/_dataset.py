@@ -1,4 +1,4 @@
-"""Every number of a validation, for programs: NetCDF and plain records."""
+"""Every number of a validation as a data set."""
 
 from typing import Any
 
@@ -64,8 +64,3 @@ def validation_dataset(
         add(spectra.misfit.drop(columns="rmse"), "region", "region", "misfit", "spectral region")
         add(spectra.indices, "index", "spectrometer_index", "spectrometer", "index of the spectra")
     return xr.Dataset(variables, coords=coords)
-
-
-def records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """A table as rows for JSON."""
-    return [{str(k): v for k, v in row.items()} for row in table.to_dict("records")]

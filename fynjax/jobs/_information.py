@@ -38,7 +38,7 @@ def information(
     noise: Sequence[float] = (0.01,),
     sun_zenith: Sequence[float] | None = None,
     error: float = 0.01,
-    replants: int = 4,
+    realisations: int = 4,
     seed: int | None = None,
     progress: Progress | None = None,
 ) -> InformationResult:
@@ -61,7 +61,7 @@ def information(
         noise=noise,
         sun_zenith=sun_zenith,
         error=error,
-        replants=replants,
+        replants=realisations,
         seed=run.seed,
         progress=run.progress,
     )

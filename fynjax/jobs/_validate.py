@@ -1,7 +1,7 @@
 """What `fynjax validate` does: real against simulated data of any of three sensors."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -127,7 +127,7 @@ class StructureSummary(Record):
     grain_m: float
     bounds_m: tuple[float, float, float, float]
     plot_bounds_m: tuple[float, float, float, float]
-    grains: Rows = Field(description="Grains that were tried.")
+    grains: Rows = Field(description="Rows of structure_grains.csv.")
     matched_returns: int
     thinned: str
     clouds: dict[str, dict[str, str | float | None]] = Field(description="Each of the two clouds.")
@@ -392,7 +392,7 @@ def _structure_summary(structure: StructureComparison) -> StructureSummary:
         grain_m=structure.grain,
         bounds_m=structure.bounds,
         plot_bounds_m=structure.plot,
-        grains=[asdict(grain) for grain in structure.grains],
+        grains=grain_table(structure.grains, structure.grain, structure.plot),
         matched_returns=structure.matched_returns,
         thinned=structure.thinned,
         clouds={n: {key: getattr(side, key) for key in shown} for n, side in sides.items()},

@@ -37,7 +37,7 @@ class Watch:
 
 def imports() -> None:
     import fynjax.io
-    import fynjax.jobs._calibrate
+    import fynjax.jobs._build
     import fynjax.scene  # noqa: F401
 
 
@@ -50,7 +50,7 @@ def build(side: float) -> dict[str, Any]:
     from fynjax.assembly import build_plot
     from fynjax.cli._runtime import prepare_jax
     from fynjax.io.plot import example_folder, read_plot
-    from fynjax.jobs._calibrate import peak_memory_mib
+    from fynjax.jobs import peak_memory_mib
     from fynjax.scene import hard_instances, hard_model
 
     prepare_jax()

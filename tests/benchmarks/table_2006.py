@@ -25,8 +25,7 @@ from fynjax.compare._published import compare_with_published, wins
 from fynjax.compare.structure import structure_2006
 from fynjax.io.plot import example_folder
 from fynjax.io.raster import read_cube
-from fynjax.jobs import simulate
-from fynjax.jobs._calibrate import demo, render
+from fynjax.jobs import render, simulate
 from fynjax.metrics import (
     STRUCTURE_PRESETS,
     StructureSettings,
@@ -36,6 +35,7 @@ from fynjax.metrics import (
     spectral_mask,
     thinnings,
 )
+from fynjax.studies.fynbos_2006 import demo
 
 SEED = 0
 SWIR2_MEAN = {"real": 0.063, "dirsig": 0.008}  # the paper's section on the spectrometer

@@ -21,6 +21,14 @@ from fynjax._core.errors import InputError, MissingExtraError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.cli import app, main
 from fynjax.io.plot import as_plot, read_plot
+from fynjax.studies import fynbos_2006
+
+
+class Fake(jobs.JobResult):
+    """The result of a job that computes nothing."""
+
+    array: list[jobs.Number]
+
 
 COMMANDS = ["demo", "render", "calibrate", "fit-leaf", "init"]
 
@@ -46,16 +54,20 @@ def calls(monkeypatch):
             assert isinstance(progress, Progress)
             output = next(p for p in reversed(positional) if hasattr(p, "is_dir") and p.is_dir())
             (output / "image.tif").write_text(name)
-            return {
-                "headline": [f"{name} is done."],
-                "files": {"image.tif": "the image"},
-                "array": np.array([1.0, np.nan]),
-            }
+            return Fake(
+                output=str(output),
+                command=name,
+                seed=keywords.get("seed") or 0,
+                headline=[f"{name} is done."],
+                files={"image.tif": "the image"},
+                array=[1.0, np.nan],
+            )
 
         return run
 
-    for name in ("demo", "render", "calibrate", "fit_leaf"):
+    for name in ("render", "calibrate", "fit_leaf"):
         monkeypatch.setattr(jobs, name, job(name), raising=False)
+    monkeypatch.setattr(fynbos_2006, "demo", job("demo"), raising=False)
     monkeypatch.setattr("fynjax.cli._runtime.prepare_jax", lambda: None)
     return made
 
@@ -93,7 +105,7 @@ def test_version(capsys):
     assert call(capsys, "--version") == (0, f"fynjax {fynjax.__version__}\n", "")
 
 
-def test_demo_writes_moves_and_tells(capsys, calls, tmp_path):
+def test_demo_writes_moves_and_prints(capsys, calls, tmp_path):
     output = tmp_path / "a" / "b"
     status, out, err = call(capsys, "demo", "--output", output, "--seed", 5)
     assert (status, err) == (0, "")
@@ -138,7 +150,7 @@ def test_a_plot_is_read_once_and_its_seed_taken_unless_given(
         raise InputError("far enough")
 
     monkeypatch.setattr("fynjax.io.plot._plot_file.read_plot", count)
-    for module in ("jobs._calibrate", "jobs._build", "assembly._sensing", "assembly._forward"):
+    for module in ("jobs._render", "jobs._build", "assembly._sensing", "assembly._forward"):
         monkeypatch.setattr(f"fynjax.{module}.build_plot", build)
     for seed in ([], ["--seed", 3]):
         done = call(capsys, command, plot, "--output", tmp_path / "o", *seed)
@@ -220,7 +232,7 @@ def test_a_failing_job_leaves_nothing(capsys, calls, monkeypatch, tmp_path, erro
         warnings.warn("lost with the run", stacklevel=1)
         raise error
 
-    monkeypatch.setattr(jobs, "demo", demo)
+    monkeypatch.setattr(fynbos_2006, "demo", demo)
     monkeypatch.delenv("FYNJAX_DEBUG", raising=False)
     done = call(capsys, "demo", "--output", tmp_path / "o")
     assert done[0] == status
@@ -232,7 +244,7 @@ def test_debug_shows_the_traceback(calls, monkeypatch, tmp_path):
     def demo(output, *, seed, progress):
         raise InputError("bad")
 
-    monkeypatch.setattr(jobs, "demo", demo)
+    monkeypatch.setattr(fynbos_2006, "demo", demo)
     monkeypatch.setenv("FYNJAX_DEBUG", "1")
     with pytest.raises(InputError):
         main(["demo", "--output", str(tmp_path / "o")])
@@ -243,21 +255,21 @@ def test_ctrl_c_is_130_and_leaves_nothing(capsys, calls, monkeypatch, tmp_path):
         (output / "half.tif").write_text("half")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(jobs, "demo", demo)
+    monkeypatch.setattr(fynbos_2006, "demo", demo)
     status, out, err = call(capsys, "demo", "--output", tmp_path / "o")
     assert (status, out) == (130, "")
     assert err == "fynjax: interrupted; nothing was written\n"
     assert list(tmp_path.iterdir()) == []
 
 
-def test_warnings_of_a_run_are_told_once_and_kept(capsys, calls, monkeypatch, tmp_path):
+def test_warnings_of_a_run_are_printed_once_and_kept(capsys, calls, monkeypatch, tmp_path):
     def demo(output, *, seed, progress):
         for _ in range(2):
             warnings.warn("3 of 600 pixels are masked", stacklevel=1)
         warnings.warn("not for users", DeprecationWarning, stacklevel=1)
-        return {}
+        return jobs.JobResult(output=str(output), command="demo", seed=seed)
 
-    monkeypatch.setattr(jobs, "demo", demo)
+    monkeypatch.setattr(fynbos_2006, "demo", demo)
     status, out, err = call(capsys, "demo", "--output", tmp_path / "o", "--json")
     assert status == 0
     assert err == "fynjax: warning: 3 of 600 pixels are masked\n"

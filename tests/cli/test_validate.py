@@ -15,6 +15,7 @@ from fynjax._core.errors import InputError
 from fynjax.cli._runtime import run_job
 from fynjax.cli._validate import validate
 from fynjax.io.text._atomic import remove_replaced
+from fynjax.jobs import JobResult
 from tests.compare.test_spectra import WAVE, cube, write_csv
 from tests.compare.test_structure import plot, write_las
 
@@ -103,16 +104,18 @@ def test_every_option_of_clouds_reaches_the_comparison(tmp_path: Path) -> None:
     assert told["simulated_shift"] == [-0.1, 0.0, 0.2]
 
 
-def job(*names: str, status: int | None = None):  # type: ignore[no-untyped-def]
+def job(command: str, *names: str, status: int | None = None):  # type: ignore[no-untyped-def]
     """A job that writes these files, and ends with a status."""
 
-    def write(folder: Path, _progress: object) -> dict:
+    def write(folder: Path, _progress: object) -> JobResult:
         for name in names:
             (folder / name).parent.mkdir(exist_ok=True)
             (folder / name).write_text("new")
         if status is not None:
             raise SystemExit(status)
-        return {"files": dict.fromkeys(names, "a file")}
+        return JobResult(
+            output=str(folder), command=command, seed=0, files=dict.fromkeys(names, "a file")
+        )
 
     return write
 
@@ -120,7 +123,7 @@ def job(*names: str, status: int | None = None):  # type: ignore[no-untyped-def]
 def run_one(name: str, out: Path, *files: str, status: int | None = None) -> list[str]:
     """The files in the folder after a run."""
     try:
-        run_job(name, job(*files, status=status), out, seed=0, as_json=False, quiet=True)
+        run_job(name, job(name, *files, status=status), out, as_json=False, quiet=True)
     except SystemExit:
         assert status is not None
     return sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file())
@@ -164,13 +167,13 @@ def test_kill_leaves_nothing_beside_the_output(tmp_path: Path) -> None:
     """Even if a library swallows the exit, as JAX's callbacks do."""
     before = signal.getsignal(signal.SIGTERM)
 
-    def killed(_folder: Path, _progress: object) -> dict:
+    def killed(folder: Path, _progress: object) -> JobResult:
         with contextlib.suppress(SystemExit):
             os.kill(os.getpid(), signal.SIGTERM)
-        return {"files": {}}
+        return JobResult(output=str(folder), command="validate", seed=0)
 
     with pytest.raises(SystemExit) as end:
-        run_job("validate", killed, tmp_path / "out", seed=0, as_json=False, quiet=True)
+        run_job("validate", killed, tmp_path / "out", as_json=False, quiet=True)
     assert end.value.code == 143
     assert list(tmp_path.iterdir()) == []
     assert signal.getsignal(signal.SIGTERM) is before

@@ -200,8 +200,8 @@ def test_one_bad_spectrum_does_not_stop_its_file(tmp_path):
     with pytest.raises(InputError, match="only NaN"):
         read_spectra(tmp_path / "wide.csv")
     summary = fit_leaf([tmp_path / "wide.csv"], tmp_path / "out")
-    assert (summary["spectra"], summary["converged"]) == (2, 2)
-    assert [r["name"] for r in summary["refused"]] == ["void", "percent"]
+    assert (summary.spectra, summary.converged_spectra) == (2, 2)
+    assert [r.name for r in summary.refused] == ["void", "percent"]
     traits = pd.read_csv(tmp_path / "out" / "traits.csv").set_index("name")
     assert "only NaN" in traits.loc["void", "status"]
     assert "wide.csv" in traits.loc["percent", "status"]
@@ -233,7 +233,7 @@ def test_run_writes_traits_and_spectra_and_keeps_going_past_a_bad_file(tmp_path)
     good = table(tmp_path / "good.csv", {"wavelength": WAVELENGTH, "a_R": R, "a_T": T, "b": R})
     bad = table(tmp_path / "bad.csv", {"wavelength": WAVELENGTH, "r": 100 * R})
     summary = fit_leaf([good, bad], tmp_path / "out")
-    assert (summary["spectra"], len(summary["refused"])) == (2, 1)
+    assert (summary.spectra, len(summary.refused)) == (2, 1)
     traits = pd.read_csv(tmp_path / "out" / "traits.csv")
     assert traits["name"].tolist()[:2] == ["a", "b"]
     assert "percent" in traits["status"][2]
@@ -245,7 +245,7 @@ def test_run_writes_traits_and_spectra_and_keeps_going_past_a_bad_file(tmp_path)
         at = np.interp(data["wavelength"].sel(wavelength=inside), WAVELENGTH, T)
         assert np.abs(error - at).max() < 0.05
         assert np.isnan(data["measured_transmittance"][1]).all()
-    assert set(summary["files"]) == {p.name for p in (tmp_path / "out").iterdir()}
+    assert set(summary.files) == {p.name for p in (tmp_path / "out").iterdir()}
     image = plt.imread(tmp_path / "out" / "spectra.png")
     assert 0.01 < (image[..., :3].min(-1) < 0.5).mean() < 0.5  # ink, on a page mostly white
     shutil.rmtree(tmp_path / "out")
@@ -310,7 +310,7 @@ def test_jumps_of_an_asd_are_taken_out_and_said(tmp_path):
         body = target.tobytes() + bytes(18) + struct.pack("<H", 0) + np.full(2151, 1e3).tobytes()
         (tmp_path / f"{name}.asd").write_bytes(bytes(header) + body)
     summary = fit_leaf([tmp_path / "plain.asd", tmp_path / "drift.asd"], tmp_path / "out")
-    said = [r["repair"] for r in summary["repairs"] if r["name"] == "drift"]
+    said = [r.repair for r in summary.repairs if r.name == "drift"]
     assert any("1000 nm: +4" in sentence and "taken out" in sentence for sentence in said)
     traits = pd.read_csv(tmp_path / "out" / "traits.csv")
     for trait in ("chlorophyll", "water", "dry_matter"):

@@ -79,11 +79,11 @@ def test_figures_stand_what_data_bring():
 
 @pytest.mark.study
 def test_a_plot_tells_what_moves_its_metrics(plot, tmp_path):
-    told = sensitivity(plot, tmp_path, metrics=["nir.mean"], derivative_samples=4, seed=0)
-    assert all((tmp_path / name).stat().st_size for name in told["files"])
-    slope = {row["parameter"]: row["slope"] for row in told["slopes"]}
+    result = sensitivity(plot, tmp_path, metrics=["nir.mean"], derivative_samples=4, seed=0)
+    assert all((tmp_path / name).stat().st_size for name in result.files)
+    slope = {row["parameter"]: row["slope"] for row in result.slopes}
     assert slope["ground.brightness"] > 0
-    assert all(row["bound"] >= 0 for row in told["variance"])
+    assert all(row["bound"] >= 0 for row in result.variance)
     with pytest.raises(InputError, match="a statistic must be"):
         sensitivity(plot, tmp_path, metrics=["nir.middle"], seed=0)
 
@@ -97,12 +97,12 @@ def test_the_posterior_of_a_plot_goes_on_from_its_checkpoint(plot, tmp_path):
     for output in ("first", "second", "gauss"):
         (tmp_path / output).mkdir()
     posterior(plot, target, tmp_path / "first", method="emcee", max_steps=4, **options)
-    told = posterior(plot, target, tmp_path / "second", method="emcee", max_steps=8, **options)
-    assert not told["converged"]
-    assert "50 autocorrelation times" in told["status"]
+    result = posterior(plot, target, tmp_path / "second", method="emcee", max_steps=8, **options)
+    assert not result.converged
+    assert "50 autocorrelation times" in result.status
     gauss = posterior(plot, target, tmp_path / "gauss", method="laplace", **options)
-    assert all((tmp_path / "gauss" / name).stat().st_size for name in gauss["files"])
-    assert all(0 < row["sd"] <= 1.3 * row["prior_sd"] for row in gauss["parameters"])
+    assert all((tmp_path / "gauss" / name).stat().st_size for name in gauss.files)
+    assert all(0 < row.sd <= 1.3 * row.prior_sd for row in gauss.parameters)
     with pytest.raises(InputError, match="another seed"):
         posterior(plot, target, tmp_path / "gauss", method="laplace", **(options | {"seed": 1}))
 
@@ -118,11 +118,11 @@ def test_a_posterior_from_three_sensors(plot, tmp_path):
     found = []
     for name, targets in (("one", []), ("all", [spectrum, cloud])):
         (tmp_path / name).mkdir()
-        told = posterior(
+        result = posterior(
             plot, [*targets, plot.with_name("target.csv")], tmp_path / name, method="laplace",
             checkpoint=tmp_path / f"{name}.kept", seed=0,
         )  # fmt: skip
-        found.append({row["name"]: row["sd"] for row in told["parameters"]})
+        found.append({row.name: row.sd for row in result.parameters})
     # More sensors, no less known.
     assert found[1]["ground.brightness"] < 1.1 * found[0]["ground.brightness"]
     with xr.open_dataset(tmp_path / "all" / "posterior.nc", group="observed_data") as data:
@@ -131,6 +131,6 @@ def test_a_posterior_from_three_sensors(plot, tmp_path):
 
 @pytest.mark.study
 def test_a_plot_tells_what_sensors_could_know_of_it(plot, tmp_path):
-    told = information(plot, tmp_path, gsd=[0.2, 1.0], bands=[1, 2], replants=2, seed=0)
-    assert all((tmp_path / name).stat().st_size for name in told["files"])
-    assert len(told["limits"]) == 4
+    result = information(plot, tmp_path, gsd=[0.2, 1.0], bands=[1, 2], realisations=2, seed=0)
+    assert all((tmp_path / name).stat().st_size for name in result.files)
+    assert len(result.limits) == 4

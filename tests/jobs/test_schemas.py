@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 
 from fynjax.io.plot import example_folder
-from fynjax.jobs import RunSummary
+from fynjax.jobs import TerrainResult
 from fynjax.jobs._schemas import SCHEMAS, json_schema, write_schemas
 
 FOLDER = Path(__file__).resolve().parents[2] / "data_schemas"
@@ -80,7 +80,14 @@ def test_schema_and_model_refuse_the_same_leaf_rows():
     assert not is_valid("leaf_table_row", {**good, "water": 10})
 
 
-def test_a_summary_is_valid():
-    summary = RunSummary(command="demo", version="0", output="o", seed=0, status="ok")
-    assert is_valid("summary", json.loads(summary.model_dump_json()))
-    assert not is_valid("summary", {"command": "demo"})
+def test_a_summary_of_another_shape_is_not_valid():
+    bounds = {"bounds_m": (0, 0, 1, 1), "cell_m": 1, "lowest_m": 0, "relief_m": 0}
+    result = TerrainResult(output="o", seed=0, terrain={**bounds, "median_slope_deg": float("nan")})
+    summary = json.loads(result.model_dump_json())
+    assert summary["terrain"]["median_slope_deg"] is None  # JSON has no NaN
+    assert not is_valid("summary", summary)
+    summary["terrain"]["median_slope_deg"] = 3.0
+    assert is_valid("summary", summary)
+    assert not is_valid("summary", {**summary, "terrain": None})
+    assert not is_valid("summary", {**summary, "moon": 1})
+    assert not is_valid("summary", {"command": "terrain"})

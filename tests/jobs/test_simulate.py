@@ -74,17 +74,17 @@ def run(tmp_path_factory):
 
 def test_every_file_is_there_and_is_told(run):
     summary, folder = run
-    assert set(summary["files"]) | {"reflectance.dat", "radiance.dat"} == {
+    assert set(summary.files) | {"reflectance.dat", "radiance.dat"} == {
         p.name for p in folder.iterdir()
     }
-    assert summary["pixels"] == [4, 4]
-    assert summary["pixel_m"] == 0.5
-    assert summary["noise"]
-    assert "4 bands of camera, 4 x 4 pixels of 0.5 m" in summary["headline"][0]
-    told = "\n".join(summary["warnings"])
-    assert "1 of 5 bands of camera reach beyond the spectra" in told
-    assert "beyond (2600 nm)" in told
-    assert "pixels of 0.5 to 1 m" in told
+    assert summary.pixels == (4, 4)
+    assert summary.pixel_m == 0.5
+    assert summary.noise
+    assert "4 bands of camera, 4 x 4 pixels of 0.5 m" in summary.headline[0]
+    warnings = "\n".join(summary.warnings)
+    assert "1 of 5 bands of camera reach beyond the spectra" in warnings
+    assert "beyond (2600 nm)" in warnings
+    assert "pixels of 0.5 to 1 m" in warnings
 
 
 def test_products_agree_with_each_other_and_with_the_air(run):
@@ -122,7 +122,7 @@ def test_the_record_says_what_was_done(run):
         "camera.toml",
         "map.tif",
     }
-    assert record["timings_s"]["bands"] == summary["timings_s"]["bands"] > 0
+    assert record["timings_s"]["bands"] == summary.timings_s["bands"] > 0
     assert 0 < record["accuracy"]["largest_residual"] < 1e-3
 
 

@@ -25,10 +25,10 @@ def run(tmp_path_factory):
 def test_files_are_there_and_agree(run):
     summary, folder = run
     out = folder / "out"
-    assert sorted(p.name for p in out.iterdir()) == sorted(summary["files"])
+    assert sorted(p.name for p in out.iterdir()) == sorted(summary.files)
     cloud = laspy.read(out / "cloud.laz")
-    assert len(cloud) == summary["returns"]
-    assert int(np.sum(np.asarray(cloud.classification) == 2)) == summary["ground_returns"]
+    assert len(cloud) == summary.returns
+    assert int(np.sum(np.asarray(cloud.classification) == 2)) == summary.ground_returns
     x, _, z = cloud.xyz.T
     assert x.min() > -0.1
     assert x.max() < 2.1
@@ -53,11 +53,11 @@ def test_files_are_there_and_agree(run):
 
 def test_the_summary_says_what_was_measured(run):
     summary, _ = run
-    assert summary["returns_per_m2"] == pytest.approx(summary["returns"] / 4.0)
-    assert summary["pulses_per_m2"] == pytest.approx(655.36, rel=0.04)  # whole pixels
-    assert summary["share_of_pulses_with_returns"] > 0.9
-    assert summary["percentile_rmse_m"]["first hits"] < 0.1
-    assert "small, flash_lidar_paper" in summary["headline"][0]
+    assert summary.returns_per_m2 == pytest.approx(summary.returns / 4.0)
+    assert summary.pulses_per_m2 == pytest.approx(655.36, rel=0.04)  # whole pixels
+    assert summary.share_of_pulses_with_returns > 0.9
+    assert summary.percentile_rmse_m["first hits"] < 0.1
+    assert "small, flash_lidar_paper" in summary.headline[0]
 
 
 def test_a_sensor_inside_the_canopy_is_refused(run):

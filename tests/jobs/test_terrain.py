@@ -82,7 +82,7 @@ def test_raster_is_cut_out_and_resampled(tmp_path):
     )
     write_terrain(tmp_path / "dtm.tif", whole)
     summary = terrain(tmp_path / "dtm.tif", tmp_path, size=10.0, cell=0.25)
-    assert set(summary["files"]) == {"terrain.tif", "terrain.obj", "terrain.png"}
+    assert set(summary.files) == {"terrain.tif", "terrain.obj", "terrain.png"}
     part = read_terrain(tmp_path / "terrain.tif")
     np.testing.assert_allclose(part.bounds, np.add([10, 10, 20, 20], [*CORNER, *CORNER]))
     x, y = part.centres
@@ -102,11 +102,11 @@ def sloping(rows, columns):
 def test_a_plot_of_a_raster_is_as_large_as_asked(tmp_path, columns, size):
     path = plain_raster(tmp_path / "a.tif", sloping(80, columns))
     summary = terrain(path, tmp_path / "out", size=float(size))
-    west, south, east, north = summary["terrain"]["bounds_m"]
+    west, south, east, north = summary.terrain.bounds_m
     assert (east - west, north - south) == (size, size)
     middle = np.array([0.5 * (west + east), 0.5 * (south + north)]) - CORNER
     assert np.abs(middle - [0.5 * columns, 40.0]).max() <= 0.5
-    finer = terrain(path, tmp_path / "out", size=12.5, cell=0.5)["terrain"]["bounds_m"]
+    finer = terrain(path, tmp_path / "out", size=12.5, cell=0.5).terrain.bounds_m
     assert finer[2] - finer[0] == 12.5
     with pytest.raises(InputError, match=r"a\.tif: `cell` must .* divide 12\.5"):
         terrain(path, tmp_path / "out", size=12.5)
@@ -117,8 +117,8 @@ def test_filled_cells_are_counted_and_not_far(tmp_path):
     heights[:, 30:41] = np.nan
     path = plain_raster(tmp_path / "a.tif", heights)
     summary = terrain(path, tmp_path / "out", fill_gaps=True)
-    assert summary["terrain"]["cells_filled"] == pytest.approx(11 / 60)
-    assert "18.3 % of the cells had no height" in summary["headline"][1]
+    assert summary.terrain.cells_filled == pytest.approx(11 / 60)
+    assert "18.3 % of the cells had no height" in summary.headline[1]
     with pytest.raises(InputError, match=r"a\.tif: expected ground within 5 m of every cell"):
         terrain(path, tmp_path / "out", fill_gaps=True, largest_gap=5.0)
     heights[:, 11:] = np.nan

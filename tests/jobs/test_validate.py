@@ -174,9 +174,9 @@ def test_spectra_that_reach_no_index(wave: np.ndarray, folder: Path, tmp_path: P
     short.write_text("\n".join(["wavelength,reflectance", *rows]) + "\n")
     data = ValidationData(real_spectra=[short], simulated_spectra=[folder / "real.csv"])
     summary = validate(data, tmp_path / "out")
-    assert summary["spectra"]["indices"] == []
-    assert "No index: the spectra do not reach its bands." in summary["spectra"]["notes"]
-    assert "spectral_indices.png" not in summary["files"]
+    assert summary.spectra.indices == []
+    assert "No index: the spectra do not reach its bands." in summary.spectra.notes
+    assert "spectral_indices.png" not in summary.files
     assert pd.read_csv(tmp_path / "out" / "spectral_indices.csv").columns[0] == "index"
     with xr.open_dataset(tmp_path / "out" / "validation.nc") as file:
         assert "spectrometer_index" not in file.dims
@@ -192,14 +192,14 @@ def test_a_constant_spectrum_has_no_line(folder: Path, tmp_path: Path) -> None:
         flat = write_csv(tmp_path / "flat.csv", np.full((1, fine.size), level), fine)
         data = ValidationData(real_spectra=[flat], simulated_spectra=[folder / "real.csv"])
         summary = validate(data, tmp_path / "out", matching="response")
-        full, misfit = summary["spectra"]["regions"][0], summary["spectra"]["misfit"][0]
+        full, misfit = summary.spectra.regions[0], summary.spectra.misfit[0]
         for value in (full["nrmse_percent"], full["correlation"], misfit["gain"], misfit["offset"]):
             assert np.isnan(value)
         assert "constant" in misfit["reading"]
-        assert f"{angle}, RMSE" in summary["headline"][0]
-        assert "r undefined" in summary["headline"][0]
-        assert "nan" not in " ".join(summary["headline"])
-        assert "constant in a region" in " ".join(summary["spectra"]["notes"])
+        assert f"{angle}, RMSE" in summary.headline[0]
+        assert "r undefined" in summary.headline[0]
+        assert "nan" not in " ".join(summary.headline)
+        assert "constant in a region" in " ".join(summary.spectra.notes)
         assert "nan°" not in (tmp_path / "out" / "report.html").read_text("utf-8")
 
 
@@ -211,7 +211,7 @@ def test_a_run_writes_every_number_once(folder: Path, tmp_path: Path) -> None:
         simulated_spectra=[folder / "simulated"],
     )
     summary = validate(data, tmp_path)
-    assert sorted(summary["files"]) == sorted(p.name for p in tmp_path.iterdir())
+    assert sorted(summary.files) == sorted(p.name for p in tmp_path.iterdir())
     table = pd.read_csv(tmp_path / "drone_indices.csv")
     with xr.open_dataset(tmp_path / "validation.nc") as file:
         np.testing.assert_allclose(file["index_ks"], table["ks"], rtol=1e-8)
@@ -221,13 +221,13 @@ def test_a_run_writes_every_number_once(folder: Path, tmp_path: Path) -> None:
         np.testing.assert_allclose(file["agreement_rmse"], agreement["rmse"], rtol=1e-8)
         assert file["agreement_spectral_angle_deg"].attrs["units"] == "degree"
         assert "real.tif" in json.loads(file.attrs["input_sha256"])
-    assert summary["drone"]["indices"][9]["ks"] == pytest.approx(table["ks"][9])
-    assert summary["spectra"]["matching"] == "same"
+    assert summary.drone.indices[9]["ks"] == pytest.approx(table["ks"][9])
+    assert summary.spectra.matching == "same"
     html = (tmp_path / "report.html").read_text("utf-8")
     assert html.count("<img") == 6
     for words in ("0.885", "48.31", "sqrt((N-R)/(N+R))", "Gauch", "MEVI"):
         assert words in html, words
-    assert any("a gain" in line or "gain" in line for line in summary["headline"])
+    assert any("a gain" in line or "gain" in line for line in summary.headline)
 
 
 def test_against_the_published_statistics(folder: Path, tmp_path: Path) -> None:
@@ -243,7 +243,7 @@ def test_against_the_published_statistics(folder: Path, tmp_path: Path) -> None:
     assert table.loc["EVI.mean", "status"] == "form not known"
     assert table.loc["nir.mean", "dirsig_abs_error_percent"] == pytest.approx(22.19)
     assert len(table) == 44
-    assert "of 37" in summary["headline"][0]
+    assert "of 37" in summary.headline[0]
 
 
 def test_pairs_must_be_pairs() -> None:

@@ -160,12 +160,10 @@ def test_a_shift_upwards_moves_given_heights(clouds: Path) -> None:
 def test_every_number_is_in_the_files(clouds: Path, tmp_path: Path) -> None:
     data = ValidationData(real_cloud=clouds / "real.las", simulated_cloud=clouds / "simulated.las")
     summary = validate(data, tmp_path, cloud_options=FEW)
-    assert sorted(summary["files"]) == sorted(p.name for p in tmp_path.iterdir())
+    assert sorted(summary.files) == sorted(p.name for p in tmp_path.iterdir())
     grains = pd.read_csv(tmp_path / "structure_grains.csv").set_index("grain_m")
     assert list(grains.index) == [1.0, 2.0, 3.0, 4.0, 5.0]
-    assert (
-        list(grains.index[grains["taken"] == "yes"]) == [summary["structure"]["grain_m"]] == [2.0]
-    )
+    assert list(grains.index[grains["taken"] == "yes"]) == [summary.structure.grain_m] == [2.0]
     assert grains.loc[3.0, ["cells", "area_m2", "cut_off_percent"]].tolist() == [9, 81, 19]
     assert grains["paper_median_change_percent"].tolist()[:2] == [17.9, 6.1]
     assert grains.loc[2.0, ["west_m", "south_m", "east_m", "north_m"]].tolist() == [0, 0, 10, 10]

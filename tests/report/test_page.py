@@ -9,8 +9,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from fynjax.report.figures import save_figure
-from fynjax.report.pages import Page, format_number
+from fynjax.report.pages import Page, Picture, Section, Table, format_number, write_page
 
 
 class Checker(HTMLParser):
@@ -38,52 +37,62 @@ class Checker(HTMLParser):
 
 
 @pytest.fixture
-def page(tmp_path_factory):
+def page():
     figure = Figure(figsize=(2, 1))
     figure.subplots().plot([1, 2])
-    path = tmp_path_factory.mktemp("figure") / "figure.png"
-    save_figure(figure, path)
     table = pd.DataFrame(
         {"name": ["<b>x</b>", "y"], "cover": [0.123456, np.nan], "n": [3, -4], "ok": [True, False]}
     )
-    return (
-        Page("Plot <1>", "A & B")
-        .section("Images <i>")
-        .paragraph("see http://nowhere.example & <script>alert(1)</script>")
-        .key_figures({"NDVI": "0.746", "renders": "41"})
-        .figure(path, 'Caption "quoted"')
-        .table(table, caption="All", units={"cover": "m2 m-2"}, headers={"n": "Count"})
-        .table(table, caption="Folded", folded=True)
-        .footer({"command": "fynjax demo"})
+    return Page(
+        "Plot <1>",
+        "A & B",
+        [
+            Section(
+                "Images <i>",
+                [
+                    "see http://nowhere.example & <script>alert(1)</script>",
+                    Picture("figure.png", figure, "a line", 'Caption "quoted"'),
+                    Table(table, "All", units={"cover": "m2 m-2"}, headers={"n": "Count"}),
+                    Table(table, "Folded", folded=True),
+                ],
+            )
+        ],
+        {"NDVI": "0.746", "renders": "41"},
+        {"command": "fynjax demo"},
     )
 
 
 def test_page_is_well_formed_and_needs_no_network(page, tmp_path):
-    page.write(tmp_path / "report.html")
+    files = write_page(page, tmp_path)
+    assert files == {"report.html": "all of it on one page", "figure.png": "a line"}
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(files)
     text = (tmp_path / "report.html").read_text("utf-8")
-    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
-    seen = Checker(text)
-    assert seen.stack == []
-    assert seen.sources
-    assert all(source.startswith("data:image/png;base64,") for source in seen.sources)
-    assert not {"script", "link", "iframe", "object", "b" * 2} & set(seen.tags)
+    checker = Checker(text)
+    assert checker.stack == []
+    assert checker.sources
+    assert all(source.startswith("data:image/png;base64,") for source in checker.sources)
+    assert not {"script", "link", "iframe", "object", "b" * 2} & set(checker.tags)
     style = re.search(r"<style>(.*?)</style>", text, re.S)[1]
     assert "url(" not in style
     assert "@import" not in style
-    assert base64.b64decode(seen.sources[0].split(",")[1])[:4] == b"\x89PNG"
+    assert base64.b64decode(checker.sources[0].split(",")[1])[:4] == b"\x89PNG"
 
 
-def test_what_users_write_is_text(page):
-    seen = Checker(page.html())
-    text = "".join(seen.text)
+def html(page, folder):
+    write_page(page, folder)
+    return (folder / "report.html").read_text("utf-8")
+
+
+def test_what_users_write_is_text(page, tmp_path):
+    text = "".join(Checker(html(page, tmp_path)).text)
     assert "<script>alert(1)</script>" in text
     assert "<b>x</b>" in text
     assert "Plot <1>" in text
     assert "A & B" in text
 
 
-def test_table_has_units_headers_and_readable_numbers(page):
-    text = page.html()
+def test_table_has_units_headers_and_readable_numbers(page, tmp_path):
+    text = html(page, tmp_path)
     assert "cover<small>[m2 m-2]</small>" in text
     assert ">Count</th>" in text
     for cell in ("0.1235", "–", "−4", "yes", "no"):

@@ -135,8 +135,8 @@ def test_the_command_writes_chosen_plots(
         main(["bioscape", str(tables), "--output", str(output), "--plot", "A1", "--json"])
     assert ended.value.code == 0
     summary = json.loads(capsys.readouterr().out)
-    assert summary["bioscape"]["plots"] == ["A1"]
-    assert summary["bioscape"]["cover_share_by_trait_source"]["measured"] == pytest.approx(0.75)
+    assert summary["plots"] == ["A1"]
+    assert summary["cover_share_by_trait_source"]["measured"] == pytest.approx(0.75)
     with (output / "plots.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["plot"] for row in rows] == ["A1"]

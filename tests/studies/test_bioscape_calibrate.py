@@ -1,4 +1,4 @@
-"""`fynjax calibrate-plots`: what is told of a plot, by hand; and a plot that comes back."""
+"""`fynjax calibrate-plots`: estimates of a plot, by hand; and a plot that comes back."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,18 +24,18 @@ from fynjax.studies.bioscape._inversion import (
     Estimate,
     PlotSpectrumForward,
     Reference,
+    bias_corrected_data,
     flight_covariance,
     infer_plot,
     prior_space,
     quantity,
-    taught_data,
 )
 from fynjax.studies.bioscape._inversion_compare import (
     agreement,
     estimate_table,
     field_values,
     others,
-    why_table,
+    shift_table,
 )
 from fynjax.studies.bioscape._scenes import Resolution, build_scenes, slots_of
 from tests.studies.test_bioscape_validate import write_tables
@@ -96,10 +96,10 @@ def test_flights_differ_by_their_pooled_covariance():
     assert flight_covariance([first[:1]]) is None
 
 
-def test_other_plots_teach_their_mean_error_and_its_spread():
+def test_the_bias_correction_is_the_mean_error_of_other_plots_and_its_spread():
     random = np.random.default_rng(2)
     residuals = 0.05 + 0.01 * random.normal(size=(400, 2)) @ np.array([[1.0, 1.0], [0.0, 1.0]])
-    data, mean = taught_data(("a", "b"), np.array([[0.1, 0.2], [0.3, 0.4]]), residuals)
+    data, mean = bias_corrected_data(("a", "b"), np.array([[0.1, 0.2], [0.3, 0.4]]), residuals)
     np.testing.assert_allclose(data.value, [0.2, 0.3])
     np.testing.assert_allclose(mean, residuals.mean(axis=0))
     covariance = np.linalg.inv(np.asarray(data.whitener.T @ data.whitener))
@@ -149,14 +149,14 @@ def test_intervals_and_scores_by_hand(plots):
     assert known["count"] == 2
 
 
-def test_a_shift_that_plots_share_is_told_from_one_they_do_not():
+def test_a_shift_that_plots_share_differs_from_one_they_do_not():
     parameters = pd.DataFrame(
         {"plot": list("abcd") * 2, "predictor": "x", "parameter": ["cover"] * 4 + ["litter"] * 4,
-         "moved": [1.0, 1.1, 0.9, 1.0, -1.0, 1.0, -1.0, 1.0], "constrained": 0.1}
+         "shift": [1.0, 1.1, 0.9, 1.0, -1.0, 1.0, -1.0, 1.0], "constrained": 0.1}
     )  # fmt: skip
-    table = why_table(parameters).set_index("parameter")
-    assert table.loc["cover", "alike"] > 20
-    assert abs(table.loc["litter", "alike"]) < 1e-9
+    table = shift_table(parameters).set_index("parameter")
+    assert table.loc["cover", "mean_over_error"] > 20
+    assert abs(table.loc["litter", "mean_over_error"]) < 1e-9
 
 
 def test_priors_change_and_nothing_compiles_again(plots):
@@ -234,22 +234,22 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
 
 
 @pytest.mark.study
-def test_one_plot_alone_is_told_whole_and_goes_on_from_its_checkpoint(tmp_path: Path):
+def test_one_plot_alone_goes_on_from_its_checkpoint(tmp_path: Path):
     """Without other plots there is one prior; a second run takes the fits of the first."""
     write_tables(tmp_path / "tables")
     kept = tmp_path / "kept"
     options = {"resolution": Resolution(2.0, 0.25), "checkpoint": kept}
-    told = []
+    results = []
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
-        told.append(calibrate_plots(tmp_path / "tables", tmp_path / name, **options))
-        assert all((tmp_path / name / file).stat().st_size for file in told[-1]["files"])
+        results.append(calibrate_plots(tmp_path / "tables", tmp_path / name, **options))
+        assert all((tmp_path / name / file).stat().st_size for file in results[-1].files)
         times = {p.name: p.stat().st_mtime_ns for p in kept.iterdir()}
         if name == "first":
             before = times
     assert before == times
-    assert told[0]["calibrate_plots"]["plots"] == ["A1"]
-    assert "B2" in told[0]["warnings"][-1]
+    assert results[0].plots == ["A1"]
+    assert "B2" in results[0].warnings[-1]
     first, second = (pd.read_csv(tmp_path / n / "estimates.csv") for n in ("first", "second"))
     pd.testing.assert_frame_equal(first, second)
     with pytest.raises(InputError, match="another run"):

@@ -116,9 +116,9 @@ def test_report_tables_and_spectra_belong_together(result: tuple[Path, dict]) ->
     simulated = spectra["simulated"].to_numpy()
     assert np.all((simulated > 0.005) & (simulated < 0.7))
     error = np.sqrt(np.mean((simulated[0] - spectra["measured"].sel(plot="A1")) ** 2))
-    row = next(r for r in summary["validate_plots"]["by_plot"] if r["plot"] == "A1")
+    row = next(r for r in summary["by_plot"] if r["plot"] == "A1")
     assert row["rmse"] == pytest.approx(float(error), rel=1e-5)
-    assert summary["validate_plots"]["measured"] == ["A1"]
+    assert summary["measured"] == ["A1"]
     assert "B2" in summary["warnings"][0]
     page = (output / "report.html").read_text()
     assert "Where the model is off" in page
@@ -135,7 +135,7 @@ def test_without_measured_spectra_plots_are_simulated_and_it_is_said(
               "--size", "2", "--voxel", "0.25", "--plot", "B2", "--json"])  # fmt: skip
     assert ended.value.code == 0
     summary = json.loads(capsys.readouterr().out)
-    assert summary["validate_plots"]["measured"] == []
+    assert summary["measured"] == []
     assert "nothing to compare" in (tmp_path / "out" / "report.html").read_text()
     assert "assumed" in (tmp_path / "out" / "plots.csv").read_text()
 

@@ -92,8 +92,8 @@ def test_a_patch_without_ground_is_said(shared_data, tmp_path):
     # What the command wrote it reads, to fractions of a millimetre 81 km below the sea.
     with pytest.warns(UserWarning, match=r"terrain\.tif lies at -81459 m"):
         back = read_terrain(tmp_path / "terrain.tif")
-    assert back.heights.min() == pytest.approx(summary["terrain"]["lowest_m"], abs=1e-6)
-    assert back.relief == pytest.approx(summary["terrain"]["relief_m"], abs=1e-6)
+    assert back.heights.min() == pytest.approx(summary.terrain.lowest_m, abs=1e-6)
+    assert back.relief == pytest.approx(summary.terrain.relief_m, abs=1e-6)
 
 
 def shrub_plots(folder):

@@ -1,4 +1,4 @@
-"""Figures of what spectra say of plots."""
+"""Figures of what is estimated of plots from their spectra."""
 
 from collections.abc import Sequence
 
@@ -37,19 +37,19 @@ def estimates_plot(
         for row, prior in zip(grid, priors):
             for axes, (name, title) in zip(row, titles.items()):
                 part = table[table["quantity"] == name]
-                own = part[part["predictor"] == prior]
+                of_prior = part[part["predictor"] == prior]
                 plsr = part[part["predictor"] == regression]
                 if len(plsr):
                     axes.plot(plsr["field"], plsr["estimate"], "x", color=ORANGE, ms=5)
                 for enough, fill in ((True, colours[prior]), (False, "white")):
-                    some = own[(own["measured_share"] >= measured_share) == enough]
+                    some = of_prior[(of_prior["measured_share"] >= measured_share) == enough]
                     axes.errorbar(
                         some["field"],
                         some["estimate"],
                         [some["estimate"] - some["q025"], some["q975"] - some["estimate"]],
                         fmt="o", ms=4, lw=0.8, color=colours[prior], mfc=fill,
                     )  # fmt: skip
-                known = own["field"][np.isfinite(own["field"])]
+                known = of_prior["field"][np.isfinite(of_prior["field"])]
                 if len(known):
                     low, high = known.min(), known.max()
                     axes.axline((low, low), slope=1.0, color=GREY, lw=0.8)
@@ -70,7 +70,7 @@ def estimates_plot(
 
 
 def shifts_plot(parameters: pd.DataFrame) -> Figure:
-    """How far the spectra pull each parameter from its prior, a point a plot."""
+    """How far the spectra shift each parameter from its prior, a point a plot."""
     colours = dict(zip(parameters["predictor"].unique(), _COLOURS))
     priors, free = list(colours), list(parameters["parameter"].unique())
     with style():
@@ -78,16 +78,16 @@ def shifts_plot(parameters: pd.DataFrame) -> Figure:
         axes = figure.subplots()
         axes.axvspan(-1.0, 1.0, color=GREY, alpha=0.2, lw=0)
         for k, prior in enumerate(priors):
-            own = parameters[parameters["predictor"] == prior]
+            rows = parameters[parameters["predictor"] == prior]
             for row, name in enumerate(free):
-                moved = own[own["parameter"] == name]["moved"].to_numpy()
-                y = np.full(moved.size, row + 0.25 * (k - 0.5 * (len(priors) - 1)))
-                axes.plot(moved, y, "o", ms=3.5, alpha=0.6, color=colours[prior], mew=0)
-                axes.plot([moved.mean()], y[:1], "|", ms=12, mew=2, color=colours[prior])
+                shift = rows[rows["parameter"] == name]["shift"].to_numpy()
+                y = np.full(shift.size, row + 0.25 * (k - 0.5 * (len(priors) - 1)))
+                axes.plot(shift, y, "o", ms=3.5, alpha=0.6, color=colours[prior], mew=0)
+                axes.plot([shift.mean()], y[:1], "|", ms=12, mew=2, color=colours[prior])
         axes.axvline(0.0, color=GREY, lw=0.8)
         axes.set_yticks(range(len(free)), [name.replace("_", " ") for name in free])
         axes.invert_yaxis()
-        axes.set_xlabel("moved from the prior [prior standard deviations]")
+        axes.set_xlabel("shift from the prior [prior standard deviations]")
         handles = [Line2D([], [], color=colours[p], marker="o", ls="", label=p) for p in priors]
         figure.legend(handles=handles, loc="outside upper right", fontsize=7.5)
         axes.grid(True, axis="x")

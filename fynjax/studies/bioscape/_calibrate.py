@@ -5,17 +5,17 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.inversion import Data, Forward, signature, spectrum_view
 from fynjax.io.plot import Plot, read_plot
-from fynjax.io.raster import file_hash, provenance
+from fynjax.io.raster import file_hash
+from fynjax.jobs import Run
 from fynjax.scene import PlotParameters
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape._inversion import (
@@ -27,26 +27,26 @@ from fynjax.studies.bioscape._inversion import (
     Estimate,
     PlotSpectrumForward,
     Reference,
+    bias_corrected_data,
     flight_covariance,
     infer_plot,
     plot_data,
     prior_space,
-    taught_data,
 )
 from fynjax.studies.bioscape._inversion_compare import (
-    ELSEWHERE,
+    BIAS_CORRECTED,
     MEAN,
-    OWN,
+    OTHERS_PRIOR,
     REGRESSION,
     TABLE,
-    TAUGHT,
+    TABLES_PRIOR,
     Field,
     estimate_table,
     field_values,
     others,
     simple_table,
 )
-from fynjax.studies.bioscape._inversion_files import Findings, write_findings
+from fynjax.studies.bioscape._inversion_files import CalibratePlotsResult, Findings, write_findings
 from fynjax.studies.bioscape._plot_files import run_bioscape, write_plot_files
 from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
 from fynjax.studies.bioscape._plsr import read_leaf_mass_model
@@ -60,8 +60,8 @@ from fynjax.studies.bioscape._spectra import (
 from fynjax.studies.bioscape._traits import SOURCES, Sourced
 from fynjax.studies.bioscape._validate import used_bands
 
-_LEAST_PLOTS, _LEAST_TEACHERS = 4, 5
-"""With fewer, other plots are no prior, and no teachers."""
+_FEWEST_FOR_PRIOR, _FEWEST_FOR_CORRECTION = 4, 6
+"""Plots from which on the others are a prior, and a bias correction."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Prior:
     """With the traits that their scenes are built with."""
     parameters: list[PlotParameters]
     elsewhere: list[dict[str, tuple[float, float]]] | None
-    """What other plots say of each; None where a plot's own tables do."""
+    """Mean and standard deviation over the other plots; None where the plot's tables are it."""
 
 
 def calibrate_plots(
@@ -83,28 +83,26 @@ def calibrate_plots(
     plots: Sequence[str] | None = None,
     traits: str | Path | None = None,
     resolution: Resolution | None = None,
-    plantings: int = 3,
+    realisations: int = 3,
     seed: int = 0,
     checkpoint: str | Path,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> CalibratePlotsResult:
     """Infer cover, leaf mass per area and water of a folder's plots from their spectra.
 
     **Arguments:** `folder`, `plots`, `traits` and `resolution` as `validate_plots` takes them;
-    a `*LMA*model*.json` in the folder is the published regression. `plantings`: how often each
-    plot is planted anew, to know what chance in it changes; at least 3. `checkpoint`: a folder
-    that keeps each plot's fit; the same call goes on from it.
-
-    **Returns:** the summary: headline, files, agreement with the field by quantity and predictor.
+    a `*LMA*model*.json` in the folder is the published regression. `realisations`: number of
+    stand realisations of each plot used to estimate the variance over them; at least 3.
+    `checkpoint`: a folder that keeps each plot's fit; the same call goes on from it.
 
     **Raises:** `InputError` for tables that are missing or cannot be read, plots without spectra,
     and a checkpoint of another run.
     """
-    progress = NullProgress() if progress is None else progress
+    run = Run(output, seed=seed, progress=progress)
     resolution = Resolution() if resolution is None else resolution
-    folder, output = Path(folder), Path(output)
-    if plantings < 3:
-        raise InputError(f"expected three plantings or more, but got {plantings}")
+    folder = Path(folder)
+    if realisations < 3:
+        raise InputError(f"expected three stand realisations or more, but got {realisations}")
     everything = read_bioscape(folder, plots, traits=traits)
     spectrometer, measured = read_spectrometer(folder), read_plot_spectra(folder)
     read = [p for p in everything if p.name in measured and measured[p.name].times]
@@ -112,58 +110,61 @@ def calibrate_plots(
         raise InputError("none of the plots has a measured spectrum to learn from", file=folder)
     bands, flights = _chosen_bands(spectrometer, [measured[p.name] for p in read], folder)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # told once, above
+        warnings.simplefilter("ignore")  # they were given once, above
         written = run_bioscape(
-            folder, output / "plots", plots=[p.name for p in read], traits=traits
+            folder, run.folder / "plots", plots=[p.name for p in read], traits=traits
         )
-    files = [read_plot(output / "plots" / p.name / "plot.toml") for p in read]
+    files = [read_plot(run.folder / "plots" / p.name / "plot.toml") for p in read]
     field = field_values(read)
     slots = slots_of(files)
-    with progress.stage("Plant the plots"):
-        each = [(file, seed + k) for file in files for k in range(plantings)]
+    with run.stage("Plant the plots"):
+        each = [(file, seed + k) for file in files for k in range(realisations)]
         scenes = build_scenes(
             [f for f, _ in each], bands, resolution, [s for _, s in each],
             room=ROOM, softness=SOFTNESS,
         )  # fmt: skip
     models = [
-        [model for model, _ in scenes[i * plantings : (i + 1) * plantings]]
+        [model for model, _ in scenes[i * realisations : (i + 1) * realisations]]
         for i in range(len(read))
     ]
-    priors = [Prior(OWN, read, [p for _, p in scenes[::plantings]], None)]
-    if len(read) >= _LEAST_PLOTS:
+    priors = [Prior(TABLES_PRIOR, read, [p for _, p in scenes[::realisations]], None)]
+    if len(read) >= _FEWEST_FOR_PRIOR:
         priors.append(_elsewhere(read, files, slots, field))
-    if len(read) > _LEAST_TEACHERS:
-        priors.append(replace(priors[-1], name=TAUGHT))
+    if len(read) >= _FEWEST_FOR_CORRECTION:
+        priors.append(replace(priors[-1], name=BIAS_CORRECTED))
     view = spectrum_view(bands)
     repeatability = flight_covariance(flights)
     data = [plot_data(view.names, f, repeatability) for f in flights]
     predict = PlotSpectrumForward(view, [form == "deadwood" for form in slots])
     inputs = sorted([*folder.glob("*.csv"), *folder.glob("*.json")])
     inputs += [] if traits is None else [Path(traits)]
-    settings = (resolution, plantings, seed, [p.name for p in read], FREE, len(bands))
+    settings = (resolution, realisations, seed, [p.name for p in read], FREE, len(bands))
     journal = Journal(checkpoint, signature((), (*settings, [file_hash(p) for p in inputs])))
-    found: dict[str, list[Estimate]] = {p.name: [] for p in priors}
+    estimates: dict[str, list[Estimate]] = {p.name: [] for p in priors}
     forward = Forward(predict, prior_space(read[0]))
-    with progress.stage("Infer", total=len(priors) * len(read)):
+    with run.stage("Infer", total=len(priors) * len(read)):
         for prior in priors:
             for i, plot in enumerate(prior.plots):
                 known = None if prior.elsewhere is None else prior.elsewhere[i]
                 space = prior_space(plot, known)
-                seen, teacher = data[i], None
-                if prior.name == TAUGHT:
-                    rest = [np.asarray(d.value) - one.before for d, one in zip(data, found[OWN])]
-                    seen, teacher = taught_data(
+                spectrum, bias = data[i], None
+                if prior.name == BIAS_CORRECTED:
+                    rest = [
+                        np.asarray(d.value) - fit.before
+                        for d, fit in zip(data, estimates[TABLES_PRIOR])
+                    ]
+                    spectrum, bias = bias_corrected_data(
                         view.names, flights[i], np.delete(np.stack(rest), i, axis=0)
                     )
-                one = infer_plot(
-                    predict, forward, seen, space, prior.parameters[i], models[i], journal,
-                    teacher=teacher,
+                fit = infer_plot(
+                    predict, forward, spectrum, space, prior.parameters[i], models[i], journal,
+                    bias=bias,
                 )  # fmt: skip
-                _check(one, plot, folder)
-                found[prior.name].append(one)
-                progress.advance(1, plot=plot.name, misfit=f"{one.misfit[1]:.2f}")
-    with progress.stage("Write"):
-        findings = _findings(read, priors, found, field, bands, data)
+                _check(fit, plot, folder)
+                estimates[prior.name].append(fit)
+                run.progress.advance(1, plot=plot.name, misfit=f"{fit.misfit[1]:.2f}")
+    with run.stage("Write"):
+        findings = _findings(read, priors, estimates, field, bands, data)
         regression = read_leaf_mass_model(folder)
         if regression is not None:
             spectra = np.stack([measured[p.name].reflectance.mean(axis=0) for p in read])
@@ -171,17 +172,23 @@ def calibrate_plots(
                 lma = regression.predict(spectrometer.centre, spectra)
             except ValueError as error:
                 raise InputError(str(error), file=folder) from error
-            findings.simple(
+            findings.tables.append(
                 simple_table(findings.plots, REGRESSION, {"leaf_mass_per_area": lma}, field)
             )
-        record = provenance(seed=seed, inputs=inputs)
-        summary = write_findings(output, findings, resolution, plantings, record)
-    summary["warnings"] += written["warnings"]
-    if left := [p.name for p in everything if p not in read]:
-        summary["warnings"].append(
-            f"{len(left)} plots have no measured spectrum and are left out: {', '.join(left)}"
+        left = [p.name for p in everything if p not in read]
+        remarks = list(written.warnings)
+        if left:
+            remarks.append(
+                f"{len(left)} plots have no measured spectrum and are left out: {', '.join(left)}"
+            )
+        return write_findings(
+            run,
+            findings,
+            resolution,
+            realisations,
+            inputs,
+            warnings=remarks,
         )
-    return summary
 
 
 def _chosen_bands(
@@ -223,11 +230,11 @@ def _elsewhere(
         elsewhere.append(
             {name: (float(mean[i]), float(sd[i])) for name, (mean, sd) in known.items()}
         )
-    return Prior(ELSEWHERE, plots, parameters, elsewhere)
+    return Prior(OTHERS_PRIOR, plots, parameters, elsewhere)
 
 
-def _check(found: Estimate, plot: BioscapePlot, folder: Path) -> None:
-    if not (np.isfinite(found.after).all() and np.isfinite(found.covariance).all()):
+def _check(fit: Estimate, plot: BioscapePlot, folder: Path) -> None:
+    if not (np.isfinite(fit.after).all() and np.isfinite(fit.covariance).all()):
         raise InputError(
             f"the fit of plot {plot.name!r} is not finite; is its spectrum a reflectance?",
             file=folder,
@@ -237,24 +244,26 @@ def _check(found: Estimate, plot: BioscapePlot, folder: Path) -> None:
 def _findings(
     read: Sequence[BioscapePlot],
     priors: Sequence[Prior],
-    found: dict[str, list[Estimate]],
+    estimates: dict[str, list[Estimate]],
     field: Field,
     bands: BandSet,
     data: Sequence[Data],
 ) -> Findings:
     names = tuple(p.name for p in read)
     findings = Findings(
-        names, np.asarray(bands.centre), np.stack([np.asarray(d.value) for d in data]), found
+        names, np.asarray(bands.centre), np.stack([np.asarray(d.value) for d in data]), estimates
     )
     for prior in priors:
         references = [Reference(p) for p in prior.plots]
-        findings.simple(estimate_table(read, prior.name, references, found[prior.name], field))
-    own = {
+        findings.tables.append(
+            estimate_table(read, prior.name, references, estimates[prior.name], field)
+        )
+    of_tables = {
         name: np.array([p.weighted_mean(name) for p in read], float)
         for name in ("leaf_mass_per_area", "water_content")
     }
-    findings.simple(simple_table(names, TABLE, own, field))
+    findings.tables.append(simple_table(names, TABLE, of_tables, field))
     if len(read) > 1:
         mean = {name: others(field.value[name])[0] for name in QUANTITIES}
-        findings.simple(simple_table(names, MEAN, mean, field))
+        findings.tables.append(simple_table(names, MEAN, mean, field))
     return findings

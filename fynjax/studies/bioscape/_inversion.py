@@ -114,7 +114,7 @@ QUANTITIES: dict[str, tuple[str, str, str]] = {
     "leaf_mass_per_area": ("leaf_mass_per_area", "leaf mass per area", "g m-2"),
     "water_content": ("water_per_dry_matter", "water content", "% of fresh mass"),
 }
-"""What is told of a plot: the parameter that it follows from, words, unit."""
+"""What is estimated of a plot: the parameter that it follows from, words, unit."""
 
 
 def quantity(reference: Reference, name: str, factor: Any) -> Any:
@@ -247,17 +247,18 @@ def flight_covariance(
     return apart.T @ apart / freedom
 
 
-def taught_data(
+def bias_corrected_data(
     names: Sequence[str],
     flights: Float[np.ndarray, "flight band"],
     residuals: Float[np.ndarray, "plot band"],
 ) -> tuple[Data, Float[np.ndarray, " band"]]:
-    """A plot's mean spectrum with the errors that the model made on other plots, and their mean.
+    """Leave-one-out bias correction: a plot's mean spectrum with the errors that the model made
+    on other plots, and the mean of these.
 
     **Arguments:** `residuals`, measured less simulated spectra of other plots, simulated from
-    their own tables. They hold all there is: faults of the model and of the tables, what flights
-    and plantings differ by. Their covariance, shrunk half-way to the diagonal because plots are
-    few, grows by that of their mean.
+    their own tables. They hold all there is: errors of the model and of the tables, and what
+    flights and stand realisations differ by. Their covariance, shrunk half-way to the diagonal
+    because plots are few, grows by that of their mean.
     """
     count = len(residuals)
     covariance = np.cov(residuals, rowvar=False)
@@ -280,7 +281,7 @@ class Estimate:
     before: np.ndarray
     """Spectrum at the prior's centre, as the model has it."""
     after: np.ndarray
-    """At the estimate, with what other plots taught of the model."""
+    """At the estimate, with the bias correction added."""
     misfit: tuple[float, float]
     """Root mean square of the whitened misfit before and after [-]."""
     converged: bool
@@ -309,45 +310,45 @@ def infer_plot(
     models: Sequence[PlotModel],
     keep: Keep,
     *,
-    teacher: Float[np.ndarray, " band"] | None = None,
+    bias: Float[np.ndarray, " band"] | None = None,
     max_steps: int = 20,
 ) -> Estimate:
-    """Fit one plot. `models` are plantings of it; the first is fitted, the others say what chance
-    in the planting changes.
+    """Fit one plot. `models` are stand realisations of it; the first is fitted, the others
+    estimate the variance over realisations.
 
-    `teacher` is added to the model's spectrum; `data` then hold the errors of all that, those of
-    plantings too (`taught_data`).
+    `bias` is added to the model's spectrum; `data` then hold the errors of all that, those of
+    realisations too (`bias_corrected_data`).
     """
-    offset = jnp.zeros_like(data.value) if teacher is None else jnp.asarray(teacher)
+    offset = jnp.zeros_like(data.value) if bias is None else jnp.asarray(bias)
 
     def do() -> tuple[Array, ...]:
-        own = forward.with_space(space)
+        of_plot = forward.with_space(space)
         start = jnp.zeros(len(space.names))
         contexts = [(model, parameters) for model in models]
-        looked = jnp.stack([own.values(start, context) for context in contexts])
-        grown = data.with_scatter(looked[1:] - looked[0]) if teacher is None else data
-        found: FitResult = fit(
+        prior_spectra = jnp.stack([of_plot.values(start, context) for context in contexts])
+        grown = data.with_scatter(prior_spectra[1:] - prior_spectra[0]) if bias is None else data
+        result: FitResult = fit(
             predict,
             grown,
             space,
             max_steps=max_steps,
             tolerance=0.02,
-            forward=own,
+            forward=of_plot,
             context=contexts[0],
             offset=offset,
         )
-        others = [evaluate(own, grown, found.whitened, context) for context in contexts[1:]]
-        deviations = jnp.stack([value for value, _ in others]) + offset - found.predicted
-        if teacher is not None:
+        others = [evaluate(of_plot, grown, result.whitened, context) for context in contexts[1:]]
+        deviations = jnp.stack([value for value, _ in others]) + offset - result.predicted
+        if bias is not None:
             deviations = jnp.zeros_like(deviations)
-        scattered = replace(found, data=data).marginal(
+        scattered = replace(result, data=data).marginal(
             deviations, jnp.stack([slope for _, slope in others])
         )
-        spectra = (looked[0] + offset, found.predicted)
+        spectra = (prior_spectra[0] + offset, result.predicted)
         rest = [grown.whiten(spectrum - grown.value) for spectrum in spectra]
         return (
-            found.whitened, scattered.covariance, looked[0], found.predicted,
-            jnp.stack([jnp.sqrt(jnp.mean(r**2)) for r in rest]), jnp.asarray(found.converged),
+            result.whitened, scattered.covariance, prior_spectra[0], result.predicted,
+            jnp.stack([jnp.sqrt(jnp.mean(r**2)) for r in rest]), jnp.asarray(result.converged),
         )  # fmt: skip
 
     u, covariance, before, after, misfit, converged = (np.asarray(a) for a in keep(do))

@@ -1,4 +1,4 @@
-"""What spectra say of plots against what the field says: tables."""
+"""Estimates from spectra against the measurements of the field: tables."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,20 +11,20 @@ from fynjax.compare import leave_one_out
 from fynjax.studies.bioscape._inversion import FREE, QUANTITIES, Estimate, Reference, quantity
 from fynjax.studies.bioscape._plots import BioscapePlot
 
-OWN, ELSEWHERE, TAUGHT = (
+TABLES_PRIOR, OTHERS_PRIOR, BIAS_CORRECTED = (
     "spectrum, the plot's tables as prior",
     "spectrum, other plots as prior",
-    "spectrum, other plots as prior and teacher",
+    "spectrum, other plots as prior and bias correction",
 )
 TABLE, MEAN, REGRESSION = "the plot's tables alone", "mean of the other plots", "published PLSR"
 PREDICTORS = {
-    OWN: "the posterior with cover and traits of the plot's own tables as a weak prior: it knows "
-    "what it is compared with",
-    ELSEWHERE: "the posterior with the mean of the other plots as prior of live cover and traits; "
-    "of the plot's own tables it knows which species stand there in which shares, the dead cover "
-    "and the litter",
-    TAUGHT: "the same, after the model has learnt from the other plots what it is off by on "
-    "average, and how far that varies",
+    TABLES_PRIOR: "the posterior with cover and traits of the plot's own tables as a weak prior: "
+    "it uses what it is compared with",
+    OTHERS_PRIOR: "the posterior with the mean of the other plots as prior of live cover and "
+    "traits; of the plot's own tables it uses the shares of the species, the dead cover and the "
+    "litter",
+    BIAS_CORRECTED: "the same, with a leave-one-out bias correction: the model's mean error on the "
+    "other plots is taken off, and how far that error varies counts as uncertainty",
     TABLE: "the centre of the first prior: traits of species that the library lacks are those of "
     "their genus, family or growth form",
     MEAN: "the mean of the field's values over all other plots: knows nothing of the plot",
@@ -39,7 +39,7 @@ known [-] (Pakeman and Quested 2007, Applied Vegetation Science 10:91)."""
 
 @dataclass(frozen=True)
 class Field:
-    """What the field says of plots."""
+    """Measurements of the field, by plot."""
 
     value: dict[str, Float[np.ndarray, " plot"]]
     """By name in `QUANTITIES`, in their units. Traits are means over the species measured."""
@@ -52,8 +52,8 @@ def field_values(plots: Sequence[BioscapePlot]) -> Field:
     value = {"live_cover": np.array([100.0 * p.live for p in plots])}
     share = {"live_cover": np.ones(len(plots))}
     for trait in ("leaf_mass_per_area", "water_content"):
-        found = [_measured_mean(plot, trait) for plot in plots]
-        value[trait], share[trait] = (np.array([f[k] for f in found]) for k in (0, 1))
+        means = [_measured_mean(plot, trait) for plot in plots]
+        value[trait], share[trait] = (np.array([mean[k] for mean in means]) for k in (0, 1))
     return Field(value, share)
 
 
@@ -85,12 +85,12 @@ def estimate_table(
 ) -> pd.DataFrame:
     """Every quantity of every plot: field, prior, estimate and its interval."""
     rows = []
-    for i, (plot, reference, found) in enumerate(zip(plots, references, estimates)):
+    for i, (plot, reference, fit) in enumerate(zip(plots, references, estimates)):
         for name, (free, _, unit) in QUANTITIES.items():
-            k = found.space.names.index(free)
-            draws = quantity(reference, name, found.draws(free))
+            k = fit.space.names.index(free)
+            draws = quantity(reference, name, fit.draws(free))
             low, middle, high = np.quantile(draws, (0.025, 0.5, 0.975))
-            prior = quantity(reference, name, float(found.space.prior[k]))
+            prior = quantity(reference, name, float(fit.space.prior[k]))
             rows.append(
                 {
                     "plot": plot.name,
@@ -104,7 +104,7 @@ def estimate_table(
                     "sd": draws.std(),
                     "q025": low,
                     "q975": high,
-                    "constrained": found.constrained[k],
+                    "constrained": fit.constrained[k],
                 }
             )
     return pd.DataFrame(rows)
@@ -135,8 +135,8 @@ def simple_table(
 
 
 def agreement(table: pd.DataFrame) -> pd.DataFrame:
-    """Correlation, RMSE and bias of each predictor, over all plots and over those of which the
-    field knows enough (`ENOUGH`)."""
+    """Correlation, RMSE and bias of each predictor, over all plots and over those of whose
+    cover enough has a measured trait (`ENOUGH`)."""
     rows = []
     for (name, predictor), part in table.groupby(["quantity", "predictor"], sort=False):
         known = part[np.isfinite(part["field"]) & np.isfinite(part["estimate"])]
@@ -170,45 +170,46 @@ def parameter_table(
 ) -> pd.DataFrame:
     """Every free parameter of every plot."""
     rows = []
-    for plot, found in zip(plots, estimates):
-        values = np.asarray(found.space.physical(found.whitened))  # type: ignore[arg-type]
-        for i, name in enumerate(found.space.names):
+    for plot, fit in zip(plots, estimates):
+        values = np.asarray(fit.space.physical(fit.whitened))  # type: ignore[arg-type]
+        for i, name in enumerate(fit.space.names):
             rows.append(
                 {
                     "plot": plot,
                     "predictor": predictor,
                     "parameter": name,
                     "what": FREE[name].what,
-                    "prior": float(found.space.prior[i]),
+                    "prior": float(fit.space.prior[i]),
                     "estimate": values[i],
-                    "moved": found.whitened[i],
-                    "constrained": found.constrained[i],
+                    "shift": fit.whitened[i],
+                    "constrained": fit.constrained[i],
                 }
             )
     return pd.DataFrame(rows)
 
 
-def why_table(parameters: pd.DataFrame) -> pd.DataFrame:
-    """What all plots do alike: a parameter that moves the same way everywhere tells of the model,
-    not of the plots.
+def shift_table(parameters: pd.DataFrame) -> pd.DataFrame:
+    """Shifts of every parameter from its prior, over plots: one that is the same in all plots is
+    an error of the model.
 
     Columns: mean and standard deviation of the shift over plots, in prior standard deviations;
-    `alike`, the mean over its standard error; the mean share of the prior variance removed.
+    `mean_over_error`, the mean over its standard error; the mean share of the prior variance
+    removed.
     """
     rows = []
     for (predictor, name), part in parameters.groupby(["predictor", "parameter"], sort=False):
-        moved = part["moved"].to_numpy()
-        several = len(moved) > 1
-        spread = moved.std(ddof=1) if several else np.nan
-        error = spread / np.sqrt(len(moved))
+        shift = part["shift"].to_numpy()
+        several = len(shift) > 1
+        spread = shift.std(ddof=1) if several else np.nan
+        error = spread / np.sqrt(len(shift))
         rows.append(
             {
                 "predictor": predictor,
                 "parameter": name,
                 "what": FREE[str(name)].what,
-                "mean_shift": moved.mean(),
+                "mean_shift": shift.mean(),
                 "sd_shift": spread,
-                "alike": moved.mean() / error if several and error > 0 else np.nan,
+                "mean_over_error": shift.mean() / error if several and error > 0 else np.nan,
                 "constrained": part["constrained"].mean(),
             }
         )

@@ -1,39 +1,39 @@
 """What `fynjax calibrate-plots` writes: tables, figures, a page."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from fynjax.io.text import write_text
-from fynjax.report.figures import estimates_plot, residuals_plot, save_figure, shifts_plot
-from fynjax.report.pages import Page
+from fynjax.jobs import JobResult, Rows, Run
+from fynjax.report.figures import estimates_plot, residuals_plot, shifts_plot
+from fynjax.report.pages import Page, Part, Picture, Section, Table
 from fynjax.studies.bioscape._inversion import MODEL_SD, QUANTITIES, Estimate
 from fynjax.studies.bioscape._inversion_compare import (
-    ELSEWHERE,
+    BIAS_CORRECTED,
     ENOUGH,
     MEAN,
-    OWN,
+    OTHERS_PRIOR,
     PREDICTORS,
     REGRESSION,
-    TAUGHT,
+    TABLES_PRIOR,
     agreement,
     parameter_table,
-    why_table,
+    shift_table,
 )
 from fynjax.studies.bioscape._scenes import Resolution
 
-_ALIKE = 3.0
+_SHARED = 3.0
 """A shift this many standard errors from zero is one that plots share."""
 
 
 @dataclass
 class Findings:
-    """What was found of all plots."""
+    """Estimates and residuals of all plots."""
 
     plots: tuple[str, ...]
     wavelength: Float[np.ndarray, " band"]
@@ -41,10 +41,7 @@ class Findings:
     estimates: dict[str, list[Estimate]]
     """By prior, in the order of the plots."""
     tables: list[pd.DataFrame] = field(default_factory=list)
-
-    def simple(self, table: pd.DataFrame) -> None:
-        """Add estimates of one predictor."""
-        self.tables.append(table)
+    """Estimates of each predictor."""
 
     @property
     def table(self) -> pd.DataFrame:
@@ -53,133 +50,163 @@ class Findings:
     @property
     def residuals(self) -> dict[str, Float[np.ndarray, "plot band"]]:
         """Model less measured: from the tables, and after each fit."""
-        found = {"tables alone": self._spectra(OWN, "before") - self.measured}
+        rest = {"tables alone": self._spectra(TABLES_PRIOR, "before") - self.measured}
         for prior in self.estimates:
-            found[prior.split(", ")[1]] = self._spectra(prior, "after") - self.measured
-        return found
+            rest[prior.split(", ")[1]] = self._spectra(prior, "after") - self.measured
+        return rest
 
     def _spectra(self, prior: str, which: str) -> np.ndarray:
-        return np.stack([getattr(one, which) for one in self.estimates[prior]])
+        return np.stack([getattr(fit, which) for fit in self.estimates[prior]])
+
+
+class CalibratePlotsResult(JobResult):
+    """What `calibrate_plots` found: agreement with the field, and shifts of the parameters."""
+
+    command: Literal["calibrate-plots"] = "calibrate-plots"
+    plots: list[str]
+    bands: int
+    size_m: float
+    voxel_m: float
+    realisations: int
+    agreement: Rows
+    """Rows of agreement.csv."""
+    parameter_shifts: Rows
+    """Rows of parameter_shifts.csv."""
 
 
 def write_findings(
-    output: Path,
+    run: Run,
     findings: Findings,
     resolution: Resolution,
-    plantings: int,
-    record: Mapping[str, str | int],
-) -> dict[str, Any]:
-    """Write all of it into `output`; the summary for `run_job`."""
+    realisations: int,
+    inputs: Sequence[str | Path | None],
+    *,
+    warnings: list[str],
+) -> CalibratePlotsResult:
+    """Write tables, figures and the page."""
     table, score = findings.table, agreement(findings.table)
     parameters = pd.concat(
         [parameter_table(findings.plots, name, e) for name, e in findings.estimates.items()],
         ignore_index=True,
     )
-    why = why_table(parameters)
-    spectra = _spectra_table(findings)
-    written = {
-        "estimates.csv": (table, "cover and traits of every plot by every predictor"),
-        "agreement.csv": (score, "their agreement with the field"),
-        "parameters.csv": (parameters, "every free parameter of every plot"),
-        "why.csv": (why, "what the spectra pull the same way in all plots"),
-        "spectra.csv": (spectra, "measured and fitted spectra"),
-    }
-    for name, (rows, _) in written.items():
-        write_text(output / name, rows.to_csv(index=False, float_format="%.6g"))
-    several = len(findings.plots) > 1
-    figures = {
-        "estimates": (
-            estimates_plot(
-                table,
-                {name: f"{words} [{unit}]" for name, (_, words, unit) in QUANTITIES.items()},
-                priors=(OWN, ELSEWHERE, TAUGHT),
-                regression=REGRESSION,
-                measured_share=ENOUGH,
-            ),
-            "Estimates with their 95 % intervals against the field; on the line is right. In the "
-            "first row the plot's own tables are the prior, so that agreement is no merit of the "
-            "spectrum; below, other plots are. A filled point is a plot of whose cover most has a "
-            "measured trait.",
-        ),
-        "shifts": (
-            shifts_plot(parameters),
-            "What the spectra pull on, a point a plot, the bar their mean. What all plots do alike "
-            "is what the model lacks, not what the plots have.",
-        ),
-        "residuals": (
-            residuals_plot(findings.wavelength, findings.residuals),
-            "What is left between model and measurement, mean and standard deviation of the "
-            "plots: what no free parameter can explain.",
-        ),
-    }  # fmt: skip
-    for name, (figure, _) in figures.items():
-        save_figure(figure, output / f"{name}.png")
+    shifts = shift_table(parameters)
+    run.table("estimates.csv", table, "cover and traits of every plot by every predictor")
+    run.table("agreement.csv", score, "agreement of the estimates with the field")
+    run.table("parameters.csv", parameters, "every free parameter of every plot")
+    run.table("parameter_shifts.csv", shifts, "shifts that all plots share")
+    run.table("spectra.csv", _spectra_table(findings), "measured and fitted spectra")
     headline = _headline(findings, score)
-    page = Page("Cover and leaf traits from spectra of plots", headline[0])
-    page.paragraph(" ".join(headline[1:]))
-    page.section("Against the field")
-    page.paragraph(" ".join(f"“{p}”: {PREDICTORS[p]}." for p in score["predictor"].unique()))
-    page.table(
-        score.assign(quantity=[QUANTITIES[q][1] for q in score["quantity"]]),
-        headers={"correlation": "r", "rmse": "RMSE", "inside_95": "inside 95 % interval",
-                 "constrained": "prior variance removed"},
-        digits=3,
-        caption="Cover in %, leaf mass per area in g m-2, water in % of fresh mass.",
-    )  # fmt: skip
-    page.figure(output / "estimates.png", figures["estimates"][1])
-    page.section("Why")
-    for text in _reasons(findings, why) if several else ():
-        page.paragraph(text)
-    page.figure(output / "shifts.png", figures["shifts"][1])
-    page.figure(output / "residuals.png", figures["residuals"][1])
-    page.table(why, digits=3, folded=True, caption="Shifts of every parameter, over all plots",
-               headers={"mean_shift": "mean shift [prior sd]", "sd_shift": "its sd over plots",
-                        "alike": "mean over its standard error"})  # fmt: skip
-    page.section("Plot by plot")
-    page.table(table, digits=3, folded=True, caption="Every estimate")
-    page.section("How")
-    for text in _how(findings, resolution, plantings):
-        page.paragraph(text)
-    page.footer(record)
-    page.write(output / "report.html")
-    stopped = sorted(
-        {n for es in findings.estimates.values() for n, e in zip(findings.plots, es)
-         if not e.converged}
-    )  # fmt: skip
-    return {
-        "headline": headline,
-        "files": {
-            "report.html": "the report",
-            **{name: what for name, (_, what) in written.items()},
-            **{f"{name}.png": caption.split(".")[0] for name, (_, caption) in figures.items()},
-        },
-        "warnings": [f"the fit did not converge in its steps: {', '.join(stopped)}"]
-        if stopped
-        else [],
-        "calibrate_plots": {
-            "plots": list(findings.plots),
-            "bands": int(findings.wavelength.size),
-            "size_m": resolution.size_m,
-            "voxel_m": resolution.voxel_m,
-            "plantings": plantings,
-            "agreement": score.to_dict("records"),
-            "why": why.to_dict("records"),
-        },
+    sections = [
+        Section("", [" ".join(headline[1:])]),
+        _field_section(table, score),
+        _shift_section(findings, parameters, shifts),
+        Section("Plot by plot", [Table(table, "Every estimate", digits=3, folded=True)]),
+        Section("How", _how(resolution, realisations)),
+    ]
+    title = "Cover and leaf traits from spectra of plots"
+    run.page(Page(title, headline[0], sections, record=run.record(inputs)))
+    stopped = {
+        name
+        for fits in findings.estimates.values()
+        for name, fit in zip(findings.plots, fits)
+        if not fit.converged
     }
+    if stopped:
+        names = ", ".join(sorted(stopped))
+        warnings = [f"the fit did not converge in its steps: {names}", *warnings]
+    return run.result(
+        CalibratePlotsResult,
+        headline=headline,
+        warnings=warnings,
+        plots=findings.plots,
+        bands=findings.wavelength.size,
+        size_m=resolution.size_m,
+        voxel_m=resolution.voxel_m,
+        realisations=realisations,
+        agreement=score,
+        parameter_shifts=shifts,
+    )
+
+
+def _field_section(table: pd.DataFrame, score: pd.DataFrame) -> Section:
+    titles = {name: f"{words} [{unit}]" for name, (_, words, unit) in QUANTITIES.items()}
+    figure = estimates_plot(
+        table,
+        titles,
+        priors=(TABLES_PRIOR, OTHERS_PRIOR, BIAS_CORRECTED),
+        regression=REGRESSION,
+        measured_share=ENOUGH,
+    )
+    scores = Table(
+        score.assign(quantity=[QUANTITIES[q][1] for q in score["quantity"]]),
+        "Cover in %, leaf mass per area in g m-2, water in % of fresh mass.",
+        headers={
+            "correlation": "r",
+            "rmse": "RMSE",
+            "inside_95": "inside 95 % interval",
+            "constrained": "prior variance removed",
+        },
+        digits=3,
+    )
+    picture = Picture(
+        "estimates.png",
+        figure,
+        "estimates with their 95 % intervals against the field",
+        "Estimates with their 95 % intervals against the field; on the line is right. In the "
+        "first row the plot's own tables are the prior, so that agreement is no merit of the "
+        "spectrum; below, other plots are. A filled point is a plot of whose cover most has a "
+        "measured trait.",
+    )
+    predictors = " ".join(f"“{p}”: {PREDICTORS[p]}." for p in score["predictor"].unique())
+    return Section("Against the field", [predictors, scores, picture])
+
+
+def _shift_section(findings: Findings, parameters: pd.DataFrame, shifts: pd.DataFrame) -> Section:
+    parts: list[Part] = []
+    if len(findings.plots) > 1:
+        parts += _reasons(findings, shifts)
+    parts += [
+        Picture(
+            "shifts.png",
+            shifts_plot(parameters),
+            "shifts of the parameters from their priors",
+            "Shift of each parameter from its prior, a point a plot, the bar their mean. A shift "
+            "that all plots share is an error of the model.",
+        ),
+        Picture(
+            "residuals.png",
+            residuals_plot(findings.wavelength, findings.residuals),
+            "residuals between model and measurement",
+            "Residuals between model and measurement, mean and standard deviation of the plots: "
+            "what no free parameter can explain.",
+        ),
+        Table(
+            shifts,
+            "Shifts of every parameter, over all plots",
+            headers={
+                "mean_shift": "mean shift [prior sd]",
+                "sd_shift": "its sd over plots",
+                "mean_over_error": "mean over its standard error",
+            },
+            digits=3,
+            folded=True,
+        ),
+    ]
+    return Section("Shifts from the prior", parts)
 
 
 def _headline(findings: Findings, score: pd.DataFrame) -> list[str]:
     lines = [f"{len(findings.plots)} plots, {findings.wavelength.size} bands."]
-    prior = next(p for p in (TAUGHT, ELSEWHERE, OWN) if p in findings.estimates)
+    prior = next(p for p in (BIAS_CORRECTED, OTHERS_PRIOR, TABLES_PRIOR) if p in findings.estimates)
     every = {
         (row["quantity"], row["predictor"]): row
         for row in score[score["plots"] == "all"].to_dict("records")
     }
     for name, (_, words, unit) in QUANTITIES.items():
-        mine = every[name, prior]
+        score_of = every[name, prior]
         line = (
-            f"{words[0].upper()}{words[1:]} by the {prior}: r {mine['correlation']:.2f}, RMSE "
-            f"{mine['rmse']:.3g} {unit}, bias {mine['bias']:+.3g}"
+            f"{words[0].upper()}{words[1:]} by the {prior}: r {score_of['correlation']:.2f}, RMSE "
+            f"{score_of['rmse']:.3g} {unit}, bias {score_of['bias']:+.3g}"
         )
         if (name, MEAN) in every:
             line += f" (mean of the other plots: RMSE {every[name, MEAN]['rmse']:.3g})"
@@ -187,51 +214,50 @@ def _headline(findings: Findings, score: pd.DataFrame) -> list[str]:
     return lines
 
 
-def _reasons(findings: Findings, why: pd.DataFrame) -> list[str]:
+def _reasons(findings: Findings, shifts: pd.DataFrame) -> list[str]:
     """What the posteriors say of the reasons, in sentences."""
-    told = []
-    rest = findings.residuals
-    size = {name: np.sqrt(np.mean(r**2)) for name, r in rest.items()}
-    told.append(
-        "Root mean square of what is left between model and measurement: "
+    size = {name: np.sqrt(np.mean(rest**2)) for name, rest in findings.residuals.items()}
+    sentences = [
+        "Root mean square of the residuals between model and measurement: "
         + "; ".join(f"{name}, {value:.4f}" for name, value in size.items())
         + "."
-    )
+    ]
     for prior in findings.estimates:
-        part = why[why["predictor"] == prior].set_index("parameter")
-        alike = part[part["alike"].abs() >= _ALIKE].sort_values("mean_shift", key=abs)[::-1]
+        part = shifts[shifts["predictor"] == prior].set_index("parameter")
+        shared = part[part["mean_over_error"].abs() >= _SHARED]
         moves = [
             f"{str(n).replace('_', ' ')} {'up' if r['mean_shift'] > 0 else 'down'} by "
             f"{abs(r['mean_shift']):.1f}"
-            for n, r in alike.head(5).iterrows()
+            for n, r in shared.sort_values("mean_shift", key=abs)[::-1].head(5).iterrows()
         ]
-        told.append(
-            f"With the {prior.split(', ')[1]}, all plots pull alike (prior standard deviations): "
+        sentences.append(
+            f"With the {prior.split(', ')[1]}, all plots shift alike (prior standard deviations): "
             f"{', '.join(moves)}. An error that every plot shares is the model's, and a trait that "
             "moves with it is estimated wrongly by that much."
             if moves
-            else f"With the {prior.split(', ')[1]} no parameter moves alike in all plots."
+            else f"With the {prior.split(', ')[1]} no parameter shifts alike in all plots."
         )
-        seen = part.sort_values("constrained", ascending=False)
-        best = [f"{str(n).replace('_', ' ')} {r['constrained']:.0%}" for n, r in seen.iterrows()]
-        told.append(
-            f"Prior variance that the spectra remove: {', '.join(best[:4])}; least: "
-            f"{', '.join(best[-3:])}."
+        constrained = part["constrained"].sort_values(ascending=False)
+        named = [f"{str(n).replace('_', ' ')} {share:.0%}" for n, share in constrained.items()]
+        sentences.append(
+            f"Prior variance that the spectra remove: {', '.join(named[:4])}; least: "
+            f"{', '.join(named[-3:])}."
         )
-    return told
+    return sentences
 
 
-def _how(findings: Findings, resolution: Resolution, plantings: int) -> list[str]:
+def _how(resolution: Resolution, realisations: int) -> list[str]:
     return [
         f"Each plot is a square of {resolution.size_m:g} m that repeats itself, in voxels of "
         f"{100 * resolution.voxel_m:g} cm, with the species of its table. Parameters are those of "
         "the whole plot, factors on what its tables say: a mean spectrum does not tell species "
         "apart. They are fitted by least squares; intervals are of the Gaussian about the fit, "
-        f"and only what {plantings} plantings of the plot agree on counts as known.",
+        f"and only sensitivity that {realisations} stand realisations share counts as information.",
         f"Errors of a spectrum: {100 * MODEL_SD:g} % in each band for itself, a gain and an offset "
         "common to all bands, and what flights over one plot differ by, pooled over the plots, "
-        "over the number of flights. Where other plots teach, the model's mean error on them is "
-        "added to it, and the covariance of these errors takes the place of all others.",
+        "over the number of flights. With the leave-one-out bias correction the model's mean error "
+        "on the other plots is added to it, and the covariance of these errors replaces all "
+        "others.",
         "Live cover follows from the crowns' cover by the law of crowns set at random. Traits of "
         "the field are means over the species with a measured value, weighted with cover.",
     ]

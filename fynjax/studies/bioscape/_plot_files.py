@@ -5,11 +5,12 @@ import io
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.io.text import write_text
+from fynjax.jobs import JobResult, Run
 from fynjax.scene import LEAF_FIELDS, PARAMETERS
 from fynjax.sensors import sun_position
 from fynjax.studies.bioscape._assumed import CLOSED_COVER, DOME, PLOT_SIDE_M, pigments, plant_size
@@ -87,24 +88,24 @@ def flights(visit: Visit | None) -> list[tuple[str, float, float]]:
     """Time of each flight with the sun's zenith angle and azimuth [degree], highest sun first."""
     if visit is None:
         return []
-    found = []
+    times = []
     for text in visit.times:
         time = datetime.fromisoformat(text)
         sun = sun_position(visit.latitude, visit.longitude, time.replace(tzinfo=time.tzinfo or UTC))
-        found.append((text, sun.zenith, sun.azimuth))
-    return sorted(found, key=lambda flight: flight[1])
+        times.append((text, sun.zenith, sun.azimuth))
+    return sorted(times, key=lambda flight: flight[1])
 
 
 def _plot_toml(plot: BioscapePlot) -> str:
-    seen = flights(plot.visit)
-    up = [flight for flight in seen if flight[1] < 80.0]
+    flown = flights(plot.visit)
+    up = [flight for flight in flown if flight[1] < 80.0]
     if plot.visit is None:
         place = ["# Place and date: not in the tables."]
     else:
         place = [
             f"# latitude_deg = {plot.visit.latitude:.6f}",
             f"# longitude_deg = {plot.visit.longitude:.6f}",
-            *(f"# flown {t}: sun at zenith {z:.1f}, azimuth {a:.1f}" for t, z, a in seen),
+            *(f"# flown {t}: sun at zenith {z:.1f}, azimuth {a:.1f}" for t, z, a in flown),
             *([f"# The crew's remark: {plot.visit.remark}"] if plot.visit.remark else []),
         ]
     if up:
@@ -283,6 +284,15 @@ def _index_row(plot: BioscapePlot) -> list[Any]:
     ]
 
 
+class BioscapeResult(JobResult):
+    """What `bioscape` wrote."""
+
+    command: Literal["bioscape"] = "bioscape"
+    plots: list[str]
+    cover_share_by_trait_source: dict[str, float]
+    """Share of the listed cover, over all plots, by the source of leaf mass per area [-]."""
+
+
 def run_bioscape(
     folder: str | Path,
     output: str | Path,
@@ -290,20 +300,16 @@ def run_bioscape(
     plots: Sequence[str] | None = None,
     traits: str | Path | None = None,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> BioscapeResult:
     """Write a folder of plot files for each plot of BioSCape's tables, and `plots.csv`.
 
     **Arguments:** as `read_bioscape` and `write_plot_files` take them.
 
-    **Returns:** the summary: headline, files and, over all plots, the share of the listed cover
-    for each source of leaf mass per area.
-
     **Raises:** what `read_bioscape` raises, and `InputError` for a plot whose name is no name of
     a folder.
     """
-    progress = NullProgress() if progress is None else progress
-    output = Path(output)
-    with progress.stage("Read the tables"):
+    run = Run(output, progress=progress)
+    with run.stage("Read the tables"):
         read = read_bioscape(folder, plots, traits=traits)
     for plot in read:
         if not plot.name.replace("-", "").replace("_", "").isalnum():
@@ -313,16 +319,18 @@ def run_bioscape(
                 file=folder,
                 column="Plot",
             )
-    with progress.stage("Write the plots"):
+    with run.stage("Write the plots"):
+        index = _table([tuple(INDEX_COLUMNS), *map(_index_row, read)])
+        write_text(run.path("plots.csv", "all plots, one a row"), index)
         for plot in read:
-            write_plot_files(plot, output / plot.name)
-        write_text(output / "plots.csv", _table([tuple(INDEX_COLUMNS), *map(_index_row, read)]))
+            write_plot_files(plot, run.folder / plot.name)
+            run.path(f"{plot.name}/plot.toml", f"{len(plot.species)} species")
     total = sum(plot.listed_cover for plot in read)
     shares = {
         source: sum(p.trait_shares().get(source, 0.0) * p.listed_cover for p in read) / total
         for source in SOURCES
     }
-    told = ", ".join(f"{100 * v:.1f} % {k}" for k, v in shares.items() if v > 0)
+    named = ", ".join(f"{100 * v:.1f} % {k}" for k, v in shares.items() if v > 0)
     cut = {
         f"{s.taxon}: expected {name} of at most {PARAMETERS[name].upper:g} "
         f"{PARAMETERS[name].unit}, but its traits give {value:.4g}; its leaf is written with the "
@@ -331,16 +339,13 @@ def run_bioscape(
         for s in plot.species
         for name, value in beyond_prospect(s).items()
     }
-    return {
-        "headline": [
+    return run.result(
+        BioscapeResult,
+        headline=[
             f"{len(read)} plots with {len({s.taxon for p in read for s in p.species})} species.",
-            f"Leaf mass per area by cover: {told}.",
+            f"Leaf mass per area by cover: {named}.",
         ],
-        "files": {"plots.csv": "all plots, one a row"}
-        | {f"{p.name}/plot.toml": f"{len(p.species)} species" for p in read},
-        "warnings": sorted(cut),
-        "bioscape": {
-            "plots": [plot.name for plot in read],
-            "cover_share_by_trait_source": shares,
-        },
-    }
+        warnings=sorted(cut),
+        plots=[plot.name for plot in read],
+        cover_share_by_trait_source=shares,
+    )

@@ -3,16 +3,15 @@
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.compare import PlotSpectraPair
 from fynjax.io.plot import Plot, read_plot
-from fynjax.io.raster import provenance
+from fynjax.jobs import Run
 from fynjax.metrics import spectral_mask
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape._plot_files import flights, run_bioscape
@@ -24,7 +23,7 @@ from fynjax.studies.bioscape._spectra import (
     read_plot_spectra,
     read_spectrometer,
 )
-from fynjax.studies.bioscape._validate_files import write_report
+from fynjax.studies.bioscape._validate_files import ValidatePlotsResult, write_report
 
 _MODEL_NM = (400.0, 2500.0)
 """Wavelengths that leaf and ground spectra cover [nm]."""
@@ -39,20 +38,18 @@ def validate_plots(
     resolution: Resolution | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> ValidatePlotsResult:
     """Simulate the spectra of a folder's plots from its tables and compare them with the measured.
 
     **Arguments:** `folder`, `plots` and `traits` as `fynjax.io.read_bioscape` takes them; for the
     measured spectra the folder has `*VegCenters.csv` and `*waves.csv`. `resolution`: see
     `Resolution`. `seed` draws the places of the plants.
 
-    **Returns:** the summary: headline, files, mean agreement by predictor and region.
-
     **Raises:** `InputError` for tables that are missing or cannot be read.
     """
-    progress = NullProgress() if progress is None else progress
+    run = Run(output, seed=seed, progress=progress)
     resolution = Resolution() if resolution is None else resolution
-    folder, output = Path(folder), Path(output)
+    folder = Path(folder)
     read = read_bioscape(folder, plots, traits=traits)
     spectrometer, measured = read_spectrometer(folder), read_plot_spectra(folder)
     keep = used_bands(spectrometer)
@@ -62,15 +59,15 @@ def validate_plots(
         tuple(spectrometer.fwhm[keep]),
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # told once, above
+        warnings.simplefilter("ignore")  # they were given once, above
         written = run_bioscape(
-            folder, output / "plots", plots=[p.name for p in read], traits=traits
+            folder, run.folder / "plots", plots=[p.name for p in read], traits=traits
         )
-    files = [read_plot(output / "plots" / p.name / "plot.toml") for p in read]
-    with progress.stage("Plant the plots"):
+    files = [read_plot(run.folder / "plots" / p.name / "plot.toml") for p in read]
+    with run.stage("Plant the plots"):
         scenes = build_scenes(files, bands, resolution, [seed] * len(files))
-    with progress.stage("Simulate", total=len(read)):
-        spectra = simulate(scenes, lambda n: progress.advance(1, plot=read[n].name))
+    with run.stage("Simulate", total=len(read)):
+        spectra = simulate(scenes, lambda n: run.progress.advance(1, plot=read[n].name))
     _check_finite(spectra, read)
     pair = PlotSpectraPair(
         tuple(p.name for p in read),
@@ -78,20 +75,25 @@ def validate_plots(
         np.stack([np.asarray(s.reflectance, float) for s in spectra]),
         tuple(_flights(measured.get(p.name), keep) for p in read),
     )
-    with progress.stage("Write"):
-        inputs = [*sorted(folder.glob("*.csv")), *([] if traits is None else [traits])]
-        record = provenance(seed=seed, inputs=inputs)
-        about = plot_table(read, files, spectra, measured)
-        summary = write_report(output, pair, about, resolution, record)
-    summary["warnings"] += written["warnings"]
     unknown = sorted(set(measured) - set(pair.plots)) if plots is None else []
+    remarks = list(written.warnings)
     if unknown:
-        summary["warnings"].append(
+        remarks.append(
             f"{len(unknown)} plots have spectra but no row in the table of cover, and are left "
             f"out: {', '.join(unknown)}"
         )
-    summary["validate_plots"]["largest_residual"] = max(float(s.residual) for s in spectra)
-    return summary
+    with run.stage("Write"):
+        about = plot_table(read, files, spectra, measured)
+        inputs = [*sorted(folder.glob("*.csv")), traits]
+        return write_report(
+            run,
+            pair,
+            about,
+            resolution,
+            inputs,
+            largest_residual=max(float(s.residual) for s in spectra),
+            warnings=remarks,
+        )
 
 
 def used_bands(spectrometer: Spectrometer) -> np.ndarray:
@@ -118,10 +120,10 @@ def plot_table(
     spectra: Sequence[PlotSpectrum],
     measured: dict[str, PlotSpectra],
 ) -> pd.DataFrame:
-    """What was assumed and found of each plot, one a row."""
+    """What was assumed of each plot and what was measured, one a row."""
     rows = []
     for plot, file, spectrum in zip(read, files, spectra):
-        found = measured.get(plot.name)
+        flown = measured.get(plot.name)
         rows.append(
             {
                 "plot": plot.name,
@@ -133,8 +135,8 @@ def plot_table(
                 "sun_zenith_deg": file.sun.zenith_deg,
                 "sun_azimuth_deg": file.sun.azimuth_deg,
                 "sun_from": "flight" if flights(plot.visit) else "assumed",
-                "flights": 0 if found is None else len(found.times),
-                "flights_left_out": 0 if found is None else found.left_out,
+                "flights": 0 if flown is None else len(flown.times),
+                "flights_left_out": 0 if flown is None else flown.left_out,
                 "remark": "" if plot.visit is None else plot.visit.remark,
             }
         )

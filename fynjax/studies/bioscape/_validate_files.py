@@ -1,8 +1,9 @@
 """What `fynjax validate-plots` writes: tables, NetCDF, figures, a page."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -22,15 +23,14 @@ from fynjax.compare import (
     misfit_table,
 )
 from fynjax.io.raster import write_run
-from fynjax.io.text import write_text
+from fynjax.jobs import JobResult, Rows, Run
 from fynjax.report.figures import (
     feature_plot,
     misfit_of_plots,
     residual_plot,
-    save_figure,
     spectra_plot,
 )
-from fynjax.report.pages import Page, format_number
+from fynjax.report.pages import Page, Part, Picture, Section, Table, format_number
 from fynjax.studies.bioscape._scenes import Resolution
 
 _UNITS = {
@@ -61,162 +61,211 @@ _ASSUMED = (
 )
 
 
+class ValidatePlotsResult(JobResult):
+    """What `validate_plots` found: how the model agrees with the measured spectra."""
+
+    command: Literal["validate-plots"] = "validate-plots"
+    plots: list[str]
+    measured: list[str]
+    """Plots with a measured spectrum."""
+    bands: int
+    size_m: float
+    voxel_m: float
+    largest_residual: float
+    """Of the light's equations, over the plots [-]."""
+    agreement: Rows | None = None
+    """Rows of agreement_mean.csv."""
+    by_plot: Rows | None = None
+    """Rows of agreement.csv: of the model, over all bands."""
+    features: Rows | None = None
+    """Rows of features.csv."""
+
+
 def write_report(
-    output: Path,
+    run: Run,
     pair: PlotSpectraPair,
     about: pd.DataFrame,
     resolution: Resolution,
-    record: Mapping[str, str | int],
-) -> dict[str, Any]:
-    """Write all of it into `output`; the summary for `run_job`."""
-    _write_spectra(output, pair, record)
-    files = {
-        "report.html": "the report",
-        "spectra.nc": "simulated and measured spectra",
-        "spectra.csv": "the same, one row a plot and band",
-        "plots.csv": "what was assumed and found of each plot",
-    }
+    inputs: Sequence[str | Path | None],
+    *,
+    largest_residual: float,
+    warnings: list[str],
+) -> ValidatePlotsResult:
+    """Write tables, spectra, figures and the page."""
+    record = run.record(inputs)
+    _write_spectra(run, pair, record)
+    run.table("plots.csv", about, "what was assumed of each plot and what was measured", None)
     measured = pair.those_measured()
-    told = dict.fromkeys(pair.plots)
-    for name in measured.plots:
-        told.pop(name)
+    unmeasured = [name for name in pair.plots if name not in measured.plots]
     count = len(measured.plots)
-    page = Page(
-        "Spectra of plots from their field tables",
-        f"{len(pair.plots)} plots simulated from cover, species and leaf traits alone, "
-        f"{count} of them compared with measured spectra.",
-    )
     headline = [f"{len(pair.plots)} plots simulated, {count} with a measured spectrum."]
-    numbers: dict[str, Any] = {}
+    keys: dict[str, str] = {}
+    rows: dict[str, pd.DataFrame] = {}
     if count:
-        line, numbers = _compare(output, page, measured, files)
-        headline.append(line)
+        tables = _Tables.of(measured)
+        tables.write(run)
+        sentence, keys = _agreement(tables.mean)
+        headline.append(sentence)
+        sections = _comparison(measured, tables)
+        full = tables.model[tables.model["region"] == "full"]
+        rows = {
+            "agreement": tables.mean,
+            "by_plot": full[["plot", *MEASURES]],
+            "features": tables.features,
+        }
     else:
-        save_figure(spectra_plot(pair), output / "spectra.png")
-        page.section("Simulated spectra")
-        page.paragraph("The folder has no measured spectrum of these plots: nothing to compare.")
-        page.figure(output / "spectra.png", "Simulated spectrum of each plot.")
-    about.to_csv(output / "plots.csv", index=False)
-    page.section("The plots")
-    page.table(about, units=_UNITS, headers=_HEADERS, digits=3)
-    page.section("What was assumed")
-    for text in _ASSUMED:
-        page.paragraph(text)
-    page.paragraph(
+        sections = [
+            Section(
+                "Simulated spectra",
+                [
+                    "The folder has no measured spectrum of these plots: nothing to compare.",
+                    Picture("spectra.png", spectra_plot(pair), "simulated spectrum of each plot"),
+                ],
+            )
+        ]
+    square = (
         f"A plot is a square of {resolution.size_m:g} m that repeats itself, in voxels of "
         f"{100 * resolution.voxel_m:g} cm."
     )
-    page.footer(record)
-    page.write(output / "report.html")
-    warned = (
-        [f"{len(told)} plots have no measured spectrum and were only simulated: {', '.join(told)}"]
-        if told
-        else []
+    sections += [
+        Section("The plots", [Table(about, units=_UNITS, headers=_HEADERS, digits=3)]),
+        Section("What was assumed", [*_ASSUMED, square]),
+    ]
+    lead = (
+        f"{len(pair.plots)} plots simulated from cover, species and leaf traits alone, {count} of "
+        "them compared with measured spectra."
     )
-    return {
-        "headline": headline,
-        "files": files,
-        "warnings": warned,
-        "validate_plots": {
-            "plots": list(pair.plots),
-            "measured": list(measured.plots),
-            "bands": int(pair.wavelength.size),
-            "size_m": resolution.size_m,
-            "voxel_m": resolution.voxel_m,
-            **numbers,
-        },
-    }
+    run.page(Page("Spectra of plots from their field tables", lead, sections, keys, record))
+    if unmeasured:
+        names = ", ".join(unmeasured)
+        warnings = [
+            f"{len(unmeasured)} plots have no measured spectrum and were only simulated: {names}",
+            *warnings,
+        ]
+    return run.result(
+        ValidatePlotsResult,
+        headline=headline,
+        warnings=warnings,
+        plots=pair.plots,
+        measured=measured.plots,
+        bands=pair.wavelength.size,
+        size_m=resolution.size_m,
+        voxel_m=resolution.voxel_m,
+        largest_residual=largest_residual,
+        **rows,
+    )
 
 
-def _compare(
-    output: Path,
-    page: Page,
-    pair: PlotSpectraPair,
-    files: dict[str, str],
-) -> tuple[str, dict[str, Any]]:
-    """Tables, figures and the part of the page on measured plots; a line that tells it, and
-    numbers for the summary."""
-    agreement, misfits = agreement_table(pair), misfit_table(pair)
-    mean, bands, features = mean_agreement(agreement), band_table(pair), feature_table(pair)
-    tables = {
-        "agreement.csv": (agreement, "agreement by plot, predictor and region"),
-        "agreement_mean.csv": (mean, "the same, means over the plots"),
-        "misfit.csv": (misfits, "offset, gain and shape of each plot's misfit"),
-        "bands.csv": (bands, "residual, errors and correlation by band"),
-        "features.csv": (features, "how well the model tells plots apart"),
-    }
-    for name, (table, what) in tables.items():
-        write_text(output / name, table.to_csv(index=False))
-        files[name] = what
+@dataclass(frozen=True)
+class _Tables:
+    """How measured and simulated spectra agree."""
+
+    agreement: pd.DataFrame
+    mean: pd.DataFrame
+    misfit: pd.DataFrame
+    bands: pd.DataFrame
+    features: pd.DataFrame
+
+    @classmethod
+    def of(cls, pair: PlotSpectraPair) -> "_Tables":
+        agreement = agreement_table(pair)
+        return cls(
+            agreement,
+            mean_agreement(agreement),
+            misfit_table(pair),
+            band_table(pair),
+            feature_table(pair),
+        )
+
+    @property
+    def model(self) -> pd.DataFrame:
+        """The agreement of the model."""
+        rows = self.agreement[self.agreement["predictor"] == MODEL]
+        return rows.drop(columns="predictor")
+
+    def write(self, run: Run) -> None:
+        for name, table, what in (
+            ("agreement.csv", self.agreement, "agreement by plot, predictor and region"),
+            ("agreement_mean.csv", self.mean, "agreement, means over the plots"),
+            ("misfit.csv", self.misfit, "offset, gain and shape of each plot's misfit"),
+            ("bands.csv", self.bands, "residual, errors and correlation by band"),
+            ("features.csv", self.features, "how well the model distinguishes plots"),
+        ):
+            run.table(name, table, what, None)
+
+
+def _agreement(mean: pd.DataFrame) -> tuple[str, dict[str, str]]:
+    """The agreement over all bands in a sentence, and as key figures."""
     full = {row["predictor"]: row for row in mean.to_dict("records") if row["region"] == "full"}
     model = full[MODEL]
     figures = {"RMSE of the model": format_number(model["rmse"], 3)}
-    line = f"RMSE {model['rmse']:.4f}, SAM {model['spectral_angle']:.1f}°"
+    sentence = f"RMSE {model['rmse']:.4f}, SAM {model['spectral_angle']:.1f}°"
     if OTHERS in full:
         others = full[OTHERS]
         figures["RMSE of the mean of the other plots"] = format_number(others["rmse"], 3)
         figures["skill against that mean"] = format_number(model["skill"], 2)
-        line += (
+        sentence += (
             f"; the mean of the other plots: {others['rmse']:.4f}, {others['spectral_angle']:.1f}°"
         )
     figures["SAM of the model"] = f"{model['spectral_angle']:.1f}°"
     if FLIGHT in full:
         figures["RMSE of one flight to the others"] = format_number(full[FLIGHT]["rmse"], 3)
-    page.key_figures(figures)
-    drawn = {
-        "spectra": (spectra_plot, "Simulated and measured spectrum of each plot."),
-        "residual": (
-            residual_plot,
-            "Where the model is off. Above zero the simulation is too bright. In the middle its "
-            "error beside that of a predictor that knows fynbos but not the plot, and beside what "
-            "one flight differs from the next. Below: a model that ranks the plots rightly has a "
-            "correlation above the grey band, even where its level is wrong.",
-        ),
-        "misfit": (
-            misfit_of_plots,
-            "What the error of each plot is made of. Level and contrast are what one offset and "
-            "one gain for the whole spectrum would repair; shape is what neither does.",
-        ),
-        "features": (
-            feature_plot,
-            "Simulated over measured, a point a plot; on the line is right.",
-        ),
-    }
-    for name, (draw, caption) in drawn.items():
-        if name == "features" and len(pair.plots) < 2:
-            continue
-        save_figure(draw(pair), output / f"{name}.png")
-        files[f"{name}.png"] = caption.split(".")[0]
-    page.section("Agreement, mean of the plots")
-    page.paragraph(
+    return f"{sentence}.", figures
+
+
+def _comparison(pair: PlotSpectraPair, tables: _Tables) -> list[Section]:
+    """The sections on measured plots."""
+    columns: dict[str, Any] = {"units": _UNITS, "headers": _HEADERS, "digits": 3}
+    agreement = [
         "Water windows (1340 to 1460 and 1790 to 2100 nm) and the sensor's edges are left out. "
         + " ".join(f"“{name}” is {what}." for name, what in PREDICTORS.items())
         + " Skill is 1 less the squared error over that of the mean of the other plots: 1 is "
-        "perfect, below 0 is worse than that mean."
-    )
-    page.table(mean, units=_UNITS, headers=_HEADERS, digits=3)
-    page.section("Where the model is off")
-    page.figure(output / "residual.png", drawn["residual"][1])
-    page.figure(output / "misfit.png", drawn["misfit"][1])
-    page.section("Does the model tell plots apart?")
+        "perfect, below 0 is worse than that mean.",
+        Table(tables.mean, **columns),
+    ]
+    errors = [
+        Picture(
+            "residual.png",
+            residual_plot(pair),
+            "error of the model by band",
+            "Error of the model by band. Above zero the simulation is too bright. In the middle "
+            "its error beside that of a predictor that knows fynbos but not the plot, and beside "
+            "what one flight differs from the next. Below: a model that ranks the plots rightly "
+            "has a correlation above the grey band, even where its level is wrong.",
+        ),
+        Picture(
+            "misfit.png",
+            misfit_of_plots(pair),
+            "level, contrast and shape of each plot's error",
+            "What the error of each plot is made of. Level and contrast are what one offset and "
+            "one gain for the whole spectrum would repair; shape is what neither does.",
+        ),
+    ]
+    features: list[Part] = []
     if len(pair.plots) > 1:
-        page.figure(output / "features.png", drawn["features"][1])
-    page.table(features, digits=3, caption="Correlations are across plots.")
-    page.section("Plot by plot")
-    page.figure(output / "spectra.png", drawn["spectra"][1])
-    page.table(misfits, digits=3, headers=_HEADERS, caption="Gain, offset and shares of the error")
-    own = agreement[agreement["predictor"] == MODEL].drop(columns="predictor")
-    page.table(own, units=_UNITS, headers=_HEADERS, digits=3, folded=True,
-               caption="Agreement of the model, by plot and region")  # fmt: skip
-    numbers = {
-        "agreement": mean.to_dict("records"),
-        "by_plot": own[own["region"] == "full"][["plot", *MEASURES]].to_dict("records"),
-        "features": features.to_dict("records"),
-    }
-    return line + ".", numbers
+        features.append(
+            Picture(
+                "features.png",
+                feature_plot(pair),
+                "spectral features, simulated over measured",
+                "Simulated over measured, a point a plot; on the line is right.",
+            )
+        )
+    features.append(Table(tables.features, "Correlations are across plots.", digits=3))
+    each = [
+        Picture("spectra.png", spectra_plot(pair), "simulated and measured spectrum of each plot"),
+        Table(tables.misfit, "Gain, offset and shares of the error", headers=_HEADERS, digits=3),
+        Table(tables.model, "Agreement of the model, by plot and region", folded=True, **columns),
+    ]
+    return [
+        Section("Agreement, mean of the plots", agreement),
+        Section("Where the model is off", errors),
+        Section("Does the model distinguish plots?", features),
+        Section("Plot by plot", each),
+    ]
 
 
-def _write_spectra(output: Path, pair: PlotSpectraPair, record: Mapping[str, str | int]) -> None:
+def _write_spectra(run: Run, pair: PlotSpectraPair, record: Mapping[str, str | int]) -> None:
     sd = np.stack(
         [f.std(axis=0, ddof=1) if len(f) > 1 else np.full(pair.wavelength.size, np.nan)
          for f in pair.flights]
@@ -244,10 +293,10 @@ def _write_spectra(output: Path, pair: PlotSpectraPair, record: Mapping[str, str
             ),
         },
     )
-    write_run(output / "spectra.nc", dataset, record)
+    write_run(run.path("spectra.nc", "simulated and measured spectra"), dataset, record)
     count, bands = pair.simulated.shape
     table = pd.DataFrame(
         {"plot": np.repeat(pair.plots, bands), "wavelength_nm": np.tile(pair.wavelength, count)}
         | {name: values.ravel() for name, (values, _) in fields.items()}
     )
-    write_text(output / "spectra.csv", table.to_csv(index=False, float_format="%.6g"))
+    run.table("spectra.csv", table, "simulated and measured spectra, one row a plot and band")
