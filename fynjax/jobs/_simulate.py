@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from fynjax._core.errors import InputError, MissingExtraError
+from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.assembly import build_sensing
 from fynjax.io.instruments import load_instrument
@@ -110,7 +110,7 @@ def simulate(
     record = run.record(inputs)
     made = run_record(read, instrument, sensing, air, noisy, observation, run.seconds)
     with run.stage("Write"):
-        warnings = _write(run, read, instrument, cubes, {**record, **short_record(made)})
+        _write(run, read, instrument, cubes, {**record, **short_record(made)})
         text = json.dumps({**record, **made}, indent=2, ensure_ascii=False, allow_nan=False)
         path = run.path("run.json", "versions, seed, sensor, atmosphere, accuracy, times")
         write_text(path, text + "\n")
@@ -121,7 +121,7 @@ def simulate(
         pixels=sensing.shape,
         pixel_m=sensing.pixel,
         noise=bool(noisy),
-        warnings=[*warnings_of(read, sensing, instrument), *warnings],
+        warnings=warnings_of(read, sensing, instrument),
     )
 
 
@@ -229,16 +229,12 @@ def _check_finite(cubes: dict[str, Cube], plot: Plot) -> None:
 
 def _write(
     run: Run, plot: Plot, instrument: Sensor, cubes: dict[str, Cube], record: dict[str, Any]
-) -> list[str]:
-    """Write the products and the page; returns warnings."""
-    warnings = []
+) -> None:
+    """Write the products and the page."""
     for name, cube in cubes.items():
         write_cube_geotiff(run.path(f"{name}.tif", f"{name}, GeoTIFF"), cube, record)
-        try:
-            write_cube_envi(run.folder / f"{name}.hdr", cube, record)
-            run.path(f"{name}.hdr", f"{name}, ENVI: header of {name}.dat")
-        except MissingExtraError as error:
-            warnings = [f"no ENVI files were written. {error}"]
+        header = run.path(f"{name}.hdr", f"{name}, ENVI: header of {name}.dat")
+        write_cube_envi(header, cube, record)
     path = run.path("product.nc", f"{' and '.join(cubes)}, NetCDF")
     write_cubes_netcdf(path, cubes, record)
     first = next(iter(cubes.values()))
@@ -259,7 +255,6 @@ def _write(
     )
     lead = f"What {instrument.name} measures of the plot."
     run.page(Page(plot.name, lead, [Section("", [*pictures, spectrum])], record=record))
-    return warnings
 
 
 def _headline(
