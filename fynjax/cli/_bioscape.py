@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from fynjax.cli._runtime import Json, Output, Quiet, run_job
+from fynjax.cli._runtime import Job, command
 
 Tables = Annotated[
     Path,
@@ -25,14 +25,12 @@ TraitLibrary = Annotated[
 ]
 
 
+@command("bioscape")
 def bioscape(
     folder: Tables,
-    output: Output = Path("output/bioscape"),
     plot: OnlyPlots = None,
     traits: TraitLibrary = None,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+) -> Job:
     """Make plot files from the field tables of BioSCape.
 
     Writes a folder for each plot, to be rendered, with a table of where each number came from;
@@ -42,12 +40,6 @@ def bioscape(
     """
     from fynjax.studies.bioscape import run_bioscape
 
-    run_job(
-        "bioscape",
-        lambda target, progress: run_bioscape(
-            folder, target, plots=plot or None, traits=traits, progress=progress
-        ),
-        output,
-        as_json=json,
-        quiet=quiet,
+    return lambda target, progress: run_bioscape(
+        folder, target, plots=plot or None, traits=traits, progress=progress
     )

@@ -1,13 +1,12 @@
 """`fynjax build`."""
 
 from enum import StrEnum
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import Json, Output, OwnSeed, Quiet, run_job
+from fynjax.cli._runtime import Job, OwnSeed, command
 
 
 class View(StrEnum):
@@ -17,9 +16,9 @@ class View(StrEnum):
     meshes = "meshes"
 
 
+@command("build")
 def build(
     plot: PlotPath,
-    output: Output = Path("output/build"),
     seed: OwnSeed = None,
     size: Annotated[
         float | None,
@@ -37,9 +36,7 @@ def build(
     view: Annotated[
         View, typer.Option(help="Oblique picture of points, or of meshes (the extra `view`).")
     ] = View.points,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+) -> Job:
     """Plant a plot: whole plants, as many as its covers ask for.
 
     Writes the plants and their cover (CSV), the voxels (NetCDF), pictures and a report page.
@@ -48,20 +45,14 @@ def build(
     """
     from fynjax import jobs
 
-    run_job(
-        "build",
-        lambda folder, progress: jobs.build(
-            plot,
-            folder,
-            seed=seed,
-            size=size,
-            cell=cell,
-            mesh=mesh,
-            max_triangles=triangles,
-            view=view.value,
-            progress=progress,
-        ),
-        output,
-        as_json=json,
-        quiet=quiet,
+    return lambda folder, progress: jobs.build(
+        plot,
+        folder,
+        seed=seed,
+        size=size,
+        cell=cell,
+        mesh=mesh,
+        max_triangles=triangles,
+        view=view.value,
+        progress=progress,
     )

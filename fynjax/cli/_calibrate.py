@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import Checkpoint, Json, Output, OwnSeed, Quiet, checkpoint_beside, run_job
+from fynjax.cli._runtime import Checkpoint, Job, OwnSeed, command
 
 Targets = Annotated[
     list[Path],
@@ -20,15 +20,13 @@ Targets = Annotated[
 ]
 
 
+@command("calibrate", forget=True)
 def calibrate(
     plot: PlotPath,
     target: Targets,
     checkpoint: Checkpoint = None,
-    output: Output = Path("output/calibrate"),
     seed: OwnSeed = None,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+) -> Job:
     """Find the parameters of a plot that explain what was measured of it.
 
     By one sensor or several at once. Writes every parameter with prior, estimate and standard
@@ -41,18 +39,8 @@ def calibrate(
 
     for path in target:
         existing_file(path, "an image, a spectrum, a point cloud or a table of their statistics")
-    own = checkpoint_beside(output, checkpoint)
     from fynjax import jobs
-    from fynjax._core.checkpoint import forget_journal
 
-    run_job(
-        "calibrate",
-        lambda folder, progress: jobs.calibrate(
-            plot, target, folder, seed=seed, checkpoint=own, progress=progress
-        ),
-        output,
-        as_json=json,
-        quiet=quiet,
-        checkpoint=own,
+    return lambda folder, progress: jobs.calibrate(
+        plot, target, folder, seed=seed, checkpoint=checkpoint, progress=progress
     )
-    forget_journal(own)

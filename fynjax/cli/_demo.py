@@ -1,16 +1,12 @@
 """`fynjax demo`."""
 
-from pathlib import Path
-
-from fynjax.cli._runtime import Json, Output, Quiet, Seed, run_job
+from fynjax.cli._runtime import Job, Seed, command
 
 
+@command("demo")
 def demo(
-    output: Output = Path("output/demo"),
     seed: Seed = 0,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+) -> Job:
     """Calibrate the 2006 burn plot to its real drone image, from shipped input.
 
     Builds the 10 m x 10 m plot from the paper's species table, renders the drone image, calibrates
@@ -21,10 +17,4 @@ def demo(
     """
     from fynjax.studies import fynbos_2006
 
-    run_job(
-        "demo",
-        lambda folder, progress: fynbos_2006.demo(folder, seed=seed, progress=progress),
-        output,
-        as_json=json,
-        quiet=quiet,
-    )
+    return lambda folder, progress: fynbos_2006.demo(folder, seed=seed, progress=progress)

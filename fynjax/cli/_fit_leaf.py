@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fynjax.cli._runtime import Json, Output, Quiet, Seed, run_job
+from fynjax.cli._runtime import Job, Seed, command
 
 
 class Version(StrEnum):
@@ -37,6 +37,7 @@ Spectra = Annotated[
 ]
 
 
+@command("fit-leaf")
 def fit_leaf(
     spectra: Spectra,
     version: Annotated[Version, typer.Option(help="PROSPECT version.")] = Version.D,
@@ -53,11 +54,8 @@ def fit_leaf(
     posterior: Annotated[
         Posterior, typer.Option(help="Sample the posterior of each leaf as well.")
     ] = Posterior.none,
-    output: Output = Path("output/fit-leaf"),
     seed: Seed = 0,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+) -> Job:
     """Fit PROSPECT to measured leaf spectra.
 
     Writes traits.csv (one row for each spectrum: parameters, standard deviations, fit error,
@@ -78,19 +76,13 @@ def fit_leaf(
         further["posterior"] = posterior.value
     from fynjax import jobs
 
-    run_job(
-        "fit-leaf",
-        lambda folder, progress: jobs.fit_leaf(
-            spectra,
-            folder,
-            version=version.value,
-            measurement=measurement,
-            domain=domain.value,
-            seed=seed,
-            progress=progress,
-            **further,
-        ),
-        output,
-        as_json=json,
-        quiet=quiet,
+    return lambda folder, progress: jobs.fit_leaf(
+        spectra,
+        folder,
+        version=version.value,
+        measurement=measurement,
+        domain=domain.value,
+        seed=seed,
+        progress=progress,
+        **further,
     )

@@ -1,6 +1,5 @@
 """`fynjax information`."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -8,9 +7,10 @@ import typer
 from fynjax._core.errors import InputError
 from fynjax.cli._posterior import Free
 from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import Json, Output, OwnSeed, Quiet, run_job
+from fynjax.cli._runtime import Job, OwnSeed, command
 
 
+@command("information")
 def information(
     plot: PlotPath,
     gsd: Annotated[
@@ -34,11 +34,8 @@ def information(
     realisations: Annotated[
         int, typer.Option(min=2, help="Stand realisations used to estimate sampling variance.")
     ] = 4,
-    output: Output = Path("output/information"),
     seed: OwnSeed = None,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+) -> Job:
     """Tell what sensors of any pixel, bands and noise could know about a plot at best.
 
     Writes the Cramér-Rao bound on every parameter, the pixel at which each species' cover is
@@ -56,24 +53,18 @@ def information(
     suns = None if sun is None else _numbers(sun, "--sun")
     from fynjax import jobs
 
-    run_job(
-        "information",
-        lambda folder, progress: jobs.information(
-            plot,
-            folder,
-            free=free,
-            gsd=sizes,
-            bands=counts,
-            spectrum=(limits[0], limits[1]),
-            noise=levels,
-            sun_zenith=suns,
-            realisations=realisations,
-            seed=seed,
-            progress=progress,
-        ),
-        output,
-        as_json=json,
-        quiet=quiet,
+    return lambda folder, progress: jobs.information(
+        plot,
+        folder,
+        free=free,
+        gsd=sizes,
+        bands=counts,
+        spectrum=(limits[0], limits[1]),
+        noise=levels,
+        sun_zenith=suns,
+        realisations=realisations,
+        seed=seed,
+        progress=progress,
     )
 
 

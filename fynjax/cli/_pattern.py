@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax.cli._runtime import Json, Output, Quiet, Seed, run_job
+from fynjax.cli._runtime import Job, Seed, command
 
 Images = Annotated[
     list[Path],
@@ -17,9 +17,9 @@ Images = Annotated[
 ]
 
 
+@command("pattern")
 def pattern(
     images: Images,
-    output: Output = Path("output/pattern"),
     clusters: Annotated[int, typer.Option(min=2, max=255, help="Number of clusters.")] = 3,
     bands: Annotated[
         str | None,
@@ -55,9 +55,7 @@ def pattern(
         bool, typer.Option("--align/--no-align", help="Align the files of a capture.")
     ] = True,
     seed: Seed = 0,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+) -> Job:
     """Make a probability map from an image: where plants are likely to stand.
 
     Writes map.tif for `probability_map` of a plot file, and a picture. Pixels are clustered by
@@ -68,24 +66,18 @@ def pattern(
     from fynjax import jobs
 
     greys = None if levels is None else [_grey(text) for text in levels.split(",")]
-    run_job(
-        "pattern",
-        lambda folder, progress: jobs.pattern(
-            images,
-            folder,
-            clusters=clusters,
-            bands=None if bands is None else bands.split(","),
-            greenness=greenness,
-            greenness_weight=greenness_weight,
-            levels=greys,
-            pixel=pixel,
-            align=align,
-            seed=seed,
-            progress=progress,
-        ),
-        output,
-        as_json=json,
-        quiet=quiet,
+    return lambda folder, progress: jobs.pattern(
+        images,
+        folder,
+        clusters=clusters,
+        bands=None if bands is None else bands.split(","),
+        greenness=greenness,
+        greenness_weight=greenness_weight,
+        levels=greys,
+        pixel=pixel,
+        align=align,
+        seed=seed,
+        progress=progress,
     )
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax.cli._runtime import Json, Output, Quiet, Seed, run_job
+from fynjax._core.progress import Progress
+from fynjax.cli._runtime import Job, Seed, command
 
 if TYPE_CHECKING:
     from fynjax.jobs import PlantResult
@@ -35,6 +36,7 @@ _SAME = (
 )
 
 
+@command("plant")
 def plant(
     source: Source,
     elements: Annotated[
@@ -80,11 +82,8 @@ def plant(
             help="About the most triangles of a taxon; fewer make larger leaves.  [200000]"
         ),
     ] = None,
-    output: Output = Path("output/plant"),
     seed: Seed = 0,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+) -> Job:
     """Turn a plant mesh or a scan into area elements, or generate the mesh of a taxon.
 
     Writes elements.csv (position, normal, one-sided area, organ, optics of each element), a
@@ -107,16 +106,14 @@ def plant(
         "flowering": flowering,
         "max_triangles": max_triangles,
     }
-    with _told_as_options(source):
-        run_job(
-            "plant",
-            lambda folder, progress: _renamed_warnings(
-                jobs.plant(source, folder, progress=progress, seed=seed, **options)
-            ),
-            output,
-            as_json=json,
-            quiet=quiet,
-        )
+
+    def job(folder: Path, progress: Progress) -> "PlantResult":
+        with _naming_options(source):
+            result = jobs.plant(source, folder, progress=progress, seed=seed, **options)
+        warnings = [_as_options(text) for text in result.warnings]
+        return result.model_copy(update={"warnings": warnings})
+
+    return job
 
 
 def _as_options(text: str) -> str:
@@ -126,12 +123,8 @@ def _as_options(text: str) -> str:
     return re.sub(rf"`({'|'.join(_SAME)})`", lambda m: f"`--{m[1].replace('_', '-')}`", text)
 
 
-def _renamed_warnings(result: "PlantResult") -> "PlantResult":
-    return result.model_copy(update={"warnings": [_as_options(text) for text in result.warnings]})
-
-
 @contextmanager
-def _told_as_options(source: str) -> Iterator[None]:
+def _naming_options(source: str) -> Iterator[None]:
     """Errors name the options, and the source where they name no file."""
     try:
         yield

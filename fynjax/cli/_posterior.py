@@ -1,13 +1,12 @@
 """`fynjax posterior`."""
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from fynjax.cli._calibrate import Targets
 from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import Checkpoint, Json, Output, OwnSeed, Quiet, checkpoint_beside, run_job
+from fynjax.cli._runtime import Checkpoint, Job, OwnSeed, command
 
 Free = Annotated[
     list[str] | None,
@@ -19,6 +18,7 @@ Free = Annotated[
 ]
 
 
+@command("posterior")
 def posterior(
     plot: PlotPath,
     target: Targets,
@@ -32,11 +32,8 @@ def posterior(
     draws: Annotated[int, typer.Option(min=1, help="Effective draws to reach.")] = 400,
     steps: Annotated[int, typer.Option(min=1, help="Most steps of the chain.")] = 5000,
     checkpoint: Checkpoint = None,
-    output: Output = Path("output/posterior"),
     seed: OwnSeed = None,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+) -> Job:
     """Sample which parameters of a plot real measurements leave possible.
 
     By one sensor or several at once. Writes every draw (NetCDF), the parameters with their
@@ -49,25 +46,17 @@ def posterior(
 
     for path in target:
         existing_file(path, "an image, a spectrum, a point cloud or a table of their statistics")
-    own = checkpoint_beside(output, checkpoint)
     from fynjax import jobs
 
-    run_job(
-        "posterior",
-        lambda folder, progress: jobs.posterior(
-            plot,
-            target,
-            folder,
-            method=method,
-            free=free,
-            target_size=draws,
-            max_steps=steps,
-            checkpoint=own,
-            seed=seed,
-            progress=progress,
-        ),
-        output,
-        as_json=json,
-        quiet=quiet,
-        checkpoint=own,
+    return lambda folder, progress: jobs.posterior(
+        plot,
+        target,
+        folder,
+        method=method,
+        free=free,
+        target_size=draws,
+        max_steps=steps,
+        checkpoint=checkpoint,
+        seed=seed,
+        progress=progress,
     )

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from fynjax.cli._runtime import Json, Output, Quiet, run_job
+from fynjax.cli._runtime import Job, command
 
 Images = Annotated[
     list[Path],
@@ -17,9 +17,9 @@ Images = Annotated[
 ]
 
 
+@command("reflectance")
 def reflectance(
     images: Images,
-    output: Output = Path("output/reflectance"),
     panel: Annotated[
         list[str] | None,
         typer.Option(
@@ -66,9 +66,7 @@ def reflectance(
     align: Annotated[
         bool, typer.Option("--align/--no-align", help="Align the bands of a capture.")
     ] = True,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+) -> Job:
     """Turn raw pictures of a multispectral drone camera into reflectance.
 
     Writes a GeoTIFF of each capture with all bands aligned, its uncertainty, pictures of captures
@@ -78,23 +76,17 @@ def reflectance(
     """
     from fynjax import jobs
 
-    run_job(
-        "reflectance",
-        lambda folder, progress: jobs.reflectance(
-            images,
-            folder,
-            panels=panel or (),
-            reflectances=panel_reflectance or (),
-            areas=panel_area or (),
-            light=light,
-            panel_sd=panel_sd,
-            light_sd=light_sd,
-            height=height,
-            pixel=pixel,
-            align=align,
-            progress=progress,
-        ),
-        output,
-        as_json=json,
-        quiet=quiet,
+    return lambda folder, progress: jobs.reflectance(
+        images,
+        folder,
+        panels=panel or (),
+        reflectances=panel_reflectance or (),
+        areas=panel_area or (),
+        light=light,
+        panel_sd=panel_sd,
+        light_sd=light_sd,
+        height=height,
+        pixel=pixel,
+        align=align,
+        progress=progress,
     )

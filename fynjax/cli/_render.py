@@ -5,20 +5,18 @@ from typing import Annotated
 
 import typer
 
-from fynjax.cli._runtime import Json, Output, OwnSeed, Quiet, run_job
+from fynjax.cli._runtime import Job, OwnSeed, command
 
 PlotPath = Annotated[
     Path, typer.Argument(metavar="PLOT.toml", help="Plot file; `fynjax init` writes one.")
 ]
 
 
+@command("render")
 def render(
     plot: PlotPath,
-    output: Output = Path("output/render"),
     seed: OwnSeed = None,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+) -> Job:
     """Render what the drone sees of a plot.
 
     Writes the reflectance image (GeoTIFF), the run (NetCDF) and a report page.
@@ -27,10 +25,4 @@ def render(
     """
     from fynjax import jobs
 
-    run_job(
-        "render",
-        lambda folder, progress: jobs.render(plot, folder, seed=seed, progress=progress),
-        output,
-        as_json=json,
-        quiet=quiet,
-    )
+    return lambda folder, progress: jobs.render(plot, folder, seed=seed, progress=progress)

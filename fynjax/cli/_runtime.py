@@ -1,15 +1,17 @@
 """What every command shares: options, JAX settings, the summary, and one line for an error."""
 
+import functools
+import inspect
 import json
 import os
 import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -40,6 +42,9 @@ Json = Annotated[
     bool, typer.Option("--json", help="Print a summary as JSON on stdout, and nothing else.")
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars and no text.")]
+
+Job = Callable[[Path, Progress], "JobResult"]
+"""What a command runs: writes into a folder, reports its progress, returns its result."""
 
 _TERMINATED = 143
 """Exit status of `kill`, as shells have it."""
@@ -73,6 +78,57 @@ def _message(warning: warnings.WarningMessage) -> str:
 def checkpoint_beside(output: Path, checkpoint: Path | None) -> Path:
     """The folder of an unfinished run, the user's or one beside the output."""
     return output.with_name(f"{output.name}.checkpoint") if checkpoint is None else checkpoint
+
+
+def command(
+    name: str, *, forget: bool = False, further: Mapping[str, Any] | None = None
+) -> Callable[[Callable[..., Job]], Callable[..., None]]:
+    """Make a command of a function that takes options and returns a job.
+
+    Adds the options that every command has: --output, --json, --quiet. A function with the option
+    `checkpoint` is given the folder of the unfinished run; with `forget` its journal goes when the
+    run has succeeded. `further`, annotations of options that the function takes as `**options`.
+    """
+    shared: dict[str, tuple[Any, Any]] = {
+        **{key: (annotation, None) for key, annotation in (further or {}).items()},
+        "output": (Output, Path("output") / name),
+        "json": (Json, False),
+        "quiet": (Quiet, False),
+    }
+
+    def decorate(function: Callable[..., Job]) -> Callable[..., None]:
+        signature = inspect.signature(function)
+
+        @functools.wraps(function)
+        def run(*, output: Path, json: bool, quiet: bool, **options: Any) -> None:
+            checkpoint = None
+            if "checkpoint" in options:
+                checkpoint = checkpoint_beside(output, options["checkpoint"])
+                options["checkpoint"] = checkpoint
+            job = function(**options)
+            run_job(name, job, output, as_json=json, quiet=quiet, checkpoint=checkpoint)
+            if forget and checkpoint is not None:
+                from fynjax._core.checkpoint import forget_journal
+
+                forget_journal(checkpoint)
+
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        parameters = [
+            p.replace(kind=keyword)
+            for p in signature.parameters.values()
+            if p.kind is not inspect.Parameter.VAR_KEYWORD
+        ]
+        parameters += [
+            inspect.Parameter(key, keyword, default=default, annotation=kind)
+            for key, (kind, default) in shared.items()
+        ]
+        run.__signature__ = signature.replace(  # type: ignore[attr-defined]
+            parameters=parameters, return_annotation=None
+        )
+        run.__annotations__ = {p.name: p.annotation for p in parameters}
+        return run
+
+    return decorate
 
 
 def _listed_files(output: Path, command: str) -> list[str]:
@@ -124,7 +180,7 @@ def _ended_by_kill() -> Iterator[Callable[[], None]]:
 
 def run_job(
     command: str,
-    job: Callable[[Path, Progress], "JobResult"],
+    job: Job,
     output: Path,
     *,
     as_json: bool,

@@ -1,15 +1,15 @@
 """`fynjax sensitivity`."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from fynjax.cli._posterior import Free
 from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import Json, Output, OwnSeed, Quiet, run_job
+from fynjax.cli._runtime import Job, OwnSeed, command
 
 
+@command("sensitivity")
 def sensitivity(
     plot: PlotPath,
     metrics: Annotated[
@@ -32,11 +32,8 @@ def sensitivity(
             help="Points of the Sobol design, a power of two; takes N (parameters + 2) renders.",
         ),
     ] = 0,
-    output: Output = Path("output/sensitivity"),
     seed: OwnSeed = None,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+) -> Job:
     """Tell which parameters of a plot move which figures of its image.
 
     Writes slopes and elasticities at the plot's parameters, shares of variance over the priors if
@@ -46,19 +43,13 @@ def sensitivity(
     """
     from fynjax import jobs
 
-    run_job(
-        "sensitivity",
-        lambda folder, progress: jobs.sensitivity(
-            plot,
-            folder,
-            metrics=[name.strip() for name in metrics.split(",")],
-            free=free,
-            derivative_samples=derivatives,
-            sobol_samples=sobol,
-            seed=seed,
-            progress=progress,
-        ),
-        output,
-        as_json=json,
-        quiet=quiet,
+    return lambda folder, progress: jobs.sensitivity(
+        plot,
+        folder,
+        metrics=[name.strip() for name in metrics.split(",")],
+        free=free,
+        derivative_samples=derivatives,
+        sobol_samples=sobol,
+        seed=seed,
+        progress=progress,
     )

@@ -1,13 +1,12 @@
 """`fynjax simulate`."""
 
 from enum import StrEnum
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import Json, Output, OwnSeed, Quiet, run_job
+from fynjax.cli._runtime import Job, OwnSeed, command
 
 
 class Product(StrEnum):
@@ -18,6 +17,7 @@ class Product(StrEnum):
     radiance = "radiance"
 
 
+@command("simulate")
 def simulate(
     plot: PlotPath,
     sensor: Annotated[
@@ -28,7 +28,6 @@ def simulate(
             "file; the plot file's if left out.",
         ),
     ] = None,
-    output: Output = Path("output/simulate"),
     altitude: Annotated[
         float | None, typer.Option(metavar="M", help="Height above the ground [m].")
     ] = None,
@@ -49,9 +48,7 @@ def simulate(
     ] = None,
     product: Annotated[Product, typer.Option(help="Images to write.")] = Product.both,
     seed: OwnSeed = None,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+) -> Job:
     """Simulate what any sensor measures over a plot.
 
     Writes radiance at the sensor and calibrated reflectance (GeoTIFF, ENVI, NetCDF), pictures and
@@ -61,21 +58,15 @@ def simulate(
     """
     from fynjax import jobs
 
-    run_job(
-        "simulate",
-        lambda folder, progress: jobs.simulate(
-            plot,
-            folder,
-            sensor=sensor,
-            altitude=altitude,
-            pixel=pixel,
-            atmosphere=atmosphere,
-            noise=noise,
-            products=jobs.PRODUCTS if product == Product.both else (product.value,),
-            seed=seed,
-            progress=progress,
-        ),
-        output,
-        as_json=json,
-        quiet=quiet,
+    return lambda folder, progress: jobs.simulate(
+        plot,
+        folder,
+        sensor=sensor,
+        altitude=altitude,
+        pixel=pixel,
+        atmosphere=atmosphere,
+        noise=noise,
+        products=jobs.PRODUCTS if product == Product.both else (product.value,),
+        seed=seed,
+        progress=progress,
     )

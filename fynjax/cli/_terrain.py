@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax.cli._runtime import Json, Output, Quiet, run_job
+from fynjax.cli._runtime import Job, command
 
 T = TypeVar("T")
 
@@ -54,9 +54,9 @@ InputPath = Annotated[
 ]
 
 
+@command("terrain")
 def terrain(
     file: InputPath,
-    output: Output = Path("output/terrain"),
     cell: Annotated[
         float | None,
         typer.Option(metavar="M", help="Side of a cell [m]; 0.25 for a cloud, a raster's own."),
@@ -106,9 +106,7 @@ def terrain(
     band: Annotated[
         int | None, typer.Option(metavar="N", help="Band of a raster that has the heights, from 1.")
     ] = None,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+) -> Job:
     """Make the ground of a plot from a point cloud or a height raster.
 
     Writes the ground as GeoTIFF and OBJ, a picture and, from a cloud, the height of the canopy.
@@ -117,28 +115,22 @@ def terrain(
     """
     from fynjax import jobs
 
-    run_job(
-        "terrain",
-        lambda folder, progress: _naming_options(
-            jobs.terrain,
-            file,
-            folder,
-            cell=cell,
-            bounds=bounds,
-            size=size,
-            method=None if method is None else method.value,
-            tolerance=tolerance,
-            slope=slope,
-            window=window,
-            largest_gap=largest_gap,
-            unit=None if unit is None else unit.value,
-            height_unit=None if height_unit is None else height_unit.value,
-            crs=crs,
-            fill_gaps=fill_gaps,
-            band=band,
-            progress=progress,
-        ),
-        output,
-        as_json=json,
-        quiet=quiet,
+    return lambda folder, progress: _naming_options(
+        jobs.terrain,
+        file,
+        folder,
+        cell=cell,
+        bounds=bounds,
+        size=size,
+        method=None if method is None else method.value,
+        tolerance=tolerance,
+        slope=slope,
+        window=window,
+        largest_gap=largest_gap,
+        unit=None if unit is None else unit.value,
+        height_unit=None if height_unit is None else height_unit.value,
+        crs=crs,
+        fill_gaps=fill_gaps,
+        band=band,
+        progress=progress,
     )

@@ -3,12 +3,12 @@
 import math
 import re
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax.cli._runtime import Json, Output, Quiet, Seed, run_job
+from fynjax.cli._runtime import Job, Seed, command
 
 _Bands = Annotated[
     str | None,
@@ -18,15 +18,116 @@ _Bands = Annotated[
         "name for one that is not used. Needed where the file does not say.",
     ),
 ]
-
-_CLOUDS = "Point clouds"
 _Ground = Literal["auto", "labels", "smrf", "cloth", "none"]
-_DiversityOf = Literal["returns", "leaf_area"]
-_Top = Literal["cell", "plot"]
-_GapOf = Literal["returns", "canopy", "leaf_area"]
-_RugosityOf = Literal["canopy", "columns"]
 
 
+class CloudOption(NamedTuple):
+    """An option on how point clouds are compared; left out, the preset or the comparison says."""
+
+    name: str
+    kind: Any
+    help: str
+    metavar: str | None = None
+
+    @property
+    def annotation(self) -> Any:
+        """The option as typer takes it."""
+        option = typer.Option(metavar=self.metavar, rich_help_panel="Point clouds", help=self.help)
+        return Annotated[self.kind | None, option]
+
+
+CLOUD_OPTIONS = (
+    CloudOption(
+        "grain", float, "Side of a cell [m]; by the paper's rule, of 1 to 5 m, if left out."
+    ),
+    CloudOption(
+        "largest_change",
+        float,
+        "Change of the metrics to the next larger grain, in their median, up to which a grain is "
+        "taken [-]; 0.1 if left out.",
+    ),
+    CloudOption(
+        "bounds",
+        str,
+        "The plot, in the real cloud's coordinates [m]; what both cover if left out.",
+        "XMIN,YMIN,XMAX,YMAX",
+    ),
+    CloudOption(
+        "shift",
+        str,
+        "What to add to the simulated cloud's coordinates [m]. Write --shift=-3,4 where the first "
+        "is negative.",
+        "DX,DY[,DZ]",
+    ),
+    CloudOption(
+        "real_ground",
+        _Ground,
+        "How the real cloud's ground is found: its classes, a filter, or none where heights are "
+        "above the ground already; auto takes classes where there are some, else smrf.",
+    ),
+    CloudOption("simulated_ground", _Ground, "The same of the simulated cloud."),
+    CloudOption(
+        "tolerance",
+        float,
+        "Largest distance from the lowest surface at which a filter takes returns for ground [m]; "
+        "0.1 if left out.",
+    ),
+    CloudOption(
+        "deepest", float, "Returns farther below the ground are noise [m]; 0.5 if left out."
+    ),
+    CloudOption(
+        "tallest", float, "Returns higher above the ground are left out: birds, wires [m]."
+    ),
+    CloudOption("layer", float, "Thickness of a layer [m]."),
+    CloudOption(
+        "lowest",
+        float,
+        "Height at which layers begin [m]; those of the diversity too, where the preset has one "
+        "height for both.",
+    ),
+    CloudOption(
+        "diversity_lowest",
+        float,
+        "Height at which the layers of the foliage height diversity begin [m].",
+    ),
+    CloudOption(
+        "diversity_of",
+        Literal["returns", "leaf_area"],
+        "What is shared out among layers for the foliage height diversity: returns are counted, or "
+        "their leaf area.",
+    ),
+    CloudOption(
+        "top",
+        Literal["cell", "plot"],
+        "Up to where layers count: the highest return of the cell or of the plot.",
+    ),
+    CloudOption("ground_height", float, "Returns below this are ground, under all layers [m]."),
+    CloudOption("extinction", float, "Extinction coefficient k of leaf area density [-]."),
+    CloudOption("gap_height", float, "Threshold of the gap fraction [m]."),
+    CloudOption(
+        "gap_of",
+        Literal["returns", "canopy", "leaf_area"],
+        "Gap fraction by the count of returns, of canopy cells, or from leaf area.",
+    ),
+    CloudOption(
+        "rugosity_of",
+        Literal["canopy", "columns"],
+        "Rugosity of the canopy's surface, or of the columns.",
+    ),
+    CloudOption("canopy_cell", float, "Side of a cell of the canopy's surface [m]."),
+    CloudOption(
+        "cv_lowest", float, "Returns below this do not count for the variation of height [m]."
+    ),
+    CloudOption("least_returns", int, "Returns with which a cell counts; 5 if left out."),
+    CloudOption("repetitions", int, "Thinnings of the denser cloud; 100 if left out."),
+    CloudOption(
+        "histogram_bin", float, "Width of the bins of the height histogram [m]; 0.1 if left out."
+    ),
+)
+"""Named as the settings of `fynjax.compare.structure.cloud_settings`."""
+
+
+@command("validate", further={o.name: o.annotation for o in CLOUD_OPTIONS})
 def validate(
     real_drone: Annotated[
         str | None,
@@ -60,7 +161,7 @@ def validate(
     simulated_bands: _Bands = None,
     saturation: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Reflectance from which on a drone pixel is left out."),
+        typer.Option(min=0.0, help="Saturation threshold of a drone pixel [-]."),
     ] = None,
     pixels: Annotated[
         int,
@@ -87,176 +188,14 @@ def validate(
         str | None,
         typer.Option(
             metavar="NAME",
-            rich_help_panel=_CLOUDS,
+            rich_help_panel="Point clouds",
             help="Conventions of a known tool: fynjax, lidR, leafR, PyForestScan, GEDI L2B. "
             "The options below override it.",
         ),
     ] = None,
-    grain: Annotated[
-        float | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS,
-            help="Side of a cell [m]; by the paper's rule, of 1 to 5 m, if left out.",
-        ),
-    ] = None,
-    largest_change: Annotated[
-        float | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS,
-            help="Change of the metrics to the next larger grain, in their median, up to "
-            "which a grain is taken [-]; 0.1 if left out.",
-        ),
-    ] = None,
-    bounds: Annotated[
-        str | None,
-        typer.Option(
-            metavar="XMIN,YMIN,XMAX,YMAX",
-            rich_help_panel=_CLOUDS,
-            help="The plot, in the real cloud's coordinates [m]; what both cover if left out.",
-        ),
-    ] = None,
-    shift: Annotated[
-        str | None,
-        typer.Option(
-            metavar="DX,DY[,DZ]",
-            rich_help_panel=_CLOUDS,
-            help="What to add to the simulated cloud's coordinates [m]. Write --shift=-3,4 "
-            "where the first is negative.",
-        ),
-    ] = None,
-    real_ground: Annotated[
-        _Ground | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS,
-            help="How the real cloud's ground is found: its classes, a filter, or none where "
-            "heights are above the ground already; auto takes classes where there are "
-            "some, else smrf.",
-        ),
-    ] = None,
-    simulated_ground: Annotated[
-        _Ground | None,
-        typer.Option(rich_help_panel=_CLOUDS, help="The same of the simulated cloud."),
-    ] = None,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS,
-            help="How far from the lowest surface a filter takes returns for ground [m]; 0.1 "
-            "if left out.",
-        ),
-    ] = None,
-    deepest: Annotated[
-        float | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS,
-            help="Returns farther below the ground are noise [m]; 0.5 if left out.",
-        ),
-    ] = None,
-    tallest: Annotated[
-        float | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS,
-            help="Returns higher above the ground are left out: birds, wires [m].",
-        ),
-    ] = None,
-    layer: Annotated[
-        float | None,
-        typer.Option(rich_help_panel=_CLOUDS, help="Thickness of a layer [m]."),
-    ] = None,
-    lowest: Annotated[
-        float | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS,
-            help="Height at which layers begin [m]; those of the diversity too, where the "
-            "preset has one height for both.",
-        ),
-    ] = None,
-    diversity_lowest: Annotated[
-        float | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS,
-            help="Height at which the layers of the foliage height diversity begin [m].",
-        ),
-    ] = None,
-    diversity_of: Annotated[
-        _DiversityOf | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS,
-            help="What is shared out among layers for the foliage height diversity: returns "
-            "are counted, or their leaf area.",
-        ),
-    ] = None,
-    top: Annotated[
-        _Top | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS,
-            help="Up to where layers count: the highest return of the cell or of the plot.",
-        ),
-    ] = None,
-    ground_height: Annotated[
-        float | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS, help="Returns below this are ground, under all layers [m]."
-        ),
-    ] = None,
-    extinction: Annotated[
-        float | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS, help="Extinction coefficient k of leaf area density [-]."
-        ),
-    ] = None,
-    gap_height: Annotated[
-        float | None,
-        typer.Option(rich_help_panel=_CLOUDS, help="Threshold of the gap fraction [m]."),
-    ] = None,
-    gap_of: Annotated[
-        _GapOf | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS,
-            help="Gap fraction by the count of returns, of canopy cells, or from leaf area.",
-        ),
-    ] = None,
-    rugosity_of: Annotated[
-        _RugosityOf | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS, help="Rugosity of the canopy's surface, or of the columns."
-        ),
-    ] = None,
-    canopy_cell: Annotated[
-        float | None,
-        typer.Option(rich_help_panel=_CLOUDS, help="Side of a cell of the canopy's surface [m]."),
-    ] = None,
-    cv_lowest: Annotated[
-        float | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS,
-            help="Returns below this do not count for the variation of height [m].",
-        ),
-    ] = None,
-    least_returns: Annotated[
-        int | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS, help="Returns with which a cell counts; 5 if left out."
-        ),
-    ] = None,
-    repetitions: Annotated[
-        int | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS, help="Thinnings of the denser cloud; 100 if left out."
-        ),
-    ] = None,
-    histogram_bin: Annotated[
-        float | None,
-        typer.Option(
-            rich_help_panel=_CLOUDS,
-            help="Width of the bins of the height histogram [m]; 0.1 if left out.",
-        ),
-    ] = None,
-    output: Output = Path("output/validate"),
     seed: Seed = 0,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+    **cloud_options: Any,
+) -> Job:
     """Compare simulated with real data: drone images, spectra, point clouds.
 
     Any of the three pairs may be left out. Writes report.html, a table of every number (CSV and
@@ -276,60 +215,33 @@ def validate(
         real_cloud=real_cloud,
         simulated_cloud=simulated_cloud,
     )
-    cloud_options = {
-        "bounds": _numbers("bounds", bounds, (4,), "XMIN,YMIN,XMAX,YMAX"),
-        "shift": _numbers("shift", shift, (2, 3), "DX,DY or DX,DY,DZ"),
-        "grain": grain,
-        "largest_change": largest_change,
-        "tolerance": tolerance,
-        "deepest": deepest,
-        "tallest": tallest,
-        "layer": layer,
-        "lowest": lowest,
-        "diversity_lowest": diversity_lowest,
-        "diversity_of": diversity_of,
-        "top": top,
-        "ground_height": ground_height,
-        "extinction": extinction,
-        "gap_height": gap_height,
-        "gap_of": gap_of,
-        "rugosity_of": rugosity_of,
-        "canopy_cell": canopy_cell,
-        "cv_lowest": cv_lowest,
-        "least_returns": least_returns,
-        "repetitions": repetitions,
-        "histogram_bin": histogram_bin,
-        "real_ground": real_ground,
-        "simulated_ground": simulated_ground,
-    }
+    for name, counts, form in (
+        ("bounds", (4,), "XMIN,YMIN,XMAX,YMAX"),
+        ("shift", (2, 3), "DX,DY or DX,DY,DZ"),
+    ):
+        cloud_options[name] = _numbers(name, cloud_options[name], counts, form)
     windows = (*WATER_WINDOWS, *map(_window, exclude or ()))
-    run_job(
-        "validate",
-        lambda folder, progress: jobs.validate(
-            data,
-            folder,
-            real_bands=None if real_bands is None else real_bands.split(","),
-            simulated_bands=None if simulated_bands is None else simulated_bands.split(","),
-            saturation=saturation,
-            most_pixels=pixels,
-            matching=matching,  # type: ignore[arg-type]
-            windows=windows,
-            structure_preset=structure_preset,
-            cloud_options=cloud_options,
-            seed=seed,
-            progress=progress,
-        ),
-        output,
-        as_json=json,
-        quiet=quiet,
+    return lambda folder, progress: jobs.validate(
+        data,
+        folder,
+        real_bands=None if real_bands is None else real_bands.split(","),
+        simulated_bands=None if simulated_bands is None else simulated_bands.split(","),
+        saturation=saturation,
+        most_pixels=pixels,
+        matching=matching,  # type: ignore[arg-type]
+        windows=windows,
+        structure_preset=structure_preset,
+        cloud_options=cloud_options,
+        seed=seed,
+        progress=progress,
     )
 
 
 def _window(text: str) -> tuple[float, float]:
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*-\s*(\d+(?:\.\d+)?)\s*", text)
-    if not found:
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*-\s*(\d+(?:\.\d+)?)\s*", text)
+    if not match:
         raise InputError(f"`--exclude` must be LOW-HIGH in nm, such as 930-960, but is {text!r}")
-    return float(found[1]), float(found[2])
+    return float(match[1]), float(match[2])
 
 
 def _numbers(
@@ -338,9 +250,9 @@ def _numbers(
     if text is None:
         return None
     try:
-        found = tuple(map(float, text.split(",")))
+        numbers = tuple(map(float, text.split(",")))
     except ValueError:
-        found = ()
-    if len(found) not in counts or not all(map(math.isfinite, found)):
+        numbers = ()
+    if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
         raise InputError(f"`--{name}` must be {form} in metres, but is {text!r}")
-    return found
+    return numbers

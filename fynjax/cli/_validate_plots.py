@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from fynjax.cli._bioscape import OnlyPlots, TraitLibrary
-from fynjax.cli._runtime import Json, Output, Quiet, Seed, run_job
+from fynjax.cli._runtime import Job, Seed, command
 
 Tables = Annotated[
     Path,
@@ -22,7 +22,7 @@ Size = Annotated[
 Voxel = Annotated[float, typer.Option(min=0.02, max=1.0, metavar="M", help="Edge of a voxel [m].")]
 
 
-def check_voxel(size: float, voxel: float) -> None:
+def check_voxel(size: float, voxel: float) -> Job:
     """Whether voxels fill a plot; `InputError` if not."""
     from fynjax._core.errors import InputError
 
@@ -30,16 +30,14 @@ def check_voxel(size: float, voxel: float) -> None:
         raise InputError(f"`--voxel` must divide `--size`, but {voxel:g} does not divide {size:g}")
 
 
+@command("validate-plots")
 def validate_plots(
     folder: Tables,
-    output: Output = Path("output/validate_plots"),
     plot: OnlyPlots = None,
     traits: TraitLibrary = None,
     size: Size = 5.0,
     voxel: Voxel = 0.1,
     seed: Seed = 0,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Simulate plots from field tables alone, and compare with their measured spectra.
 
@@ -51,18 +49,12 @@ def validate_plots(
     from fynjax.studies.bioscape import Resolution
     from fynjax.studies.bioscape import validate_plots as run_validate_plots
 
-    run_job(
-        "validate-plots",
-        lambda target, progress: run_validate_plots(
-            folder,
-            target,
-            plots=plot or None,
-            traits=traits,
-            resolution=Resolution(size, voxel),
-            seed=seed,
-            progress=progress,
-        ),
-        output,
-        as_json=json,
-        quiet=quiet,
+    return lambda target, progress: run_validate_plots(
+        folder,
+        target,
+        plots=plot or None,
+        traits=traits,
+        resolution=Resolution(size, voxel),
+        seed=seed,
+        progress=progress,
     )

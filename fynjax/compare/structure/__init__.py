@@ -1,10 +1,10 @@
 """Two point clouds compared: heights above ground, cells, structure metrics with intervals."""
 
-from fynjax.compare.structure._compare import ComparisonSettings, cloud_structure, compare_clouds
+from fynjax.compare.structure._compare import cloud_structure, compare_clouds
 from fynjax.compare.structure._grain import cut_off, grain_table
 from fynjax.compare.structure._published import PublishedStructure, structure_2006
 from fynjax.compare.structure._result import Estimate, MetricComparison, StructureComparison
-from fynjax.compare.structure._settings import cloud_settings
+from fynjax.compare.structure._settings import ComparisonSettings, cloud_settings
 
 __all__ = [
     "ComparisonSettings",

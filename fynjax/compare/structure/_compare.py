@@ -11,7 +11,6 @@ from fynjax._core.progress import NullProgress, Progress
 from fynjax.compare.structure._cloud import HeightCloud, common_plot, height_cloud, open_cloud
 from fynjax.compare.structure._grain import binned_returns, choose_cells
 from fynjax.compare.structure._notes import comparison_notes, nearly_highest
-from fynjax.compare.structure._options import ComparisonSettings
 from fynjax.compare.structure._result import (
     CloudSide,
     CloudStructure,
@@ -20,6 +19,7 @@ from fynjax.compare.structure._result import (
     MetricComparison,
     StructureComparison,
 )
+from fynjax.compare.structure._settings import ComparisonSettings
 from fynjax.metrics import (
     STRUCTURE_METRICS,
     BinnedReturns,
@@ -32,8 +32,6 @@ from fynjax.metrics import (
     thinnings,
 )
 from fynjax.terrain import PointCloud
-
-__all__ = ["ComparisonSettings", "cloud_structure", "compare_clouds"]
 
 
 def compare_clouds(

@@ -7,7 +7,7 @@ import pandas as pd
 
 from fynjax._core.errors import InputError
 from fynjax.compare.structure._cloud import HeightCloud
-from fynjax.compare.structure._options import ComparisonSettings
+from fynjax.compare.structure._settings import ComparisonSettings
 from fynjax.metrics import (
     BinnedReturns,
     CellGrid,
