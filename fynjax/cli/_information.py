@@ -36,7 +36,7 @@ def information(
     ] = 4,
     seed: OwnSeed = None,
 ) -> Job:
-    """Tell what sensors of any pixel, bands and noise could know about a plot at best.
+    """Bound how well sensors of any pixel, bands and noise can constrain a plot.
 
     Writes the Cramér-Rao bound on every parameter, the pixel at which each species' cover is
     lost, figures and a report page.

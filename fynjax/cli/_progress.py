@@ -39,7 +39,7 @@ def _shown(info: dict[str, float | str]) -> str:
 
 
 class TerminalProgress:
-    """One bar for each stage: name, bar, count, time used, time left, and what the job tells."""
+    """One bar for each stage: name, bar, count, time used, time left, and what the job reports."""
 
     def __init__(self, console: Console) -> None:
         self._bars = RichProgress(

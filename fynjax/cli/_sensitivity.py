@@ -34,7 +34,7 @@ def sensitivity(
     ] = 0,
     seed: OwnSeed = None,
 ) -> Job:
-    """Tell which parameters of a plot move which figures of its image.
+    """Find which parameters of a plot change which statistics of its image.
 
     Writes slopes and elasticities at the plot's parameters, shares of variance over the priors if
     asked for, figures and a report page.

@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 class Method(StrEnum):
-    """How ground is told from plants."""
+    """How ground is classified."""
 
     smrf = "smrf"
     cloth = "cloth"
@@ -40,7 +40,7 @@ def _naming_options(job: Callable[..., T], *given: Any, **named: Any) -> T:
     except InputError as error:
         names = "|".join(inspect.signature(job).parameters)
         message = re.sub(
-            f"`({names})`", lambda found: f"`--{found[1].replace('_', '-')}`", str(error)
+            f"`({names})`", lambda match: f"`--{match[1].replace('_', '-')}`", str(error)
         )
         error.args = (message,)
         raise
@@ -75,11 +75,13 @@ def terrain(
     ] = None,
     tolerance: Annotated[
         float | None,
-        typer.Option(metavar="M", help="Ground is this near to the lowest points [m]; 0.3."),
+        typer.Option(
+            metavar="M", help="Largest distance of ground from the lowest points [m]; 0.3."
+        ),
     ] = None,
     slope: Annotated[
         float | None,
-        typer.Option(help="How much steeper than the plot its ground may be (smrf); 0.15."),
+        typer.Option(help="SMRF slope threshold [m/m]; 0.15."),
     ] = None,
     window: Annotated[
         float | None,
@@ -90,7 +92,9 @@ def terrain(
     ] = None,
     largest_gap: Annotated[
         float | None,
-        typer.Option(metavar="M", help="Farthest that a cell may be from ground seen [m]; 10."),
+        typer.Option(
+            metavar="M", help="Largest distance of a cell from the nearest ground point [m]; 10."
+        ),
     ] = None,
     unit: Annotated[
         Unit | None, typer.Option(help="Unit of a cloud's coordinates, if not metres.")

@@ -48,10 +48,11 @@ def agreement_sentences(
 
 def parameter_sentences(result: Calibration) -> list[str]:
     """Which parameters the data constrain, and where the searches ended."""
-    seen, ends = result.fit.seen(), result.ends
+    constrained, ends = result.fit.seen(), result.ends
     lines = [
-        f"The data at least halve the error of {len(seen)} of {len(result.fit.names)} parameters"
-        + (f": {', '.join(seen)}. The others rest on the prior." if seen else ".")
+        f"The data at least halve the error of {len(constrained)} of {len(result.fit.names)} "
+        "parameters"
+        + (f": {', '.join(constrained)}. The others rest on the prior." if constrained else ".")
     ]
     if len(ends.objective) > 1:
         minima = f"{ends.minima} minima" if ends.minima > 1 else "one minimum"

@@ -57,10 +57,10 @@ def render(
     with run.stage("Write"):
         _write(run, read, model, np.asarray(image), np.asarray(counts))
     means = dict(zip(BANDS, np.asarray(jnp.mean(image, axis=(1, 2))).tolist(), strict=True))
-    told = ", ".join(f"{band} {value:.4f}" for band, value in means.items())
+    named = ", ".join(f"{band} {value:.4f}" for band, value in means.items())
     return run.result(
         RenderResult,
-        headline=[f"{read.name}: mean reflectance {told}."],
+        headline=[f"{read.name}: mean reflectance {named}."],
         statistics=[
             StatisticSummary(statistic=f"{band}.mean", target=None, before=value, after=None)
             for band, value in means.items()

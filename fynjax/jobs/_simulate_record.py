@@ -134,5 +134,7 @@ def warnings_of(plot: Plot, sensing: PlotSensing, instrument: Sensor) -> list[st
     if plot.sensor.panels and sensing.panels is None:
         lost = [f"the plot file's panels are those of {plot.sensor.name}, and left out here"]
     if sensing.panels is not None and len(sensing.panels.coverage) == 1:
-        lost = ["one panel cannot tell the light of the air; reflectance_sd allows for it"]
+        lost = [
+            "one panel cannot separate the light scattered by the air; reflectance_sd allows for it"
+        ]
     return [*lost, *_left_out(sensing, instrument), *_of_other_pixels(sensing), *_of_slant(sensing)]

@@ -56,7 +56,7 @@ class CloudSettings:
     terrain_cell: float | None = None
     """Side of a cell of the terrain [m]; unless given 0.25, or more in large or sparse clouds."""
     largest_gap: float = 10.0
-    """How far a cell of the terrain may be from ground that was seen [m]."""
+    """Largest distance of a cell of the terrain from a ground point [m]."""
     deepest: float = 0.5
     """Returns farther below the ground than this are noise, and left out [m]; those in between
     count as on the ground."""
@@ -215,9 +215,9 @@ def _ground(
         if not low.any():
             break
         use[which[low]] = False
-    found = np.zeros(len(cloud), bool)
-    found[which[ground]] = True
-    return found
+    is_ground = np.zeros(len(cloud), bool)
+    is_ground[which[ground]] = True
+    return is_ground
 
 
 def _terrain_cell(cloud: PointCloud, bounds: Bounds) -> float:
@@ -295,11 +295,14 @@ def _words(bounds: Bounds) -> str:
 def _check_same_system(real: PointCloud, simulated: PointCloud, file: Path) -> None:
     if real.crs is None or simulated.crs is None:
         return
-    one, other = CRS.from_wkt(real.crs), CRS.from_wkt(simulated.crs)
-    codes = one.to_epsg(), other.to_epsg()
-    same = codes[0] == codes[1] if None not in codes else one == other
+    real_crs, simulated_crs = CRS.from_wkt(real.crs), CRS.from_wkt(simulated.crs)
+    codes = real_crs.to_epsg(), simulated_crs.to_epsg()
+    same = codes[0] == codes[1] if None not in codes else real_crs == simulated_crs
     if not same:
-        names = [f"EPSG:{c}" if c else s.to_string()[:60] for c, s in zip(codes, (one, other))]
+        names = [
+            f"EPSG:{c}" if c else s.to_string()[:60]
+            for c, s in zip(codes, (real_crs, simulated_crs))
+        ]
         raise InputError(
             f"expected both clouds in the same coordinate reference system, but the real one is "
             f"in {names[0]} and this one in {names[1]}. Reproject one of them, or state what to "

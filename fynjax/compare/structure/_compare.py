@@ -83,11 +83,11 @@ def compare_clouds(
     sparser = int(len(heights[1]) < len(heights[0]))
     with progress.stage("Choose the grain"):
         grid, grains = choose_cells(heights[sparser], bounds, slack, settings)
-        binned = [binned_returns(one, grid, settings.structure) for one in heights]
-    target = min(len(one) for one in binned)
+        binned = [binned_returns(part, grid, settings.structure) for part in heights]
+    target = min(len(part) for part in binned)
     denser = int(len(binned[1]) > len(binned[0]))
     thinned = "neither" if len(binned[0]) == len(binned[1]) else ("real", "simulated")[denser]
-    full = [cell_structure(one) for one in binned]
+    full = [cell_structure(part) for part in binned]
     rng = np.random.default_rng(seed)
     repeated: list[CellStructure] = []
     rounds: list[tuple[np.ndarray, float, float]] = []
@@ -104,15 +104,15 @@ def compare_clouds(
             progress.advance()
     with progress.stage("Resample the cells"):
         sides, estimates = [], []
-        for i, (above, one) in enumerate(zip(heights, full)):
+        for i, (above, structure) in enumerate(zip(heights, full)):
             parts = repeated if i == denser and thinned != "neither" else None
-            cells, found = _estimates(one, parts, settings, rng)
-            estimates.append(found)
+            cells, estimate = _estimates(structure, parts, settings, rng)
+            estimates.append(estimate)
             sides.append(
                 _side(
                     above,
                     binned[i],
-                    one,
+                    structure,
                     cells,
                     np.median([r[0] for r in rounds], axis=0) if i == denser else percentiles,
                     bins,
@@ -120,8 +120,8 @@ def compare_clouds(
                 )
             )
     whole = _agreement(binned[denser].height, percentiles, shares, bins, settings)
-    layers = max(len(one.edges) for one in full)
-    edges = max((one.edges for one in full), key=len)
+    layers = max(len(part.edges) for part in full)
+    edges = max((part.edges for part in full), key=len)
     sides = [replace(s, profile=_padded(s.profile, layers - 1)) for s in sides]
     result = StructureComparison(
         settings=settings.structure,
@@ -189,7 +189,7 @@ def _spacing(cloud: PointCloud) -> float:
 
 def _bins(binned: list[BinnedReturns], settings: ComparisonSettings) -> int:
     """Bins of height up to the highest return of all."""
-    highest = max(float(one.height.max()) for one in binned)
+    highest = max(float(cloud.height.max()) for cloud in binned)
     return int(np.floor(highest / settings.histogram_bin + 1e-6)) + 1
 
 
@@ -201,9 +201,9 @@ def _agreement(
     settings: ComparisonSettings,
 ) -> tuple[np.ndarray, float, float]:
     """Percentiles of heights, and how far they and the histogram are from another cloud's."""
-    own = height_percentiles(height, settings.percents)
+    of_heights = height_percentiles(height, settings.percents)
     both = np.minimum(height_shares(height, settings.histogram_bin, bins), shares)
-    return own, float(np.sqrt(np.mean((own - percentiles) ** 2))), float(both.sum())
+    return of_heights, float(np.sqrt(np.mean((of_heights - percentiles) ** 2))), float(both.sum())
 
 
 def _distribution(
@@ -223,10 +223,12 @@ def _estimates(
     least = settings.least_returns
     parts = [full] if repeated is None else repeated
     cells, estimates = {}, {}
-    means = [one.means(least) for one in parts]
+    means = [part.means(least) for part in parts]
     whole = full.means(least)
     for name in STRUCTURE_METRICS:
-        stack = np.stack([np.where(one.counted(least), one.metrics[name], np.nan) for one in parts])
+        stack = np.stack(
+            [np.where(part.counted(least), part.metrics[name], np.nan) for part in parts]
+        )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # cells without any value stay NaN
             cells[name] = np.nanmedian(stack, axis=0)

@@ -38,7 +38,7 @@ def choose_cells(
 ) -> tuple[CellGrid, tuple[GrainCheck, ...]]:
     """The cells of the plot, and how each size that was tried did.
 
-    Of a stated grain it is told how much the metrics change to the next larger one.
+    For a stated grain the checks say how much the metrics change to the next larger one.
     """
     side = min(bounds[2] - bounds[0], bounds[3] - bounds[1]) + slack
     grains = [g for g in sorted(settings.grains) if g <= side]
@@ -58,10 +58,10 @@ def choose_cells(
             )
         else:
             grids = [cell_grid(bounds, g, slack=slack) for g in grains]
-        found = [cell_structure(binned_returns(cloud, g, settings.structure)) for g in grids]
+        structures = [cell_structure(binned_returns(cloud, g, settings.structure)) for g in grids]
         if settings.grain is not None:
-            return grids[0], check_grains(found, **rule)
-        return choose_grain(found, **rule, largest_change=settings.largest_change)
+            return grids[0], check_grains(structures, **rule)
+        return choose_grain(structures, **rule, largest_change=settings.largest_change)
     except InputError as error:
         raise InputError(str(error), file=cloud.file) from error
 
@@ -75,22 +75,22 @@ def cut_off(plot: Bounds, cells: Bounds) -> float:
 def grain_table(checks: tuple[GrainCheck, ...], taken: float, plot: Bounds) -> pd.DataFrame:
     """A row for each grain that was tried, with its cells and the paper's changes beside it."""
     rows = []
-    for one in checks:
-        west, south, east, north = one.bounds
-        paper = PAPER_GRAINS.get(one.grain, (np.nan, np.nan))
+    for check in checks:
+        west, south, east, north = check.bounds
+        paper = PAPER_GRAINS.get(check.grain, (np.nan, np.nan))
         rows.append(
             {
-                "grain_m": one.grain,
-                "taken": "yes" if one.grain == taken else "no",
-                "fits": "yes" if one.fits else "no",
-                "cells": one.cells,
+                "grain_m": check.grain,
+                "taken": "yes" if check.grain == taken else "no",
+                "fits": "yes" if check.fits else "no",
+                "cells": check.cells,
                 "area_m2": (east - west) * (north - south),
-                "cut_off_percent": 100.0 * cut_off(plot, one.bounds),
-                "counted_percent": 100.0 * one.counted_share,
-                "least_returns": one.least_returns,
-                "median_returns": one.median_returns,
-                "median_change_percent": _percent(one.median_change),
-                "largest_change_percent": _percent(one.largest_change),
+                "cut_off_percent": 100.0 * cut_off(plot, check.bounds),
+                "counted_percent": 100.0 * check.counted_share,
+                "least_returns": check.least_returns,
+                "median_returns": check.median_returns,
+                "median_change_percent": _percent(check.median_change),
+                "largest_change_percent": _percent(check.largest_change),
                 "paper_median_change_percent": paper[0],
                 "paper_largest_change_percent": paper[1],
                 "west_m": west,

@@ -20,22 +20,22 @@ def nearly_highest(height: np.ndarray) -> float:
     return float(np.quantile(height, 1.0 - share))
 
 
-def comparison_notes(found: StructureComparison) -> tuple[str, ...]:
+def comparison_notes(comparison: StructureComparison) -> tuple[str, ...]:
     """How ground, cells and density came about, where numbers may be wrong for it."""
     notes = []
-    sides = {"real": found.real, "simulated": found.simulated}
-    if found.real.ground != found.simulated.ground:
+    sides = {"real": comparison.real, "simulated": comparison.simulated}
+    if comparison.real.ground != comparison.simulated.ground:
         notes.append(
-            f"the ground was found in two ways ({found.real.ground} in the real cloud, "
-            f"{found.simulated.ground} in the simulated one), which may shift heights by "
+            f"the ground was found in two ways ({comparison.real.ground} in the real cloud, "
+            f"{comparison.simulated.ground} in the simulated one), which may shift heights by "
             "centimetres against each other; `ground` (--real-ground, --simulated-ground) states "
             "one for each"
         )
     for side in sides.values():
         notes += _side_notes(side)
-    notes += _grain_notes(found)
+    notes += _grain_notes(comparison)
     for which, side in sides.items():
-        notes += _undefined_notes(found, which, side)
+        notes += _undefined_notes(comparison, which, side)
     return tuple(notes)
 
 
@@ -66,16 +66,16 @@ def _side_notes(side: CloudSide) -> list[str]:
     return notes
 
 
-def _grain_notes(found: StructureComparison) -> list[str]:
+def _grain_notes(comparison: StructureComparison) -> list[str]:
     notes = []
-    rows, columns = next(iter(found.real.cells.values())).shape
-    lost = cut_off(found.plot, found.bounds)
+    rows, columns = next(iter(comparison.real.cells.values())).shape
+    lost = cut_off(comparison.plot, comparison.bounds)
     if lost > _MOST_CUT_OFF:
-        west, south, east, north = found.plot
+        west, south, east, north = comparison.plot
         notes.append(
             f"{100.0 * lost:.0f} % of the plot is in no cell: {columns} x {rows} cells of "
-            f"{found.grain:g} m do not fill its {east - west:.2f} x {north - south:.2f} m. A grain "
-            "that divides its sides (`grain`; --grain) uses all of it"
+            f"{comparison.grain:g} m do not fill its {east - west:.2f} x {north - south:.2f} m. A "
+            "grain that divides its sides (`grain`; --grain) uses all of it"
         )
     if rows * columns < _FEW_CELLS:
         notes.append(
@@ -83,24 +83,26 @@ def _grain_notes(found: StructureComparison) -> list[str]:
             "take a smaller grain (`grain`; --grain) where there are returns enough, or a larger "
             "plot"
         )
-    taken = next((one for one in found.grains if one.grain == found.grain), None)
-    limit = found.options.get("largest_change")
+    taken = next((check for check in comparison.grains if check.grain == comparison.grain), None)
+    limit = comparison.options.get("largest_change")
     if taken is not None and taken.median_change is not None and limit is not None:
         change = taken.median_change
         if change > limit:
             notes.append(
                 f"metrics change by {100.0 * change:.0f} % in their median from cells of "
-                f"{found.grain:g} m to the next larger, more than {100.0 * limit:g} % "
+                f"{comparison.grain:g} m to the next larger, more than {100.0 * limit:g} % "
                 "(`largest_change`; --largest-change)"
             )
     return notes
 
 
-def _undefined_notes(found: StructureComparison, which: str, side: CloudSide) -> list[str]:
-    lost = [one.name for one in found.metrics if getattr(one, which).value is None]
+def _undefined_notes(comparison: StructureComparison, which: str, side: CloudSide) -> list[str]:
+    lost = [metric.name for metric in comparison.metrics if getattr(metric, which).value is None]
     layered = [n for n in lost if n.startswith(("foliage", "leaf_area"))]
-    notes, s = [], found.settings
-    diversity = next(one for one in found.metrics if one.name == "foliage_height_diversity")
+    notes, s = [], comparison.settings
+    diversity = next(
+        metric for metric in comparison.metrics if metric.name == "foliage_height_diversity"
+    )
     if getattr(diversity, which).value == 0.0:
         notes.append(
             f"foliage height diversity is 0 in the {which} cloud because one layer of {s.layer:g} "

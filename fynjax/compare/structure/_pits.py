@@ -1,4 +1,4 @@
-"""Noise below the ground, from echoes that came late, that is told as ground."""
+"""Late returns misclassified as ground: noise below it."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -34,14 +34,14 @@ def without_pits(cloud: PointCloud, ground: _Mask, depth: float) -> _Mask:
     near = _nearest(points, left)
     # Noise is lonely among all points, before any went; the floor of a ditch is not.
     suspect = ~_has_company(points[near, 2] - points[:, 2, None], depth)
-    own = np.flatnonzero(suspect)
-    suspect[own] = ~_has_company(_levels(points, own, near[own]), depth)
+    index = np.flatnonzero(suspect)
+    suspect[index] = ~_has_company(_levels(points, index, near[index]), depth)
     for _ in range(_ROUNDS):
-        own = np.flatnonzero(suspect[left])
-        if len(left) <= _NEIGHBOURS or not own.size:
+        index = np.flatnonzero(suspect[left])
+        if len(left) <= _NEIGHBOURS or not index.size:
             break
-        levels = _levels(points[left], own, _nearest(points[left], own))
-        pit = own[np.median(levels, axis=1) > depth]
+        levels = _levels(points[left], index, _nearest(points[left], index))
+        pit = index[np.median(levels, axis=1) > depth]
         if not pit.size:
             break
         left = np.delete(left, pit)
@@ -57,9 +57,9 @@ def _has_company(levels: Float[np.ndarray, "one near"], depth: float) -> _Mask:
 def sunk(cloud: PointCloud, ground: _Mask, depth: float) -> _Mask:
     """Points more than `depth` [m] below the ground around them."""
     which = np.flatnonzero(ground)
-    found = np.zeros(len(cloud), bool)
+    pits = np.zeros(len(cloud), bool)
     if len(which) <= _NEIGHBOURS:
-        return found
+        return pits
     points = np.stack([cloud.x, cloud.y, cloud.z], axis=1)
     points -= points.mean(axis=0)
     floor = points[which]
@@ -72,28 +72,28 @@ def sunk(cloud: PointCloud, ground: _Mask, depth: float) -> _Mask:
         part = other[start : start + _BLOCK]
         _, near = tree.query(points[part, :2], k=_NEIGHBOURS)
         levels = _levelled(floor[near] - points[part][:, None])
-        found[part] = np.median(levels, axis=1) > depth
-    return found
+        pits[part] = np.median(levels, axis=1) > depth
+    return pits
 
 
-def _nearest(points: _Points, own: Int[np.ndarray, " one"]) -> Int[np.ndarray, "one near"]:
+def _nearest(points: _Points, index: Int[np.ndarray, " one"]) -> Int[np.ndarray, "one near"]:
     """Numbers of the points nearest in place to some of them, without themselves."""
-    _, near = cKDTree(points[:, :2]).query(points[own, :2], k=_NEIGHBOURS + 1)
-    self = near == own[:, None]
+    _, near = cKDTree(points[:, :2]).query(points[index, :2], k=_NEIGHBOURS + 1)
+    self = near == index[:, None]
     self[~self.any(axis=1), -1] = True  # of points in one place any may be the first
-    return near[~self].reshape(len(own), _NEIGHBOURS)
+    return near[~self].reshape(len(index), _NEIGHBOURS)
 
 
 def _levels(
-    points: _Points, own: Int[np.ndarray, " one"], near: Int[np.ndarray, "one near"]
+    points: _Points, index: Int[np.ndarray, " one"], near: Int[np.ndarray, "one near"]
 ) -> Float[np.ndarray, "one near"]:
     """How far above a point its neighbours are [m], without the slope of the ground."""
-    if not own.size:
+    if not index.size:
         return np.zeros((0, _NEIGHBOURS))
     return np.concatenate(
         [
-            _levelled(points[near[i : i + _BLOCK]] - points[own[i : i + _BLOCK]][:, None])
-            for i in range(0, len(own), _BLOCK)
+            _levelled(points[near[i : i + _BLOCK]] - points[index[i : i + _BLOCK]][:, None])
+            for i in range(0, len(index), _BLOCK)
         ]
     )
 

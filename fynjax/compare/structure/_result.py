@@ -135,28 +135,28 @@ class StructureComparison:
         paper = structure_2006()
         rows = [
             {
-                "metric": one.name,
-                "unit": one.unit,
-                **_columns("real", one.real),
-                **_columns("simulated", one.simulated),
-                "difference_percent": one.difference_percent,
-                "paper_real": paper[one.name].real,
-                "paper_simulated": paper[one.name].simulated,
-                "paper_difference_percent": paper[one.name].difference_percent,
+                "metric": metric.name,
+                "unit": metric.unit,
+                **_columns("real", metric.real),
+                **_columns("simulated", metric.simulated),
+                "difference_percent": metric.difference_percent,
+                "paper_real": paper[metric.name].real,
+                "paper_simulated": paper[metric.name].simulated,
+                "paper_difference_percent": paper[metric.name].difference_percent,
             }
-            for one in self.metrics
+            for metric in self.metrics
         ]
-        for name, unit, found in (
+        for name, unit, agreement in (
             ("height_percentile_rmse", "m", self.percentile_rmse),
             ("height_intersection", "1", self.height_intersection),
         ):
-            low, high = found.interval
+            low, high = agreement.interval
             rows.append(
                 {
                     "metric": name,
                     "unit": unit,
-                    "simulated": found.value,
-                    "simulated_full": found.full,
+                    "simulated": agreement.value,
+                    "simulated_full": agreement.full,
                     "simulated_thinning_low": low,
                     "simulated_thinning_high": high,
                     "paper_simulated": paper[name].simulated,
@@ -207,13 +207,13 @@ class StructureComparison:
             both("histogram"),
             {"units": "1", "long_name": "share of returns"},
         )
-        for name, unit, one in (
+        for name, unit, agreement in (
             ("height_percentile_rmse", "m", self.percentile_rmse),
             ("height_intersection", "1", self.height_intersection),
         ):
             for end, value in zip(
                 ("", "_full", "_thinning_low", "_thinning_high"),
-                (one.value, one.full, *one.interval),
+                (agreement.value, agreement.full, *agreement.interval),
             ):
                 said = f"{name}{end}".replace("_", " ")
                 data[name + end] = ((), value, {"units": unit, "long_name": said})
@@ -222,7 +222,7 @@ class StructureComparison:
             data,
             coords={
                 "cloud": cloud,
-                "metric": [one.name for one in self.metrics],
+                "metric": [metric.name for metric in self.metrics],
                 "x": ("x", west + (np.arange(columns) + 0.5) * self.grain, metres),
                 "y": ("y", south + (np.arange(rows) + 0.5) * self.grain, metres),
                 "layer": ("layer", middle, {**metres, "long_name": "middle of the layer"}),
@@ -237,25 +237,25 @@ class StructureComparison:
 
     def _means(self) -> dict[str, Any]:
         """Mean of each metric over the cells of both clouds, with intervals; NaN if undefined."""
-        found: dict[str, Any] = {
-            "metric_unit": (("metric",), [one.unit for one in self.metrics], {}),
+        means: dict[str, Any] = {
+            "metric_unit": (("metric",), [metric.unit for metric in self.metrics], {}),
             "metric_difference_percent": (
                 ("metric",),
-                np.array([one.difference_percent for one in self.metrics], float),
+                np.array([metric.difference_percent for metric in self.metrics], float),
                 {"units": "percent", "long_name": "simulated minus real, over real"},
             ),
         }
         rows = [
-            [_columns("metric_mean", getattr(one, name)) for one in self.metrics]
+            [_columns("metric_mean", getattr(metric, name)) for metric in self.metrics]
             for name, _ in self._sides()
         ]
         for key in rows[0][0]:
-            found[key] = (
+            means[key] = (
                 ("cloud", "metric"),
                 np.array([[row[key] for row in side] for side in rows], float),
                 {"units": "1", "long_name": f"{key.replace('_', ' ')}, in the unit of the metric"},
             )
-        return found
+        return means
 
     def curves(self) -> dict[str, pd.DataFrame]:
         """Profile, percentiles and histogram of both clouds: a row for each height."""
@@ -294,21 +294,21 @@ class CloudStructure:
         """A row for each metric; empty fields are undefined."""
         return pd.DataFrame(
             [
-                {"metric": name, "unit": STRUCTURE_METRICS[name], **_columns("cloud", one)}
-                for name, one in self.metrics.items()
+                {"metric": name, "unit": STRUCTURE_METRICS[name], **_columns("cloud", estimate)}
+                for name, estimate in self.metrics.items()
             ]
         ).rename(columns={"cloud": "value"})
 
 
-def _columns(prefix: str, one: Estimate) -> dict[str, float | None]:
-    found: dict[str, float | None] = {prefix: one.value, f"{prefix}_full": one.full}
+def _columns(prefix: str, estimate: Estimate) -> dict[str, float | None]:
+    columns: dict[str, float | None] = {prefix: estimate.value, f"{prefix}_full": estimate.full}
     for kind, interval in (
-        ("thinning", one.thinning_interval),
-        ("bootstrap", one.bootstrap_interval),
+        ("thinning", estimate.thinning_interval),
+        ("bootstrap", estimate.bootstrap_interval),
     ):
         low, high = interval or (None, None)
-        found |= {f"{prefix}_{kind}_low": low, f"{prefix}_{kind}_high": high}
-    return found
+        columns |= {f"{prefix}_{kind}_low": low, f"{prefix}_{kind}_high": high}
+    return columns
 
 
 def _plain(value: Any) -> str | float | int:

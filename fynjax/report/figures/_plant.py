@@ -38,7 +38,7 @@ def plant_figure(model: MeshPlant) -> Figure:
             order = np.argsort(towards * place[:, depth], kind="stable")  # the nearest last
             facing = np.maximum(np.abs(normal[:, depth]), _THINNEST)
             turn = np.degrees(np.arctan2(normal[:, up], normal[:, right])) + 90.0
-            colours = np.array([_COLOURS[Organ(one)] for one in range(len(Organ))])[organ]
+            colours = np.array([_COLOURS[kind] for kind in Organ])[organ]
             discs: Any = matplotlib.collections.EllipseCollection(
                 length[order],
                 (length * facing)[order],
@@ -63,10 +63,11 @@ def plant_figure(model: MeshPlant) -> Figure:
             )
         handles = [
             matplotlib.patches.Patch(
-                color=_COLOURS[one], label=f"{one.name.lower()} {model.organ_area[one]:.3g} m2"
+                color=_COLOURS[kind],
+                label=f"{kind.name.lower()} {model.organ_area[kind]:.3g} m2",
             )
-            for one in Organ
-            if model.organ_area[one] > 0.0
+            for kind in Organ
+            if model.organ_area[kind] > 0.0
         ]
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure

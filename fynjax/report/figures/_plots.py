@@ -57,8 +57,8 @@ def spectra_plot(pair: PlotSpectraPair) -> Figure:
                 draw_band(axes, pair.wavelength, low, high, color=GREY, alpha=0.3, linewidth=0)
                 draw_line(axes, pair.wavelength, flights.mean(axis=0), color=REAL, lw=1.1)
             draw_line(axes, pair.wavelength, simulated, color=VERMILION, lw=1.1)
-            told = f"{len(flights)} flights" if len(flights) else "not measured"
-            axes.set_title(f"{name} ({told})", fontsize=8)
+            label = f"{len(flights)} flights" if len(flights) else "not measured"
+            axes.set_title(f"{name} ({label})", fontsize=8)
             axes.grid(True)
         for axes in grid.ravel()[count:]:
             axes.set_axis_off()
@@ -106,12 +106,12 @@ def residual_plot(pair: PlotSpectraPair) -> Figure:
             draw_line(axes[2], x, column["correlation"], color=VERMILION, lw=1.4)
             axes[2].axhline(0.0, color=GREY, lw=0.8)
             axes[2].set_ylim(-1.0, 1.0)
-            axes[2].set_title("Does it tell plots apart? Correlation across plots")
+            axes[2].set_title("Does it distinguish plots? Correlation across plots")
             axes[2].set_ylabel("r [-]")
-        for one in axes:
-            one.grid(True)
-            if one.get_legend_handles_labels()[0]:
-                one.legend(loc="best")
+        for panel in axes:
+            panel.grid(True)
+            if panel.get_legend_handles_labels()[0]:
+                panel.legend(loc="best")
         axes[-1].set_xlabel("wavelength [nm]")
     return figure
 

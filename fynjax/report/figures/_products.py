@@ -21,12 +21,12 @@ def colour_bands(cube: Cube) -> dict[str, int]:
     places = np.flatnonzero(cube.good)
     if cube.wavelength is None or places.size == 0:
         return {}
-    found = {}
+    bands = {}
     for name, wanted in _SEEN.items():
         away = np.abs(cube.wavelength[places] - wanted)
         if away.min() <= _FAR:
-            found[name] = int(places[away.argmin()])
-    return found
+            bands[name] = int(places[away.argmin()])
+    return bands
 
 
 def quick_looks(cube: Cube, title: str) -> dict[str, Figure]:

@@ -34,7 +34,7 @@ def capture_figure(cube: Cube, title: str, *, pixels: bool) -> Figure:
     **Arguments:** `pixels`: whether its coordinates are pixels, not metres.
     """
     pictures: dict[str, NDArray[np.float64]] = {}
-    told = []
+    ranges = []
     for name, waves in _COLOURS.items():
         bands = [band for wave in waves if (band := _band(cube, wave)) is not None]
         if len(bands) < 3:
@@ -42,7 +42,7 @@ def capture_figure(cube: Cube, title: str, *, pixels: bool) -> Figure:
         stack = np.stack(bands, axis=-1)
         high = np.nanpercentile(stack, 99, axis=(0, 1))
         pictures[name] = np.sqrt(np.clip(np.nan_to_num(stack / high, nan=1.0), 0.0, 1.0))
-        told.append(f"{name.split(' (')[0].lower()} 0 to {', '.join(f'{v:.2f}' for v in high)}")
+        ranges.append(f"{name.split(' (')[0].lower()} 0 to {', '.join(f'{v:.2f}' for v in high)}")
     red, nir = _band(cube, 660.0), _band(cube, 850.0)
     if red is not None and nir is not None:
         total = nir + red
@@ -69,9 +69,9 @@ def capture_figure(cube: Cube, title: str, *, pixels: bool) -> Figure:
                 figure.colorbar(image, ax=axes, label=f"{name} [-]", shrink=0.85)
             axes.set_xlabel("x [pixel]" if pixels else "x [m]")
         grid[0].set_ylabel("y [pixel]" if pixels else "y [m]")
-        if told:
+        if ranges:
             figure.supxlabel(
-                f"Reflectance shown: {'; '.join(told)} (99th percentiles), square root. "
+                f"Reflectance shown: {'; '.join(ranges)} (99th percentiles), square root. "
                 "Saturated pixels white.",
                 fontsize=7.5,
                 color="#333333",
@@ -79,17 +79,17 @@ def capture_figure(cube: Cube, title: str, *, pixels: bool) -> Figure:
     return figure
 
 
-def panel_figure(seen: Sequence[PanelSeen], known: Sequence[NDArray[np.float64]]) -> Figure:
+def panel_figure(panels: Sequence[PanelSeen], known: Sequence[NDArray[np.float64]]) -> Figure:
     """Every panel in every band, with the outline of the pixels that were read."""
-    columns = max(len(one.areas) for one in seen)
+    columns = max(len(panel.areas) for panel in panels)
     with style():
-        figure = Figure(figsize=(2.3 * columns + 0.3, 2.15 * len(seen) + 0.25))
-        grid = figure.subplots(len(seen), columns, squeeze=False)
+        figure = Figure(figsize=(2.3 * columns + 0.3, 2.15 * len(panels) + 0.25))
+        grid = figure.subplots(len(panels), columns, squeeze=False)
         for axes in grid.flat:
             axes.set_axis_off()
-        for row, one, rho in zip(grid, seen, known, strict=True):
-            for k, axes in enumerate(row[: len(one.areas)]):
-                _draw_panel(axes, one, k, float(rho[k]))
+        for row, panel, rho in zip(grid, panels, known, strict=True):
+            for k, axes in enumerate(row[: len(panel.areas)]):
+                _draw_panel(axes, panel, k, float(rho[k]))
         figure.supxlabel(
             "Counts of each band's own picture, with the pixels that were read (outlined), their "
             "spread and the panel's reflectance.",
@@ -99,14 +99,14 @@ def panel_figure(seen: Sequence[PanelSeen], known: Sequence[NDArray[np.float64]]
     return figure
 
 
-def _draw_panel(axes: Axes, one: PanelSeen, k: int, known: float) -> None:
-    band = one.capture.bands[k]
+def _draw_panel(axes: Axes, panel: PanelSeen, k: int, known: float) -> None:
+    band = panel.capture.bands[k]
     step = max(1, max(band.counts.shape) // _THIN)
     rows, columns = band.counts.shape
     axes.imshow(band.counts[::step, ::step], cmap="gray", extent=(0, columns, rows, 0))
-    axes.add_patch(Polygon(one.areas[k], closed=True, fill=False, ec=VERMILION, lw=1.6))
+    axes.add_patch(Polygon(panel.areas[k], closed=True, fill=False, ec=VERMILION, lw=1.6))
     axes.set_title(
-        f"{one.capture.name} {band.name}\nreflectance {known:.3g}, "
-        f"spread {100 * one.spread[k] / one.mean[k]:.1f} %",
+        f"{panel.capture.name} {band.name}\nreflectance {known:.3g}, "
+        f"spread {100 * panel.spread[k] / panel.mean[k]:.1f} %",
         fontsize=8,
     )

@@ -93,9 +93,9 @@ def _domes(
     facing = normal @ _LIGHT / np.linalg.norm(normal, axis=-1)
     light = (0.50 + 0.66 * np.clip(facing, 0.0, 1.0)) * (1.0 - 0.30 * distance**6)
     # Plants of one species that touch stay apart for the eye.
-    own = 0.92 + 0.16 * np.random.default_rng(0).random(len(instances))
+    shade = 0.92 + 0.16 * np.random.default_rng(0).random(len(instances))
     colour = np.array([rgb(c) for c in colours])[instances.species[plant]]
-    image[row, column] = np.clip(colour * (light * own[plant])[:, None], 0.0, 1.0)
+    image[row, column] = np.clip(colour * (light * shade[plant])[:, None], 0.0, 1.0)
     return image
 
 
@@ -112,14 +112,14 @@ def _legend(
     figure: Figure,
     instances: Instances,
     colours: Sequence[str],
-    seen: np.ndarray | None = None,
+    visible: np.ndarray | None = None,
     total: float | None = None,
 ) -> None:
     handles = []
     for index, (taxon, count) in enumerate(zip(instances.taxa, instances.counts)):
         text = f"{taxon}\n{count} plants" if count != 1 else f"{taxon}\n1 plant"
-        if seen is not None:
-            text += f", {100 * seen[index]:.1f} % of the ground"
+        if visible is not None:
+            text += f", {100 * visible[index]:.1f} % of the ground"
         handles.append(Patch(facecolor=colours[index], edgecolor="none", label=text))
     if total is not None:
         bare = f"bare ground\n{100 * (1 - total):.1f} %"
@@ -146,11 +146,11 @@ def profile_view(
         panels = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
         for axes, part, name in zip(panels, profile, ("Leaf", "Wood"), strict=True):
             start = np.zeros(part.shape[1])
-            for one, values in enumerate(part):
+            for species, values in enumerate(part):
                 # Steps: within a layer the density is its mean.
                 axes.stairs(
                     start + values, edges, baseline=start, orientation="horizontal", fill=True,
-                    color=colours[one], lw=0,
+                    color=colours[species], lw=0,
                 )  # fmt: skip
                 start = start + values
             axes.stairs(start, edges, orientation="horizontal", color="#333333", lw=0.8)

@@ -103,7 +103,7 @@ def oblique_view(
         if len(instances):
             parts.append(_points(instances, forms, view, colours))
     if parts:
-        _draw(image, view, *(np.concatenate(one) for one in zip(*parts, strict=True)))
+        _draw(image, view, *(np.concatenate(part) for part in zip(*parts, strict=True)))
     shape = (_HEIGHT, _FINER, _WIDTH, _FINER, 3)
     image = image.reshape(shape).mean(axis=(1, 3))
     return oblique_figure(image, view, instances, colours, title, ground)
@@ -227,12 +227,12 @@ def _points(
     wanted = np.clip(instances.diameter * instances.height * (metre / 2.0) ** 2, 10, 4000)
     fewer = min(1.0, _MOST_POINTS / wanted.sum())
     places, tints, widths = [], [], []
-    for one, form in enumerate(forms):
-        mine = instances.species == one
+    for species, form in enumerate(forms):
+        mine = instances.species == species
         if not mine.any():
             continue
         number = max(8, int(fewer * wanted[mine].mean()))
-        shape = plant_model(form, number, seed=one)
+        shape = plant_model(form, number, seed=species)
         position = np.asarray(shape.position, np.float32)
         per_diameter, per_height = unit_shapes(
             position, instances.azimuth[mine], instances.tilt[mine]
@@ -243,17 +243,17 @@ def _points(
         place[..., 1] += instances.y[mine, None]
         place[..., 2] += instances.z[mine, None]
         organ = np.asarray(shape.organ)
-        base = np.where((organ == Organ.WOOD)[:, None], rgb(BARK), rgb(colours[one]))
+        base = np.where((organ == Organ.WOOD)[:, None], rgb(BARK), rgb(colours[species]))
         if form == "deadwood":
-            base = np.broadcast_to(rgb(colours[one]), base.shape)
+            base = np.broadcast_to(rgb(colours[species]), base.shape)
         facing = np.abs(np.asarray(shape.normal) @ SUN)
         # Light fades into the crown: darker low down and near the axis.
         inner = np.clip(2.0 * np.hypot(position[:, 0], position[:, 1]), 0.0, 1.0)
         light = (0.34 + 0.5 * position[:, 2] + 0.16 * inner) * (0.72 + 0.4 * facing)
-        own = 0.90 + 0.2 * rng.random((mine.sum(), 1))
+        shade = 0.90 + 0.2 * rng.random((mine.sum(), 1))
         places.append(place.reshape(-1, 3).astype(np.float32))
         tints.append(
-            (own[..., None] * (light[:, None] * base)[None]).reshape(-1, 3).astype(np.float32)
+            (shade[..., None] * (light[:, None] * base)[None]).reshape(-1, 3).astype(np.float32)
         )
         gap = np.sqrt(diameter * height / number)
         widths.append(np.repeat(0.8 * gap, number).astype(np.float32))
@@ -283,5 +283,5 @@ def _draw(
     who, where = np.concatenate(owner), np.concatenate(pixel)
     nearest = np.full(rows * columns, -1, np.int64)
     np.maximum.at(nearest, where, who)
-    seen = nearest >= 0
-    image.reshape(-1, 3)[seen] = tint[nearest[seen]]
+    drawn = nearest >= 0
+    image.reshape(-1, 3)[drawn] = tint[nearest[drawn]]

@@ -41,17 +41,17 @@ def mesh_image(
             f"most {_MOST_TRIANGLES}: take a smaller plot (--size), or --view points"
         )
     pyvista, vtk = require("pyvista", "view"), require("vtk", "view")
-    # VTK tells of the display that it does not need.
+    # VTK warns of the display that it does not need.
     vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.VERBOSITY_OFF)
     plotter = pyvista.Plotter(off_screen=True, window_size=view.size, lighting="none")
     colours = species_colours(forms)
-    for one, mesh in enumerate(meshes):
-        mine = np.flatnonzero(instances.species == one)
+    for species, mesh in enumerate(meshes):
+        mine = np.flatnonzero(instances.species == species)
         if mesh is None or not len(mine):
             continue
         for index, organ in enumerate(mesh.materials):
-            wood = organ == Organ.WOOD.name.lower() and forms[one] != "deadwood"
-            colour = rgb(BARK if wood else colours[one])
+            wood = organ == Organ.WOOD.name.lower() and forms[species] != "deadwood"
+            colour = rgb(BARK if wood else colours[species])
             faces = mesh.faces[mesh.material == index]
             plotter.add_actor(_copies(pyvista, vtk, mesh, faces, instances, mine, colour))
     if ground is not None:

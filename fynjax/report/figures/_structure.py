@@ -13,35 +13,35 @@ from fynjax.report.figures._style import AFTER, REAL, style, words
 _SIDES = (("real", REAL, "o"), ("simulated", AFTER, "s"))
 
 
-def structure_figure(found: StructureComparison) -> Figure:
+def structure_figure(comparison: StructureComparison) -> Figure:
     """Metrics with their intervals, and heights, percentiles and profiles of both clouds."""
     with style():
         figure = Figure(figsize=(11.4, 7.4))
         parts: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.15))
         upper, lower = parts
-        panels = upper.subplots(1, len(found.metrics))
-        for axes, one in zip(panels, found.metrics):
-            _metric(axes, one)
+        panels = upper.subplots(1, len(comparison.metrics))
+        for axes, metric in zip(panels, comparison.metrics):
+            _metric(axes, metric)
         histogram, percentiles, profile = lower.subplots(1, 3)
-        _histogram(histogram, found)
-        _percentiles(percentiles, found)
-        _profile(profile, found)
+        _histogram(histogram, comparison)
+        _percentiles(percentiles, comparison)
+        _profile(profile, comparison)
         handles, labels = histogram.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper left", ncols=2)
-        figure.supxlabel(_caption(found), fontsize=7.5, color="#333333")
+        figure.supxlabel(_caption(comparison), fontsize=7.5, color="#333333")
     return figure
 
 
-def structure_maps(found: StructureComparison) -> Figure:
+def structure_maps(comparison: StructureComparison) -> Figure:
     """Every metric in each cell, the real cloud above and the simulated below, on one scale."""
-    west, south, east, north = found.bounds
+    west, south, east, north = comparison.bounds
     extent = (0.0, east - west, 0.0, north - south)
     with style():
-        count = len(found.metrics)
+        count = len(comparison.metrics)
         figure = Figure(figsize=(2.05 * count, 4.9))
         grid = figure.subplots(2, count, sharex=True, sharey=True)
-        for column, one in zip(grid.T, found.metrics):
-            maps = [found.real.cells[one.name], found.simulated.cells[one.name]]
+        for column, metric in zip(grid.T, comparison.metrics):
+            maps = [comparison.real.cells[metric.name], comparison.simulated.cells[metric.name]]
             pooled = np.concatenate([m[np.isfinite(m)] for m in maps])
             low, high = (pooled.min(), pooled.max()) if pooled.size else (0.0, 1.0)
             scale = matplotlib.colors.Normalize(low, high if high > low else low + 1e-6)
@@ -51,22 +51,22 @@ def structure_maps(found: StructureComparison) -> Figure:
                     values, origin="lower", extent=extent, norm=scale, cmap="viridis"
                 )
                 axes.tick_params(length=2)
-            column[0].set_title(_title(one), fontsize=8.5)
+            column[0].set_title(_title(metric), fontsize=8.5)
             bar = figure.colorbar(image, ax=list(column), location="bottom", aspect=12, pad=0.02)
             bar.ax.tick_params(labelsize=7)
             bar.ax.locator_params(nbins=3)
         for axes, (name, _, _) in zip(grid[:, 0], _SIDES):
             axes.set_ylabel(f"{name}\nNorth [m]")
         figure.supxlabel(
-            f"East [m]. Cells of {found.grain:g} m; grey is undefined. Of the thinned cloud, the "
-            "median of thinnings.",
+            f"East [m]. Cells of {comparison.grain:g} m; grey is undefined. Of the thinned cloud, "
+            "the median of thinnings.",
             fontsize=7.5,
             color="#333333",
         )
     return figure
 
 
-def _title(one: MetricComparison) -> str:
+def _title(metric: MetricComparison) -> str:
     short = {
         "foliage_height_diversity": "Foliage height\ndiversity",
         "leaf_area_density_mean": "Leaf area density,\nmean",
@@ -75,14 +75,14 @@ def _title(one: MetricComparison) -> str:
         "rugosity": "\nRugosity",
         "height_cv": "Variation (CV)\nof height",
     }
-    unit = {"1": "-", "m2 m-3": "m² m⁻³"}.get(one.unit, one.unit)
-    return f"{short.get(one.name, words(one.name))} [{unit}]"
+    unit = {"1": "-", "m2 m-3": "m² m⁻³"}.get(metric.unit, metric.unit)
+    return f"{short.get(metric.name, words(metric.name))} [{unit}]"
 
 
-def _metric(axes: Axes, one: MetricComparison) -> None:
+def _metric(axes: Axes, metric: MetricComparison) -> None:
     """Value, thinnings (thin) and bootstrap over cells (thick) of both clouds."""
     for place, (side, colour, marker) in enumerate(_SIDES):
-        estimate: Estimate = getattr(one, side)
+        estimate: Estimate = getattr(metric, side)
         for interval, width in (
             (estimate.bootstrap_interval, 4.0),
             (estimate.thinning_interval, 1.3),
@@ -93,9 +93,9 @@ def _metric(axes: Axes, one: MetricComparison) -> None:
                 axes.plot([x, x], interval, color=colour, lw=width, alpha=alpha)
         if estimate.value is not None:
             axes.plot(place, estimate.value, marker, color=colour, ms=6)
-    difference = one.difference_percent
-    axes.set_title(_title(one), fontsize=8.5)
-    known = one.real.value is not None and one.simulated.value is not None
+    difference = metric.difference_percent
+    axes.set_title(_title(metric), fontsize=8.5)
+    known = metric.real.value is not None and metric.simulated.value is not None
     below = "real near 0" if known else "undefined"
     below = below if difference is None else f"{difference:+.1f} %"
     axes.margins(y=0.08)
@@ -104,15 +104,15 @@ def _metric(axes: Axes, one: MetricComparison) -> None:
     axes.grid(axis="y")
 
 
-def _histogram(axes: Axes, found: StructureComparison) -> None:
+def _histogram(axes: Axes, comparison: StructureComparison) -> None:
     for side, colour, _ in _SIDES:
-        share = getattr(found, side).histogram / np.diff(found.histogram_edges)
+        share = getattr(comparison, side).histogram / np.diff(comparison.histogram_edges)
         options: Any = {"fill": True, "alpha": 0.3} if side == "real" else {"lw": 1.4}
         axes.stairs(
-            share, found.histogram_edges, orientation="horizontal", color=colour, label=side,
+            share, comparison.histogram_edges, orientation="horizontal", color=colour, label=side,
             **options,
         )  # fmt: skip
-    shown = found.height_intersection
+    shown = comparison.height_intersection
     axes.set(
         title=f"Heights: intersection {shown.value:.3f} ({_range(shown.interval)})",
         xlabel="Density of returns [m⁻¹], square root",
@@ -125,16 +125,16 @@ def _histogram(axes: Axes, found: StructureComparison) -> None:
     axes.grid()
 
 
-def _percentiles(axes: Axes, found: StructureComparison) -> None:
-    real, simulated = found.real.percentiles, found.simulated.percentiles
+def _percentiles(axes: Axes, comparison: StructureComparison) -> None:
+    real, simulated = comparison.real.percentiles, comparison.simulated.percentiles
     high = 1.05 * max(real.max(), simulated.max(), 1e-3)
     axes.plot([0.0, high], [0.0, high], color="#999999", lw=0.8)
     axes.plot(real, simulated, "s", color=AFTER, ms=4)
-    for percent, x, y in zip(found.percents, real, simulated):
+    for percent, x, y in zip(comparison.percents, real, simulated):
         if percent in (50.0, 75.0, 95.0):
             axes.annotate(f"{percent:g}", (x, y), xytext=(5, -8), textcoords="offset points",
                           fontsize=7.5)  # fmt: skip
-    shown = found.percentile_rmse
+    shown = comparison.percentile_rmse
     axes.set(
         title=f"Percentiles: RMSE {shown.value:.3f} m ({_range(shown.interval)})",
         xlabel="Real [m]",
@@ -146,10 +146,12 @@ def _percentiles(axes: Axes, found: StructureComparison) -> None:
     axes.grid()
 
 
-def _profile(axes: Axes, found: StructureComparison) -> None:
-    middle = 0.5 * (found.edges[1:] + found.edges[:-1])
+def _profile(axes: Axes, comparison: StructureComparison) -> None:
+    middle = 0.5 * (comparison.edges[1:] + comparison.edges[:-1])
     for side, colour, marker in _SIDES:
-        axes.plot(getattr(found, side).profile, middle, color=colour, marker=marker, ms=3.5, lw=1.2)
+        axes.plot(
+            getattr(comparison, side).profile, middle, color=colour, marker=marker, ms=3.5, lw=1.2
+        )
     axes.set(
         title="Leaf area density, all returns",
         xlabel="Mean over cells [m² m⁻³]",
@@ -164,18 +166,18 @@ def _range(interval: tuple[float, float]) -> str:
     return f"{interval[0]:.3f} to {interval[1]:.3f}"
 
 
-def _caption(found: StructureComparison) -> str:
-    s, o = found.settings, found.options
+def _caption(comparison: StructureComparison) -> str:
+    s, o = comparison.settings, comparison.options
     percent = f"{100.0 * o['confidence']:g} %"
     matched = (
         "both have as many returns"
-        if found.thinned == "neither"
-        else f"the {found.thinned} cloud thinned {o['repetitions']} times to "
-        f"{found.matched_returns} returns"
+        if comparison.thinned == "neither"
+        else f"the {comparison.thinned} cloud thinned {o['repetitions']} times to "
+        f"{comparison.matched_returns} returns"
     )
     return (
-        f"Cells of {found.grain:g} m; {matched}; thick bars: {percent} by bootstrap over cells, "
-        f"thin bars: central {percent} of thinnings.\n"
+        f"Cells of {comparison.grain:g} m; {matched}; thick bars: {percent} by bootstrap over "
+        f"cells, thin bars: central {percent} of thinnings.\n"
         f"Layers of {s.layer:g} m from {s.lowest:g} m (diversity of {words(s.diversity_of)} from "
         f"{s.diversity_lowest:g} m), k {s.extinction:g}, gap below {s.gap_height:g} m, rugosity of "
         f"{s.rugosity_of}, cells of {s.canopy_cell:g} m. Conventions: {s.source}."

@@ -107,11 +107,11 @@ def difference_bars(
         )
     signs = np.full(len(labels), np.nan) if sign is None else sign
     drawn = False
-    for x, low, high, one in zip(place, lower, upper, signs, strict=True):
+    for x, low, high, sign in zip(place, lower, upper, signs, strict=True):
         if not np.isfinite(high):
             continue
-        for side in (-1.0, 1.0) if np.isnan(one) else (one,):
-            faint = 0.95 if np.isfinite(one) else 0.65
+        for side in (-1.0, 1.0) if np.isnan(sign) else (sign,):
+            faint = 0.95 if np.isfinite(sign) else 0.65
             ends = sorted((side * low, side * high))
             box = matplotlib.patches.Rectangle(
                 (x - 0.4, ends[0] - 0.009 * most),
@@ -158,11 +158,11 @@ def index_pair_histograms(
             axes.set(yticks=[])
             axes.spines["left"].set_visible(False)
             whole, central = row["histogram_intersection"], row["central_intersection"]
-            told = f"HI {whole:.2f}, KS {row['ks']:.2f}"
+            label = f"HI {whole:.2f}, KS {row['ks']:.2f}"
             if abs(whole - central) > 0.05:
-                told = f"HI {whole:.2f} (central {central:.2f}), KS {row['ks']:.2f}"
+                label = f"HI {whole:.2f} (central {central:.2f}), KS {row['ks']:.2f}"
             axes.set_title(f"{name}\n", fontsize=9)
-            axes.text(0.0, 1.03, told, transform=axes.transAxes, fontsize=7, color="#55554f")
+            axes.text(0.0, 1.03, label, transform=axes.transAxes, fontsize=7, color="#55554f")
             if not np.isfinite(edges[k]).all():
                 axes.text(0.5, 0.5, "not defined", transform=axes.transAxes, ha="center")
                 continue

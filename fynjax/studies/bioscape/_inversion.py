@@ -1,6 +1,6 @@
 """Cover and leaf traits of a plot from its measured spectrum: parameters, priors, the fit.
 
-The parameters are those of a whole plot. A mean spectrum cannot tell species apart, so each
+The parameters are those of a whole plot. A mean spectrum cannot separate species, so each
 parameter moves all species of a plot together, by a factor on what its tables say.
 """
 

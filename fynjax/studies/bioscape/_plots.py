@@ -78,7 +78,7 @@ class BioscapePlot:
     live: float
     """Live vegetation, seen from above [-]."""
     dead: float
-    """Dead vegetation [-]: litter and standing dead, which the tables do not tell apart."""
+    """Dead vegetation [-]: litter and standing dead, which the tables do not separate."""
     soil: float
     """Bare soil [-]."""
     rock: float
@@ -275,14 +275,14 @@ def _species_by_plot(
             column="PercentCoverAlive",
         )
     plots: dict[str, dict[str, SpeciesCoverRow]] = {}
-    seen: dict[tuple[str, str], int] = {}
+    row_of: dict[tuple[str, str], int] = {}
     for where, row in rows:
         taxon = " ".join(row.GenusSpecies.replace("_", " ").split())
         before = plots.setdefault(row.Plot, {}).get(taxon)
         if before is None:
-            plots[row.Plot][taxon], seen[row.Plot, taxon] = row, where
+            plots[row.Plot][taxon], row_of[row.Plot, taxon] = row, where
             continue
-        first = seen[row.Plot, taxon]
+        first = row_of[row.Plot, taxon]
         if before.Family == row.Family or before.PercentCoverAlive != row.PercentCoverAlive:
             raise InputError(
                 f"{taxon!r} of plot {row.Plot!r} is there twice, first in row {first}. Add the "

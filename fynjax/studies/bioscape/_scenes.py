@@ -175,11 +175,11 @@ def nadir_spectrum(model: PlotModel, parameters: PlotParameters) -> PlotSpectrum
     x, y = ((jnp.arange(n) + 0.5) * width for n in (nx, ny))
     dtype = scene.area_density.dtype
     x, y, down = x.astype(dtype), y.astype(dtype), jnp.zeros((), dtype)
-    seen = render(light, parallel_rays(x, y, width, down, down))
+    image = render(light, parallel_rays(x, y, width, down, down))
     incident = scene.illumination.incident
     return PlotSpectrum(
-        jnp.pi * seen.total.mean(axis=(1, 2)) / incident,
-        seen.gap.mean(),
+        jnp.pi * image.total.mean(axis=(1, 2)) / incident,
+        image.gap.mean(),
         jnp.max(light.residual),
     )
 

@@ -125,14 +125,14 @@ def read_plot_spectra(folder: str | Path) -> dict[str, PlotSpectra]:
     dark = np.isnan(reflectance[some]).mean(axis=0) > 0.5 if some.any() else np.ones(bands, bool)
     lit = np.isfinite(reflectance[:, ~dark])
     whole = some & (lit.sum(axis=1) >= _WHOLE * lit.shape[1])
-    found: dict[str, PlotSpectra] = {}
+    spectra: dict[str, PlotSpectra] = {}
     for name in dict.fromkeys(names):
         mine = np.array([n == name for n in names])
         keep = np.flatnonzero(mine & whole)
-        found[name] = PlotSpectra(
+        spectra[name] = PlotSpectra(
             tuple(times[i] for i in keep), reflectance[keep], int(mine.sum() - keep.size)
         )
-    return found
+    return spectra
 
 
 def _time(text: str, path: Path, row: int) -> str:

@@ -115,20 +115,20 @@ VISITS = "*VegCenters.csv", "a table of spectra by plot"
 
 def find_table(folder: Path, kind: tuple[str, str]) -> Path | None:
     """The one file of a folder that holds a table, or `None`. `InputError` if there are two."""
-    found = sorted(folder.glob(kind[0]))
-    if len(found) > 1:
+    paths = sorted(folder.glob(kind[0]))
+    if len(paths) > 1:
         raise InputError(
             f"expected one {kind[0]} ({kind[1]}), but there are "
-            f"{', '.join(p.name for p in found)}. Leave one in the folder.",
+            f"{', '.join(p.name for p in paths)}. Leave one in the folder.",
             file=folder,
         )
-    return found[0] if found else None
+    return paths[0] if paths else None
 
 
 def needed_table(folder: Path, kind: tuple[str, str]) -> Path:
     """The one file of a folder that holds a table; `InputError` if there is none."""
-    found = find_table(folder, kind)
-    if found is None:
+    path = find_table(folder, kind)
+    if path is None:
         beside = sorted(p.name for p in folder.glob("*.csv"))
         raise InputError(
             f"expected a file {kind[0]} ({kind[1]}), but there is none."
@@ -136,7 +136,7 @@ def needed_table(folder: Path, kind: tuple[str, str]) -> Path:
             f"{', '.join(beside) or 'no CSV file'}.",
             file=folder,
         )
-    return found
+    return path
 
 
 _COVER_CLASS = re.compile(r"r|\+|[1-5][abm]?", re.IGNORECASE)

@@ -60,7 +60,7 @@ class TraitLibrary:
     def __init__(self, rows: Iterable[tuple[int, TraitRow]], path: Path) -> None:
         self._species: dict[tuple[str, str], TraitRow] = {}
         self._family: dict[str, str] = {}
-        seen: dict[tuple[str, str], int] = {}
+        row_of: dict[tuple[str, str], int] = {}
         for where, row in rows:
             genus, epithet = split_name(row.GenusSpecies)
             key = genus, _stem(epithet)
@@ -70,13 +70,13 @@ class TraitLibrary:
             ):
                 raise InputError(
                     f"{row.GenusSpecies!r} is there twice with other traits, first in row "
-                    f"{seen[key]}. Keep one row.",
+                    f"{row_of[key]}. Keep one row.",
                     file=path,
                     row=where,
                     column="GenusSpecies",
                 )
             if before is None:
-                self._species[key], seen[key] = row, where
+                self._species[key], row_of[key] = row, where
                 self._family.setdefault(genus, row.Family)
         groups: dict[tuple[str, str, str], list[float]] = defaultdict(list)
         for (genus, _), row in self._species.items():
