@@ -1,11 +1,13 @@
 """Checks, and files to read, that several test files share."""
 
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import jsonschema
 import numpy as np
 import rasterio
 from jax.flatten_util import ravel_pytree
@@ -82,3 +84,12 @@ def write_ply(path: Path, properties: Sequence[str], table: np.ndarray) -> Path:
     rows = [" ".join(map(repr, row)) for row in table.tolist()]
     path.write_text("\n".join([*head, *rows]) + "\n")
     return path
+
+
+def assert_valid_summary(summary: Any) -> None:
+    """A job's result, or the summary that a command wrote, is what the schema says."""
+    from fynjax.jobs._schemas import json_schema
+
+    if not isinstance(summary, dict):
+        summary = json.loads(summary.model_dump_json())
+    jsonschema.validate(summary, json_schema("summary"))

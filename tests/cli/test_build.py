@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
 from fynjax.cli._build import build
+from tests.helpers import assert_valid_summary
 
 app = typer.Typer()
 app.command()(build)
@@ -52,6 +53,7 @@ def run(*arguments: object) -> dict:
 def test_the_files_of_a_build_agree(plot: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     summary = run(plot, "--output", out, "--size", 2, "--mesh", "--triangles", 200_000)
+    assert_valid_summary(summary)
     plants = pd.read_csv(out / "instances.csv")
     wanted = {
         "Euclea racemosa": int(np.ceil(4.0 * 0.30 / (0.8 * np.pi * 0.175**2))),

@@ -12,6 +12,7 @@ from fynjax._core.errors import InputError
 from fynjax.cli._pattern import pattern
 from fynjax.io.raster import read_probability_map, write_geotiff
 from tests.canopy.test_pattern import BANDS, drawn
+from tests.helpers import assert_valid_summary
 
 app = typer.Typer()
 app.command()(pattern)
@@ -42,6 +43,7 @@ def test_an_image_becomes_a_map(image: Path, tmp_path: Path) -> None:
     assert json.loads((out / "summary.json").read_text("utf-8")) == summary
     assert summary["map"]["bounds_m"] == pytest.approx([500.0, 900.0, 506.0, 906.0])
     assert summary["map"]["masked_pixels"] == 1
+    assert_valid_summary(summary)
     assert [c["level"] for c in summary["clusters"]] == [0, 128, 255]
     truth = drawn()[1]
     share = np.bincount(truth.ravel()) / truth.size

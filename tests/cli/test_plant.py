@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
 from fynjax.cli._plant import plant
+from tests.helpers import assert_valid_summary
 
 app = typer.Typer()
 app.command()(plant)
@@ -44,6 +45,7 @@ def test_a_taxon_becomes_a_mesh_and_elements(tmp_path: Path) -> None:
     made = tmp_path / "made"
     assert set(summary["files"]) == {"elements.csv", "plant.obj", "plant.mtl", "plant.png"}
     assert {path.name for path in made.iterdir()} == {*summary["files"], "summary.json"}
+    assert_valid_summary(summary)
     assert (made / "plant.png").stat().st_size > 20_000
     assert (summary["form"], summary["n_leaves"]) == ("rounded_shrub", 3021)
     assert summary["leaf_scale"] == pytest.approx(1.0, abs=0.05)

@@ -14,6 +14,7 @@ from fynjax.cli import main
 from fynjax.io.spectra._read import read_spectra
 from fynjax.jobs._fit_leaf import fit_leaf
 from fynjax.leaf import LeafParameters, prospect
+from tests.helpers import assert_valid_summary
 
 WAVELENGTH = np.arange(400.0, 2501.0)
 LEAF = prospect(LeafParameters())
@@ -246,6 +247,7 @@ def test_run_writes_traits_and_spectra_and_keeps_going_past_a_bad_file(tmp_path)
         assert np.abs(error - at).max() < 0.05
         assert np.isnan(data["measured_transmittance"][1]).all()
     assert set(summary.files) == {p.name for p in (tmp_path / "out").iterdir()}
+    assert_valid_summary(summary)
     image = plt.imread(tmp_path / "out" / "spectra.png")
     assert 0.01 < (image[..., :3].min(-1) < 0.5).mean() < 0.5  # ink, on a page mostly white
     shutil.rmtree(tmp_path / "out")

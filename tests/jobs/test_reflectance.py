@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from fynjax._core.errors import InputError
 from fynjax.cli._reflectance import reflectance
 from fynjax.io.raster import read_cube
+from tests.helpers import assert_valid_summary
 from tests.io.rededge_files import BANDS, IRRADIANCE, lit, panel_scene, write_rededge
 
 app = typer.Typer()
@@ -66,6 +67,7 @@ def test_reflectance_by_a_panel(flight: Path, tmp_path: Path) -> None:
         in (summary["warnings"][0])
     )
     assert {p.name for p in out.iterdir()} == {*summary["files"], "summary.json"}
+    assert_valid_summary(summary)
     assert all((out / name).stat().st_size > 20_000 for name in ("IMG_0001.png", "panels.png"))
     assert not (out / "IMG_0000_reflectance.tif").exists()
     # The place, the bands and the record.

@@ -14,7 +14,7 @@ from fynjax.cli import main
 from fynjax.io.raster import read_cube
 from fynjax.jobs._simulate import simulate
 from fynjax.report.figures._products import colour_bands, quick_looks, spectrum_figure
-from tests.helpers import write_raster
+from tests.helpers import assert_valid_summary, write_raster
 
 PLOT = """
 [plot]
@@ -77,6 +77,7 @@ def test_every_file_is_there_and_is_told(run):
     assert set(summary.files) | {"reflectance.dat", "radiance.dat"} == {
         p.name for p in folder.iterdir()
     }
+    assert_valid_summary(summary)
     assert summary.pixels == (4, 4)
     assert summary.pixel_m == 0.5
     assert summary.noise

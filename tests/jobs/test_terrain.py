@@ -14,7 +14,7 @@ from fynjax.cli._terrain import terrain as command
 from fynjax.jobs import terrain
 from fynjax.report.figures._terrain import hillshade
 from fynjax.terrain import Terrain, read_terrain, write_terrain
-from tests.helpers import write_raster
+from tests.helpers import assert_valid_summary, write_raster
 from tests.terrain.synthetic import CORNER, ground_height, needs_cloth, shrubland
 
 
@@ -45,6 +45,7 @@ def test_command_writes_the_terrain_of_a_cloud(cloud_file, tmp_path, capfd):
         "terrain.tif",
     ]
     assert set(summary["files"]) == {p.name for p in output.iterdir()} - {"summary.json"}
+    assert_valid_summary(summary)
     bounds = summary["terrain"]["bounds_m"]
     np.testing.assert_allclose(bounds, np.add([5, 5, 25, 25], [*CORNER, *CORNER]), atol=0.06)
     ground = read_terrain(output / "terrain.tif", crs="EPSG:32734")

@@ -16,6 +16,7 @@ from fynjax.jobs._validate import ValidationData, validate
 from fynjax.metrics import STRUCTURE_METRICS, STRUCTURE_PRESETS
 from fynjax.terrain import PointCloud
 from tests.compare.test_structure import plot, write_las
+from tests.helpers import assert_valid_summary
 
 BOUNDS = (0.0, 0.0, 10.0, 10.0)
 
@@ -161,6 +162,7 @@ def test_every_number_is_in_the_files(clouds: Path, tmp_path: Path) -> None:
     data = ValidationData(real_cloud=clouds / "real.las", simulated_cloud=clouds / "simulated.las")
     summary = validate(data, tmp_path, cloud_options=FEW)
     assert sorted(summary.files) == sorted(p.name for p in tmp_path.iterdir())
+    assert_valid_summary(summary)
     grains = pd.read_csv(tmp_path / "structure_grains.csv").set_index("grain_m")
     assert list(grains.index) == [1.0, 2.0, 3.0, 4.0, 5.0]
     assert list(grains.index[grains["taken"] == "yes"]) == [summary.structure.grain_m] == [2.0]
