@@ -37,6 +37,7 @@ def calibrate_plots(
     Example:  fynjax calibrate-plots tables --output inference
     """
     check_voxel(size, voxel)
+    assert checkpoint is not None  # `command` gives the folder
     from fynjax.studies.bioscape import Resolution
     from fynjax.studies.bioscape import calibrate_plots as run_calibrate_plots
 

@@ -42,6 +42,7 @@ def posterior(
 
     Example:  fynjax posterior plot.toml --target statistics.csv --method laplace
     """
+    assert checkpoint is not None  # `command` gives the folder
     from fynjax.io.text import existing_file
 
     for path in target:

@@ -22,7 +22,7 @@ Size = Annotated[
 Voxel = Annotated[float, typer.Option(min=0.02, max=1.0, metavar="M", help="Edge of a voxel [m].")]
 
 
-def check_voxel(size: float, voxel: float) -> Job:
+def check_voxel(size: float, voxel: float) -> None:
     """Whether voxels fill a plot; `InputError` if not."""
     from fynjax._core.errors import InputError
 
@@ -38,7 +38,7 @@ def validate_plots(
     size: Size = 5.0,
     voxel: Voxel = 0.1,
     seed: Seed = 0,
-) -> None:
+) -> Job:
     """Simulate plots from field tables alone, and compare with their measured spectra.
 
     Writes a report page, tables, spectra as NetCDF, figures, and the plot files.

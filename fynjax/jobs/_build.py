@@ -29,7 +29,7 @@ from fynjax.report.figures import (
     rgb,
     species_colours,
 )
-from fynjax.report.pages import Page, Picture, Section, Table
+from fynjax.report.pages import Page, Part, Picture, Section, Table
 from fynjax.scene import (
     Instances,
     PlotModel,
@@ -325,5 +325,5 @@ def _page(
         units=dict.fromkeys(_COVER_HEADERS, "%"),
     )
     times = run.times(f"Wall time; peak memory of the build {memory:.0f} MiB.", folded=True)
-    parts = [" ".join(headline[1:]), *pictures, cover, times]
+    parts: list[Part] = [" ".join(headline[1:]), *pictures, cover, times]
     return Page(f"Scene: {plot.name}", headline[0], [Section("", parts)], keys, record)

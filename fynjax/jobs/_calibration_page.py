@@ -1,6 +1,8 @@
 """The page of a calibration: which figures and tables it shows, and its headline."""
 
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,7 +22,7 @@ from fynjax.report.figures import (
     index_histograms,
     parameter_plot,
 )
-from fynjax.report.pages import Page, Picture, Section, Table, sensor_section
+from fynjax.report.pages import Page, Part, Picture, Section, Table, sensor_section
 
 
 def agreement_sentences(
@@ -75,7 +77,7 @@ def calibration_page(
     measured: Sequence[Measured],
     tables: tuple[pd.DataFrame, pd.DataFrame],
     reference: Reference,
-    inputs: Sequence[object],
+    inputs: Sequence[Path | None],
 ) -> Page:
     """The page. `tables` are those of the parameters and of the statistics."""
     parameters, statistics = tables
@@ -111,7 +113,9 @@ def _image_sections(
     pair, pixel = {"Before": before, "After": after}, plot.sensor.pixel_m
     means = statistics[statistics["statistic"].str.endswith(".mean")]
     named = means.set_index(means["statistic"].str.removesuffix(".mean"))
-    errors = {when: named[f"{when}_error_percent"].to_dict() for when in ("before", "after")}
+    errors: dict[str, Any] = {
+        when: named[f"{when}_error_percent"].to_dict() for when in ("before", "after")
+    }
     if reference.simulated:
         errors["DIRSIG (paper)"] = named["reference_error_percent"].to_dict()
     value = dict(zip(statistics["statistic"], statistics["real"]))
@@ -185,9 +189,7 @@ def _parameter_section(result: Calibration, parameters: pd.DataFrame) -> Section
 
 def _search_section(run: Run, result: Calibration, memory: float) -> Section:
     convergence = convergence_plot(result.fit.loss, result.fit.gradient_norm)
-    parts: list[str | Picture | Table] = [
-        Picture("convergence.png", convergence, "objective at each evaluation")
-    ]
+    parts: list[Part] = [Picture("convergence.png", convergence, "objective at each evaluation")]
     ends = result.ends
     if len(ends.objective) > 1:
         draws = [f"draw {i}" for i in range(1, len(ends.objective))]

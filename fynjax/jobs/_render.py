@@ -21,7 +21,7 @@ from fynjax.jobs._result import JobResult, StatisticSummary
 from fynjax.jobs._run import Run
 from fynjax.metrics import BANDS, vegetation_indices
 from fynjax.report.figures import composites, index_histograms
-from fynjax.report.pages import Page, Picture, Section, Table
+from fynjax.report.pages import Page, Part, Picture, Section, Table
 from fynjax.scene import PlotModel
 
 SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR")
@@ -84,7 +84,7 @@ def _write(run: Run, plot: Plot, model: PlotModel, image: np.ndarray, counts: np
         record,
     )
     named, pixel = {plot.name: image}, plot.sensor.pixel_m
-    parts = [
+    parts: list[Part] = [
         Picture(
             "true_like.png",
             composites(named, BANDS, pixel_m=pixel, kind="true_like"),

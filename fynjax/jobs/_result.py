@@ -22,7 +22,7 @@ def _finite_values(values: Mapping[str, Any]) -> dict[str, Any]:
     return {str(name): _finite(value) for name, value in values.items()}
 
 
-def _rows(table: Any) -> Any:
+def rows_of(table: Any) -> Any:
     """The rows of a pandas table, or of records."""
     rows = table.to_dict("records") if hasattr(table, "to_dict") else table
     return [_finite_values(row) if isinstance(row, Mapping) else row for row in rows]
@@ -30,7 +30,7 @@ def _rows(table: Any) -> Any:
 
 Number = Annotated[float | None, BeforeValidator(_finite)]
 """A number, or None where it is not finite."""
-Rows = Annotated[list[dict[str, Scalar]], BeforeValidator(_rows)]
+Rows = Annotated[list[dict[str, Scalar]], BeforeValidator(rows_of)]
 """The rows of a table, by the names of its columns."""
 
 
@@ -44,19 +44,21 @@ class JobResult(Record):
     """What every job returns. Jobs with more to say add fields of their own."""
 
     command: str = Field(description="Which command it is of, such as 'calibrate'.")
-    version: str = Field(__version__, description="Version of fynjax.")
+    version: str = Field(default=__version__, description="Version of fynjax.")
     output: str = Field(description="Folder of the files.")
     seed: int
-    status: str = Field("ok", description="'ok', or why the answer is to be doubted.")
-    converged: bool | None = Field(None, description="Null where nothing was fitted.")
+    status: str = Field(default="ok", description="'ok', or why the answer is to be doubted.")
+    converged: bool | None = Field(default=None, description="Null where nothing was fitted.")
     headline: list[str] = Field(
         [], description="The result in sentences, as the terminal shows it."
     )
-    files: dict[str, str] = Field({}, description="What each file is, by its name in the folder.")
+    files: dict[str, str] = Field(
+        default_factory=dict, description="What each file is, by its name in the folder."
+    )
     warnings: list[str] = []
-    timings_s: dict[str, float] = Field({}, description="Wall time by stage [s].")
+    timings_s: dict[str, float] = Field(default_factory=dict, description="Wall time by stage [s].")
     peak_memory_mib: float | None = Field(
-        None, description="Largest resident memory of the process [MiB]."
+        default=None, description="Largest resident memory of the process [MiB]."
     )
 
 
@@ -71,7 +73,7 @@ class ParameterSummary(Record):
     estimate: Number
     sd: Number = Field(description="Standard deviation after the fit.")
     constrained: Number = Field(
-        None, description="1 - (sd / prior_sd)^2: share of the prior variance removed [-]."
+        default=None, description="1 - (sd / prior_sd)^2: share of the prior variance removed [-]."
     )
 
 
@@ -79,9 +81,9 @@ class StatisticSummary(Record):
     """One statistic of the image, before and after."""
 
     statistic: str
-    fitted: bool | None = Field(None, description="Whether the calibration fitted it.")
+    fitted: bool | None = Field(default=None, description="Whether the calibration fitted it.")
     target: Number
     target_sd: Number = None
     before: Number
     after: Number
-    reference: Number = Field(None, description="Another simulation of the same plot.")
+    reference: Number = Field(default=None, description="Another simulation of the same plot.")

@@ -77,8 +77,10 @@ SCHEMAS: dict[str, Any] = {
 
 def json_schema(name: str) -> dict[str, Any]:
     """Schema `name` of `SCHEMAS`, JSON Schema Draft 2020-12."""
-    mode = "serialization" if name == "summary" else "validation"  # a file written, or read
-    schema = TypeAdapter(SCHEMAS[name]).json_schema(mode=mode)
+    # The summary is a file that is written, the others are read.
+    schema = TypeAdapter(SCHEMAS[name]).json_schema(
+        mode="serialization" if name == "summary" else "validation"
+    )
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 

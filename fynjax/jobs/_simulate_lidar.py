@@ -21,7 +21,7 @@ from fynjax.jobs._result import JobResult, Number
 from fynjax.jobs._run import Run
 from fynjax.radiation import VoxelScene
 from fynjax.report.figures import height_profiles, side_view
-from fynjax.report.pages import Page, Picture, Section, Table
+from fynjax.report.pages import Page, Part, Picture, Section, Table
 from fynjax.scene import Camera, PlotModel, band_wavelengths, hard_model
 from fynjax.sensors import (
     Lidar,
@@ -240,7 +240,7 @@ def _headline(plot: Plot, lidar: Lidar, counts: dict[str, float], heights: Heigh
 def _sections(run: Run, plot: Plot, lidar: Lidar, returns: LidarReturns, heights: Heights,
               remarks: list[str]) -> list[Section]:  # fmt: skip
     title = f"{plot.name}, {lidar.name}"
-    parts = [
+    parts: list[Part] = [
         " ".join(remarks),
         Picture(
             "cloud.png",

@@ -31,7 +31,7 @@ from fynjax.compare.structure import (
 )
 from fynjax.io.raster import write_run
 from fynjax.io.text import existing_file
-from fynjax.jobs._result import JobResult, Record, Rows
+from fynjax.jobs._result import JobResult, Record, Rows, rows_of
 from fynjax.jobs._run import Run
 from fynjax.metrics import WATER_WINDOWS, MatchingMethod
 from fynjax.report.figures import words
@@ -103,9 +103,9 @@ Drone = DroneComparison | PublishedComparison
 class DroneSummary(Record):
     """Two drone images compared, or one with published statistics."""
 
-    bands: Rows | None = Field(None, description="Rows of drone_bands.csv.")
-    indices: Rows | None = Field(None, description="Rows of drone_indices.csv.")
-    published: Rows | None = Field(None, description="Rows of drone_published.csv.")
+    bands: Rows | None = Field(default=None, description="Rows of drone_bands.csv.")
+    indices: Rows | None = Field(default=None, description="Rows of drone_indices.csv.")
+    published: Rows | None = Field(default=None, description="Rows of drone_published.csv.")
     notes: list[str]
 
 
@@ -216,8 +216,11 @@ def validate(
             _write_drone(run, drone)
             headline += _drone_sentences(drone)
             keys |= _drone_figures(drone)
-            published = isinstance(drone, PublishedComparison)
-            sections.append(published_section(drone) if published else drone_section(drone))
+            sections.append(
+                published_section(drone)
+                if isinstance(drone, PublishedComparison)
+                else drone_section(drone)
+            )
         if spectra is not None:
             _write_spectra(run, spectra)
             headline += _spectral_sentences(spectra)
@@ -252,8 +255,10 @@ def _write_drone(run: Run, drone: Drone) -> None:
 
 def _drone_summary(drone: Drone) -> DroneSummary:
     if isinstance(drone, PublishedComparison):
-        return DroneSummary(published=drone.statistics, notes=drone.notes)
-    return DroneSummary(bands=drone.bands, indices=drone.indices, notes=drone.notes)
+        return DroneSummary(published=rows_of(drone.statistics), notes=list(drone.notes))
+    return DroneSummary(
+        bands=rows_of(drone.bands), indices=rows_of(drone.indices), notes=list(drone.notes)
+    )
 
 
 def _drone_sentences(drone: Drone) -> list[str]:
@@ -268,7 +273,7 @@ def _drone_sentences(drone: Drone) -> list[str]:
         for r in drone.bands.to_dict("records")
     )
     table = drone.indices
-    worst = table.loc[table["difference_percent"].abs().idxmax()]
+    worst = table.iloc[int(np.nanargmax(table["difference_percent"].abs()))]
     return [
         f"Drone, simulated against real means: {bands} (the paper's DIRSIG: 12 to 24 %).",
         f"Twenty indices: median histogram intersection "
@@ -302,10 +307,10 @@ def _write_spectra(run: Run, spectra: SpectralComparison) -> None:
 def _spectra_summary(spectra: SpectralComparison) -> SpectraSummary:
     return SpectraSummary(
         matching=spectra.match.method,
-        regions=spectra.regions,
-        misfit=spectra.misfit,
-        indices=spectra.indices,
-        notes=spectra.notes,
+        regions=rows_of(spectra.regions),
+        misfit=rows_of(spectra.misfit),
+        indices=rows_of(spectra.indices),
+        notes=list(spectra.notes),
     )
 
 
@@ -392,10 +397,10 @@ def _structure_summary(structure: StructureComparison) -> StructureSummary:
         grain_m=structure.grain,
         bounds_m=structure.bounds,
         plot_bounds_m=structure.plot,
-        grains=grain_table(structure.grains, structure.grain, structure.plot),
+        grains=rows_of(grain_table(structure.grains, structure.grain, structure.plot)),
         matched_returns=structure.matched_returns,
         thinned=structure.thinned,
         clouds={n: {key: getattr(side, key) for key in shown} for n, side in sides.items()},
-        metrics=structure.table(),
-        notes=structure.notes,
+        metrics=rows_of(structure.table()),
+        notes=list(structure.notes),
     )

@@ -216,7 +216,7 @@ def _agreement(mean: pd.DataFrame) -> tuple[str, dict[str, str]]:
 def _comparison(pair: PlotSpectraPair, tables: _Tables) -> list[Section]:
     """The sections on measured plots."""
     columns: dict[str, Any] = {"units": _UNITS, "headers": _HEADERS, "digits": 3}
-    agreement = [
+    agreement: list[Part] = [
         "Water windows (1340 to 1460 and 1790 to 2100 nm) and the sensor's edges are left out. "
         + " ".join(f"“{name}” is {what}." for name, what in PREDICTORS.items())
         + " Skill is 1 less the squared error over that of the mean of the other plots: 1 is "
@@ -252,7 +252,7 @@ def _comparison(pair: PlotSpectraPair, tables: _Tables) -> list[Section]:
             )
         )
     features.append(Table(tables.features, "Correlations are across plots.", digits=3))
-    each = [
+    each: list[Part] = [
         Picture("spectra.png", spectra_plot(pair), "simulated and measured spectrum of each plot"),
         Table(tables.misfit, "Gain, offset and shares of the error", headers=_HEADERS, digits=3),
         Table(tables.model, "Agreement of the model, by plot and region", folded=True, **columns),
