@@ -104,7 +104,7 @@ result = calibrate_plot(
     max_steps=3 if FAST else 8,
     report=lambda stage, loss, slope: history.append(loss),
 )
-print(f"{len(space.names)} free parameters, {len(names)} statistics: {result.fit.status}")
+print(f"{len(space.names)} free parameters, {len(names)} statistics: {result.fit.explanation}")
 print("misfit at each step:", ", ".join(f"{loss:.3g}" for loss in history))
 
 # %% [markdown]
@@ -166,6 +166,7 @@ true = np.array([true_values[name] for name in space.names]) / prior
 centre, width = np.asarray(fit.estimate) / prior, np.asarray(fit.sd) / prior
 loose = np.asarray(space.prior_sd) / prior
 known = np.asarray(fit.constrained)
+halved = len(fit.well_constrained())
 
 
 def short(name):
@@ -185,7 +186,7 @@ ax.invert_yaxis()
 ax.set(
     xlabel="value over that of the table (bars: one standard deviation)",
     xlim=(0, 2.1),
-    title=f"The image halves the error of {len(fit.seen())} of {len(space.names)} parameters",
+    title=f"The image halves the error of {halved} of {len(space.names)} parameters",
 )
 fig.legend(loc="outside lower center", ncols=3, frameon=False)
 plt.show()
@@ -246,7 +247,7 @@ plt.show()
 
 # %%
 print("Hardly seen at all, for instance:")
-for direction in fit.unseen_directions(2):
+for direction in fit.weakly_constrained_directions(2):
     told = [f"{w:+.2f} {short(n)}" for n, w in direction.items() if abs(w) > 0.1]
     print("  ", " with ".join(told))
 best = {n: float(w) for n, w in zip(space.names, np.asarray(fit.modes)[0]) if abs(w) > 0.25}

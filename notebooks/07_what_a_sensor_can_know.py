@@ -205,7 +205,7 @@ def told(direction):
 
 
 print("seen best: ", told(dict(zip(fine.names, fine.modes[0].tolist()))))
-for direction in fine.unseen()[:2]:
+for direction in fine.weakly_constrained_directions()[:2]:
     print("not at all:", told(direction))
 
 # %% [markdown]
@@ -221,7 +221,7 @@ prior_sd = np.asarray(fine.prior_sd)
 root = np.linalg.cholesky(fine.fisher + 1e-9 * np.diag(1 / prior_sd**2)).T
 points = np.eye(len(space.names))[litter] / 0.05
 both = fisher_information(space.names, np.vstack([root, points]), np.ones(len(root) + 1), prior_sd)
-gain = 1 - both.with_prior / fine.with_prior
+gain = 1 - both.bayesian / fine.bayesian
 order = np.argsort(-gain)[:4]
 print("Errors that shrink most when litter is measured on the ground:")
 for i in order:

@@ -9,10 +9,17 @@ from fynjax.inversion._calibrate import (
     free_space,
     plot_statistics,
 )
-from fynjax.inversion._fit import Forward, evaluate, fit
-from fynjax.inversion._fit_result import SEEN, Data, FitResult
+from fynjax.inversion._fit import (
+    evaluate,
+    fit,
+    objective_and_gradient,
+    predicted_statistics,
+    statistics_and_jacobian,
+)
+from fynjax.inversion._fit_result import WELL_CONSTRAINED, Data, FitResult, FitStatus
 from fynjax.inversion._information import Information, fisher_information
-from fynjax.inversion._posterior import LogPosterior, SamplingMethod, sample_posterior
+from fynjax.inversion._log_posterior import LogPosterior
+from fynjax.inversion._posterior import SamplingMethod, sample_posterior
 from fynjax.inversion._posterior_result import Posterior
 from fynjax.inversion._search import signature
 from fynjax.inversion._sensitivity import (
@@ -49,14 +56,14 @@ __all__ = [
     "GAIN",
     "IMAGE_STATISTICS",
     "OFFSET",
-    "SEEN",
+    "WELL_CONSTRAINED",
     "AbstractView",
     "Calibration",
     "Data",
     "DerivativeMeasures",
     "Ends",
     "FitResult",
-    "Forward",
+    "FitStatus",
     "ImageView",
     "Information",
     "LocalSensitivity",
@@ -81,11 +88,14 @@ __all__ = [
     "local_sensitivity",
     "make_space",
     "match_names",
+    "objective_and_gradient",
     "plot_statistics",
+    "predicted_statistics",
     "sample_posterior",
     "signature",
     "sobol_indices",
     "spectrum_view",
+    "statistics_and_jacobian",
     "structure_view",
     "sweep_sensors",
     "weigh_spectrum",

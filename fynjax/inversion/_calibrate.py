@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 from fynjax._core.checkpoint import Journal, keep_nothing
 from fynjax._core.errors import InputError
 from fynjax.canopy import VoxelGrid
-from fynjax.inversion._fit import Predict
 from fynjax.inversion._fit_result import Data, FitResult
+from fynjax.inversion._log_posterior import Predict
 from fynjax.inversion._search import End, Search, signature
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
 from fynjax.inversion._views import AbstractView, ImageView, PlotForward

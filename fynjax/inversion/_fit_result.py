@@ -7,14 +7,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
 from scipy.special import stdtrit
 
 from fynjax._core.errors import InputError
 from fynjax.inversion._space import ParameterSpace
 
-SEEN = 0.75
-"""Share of a parameter's prior variance that data must remove to have seen it [-]."""
+WELL_CONSTRAINED = 0.75
+"""Share of its prior variance that data must remove for a parameter to be well constrained [-]."""
 
 
 class Data(eqx.Module):
@@ -50,14 +51,26 @@ class Data(eqx.Module):
         return misfit / (self.sd[:, None] if misfit.ndim == 2 else self.sd)
 
     def __check_init__(self) -> None:
+        if any(isinstance(a, jax.core.Tracer) for a in (self.value, self.sd)):
+            return
         bad = ~(np.isfinite(np.asarray(self.value)) & (np.asarray(self.sd) > 0))
         if bad.any():
             name = self.names[int(np.argmax(bad))]
             raise InputError(f"the target {name} must be finite and have a positive sd")
 
 
+class FitStatus(optx.RESULTS):  # type: ignore[misc]
+    """Why a fit stopped. `FitStatus[status]` is the sentence, `FitResult.explanation` says more."""
+
+    at_bound = "Converged with a parameter at its bound: widen the bound, or look at the posterior."
+    flat = "Converged; no statistic depends on some of the parameters, which stay at their priors."
+    max_steps = "Stopped at the limit of steps, before it converged."
+    not_finite = "The objective, a statistic or a slope is not finite; the estimate is of no use."
+    no_gain = "No step improved on the estimate."
+
+
 class FitResult(eqx.Module):
-    """What a fit found, and how far to trust it."""
+    """What a fit found, and how far to trust it. A pytree of arrays, so that fits can be mapped."""
 
     space: ParameterSpace
     data: Data
@@ -80,18 +93,53 @@ class FitResult(eqx.Module):
     with less than one is known from the prior rather than from the data."""
     modes: Float[Array, "mode free"]
     """Their eigenvectors in whitened coordinates."""
-    loss: Float[np.ndarray, " evaluation"]
-    """The objective after each evaluation, at the best point so far for least squares."""
-    gradient_norm: Float[np.ndarray, " evaluation"]
-    converged: bool = eqx.field(static=True)
-    status: str = eqx.field(static=True)
-    """Why the fit stopped, in words."""
+    loss: Float[Array, " evaluation"]
+    """The objective after each evaluation, at the best point so far for least squares. Of a fit
+    inside `jax.jit` as many as it may take steps, NaN after the last."""
+    gradient_norm: Float[Array, " evaluation"]
+    status: FitStatus
+    """Why the fit stopped."""
+    steps: Int[Array, ""]
+    """Evaluations it took."""
 
     @property
     def names(self) -> tuple[str, ...]:
         return self.space.names
 
-    def seen(self, least: float = SEEN) -> tuple[str, ...]:
+    @property
+    def converged(self) -> Bool[Array, ""]:
+        """Whether the fit reached its tolerance."""
+        good = (FitStatus.successful, FitStatus.at_bound, FitStatus.flat)
+        return jnp.any(jnp.stack([self.status == status for status in good]), axis=0)
+
+    @property
+    def explanation(self) -> str:
+        """Why the fit stopped, with the parameters and statistics concerned; of one fit."""
+        predicted, jacobian = np.asarray(self.predicted), np.asarray(self.jacobian)
+        if not np.isfinite(predicted).all():
+            name = self.data.names[int(np.argmin(np.isfinite(predicted)))]
+            return f"A predicted statistic is not finite ({name}); the estimate is of no use."
+        if not np.isfinite(jacobian).all():
+            row, column = np.argwhere(~np.isfinite(jacobian))[0]
+            slope = f"The slope of {self.data.names[row]} by {self.names[column]}"
+            return f"{slope} is not finite; the estimate is of no use."
+        count = f"{int(self.steps)} step" + ("s" if int(self.steps) != 1 else "")
+        if bool(self.status == FitStatus.max_steps):
+            sentence = f"Stopped at the limit of {count}."
+        elif bool(self.converged):
+            sentence = f"Converged after {count}."
+        else:
+            sentence = FitStatus[self.status]
+        for found, what in (
+            (_at_bound(self.space, self.estimate), "At a bound: {}."),
+            (_flat(self.jacobian), "No statistic depends on {}: flat, left at the prior."),
+        ):
+            named = [name for name, at in zip(self.names, np.asarray(found)) if at]
+            more = f" and {len(named) - 3} more" if len(named) > 3 else ""
+            sentence += f" {what.format(', '.join(named[:3]) + more)}" if named else ""
+        return sentence
+
+    def well_constrained(self, least: float = WELL_CONSTRAINED) -> tuple[str, ...]:
         """Parameters whose variance the data cut by the share `least` or more; by default those
         whose standard deviation they at least halve."""
         return tuple(n for n, c in zip(self.names, np.asarray(self.constrained)) if c >= least)
@@ -115,7 +163,7 @@ class FitResult(eqx.Module):
         information = repeated_information(draws)
         return dataclasses.replace(self, **posterior(self.space, self.whitened, information))
 
-    def unseen_directions(self, count: int = 3) -> list[dict[str, float]]:
+    def weakly_constrained_directions(self, count: int = 3) -> list[dict[str, float]]:
         """The combinations of parameters that the data say least about, main members only."""
         return main_members(self.names, np.asarray(self.modes)[::-1][:count])
 
@@ -167,6 +215,57 @@ def repeated_information(
     raised = jnp.diagonal(kept)
     scale = jnp.sqrt(own / jnp.where(raised > 0, raised, 1.0)) * (raised > 0)
     return kept * scale * scale[:, None]
+
+
+_AT_BOUND = 1e-3
+"""An estimate is at a bound if it is nearer than this share of the range."""
+
+
+def _at_bound(space: ParameterSpace, estimate: Array) -> Bool[Array, " free"]:
+    share = (estimate - space.lower) / (space.upper - space.lower)
+    return (share < _AT_BOUND) | (share > 1.0 - _AT_BOUND)
+
+
+def _flat(jacobian: Array) -> Bool[Array, " free"]:
+    """Parameters on which no statistic depends."""
+    return jnp.max(jnp.abs(jacobian), axis=0, initial=0.0) == 0.0
+
+
+def fit_result(
+    space: ParameterSpace,
+    data: Data,
+    u: Float[Array, " free"],
+    predicted: Float[Array, " statistic"],
+    jacobian: Float[Array, "statistic free"],
+    status: FitStatus,
+    steps: Any,
+    trace: Float[Array, "evaluation 2"],
+) -> FitResult:
+    """The result of a fit that ended at `u`: uncertainty, and what there is to doubt."""
+    estimate = space.physical(u)
+    for found, doubt in (
+        (_flat(jacobian), FitStatus.flat),
+        (_at_bound(space, estimate), FitStatus.at_bound),
+    ):
+        # Bounds go before what is flat: they are set last.
+        doubtful = jnp.any(found) & ((status == FitStatus.successful) | (status == FitStatus.flat))
+        status = FitStatus.where(doubtful, doubt, status)
+    finite = jnp.isfinite(predicted).all() & jnp.isfinite(jacobian).all()
+    status = FitStatus.where(finite, status, FitStatus.not_finite)
+    scaled = jnp.where(finite, data.whiten(jacobian), 0.0)
+    return FitResult(
+        space=space,
+        data=data,
+        whitened=u,
+        estimate=estimate,
+        predicted=predicted,
+        jacobian=jacobian,
+        loss=trace[:, 0],
+        gradient_norm=trace[:, 1],
+        status=status,
+        steps=jnp.asarray(steps),
+        **posterior(space, u, scaled.T @ scaled),
+    )
 
 
 def posterior(space: ParameterSpace, u: Array, information: Array) -> dict[str, Any]:

@@ -19,15 +19,15 @@ class Information(eqx.Module):
     """In the parameters' own units, as are the bounds."""
     fisher: Float[np.ndarray, "free free"]
     """Fisher information, per product of the parameters' units."""
-    alone: Float[np.ndarray, " free"]
+    conditional: Float[np.ndarray, " free"]
     """Bound where every other parameter is known; infinite where the data say nothing."""
-    unaided: Float[np.ndarray, " free"]
+    joint: Float[np.ndarray, " free"]
     """Cramér-Rao bound where nothing is known of any parameter; infinite for one that takes part
     in a direction which the data cannot see."""
     bound: Float[np.ndarray, " free"]
     """Cramér-Rao bound from the data where the others are known as well as their priors: what the
     data add on this one."""
-    with_prior: Float[np.ndarray, " free"]
+    bayesian: Float[np.ndarray, " free"]
     """Bound with the priors of all (van Trees 1968); at most the prior's standard deviation."""
     information: Float[np.ndarray, " mode"]
     """Eigenvalues of the information in prior units, largest first: below one, a direction is
@@ -38,9 +38,9 @@ class Information(eqx.Module):
     @property
     def constrained(self) -> Float[np.ndarray, " free"]:
         """1 - variance with the data over that of the prior [-]."""
-        return 1.0 - (self.with_prior / self.prior_sd) ** 2
+        return 1.0 - (self.bayesian / self.prior_sd) ** 2
 
-    def unseen(self, below: float = 0.01) -> list[dict[str, float]]:
+    def weakly_constrained_directions(self, below: float = 0.01) -> list[dict[str, float]]:
         """Directions with less information than `below`, in prior units: the sensor cannot see
         them. Least seen first, main members only."""
         hidden = self.modes[self.information < below][::-1]
@@ -103,15 +103,15 @@ def bounds_of(
     with np.errstate(divide="ignore"):
         added = np.maximum(1.0 / known - 1.0, 0.0)
         added[added < _NOTHING] = 0.0
-        alone = np.diagonal(matrix)
+        diagonal = np.diagonal(matrix)
         return Information(
             names=tuple(names),
             prior_sd=prior_sd,
             fisher=matrix / np.outer(prior_sd, prior_sd),
-            alone=prior_sd / np.sqrt(np.maximum(alone, 0.0)),
-            unaided=np.where(touched, np.inf, prior_sd * np.sqrt(variance)),
+            conditional=prior_sd / np.sqrt(np.maximum(diagonal, 0.0)),
+            joint=np.where(touched, np.inf, prior_sd * np.sqrt(variance)),
             bound=prior_sd / np.sqrt(added),
-            with_prior=prior_sd * np.sqrt(known),
+            bayesian=prior_sd * np.sqrt(known),
             information=values,
             modes=modes,
         )

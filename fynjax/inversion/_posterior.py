@@ -15,8 +15,9 @@ from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.progress import NullProgress, Progress
 from fynjax._core.sampling import Draws, ensemble, hamiltonian
-from fynjax.inversion._fit import Predict, fit
+from fynjax.inversion._fit import fit
 from fynjax.inversion._fit_result import Data, FitResult
+from fynjax.inversion._log_posterior import LogPosterior, Predict
 from fynjax.inversion._posterior_result import Posterior
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._vectorised import evaluate_many, memory_batch
@@ -26,41 +27,6 @@ SamplingMethod = Literal["emcee", "nuts", "laplace"]
 _WALKERS, _CHAINS = 32, 4
 _FLAT = 0.01
 """Information, in units of the prior's, below which a direction counts as flat."""
-
-
-class LogPosterior(eqx.Module):
-    """Logarithm of the posterior density over whitened coordinates, up to a constant.
-
-    The prior of a `ParameterSpace` is a unit normal in its whitened coordinates u. Over a
-    parameter's own values it is that density over |d value / d u|, a logit-normal one. A prior
-    stated over values, `log_prior`, is carried to u by the same factor.
-
-    Differentiable in u; jit and vmap work.
-    """
-
-    predict: Predict = eqx.field(static=True)
-    space: ParameterSpace
-    data: Data
-    offset: Float[Array, " statistic"]
-    """Added to the predicted statistics."""
-    context: tuple[Any, ...] = ()
-    """Further arguments of `predict`."""
-    log_prior: Callable[[Float[Array, " free"]], Array] | None = eqx.field(
-        static=True, default=None
-    )
-    """Log density of a prior over values in their own units, instead of the space's."""
-
-    def statistics(self, u: Float[Array, " free"]) -> Float[Array, " statistic"]:
-        """What the model predicts."""
-        return self.predict(self.space.physical(u), *self.context).astype(u.dtype) + self.offset
-
-    def __call__(self, u: Float[Array, " free"]) -> Float[Array, ""]:
-        rest = self.data.whiten(self.statistics(u) - self.data.value)
-        if self.log_prior is None:
-            prior = -0.5 * u @ u
-        else:
-            prior = self.log_prior(self.space.physical(u)) + jnp.sum(self.space.log_slope(u))
-        return prior - 0.5 * rest @ rest
 
 
 def sample_posterior(
@@ -205,7 +171,7 @@ def _gaussian(
     chain = random.multivariate_normal(centre, covariance, count, method="eigh")[:, None]
     off = chain[:, 0] - centre
     level = -0.5 * np.einsum("di,di->d", off, np.linalg.solve(covariance, off.T).T)[:, None]
-    status = "converged" if start.converged else f"not converged: {start.status}"
+    status = "converged" if start.converged else f"not converged: {start.explanation}"
     return Draws(chain, level, float(count), 1.0, 1.0, status)
 
 
@@ -224,7 +190,7 @@ def _result(
     # What lies closer than half an autocorrelation time repeats its neighbour.
     thin = max(1, int(found.autocorrelation / 2)) if np.isfinite(found.autocorrelation) else 1
     information = np.asarray(start.information)
-    flat = start.unseen_directions(int((information < _FLAT).sum()))
+    flat = start.weakly_constrained_directions(int((information < _FLAT).sum()))
     status = found.status
     if flat and len(found.chain):
         shown = "; ".join(", ".join(f"{n} {w:+.2f}" for n, w in one.items()) for one in flat[:3])

@@ -10,13 +10,15 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.checkpoint import Keep
 from fynjax._core.errors import InputError
-from fynjax.inversion._fit import Forward, evaluate, fit
-from fynjax.inversion._fit_result import Data, FitResult
+from fynjax.inversion._fit import evaluate, fit
+from fynjax.inversion._fit_result import Data, FitResult, FitStatus
+from fynjax.inversion._log_posterior import LogPosterior
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import AbstractView, PlotForward, look
 from fynjax.scene import PlotModel, PlotParameters, with_values
@@ -62,7 +64,6 @@ class Search:
         self._look = eqx.filter_jit(lambda m, p: look(views, m, p))
         cheap = [view.for_search(model, stride) for view in views]
         self._predict = PlotForward(parameters, space.names, cheap)
-        self._forward = Forward(self._predict, space)
         self.times: list[float] = []
         """When each step ended that was not one of an earlier run [s]."""
         self.done = 0
@@ -85,7 +86,9 @@ class Search:
         return self._evaluate(u, quick)[1]
 
     def _evaluate(self, u: Array, quick: PlotModel) -> tuple[Array, Array]:
-        return evaluate(self._forward, self._data, u, (quick,), keep=self._keep)
+        none = jnp.zeros_like(self._data.value)
+        density = LogPosterior(self._predict, self._space, self._data, none, (quick,))
+        return evaluate(density, u, self._keep)
 
     def _objective(self, u: Array, statistics: Array) -> float:
         rest = self._data.whiten(statistics - self._data.value)
@@ -126,16 +129,14 @@ class Search:
             "statistics_before": statistics,
         }
         offset_before, result = statistics - predicted, None
-        common: dict[str, Any] = {
-            "forward": self._forward, "context": (self.quick,), "keep": self._keep,
-        }  # fmt: skip
+        common: dict[str, Any] = {"context": (self.quick,), "keep": self._keep}
         for turn in range(rounds):
             offset = statistics - predicted
             found = fit(
                 self._predict,
                 self._data,
                 self._space,
-                method=method,
+                solver=method,
                 max_steps=max_steps if turn == 0 else (max_steps + 1) // 2,
                 tolerance=tolerance,
                 start=u,
@@ -147,8 +148,7 @@ class Search:
             norms.append(found.gradient_norm)
             if not _finite(found):
                 if result is not None:
-                    status = f"{result.status} Round {turn + 1}: {found.status}"
-                    found = dataclasses.replace(result, status=status, converged=False)
+                    found = dataclasses.replace(result, status=found.status)
                 result = found
                 break
             u, predicted = found.whitened, found.predicted - offset
@@ -168,8 +168,7 @@ class Search:
                 self._predict, self._data, self._space, start=best["u"], max_steps=1,
                 offset=offset_before, **common,
             )  # fmt: skip
-            status = "No step improved on the start; the estimate is the start."
-            result = dataclasses.replace(result, status=status, converged=False)
+            result = dataclasses.replace(result, status=FitStatus.no_gain)
         return End(**best, **origin, fit=result, losses=losses, norms=norms)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax.canopy import FORM_DEFAULTS, VoxelGrid, leaf_angle
-from fynjax.inversion._fit import jacobian_by_rows
+from fynjax.inversion._log_posterior import jacobian_by_rows
 from fynjax.metrics import STRUCTURE_METRICS, StructureSettings, image_statistics, voxel_structure
 from fynjax.radiation import VoxelScene, parallel_rays, reflectance_factor, solve_light
 from fynjax.scene import (

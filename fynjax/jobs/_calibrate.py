@@ -147,8 +147,8 @@ def calibrate_to(
             *parameter_sentences(result),
         ],
         warnings=_short_of_sites(model, result.after),
-        converged=result.fit.converged,
-        status="ok" if result.fit.converged else f"not converged: {result.fit.status}",
+        converged=bool(result.fit.converged),
+        status="ok" if result.fit.converged else f"not converged: {result.fit.explanation}",
         targets=[
             TargetSummary(
                 kind=sensor.kind, file=sensor.file.name, description=sensor.told, **sensor.extra
@@ -157,7 +157,7 @@ def calibrate_to(
         ],
         parameters=parameters_of_fit[list(ParameterSummary.model_fields)].to_dict("records"),
         statistics=rows[list(StatisticSummary.model_fields)].to_dict("records"),
-        weakly_constrained_directions=result.fit.unseen_directions(),
+        weakly_constrained_directions=result.fit.weakly_constrained_directions(),
         starts=StartSummary(
             objective=result.ends.objective.tolist(),
             apart_sd=result.ends.apart.tolist(),

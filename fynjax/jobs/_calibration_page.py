@@ -50,7 +50,7 @@ def agreement_sentences(
 
 def parameter_sentences(result: Calibration) -> list[str]:
     """Which parameters the data constrain, and where the searches ended."""
-    constrained, ends = result.fit.seen(), result.ends
+    constrained, ends = result.fit.well_constrained(), result.ends
     lines = [
         f"The data at least halve the error of {len(constrained)} of {len(result.fit.names)} "
         "parameters"
@@ -63,7 +63,7 @@ def parameter_sentences(result: Calibration) -> list[str]:
             f"{ends.objective.min():.4g} to {ends.objective.max():.4g}, up to "
             f"{ends.apart.max():.2g} posterior sd apart; the best is kept."
         )
-    return [*lines, result.fit.status]
+    return [*lines, result.fit.explanation]
 
 
 def _capitalised(text: str) -> str:
@@ -164,7 +164,7 @@ def _image_sections(
 def _parameter_section(result: Calibration, parameters: pd.DataFrame) -> Section:
     directions = "; ".join(
         ", ".join(f"{name} {weight:+.2f}" for name, weight in direction.items())
-        for direction in result.fit.unseen_directions()
+        for direction in result.fit.weakly_constrained_directions()
     )
     return Section(
         "The parameters",

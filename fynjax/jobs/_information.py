@@ -70,7 +70,7 @@ def information(
     covers = [n for n in ready.space.names if n.startswith("species.") and n.endswith(".cover")]
     limits = limit_table(table, covers)
     sensor = f"{first.bands} bands, pixels of {first.gsd:g} m, noise {100 * first.noise:g} %"
-    weak = best.unseen()
+    weak = best.weakly_constrained_directions()
     headline = [
         *_limit_sentences(table, limits),
         f"{sensor}: {len(weak)} of {len(best.names)} directions of the parameters are weakly "
@@ -110,10 +110,10 @@ def bound_table(
                     "unit": unit,
                     "value": factor * value[i],
                     "prior_sd": factor * bounds.prior_sd[i],
-                    "alone": factor * bounds.alone[i],
+                    "alone": factor * bounds.conditional[i],
                     "bound": factor * bounds.bound[i],
-                    "unaided": factor * bounds.unaided[i],
-                    "with_prior": factor * bounds.with_prior[i],
+                    "unaided": factor * bounds.joint[i],
+                    "with_prior": factor * bounds.bayesian[i],
                     "constrained": bounds.constrained[i],
                 }
             )

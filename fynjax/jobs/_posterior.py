@@ -1,14 +1,9 @@
 """The posterior of a plot's parameters: what `fynjax posterior` does."""
 
-import dataclasses
-import hashlib
-import os
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
@@ -25,10 +20,6 @@ from fynjax.assembly import (
     shown_unit,
 )
 from fynjax.inversion import (
-    AbstractView,
-    Data,
-    FitResult,
-    ParameterSpace,
     PlotForward,
     Posterior,
     SamplingMethod,
@@ -37,7 +28,6 @@ from fynjax.inversion import (
     sample_posterior,
 )
 from fynjax.io.plot import Plot, as_plot
-from fynjax.io.raster import file_hash
 from fynjax.io.text import atomic_path
 from fynjax.jobs._result import JobResult, Number, ParameterSummary
 from fynjax.jobs._run import Run
@@ -48,12 +38,6 @@ from fynjax.report.figures import (
     short_name,
 )
 from fynjax.report.pages import Page, Part, Picture, Section, Table
-
-_ARRAYS = tuple(
-    f.name
-    for f in dataclasses.fields(FitResult)
-    if f.name not in ("space", "data", "converged", "status")
-)
 
 
 class PosteriorParameter(ParameterSummary):
@@ -111,18 +95,29 @@ def posterior(
         drone = any(sensor.kind == "image" for sensor in measured)
         ready = prepare(read, free, seed=run.seed, drone=drone)
     inputs = (*(p for p in ready.plot.inputs if p is not None), *paths)
-    mark = _mark(ready.space, [file_hash(p) for p in inputs], run.seed)
-    start, grown, offset = _start(
-        checkpoint / "calibration.npz", mark, ready, data, views, run.progress
-    )
+    steps = ready.plot.calibration.max_iterations
+    with run.stage("Calibrate", steps + (steps + 1) // 2):
+        calibrated = calibrate_plot(
+            ready.model,
+            ready.parameters,
+            data,
+            ready.space,
+            views=views,
+            stride=STRIDE,
+            max_steps=steps,
+            checkpoint=checkpoint / "calibration",
+            report=lambda stage, loss, norm: run.progress.advance(
+                1, stage=stage, loss=f"{loss:.1f}"
+            ),
+        )
     cheap = [view.for_search(ready.model, STRIDE) for view in views]
     sampled = sample_posterior(
         PlotForward(ready.parameters, ready.space.names, cheap),
-        grown,
+        calibrated.data,
         ready.space,
         method=method,
-        start=start,
-        offset=offset,
+        start=calibrated.fit,
+        offset=calibrated.offset,
         context=(ready.quick,),
         target=target_size,
         max_steps=max_steps,
@@ -152,75 +147,6 @@ def posterior(
         status="ok" if sampled.converged else sampled.status,
         posterior_status=sampled.status,
     )
-
-
-def _mark(space: ParameterSpace, hashes: Sequence[str], seed: int) -> str:
-    text = "\n".join([*space.names, *hashes, str(seed)])
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _start(
-    path: Path,
-    mark: str,
-    ready: Prepared,
-    data: Data,
-    views: Sequence[AbstractView],
-    progress: Progress,
-) -> tuple[FitResult, Data, Any]:
-    """The calibration, from an earlier run of the same if there was one."""
-    if path.exists():
-        try:
-            with np.load(path) as file:
-                kept = dict(file)
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise InputError(
-                "no checkpoint, or a damaged one; remove it to start again", file=path
-            ) from error
-        if str(kept.get("mark")) != mark:
-            raise InputError(
-                "this checkpoint is of other files, parameters or another seed. Choose another "
-                "output, or remove it",
-                file=path,
-            )
-        start = FitResult(
-            space=ready.space,
-            data=data,
-            converged=bool(kept["converged"]),
-            status=str(kept["status"]),
-            **{name: kept[name] for name in _ARRAYS},
-        )
-        grown = Data(
-            data.names, data.value, *(jnp.asarray(kept[k]) for k in ("data_sd", "whitener"))
-        )
-        return start, grown, jnp.asarray(kept["offset"])
-    steps = ready.plot.calibration.max_iterations
-    with progress.stage("Calibrate", steps + (steps + 1) // 2):
-        result = calibrate_plot(
-            ready.model,
-            ready.parameters,
-            data,
-            ready.space,
-            views=views,
-            stride=STRIDE,
-            max_steps=steps,
-            report=lambda stage, loss, norm: progress.advance(1, stage=stage, loss=f"{loss:.1f}"),
-        )
-    fit = result.fit
-    path.parent.mkdir(parents=True, exist_ok=True)
-    kept = {
-        "mark": mark,
-        "converged": fit.converged,
-        "status": fit.status,
-        "offset": result.offset,
-        "data_sd": result.data.sd,
-        "whitener": result.data.whitener,
-        **{name: getattr(fit, name) for name in _ARRAYS},
-    }
-    work = path.with_name(path.name + ".work")
-    with open(work, "wb") as file:
-        np.savez(file, **{name: np.asarray(value) for name, value in kept.items()})  # type: ignore[arg-type]
-    os.replace(work, path)
-    return fit, result.data, result.offset
 
 
 def posterior_table(sampled: Posterior) -> pd.DataFrame:

@@ -25,7 +25,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from fynjax.assembly._build import build_plot
-from fynjax.inversion import COARSE, Forward, ParameterSpace, coarser, free_space, weigh_targets
+from fynjax.inversion import (
+    COARSE,
+    Data,
+    LogPosterior,
+    ParameterSpace,
+    coarser,
+    free_space,
+    objective_and_gradient,
+    predicted_statistics,
+    statistics_and_jacobian,
+    weigh_targets,
+)
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.metrics import BANDS, image_statistics
 from fynjax.scene import PlotModel, PlotParameters, with_values
@@ -60,29 +71,31 @@ def plot_in_this_process() -> None:
     row("render, 400 x 400 pixels", *clock(lambda: render(model, parameters)))
 
     space = free_space(model, parameters, read.calibration.free, read.calibration.relative_sd)
-    forward = Forward(_predict(model, parameters, space), space)
+    predict = _predict(model, parameters, space)
     u, none = jnp.zeros(len(space.names)), jnp.zeros(len(STATISTICS))
-    value = clock(lambda: forward.values(u))
-    data = weigh_targets(STATISTICS, 1.1 * np.asarray(forward.values(u)), 0.01)
+    density = LogPosterior(predict, space, Data(STATISTICS, none, none + 1.0), none)
+    value = clock(lambda: predicted_statistics(density, u))
+    data = weigh_targets(STATISTICS, 1.1 * np.asarray(predicted_statistics(density, u)), 0.01)
+    density = LogPosterior(predict, space, data, none)
     row("value, as a search sees it (every 9th pixel)", *value)
-    both = clock(lambda: forward.misfit(u, data, none))
+    both = clock(lambda: objective_and_gradient(density, u))
     row(f"value and gradient by {len(space.names)} parameters", *both)
     print(f"{'  ratio to the value alone':<52}{'':>10}{both[1] / value[1]:>9.2f}")
     few = free_space(model, parameters, (f"species.{model.taxa[0]}.*",), lambda name: 0.2)
-    short = Forward(_predict(model, parameters, few), few)
+    short = LogPosterior(_predict(model, parameters, few), few, data, none)
     v = jnp.zeros(len(few.names))
-    small = clock(lambda: short.misfit(v, data, none))
+    small = clock(lambda: objective_and_gradient(short, v))
     row(f"value and gradient by {len(few.names)} parameters", *small)
     print(f"{'  all parameters over these few':<52}{'':>10}{both[1] / small[1]:>9.2f}")
     along = np.random.default_rng(0).normal(size=u.size) / np.sqrt(u.size)
-    slope = float(forward.misfit(u, data, none)[1] @ along)
+    slope = float(objective_and_gradient(density, u)[1] @ along)
     step = 0.02
-    ends = [float(forward.misfit(u + k * step * along, data, none)[0]) for k in (-2, -1, 1, 2)]
+    ends = [float(objective_and_gradient(density, u + k * step * along)[0]) for k in (-2, -1, 1, 2)]
     difference = (ends[0] - 8.0 * ends[1] + 8.0 * ends[2] - ends[3]) / (12.0 * step)
     print(
         f"{'  slope along a direction over its difference':<52}{'':>10}{slope / difference:>9.5f}"
     )
-    rows = clock(lambda: forward.jacobian(u), repeats=1)
+    rows = clock(lambda: statistics_and_jacobian(density, u), repeats=1)
     row(f"value and gradients of {len(STATISTICS)} statistics", *rows)
 
 

@@ -34,7 +34,7 @@ from fynjax.assembly._build import build_plot
 from fynjax.assembly._targets import plot_spectrum_view, reflectance_noise, structure_settings
 from fynjax.inversion import (
     COARSE,
-    SEEN,
+    WELL_CONSTRAINED,
     AbstractView,
     Calibration,
     Data,
@@ -230,7 +230,7 @@ def twin(
         print(
             f"seed {seed}, {' + '.join(names)}: {time.perf_counter() - began:.0f} s, step "
             f"{found.seconds['step_s']:.1f} s, whitened misfit {np.sqrt(np.mean(rest**2)):.2f}, "
-            f"{fit.status}",
+            f"{fit.explanation}",
             flush=True,
         )
         rows += [
@@ -243,7 +243,7 @@ def twin(
                 "z": (float(fit.whitened[i]) - truth[i]) / width[i],
                 "left_prior": float(fit.whitened[i]),
                 "bias": float(fit.estimate[i]) / true[i] - 1.0,
-                "seen": bool(fit.constrained[i] >= SEEN),
+                "seen": bool(fit.constrained[i] >= WELL_CONSTRAINED),
                 "unseen": bool(fit.constrained[i] < 0.05),
                 "rank": float(np.mean(draws[:, i] < truth[i])) if len(draws) else np.nan,
                 "sampled_width": draws[:, i].std() if len(draws) else np.nan,

@@ -8,7 +8,7 @@ import pytest
 from fynjax.canopy import FORM_DEFAULTS
 from fynjax.inversion import (
     IMAGE_STATISTICS,
-    SEEN,
+    WELL_CONSTRAINED,
     ImageView,
     calibrate_plot,
     free_space,
@@ -125,10 +125,10 @@ def test_well_constrained_parameters_are_near_the_truth(twin):
         name: abs(float(fit.estimate[i]) - values[name]) / float(fit.sd[i])
         for i, name in enumerate(fit.names)
     }
-    constrained = set(fit.seen())
+    constrained = set(fit.well_constrained())
     weak = set(fit.names) - constrained
     assert {name: sds for name, sds in off.items() if name in constrained and sds > FARTHEST} == {}
     assert sum(off[name] > 2 for name in constrained) <= 1
     assert {"ground.brightness", "ground.litter_fraction"} <= constrained
     assert len(weak) >= 3  # one image cannot tell everything, and the result says so
-    assert all(fit.constrained[fit.names.index(name)] < SEEN for name in weak)
+    assert all(fit.constrained[fit.names.index(name)] < WELL_CONSTRAINED for name in weak)

@@ -28,7 +28,7 @@ def information(**changes):
 def test_bounds_with_priors_are_the_sd_of_the_normal_posterior():
     found = information()
     _, covariance = posterior()
-    np.testing.assert_allclose(found.with_prior, np.sqrt(np.diag(covariance)), rtol=1e-10)
+    np.testing.assert_allclose(found.bayesian, np.sqrt(np.diag(covariance)), rtol=1e-10)
     np.testing.assert_allclose(found.constrained, 1 - np.diag(covariance) / PRIOR_SD**2, atol=1e-12)
 
 
@@ -36,15 +36,17 @@ def test_bounds_without_priors_are_those_of_least_squares():
     """The third parameter changes nothing: no bound of it, and it does not harm the others."""
     found = information()
     two = np.linalg.inv(SLOPES[:, :2].T @ (SLOPES[:, :2] / VARIANCE[:, None]))
-    np.testing.assert_allclose(found.unaided[:2], np.sqrt(np.diag(two)), rtol=1e-10)
+    np.testing.assert_allclose(found.joint[:2], np.sqrt(np.diag(two)), rtol=1e-10)
     np.testing.assert_allclose(
-        found.alone[:2], 1 / np.sqrt((SLOPES[:, :2] ** 2 / VARIANCE[:, None]).sum(0)), rtol=1e-10
+        found.conditional[:2],
+        1 / np.sqrt((SLOPES[:, :2] ** 2 / VARIANCE[:, None]).sum(0)),
+        rtol=1e-10,
     )
-    assert np.isinf([found.unaided[2], found.bound[2], found.alone[2]]).all()
-    assert found.with_prior[2] == pytest.approx(PRIOR_SD[2])
-    assert np.all(found.alone[:2] <= found.bound[:2])
-    assert np.all(found.bound[:2] <= found.unaided[:2] * (1 + 1e-12))
-    (direction,) = found.unseen()
+    assert np.isinf([found.joint[2], found.bound[2], found.conditional[2]]).all()
+    assert found.bayesian[2] == pytest.approx(PRIOR_SD[2])
+    assert np.all(found.conditional[:2] <= found.bound[:2])
+    assert np.all(found.bound[:2] <= found.joint[:2] * (1 + 1e-12))
+    (direction,) = found.weakly_constrained_directions()
     assert abs(direction["c.cover"]) == pytest.approx(1.0)
 
 
@@ -52,15 +54,15 @@ def test_what_the_data_add_and_the_prior_make_the_posterior():
     """Precisions add, parameter by parameter."""
     found = information()
     together = 1 / found.bound**2 + 1 / PRIOR_SD**2
-    np.testing.assert_allclose(1 / found.with_prior**2, together, rtol=1e-9)
+    np.testing.assert_allclose(1 / found.bayesian**2, together, rtol=1e-9)
 
 
 def test_a_sum_is_seen_and_its_difference_is_not():
     found = fisher_information(("a", "b"), np.array([[1.0, 1.0]]), np.ones(1) * 1e-4, np.ones(2))
-    assert np.isinf(found.unaided).all()
+    assert np.isinf(found.joint).all()
     assert np.isfinite(found.bound).all()
-    np.testing.assert_allclose(found.with_prior, np.sqrt(0.5), rtol=1e-3)
-    (direction,) = found.unseen()
+    np.testing.assert_allclose(found.bayesian, np.sqrt(0.5), rtol=1e-3)
+    (direction,) = found.weakly_constrained_directions()
     assert direction["a"] == pytest.approx(-direction["b"])
 
 
@@ -68,7 +70,7 @@ def test_correlated_errors_count_as_they_are():
     """A difference of two readings whose common error cancels."""
     common = np.full((2, 2), 100.0) + np.eye(2) * 0.01
     found = fisher_information(("a",), np.array([[1.0], [-1.0]]), common, np.ones(1))
-    assert found.unaided[0] == pytest.approx(0.1 / np.sqrt(2), rel=1e-6)
+    assert found.joint[0] == pytest.approx(0.1 / np.sqrt(2), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -110,8 +112,8 @@ def test_every_sensor_has_bounds_in_their_order(swept):
     assert len(found) == 12
     assert [s.pixels for s, _ in found[::4]] == [256, 4, 1]
     for _, one in found:
-        assert np.all(one.alone <= one.bound * (1 + 1e-6))
-        assert np.all(one.with_prior <= one.prior_sd * (1 + 1e-9))
+        assert np.all(one.conditional <= one.bound * (1 + 1e-6))
+        assert np.all(one.bayesian <= one.prior_sd * (1 + 1e-9))
     np.testing.assert_allclose(found[0][1].prior_sd, space.prior_sd, rtol=1e-6)
 
 
@@ -120,14 +122,14 @@ def test_an_image_of_one_pixel_in_one_band_sees_one_direction(swept):
     _, _, _, found, _ = swept
     last = next(i for s, i in found if s.gsd == 1.6 and s.bands == 1 and s.noise == 0.01)
     assert (last.information > 1e-6 * last.information[0]).sum() == 1
-    assert len(last.unseen(1e-6)) == len(last.names) - 1
+    assert len(last.weakly_constrained_directions(1e-6)) == len(last.names) - 1
 
 
 @pytest.mark.study
 def test_the_ground_is_seen_in_most_bands_and_noise_blurs_it(swept):
     _, _, space, found, _ = swept
     ground = space.names.index("ground.brightness")
-    bound = {(s.gsd, s.bands, s.noise): one.alone[ground] for s, one in found}
+    bound = {(s.gsd, s.bands, s.noise): one.conditional[ground] for s, one in found}
     assert np.isfinite(bound[0.1, 4, 0.01])
     assert bound[0.1, 4, 0.01] <= bound[0.1, 4, 0.3] * (1 + 1e-6)
     assert bound[1.6, 1, 0.01] < bound[1.6, 1, 0.3]

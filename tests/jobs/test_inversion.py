@@ -103,7 +103,7 @@ def test_the_posterior_of_a_plot_goes_on_from_its_checkpoint(plot, tmp_path):
     gauss = posterior(plot, target, tmp_path / "gauss", method="laplace", **options)
     assert all((tmp_path / "gauss" / name).stat().st_size for name in gauss.files)
     assert all(0 < row.sd <= 1.3 * row.prior_sd for row in gauss.parameters)
-    with pytest.raises(InputError, match="another seed"):
+    with pytest.raises(InputError, match="another run"):
         posterior(plot, target, tmp_path / "gauss", method="laplace", **(options | {"seed": 1}))
 
 

@@ -10,8 +10,14 @@ import pytest
 
 from fynjax._core.checkpoint import keep_nothing
 from fynjax._core.errors import InputError
-from fynjax.inversion import spectrum_view, weigh_spectrum
-from fynjax.inversion._fit import Forward
+from fynjax.inversion import (
+    Data,
+    LogPosterior,
+    predicted_statistics,
+    spectrum_view,
+    statistics_and_jacobian,
+    weigh_spectrum,
+)
 from fynjax.io.plot import read_plot
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape import read_bioscape, write_plot_files
@@ -168,11 +174,12 @@ def test_priors_change_and_nothing_compiles_again(plots):
     first = prior_space(plots[0])
     second = replace(first, prior=first.prior * 0.9)
     u = jnp.full(len(FREE), 0.3)
-    forward = Forward(predict, first)
-    forward.values(u, (2.0,))
+    data = Data(("a", "b"), jnp.zeros(2), jnp.ones(2))
+    density = LogPosterior(predict, first, data, jnp.zeros(2), (2.0,))
+    predicted_statistics(density, u)
     traced = predict.traced
     np.testing.assert_allclose(
-        forward.with_space(second).values(u, (2.0,)), 2.0 * second.physical(u)[:2]
+        predicted_statistics(replace(density, space=second), u), 2.0 * second.physical(u)[:2]
     )
     assert predict.traced == traced
 
@@ -201,14 +208,17 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
     view = spectrum_view(bands)
     predict = PlotSpectrumForward(view, [s == "deadwood" for s in slots])
     space = prior_space(plot)
-    forward = Forward(predict, space)
     at = dict.fromkeys(FREE, 0.0) | {
         "leaf_mass_per_area": 1.0, "water_per_dry_matter": -1.0, "chlorophyll": -1.5,
     }  # fmt: skip
     truth = jnp.asarray(list(at.values()))
-    seen = np.asarray(forward.values(truth, (models[-1], parameters)))
+    shape = jnp.zeros(len(centre))
+    density = LogPosterior(
+        predict, space, Data(view.names, shape, shape + 1), shape, (models[-1], parameters)
+    )
+    seen = np.asarray(predicted_statistics(density, truth))
     data = weigh_spectrum(view.names, seen, 0.01, gain=0.0, offset=1e-4)
-    found = infer_plot(predict, forward, data, space, parameters, models[:-1], keep_nothing)
+    found = infer_plot(predict, data, space, parameters, models[:-1], keep_nothing)
     assert found.converged
     assert found.misfit[1] < 0.5 * found.misfit[0]
     off = (found.whitened - np.asarray(truth)) / np.sqrt(np.diagonal(found.covariance))
@@ -219,15 +229,13 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
     assert abs(found.whitened[list(FREE).index("chlorophyll")] + 1.5) < 0.7
 
     u = truth * 0.5
-    value, slope = forward.jacobian(u, (models[0], parameters))
-    np.testing.assert_allclose(value, forward.values(u, (models[0], parameters)), rtol=1e-5)
+    density = replace(density, context=(models[0], parameters))
+    value, slope = statistics_and_jacobian(density, u)
+    np.testing.assert_allclose(value, predicted_statistics(density, u), rtol=1e-5)
     weights = np.cos(np.arange(len(centre)))
     for name in ("cover", "water_per_dry_matter", "soil_brightness", "leaf_area_index"):
         step = 0.02 * jnp.eye(len(FREE))[list(FREE).index(name)]
-        ends = [
-            weights @ np.asarray(forward.values(u + s * step, (models[0], parameters)))
-            for s in (1, -1)
-        ]
+        ends = [weights @ np.asarray(predicted_statistics(density, u + s * step)) for s in (1, -1)]
         expected = (ends[0] - ends[1]) / 0.04
         ours = weights @ np.asarray(slope)[:, list(FREE).index(name)]
         assert ours == pytest.approx(expected, rel=0.02, abs=2e-5), name

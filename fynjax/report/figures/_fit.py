@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from fynjax.inversion import SEEN
+from fynjax.inversion import WELL_CONSTRAINED
 from fynjax.metrics import WATER_WINDOWS
 from fynjax.report.figures._style import (
     AFTER,
@@ -147,7 +147,10 @@ def constraint_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
             y = _rows(axes, [_label(str(name), kind) for name in part["name"]])
             axes.barh(y, np.full(share.shape, 100.0), height=0.62, color="#EFEFEF")
             axes.barh(
-                y, share, height=0.62, color=np.where(share >= 100 * SEEN, BLUE, SKY).tolist()
+                y,
+                share,
+                height=0.62,
+                color=np.where(share >= 100 * WELL_CONSTRAINED, BLUE, SKY).tolist(),
             )
             for position, value in zip(y, share, strict=True):
                 inside = value > 85
@@ -160,7 +163,7 @@ def constraint_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
             axes.set_xlim(0, 100)
             axes.set_title(words(kind).capitalize())
             axes.grid(visible=False)
-            axes.axvline(100 * SEEN, color="#999999", lw=0.7, ls=":")
+            axes.axvline(100 * WELL_CONSTRAINED, color="#999999", lw=0.7, ls=":")
         figure.supxlabel(
             "Variance removed by the data [%]; 0: only the prior speaks, 100: only the data",
             fontsize=8.5,

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
-from fynjax.inversion import Data, Forward, signature, spectrum_view
+from fynjax.inversion import Data, signature, spectrum_view
 from fynjax.io.plot import Plot, read_plot
 from fynjax.io.raster import file_hash
 from fynjax.jobs import Run
@@ -141,7 +141,6 @@ def calibrate_plots(
     settings = (resolution, realisations, seed, [p.name for p in read], FREE, len(bands))
     journal = Journal(checkpoint, signature((), (*settings, [file_hash(p) for p in inputs])))
     estimates: dict[str, list[Estimate]] = {p.name: [] for p in priors}
-    forward = Forward(predict, prior_space(read[0]))
     with run.stage("Infer", total=len(priors) * len(read)):
         for prior in priors:
             for i, plot in enumerate(prior.plots):
@@ -157,7 +156,7 @@ def calibrate_plots(
                         view.names, flights[i], np.delete(np.stack(rest), i, axis=0)
                     )
                 fit = infer_plot(
-                    predict, forward, spectrum, space, prior.parameters[i], models[i], journal,
+                    predict, spectrum, space, prior.parameters[i], models[i], journal,
                     bias=bias,
                 )  # fmt: skip
                 _check(fit, plot, folder)

@@ -19,11 +19,12 @@ from fynjax._core.checkpoint import Keep
 from fynjax.inversion import (
     Data,
     FitResult,
-    Forward,
+    LogPosterior,
     ParameterSpace,
     SpectrumView,
     evaluate,
     fit,
+    predicted_statistics,
     weigh_spectrum,
 )
 from fynjax.scene import PARAMETERS, PlotModel, PlotParameters
@@ -303,7 +304,6 @@ class Estimate:
 
 def infer_plot(
     predict: PlotSpectrumForward,
-    forward: Forward,
     data: Data,
     space: ParameterSpace,
     parameters: PlotParameters,
@@ -322,10 +322,12 @@ def infer_plot(
     offset = jnp.zeros_like(data.value) if bias is None else jnp.asarray(bias)
 
     def do() -> tuple[Array, ...]:
-        of_plot = forward.with_space(space)
+        none = jnp.zeros_like(offset)
+        densities = [
+            LogPosterior(predict, space, data, none, (model, parameters)) for model in models
+        ]
         start = jnp.zeros(len(space.names))
-        contexts = [(model, parameters) for model in models]
-        prior_spectra = jnp.stack([of_plot.values(start, context) for context in contexts])
+        prior_spectra = jnp.stack([predicted_statistics(density, start) for density in densities])
         grown = data.with_scatter(prior_spectra[1:] - prior_spectra[0]) if bias is None else data
         result: FitResult = fit(
             predict,
@@ -333,11 +335,12 @@ def infer_plot(
             space,
             max_steps=max_steps,
             tolerance=0.02,
-            forward=of_plot,
-            context=contexts[0],
+            context=densities[0].context,
             offset=offset,
         )
-        others = [evaluate(of_plot, grown, result.whitened, context) for context in contexts[1:]]
+        others = [
+            evaluate(replace(density, data=grown), result.whitened) for density in densities[1:]
+        ]
         deviations = jnp.stack([value for value, _ in others]) + offset - result.predicted
         if bias is not None:
             deviations = jnp.zeros_like(deviations)

@@ -1,0 +1,73 @@
+"""The density that a fit climbs and a sampler explores: data, forward model and prior together."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from fynjax.inversion._fit_result import Data
+from fynjax.inversion._space import ParameterSpace
+
+Predict = Callable[..., Float[Array, " statistic"]]
+"""Statistics from parameters in their own units [free], and whatever else the caller passes on as
+`context`; differentiable and traceable.
+
+Derivatives are by reverse mode, a statistic at a time: a plot has more free parameters than
+statistics. A forward model that knows a cheaper way has a method `jacobian(values_at, u, *context)`
+with the statistics and their derivatives by `u`, of which `values_at` makes the values. One that is
+an equinox module hands its arrays on as arguments: another of the same shapes compiles nothing."""
+
+
+def jacobian_by_rows(
+    function: Callable[[Array], Array], u: Float[Array, " free"]
+) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
+    """Value and Jacobian by reverse mode, a statistic at a time."""
+    value, backward = jax.vjp(function, u)
+    every = jnp.eye(value.size, dtype=value.dtype)
+    return value, jax.lax.map(lambda row: backward(row)[0], every, batch_size=1)
+
+
+class LogPosterior(eqx.Module):
+    """Logarithm of the posterior density over whitened coordinates, up to a constant.
+
+    The prior of a `ParameterSpace` is a unit normal in its whitened coordinates u. Over a
+    parameter's own values it is that density over |d value / d u|, a logit-normal one. A prior
+    stated over values, `log_prior`, is carried to u by the same factor.
+
+    Differentiable in u; jit and vmap work.
+    """
+
+    predict: Predict
+    space: ParameterSpace
+    data: Data
+    offset: Float[Array, " statistic"]
+    """Added to the predicted statistics."""
+    context: tuple[Any, ...] = ()
+    """Further arguments of `predict`."""
+    log_prior: Callable[[Float[Array, " free"]], Array] | None = None
+    """Log density of a prior over values in their own units, instead of the space's."""
+
+    def statistics(self, u: Float[Array, " free"]) -> Float[Array, " statistic"]:
+        """What the model predicts."""
+        return self.predict(self.space.physical(u), *self.context).astype(u.dtype) + self.offset
+
+    def jacobian(
+        self, u: Float[Array, " free"]
+    ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
+        """What the model predicts, and its derivatives by the whitened coordinates."""
+        analytic = getattr(self.predict, "jacobian", None)
+        if analytic is None:
+            return jacobian_by_rows(self.statistics, u)
+        value, slopes = analytic(self.space.physical, u, *self.context)
+        return value + self.offset, slopes
+
+    def __call__(self, u: Float[Array, " free"]) -> Float[Array, ""]:
+        rest = self.data.whiten(self.statistics(u) - self.data.value)
+        if self.log_prior is None:
+            prior = -0.5 * u @ u
+        else:
+            prior = self.log_prior(self.space.physical(u)) + jnp.sum(self.space.log_slope(u))
+        return prior - 0.5 * rest @ rest

@@ -1,0 +1,229 @@
+"""Solvers of optimistix and jaxopt behind one interface: a step, and what it says of itself.
+
+A problem is a `LogPosterior` over whitened coordinates u. What a solver sees has its derivatives
+attached: an evaluation takes each once, and the Jacobian comes back for the uncertainty.
+"""
+
+import abc
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from fynjax._core.errors import InputError
+from fynjax.inversion._fit_result import FitStatus
+from fynjax.inversion._log_posterior import LogPosterior
+
+Figures = tuple[Array, Array]
+"""The objective and the norm of its gradient."""
+
+_DAMPING = 0.1
+"""Step size of the trust region at first: a full first step often overshoots."""
+_REACH = 4.0
+"""Bounds in prior standard deviations: beyond, the transform to a bounded parameter is flat."""
+_NO_TAGS: frozenset[object] = frozenset()
+_OPTIONS = {"jac": "bwd"}  # the Jacobian as an array, which another fit can pass again
+
+
+def least_squares(tolerance: float) -> "OptimistixStepper":
+    """Levenberg-Marquardt, damped from the start."""
+    limit: Any = jnp.asarray(tolerance)  # an array: another tolerance compiles nothing
+    return OptimistixStepper(optx.LevenbergMarquardt(rtol=limit, atol=limit), _DAMPING)
+
+
+def lbfgsb(tolerance: float) -> Any:
+    """L-BFGS-B of SciPy, by jaxopt."""
+    import jaxopt  # late: it warns on import that it is no longer maintained
+
+    options = {"maxcor": 20, "gtol": tolerance, "ftol": 1e-9}
+    return jaxopt.ScipyBoundedMinimize(
+        fun=jnp.sum, method="l-bfgs-b", tol=tolerance, options=options
+    )
+
+
+def _of_jaxopt(solver: Any) -> bool:
+    return type(solver).__module__.split(".")[0] == "jaxopt"
+
+
+def is_scipy(solver: Any) -> bool:
+    """Whether it is a solver of SciPy, which runs outside JAX."""
+    return _of_jaxopt(solver) and type(solver).__name__ in ("ScipyMinimize", "ScipyBoundedMinimize")
+
+
+class AbstractStepper(eqx.Module):
+    """A solver that goes by steps, compiled or not."""
+
+    @abc.abstractmethod
+    def start(self, density: LogPosterior, u: Float[Array, " free"]) -> Any:
+        """Its state before the first step from `u`."""
+
+    @abc.abstractmethod
+    def step(
+        self, density: LogPosterior, u: Float[Array, " free"], state: Any
+    ) -> tuple[Float[Array, " free"], Any, Figures, FitStatus]:
+        """A step: coordinates, state, figures there, and `FitStatus.max_steps` to go on."""
+
+    def statistics(self, state: Any) -> tuple[Array, Array] | None:
+        """Statistics and Jacobian at the coordinates it has reached, if it knows them."""
+        return None
+
+
+def stepper(solver: Any) -> AbstractStepper:
+    """The stepper of a solver object."""
+    if isinstance(solver, AbstractStepper):
+        return solver
+    if isinstance(solver, optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser):
+        return OptimistixStepper(solver, None)
+    if _of_jaxopt(solver) and hasattr(solver, "init_state"):
+        return JaxoptStepper(solver)
+    raise InputError(
+        "`solver` must be a name, or a solver of optimistix or jaxopt for least squares or "
+        f"minimisation, but is of {type(solver).__module__}.{type(solver).__name__}"
+    )
+
+
+def _status(figures: Figures, done: Array, result: Any) -> FitStatus:
+    status = FitStatus.where(done, FitStatus.successful, FitStatus.max_steps)
+    status = FitStatus.where(result == optx.RESULTS.successful, status, FitStatus.promote(result))
+    finite = jnp.isfinite(figures[0]) & jnp.isfinite(figures[1])
+    return FitStatus.where(finite, status, FitStatus.not_finite)
+
+
+def _residual(jacobian: Callable[[Array], tuple[Array, Array]]) -> Callable[..., Any]:
+    """Misfit of the data, then distance from the prior; from the statistics' Jacobian."""
+
+    def residual(u: Array, density: LogPosterior) -> tuple[Array, tuple[Array, ...]]:
+        data = density.data
+        here = jax.lax.stop_gradient(u)
+        value, slopes = jacobian(here)
+        # The value with its slope attached: the solver's own differentiation is then a product
+        # with the Jacobian, which it also hands back for the uncertainty.
+        linear = value + slopes @ (u - here)
+        rest = jnp.concatenate([data.whiten(linear - data.value), u])
+        still = jax.lax.stop_gradient(rest)
+        slope = data.whiten(slopes).T @ still[: value.size] + here
+        return rest, (value, slopes, 0.5 * still @ still, jnp.linalg.norm(slope))
+
+    return residual
+
+
+def _objective(u: Array, density: LogPosterior) -> tuple[Array, Figures]:
+    """Minus the log density with its slope attached."""
+    here = jax.lax.stop_gradient(u)
+    loss, slope = jax.value_and_grad(lambda u: -density(u))(here)
+    return loss + slope @ (u - here), (loss, jnp.linalg.norm(slope))
+
+
+class OptimistixStepper(AbstractStepper):
+    """A solver of optimistix, for least squares or for minimisation."""
+
+    solver: Any
+    damping: float | None = eqx.field(static=True)
+
+    @property
+    def _by_residuals(self) -> bool:
+        return isinstance(self.solver, optx.AbstractLeastSquaresSolver)
+
+    def start(self, density: LogPosterior, u: Float[Array, " free"]) -> Any:
+        # A stand-in with the right shapes: to trace the forward model for them takes seconds.
+        if self._by_residuals:
+            shape = (density.data.value.size, u.size)
+            zeros = (jnp.zeros(shape[0], u.dtype), jnp.zeros(shape, u.dtype))
+            function: Any = _residual(lambda _: zeros)
+        else:
+            function = lambda u, _: (0.5 * u @ u, (0.5 * u @ u, jnp.linalg.norm(u)))  # noqa: E731
+        out, aux = jax.eval_shape(lambda u: function(u, density), u)
+        state = self.solver.init(function, u, density, _OPTIONS, out, aux, _NO_TAGS)
+        if self.damping is not None:
+            size = jnp.asarray(self.damping)
+            state = eqx.tree_at(lambda s: s.search_state.step_size, state, size)
+        return state
+
+    def step(
+        self, density: LogPosterior, u: Float[Array, " free"], state: Any
+    ) -> tuple[Float[Array, " free"], Any, Figures, FitStatus]:
+        function: Any = _residual(density.jacobian) if self._by_residuals else _objective
+        u, state, _ = self.solver.step(function, u, density, _OPTIONS, state, _NO_TAGS)
+        done, result = self.solver.terminate(function, u, density, _OPTIONS, state, _NO_TAGS)
+        *_, loss, norm = state.aux
+        return u, state, (loss, norm), _status((loss, norm), done, result)
+
+    def statistics(self, state: Any) -> tuple[Array, Array] | None:
+        return state.aux[:2] if self._by_residuals else None
+
+
+class JaxoptStepper(AbstractStepper):
+    """A solver of jaxopt that runs in JAX."""
+
+    solver: Any = eqx.field(static=True)
+
+    def _set(self, density: LogPosterior, u: Array) -> tuple[Any, tuple[Any, ...]]:
+        """The solver of this problem, and its bounds where it takes any."""
+        # A fit has its own derivative, and its own loop.
+        options: dict[str, Any] = {"has_aux": True, "implicit_diff": False}
+        if hasattr(self.solver, "residual_fun"):
+
+            def residual(u: Array) -> tuple[Array, Figures]:
+                rest, (*_, loss, norm) = _residual(density.jacobian)(u, density)
+                return rest, (loss, norm)
+
+            options["residual_fun"] = residual
+        else:
+            options |= {"fun": lambda u: _objective(u, density), "value_and_grad": False}
+        reach = jnp.full_like(u, _REACH)
+        bounds = ((-reach, reach),) if type(self.solver).__name__ == "LBFGSB" else ()
+        return dataclasses.replace(self.solver, **options), bounds
+
+    def start(self, density: LogPosterior, u: Float[Array, " free"]) -> Any:
+        solver, bounds = self._set(density, u)
+        state = eqx.filter_jit(solver.init_state)(u, *bounds)
+        return jax.tree.map(jnp.asarray, state)  # some count steps by a Python number at first
+
+    def step(
+        self, density: LogPosterior, u: Float[Array, " free"], state: Any
+    ) -> tuple[Float[Array, " free"], Any, Figures, FitStatus]:
+        solver, bounds = self._set(density, u)
+        u, state = solver.update(u, state, *bounds)
+        done = state.error <= solver.tol
+        return u, state, state.aux, _status(state.aux, done, optx.RESULTS.successful)
+
+
+def run_scipy(
+    solver: Any,
+    objective_and_gradient: Callable[[Array], tuple[Array, ...]],
+    start: Float[Array, " free"],
+    max_steps: int,
+    note: Callable[[Figures], None],
+) -> tuple[Float[Array, " free"], FitStatus]:
+    """The end of a solver of SciPy, and why it stopped. It notes each evaluation."""
+
+    def objective(u: Array) -> tuple[float, Array]:
+        loss, gradient = objective_and_gradient(jnp.asarray(u))
+        note((loss, jnp.linalg.norm(gradient)))
+        return float(loss), gradient
+
+    bounded = type(solver).__name__ == "ScipyBoundedMinimize"
+    options = {k: v for k, v in (solver.options or {}).items() if k != "maxiter"}
+    if str(solver.method).lower() == "l-bfgs-b":
+        options = {"maxfun": 2 * max_steps} | options
+    ready = dataclasses.replace(
+        solver, fun=objective, value_and_grad=True, jit=False, maxiter=max_steps, options=options
+    )
+    reach = jnp.full_like(start, _REACH)
+    u, state = ready.run(start, (-reach, reach)) if bounded else ready.run(start)
+    u = jnp.asarray(u)
+    loss, gradient = objective_and_gradient(u)
+    if not np.isfinite(float(loss)):
+        return start, FitStatus.not_finite
+    norm = float(jnp.linalg.norm(gradient))
+    tolerance = 1e-3 if solver.tol is None else solver.tol
+    if bool(state.success) and norm <= 10 * tolerance * np.sqrt(start.size):
+        return u, FitStatus.successful
+    ended = int(state.iter_num) >= max_steps
+    return u, FitStatus.max_steps if ended else FitStatus.no_gain
