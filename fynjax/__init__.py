@@ -1,3 +1,17 @@
-"""fynjax: an open, differentiable simulator of low-stature, species-rich shrubland."""
+"""fynjax: an open, differentiable simulator of low-stature, species-rich shrubland.
+
+`import fynjax as fx` is quick: what follows is imported when it is first used.
+
+- `fx.LeafParameters`, `fx.prospect`, `fx.fit_leaf`: leaf optics, forward and backward.
+- `fx.canopy_reflectance`: a uniform canopy in one line.
+- `fx.read_plot`, `fx.sensor`: a plot, and a sensor or LiDAR, from files or by a shipped name.
+- `fx.calibrate`, `fx.posterior`: what the commands of these names do, from Python.
+- `fx.fit`, `fx.ParameterSpace`, `fx.Data`: any forward model fitted to any statistics.
+- `fx.cite`: BibTeX of the models used.
+- `fx.errors`: what a user's input can raise; `fx.jobs` and the other packages by their names.
+"""
+
+import lazy_loader
 
 __version__ = "0.1.0"
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

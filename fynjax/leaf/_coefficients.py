@@ -7,6 +7,8 @@ from typing import Literal, get_args
 import numpy as np
 import pandas as pd
 
+from fynjax._core.errors import InputError
+
 ProspectVersion = Literal["5", "D", "PRO"]
 """Versions of PROSPECT: 5 (2008), D (2017), PRO (2021)."""
 
@@ -42,9 +44,9 @@ CONSTITUENTS: dict[str, dict[str, str]] = {
 
 
 def check_version(version: str) -> None:
-    """Raise `ValueError` unless `version` is one of "5", "D", "PRO"."""
+    """Raise `InputError` unless `version` is one of "5", "D", "PRO"."""
     if version not in get_args(ProspectVersion):
-        raise ValueError(f'`version` must be "5", "D" or "PRO", but is {version!r}')
+        raise InputError(f'`version` must be "5", "D" or "PRO", but is {version!r}')
 
 
 @lru_cache
@@ -68,9 +70,9 @@ def native_wavelength() -> np.ndarray:
 
 
 def check_wavelength(wavelength: np.ndarray) -> None:
-    """Raise `ValueError` unless every band centre lies inside the tables."""
+    """Raise `InputError` unless every band centre lies inside the tables."""
     if wavelength.ndim != 1 or wavelength.size == 0:
-        raise ValueError(
+        raise InputError(
             f"`wavelength` must be a vector of at least one band, but has shape {wavelength.shape}"
         )
     low, high = float(np.min(wavelength)), float(np.max(wavelength))
@@ -80,7 +82,7 @@ def check_wavelength(wavelength: np.ndarray) -> None:
             if high < 100.0
             else "PROSPECT has no absorption data outside, so leave such bands out"
         )
-        raise ValueError(
+        raise InputError(
             "`wavelength` must lie within 400 to 2500 nm, but runs from "
             f"{low:g} to {high:g}; {hint}"
         )

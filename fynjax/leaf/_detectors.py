@@ -6,6 +6,8 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
+from fynjax._core.errors import InputError
+
 _REACH = 12.0
 LARGEST_JUMP = 0.15
 """Largest jump that counts as drift of a detector, relative [-]."""
@@ -33,11 +35,11 @@ def correct_detector_jumps(
     **Returns:** corrected spectra, and the jump right over left found at each change minus one, NaN
     where none could be measured.
 
-    **Raises:** `ValueError` for changes that do not ascend.
+    **Raises:** `InputError` for changes that do not ascend.
     """
     changes = [float(c) for c in changes]
     if any(b <= a for a, b in pairwise(changes)):
-        raise ValueError(f"`changes` must ascend, but are {changes}")
+        raise InputError(f"`changes` must ascend, but are {changes}")
     grid = np.asarray(wavelength, float)
     spectra = np.asarray(spectra, float)
     rows = np.atleast_2d(spectra).reshape(-1, grid.size)

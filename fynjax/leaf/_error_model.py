@@ -17,6 +17,8 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
 
+from fynjax._core.errors import InputError
+
 
 def bin_centres() -> np.ndarray:
     """Centres of the bins on which spectra are fitted [nm]: every 5 to 780, every 10 to 2500.
@@ -135,7 +137,7 @@ def default_error_model() -> ErrorModel:
     with resources.as_file(path) as file:
         table = pd.read_csv(file)
     if not np.array_equal(table["wavelength_nm"], bin_centres()):
-        raise ValueError("the error model's table does not stand on the fit's bins")
+        raise InputError("the error model's table does not stand on the fit's bins")
     names = [c for c in table.columns if c.startswith("r_factor")]
     r = table[names].to_numpy(float).T
     t = table[[n.replace("r_", "t_", 1) for n in names]].to_numpy(float).T

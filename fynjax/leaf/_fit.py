@@ -229,7 +229,7 @@ def fit_leaf(
 
     **Returns:** `LeafFit`. A leaf with less than ten usable bins has NaN and says so in `status`.
 
-    **Raises:** `ValueError` for arrays that do not match, an unknown version, domain or parameter.
+    **Raises:** `InputError` for arrays that do not match, an unknown version, domain or parameter.
     """
     progress = NullProgress() if progress is None else progress
     data = binned_data(wavelength, reflectance, transmittance, detector_changes)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from fynjax._core.errors import InputError
 from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel
@@ -93,11 +94,11 @@ def fit_leaf_groups(
 
     **Returns:** `LeafGroups`.
 
-    **Raises:** `ValueError` as `fit_leaf`, or if `groups` has not one name for each leaf.
+    **Raises:** `InputError` as `fit_leaf`, or if `groups` has not one name for each leaf.
     """
     data = binned_data(wavelength, reflectance, transmittance, detector_changes)
     if len(groups) != len(data):
-        raise ValueError(f"`groups` must name {len(data)} leaves, but has {len(groups)} names")
+        raise InputError(f"`groups` must name {len(data)} leaves, but has {len(groups)} names")
     labels = tuple(dict.fromkeys(str(g) for g in groups))
     member = np.array([labels.index(str(g)) for g in groups])
     use = usable_bins(data, domain, outdoor)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax._core.errors import InputError
 from fynjax._core.math import real_array
 from fynjax._core.parameters import parameter_field, parameters_of
 
@@ -25,8 +26,8 @@ class LeafParameters(eqx.Module):
     and ignore `proteins` and `carbon_constituents`; PROSPECT-PRO reads those two and ignores
     `dry_matter`.
 
-    **Raises:** `ValueError` for a field that is not a scalar, and `InputError`, where values are
-    known (outside `jit`), for one outside the bounds of its parameter (`LEAF_PARAMETERS`).
+    **Raises:** `InputError` for a field that is not a scalar and, where values are known (outside
+    `jit`), for one outside the bounds of its parameter (`LEAF_PARAMETERS`).
     """
 
     structure: Float[Array, ""] = parameter_field(
@@ -160,7 +161,7 @@ class LeafParameters(eqx.Module):
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if jnp.shape(value) != ():
-                raise ValueError(
+                raise InputError(
                     f"`LeafParameters.{field.name}` must be a scalar, but has shape "
                     f"{jnp.shape(value)}. For many leaves use `LeafParameters.many(...)`."
                 )
@@ -176,7 +177,7 @@ class LeafParameters(eqx.Module):
         **Arguments:** fields by name, each a number or a vector [leaf]; numbers, and fields left
         out, are the same for all leaves.
 
-        **Raises:** `ValueError` for vectors of different length; values are not checked.
+        **Raises:** `InputError` for vectors of different length; values are not checked.
         """
         unknown = set(fields) - set(LEAF_PARAMETERS)
         if unknown:

@@ -11,6 +11,7 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
+from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax._core.sampling import ensemble, hamiltonian
 from fynjax.leaf import _levenberg as lm
@@ -106,10 +107,10 @@ def sample_leaf_posterior(
 
     **Returns:** `LeafPosterior`. A leaf with less than ten usable bins has NaN.
 
-    **Raises:** `ValueError` as `fit_leaf`; `MissingExtraError` without the sampler's package.
+    **Raises:** `InputError` as `fit_leaf`; `MissingExtraError` without the sampler's package.
     """
     if sampler not in ("emcee", "nuts"):
-        raise ValueError(f'`sampler` must be "emcee" or "nuts", but is {sampler!r}')
+        raise InputError(f'`sampler` must be "emcee" or "nuts", but is {sampler!r}')
     progress = NullProgress() if progress is None else progress
     data = binned_data(wavelength, reflectance, transmittance, detector_changes)
     use = usable_bins(data, domain, outdoor)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from fynjax._core.errors import InputError
 from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._coefficients import (
     CONSTITUENTS,
@@ -84,7 +85,7 @@ def make_setup(
     free = tuple(n for n in names if n != "brown_pigments") if free is None else tuple(free)
     for name in free:
         if name not in names:
-            raise ValueError(f"`free` names {name!r}, which PROSPECT-{version} does not have")
+            raise InputError(f"`free` names {name!r}, which PROSPECT-{version} does not have")
     index, absorption = coefficients_at(version, native_wavelength())
     binned = to_bins(native_wavelength(), np.vstack([index, absorption]))
     bounds = leaf_bounds(names)
@@ -123,17 +124,17 @@ def binned_data(
 ) -> Float[np.ndarray, "leaf 2 bin"]:
     """R and T on the fit's bins; infinite where a bin holds a value that no leaf can have.
 
-    Raises `ValueError` for arrays that do not match.
+    Raises `InputError` for arrays that do not match.
     """
     if reflectance is None and transmittance is None:
-        raise ValueError("a fit needs reflectance, transmittance, or both")
+        raise InputError("a fit needs reflectance, transmittance, or both")
     grid = np.asarray(wavelength, float)
     if grid.ndim != 1 or np.any(np.diff(grid) <= 0):
-        raise ValueError("`wavelength` must be an ascending vector [nm]")
+        raise InputError("`wavelength` must be an ascending vector [nm]")
     given = [np.atleast_2d(a) for a in (reflectance, transmittance) if a is not None]
     for array in given:
         if array.shape != (len(given[0]), grid.size):
-            raise ValueError(f"spectra must have the shape (leaf, {grid.size}), but {array.shape}")
+            raise InputError(f"spectra must have the shape (leaf, {grid.size}), but {array.shape}")
     missing = np.full((len(given[0]), grid.size), np.nan)
     parts = []
     for part in (reflectance, transmittance):
@@ -156,7 +157,7 @@ def usable_bins(
     With `outdoor` `None` the water bands of a spectrum are left out if they hold impossible values.
     """
     if domain not in ("full", "optimal"):
-        raise ValueError(f'`domain` must be "full" or "optimal", but is {domain!r}')
+        raise InputError(f'`domain` must be "full" or "optimal", but is {domain!r}')
     centres = bin_centres()
     with np.errstate(invalid="ignore"):
         possible = np.isfinite(data) & (data > -0.02) & (data < 1.05)

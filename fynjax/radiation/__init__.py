@@ -1,6 +1,7 @@
 """Radiation: from a voxel grid and its optics to radiance at a sensor."""
 
 from fynjax.radiation._arrays import voxel_scene
+from fynjax.radiation._canopy import canopy_reflectance
 from fynjax.radiation._check import check_scene
 from fynjax.radiation._fluxes import Fluxes, absorption, fluxes
 from fynjax.radiation._ground import RahmanPintyVerstraete
@@ -41,6 +42,7 @@ __all__ = [
     "VoxelScene",
     "absorption",
     "area_scattering",
+    "canopy_reflectance",
     "check_scene",
     "directional_reflectance",
     "fluxes",

@@ -35,6 +35,12 @@ def load_instrument(name_or_path: str | Path) -> Sensor | Lidar:
         return load_lidar(text)
     if text not in shipped_sensors() and _has_laser(Path(text)):
         return load_lidar(text)
+    if text not in shipped_sensors() and len(Path(text).parts) == 1 and not Path(text).suffix:
+        names = (*shipped_sensors(), *shipped_lidars())
+        raise InputError(
+            f"expected a shipped sensor or LiDAR, or the path of its file, but got {text!r}."
+            f"{did_you_mean(text, names)} Shipped: {', '.join(names)}."
+        )
     return load_sensor(text)
 
 

@@ -1,0 +1,31 @@
+from . import assembly as assembly
+from . import canopy as canopy
+from . import compare as compare
+from . import errors as errors
+from . import inversion as inversion
+from . import io as io
+from . import jobs as jobs
+from . import leaf as leaf
+from . import metrics as metrics
+from . import radiation as radiation
+from . import report as report
+from . import scene as scene
+from . import sensors as sensors
+from . import studies as studies
+from . import terrain as terrain
+from ._cite import cite as cite
+from ._sensor import sensor as sensor
+from .inversion import Data as Data
+from .inversion import FitResult as FitResult
+from .inversion import FitStatus as FitStatus
+from .inversion import ParameterSpace as ParameterSpace
+from .inversion import fit as fit
+from .io.plot import read_plot as read_plot
+from .jobs import calibrate as calibrate
+from .jobs import posterior as posterior
+from .leaf import LeafParameters as LeafParameters
+from .leaf import fit_leaf as fit_leaf
+from .leaf import prospect as prospect
+from .radiation import canopy_reflectance as canopy_reflectance
+
+__version__: str

@@ -1,0 +1,59 @@
+"""`import fynjax as fx`: quick, and every name is there."""
+
+import inspect
+import subprocess
+import sys
+
+import pytest
+
+import fynjax as fx
+
+
+def test_the_import_is_light():
+    """Neither JAX nor anything else that is heavy, until a name is used."""
+    code = (
+        "import sys, fynjax as fx; before = set(sys.modules); fx.LeafParameters;"
+        "print(sorted({'jax', 'numpy', 'pandas', 'equinox'} & before), 'jax' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[0] == "[] True"
+
+
+def test_every_name_is_there_and_described():
+    assert {"read_plot", "fit", "calibrate", "posterior", "LeafParameters", "prospect", "fit_leaf",
+            "sensor", "errors", "cite", "canopy_reflectance"} <= set(fx.__all__)  # fmt: skip
+    for name in fx.__all__:
+        assert inspect.getdoc(getattr(fx, name)), name
+    with pytest.raises(AttributeError):
+        _ = fx.nothing
+
+
+def test_one_family_of_errors():
+    for wrong in (
+        lambda: fx.sensor("aviris"),
+        lambda: fx.cite("prosail"),
+        lambda: fx.prospect(fx.LeafParameters(), version="4"),
+        lambda: fx.LeafParameters(chlorophyll=-1.0),
+        lambda: fx.fit_leaf([500.0, 400.0], [[0.1, 0.1]]),
+        lambda: fx.canopy_reflectance(0.1, 0.1, -1.0),
+    ):
+        with pytest.raises(fx.errors.InputError):
+            wrong()
+    assert issubclass(fx.errors.InputError, ValueError)
+
+
+def test_a_sensor_is_any_sensor():
+    assert type(fx.sensor("mavic_3m")) is fx.sensors.Sensor
+    assert type(fx.sensor("flash_lidar_paper")) is fx.sensors.Lidar
+    with pytest.raises(fx.errors.InputError, match="flash_lidar_paper"):
+        fx.sensor("flash_lidar")
+
+
+def test_citations_are_entries_of_bibtex_each_once():
+    every = fx.cite()
+    keys = [line for line in every.splitlines() if line.startswith("@")]
+    assert len(keys) == len(set(keys)) >= 10
+    assert every.count("{") == every.count("}")
+    assert fx.cite("prospect-d") in fx.cite("PROSPECT-D", "prospect-d")
+    for year in ("1990", "2008", "2017", "2021"):
+        assert f"year = {{{year}}}" in fx.cite("prospect")
