@@ -199,7 +199,7 @@ def prospect(
     >>> leaf = fx.LeafParameters(chlorophyll=45.0, water=0.012)
     >>> optics = fx.prospect(leaf, [550.0, 680.0, 860.0])
     >>> [round(float(value), 2) for value in optics.reflectance]
-    [0.12, 0.04, 0.42]
+    [0.14, 0.04, 0.44]
     """
     check_version(version)
     grid = native_wavelength() if wavelength is None else np.asarray(wavelength, np.float64)
