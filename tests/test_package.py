@@ -16,6 +16,8 @@ import fynjax
 ROOT = Path(__file__).resolve().parents[1]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 PROJECT = PYPROJECT["project"]
+OWNERS = packages_distributions()
+"""Distributions behind each installed module."""
 
 
 def normalised(requirement: str) -> str:
@@ -35,11 +37,10 @@ def undeclared(source: str, requirements: list[str]) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
             modules.add(node.module.split(".")[0])
     modules -= {*sys.stdlib_module_names, "fynjax"}
-    owners = packages_distributions()
     return {
         module
         for module in modules
-        if declared.isdisjoint(map(normalised, owners.get(module, [module])))
+        if declared.isdisjoint(map(normalised, OWNERS.get(module, [module])))
     }
 
 
