@@ -127,9 +127,9 @@ def fit(
         u, predicted, jacobian, status, steps, trace = run(density, stepper(solver), u, max_steps)
         u, predicted, jacobian = _solution(density, u, predicted, jacobian)
         if not isinstance(steps, jax.core.Tracer):
-            trace = np.asarray(trace)[: int(steps)]
+            trace = jnp.asarray(trace[: int(steps)])
         return fit_result(space, data, u, predicted, jacobian, status, steps, trace)
-    trace = np.asarray(history, float).reshape(-1, 2)
+    trace = jnp.asarray(np.asarray(history, float).reshape(-1, 2))
     return fit_result(space, data, u, predicted, jacobian, status, len(trace), trace)
 
 
@@ -166,7 +166,8 @@ def evaluate(
     """
     method = stepper(least_squares(1.0))
     _, state, *_ = _step(density, method, u, method.start(density, u), keep)
-    return method.statistics(state)
+    value, jacobian, *_ = state.aux
+    return value, jacobian
 
 
 # -- The loop over steps --------------------------------------------------------------------
@@ -207,10 +208,11 @@ def _run_watched(
         note(figures)
         if bool(status != FitStatus.max_steps):
             break
-    known = method.statistics(state)
+    known: tuple[Array, ...] | None = method.statistics(state)
     if known is None:
         known = keep(lambda: statistics_and_jacobian(density, u))
-    return u, *known, status
+    predicted, jacobian = known
+    return u, predicted, jacobian, status
 
 
 def _run(
@@ -243,7 +245,7 @@ def _run(
 _run_compiled = eqx.filter_jit(_run)
 
 
-def _as_array(status: FitStatus) -> FitStatus:
+def _as_array(status: Any) -> Any:
     return jax.tree.map(jnp.asarray, status)
 
 

@@ -59,7 +59,7 @@ class Data(eqx.Module):
             raise InputError(f"the target {name} must be finite and have a positive sd")
 
 
-class FitStatus(optx.RESULTS):  # type: ignore[misc]
+class FitStatus(optx.RESULTS):
     """Why a fit stopped. `FitStatus[status]` is the sentence, `FitResult.explanation` says more."""
 
     at_bound = "Converged with a parameter at its bound: widen the bound, or look at the posterior."
@@ -93,12 +93,12 @@ class FitResult(eqx.Module):
     with less than one is known from the prior rather than from the data."""
     modes: Float[Array, "mode free"]
     """Their eigenvectors in whitened coordinates."""
-    loss: Float[Array, " evaluation"]
+    loss: Float[Array | np.ndarray, " evaluation"]
     """The objective after each evaluation, at the best point so far for least squares. Of a fit
     inside `jax.jit` as many as it may take steps, NaN after the last."""
-    gradient_norm: Float[Array, " evaluation"]
-    status: FitStatus
-    """Why the fit stopped."""
+    gradient_norm: Float[Array | np.ndarray, " evaluation"]
+    status: Any
+    """Why the fit stopped, a `FitStatus`."""
     steps: Int[Array, ""]
     """Evaluations it took."""
 
@@ -129,7 +129,7 @@ class FitResult(eqx.Module):
         elif bool(self.converged):
             sentence = f"Converged after {count}."
         else:
-            sentence = FitStatus[self.status]
+            sentence = FitStatus[self.status]  # type: ignore[misc]
         for found, what in (
             (_at_bound(self.space, self.estimate), "At a bound: {}."),
             (_flat(self.jacobian), "No statistic depends on {}: flat, left at the prior."),
@@ -239,7 +239,7 @@ def fit_result(
     jacobian: Float[Array, "statistic free"],
     status: FitStatus,
     steps: Any,
-    trace: Float[Array, "evaluation 2"],
+    trace: Float[Array | np.ndarray, "evaluation 2"],
 ) -> FitResult:
     """The result of a fit that ended at `u`: uncertainty, and what there is to doubt."""
     estimate = space.physical(u)

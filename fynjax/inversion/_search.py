@@ -144,8 +144,8 @@ class Search:
                 report=partial(self._note, f"{stage}round {turn + 1}"),
                 **common,
             )
-            losses.append(found.loss)
-            norms.append(found.gradient_norm)
+            losses.append(np.asarray(found.loss))
+            norms.append(np.asarray(found.gradient_norm))
             if not _finite(found):
                 if result is not None:
                     found = dataclasses.replace(result, status=found.status)

@@ -200,7 +200,7 @@ def run_scipy(
     start: Float[Array, " free"],
     max_steps: int,
     note: Callable[[Figures], None],
-) -> tuple[Float[Array, " free"], FitStatus]:
+) -> tuple[Float[Array, " free"], Any]:
     """The end of a solver of SciPy, and why it stopped. It notes each evaluation."""
 
     def objective(u: Array) -> tuple[float, Array]:

@@ -96,7 +96,7 @@ def posterior(
         ready = prepare(read, free, seed=run.seed, drone=drone)
     inputs = (*(p for p in ready.plot.inputs if p is not None), *paths)
     steps = ready.plot.calibration.max_iterations
-    with run.stage("Calibrate", steps + (steps + 1) // 2):
+    with run.stage("Calibrate", total=steps + (steps + 1) // 2):
         calibrated = calibrate_plot(
             ready.model,
             ready.parameters,

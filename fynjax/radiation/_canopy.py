@@ -1,5 +1,7 @@
 """A canopy without sides: the same everywhere, described by its leaf area index alone."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -67,13 +69,14 @@ def canopy_reflectance(
     ground = jnp.broadcast_to(as_floats("soil", soil, rho.dtype), rho.shape)
     share = jnp.broadcast_to(as_floats("sky_share", sky_share, rho.dtype), rho.shape)
     check_range("sky_share", share, 0.0, 1.0)
+    sun: Any = sun_zenith
     scene = voxel_scene(
         jnp.broadcast_to(area, (1, layers, 1, 1)),  # a canopy of one metre
         rho[None],
         tau[None],
         voxel=(1.0, 1.0, 1.0 / layers),
         ground=ground,
-        sun_zenith=sun_zenith,
+        sun_zenith=sun,
         sun_azimuth=0.0,
         sun=1.0 - share,
         sky=share,
