@@ -65,7 +65,7 @@ def _table(version: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def native_wavelength() -> np.ndarray:
-    """The tables' own grid, 400 to 2500 nm in steps of 1 nm."""
+    """The wavelengths of the tables, 400 to 2500 nm in steps of 1 nm."""
     return _table("D")[0]
 
 
@@ -91,12 +91,12 @@ def check_wavelength(wavelength: np.ndarray) -> None:
 def coefficients_at(version: str, wavelength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Refractive index [band] and specific absorption [constituent, band] at `wavelength` [nm].
 
-    Linear between the 1 nm steps of the tables, whose own resolution is coarser than that.
+    Linear between the 1 nm steps of the tables; the spectral resolution of the tables is coarser.
     """
-    own, index, absorption = _table(version)
-    if wavelength.shape == own.shape and np.array_equal(wavelength, own):
+    tabulated, index, absorption = _table(version)
+    if wavelength.shape == tabulated.shape and np.array_equal(wavelength, tabulated):
         return index, absorption
     return (
-        np.interp(wavelength, own, index),
-        np.stack([np.interp(wavelength, own, row) for row in absorption]),
+        np.interp(wavelength, tabulated, index),
+        np.stack([np.interp(wavelength, tabulated, row) for row in absorption]),
     )

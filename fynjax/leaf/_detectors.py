@@ -1,4 +1,4 @@
-"""Jumps where one detector of a spectrometer hands over to the next."""
+"""Jumps between neighbouring detectors of a spectrometer."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -23,8 +23,8 @@ def correct_detector_jumps(
     On either side of a change a straight line through the bands of 12 nm is drawn to the middle of
     the step; the ratio of the two is the jump. The detector with most bands is the reference (the
     first SWIR detector of an ASD, the one that does not drift while the instrument warms up) and
-    the others are multiplied. A ratio further than 15 % from one is no drift but another fault, and
-    is left alone, as is a change without three good bands on each side.
+    the others are multiplied. A ratio further than 15 % from 1 is a fault other than drift and
+    is not corrected, nor is a change without three good bands on each side.
 
     **Arguments:**
 
@@ -32,8 +32,9 @@ def correct_detector_jumps(
     - `spectra`: reflectance or transmittance [-], NaN where missing.
     - `changes`: last wavelength of each detector but the last [nm], such as 1000 and 1830.
 
-    **Returns:** corrected spectra, and the jump right over left found at each change minus one, NaN
-    where none could be measured.
+    **Returns:** the corrected spectra, of the shape of `spectra`, and the jump at each change, the
+    ratio right over left minus 1 [-], NaN where it could not be measured. NumPy; not
+    differentiable.
 
     **Raises:** `InputError` for changes that do not ascend.
     """

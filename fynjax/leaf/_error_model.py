@@ -1,10 +1,10 @@
-"""How wrong PROSPECT is, and how its errors hang together along the wavelength.
+"""Covariance of the errors of PROSPECT along the wavelength.
 
 A leaf's reflectance and transmittance differ from PROSPECT at its measured chemistry by up to some
-hundredths, and the difference at one band says nearly all about the next. Taken as independent
-noise, a thousand bands then promise a thousandfold certainty that is not there. Here the
-discrepancy of R and T together is Gaussian with the covariance F^T F + diag(noise^2): a few smooth
-factors F shared by R and T, and a small rest. It is kept on bins of 5 nm (pigments) and 10 nm, wide
+hundredths, and the differences at neighbouring bands are nearly the same. Treated as independent
+noise, a thousand bands would give intervals that are far too narrow. Here the discrepancy of R and
+T together is Gaussian with the covariance F^T F + diag(noise^2): a few smooth factors F shared by R
+and T, and a small rest. It is kept on bins of 5 nm (pigments) and 10 nm, wide
 enough to average the instrument's noise and narrow enough for PROSPECT's bands.
 """
 
@@ -52,7 +52,7 @@ class ErrorModel(eqx.Module):
     covariance was learned on other leaves and instruments; no part of the band of T [-]."""
 
 
-# Sub-domains that several campaigns found to tell N, Car, Chl, and EWT with LMA best: Féret et al.
+# Sub-domains that estimate N, Car, Chl, and EWT with LMA best in several campaigns: Féret et al.
 # 2019 (RSE 231, 110959), Spafford et al. 2021 (RSE 252, 112176).
 PUBLISHED_DOMAINS = ((520.0, 560.0), (700.0, 720.0), (1120.0, 1140.0), (1700.0, 2400.0))
 _DISTRUST = 0.03
@@ -69,8 +69,8 @@ def _distrust() -> Float[np.ndarray, " bin"]:
     """Nothing in the published sub-domains, the size of the model's own error elsewhere.
 
     A covariance of 40 factors from a few hundred leaves promises contrasts between bands that
-    leaves of another campaign do not keep. With this the errors of every trait fall on every set
-    that the covariance has not seen; from 0.02 to 0.04 they hardly change.
+    leaves of another campaign do not have. This term lowers the errors of every trait on every
+    data set that was not used to estimate the covariance; from 0.02 to 0.04 they hardly change.
     """
     centres = bin_centres()
     return np.where(inside(centres, PUBLISHED_DOMAINS), 0.0, _DISTRUST)
@@ -87,14 +87,18 @@ def estimate_error_model(
     about zero: a mean misfit of one set is an error another set need not share; a leaf counts as
     no more than 2.5 times the median size, so that a few do not make the model). The other half is
     a Gaussian process of the same variance with correlation lengths of 15, 60 and 300 nm (weights
-    0.2, 0.4, 0.4), which covers errors that leaves not yet seen may show; without it the intervals
+    0.2, 0.4, 0.4), which covers errors of leaves from other data sets; without it the intervals
     are too narrow on every other set. Variances outside 450-2400 nm are those of the nearest band.
 
     **Arguments:**
 
-    - `residual_sets`: measured minus modelled R (first) and T on `bin_centres()`, NaN if missing.
+    - `residual_sets`: for each data set measured minus modelled R (first) and T [leaf, 2, bin] on
+      `bin_centres()` [-], NaN if missing.
     - `factors`: how many principal factors to keep; the rest becomes independent noise.
-    - `own_share`: weight of the sets' own covariance, 0 to 1.
+    - `own_share`: weight of the empirical covariance of the sets, 0 to 1; the rest is the weight of
+      the Gaussian process.
+
+    **Returns:** `ErrorModel` on `bin_centres()`. NumPy; not differentiable.
     """
     centres = bin_centres()
     used = (centres >= 440.0) & (centres <= 2410.0)
@@ -106,21 +110,21 @@ def estimate_error_model(
         size = np.sqrt((filled**2).sum(1) / np.maximum(known.sum(1), 1))
         filled *= np.minimum(1.0, 2.5 * np.median(size) / np.maximum(size, 1e-9))[:, None]
         moments.append(filled.T @ filled / np.maximum(known.T.astype(float) @ known, 1.0))
-    own = np.mean(moments, axis=0)
+    empirical = np.mean(moments, axis=0)
     inner = (centres >= 450.0) & (centres <= 2400.0)
     distance2 = (centres[:, None] - centres) ** 2
     lengths = ((0.2, 15.0), (0.4, 60.0), (0.4, 300.0))
     correlation = sum(w * np.exp(-distance2 / (2.0 * length**2)) for w, length in lengths)
-    smooth = np.zeros_like(own)
+    smooth = np.zeros_like(empirical)
     bins = centres.size
     for part in range(2):
         block = slice(part * bins, (part + 1) * bins)
-        variance = np.maximum(np.diag(own)[block], 1e-5)
+        variance = np.maximum(np.diag(empirical)[block], 1e-5)
         variance = np.interp(centres, centres[inner], variance[inner])
         near = np.exp(-distance2 / (2.0 * 60.0**2))
         variance = near @ variance / near.sum(1)
         smooth[block, block] = correlation * np.sqrt(np.outer(variance, variance))
-    total = own_share * own + (1.0 - own_share) * smooth
+    total = own_share * empirical + (1.0 - own_share) * smooth
     sizes, directions = np.linalg.eigh(total)
     sizes, directions = sizes[::-1][:factors], directions[:, ::-1][:, :factors]
     loadings = (directions * np.sqrt(np.maximum(sizes, 0.0))).T
@@ -146,9 +150,13 @@ def default_error_model() -> ErrorModel:
 
 
 def independent_error_model(standard_deviation: float = 0.01) -> ErrorModel:
-    """Independent noise of one size: the assumption of older tools, for comparison with them.
+    """Independent noise, the same at all bins: the assumption of older tools, for comparison.
 
     Its intervals are far too narrow for real leaves.
+
+    **Arguments:** `standard_deviation` of R and of T at every bin [-].
+
+    **Returns:** `ErrorModel` without factors.
     """
     bins = bin_centres().size
     # As many factors as the default has, so that the compiled programs of the fit are shared.

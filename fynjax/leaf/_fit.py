@@ -38,19 +38,19 @@ TRAIT_DISCREPANCY: dict[str, float] = {
     "proteins": 0.25,
     "carbon_constituents": 0.25,
 }
-"""What a measured trait and the one that explains the spectrum differ by, besides the errors of the
-spectrum (specific absorption that varies between species, laboratory errors): standard deviation in
-the logit coordinate, where it is nearly the relative one, for a leaf of inflation 1 [-].
+"""Standard deviation between the trait measured in a laboratory and the trait that explains the
+spectrum, besides the errors of the spectrum: specific absorption that varies between species, and
+laboratory errors. In the logit coordinate, where it is nearly the relative standard deviation, for
+a leaf of inflation 1 [-].
 
 Large enough that the 90 % intervals hold at least eight of ten measured values of ANGERS, LOPEX
 and NASA FFT when the error model comes from the other sets. Sclerophyll shrubs of California, whose
-spectra are of unknown geometry, reach two of three. Protein and CBC were not estimated: theirs is
-an assumption.
+spectra are of unknown geometry, reach two of three. The values of protein and CBC are assumptions.
 """
 
 
 class LeafFit(eqx.Module):
-    """What `fit_leaf` found for each spectrum, and how far to trust it."""
+    """Parameters, spectra and uncertainties that `fit_leaf` estimates for each leaf."""
 
     parameters: LeafParameters
     """Most probable parameters, each a vector [leaf]."""
@@ -106,14 +106,14 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: lm.Optics) -> 
     flat = factors.reshape(factors.shape[0], -1)
     through = factors[:, 1]
 
-    def one(z: Array, problem: lm.Problem, covariance: Array) -> dict[str, Array]:
+    def describe_leaf(z: Array, problem: lm.Problem, covariance: Array) -> dict[str, Array]:
         x, unit = lm.to_physical(z, optics), jax.nn.sigmoid(z)
         scale = (optics.upper - optics.lower) * unit * (1.0 - unit)
         model, slopes = lm.spectra_and_slopes(x, optics)
-        seen, seen_slopes = lm.observed_and_slopes(x, optics)
+        recorded, recorded_slopes = lm.observed_and_slopes(x, optics)
         weight = problem.precision.reshape(-1)
-        residual = jnp.where(weight > 0, (problem.data - seen).reshape(-1), 0.0)
-        jacobian = (seen_slopes * scale[:, None, None]).reshape(scale.size, -1)
+        residual = jnp.where(weight > 0, (problem.data - recorded).reshape(-1), 0.0)
+        jacobian = (recorded_slopes * scale[:, None, None]).reshape(scale.size, -1)
         weighted = flat * weight
         right = jnp.concatenate(
             [(weighted @ residual)[:, None], weighted @ jacobian.T, through], axis=1
@@ -129,13 +129,13 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: lm.Optics) -> 
         return {
             "x": x,
             "scale": scale,
-            "seen": seen,
+            "recorded": recorded,
             "corrected": model + shown,
             "variance": (effective * (covariance @ effective)).sum(0)
             + problem.inflation * remaining,
         }
 
-    return jax.vmap(one)(z, problems, covariance)
+    return jax.vmap(describe_leaf)(z, problems, covariance)
 
 
 def solve_leaves(
@@ -174,16 +174,17 @@ def describe(
     """Parameters and spectra at z, the errors the data show, and the spread of T."""
     rows = np.arange(len(z))
     leaves = lm.padded((z, problems, covariance), rows)
-    found = _describe_many(leaves, setup.factors, setup.noise, setup.optics)
-    return {key: np.array(value)[: len(z)] for key, value in found.items()}
+    description = _describe_many(leaves, setup.factors, setup.noise, setup.optics)
+    return {key: np.array(value)[: len(z)] for key, value in description.items()}
 
 
 def trait_variance(setup: Setup, inflation: np.ndarray) -> Float[np.ndarray, "leaf parameter"]:
     """Variance of z that the measured traits add to the spectrum's, see `TRAIT_DISCREPANCY`."""
-    own = [TRAIT_DISCREPANCY.get(n, 0.0) if n in setup.free else 0.0 for n in setup.names]
-    # Beyond tenfold it is no leaf; the status says so, and the interval is the prior's range.
+    discrepancy = [TRAIT_DISCREPANCY.get(n, 0.0) if n in setup.free else 0.0 for n in setup.names]
+    # Beyond tenfold the spectrum is not that of a leaf: the status says so, and the interval is
+    # the range of the prior.
     grown = np.minimum(np.asarray(inflation), 10.0)
-    return grown[:, None] * np.array(own) ** 2
+    return grown[:, None] * np.array(discrepancy) ** 2
 
 
 def fit_leaf(
@@ -206,30 +207,51 @@ def fit_leaf(
     The most probable parameters under a Gaussian error with covariance along the wavelength
     (`ErrorModel`), the measurement's offset, and wide priors on leaves at large; if T is missing,
     N also has the prior 1.745 R / (1 - R) + 0.133 at 1130 nm (after Spafford et al. 2021), with a
-    standard deviation of 0.2, and if R is missing the like in (1 - T) / T. A leaf that fits worse
-    than the leaves of the error model has its covariance scaled up (one step of a Student
-    likelihood) and is fitted again. Standard deviations and intervals are those of the trait a
-    laboratory would measure: they hold what spectra do not explain of it (`TRAIT_DISCREPANCY`).
+    standard deviation of 0.2, and if R is missing a similar prior in (1 - T) / T. A leaf that
+    fits worse than the leaves of the error model has its covariance scaled up (one step of a
+    Student likelihood) and is fitted again. Standard deviations and intervals are those of the
+    trait a laboratory would measure: they include the part of its variance that spectra do not
+    explain (`TRAIT_DISCREPANCY`).
 
     **Arguments:**
 
     - `wavelength`: band centres [nm], ascending; bands outside 450-2400 nm are left out of the fit
       (PROSPECT has no data below 400 nm, and instruments are noisy at both ends).
-    - `reflectance`, `transmittance`: [leaf, band], fractions, NaN where missing; one may be `None`.
+    - `reflectance`, `transmittance`: [leaf, band], fractions, NaN where missing; one of them may
+      be `None`.
     - `version`: "5", "D" or "PRO".
     - `measurement`: what the instrument records; an integrating sphere by default.
     - `domain`: "full", or "optimal" for the published sub-domains 520-560, 700-720, 1130 (for N)
       and 1700-2400 nm.
     - `free`: parameters to fit; by default all of the version but `brown_pigments`.
-    - `outdoor`: leave out the water bands; `None` decides by impossible values there.
+    - `outdoor`: whether to leave out the bands in which water vapour absorbs the sunlight; `None`
+      leaves them out if a spectrum has values there that are no reflectance.
     - `detector_changes`: wavelengths where detectors change [nm]; jumps there are taken out, see
       `correct_detector_jumps`. Of an ASD 1000 and 1830, of LOPEX 860.
-    - `error_model`: covariance of the model's error; the one shipped by default.
+    - `error_model`: covariance of the model's error, `default_error_model()` by default.
     - `chunk`: leaves computed at once; memory is about 1 MB a leaf of a chunk.
+    - `progress`: where to report the number of leaves fitted; nowhere by default.
 
-    **Returns:** `LeafFit`. A leaf with less than ten usable bins has NaN and says so in `status`.
+    **Returns:** `LeafFit`, on bins of 5 and 10 nm. A leaf with fewer than ten usable bins has NaN,
+    and its `status` says so.
 
     **Raises:** `InputError` for arrays that do not match, an unknown version, domain or parameter.
+
+    NumPy in and out, in float64; not differentiable. For gradients see `prospect`.
+
+    >>> import numpy as np
+    >>> import fynjax as fx
+    >>> leaf = fx.LeafParameters(chlorophyll=45.0, water=0.012)
+    >>> optics = fx.prospect(leaf)
+    >>> fit = fx.fit_leaf(
+    ...     np.asarray(optics.wavelength),
+    ...     np.asarray(optics.reflectance)[None],
+    ...     np.asarray(optics.transmittance)[None],
+    ... )
+    >>> fit.status
+    ('converged',)
+    >>> round(float(fit.parameters.water[0]), 3)
+    0.012
     """
     progress = NullProgress() if progress is None else progress
     data = binned_data(wavelength, reflectance, transmittance, detector_changes)
@@ -241,8 +263,8 @@ def fit_leaf(
         with progress.stage("fitting leaves", len(data)):
             for at in range(0, len(data), chunk):
                 rows = slice(at, at + chunk)
-                own = (prior[0][rows], prior[1][rows])
-                parts.append(fit_chunk(setup, data[rows], use[rows], own))
+                chunk_prior = (prior[0][rows], prior[1][rows])
+                parts.append(fit_chunk(setup, data[rows], use[rows], chunk_prior))
                 progress.advance(len(data[rows]))
     return assemble(setup, parts, data, use)
 
@@ -253,11 +275,11 @@ def fit_chunk(
     """Everything `assemble` needs of some leaves."""
     state, problems, misfit = solve_leaves(setup, data, use, prior)
     covariance = np.linalg.inv(state.hessian)
-    found: dict[str, Any] = describe(setup, problems, state.z, covariance)
+    description: dict[str, Any] = describe(setup, problems, state.z, covariance)
     inflation = np.asarray(problems.inflation)
     covariance = covariance + np.eye(len(setup.names)) * trait_variance(setup, inflation)[:, None]
     chi2 = misfit / np.maximum(use.sum((1, 2)), 1)
-    return found | {
+    return description | {
         "z": state.z, "covariance": covariance, "chi2": chi2, "inflation": inflation,
         "converged": state.converged,
     }  # fmt: skip
@@ -266,7 +288,7 @@ def fit_chunk(
 def assemble(
     setup: Setup, parts: list[dict[str, np.ndarray]], data: np.ndarray, use: np.ndarray
 ) -> LeafFit:
-    """The result in the parameters' own units, and a status for each leaf."""
+    """The result in physical units, and a status for each leaf."""
     names, free = setup.names, setup.free
     got = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     bounds = leaf_bounds(names)
@@ -281,7 +303,7 @@ def assemble(
     covariance = scale[:, :, None] * got["covariance"] * scale[:, None, :]
     few = use.sum((1, 2)) < 10
     measured = np.where(use, data, np.nan)
-    square = np.where(use, (np.where(use, data, 0.0) - got["seen"]) ** 2, 0.0)
+    square = np.where(use, (np.where(use, data, 0.0) - got["recorded"]) ** 2, 0.0)
     rmse = np.sqrt(square.sum((1, 2)) / np.maximum(use.sum((1, 2)), 1))
     at_bound = (got["x"] > bounds[:, 1] - 0.01 * width) & np.isin(names, free)
     status = []
@@ -296,7 +318,7 @@ def assemble(
             status.append("converged, poor fit: unlike any leaf of the error model")
         else:
             status.append("converged")
-    for key in ("x", "seen", "corrected", "variance"):
+    for key in ("x", "recorded", "corrected", "variance"):
         got[key][few] = np.nan
     spread = np.sqrt(np.einsum("npp->np", covariance))
     values = dict(zip(names, got["x"].T))
@@ -311,7 +333,7 @@ def assemble(
         upper=np.where(few[:, None], np.nan, ends[1])[:, chosen],
         wavelength=bin_centres(),
         measured=measured,
-        fitted=got["seen"],
+        fitted=got["recorded"],
         reflectance=np.clip(got["corrected"][:, 0], 0.0, 1.0),
         transmittance=np.clip(got["corrected"][:, 1], 0.0, 1.0),
         transmittance_deviation=np.sqrt(got["variance"]),

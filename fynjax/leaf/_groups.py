@@ -1,4 +1,4 @@
-"""Several leaves of a species fitted together: what they share, and how they vary."""
+"""Leaves of several species fitted together: species means and the variation within a species."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -25,8 +25,8 @@ from fynjax.leaf._problem import (
     usable_bins,
 )
 
-# Before any leaf is seen, leaves of a species differ by this in each parameter's logit (about the
-# relative standard deviation), and that guess counts as much as this many leaves.
+# Prior standard deviation of leaves within a species in the logit of each parameter (about the
+# relative one), and the number of leaves that this prior counts as.
 _WITHIN, _GUESS_COUNTS = 0.2, 5.0
 _ROUNDS = 4
 
@@ -86,15 +86,40 @@ def fit_leaf_groups(
 
     A hierarchical model: leaves of a species are Gaussian about its mean in the logit of each
     parameter, with a covariance that all species share; means have the wide priors of `fit_leaf`.
-    Mean and covariance are found by expectation-maximisation over the Gaussian approximations of
-    the leaves, each leaf then being fitted with its species as prior (Gelman et al. 2013, Bayesian
+    Mean and covariance are estimated by expectation-maximisation over the Gaussian approximations
+    of the leaves; each leaf is then fitted with its species as prior (Gelman et al. 2013, Bayesian
     Data Analysis, chapters 5 and 13).
 
-    **Arguments:** those of `fit_leaf`, and `groups`: the species of each leaf.
+    **Arguments:**
 
-    **Returns:** `LeafGroups`.
+    - `wavelength`, `reflectance`, `transmittance`: the measured spectra, as for `fit_leaf`.
+    - `groups`: name of the species of each leaf, in the order of the spectra.
+    - `version`, `measurement`, `domain`, `free`, `outdoor`, `detector_changes`, `error_model`: as
+      for `fit_leaf`.
 
-    **Raises:** `InputError` as `fit_leaf`, or if `groups` has not one name for each leaf.
+    **Returns:** `LeafGroups`: the mean of each species, the covariance within species, and a
+    `LeafFit` of all leaves. Leaves with fewer than ten usable bins do not count for the means.
+
+    **Raises:** `InputError` as `fit_leaf`, or if `groups` does not have a name for each leaf.
+
+    NumPy in and out; not differentiable.
+
+    >>> import jax
+    >>> import numpy as np
+    >>> import fynjax as fx
+    >>> from fynjax.leaf import fit_leaf_groups
+    >>> leaves = fx.LeafParameters.many(chlorophyll=np.array([30.0, 33.0, 60.0, 64.0]))
+    >>> optics = jax.vmap(fx.prospect)(leaves)
+    >>> species = fit_leaf_groups(
+    ...     np.asarray(optics.wavelength[0]),
+    ...     np.asarray(optics.reflectance),
+    ...     np.asarray(optics.transmittance),
+    ...     groups=["Protea", "Protea", "Erica", "Erica"],
+    ... )
+    >>> species.groups
+    ('Protea', 'Erica')
+    >>> bool(species.mean.chlorophyll[0] < 45.0 < species.mean.chlorophyll[1])
+    True
     """
     data = binned_data(wavelength, reflectance, transmittance, detector_changes)
     if len(groups) != len(data):
@@ -104,13 +129,14 @@ def fit_leaf_groups(
     use = usable_bins(data, domain, outdoor)
     with jax.enable_x64(True):
         setup = make_setup(version, measurement, free, error_model)
-        alone = leaf_priors(setup, data, use)
-        # What the plateau tells of N is evidence about the leaf and stays beside its species.
-        line = alone[1] - setup.prior_precision
-        pull = (alone[1] @ alone[0][:, :, None])[:, :, 0] - setup.prior_precision @ setup.prior_mean
+        leaf_mean, leaf_precision = leaf_priors(setup, data, use)
+        # N estimated from the near-infrared plateau is evidence about the leaf, not its species.
+        line = leaf_precision - setup.prior_precision
+        pull = (leaf_precision @ leaf_mean[:, :, None])[:, :, 0]
+        pull = pull - setup.prior_precision @ setup.prior_mean
         loose = np.isin(setup.names, setup.free)
         guess = np.diag(np.where(loose, _WITHIN**2, 1e-6))
-        within, prior = guess, alone
+        within, prior = guess, (leaf_mean, leaf_precision)
         means = np.tile(setup.prior_mean, (len(labels), 1))
         good = use.sum((1, 2)) >= 10
         for _ in range(_ROUNDS):
@@ -135,19 +161,19 @@ def _update(
     prior_mean: np.ndarray,
     prior_precision: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Means of the groups and the covariance within them, given where the leaves are."""
+    """Means of the groups and the covariance within them, given the fitted leaves."""
     inverse = np.linalg.inv(within)
     means = means.copy()
     scatter, count = _GUESS_COUNTS * guess, _GUESS_COUNTS
     for group in range(len(means)):
-        own = np.flatnonzero((member == group) & good)
-        precision = own.size * inverse + prior_precision
-        right = inverse @ state.z[own].sum(0) + prior_precision @ prior_mean
+        rows = np.flatnonzero((member == group) & good)
+        precision = rows.size * inverse + prior_precision
+        right = inverse @ state.z[rows].sum(0) + prior_precision @ prior_mean
         means[group] = np.linalg.solve(precision, right)
-        if own.size < 2:
+        if rows.size < 2:
             continue
-        offset = state.z[own] - means[group]
-        spread = np.linalg.inv(state.hessian[own]).sum(0)
-        scatter = scatter + offset.T @ offset + spread + own.size * np.linalg.inv(precision)
-        count += own.size
+        offset = state.z[rows] - means[group]
+        spread = np.linalg.inv(state.hessian[rows]).sum(0)
+        scatter = scatter + offset.T @ offset + spread + rows.size * np.linalg.inv(precision)
+        count += rows.size
     return means, scatter / count

@@ -103,12 +103,12 @@ def observed_and_slopes(x: Array, optics: Optics) -> tuple[Array, Array]:
     """What the instrument reads [2, bin] and its derivatives [parameter, 2, bin]."""
     value, jacobian = spectra_and_slopes(x, optics)
     r, t = value
-    one, none = jnp.ones_like(r), jnp.zeros_like(r)
+    ones, zeros = jnp.ones_like(r), jnp.zeros_like(r)
     read = optics.measurement.observe
-    seen, by_r = jax.jvp(read, (r, t), (one, none))
-    _, by_t = jax.jvp(read, (r, t), (none, one))
+    recorded, by_r = jax.jvp(read, (r, t), (ones, zeros))
+    _, by_t = jax.jvp(read, (r, t), (zeros, ones))
     slopes = jnp.stack(by_r) * jacobian[:, :1] + jnp.stack(by_t) * jacobian[:, 1:]
-    return jnp.stack(seen), slopes
+    return jnp.stack(recorded), slopes
 
 
 def factor_system(factors: Array, precision: Array) -> Float[Array, "factor factor"]:
@@ -128,8 +128,8 @@ def _weigh(problem: Problem, factors: Array, system: Array, rows: Array) -> Arra
 
 def cost(z: Array, problem: Problem, factors: Array, system: Array, optics: Optics) -> Array:
     """Minus the logarithm of the posterior density of z, up to a constant."""
-    seen = observed(to_physical(z, optics), optics)
-    residual = jnp.where(problem.precision > 0, seen - problem.data, 0.0).reshape(1, -1)
+    recorded = observed(to_physical(z, optics), optics)
+    residual = jnp.where(problem.precision > 0, recorded - problem.data, 0.0).reshape(1, -1)
     offset = z - problem.prior_mean
     pull = offset @ problem.prior_precision @ offset
     return 0.5 * (_weigh(problem, factors, system, residual)[0, 0] + pull)
@@ -159,17 +159,17 @@ def begin(leaves: tuple, factors: Any, optics: Optics) -> tuple[State, Array]:
     """State of each leaf at its z, and its factor system; `leaves` is z and the problems."""
     z, problems = leaves
 
-    def one(z: Array, problem: Problem) -> tuple[State, Array]:
+    def begin_leaf(z: Array, problem: Problem) -> tuple[State, Array]:
         system = factor_system(factors, problem.precision)
         values = _evaluate(z, problem, factors, system, optics)
         return State(z, *values, jnp.asarray(1e-2), jnp.asarray(False)), system
 
-    return jax.vmap(one)(z, problems)
+    return jax.vmap(begin_leaf)(z, problems)
 
 
 @eqx.filter_jit
 def advance(leaves: tuple, factors: Any, optics: Optics) -> State:
-    """A few Levenberg-Marquardt steps of each leaf; a converged one stays where it is.
+    """A few Levenberg-Marquardt steps of each leaf; converged leaves do not move.
 
     `leaves` is the states, the problems, and the factor systems.
     """

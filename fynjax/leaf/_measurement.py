@@ -1,4 +1,4 @@
-"""What an instrument reads of a leaf: PROSPECT's R and T turned into the recorded signal."""
+"""Signal that an instrument records of a leaf, from PROSPECT's R and T."""
 
 import abc
 from typing import Any
@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 
 class AbstractMeasurement(eqx.Module):
-    """How the recorded reflectance and transmittance follow from those of one leaf."""
+    """How the recorded reflectance and transmittance follow from those of a leaf."""
 
     offset_deviation: eqx.AbstractVar[float]
     """Prior standard deviation of an additive offset of R, the same at all bands [-]."""
@@ -24,9 +24,9 @@ class AbstractMeasurement(eqx.Module):
 class IntegratingSphere(AbstractMeasurement):
     """Directional-hemispherical R and T of a single leaf: what PROSPECT computes.
 
-    R and T together identify all parameters. R alone leaves N and the absorbers exchangeable in
-    part; the fit then adds a prior for N from R at 1131 nm (Spafford et al. 2021, Remote Sensing of
-    Environment 252, 112176).
+    R and T together identify all parameters. From R alone N and the absorbers trade off against
+    each other; the fit then adds a prior for N from R at 1131 nm (Spafford et al. 2021, Remote
+    Sensing of Environment 252, 112176).
     """
 
     offset_deviation: float = 0.02
@@ -58,11 +58,11 @@ class LeafOverBackground(AbstractMeasurement):
 
     R_obs = (1 - g) (R + T^2 B / (1 - R B)) + g B and T_obs = (1 - g) T + g: the light that crosses
     the leaf, meets the background and returns (a geometric series), and the part g of the field of
-    view without leaf. g and B must be known: from one spectrum neither is identified.
+    view without leaf. g and B must be known: a single spectrum identifies neither.
     """
 
     background: Float[Any, " band"] = 0.0
-    """Reflectance of the background [-], a number or one value per bin of the fit."""
+    """Reflectance of the background [-], a number or a value per bin of the fit."""
     gap_fraction: float = 0.0
     """Part of the field of view without leaf, 0 to 1 [-]."""
     offset_deviation: float = 0.02
@@ -76,7 +76,7 @@ class LeafOverBackground(AbstractMeasurement):
 
 
 class LeafStack(AbstractMeasurement):
-    """An optically thick pile of leaves, as a contact probe sees a mat of needles.
+    """An optically thick pile of leaves, as a contact probe measures a mat of needles.
 
     R of infinitely many leaves, Stokes 1862: ((1 + R^2 - T^2) - D) / (2 R), written as
     2 R / (1 + R^2 - T^2 + D) with D^2 = (1 + R + T)(1 + R - T)(1 - R + T)(1 - R - T). The pile
@@ -103,8 +103,13 @@ def transmittance_from_two_readings(
     """Leaf transmittance from a clip's readings over its black and its white face [-].
 
     T^2 = (R_w - R)(1 / B - R), from R_w = R + T^2 B / (1 - R B) for a Lambertian leaf over a black
-    face that reflects nothing and a white face of reflectance B. A negative product, which noise
-    makes where the leaf is opaque, counts as T = 0. Differentiable where T > 0.
+    face that reflects nothing and a white face of reflectance B.
+
+    **Arguments:** `over_black`, `over_white`: reflectance of the leaf over the black and the white
+    face, R and R_w [-]; `white`: reflectance B of the white face [-]. Shape [band], or a number.
+
+    **Returns:** transmittance [band], 0 where noise makes the product negative, as it does for an
+    opaque leaf. Differentiable where T > 0.
     """
     r, w, b = jnp.asarray(over_black), jnp.asarray(over_white), jnp.asarray(white)
     square = (w - r) * (1.0 / b - r)

@@ -1,4 +1,4 @@
-"""What a leaf is made of, in PROSPECT's own terms and units."""
+"""Structure and biochemistry of a leaf, in the terms and units of PROSPECT."""
 
 import dataclasses
 from typing import Any
@@ -18,7 +18,7 @@ _PER_AREA = "it is in g/cm2: was mg/cm2, g/m2 or a percentage given?"
 
 
 class LeafParameters(eqx.Module):
-    """Structure and biochemistry of one leaf, as PROSPECT reads them.
+    """Structure and biochemistry of a leaf, the input of PROSPECT.
 
     One instance is one leaf: every field is a scalar. Many leaves are
     `LeafParameters.many(chlorophyll=array, ...)`, and functions of a leaf are mapped over them by
@@ -27,7 +27,14 @@ class LeafParameters(eqx.Module):
     `dry_matter`.
 
     **Raises:** `InputError` for a field that is not a scalar and, where values are known (outside
-    `jit`), for one outside the bounds of its parameter (`LEAF_PARAMETERS`).
+    `jit`), for a field outside the bounds of its parameter (`LEAF_PARAMETERS`).
+
+    >>> import fynjax as fx
+    >>> leaf = fx.LeafParameters(chlorophyll=45.0, water=0.012)
+    >>> float(leaf.structure)
+    1.5
+    >>> fx.LeafParameters.many(chlorophyll=[30.0, 60.0]).water.shape
+    (2,)
     """
 
     structure: Float[Array, ""] = parameter_field(
@@ -189,5 +196,5 @@ class LeafParameters(eqx.Module):
 
 
 LEAF_PARAMETERS = parameters_of(LeafParameters)
-"""What is known of each parameter of a leaf. A leaf fit searches between its bounds, with the
-prior of leaves at large, wide enough not to bind."""
+"""Name, unit, bounds, default and prior of each parameter of a leaf. A leaf fit searches between
+the bounds, with the wide prior of leaves at large."""

@@ -48,7 +48,7 @@ def _log_density(
 
 
 def leaf_density(setup: Setup, problem: lm.Problem) -> Callable[[Array], Array]:
-    """The log posterior density of one leaf over z [free parameter], as a pytree."""
+    """The log posterior density of a leaf over z [free parameter], as a pytree."""
     problem = lm.Problem(*(jnp.asarray(part) for part in problem))
     factors = jnp.asarray(setup.factors)
     return Partial(
@@ -95,19 +95,26 @@ def sample_leaf_posterior(
     The same likelihood (correlated error of the model, inflated for a leaf that fits badly) and
     priors, in the same unconstrained coordinates. The ensemble starts as draws from that Gaussian
     and stops when it is longer than 50 autocorrelation times and holds `target` effective draws.
-    Each draw then receives its share of what measured traits differ by (`TRAIT_DISCREPANCY`).
+    To each draw a random part of the discrepancy of measured traits is added
+    (`TRAIT_DISCREPANCY`).
 
-    **Arguments:** those of `fit_leaf`, and
+    **Arguments:**
 
+    - `wavelength`, `reflectance`, `transmittance`, `version`, `measurement`, `domain`, `free`,
+      `outdoor`, `detector_changes`, `error_model`: as for `fit_leaf`.
     - `sampler`: "emcee" (Foreman-Mackey et al. 2013), or "nuts" (Hoffman & Gelman 2014), which
       needs the extra `nuts`.
     - `draws`: how many draws to return for each leaf.
     - `target`: effective draws to reach; `max_steps`: most steps of the ensemble.
     - `seed`: seed of the random numbers.
+    - `progress`: where to report the number of leaves sampled; nowhere by default.
 
-    **Returns:** `LeafPosterior`. A leaf with less than ten usable bins has NaN.
+    **Returns:** `LeafPosterior`. A leaf with fewer than ten usable bins has NaN.
 
-    **Raises:** `InputError` as `fit_leaf`; `MissingExtraError` without the sampler's package.
+    **Raises:** `InputError` as `fit_leaf` and for an unknown sampler; `MissingExtraError` without
+    the sampler's package.
+
+    NumPy in and out, in float64; not differentiable.
     """
     if sampler not in ("emcee", "nuts"):
         raise InputError(f'`sampler` must be "emcee" or "nuts", but is {sampler!r}')
@@ -133,14 +140,14 @@ def sample_leaf_posterior(
             limits: dict[str, Any] = {"target": target, "steps": max_steps, "seed": seed + i}
             if sampler == "emcee":
                 many: Any = partial(of_many, density)
-                found = ensemble(many, start, **limits)
+                chains = ensemble(many, start, **limits)
             else:
-                found = hamiltonian(density, start, covariance, **limits)
-            sizes[i] = found.effective_size
-            status.append(found.status)
-            if not len(found.chain):
+                chains = hamiltonian(density, start, covariance, **limits)
+            sizes[i] = chains.effective_size
+            status.append(chains.status)
+            if not len(chains.chain):
                 continue
-            flat = found.chain.reshape(-1, columns.size)
+            flat = chains.chain.reshape(-1, columns.size)
             picked = flat[random.integers(0, len(flat), draws)]
             samples[i], spectra[i] = _finish(setup, problems, i, columns, picked, random)
             progress.advance(1)
@@ -155,11 +162,11 @@ def _finish(
     whole = np.tile(problems.prior_mean[leaf], (count, 1))
     whole[:, columns] = z
     many = lm.Problem(*(np.repeat(part[leaf : leaf + 1], count, 0) for part in problems))
-    found = describe(setup, many, whole, np.zeros((count, parameters, parameters)))
+    description = describe(setup, many, whole, np.zeros((count, parameters, parameters)))
     inflation = problems.inflation[leaf : leaf + 1]
     moved = whole + np.sqrt(trait_variance(setup, inflation)) * random.normal(size=whole.shape)
     x = np.asarray(lm.to_physical(jnp.asarray(moved), setup.optics))[:, columns]
-    # One number for all bands: the error that remains is as good as wholly correlated over a
-    # detector, and each band's own distribution is what an interval needs.
-    error = random.normal(size=(count, 1)) * np.sqrt(found["variance"])
-    return x, np.clip(found["corrected"][:, 1] + error, 0.0, 1.0)
+    # The same draw for all bands: the remaining error is nearly fully correlated over a detector,
+    # and an interval needs only the distribution at its band.
+    error = random.normal(size=(count, 1)) * np.sqrt(description["variance"])
+    return x, np.clip(description["corrected"][:, 1] + error, 0.0, 1.0)

@@ -176,8 +176,8 @@ def leaf_priors(
 ) -> tuple[Float[np.ndarray, "leaf parameter"], Float[np.ndarray, "leaf parameter parameter"]]:
     """Prior mean and precision of each leaf.
 
-    With R or T missing, N and the absorbers are exchangeable in part, and the plateau of the near
-    infrared tells N.
+    With R or T missing, N and the absorbers trade off against each other, and the plateau in the
+    near infrared constrains N.
     """
     count, size = len(data), len(setup.names)
     band = int(np.argmin(np.abs(bin_centres() - _LINE_BAND)))

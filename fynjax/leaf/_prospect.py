@@ -94,7 +94,7 @@ def _layer_count_series(m: Array, z2: Array) -> tuple[Array, Array]:
 def _stack(
     absorbed: Array, structure: Array, first: Array, diffuse: Array, index: Array
 ) -> tuple[Array, Array]:
-    """Reflectance and transmittance of N layers from what one layer absorbs, 1 - theta.
+    """Reflectance and transmittance of N layers from the absorptance of a layer, 1 - theta.
 
     JB eq. 12-14 for the layers, Stokes 1862 for N - 1 of them. With D the usual square root and
     b = exp(B), sinh B = D / (2 t), the Stokes solution for m = N - 1 reads
@@ -170,7 +170,7 @@ def prospect(
     version: ProspectVersion = "D",
     incidence_half_angle: float | Float[Array, ""] = 40.0,
 ) -> LeafOptics:
-    """Reflectance and transmittance of one leaf, by PROSPECT-5, -D or -PRO.
+    """Reflectance and transmittance of a leaf, by PROSPECT-5, -D or -PRO.
 
     **Arguments:**
 

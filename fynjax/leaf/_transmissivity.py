@@ -9,7 +9,7 @@ an absolute error below 1e-13 with 2048 cells. The absorptance is stored instead
 its relative accuracy near k = 0 is what the nearly transparent near infrared needs.
 
 The derivatives do not come from the table's cubics: d(1 - theta)/dk = 2 exp(-k) - 2 k E1(k), and
-d2(1 - theta)/dk2 = -2 E1(k), where E1(k) + exp(-k) log(k) is smooth and has a table of its own.
+d2(1 - theta)/dk2 = -2 E1(k), where E1(k) + exp(-k) log(k) is smooth and is tabulated separately.
 """
 
 from functools import cache
@@ -26,7 +26,7 @@ _EULER_GAMMA = 0.5772156649015329
 
 
 def _cubics(values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Coefficients [4, cell] in the cell's own coordinate 0..1 from node values and slopes."""
+    """Coefficients [4, cell] in the coordinate 0..1 within the cell from node values and slopes."""
     left, right = values[:-1], values[1:]
     left_slope, right_slope = slopes[:-1] / _CELLS, slopes[1:] / _CELLS
     jump = right - left
@@ -75,9 +75,13 @@ def _interpolate(table: np.ndarray, k: Array) -> Array:
 
 @jax.custom_jvp
 def exponential_integral(k: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """E1(k) for k >= 0 at a fixed cost, absolute error below 1e-8.
+    """Exponential integral E1(k) [-] at a fixed cost, absolute error below 1e-8.
 
-    It stands in second derivatives of `layer_absorptance` only. E1 is infinite at 0: below 1e-30
+    Used in second derivatives of `layer_absorptance` only.
+
+    **Arguments:** `k` >= 0 [-], of any shape; a negative value counts as 0.
+
+    **Returns:** E1(k), of the shape and dtype of `k`. E1 is infinite at 0: below 1e-30
     the value at 1e-30 (68.5) is returned, so that curvatures at zero absorption are finite.
     Differentiable, dE1/dk = -exp(-k) / k.
     """

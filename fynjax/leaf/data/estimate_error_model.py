@@ -61,11 +61,11 @@ def residuals(folder: Path, name: str) -> list[np.ndarray]:
     prior = (z, precision[:, :, None] * np.eye(len(NAMES)))
     problems = leaf_problems(setup, data, use, prior, np.ones(len(ids)))
     none = np.zeros_like(setup.factors)
-    found = np.concatenate([
+    logits = np.concatenate([
         lm.solve(z[at], lm.Problem(*(part[at] for part in problems)), none, optics).z
         for at in (slice(i, i + 128) for i in range(0, len(ids), 128))
     ])  # fmt: skip
-    fitted = jax.vmap(lambda one: lm.spectra(lm.to_physical(one, optics), optics))(found)
+    fitted = jax.vmap(lambda z: lm.spectra(lm.to_physical(z, optics), optics))(logits)
     rest = data - np.asarray(fitted)
     if "conifer" not in chemistry:
         return [rest]
@@ -74,12 +74,12 @@ def residuals(folder: Path, name: str) -> list[np.ndarray]:
 
 
 def estimate(folder: Path, names: Sequence[str] = SETS) -> ErrorModel:
-    """The error model of some sets, such as all but the one it shall be tested on."""
+    """The error model of some sets, such as all but the set it is tested on."""
     return estimate_error_model([part for name in names for part in residuals(folder, name)])
 
 
 def write(model: ErrorModel, output: Path) -> None:
-    """Write the table, one row a bin."""
+    """Write the table, a row for each bin."""
     columns = {"wavelength_nm": bin_centres()}
     columns |= {"r_noise": model.reflectance_noise, "t_noise": model.transmittance_noise}
     for i, (r, t) in enumerate(zip(model.reflectance_factors, model.transmittance_factors)):
