@@ -17,6 +17,7 @@ import fynjax.radiation
 
 COMPLETE = (
     "fynjax.canopy",
+    "fynjax.jobs",
     "fynjax.leaf",
     "fynjax.metrics",
     "fynjax.radiation",

@@ -53,7 +53,7 @@ _COVER_HEADERS = {
 
 
 class BuildResult(JobResult):
-    """What `build` planted: plants of each taxon and their cover."""
+    """Result of `build`: plants of each taxon and their cover."""
 
     command: Literal["build"] = "build"
     size_m: tuple[float, float]
@@ -75,16 +75,28 @@ def build(
     view: Literal["points", "meshes"] = "points",
     progress: Progress | None = None,
 ) -> BuildResult:
-    """Build the hard scene of a plot file into the folder `output`.
+    """Build the scene of a plot with every plant, without rendering it.
 
     **Arguments:**
 
-    - `seed`: of everything random; the plot file's if left out.
+    - `plot`: a plot, or the path of its plot file.
+    - `output`: folder of the results, made if missing.
+    - `seed`: seed of every random number; that of the plot file by default.
     - `size`: side of a square plot [m] instead of the file's; its maps must cover it.
     - `cell`: side of the cells that cover is measured on [m].
     - `mesh`, `max_triangles`: write the scene as OBJ, of at most so many triangles.
     - `view`: what the oblique picture shows: clouds of area elements, or the generated meshes of
       the taxa (needs PyVista, the extra `view`).
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `BuildResult`. Writes tables of the plants and of the cover of each species, the
+    area density in voxels (`voxels.nc`), pictures and a page into `output`, and with `mesh` the
+    scene as `scene.obj` and `scene.mtl`.
+
+    **Raises:** `InputError` as `read_plot`, for maps that do not cover the plot, and for a mesh of
+    too many triangles; `MissingExtraError` for meshes in the picture without PyVista.
+
+    Example: `jobs.build("plot.toml", Path("results"), mesh=True)`.
     """
     if view == "meshes":
         check_view()

@@ -53,7 +53,7 @@ class StartSummary(Record):
 
 
 class CalibrateResult(JobResult):
-    """What `calibrate` and `demo` found: parameters and statistics before and after."""
+    """Result of `calibrate` and `demo`: parameters and statistics before and after."""
 
     command: Literal["calibrate", "demo"] = "calibrate"
     targets: list[TargetSummary]
@@ -72,12 +72,27 @@ def calibrate(
     checkpoint: Path | None = None,
     progress: Progress | None = None,
 ) -> CalibrateResult:
-    """Calibrate a plot to what one or several sensors measured.
+    """Calibrate a plot to the measurements of one or several sensors.
 
-    **Arguments:** `plot`, or its file; `seed`, the plot's if left out; `targets`, at most one of
-    each kind: a drone image (GeoTIFF) or its statistics (CSV); a spectrum, or an image of many
-    bands; a point cloud or its structure (CSV). `checkpoint`, a folder that keeps every step: an
-    interrupted run goes on from it.
+    **Arguments:**
+
+    - `plot`: a plot, or the path of its plot file.
+    - `targets`: files of the measurements, at most one of each kind: a drone image (GeoTIFF) or
+      its statistics (CSV); a spectrum, or an image of many bands; a point cloud or its structure
+      (CSV).
+    - `output`: folder of the results, made if missing.
+    - `seed`: seed of every random number; that of the plot file by default.
+    - `checkpoint`: folder that keeps every step, from which an interrupted run goes on; none by
+      default.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `CalibrateResult`. Writes `parameters.csv`, `statistics.csv`, the images before and
+    after (GeoTIFF) of a drone's camera, `run.nc`, figures and a page into `output`.
+
+    **Raises:** `InputError` as `read_plot` and the readers of the measurements, for a rendered
+    image that is not finite, and for a checkpoint of another run.
+
+    Example: `jobs.calibrate("plot.toml", Path("drone.tif"), Path("results"))`.
     """
     read = as_plot(plot)
     paths = [targets] if isinstance(targets, Path) else list(targets)
@@ -96,10 +111,21 @@ def calibrate_to(
     checkpoint: Path | None = None,
     command: Literal["calibrate", "demo"] = "calibrate",
 ) -> CalibrateResult:
-    """Calibrate a plot that was read to measurements that were read, and write what comes of it.
+    """Calibrate a plot to measurements that are already read: the common part of two jobs.
 
-    **Arguments:** `inputs`, the files that the plot and the measurements are from; `reference`,
-    what else is known of the real image.
+    **Arguments:**
+
+    - `plot`: the plot.
+    - `measured`: the statistics of each sensor with their errors.
+    - `run`: the folder, the seed and the progress of the job.
+    - `inputs`: the files that the plot and the measurements are from, for the provenance.
+    - `reference`: published statistics of the real image, to compare with; none by default.
+    - `checkpoint`: as for `calibrate`.
+    - `command`: name of the command in the result.
+
+    **Returns:** `CalibrateResult`. Writes the files of `calibrate` into the folder of `run`.
+
+    **Raises:** `InputError` as `calibrate`.
     """
     with run.stage("Build the plot", "build"):
         # Without a drone's image the bands are those that the other views bring.

@@ -69,7 +69,7 @@ class SpectrumRepair(Record):
 
 
 class FitLeafResult(JobResult):
-    """What `fit_leaf` found: how many spectra were fitted, repaired and refused."""
+    """Result of `fit_leaf`: how many spectra were fitted, repaired and refused."""
 
     command: Literal["fit-leaf"] = "fit-leaf"
     spectra: int
@@ -154,11 +154,11 @@ def fit_leaf(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> FitLeafResult:
-    """Fit every spectrum of every file; write traits, spectra and a figure into `output`.
+    """Fit PROSPECT to every leaf spectrum of every file.
 
     A file or a spectrum that cannot be used does not stop the others: it becomes a row of
-    `traits.csv` with the reason as status, and what was repaired while reading stands in the column
-    `repairs`. If none can be used the first reason is raised.
+    `traits.csv` with the reason as status; the column `repairs` lists the repairs made while
+    reading. If none can be used the first reason is raised.
 
     **Arguments:**
 
@@ -173,8 +173,13 @@ def fit_leaf(
     - `seed`: seed of the posterior's random numbers; the fit itself draws none.
     - `progress`: advances with every chunk of leaves.
 
+    **Returns:** `FitLeafResult`. Writes `traits.csv`, `spectra.nc` and a figure into `output`, and
+    where asked for `species.csv` and `posterior.nc`.
+
     **Raises:** `InputError` if no file holds a usable spectrum, or the table of groups is wrong,
     or for an unknown measurement; `MissingExtraError` for a sampler not installed.
+
+    Example: `jobs.fit_leaf(["leaves.csv"], "results", version="PRO")`.
     """
     if measurement not in MEASUREMENTS:
         raise InputError(

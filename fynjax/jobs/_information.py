@@ -18,7 +18,7 @@ from fynjax.report.pages import Page, Part, Picture, Section, Table
 
 
 class InformationResult(JobResult):
-    """What `information` found: where covers are lost, and what the first sensor cannot resolve."""
+    """Result of `information`: limits of detecting cover, and weakly constrained directions."""
 
     command: Literal["information"] = "information"
     limits: Rows
@@ -44,9 +44,27 @@ def information(
 ) -> InformationResult:
     """Bounds on a plot's parameters for sensors of every pixel, number of bands, noise and sun.
 
-    **Arguments:** `free`, patterns of parameters that replace those of the plot file; `gsd` [m],
-    multiples of the smallest; `bands`, each a divisor of the largest, share `spectrum` [nm]; the
-    rest as `sweep_sensors` has it. Writes a table, figures and a page.
+    **Arguments:**
+
+    - `plot`: a plot, or the path of its plot file.
+    - `output`: folder of the results, made if missing.
+    - `free`: patterns of parameters to bound; those of the plot file by default.
+    - `gsd`: sides of a pixel on the ground [m], multiples of the smallest.
+    - `bands`: numbers of bands, each a divisor of the largest.
+    - `spectrum`: first and last wavelength that the bands share [nm].
+    - `noise`: standard deviations of the noise of a pixel, relative to its reflectance [-].
+    - `sun_zenith`: zenith angles of the sun [degrees]; that of the plot by default.
+    - `error`: standard deviation of a further error of every statistic, relative [-].
+    - `realisations`: number of stand realisations used to estimate sampling variance.
+    - `seed`: seed of every random number; that of the plot file by default.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `InformationResult`. Writes `bounds.csv` (conditional, joint and Bayesian
+    Cramér-Rao bounds), `limits.csv`, figures and a page into `output`.
+
+    **Raises:** `InputError` as `read_plot`, and for settings that do not fit the plot.
+
+    Example: `jobs.information("plot.toml", Path("results"), gsd=(0.5, 1.0), bands=(4,))`.
     """
     read = as_plot(plot)
     run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
@@ -94,7 +112,7 @@ def information(
 def bound_table(
     sweep: Sequence[tuple[SensorSetting, Information]], value: np.ndarray
 ) -> pd.DataFrame:
-    """One row a sensor and parameter, in field units."""
+    """A row for each sensor and parameter, in field units."""
     rows = []
     for setting, bounds in sweep:
         for i, name in enumerate(bounds.names):

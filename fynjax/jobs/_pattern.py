@@ -64,7 +64,7 @@ class AlignmentSummary(Record):
 
 
 class PatternResult(JobResult):
-    """What `pattern` found: the map's place and the clusters."""
+    """Result of `pattern`: position of the map, and the clusters."""
 
     command: Literal["pattern"] = "pattern"
     map: MapSummary
@@ -89,13 +89,27 @@ def pattern(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> PatternResult:
-    """Write `map.tif` and `pattern.png` of an image into the folder `output`.
+    """Make a map of where plants may stand from the vegetation pattern of an image.
 
-    **Arguments:** `paths`, `bands`, `pixel` and `align` as `read_band_stack` has them; `greenness`
-    is the index of `choose_greenness`; `clusters`, `greenness_weight`, `levels` and `seed` as
-    `vegetation_pattern` has them.
+    **Arguments:**
 
-    **Raises:** what these functions raise.
+    - `paths`: one file of several bands, or files of a single band each.
+    - `output`: folder of the results, made if missing.
+    - `clusters`: number of clusters of pixels, 2 to 255.
+    - `bands`: names of the bands, or their wavelengths [nm], in the order of the files.
+    - `greenness`: index that orders the clusters, see `choose_greenness`.
+    - `greenness_weight`: weight of greenness relative to all bands together, at least 0.
+    - `levels`: grey value of each cluster, 0 to 255, least green first; evenly spaced by default.
+    - `pixel`: side of a pixel on the ground [m], for an image without a coordinate system.
+    - `align`: whether to align the bands of separate files.
+    - `seed`: seed of the clustering.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `PatternResult`. Writes `map.tif` and `pattern.png` into `output`.
+
+    **Raises:** as `read_band_stack`, `choose_greenness` and `vegetation_pattern`.
+
+    Example: `jobs.pattern(["drone.tif"], "results", clusters=4)`.
     """
     run = Run(output, seed=seed, progress=progress)
     with run.stage("Read the image"):

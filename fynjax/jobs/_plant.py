@@ -111,21 +111,26 @@ def plant(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> PlantResult:
-    """Write `elements.csv` and `plant.png` of a plant into the folder `output`.
+    """Make a plant model from a mesh, from a scan, or by growing a known taxon.
 
     **Arguments:**
 
     - `source`: a mesh, a scan, or a taxon of table 1.
+    - `output`: folder of the results, made if missing.
     - `materials`: table of materials (columns material, organ, optics, solid).
     - `up`, `n_elements`: as in `plant_model_from_mesh`; `maximum_extent` as there, 4 m if left
       out.
     - `branches`, `rotation_spread`: as in `plant_from_branches`.
     - `diameter`, `height`, `flowering`, `max_triangles`: as in `generate_plant`.
+    - `seed`: seed of the random numbers.
+    - `progress`: where to report the stages; nowhere by default.
 
-    A taxon, or a mesh made of branches, is written as `plant.obj` too.
+    **Returns:** `PlantResult`. Writes `elements.csv` and `plant.png` into `output`, and for a taxon
+    or a mesh made of branches also `plant.obj` and `plant.mtl`.
 
-    **Raises:** `InputError` for arguments that mean nothing for such a source, and what these
-    functions raise.
+    **Raises:** `InputError` for arguments that do not apply to the source, and as these functions.
+
+    Example: `jobs.plant("shrub.obj", "results", n_elements=5000)`.
     """
     run = Run(output, seed=seed, progress=progress)
     kind = _kind(source)

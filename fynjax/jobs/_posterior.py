@@ -52,7 +52,7 @@ class PosteriorParameter(ParameterSummary):
 
 
 class PosteriorResult(JobResult):
-    """What `posterior` found of every parameter."""
+    """Result of `posterior`: summary of every parameter."""
 
     command: Literal["posterior"] = "posterior"
     parameters: list[PosteriorParameter]
@@ -72,15 +72,35 @@ def posterior(
     seed: int | None = None,
     progress: Progress | None = None,
 ) -> PosteriorResult:
-    """Sample the posterior of a plot's parameters given what one or several sensors measured.
+    """Sample the posterior of a plot's parameters given the measurements of one or several sensors.
 
-    The plot is calibrated first. The sampling renders as the calibration's search does, corrected
-    by what that lacked at the estimate; errors of the statistics hold what other plantings change.
+    The plot is calibrated first. The sampling renders at the accuracy of the calibration's search,
+    corrected by the difference to full accuracy at the estimate; errors of the statistics include
+    the variance over stand realisations.
 
-    **Arguments:** `targets`, as `calibrate` takes them; `free`, patterns that replace those of
-    the plot file; `target_size`, effective draws; `checkpoint`, a folder that keeps the calibration
-    and the chain: an interrupted run goes on from it. Writes posterior.nc, parameters.csv, figures
-    and a page.
+    **Arguments:**
+
+    - `plot`: a plot, or the path of its plot file.
+    - `targets`: files of the measurements, as `calibrate` takes them.
+    - `output`: folder of the results, made if missing.
+    - `method`: "emcee" (ensemble), "nuts" (Hamiltonian), or "laplace" (the Gaussian at the
+      estimate).
+    - `free`: patterns of parameters to sample; those of the plot file by default.
+    - `target_size`: effective draws to reach.
+    - `max_steps`: most steps of the sampler.
+    - `checkpoint`: folder that keeps the calibration and the chain, from which an interrupted run
+      goes on.
+    - `seed`: seed of every random number; that of the plot file by default.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `PosteriorResult`. Writes `posterior.nc`, `parameters.csv`, figures and a page into
+    `output`.
+
+    **Raises:** `InputError` as `calibrate`; `MissingExtraError` without the extra `posterior`, or
+    `nuts` for that method.
+
+    Example: `jobs.posterior("plot.toml", Path("drone.tif"), Path("results"),
+    checkpoint=Path("chain"))`.
     """
     for package in ("arviz", "h5py") if method == "emcee" else ("arviz",):
         require(package, "posterior")

@@ -70,14 +70,15 @@ def reflectance(
     align: bool = True,
     progress: Progress | None = None,
 ) -> ReflectanceResult:
-    """Write the reflectance of raw captures into the folder `output`.
+    """Convert the raw captures of a multispectral camera to reflectance.
 
     **Arguments:**
 
-    - `images`: folders or files (`find_captures`); every capture that is no panel's is converted.
-    - `panels`: captures that show a panel, by name or by one of their files; the same one again
-      for a second panel in it. One panel makes a line through zero, more an empirical line. Left
-      out, captures whose metadata say that they show one.
+    - `images`: folders or files (`find_captures`); every capture that shows no panel is converted.
+    - `output`: folder of the results, made if missing.
+    - `panels`: captures that show a panel, by name or by a file; the same capture again for a
+      second panel in it. One panel makes a line through zero, more an empirical line. By default
+      the captures whose metadata say that they show a panel.
     - `reflectances`, `areas`: of each panel in the same order, as `panel_reflectance` has the
       first, the second as text "x,y x,y x,y ..."; one reflectance serves for all.
     - `light`: 'panel' (steady since the panel's picture), 'sensor' (pi L / E by the downwelling
@@ -87,8 +88,15 @@ def reflectance(
       relative [-].
     - `height` of flight above the ground [m], or `pixel` on the ground [m]; with neither,
       coordinates are in pixels.
+    - `align`: whether to align the bands of a capture.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `ReflectanceResult`. Writes for each capture its reflectance and the standard
+    deviation (GeoTIFF), `calibration.csv`, `provenance.json` and figures into `output`.
 
     **Raises:** `InputError` as the readers, and for panels, light and captures that do not fit.
+
+    Example: `jobs.reflectance(["flight"], "results", reflectances=["0.5"], height=40.0)`.
     """
     run = Run(output, progress=progress)
     _check(panels, reflectances, areas, light, panel_sd, light_sd, height, pixel)

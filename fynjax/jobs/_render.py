@@ -29,7 +29,7 @@ SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR"
 
 
 class RenderResult(JobResult):
-    """What `render` found: mean reflectance of each band."""
+    """Result of `render`: mean reflectance of each band."""
 
     command: Literal["render"] = "render"
     statistics: list[StatisticSummary]
@@ -42,9 +42,21 @@ def render(
     seed: int | None = None,
     progress: Progress | None = None,
 ) -> RenderResult:
-    """Render a plot's image into `output`: GeoTIFF, NetCDF, figures and a page.
+    """Render the reflectance image of a plot.
 
-    **Arguments:** `plot`, or its file; `seed`, the plot's if left out.
+    **Arguments:**
+
+    - `plot`: a plot, or the path of its plot file.
+    - `output`: folder of the results, made if missing.
+    - `seed`: seed of every random number; that of the plot file by default.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `RenderResult`. Writes `image.tif` and `run.nc` (reflectance factor [-]), figures
+    and a page into `output`.
+
+    **Raises:** `InputError` as `read_plot`, and for an image that is not finite.
+
+    Example: `jobs.render("plot.toml", Path("results")).headline`.
     """
     read = as_plot(plot)
     run = Run(output, seed=read.seed if seed is None else seed, progress=progress)

@@ -41,7 +41,7 @@ class Record(BaseModel):
 
 
 class JobResult(Record):
-    """What every job returns. Jobs with more to say add fields of their own."""
+    """What every job returns. Each job adds its fields."""
 
     command: str = Field(description="Which command it is of, such as 'calibrate'.")
     version: str = Field(default=__version__, description="Version of fynjax.")
@@ -63,7 +63,7 @@ class JobResult(Record):
 
 
 class ParameterSummary(Record):
-    """One parameter, before and after."""
+    """A parameter before and after the fit."""
 
     name: str = Field(description="Name that patterns match, such as 'species.Restio.cover'.")
     kind: str = Field(description="What it is, such as 'cover'.")
@@ -78,7 +78,7 @@ class ParameterSummary(Record):
 
 
 class StatisticSummary(Record):
-    """One statistic of the image, before and after."""
+    """A statistic of the image before and after the fit."""
 
     statistic: str
     fitted: bool | None = Field(default=None, description="Whether the calibration fitted it.")

@@ -31,7 +31,7 @@ METRICS = ("red.mean", "nir.mean", "NDVI.mean", "NDVI.std")
 
 
 class SensitivityResult(JobResult):
-    """What `sensitivity` found: slopes at the plot's parameters, shares of variance over priors."""
+    """Result of `sensitivity`: slopes at the plot's parameters, shares of variance over priors."""
 
     command: Literal["sensitivity"] = "sensitivity"
     slopes: Rows
@@ -53,10 +53,26 @@ def sensitivity(
 ) -> SensitivityResult:
     """Slopes and elasticities of a plot's metrics; over the priors too, if samples are asked for.
 
-    **Arguments:** `metrics`, such as "NDVI.mean"; `free`, patterns of parameters that replace
-    those of the plot file; `derivative_samples`, samples for derivative-based global sensitivity
-    (DGSM), and `sobol_samples` (each takes as many renders as there are parameters, and two), are
-    powers of two, or 0 for none. Writes tables, figures and a page.
+    **Arguments:**
+
+    - `plot`: a plot, or the path of its plot file.
+    - `output`: folder of the results, made if missing.
+    - `metrics`: statistics of the image, such as "NDVI.mean".
+    - `free`: patterns of parameters to vary; those of the plot file by default.
+    - `derivative_samples`: samples for derivative-based global sensitivity (DGSM), a power of two,
+      or 0 for none.
+    - `sobol_samples`: samples for Sobol indices, a power of two, or 0 for none. Each sample takes
+      as many renders as there are parameters, and two more.
+    - `seed`: seed of every random number; that of the plot file by default.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `SensitivityResult`. Writes `slopes.csv`, with samples `variance.csv`, figures and
+    a page into `output`.
+
+    **Raises:** `InputError` as `read_plot`, and for a metric that is unknown or missing;
+    `MissingExtraError` for Sobol indices without SALib.
+
+    Example: `jobs.sensitivity("plot.toml", Path("results"), metrics=["NDVI.mean"])`.
     """
     names = tuple(metrics)
     if not names:

@@ -56,29 +56,35 @@ def simulate(
     seed: int | None = None,
     progress: Progress | None = None,
 ) -> SimulateResult | SimulateLidarResult:
-    """Simulate what any sensor measures over a plot, into the folder `output`.
+    """Simulate the measurement of a plot by a camera, a spectrometer or a LiDAR.
 
     **Arguments:**
 
-    - `plot`: a plot, or its file.
+    - `plot`: a plot, or the path of its plot file.
+    - `output`: folder of the results, made if missing.
     - `sensor`: a sensor or a LiDAR, the name of a shipped one, or the path of its file; the plot
       file's if left out.
     - `altitude` above the ground and `pixel` on it [m]: instead of those of the plot file, where
-      it names this sensor, or else of the sensor's own file.
+      it names this sensor, or else of the sensor file.
     - `atmosphere`: 'table', 'clear-sky' or 'none', or a file of curves (`read_atmosphere`); the
       plot file's if left out, or else 'table'.
     - `noise`: whether to draw it; left out, as the plot file says, or else if the sensor has a
       model of it.
     - `products`: any of `PRODUCTS`.
     - `seed`: of plants and noise; the plot file's if left out.
+    - `progress`: where to report the stages; nowhere by default.
 
-    An imaging sensor gives radiance and reflectance. A LiDAR, whose file says where it flies and
+    **Returns:** `SimulateResult` for an imaging sensor, with radiance and reflectance (GeoTIFF,
+    ENVI, NetCDF); `SimulateLidarResult` for a LiDAR. Writes the products, `run.json`, figures and a
+    page into `output`. A LiDAR, whose file says where it flies and
     how noisy it is (`noise=False`: the receiver without noise), gives waveforms and a point cloud
     of the hard scene.
 
     **Raises:** `InputError` as `read_plot`, `load_instrument` and `build_sensing`, for noise of a
     sensor that has no model of it, and for altitude, pixel, atmosphere or a choice of products
     with a LiDAR; `MissingExtraError` for a LiDAR without laspy and lazrs.
+
+    Example: `jobs.simulate("plot.toml", Path("results"), sensor="mavic_3m")`.
     """
     read = as_plot(plot)
     run = Run(output, seed=read.seed if seed is None else seed, progress=progress)

@@ -92,13 +92,11 @@ def terrain(
 ) -> TerrainResult:
     """Write the terrain of a plot from a point cloud or a height raster.
 
-    Into the folder `output`: `terrain.tif`, `terrain.obj`, `terrain.png` and, from a cloud,
-    `canopy_height.tif`.
-
     **Arguments:**
 
     - `path`: a raster (.tif, .tiff, .img, .vrt, .asc), or a cloud as `read_cloud` takes it.
-    - `cell`: side of a cell [m]; 0.25 for a cloud and the raster's own unless given.
+    - `output`: folder of the results, made if missing.
+    - `cell`: side of a cell [m]; by default 0.25 for a cloud and the cell of a raster.
     - `bounds`: west, south, east, north of the plot in the file's coordinates [m].
     - `size`: instead, the side of a square plot in the middle of the file [m]; of a raster, its
       corner is that of a cell, and cells must divide it.
@@ -106,11 +104,16 @@ def terrain(
     - `largest_gap`: see `terrain_from_points` and `read_terrain`; 10 unless given.
     - `unit`, `height_unit`, `crs`: see `read_cloud`; `fill_gaps`, `band`: see `read_terrain`.
 
-    **Returns:** the result. Warns where the ground is so rough that it may be the inside of
-    plants.
+    - `progress`: where to report the stages; nowhere by default.
 
-    **Raises:** what these functions raise, and `InputError` for settings that the file or the
-    method does not use.
+    **Returns:** `TerrainResult`. Writes `terrain.tif` [m], `terrain.obj`, `terrain.png` and, from a
+    cloud, `canopy_height.tif` [m] into `output`. Warns where the ground is so rough that it may be
+    the inside of plants.
+
+    **Raises:** as these functions, and `InputError` for settings that the file or the method does
+    not use.
+
+    Example: `jobs.terrain("flight.laz", "results", size=40.0)`.
     """
     run = Run(output, progress=progress)
     path = Path(path)

@@ -159,14 +159,30 @@ def validate(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> ValidateResult:
-    """Compare real with simulated data, and write tables, figures, a run file and the page.
+    """Compare real with simulated drone images, spectra and point clouds.
 
-    **Arguments:** `real_bands`, `simulated_bands`, `saturation` and `most_pixels` as
-    `read_drone_image` has them; `matching` and `windows` as `compare_spectra`;
-    `structure_preset`, a name in `fynjax.metrics.STRUCTURE_PRESETS`, and `cloud_options` that
-    override it, as `cloud_settings` has them; `seed` of what is drawn in the comparison of clouds.
+    **Arguments:**
 
-    **Raises:** `InputError` as the readers and comparisons do.
+    - `data`: the files of the real and the simulated measurements.
+    - `output`: folder of the results, made if missing.
+    - `real_bands`, `simulated_bands`: names of the bands of the images, as for
+      `read_drone_image`.
+    - `saturation`: saturation threshold of the drone image, as for `read_drone_image` [-].
+    - `most_pixels`: most pixels of an image that are read.
+    - `matching`: how spectra are brought to the same bands, as for `compare_spectra`.
+    - `windows`: ranges of wavelength that are left out of the comparison [nm].
+    - `structure_preset`: a name in `fynjax.metrics.STRUCTURE_PRESETS`.
+    - `cloud_options`: settings that override the preset, as for `cloud_settings`.
+    - `seed`: seed of the random numbers in the comparison of clouds.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `ValidateResult`. Writes tables (CSV), `validation.nc` and `structure.nc`, figures
+    and a page into `output`.
+
+    **Raises:** `InputError` as the readers and comparisons.
+
+    Example: `jobs.validate(jobs.ValidationData(real_drone="real.tif",
+    simulated_drone="image.tif"), "results")`.
     """
     run = Run(output, seed=seed, progress=progress)
     inputs = data.files()

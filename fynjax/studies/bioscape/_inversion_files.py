@@ -60,7 +60,7 @@ class Findings:
 
 
 class CalibratePlotsResult(JobResult):
-    """What `calibrate_plots` found: agreement with the field, and shifts of the parameters."""
+    """Result of `calibrate_plots`: agreement with the field, and shifts of the parameters."""
 
     command: Literal["calibrate-plots"] = "calibrate-plots"
     plots: list[str]

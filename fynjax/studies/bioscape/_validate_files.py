@@ -62,7 +62,7 @@ _ASSUMED = (
 
 
 class ValidatePlotsResult(JobResult):
-    """What `validate_plots` found: how the model agrees with the measured spectra."""
+    """Result of `validate_plots`: agreement of the model with the measured spectra."""
 
     command: Literal["validate-plots"] = "validate-plots"
     plots: list[str]
