@@ -3,7 +3,7 @@
 from fynjax.scene._cover import ProjectedCover, crown_centres, projected_cover
 from fynjax.scene._ground import COVERS, ground_shares, random_patches
 from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_model
-from fynjax.scene._model import Camera, PlotModel, band_wavelengths, build_model, ground_at, replant
+from fynjax.scene._observe import Observation, PlotAir, PlotSensing, plot_sensing
 from fynjax.scene._parameters import (
     LEAF_FIELDS,
     PARAMETERS,
@@ -18,7 +18,7 @@ from fynjax.scene._parameters import (
 )
 from fynjax.scene._planting import Planting, draw_planting, element_count, leafy_species
 from fynjax.scene._profile import height_profile
-from fynjax.scene._sensing import Observation, PlotAir, PlotSensing, plot_sensing
+from fynjax.scene._scene import Camera, PlotModel, band_wavelengths, build_model, ground_at, replant
 from fynjax.scene._spectra import background_spectrum, shipped_covers
 
 __all__ = [

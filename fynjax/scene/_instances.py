@@ -9,8 +9,8 @@ from jaxtyping import Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import hard_count
-from fynjax.scene._model import PlotModel, ground_at
 from fynjax.scene._parameters import PlotParameters
+from fynjax.scene._scene import PlotModel, ground_at
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax.canopy import Organ
-from fynjax.scene._model import PlotModel
 from fynjax.scene._parameters import PlotParameters
+from fynjax.scene._scene import PlotModel
 
 
 def height_profile(

@@ -12,7 +12,7 @@ from fynjax._core.errors import InputError
 from fynjax.radiation import Accuracy, reflectance_factor, solve_light
 from fynjax.scene import Camera, PlotAir, band_wavelengths, plot_sensing
 from fynjax.scene._panels import panels_in_picture
-from fynjax.scene._sensing_grid import axis_pixels, footprint_shares
+from fynjax.scene._pixels import axis_pixels, footprint_shares
 from fynjax.sensors import (
     BandSet,
     CameraNoise,

@@ -17,10 +17,10 @@ from jaxtyping import Array, Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax.radiation import AbstractRays, VoxelScene, reflectance_factor, solve_light
-from fynjax.scene._model import PlotModel
 from fynjax.scene._panels import PanelsInPicture, panels_in_picture
 from fynjax.scene._parameters import LightParameters, PlotParameters
-from fynjax.scene._sensing_grid import axis_pixels, footprint_shares
+from fynjax.scene._pixels import axis_pixels, footprint_shares
+from fynjax.scene._scene import PlotModel
 from fynjax.sensors import (
     SPACE,
     AbstractCamera,
