@@ -28,14 +28,16 @@ import numpy as np
 from fynjax.canopy import FORM_DEFAULTS, hard_count, instance_area, table1_2006, target_area
 from fynjax.leaf import LeafParameters
 from fynjax.scene import (
-    Camera,
     GroundParameters,
     LightParameters,
+    Placement,
     PlotParameters,
+    SceneSpecies,
     SpeciesParameters,
-    build_model,
+    aim,
+    build_scene,
 )
-from fynjax.sensors import mavic_3m
+from fynjax.sensors import shipped_sensor
 
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer pixels
 SIDE = 2.5 if FAST else 10.0  # m
@@ -117,17 +119,10 @@ parameters = PlotParameters(
         sun_zenith=jnp.asarray(28.0), sun_azimuth=jnp.asarray(0.0), aerosol=jnp.asarray(0.1)
     ),
 )
-model = build_model(
-    taxa,
-    forms,
-    parameters,
-    extent=(SIDE, SIDE),
-    voxel=0.1,
-    camera=Camera(mavic_3m(), altitude=50.0, pixel=PIXEL),
-    seed=0,
-)
-density = np.asarray(eqx.filter_jit(model.area_density)(parameters))  # [class, z, y, x]
-edge = model.grid.horizontal_size
+species = [SceneSpecies(taxon, form) for taxon, form in zip(taxa, forms)]
+scene = build_scene(species, parameters, extent=(SIDE, SIDE), voxel=0.1, seed=0)
+density = np.asarray(eqx.filter_jit(scene.area_density)(parameters))  # [class, z, y, x]
+edge = scene.grid.horizontal_size
 print(f"{density.shape[0]} optical classes on {density.shape[1:]} voxels (z, y, x) of {edge} m")
 print(f"leaf area index of the plot: {density[:-2].sum() * edge**3 / SIDE**2:.2f} m²/m²")
 
@@ -147,7 +142,7 @@ fig, (left, right) = plt.subplots(
 shown = left.imshow(plan, origin="lower", extent=(0, SIDE, 0, SIDE), cmap="YlGn")
 fig.colorbar(shown, ax=left, label="plant area per ground area [m²/m²]")
 left.set(xlabel="east [m]", ylabel="north [m]", title="Plan view")
-middle = (np.arange(density.shape[1]) + 0.5) * model.grid.vertical_size
+middle = (np.arange(density.shape[1]) + 0.5) * scene.grid.vertical_size
 for (name, values), colour in zip(profile.items(), ("tab:green", "tab:brown")):
     right.plot(values, middle, color=colour, label=name)
 right.set(
@@ -169,17 +164,20 @@ plt.show()
 
 
 # %%
+drone = aim(scene, parameters, shipped_sensor("mavic_3m"), Placement(altitude=50.0, pixel=PIXEL))
+
+
 @eqx.filter_jit
 @partial(eqx.filter_value_and_grad, has_aux=True)
 def mean_ndvi(parameters):
-    image = model.image(parameters)  # [band, y, x], y to the north
+    image = drone.observe(scene, parameters).reflectance  # [band, y, x], y to the north
     _, red, _, nir = image
     return jnp.mean((nir - red) / (nir + red)), image
 
 
 (value, image), slope = mean_ndvi(parameters)
 image = np.asarray(image)
-for name, band in zip(mavic_3m().names, image):
+for name, band in zip(drone.sensor.bands.names, image):
     print(f"{name:<10} mean {band.mean():.3f}   standard deviation {band.std():.3f}")
 
 green, red, red_edge, nir = image

@@ -30,8 +30,7 @@ from fynjax.assembly import build_plot
 from fynjax.inversion import COARSE, coarser
 from fynjax.io.instruments import load_lidar, load_sensor
 from fynjax.io.plot import example_folder, read_plot
-from fynjax.scene import PlotAir, plot_sensing, replant
-from fynjax.sensors import detect_returns, lidar_waveforms, received_electrons
+from fynjax.scene import Placement, PlotAir, aim, observe, replant
 
 jax.config.update("jax_enable_x64", True)  # for counts of plants; light is computed in 32 bits
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer pixels and channels
@@ -48,12 +47,9 @@ PIXEL = 0.1 if FAST else 0.05  # m, of the drone's image
 plot = dataclasses.replace(read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE))
 
 
-def build(bands):
-    """The plot in a sensor's bands, with light good enough for a comparison."""
-    model, parameters = build_plot(plot, bands=bands)
-    return coarser(model, COARSE), parameters
-
-
+scene, table = build_plot(plot)
+# Thick layers and coarse light are good enough for a comparison.
+quick = coarser(scene)
 # %% [markdown]
 # ## The drone camera
 #
@@ -62,8 +58,7 @@ def build(bands):
 
 # %%
 drone = load_sensor("mavic_3m")
-model, table = build(drone.bands)
-drone_view = plot_sensing(model, drone, pixel=PIXEL)
+drone_view = aim(quick, table, drone, Placement(pixel=PIXEL), accuracy=COARSE)
 print(f"{len(drone.bands)} bands, {drone_view.shape[0]} x {drone_view.shape[1]} pixels")
 
 # %% [markdown]
@@ -77,8 +72,8 @@ print(f"{len(drone.bands)} bands, {drone_view.shape[0]} x {drone_view.shape[1]} 
 every = load_sensor("aviris_ng")
 inside = [i for i, c in enumerate(every.bands.centre) if 415 < c < 2485]
 imager = every.select(inside[:: 17 if FAST else 5])
-model, _ = build(imager.bands)
-imager_view = plot_sensing(model, imager, pixel=3.0, air=PlotAir(water_vapour=1.5))
+air = PlotAir(water_vapour=1.5)
+imager_view = aim(quick, table, imager, Placement(pixel=3.0), air=air, accuracy=COARSE)
 # Sun and air stay as they are: their curves are computed once.
 imager_view = dataclasses.replace(imager_view, air=imager_view.check(table))
 print(f"{len(imager.bands)} channels, {imager_view.shape[0]} x {imager_view.shape[1]} pixels")
@@ -92,31 +87,18 @@ print(f"{len(imager.bands)} channels, {imager_view.shape[0]} x {imager_view.shap
 
 # %%
 lidar = load_lidar("flash_lidar_paper")
-laser_model, _ = build_plot(plot, bands=lidar.bands)
-make_scene = eqx.filter_jit(lambda model, parameters: model.scene(parameters))
-scene = make_scene(laser_model, table)
-beams = lidar.beams(plot.size_m, top=scene.height)
-leaf_key, noise_key = jax.random.split(jax.random.key(0))
-
-
-def fly(model, parameters):
-    """The point cloud of a flight."""
-    waves = lidar_waveforms(make_scene(model, parameters), lidar, beams, key=leaf_key)
-    electrons = received_electrons(lidar, beams, waves.total, key=noise_key)
-    return detect_returns(lidar, beams, np.asarray(electrons), waves)
-
-
-cloud = fly(laser_model, table)
-print(f"{len(beams)} pulses, {len(cloud)} returns")
+flight = observe(scene, table, lidar, noise=True)
+cloud = flight.returns
+print(f"{len(flight.beams)} pulses, {len(cloud)} returns")
 
 # %% [markdown]
 # ## What each of them delivers
 
 # %%
-photo = eqx.filter_jit(lambda view, parameters: view.observe(parameters).reflectance)
-scan = eqx.filter_jit(lambda view, parameters: view.observe(parameters, key=1))  # of the noise
-image = np.asarray(photo(drone_view, table))
-spectra = scan(imager_view, table)
+photo = eqx.filter_jit(lambda view, scene, table: view.observe(scene, table).reflectance)
+scan = eqx.filter_jit(lambda view, scene, table: view.observe(scene, table, key=1))  # of the noise
+image = np.asarray(photo(drone_view, quick, table))
+spectra = scan(imager_view, quick, table)
 
 
 def nearest(wavelength):
@@ -189,9 +171,9 @@ plt.show()
 # too.
 
 # %%
-density = np.asarray(scene.area_density)
+density = np.asarray(flight.voxels.area_density)
 planted = density.sum(axis=(0, 2, 3))
-edges = np.arange(0, density.shape[1] + 1) * scene.vertical
+edges = np.arange(0, density.shape[1] + 1) * flight.voxels.vertical
 vegetation = cloud.classification == 3  # of LAS 1.4: 2 is ground, 3 low vegetation
 heights, _ = np.histogram(cloud.position[vegetation, 2], edges)
 middle = 0.5 * (edges[1:] + edges[:-1])
@@ -224,12 +206,13 @@ plt.show()
 
 
 # %%
-def figures(drone_view, imager_view, laser_model, parameters):
+def figures(scene, parameters):
     """One or two numbers that each sensor is good for."""
-    _, red, red_edge, nir = photo(drone_view, parameters)
-    spectrum = scan(imager_view, parameters).reflectance.mean(axis=(1, 2))
+    quick = coarser(scene)
+    _, red, red_edge, nir = photo(drone_view, quick, parameters)
+    spectrum = scan(imager_view, quick, parameters).reflectance.mean(axis=(1, 2))
     near, wet = spectrum[nearest(860)], spectrum[nearest(1650)]
-    cloud = fly(laser_model, parameters)
+    cloud = observe(scene, parameters, lidar, noise=True).returns
     hit = cloud.classification == 3
     return {
         "camera: NDVI": float(jnp.mean((nir - red) / (nir + red))),
@@ -241,17 +224,10 @@ def figures(drone_view, imager_view, laser_model, parameters):
     }
 
 
-views = (drone_view, imager_view, laser_model)
-first = figures(*views, table)
+first = figures(scene, table)
 others = []
 for seed in range(1, 5):
-    planted_anew = [
-        replant(v, seed)
-        if v is laser_model
-        else dataclasses.replace(v, model=replant(v.model, seed))
-        for v in views
-    ]
-    others.append(list(figures(*planted_anew, table).values()))
+    others.append(list(figures(replant(scene, seed), table).values()))
 chance = np.std([list(first.values()), *others], axis=0, ddof=1)
 
 erica = plot.taxa.index("Erica irregularis")
@@ -271,7 +247,7 @@ changes = {
 }
 noticed = []
 for where, value in changes.values():
-    now = figures(*views, eqx.tree_at(where, table, value))
+    now = figures(scene, eqx.tree_at(where, table, value))
     noticed.append([now[name] - first[name] for name in first])
 noticed = np.array(noticed) / chance
 

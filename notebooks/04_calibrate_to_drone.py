@@ -26,8 +26,15 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
-from fynjax.assembly import build_plot
-from fynjax.inversion import calibrate_plot, free_space, weigh_targets
+from fynjax.assembly import aim_without_air, build_plot
+from fynjax.inversion import (
+    CalibrationSettings,
+    ImageView,
+    calibrate_plot,
+    free_space,
+    weigh_targets,
+)
+from fynjax.io.instruments import load_sensor
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.metrics import image_statistics
 from fynjax.scene import named_values, replant
@@ -50,7 +57,7 @@ plot = read_plot(example_folder() / "plot.toml")
 plot = dataclasses.replace(
     plot, size_m=(SIDE, SIDE), sensor=dataclasses.replace(plot.sensor, pixel_m=PIXEL)
 )
-model, table = build_plot(plot)
+scene, table = build_plot(plot)
 
 
 place = np.array([plot.taxa.index(t) for t in ("Erica irregularis", "Indigofera brachystachya")])
@@ -64,8 +71,9 @@ truth = eqx.tree_at(
     ),
 )
 
-render = eqx.filter_jit(lambda model, parameters: model.image(parameters))
-measured = render(replant(model, 99), truth)
+drone = aim_without_air(plot, scene, table, load_sensor("mavic_3m"))
+render = eqx.filter_jit(lambda scene, parameters: drone.observe(scene, parameters).reflectance)
+measured = render(replant(scene, 99), truth)
 
 # %% [markdown]
 # ## What is compared
@@ -91,17 +99,20 @@ targets = weigh_targets(names, np.asarray(image_statistics(measured, names)), re
 
 # %%
 free = ("species.*.cover", "species.*.leaf.chlorophyll", "ground.litter_fraction")
-space = free_space(model, table, (*free, "ground.brightness"), plot.calibration.relative_sd)
+space = free_space(scene, table, (*free, "ground.brightness"), plot.calibration.relative_sd)
 history = []
 result = calibrate_plot(
-    model,
+    scene,
     table,
     targets,
     space,
-    stride=2 if FAST else 4,
-    rounds=1,
-    replants=3 if FAST else 6,
-    max_steps=3 if FAST else 8,
+    [ImageView(names, drone)],
+    CalibrationSettings(
+        stride=2 if FAST else 4,
+        rounds=1,
+        stand_realisations=3 if FAST else 6,
+        max_steps=3 if FAST else 8,
+    ),
     report=lambda stage, loss, slope: history.append(loss),
 )
 print(f"{len(space.names)} free parameters, {len(names)} statistics: {result.fit.explanation}")

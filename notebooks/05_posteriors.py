@@ -30,19 +30,17 @@ from matplotlib.patches import Ellipse
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from fynjax.assembly import build_plot
+from fynjax.assembly import build_plot, image_view
 from fynjax.inversion import (
-    COARSE,
     LogPosterior,
     ParameterSpace,
-    coarser,
     fit,
     sample_posterior,
+    search_form,
     weigh_targets,
 )
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.leaf import LeafParameters, fit_leaf, prospect, sample_leaf_posterior
-from fynjax.metrics import image_statistics
 from fynjax.scene import replant
 
 jax.config.update("jax_enable_x64", True)
@@ -187,8 +185,7 @@ SIDE = 2.0 if FAST else 3.0  # m
 STRIDE = 2 if FAST else 3  # every so many pixels of 10 cm are rendered
 plot = dataclasses.replace(read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE))
 plot = dataclasses.replace(plot, sensor=dataclasses.replace(plot.sensor, pixel_m=0.1))
-model, table = build_plot(plot)
-model = coarser(model, COARSE)
+scene, table = build_plot(plot)
 living = jnp.array([one.growth_form != "deadwood" for one in plot.species])
 unknown = {  # lower and upper bound, prior: middle and standard deviation
     "living cover": (0.3, 2.0, 1.0, 0.25),
@@ -197,9 +194,11 @@ unknown = {  # lower and upper bound, prior: middle and standard deviation
 }
 space = ParameterSpace(tuple(unknown), *(jnp.array(column) for column in zip(*unknown.values())))
 statistics = ("green.mean", "red.mean", "red_edge.mean", "nir.mean", "NDVI.std")
+view = image_view(plot, scene, table, statistics)
+scene, (view,) = search_form(scene, table, [view], stride=STRIDE)  # coarse, as a search sees it
 
 
-def render(values, model):
+def render(values, scene):
     """Statistics of the drone's image."""
     cover, chlorophyll, litter = values
     changed = eqx.tree_at(
@@ -211,13 +210,13 @@ def render(values, model):
             litter,
         ),
     )
-    return image_statistics(model.image(changed, STRIDE), statistics).astype(values.dtype)
+    return view.predict(scene, changed).astype(values.dtype)
 
 
 measure = jax.jit(render)
 truth = jnp.array([0.85, 0.75, 0.5])
 middle = space.prior
-measured = measure(truth, replant(model, 99))
+measured = measure(truth, replant(scene, 99))
 
 # %% [markdown]
 # ## A stand-in for the renderer
@@ -238,7 +237,7 @@ def powers(u):
 count = 40 if FAST else 104
 shares = qmc.Sobol(3, rng=0).random(count + 24)  # a power of two in all
 design = jnp.asarray(ndtri(np.clip(shares, 0.01, 0.99)))  # in units of the prior
-runs = np.log([measure(space.physical(u), model) for u in design])
+runs = np.log([measure(space.physical(u), scene) for u in design])
 basis = np.asarray(jax.vmap(powers)(design))
 coefficients = np.linalg.lstsq(basis[:count], runs[:count])[0]
 wrong = (runs - basis @ coefficients)[count:].std(axis=0)
@@ -250,7 +249,7 @@ def predict(values):
     return jnp.exp(powers(space.whitened(values)) @ coefficients)
 
 
-plantings = jnp.stack([measure(middle, replant(model, seed)) for seed in range(1, 17)])
+plantings = jnp.stack([measure(middle, replant(scene, seed)) for seed in range(1, 17)])
 data = weigh_targets(
     statistics, np.asarray(measured), 0.02, sd=np.asarray(measured) * np.hypot(0.02, wrong)
 )

@@ -29,18 +29,16 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from fynjax.assembly import build_plot
+from fynjax.assembly import build_plot, image_view
 from fynjax.inversion import (
-    COARSE,
     ParameterSpace,
-    coarser,
+    PlotForward,
     derivative_measures,
     local_sensitivity,
-    plot_statistics,
+    search_form,
     sobol_indices,
 )
 from fynjax.io.plot import example_folder, read_plot
-from fynjax.metrics import image_statistics
 from fynjax.scene import named_values
 
 jax.config.update("jax_enable_x64", True)  # for small matrices; light is computed in 32 bits
@@ -52,8 +50,9 @@ LABELS = {"NDVI.mean": "NDVI", "GNDVI.mean": "GNDVI", "GSAVI.mean": "GSAVI"}
 
 plot = dataclasses.replace(read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE))
 plot = dataclasses.replace(plot, sensor=dataclasses.replace(plot.sensor, pixel_m=0.1))
-model, table = build_plot(plot)
-model = coarser(model, COARSE)
+whole, table = build_plot(plot)
+view = image_view(plot, whole, table, METRICS)
+scene, (view,) = search_form(whole, table, [view], stride=STRIDE)  # coarse, as a search sees it
 
 # %% [markdown]
 # ## One point, all parameters
@@ -70,9 +69,9 @@ names = [
     for name, value in everything.items()
     if name.startswith(("species", "ground")) and float(value) > 0
 ]
-predict = plot_statistics(table, tuple(names), METRICS, STRIDE)
+predict = PlotForward(table, tuple(names), (view,))
 at = np.array([float(everything[name]) for name in names])
-local = local_sensitivity(predict, names, METRICS, at, context=(model,))
+local = local_sensitivity(predict, names, METRICS, at, context=(scene,))
 kinds = sorted({name.rsplit(".", 1)[1] for name in names})
 total = np.array(
     [local.elasticity[:, [n.endswith("." + kind) for n in names]].sum(axis=1) for kind in kinds]
@@ -143,7 +142,7 @@ space = ParameterSpace(tuple(knobs), *(jnp.array(column) for column in zip(*knob
 living = np.array([one.growth_form != "deadwood" for one in plot.species])
 
 
-def indices(values, model):
+def indices(values, scene):
     cover, leaf_area, chlorophyll, litter, soil = values
     changed = eqx.tree_at(
         lambda p: (
@@ -162,7 +161,7 @@ def indices(values, model):
             soil,
         ),
     )
-    return image_statistics(model.image(changed, STRIDE), METRICS).astype(values.dtype)
+    return view.predict(scene, changed).astype(values.dtype)
 
 
 # %% [markdown]
@@ -173,7 +172,7 @@ def indices(values, model):
 #
 # So many images of a plot take a while. Five unknowns need them not: some images, spread over what
 # is open, fix a cubic polynomial, and others tell how wrong it is. (With patience, hand `indices`
-# itself to the two functions, with `context=(model,)`; or have more unknowns, and a machine with an
+# itself to the two functions, with `context=(scene,)`; or have more unknowns, and a machine with an
 # accelerator.)
 
 # %%
@@ -189,7 +188,7 @@ count = 40 if FAST else 232
 shares = qmc.Sobol(len(knobs), rng=0).random(count + 24)  # a power of two in all
 design = jnp.asarray(ndtri(np.clip(shares, 0.01, 0.99)))  # in units of the prior
 once = jax.jit(indices)
-runs = np.array([once(space.physical(u), model) for u in design])
+runs = np.array([once(space.physical(u), scene) for u in design])
 basis = np.asarray(jax.vmap(powers)(design))
 coefficients = np.linalg.lstsq(basis[:count], runs[:count])[0]
 wrong = (runs - basis @ coefficients)[count:].std(axis=0) / runs.std(axis=0)

@@ -27,6 +27,7 @@ from matplotlib.colors import LogNorm
 
 from fynjax.assembly import build_plot
 from fynjax.inversion import even_bands, fisher_information, free_space, sweep_sensors
+from fynjax.io.instruments import load_sensor
 from fynjax.io.plot import example_folder, read_plot
 
 jax.config.update("jax_enable_x64", True)  # for small matrices; light is computed in 32 bits
@@ -45,7 +46,8 @@ BANDS = (1, 4) if FAST else (1, 2, 4, 8)
 
 # %%
 plot = dataclasses.replace(read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE))
-model, table = build_plot(plot, bands=even_bands(max(BANDS), 450.0, 900.0))
+scene, table = build_plot(plot)
+sensor = dataclasses.replace(load_sensor("mavic_3m"), bands=even_bands(max(BANDS), 450.0, 900.0))
 asked = (
     "Erica irregularis",
     "Indigofera brachystachya",
@@ -58,7 +60,7 @@ free = [f"species.{taxon}.cover" for taxon in (asked if FAST else plot.taxa)]
 free += ["ground.litter_fraction", "ground.brightness"]
 if not FAST:
     free += [f"species.{taxon}.leaf.chlorophyll" for taxon in asked[:3]]
-space = free_space(model, table, free, plot.calibration.relative_sd)
+space = free_space(scene, table, free, plot.calibration.relative_sd)
 
 # %% [markdown]
 # ## The sweep
@@ -70,9 +72,10 @@ space = free_space(model, table, free, plot.calibration.relative_sd)
 
 # %%
 found = sweep_sensors(
-    model,
+    scene,
     table,
     space,
+    sensor,
     gsd=GSD,
     bands=BANDS,
     noise=(0.01,),

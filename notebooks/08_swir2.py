@@ -36,7 +36,7 @@ from fynjax.io.plot import example_folder, read_plot
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.metrics import misfit_decomposition, pearson_correlation, spectral_angle, spectral_mask
 from fynjax.radiation import directional_reflectance, solve_light
-from fynjax.scene import background_spectrum
+from fynjax.scene import background_spectrum, fitted_accuracy
 from fynjax.sensors import (
     ClearAir,
     at_sensor_radiance,
@@ -176,13 +176,14 @@ print(f"without a factor {float(parts.rmse_without_gain):.4f}")
 # %%
 SIDE = 2.0 if FAST else 4.0
 plot = dataclasses.replace(read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE))
-model, table = build_plot(plot, bands=imager.bands)
-model = coarser(model, COARSE)
+scene, table = build_plot(plot)
+scene = coarser(scene)
+accuracy = fitted_accuracy(COARSE, scene, table)
 living = np.array([one.growth_form != "deadwood" for one in plot.species])
 knobs = ("leaf water", "living cover", "deadwood", "litter", "soil brightness")
 
 
-def spectrum_of(values, model):
+def spectrum_of(values, scene):
     """Reflectance of the plot from straight above, per channel."""
     water, cover, dead, litter, soil = values
     changed = eqx.tree_at(
@@ -200,14 +201,14 @@ def spectrum_of(values, model):
             soil,
         ),
     )
-    light = solve_light(model.scene(changed), model.accuracy)
+    light = solve_light(scene.voxels(changed, imager.bands), accuracy)
     return directional_reflectance(light, jnp.zeros(1), jnp.zeros(1))[0]
 
 
 @eqx.filter_jit
-def look(values, direction, model):
+def look(values, direction, scene):
     """The spectrum at some setting of the knobs, and its slope in one direction."""
-    return jax.jvp(lambda v: spectrum_of(v, model), (values,), (direction,))
+    return jax.jvp(lambda v: spectrum_of(v, scene), (values,), (direction,))
 
 
 def along(knob):
@@ -215,13 +216,13 @@ def along(knob):
 
 
 base = jnp.array([1.0, 1.0, 1.0, table.ground.litter_fraction, table.ground.brightness])
-start, _ = look(base, along("living cover"), model)
+start, _ = look(base, along("living cover"), scene)
 print(f"the table's plot: mean {start.mean():.4f}, range {jnp.ptp(start):.4f}")
 base = base.at[0].set(0.67)
 for _ in range(4):  # Newton's method: more or less living cover until the mean is the real one
-    start, slope = look(base, along("living cover"), model)
+    start, slope = look(base, along("living cover"), scene)
     base = base + along("living cover") * (REAL - start.mean()) / slope.mean()
-start, _ = look(base, along("living cover"), model)
+start, _ = look(base, along("living cover"), scene)
 print(f"with {base[0]:.2f} times the leaf water and {base[1]:.2f} times the living cover: ", end="")
 print(f"mean {start.mean():.4f}, range {jnp.ptp(start):.4f} (real {span:.4f})")
 
@@ -262,7 +263,7 @@ def in_scene(knob):
 
     def turned(value):
         k = knobs.index(knob)
-        return look(base.at[k].set(value), along(knob), model)
+        return look(base.at[k].set(value), along(knob), scene)
 
     return turned
 
@@ -409,7 +410,7 @@ together = base
 for k, name in enumerate(knobs):
     if by_slope[name] < 0:
         together = together.at[k].set(suspects[name][2])
-spectrum, _ = look(together, along("leaf water"), model)
+spectrum, _ = look(together, along("leaf water"), scene)
 mean, angle, r = (float(v) for v in figures(spectrum))
 print(f"mean {mean:.4f} (printed {SIMULATED:g}), angle {angle:.0f}°, r {r:.3f}")
 print(f"lowest channel {spectrum.min():.4f}: a scene cannot go below zero")

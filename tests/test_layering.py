@@ -142,7 +142,7 @@ def test_every_layer_is_known_and_there() -> None:
         ("fynjax.inversion._x", "from fynjax.report import Page"),
         ("fynjax.io._x", "from fynjax.cli import app"),
         ("fynjax", "from fynjax.leaf import prospect"),
-        ("fynjax.io._x", "from fynjax.scene._scene import PlotModel"),
+        ("fynjax.io._x", "from fynjax.scene._scene import Scene"),
         ("fynjax.io.plot._x", "from fynjax.io.text._tables import read_table"),
         ("fynjax.jobs._x", "from fynjax.report.pages import _page"),
         ("fynjax.jobs._x", "from fynjax.scene import _hidden"),

@@ -1,31 +1,32 @@
-"""From files to a scene: what turns a plot file and its tables into a model and parameters."""
+"""From files to a scene: what turns a plot file and its tables into a scene and parameters."""
 
 from fynjax.assembly._build import USUAL_LEAF, build_plot, plot_parameters
 from fynjax.assembly._forward import (
     STRIDE,
     Prepared,
     batch_for_device,
+    image_view,
     parameter_columns,
     prepare,
     shown_unit,
 )
-from fynjax.assembly._ground import cover_spectra, soil_spectra
-from fynjax.assembly._sensing import build_sensing
-from fynjax.assembly._targets import Measured, read_targets
+from fynjax.assembly._sensing import aim_at_plot, aim_without_air
+from fynjax.assembly._targets import Measured, drone_view, read_targets
 
 __all__ = [
     "STRIDE",
     "USUAL_LEAF",
     "Measured",
     "Prepared",
+    "aim_at_plot",
+    "aim_without_air",
     "batch_for_device",
     "build_plot",
-    "build_sensing",
-    "cover_spectra",
+    "drone_view",
+    "image_view",
     "parameter_columns",
     "plot_parameters",
     "prepare",
     "read_targets",
     "shown_unit",
-    "soil_spectra",
 ]

@@ -8,26 +8,26 @@ import jax.numpy as jnp
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.assembly._ground import cover_patches, cover_spectra, ground_heights, soil_spectra
+from fynjax.assembly._ground import cover_patches, ground_heights, plot_ground
 from fynjax.assembly._memory import check_memory
 from fynjax.assembly._plants import read_plant
 from fynjax.canopy import FORM_DEFAULTS, MeshPlant, Organ
-from fynjax.io.plot import Plot, Species, plot_instrument, with_parameter_table
+from fynjax.io.plot import Plot, Species, with_parameter_table
 from fynjax.io.raster import read_probability_map
 from fynjax.io.spectra import reflectances
 from fynjax.leaf import LeafParameters, fit_leaf
 from fynjax.scene import (
     LEAF_FIELDS,
-    Camera,
     GroundParameters,
     LightParameters,
-    PlotModel,
+    PlantingRules,
     PlotParameters,
+    Scene,
+    SceneSpecies,
     SpeciesParameters,
-    band_wavelengths,
-    build_model,
+    Spectrum,
+    build_scene,
 )
-from fynjax.sensors import BandSet
 
 USUAL_LEAF = {
     "structure": 1.8,
@@ -44,14 +44,12 @@ USUAL_LEAF = {
 AREA_INDICES = {"leaf_area_index": Organ.LEAF, "wood_area_index": Organ.WOOD}
 
 
-def build_plot(
-    plot: Plot, *, seed: int | None = None, bands: BandSet | None = None
-) -> tuple[PlotModel, PlotParameters]:
-    """The model of a plot and its parameters as the files state them.
+def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[Scene, PlotParameters]:
+    """The scene of a plot and its parameters as the files state them.
 
     Fits PROSPECT to the measured spectra that the leaf table names. `seed` replaces the plot
-    file's, `bands` those of its sensor. Raises `InputError` for a spectrum or map that cannot be
-    used, and where the plants find no room.
+    file's. Raises `InputError` for a spectrum or map that cannot be used, and where the plants find
+    no room.
     """
     seed = plot.seed if seed is None else seed
     check_memory(plot)
@@ -59,50 +57,52 @@ def build_plot(
     fractions = plot.ground.fractions
     if plot.ground.map is not None and patches is not None:
         fractions = tuple(patches[1:].mean(axis=(1, 2)).tolist())
-    species = plot.species
-    plants = [None if s.plant is None else read_plant(s.plant, s.growth_form) for s in species]
+    plants = [None if s.plant is None else read_plant(s.plant, s.growth_form) for s in plot.species]
     parameters = plot_parameters(plot, fractions, plants)
-    bands = plot_instrument(plot).bands if bands is None else bands
-    wavelength = band_wavelengths(bands)
-    model = build_model(
-        plot.taxa,
-        [s.growth_form for s in species],
+    species = [
+        SceneSpecies(
+            s.taxon,
+            s.growth_form,
+            branches=float(s.branches or 1),
+            rotation_spread=s.rotation_spread_deg or 0.0,
+            minimum_area=s.minimum_object_area_m2 or 0.0,
+            plant=None if plant is None else plant.plant,
+        )
+        for s, plant in zip(plot.species, plants, strict=True)
+    ]
+    scene = build_scene(
+        species,
         parameters,
         extent=plot.size_m,
         voxel=plot.voxel_m,
-        camera=Camera(bands, plot.sensor.altitude_m, plot.sensor.pixel_m),
         seed=seed,
         boundary=plot.boundary,  # type: ignore[arg-type]
-        branches=[float(s.branches or 1) for s in species],
-        rotation_spread=[s.rotation_spread_deg or 0.0 for s in species],
-        minimum_area=[s.minimum_object_area_m2 or 0.0 for s in species],
-        plants=[None if p is None else p.plant for p in plants],
-        probability=_probability(plot),
-        softness=plot.softness,
-        width=plot.softness_plants,
-        soil=soil_spectra(plot, wavelength),
-        covers=cover_spectra(plot, wavelength),
-        patches=patches,
+        rules=PlantingRules(
+            probability=_probability(plot),
+            softness=plot.softness,
+            softness_plants=plot.softness_plants,
+        ),
+        ground=plot_ground(plot, patches),
         terrain=ground_heights(plot),
-        diffuse=_diffuse(plot, bands, wavelength),
+        sky=_sky(plot),
     )
     # After the planting: places are held ready as for the tables, so that plants stay where a
     # calibration had them.
     if plot.parameters is not None:
         parameters = with_parameter_table(parameters, plot.taxa, plot.parameters)
-        _check_room(model, parameters, plot.parameters)
-    return model, parameters
+        _check_room(scene, parameters, plot.parameters)
+    return scene, parameters
 
 
-def _check_room(model: PlotModel, parameters: PlotParameters, path: Path) -> None:
+def _check_room(scene: Scene, parameters: PlotParameters, path: Path) -> None:
     """Whether the plants of a table of parameters find place where the plot's own tables planted.
 
     Warns of a species with fewer sites than plants; raises `InputError` for one without any, and
     for plants that are higher than the grid.
     """
-    ready = np.bincount(np.asarray(model.planting.species), minlength=len(model.taxa))
-    wanted, height = np.asarray(model.counts(parameters)), np.asarray(parameters.species.height)
-    for taxon, sites, plants in zip(model.taxa, ready, wanted, strict=True):
+    ready = np.bincount(np.asarray(scene.planting.species), minlength=len(scene.taxa))
+    wanted, height = np.asarray(scene.counts(parameters)), np.asarray(parameters.species.height)
+    for taxon, sites, plants in zip(scene.taxa, ready, wanted, strict=True):
         if sites == 0 and plants > 0:
             raise InputError(
                 f"{taxon} has a cover here, but none in the species table, where it must have some",
@@ -114,10 +114,10 @@ def _check_room(model: PlotModel, parameters: PlotParameters, path: Path) -> Non
                 f"{sites}; its cover comes out too low",
                 stacklevel=3,
             )
-    if (top := float(height.max())) > model.grid.extent[2]:
+    if (top := float(height.max())) > scene.grid.extent[2]:
         raise InputError(
             f"plants of {top:g} m are higher than the grid that the species table makes, "
-            f"{model.grid.extent[2]:g} m: raise the height there",
+            f"{scene.grid.extent[2]:g} m: raise the height there",
             file=path,
         )
 
@@ -198,18 +198,11 @@ def _leaf(species: Species) -> dict[str, float]:
     return {name: float(np.mean(getattr(fit.parameters, name))) for name in LEAF_FIELDS}
 
 
-def _diffuse(plot: Plot, bands: BandSet, wavelength: np.ndarray) -> np.ndarray | None:
+def _sky(plot: Plot) -> Spectrum | None:
     sky = plot.sky
     if sky.wavelength is None or sky.diffuse_fraction is None:
         return None
-    centre = np.asarray(bands.centre)
-    if sky.wavelength[0] > centre.min() or sky.wavelength[-1] < centre.max():
-        raise InputError(
-            f"the sky table must cover the bands, {centre.min():g}-{centre.max():g} nm, but covers "
-            f"{sky.wavelength[0]:g}-{sky.wavelength[-1]:g} nm",
-            file=plot.file,
-        )
-    return np.interp(wavelength, sky.wavelength, sky.diffuse_fraction)
+    return Spectrum.of(sky.wavelength, sky.diffuse_fraction, "the sky table", plot.file)
 
 
 def _probability(plot: Plot) -> np.ndarray | None:

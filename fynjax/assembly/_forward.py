@@ -8,45 +8,41 @@ import numpy as np
 import pandas as pd
 
 from fynjax.assembly._build import build_plot
-from fynjax.inversion import COARSE, ParameterSpace, coarser, free_space
-from fynjax.io.plot import Plot, drone_bands
-from fynjax.scene import PARAMETERS, PlotModel, PlotParameters, parameter_kind
-from fynjax.sensors import BandSet
+from fynjax.assembly._sensing import aim_without_air
+from fynjax.inversion import ImageView, ParameterSpace, free_space
+from fynjax.io.plot import Plot, drone_sensor
+from fynjax.scene import PARAMETERS, PlotParameters, Scene, parameter_kind
 
 STRIDE = 9
 """Every so many pixels are rendered, as in a calibration's search."""
 
 
 class Prepared(NamedTuple):
-    """A plot, ready to be asked."""
+    """A plot as a scene, with its free parameters."""
 
     plot: Plot
-    model: PlotModel
-    quick: PlotModel
-    """The model that a search uses: coarse light, thick layers."""
+    scene: Scene
     parameters: PlotParameters
     space: ParameterSpace
 
 
-def prepare(
-    plot: Plot,
-    free: Sequence[str] | None,
-    *,
-    seed: int,
-    bands: BandSet | None = None,
-    drone: bool = True,
-) -> Prepared:
-    """Build a plot and its free parameters; `free` patterns replace those of its file.
-
-    In `bands`; left out, those of its drone's camera, or of whatever its sensor is if no drone's
-    image is asked for.
-    """
-    if bands is None and drone:
-        bands = drone_bands(plot)
-    model, parameters = build_plot(plot, seed=seed, bands=bands)
+def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
+    """Build a plot and its free parameters; `free` patterns replace those of its file."""
+    scene, parameters = build_plot(plot, seed=seed)
     patterns = plot.calibration.free if free is None else tuple(free)
-    space = free_space(model, parameters, patterns, plot.calibration.relative_sd)
-    return Prepared(plot, model, coarser(model, COARSE), parameters, space)
+    space = free_space(scene, parameters, patterns, plot.calibration.relative_sd)
+    return Prepared(plot, scene, parameters, space)
+
+
+def image_view(
+    plot: Plot, scene: Scene, parameters: PlotParameters, statistics: Sequence[str]
+) -> ImageView:
+    """Statistics of the image that a plot's drone takes, from where its file has it.
+
+    Raises `InputError` as `drone_sensor` and `aim_without_air`.
+    """
+    sensor = drone_sensor(plot)
+    return ImageView(tuple(statistics), aim_without_air(plot, scene, parameters, sensor))
 
 
 def batch_for_device() -> int | None:

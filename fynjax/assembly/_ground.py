@@ -9,24 +9,19 @@ from fynjax._core.errors import InputError
 from fynjax.io.plot import Plot
 from fynjax.io.raster import METRES, read_cover_map, read_over_plot
 from fynjax.io.spectra import reflectances
-from fynjax.scene import COVERS, random_patches, shipped_covers
+from fynjax.scene import COVERS, Ground, Spectrum, random_patches
 
 
-def soil_spectra(plot: Plot, wavelength: np.ndarray) -> Float64[np.ndarray, "2 wavelength"] | None:
-    """The user's soil, as dry and as wet soil; `None` takes the shipped ones."""
-    if plot.ground.spectrum is None:
-        return None
-    soil = _one_spectrum(plot.ground.spectrum, "soil", wavelength)
-    return np.stack([soil, soil])
+def plot_ground(plot: Plot, patches: Float64[np.ndarray, "kind y x"] | None) -> Ground:
+    """Spectra of soil and covers, the user's where there are any, lying in `patches`."""
 
+    def read(path: Path | None, what: str) -> Spectrum | None:
+        return None if path is None else _one_spectrum(path, what)
 
-def cover_spectra(plot: Plot, wavelength: np.ndarray) -> Float64[np.ndarray, "cover wavelength"]:
-    """Reflectance of litter, char and rock: the user's, where there is one."""
-    spectra = shipped_covers(wavelength)
-    for k, (cover, path) in enumerate(zip(COVERS, plot.ground.spectra, strict=True)):
-        if path is not None:
-            spectra[k] = _one_spectrum(path, cover, wavelength)
-    return spectra
+    covers = {
+        cover: read(path, cover) for cover, path in zip(COVERS, plot.ground.spectra, strict=True)
+    }
+    return Ground(soil=read(plot.ground.spectrum, "soil"), patches=patches, **covers)
 
 
 def cover_patches(plot: Plot, seed: int) -> Float64[np.ndarray, "kind y x"] | None:
@@ -89,8 +84,8 @@ def ground_heights(plot: Plot) -> Float64[np.ndarray, "y x"] | None:
     return height - height.min()
 
 
-def _one_spectrum(path: Path, what: str, wavelength: np.ndarray) -> np.ndarray:
-    """The only spectrum of a file, on `wavelength` [nm], which it must cover."""
+def _one_spectrum(path: Path, what: str) -> Spectrum:
+    """The only spectrum of a file."""
     spectra = reflectances(path)
     if len(spectra) > 1:
         raise InputError(
@@ -99,13 +94,6 @@ def _one_spectrum(path: Path, what: str, wavelength: np.ndarray) -> np.ndarray:
         )
     wave, values = spectra[0]
     known = np.isfinite(values)
-    wave, values = wave[known], values[known]
-    if wave.size == 0:
+    if not known.any():
         raise InputError(f"a {what} spectrum must have reflectance, but has none", file=path)
-    if wave[0] > wavelength[0] or wave[-1] < wavelength[-1]:
-        raise InputError(
-            f"a {what} spectrum must cover {wavelength[0]:g}-{wavelength[-1]:g} nm for this "
-            f"sensor, but covers {wave[0]:g}-{wave[-1]:g} nm",
-            file=path,
-        )
-    return np.interp(wavelength, wave, values)
+    return Spectrum.of(wave[known], values[known], f"a {what} spectrum", path)

@@ -9,7 +9,7 @@ from fynjax.io.plot import Plot
 from fynjax.scene import element_count
 
 _ROOM = 2.5
-"""Sites held ready for each plant, as `build_model` has it."""
+"""Sites held ready for each plant, as `PlantingRules` has it."""
 _ELEMENT_BYTES = 80
 """Memory that an area element takes while a plot is built: measured at 100 m x 100 m."""
 

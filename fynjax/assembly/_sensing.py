@@ -3,34 +3,34 @@
 import warnings
 
 from fynjax._core.errors import InputError
-from fynjax.assembly._build import build_plot
 from fynjax.io.instruments import read_atmosphere
 from fynjax.io.plot import Air, Plot, optical_pixel, sensor_altitude, visible_sensor
-from fynjax.scene import PlotAir, PlotParameters, PlotSensing, plot_sensing
+from fynjax.scene import AimedSensor, Placement, PlotAir, PlotParameters, Scene, aim
 from fynjax.sensors import Atmosphere, OrthographicCamera, Sensor
 
 _DISAGREE = 0.02  # share by which a pixel may differ from the optics before that is told
 
 
-def build_sensing(
+def aim_at_plot(
     plot: Plot,
+    scene: Scene,
+    parameters: PlotParameters,
     instrument: Sensor,
     *,
-    seed: int | None = None,
     altitude: float | None = None,
     pixel: float | None = None,
     air: Air | None = None,
     quiet: bool = False,
-) -> tuple[PlotSensing, PlotParameters]:
-    """A sensor over a plot, and the plot's parameters as its files state them.
+) -> AimedSensor:
+    """A sensor over the scene of a plot, from where the plot file has it.
 
     **Arguments:** `instrument`, from `load_sensor`; `altitude` above the ground and `pixel` on it
     [m], and `air`, instead of the plot file's; `quiet`, without warnings. What the plot file says
     of its sensor counts where the two have the same name.
 
     Bands that the spectra of a plot do not cover are left out. Warns where altitude and pixel are
-    both given and the optics disagree; the pixel is used. Raises `InputError` as `build_plot` and
-    `fynjax.scene.plot_sensing`.
+    both given and the optics disagree; the pixel is used. Raises `InputError` as
+    `fynjax.scene.aim` and where the air does not reach to the sun of `parameters`.
     """
     own = plot.sensor if plot.sensor.name == instrument.name else None
     if own is not None:
@@ -47,10 +47,8 @@ def build_sensing(
             UserWarning,
             stacklevel=2,
         )
-    sensor = visible_sensor(instrument)
     air = air or plot.air or Air()
-    model, parameters = build_plot(plot, seed=seed, bands=sensor.bands)
-    if air.model != "none" and model.diffuse is not None and plot.air is not None:
+    if air.model != "none" and scene.sky is not None and plot.air is not None:
         raise InputError(
             "expected a table of the sky's share in [sky] or an [atmosphere], which has its own, "
             "but got both: leave one out",
@@ -58,25 +56,45 @@ def build_sensing(
             column="sky.table",
         )
     try:
-        sensing = plot_sensing(
-            model,
-            sensor,
-            altitude=altitude,
-            pixel=pixel,
-            tilt=None if own is None else own.tilt_deg,
-            heading=None if own is None else own.heading_deg,
+        aimed = aim(
+            scene,
+            parameters,
+            visible_sensor(instrument),
+            Placement(
+                altitude,
+                pixel,
+                None if own is None else own.tilt_deg,
+                None if own is None else own.heading_deg,
+            ),
             air=_air(plot, air),
             point_spread=plot.sensor.point_spread,
-            panels=plot.sensor.panels if own is not None else (),
+            panels=plot.sensor.panels if own is not None and air.model != "none" else (),
         )
-        sensing.check(parameters)
+        aimed.check(parameters)
     except InputError as error:
         if error.file is not None:
             raise
         raise InputError(str(error), file=plot.file) from error
     if not quiet:
-        _check_swath(plot, instrument, sensing.pixel)
-    return sensing, parameters
+        _check_swath(plot, instrument, aimed.pixel)
+    return aimed
+
+
+def aim_without_air(
+    plot: Plot, scene: Scene, parameters: PlotParameters, instrument: Sensor
+) -> AimedSensor:
+    """A sensor over the scene of a plot as its file has it, for reflectance under the plot's own
+    sky: what `render` shows and a calibration compares."""
+    return aim_at_plot(
+        plot,
+        scene,
+        parameters,
+        instrument,
+        altitude=plot.sensor.altitude_m,
+        pixel=plot.sensor.pixel_m,
+        air=Air("none"),
+        quiet=True,
+    )
 
 
 def _check_swath(plot: Plot, instrument: Sensor, pixel: float) -> None:

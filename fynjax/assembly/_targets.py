@@ -3,7 +3,7 @@
 import csv
 import io
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -14,8 +14,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.assembly._build import _diffuse
-from fynjax.assembly._ground import cover_spectra, soil_spectra
+from fynjax.assembly._forward import image_view
 from fynjax.compare import read_drone_image, read_spectra_sample
 from fynjax.compare.structure import ComparisonSettings, cloud_structure
 from fynjax.inversion import (
@@ -24,15 +23,14 @@ from fynjax.inversion import (
     OFFSET,
     AbstractView,
     Data,
-    ImageView,
-    SpectrumView,
+    spectrum_names,
     spectrum_view,
     structure_view,
     weigh_spectrum,
     weigh_structure,
     weigh_targets,
 )
-from fynjax.io.plot import Plot, read_statistics, read_structure
+from fynjax.io.plot import Plot, drone_sensor, read_statistics, read_structure
 from fynjax.io.raster import open_raster
 from fynjax.io.text import existing_file, read_text
 from fynjax.metrics import (
@@ -44,7 +42,7 @@ from fynjax.metrics import (
     match_wavelengths,
     spectral_mask,
 )
-from fynjax.scene import band_wavelengths
+from fynjax.scene import PlotParameters, Scene
 from fynjax.sensors import (
     BandSet,
     ClearAir,
@@ -83,13 +81,16 @@ class Measured:
     kind: Kind
     file: Path
     data: Data
-    view: AbstractView
+    view_of: Callable[[Scene, PlotParameters], AbstractView]
+    """The sensor's view of a scene."""
     told: str
     """What was read and how it is weighed, in sentences."""
     extra: dict[str, Any] = field(default_factory=dict)
     """For the summary."""
     spectrum: tuple[np.ndarray, np.ndarray] | None = None
     """Wavelengths [nm] and reflectance of the whole measured spectrum."""
+    bands: BandSet | None = None
+    """Those in which a spectrum is compared."""
 
 
 def target_kind(path: Path) -> Kind:
@@ -192,7 +193,16 @@ def image_target(plot: Plot, path: Path, progress: Progress) -> Measured:
         names = [read.names[i] for i in keep]
         data = weigh_targets(names, read.value[keep], share, sd=read.sd[keep])
     told = f"{path.name}: {len(data.names)} statistics of a drone's image."
-    return Measured("image", path, data, ImageView(data.names), told, extra)
+    return Measured("image", path, data, drone_view(plot, data.names), told, extra)
+
+
+def drone_view(
+    plot: Plot, statistics: Sequence[str]
+) -> Callable[[Scene, PlotParameters], AbstractView]:
+    """The view of a plot's drone, of a scene to be given later. Raises `InputError` for a sensor
+    that makes no drone's image."""
+    drone_sensor(plot)
+    return lambda scene, parameters: image_view(plot, scene, parameters, statistics)
 
 
 # -- spectra ----------------------------------------------------------------------------------
@@ -221,12 +231,11 @@ def spectrum_target(plot: Plot, path: Path, progress: Progress) -> Measured:
         tuple(f"{c:.10g}nm" for c in centre), tuple(centre), tuple(np.interp(centre, grid, width))
     )
     bands = bands.select(bands.covered(np.arange(400.0, 2501.0)))
-    view = plot_spectrum_view(plot, bands)
     weights = weights[np.isin(centre, bands.centre)]
-    keep = _used(plot, view.names, "the bands of the spectrum")
+    keep = _used(plot, spectrum_names(bands), "the bands of the spectrum")
     if len(keep) < len(bands):
-        bands = bands.select(keep)
-        view, weights = plot_spectrum_view(plot, bands), weights[keep]
+        bands, weights = bands.select(keep), weights[keep]
+    names = spectrum_names(bands)
     value = weights @ mean
     sampling = None
     if count > 1:
@@ -234,7 +243,7 @@ def spectrum_target(plot: Plot, path: Path, progress: Progress) -> Measured:
     noise = reflectance_noise(bands, value, plot.sun.zenith_deg, averaged=count)
     share = plot.calibration.target_sd
     try:
-        data = weigh_spectrum(view.names, value, share, noise=noise, sampling=sampling)
+        data = weigh_spectrum(names, value, share, noise=noise, sampling=sampling)
     except InputError as error:
         raise InputError(str(error), file=path) from error
     told = (
@@ -246,18 +255,11 @@ def spectrum_target(plot: Plot, path: Path, progress: Progress) -> Measured:
         + (f"; and the covariance of {count} pixels over their number." if count > 1 else ".")
     )
     extra = {"spectra": count, "spectrum_bands": len(bands)}
-    return Measured("spectrum", path, data, view, told, extra, (grid, mean))
 
+    def view_of(scene: Scene, parameters: PlotParameters) -> AbstractView:
+        return spectrum_view(bands, scene, parameters)
 
-def plot_spectrum_view(plot: Plot, bands: BandSet) -> SpectrumView:
-    """The view of a spectrometer, with the soil, covers and sky of a plot's files."""
-    wavelength = band_wavelengths(bands)
-    return spectrum_view(
-        bands,
-        soil=soil_spectra(plot, wavelength),
-        covers=cover_spectra(plot, wavelength),
-        diffuse=_diffuse(plot, bands, wavelength),
-    )
+    return Measured("spectrum", path, data, view_of, told, extra, (grid, mean), bands)
 
 
 def reflectance_noise(
@@ -330,7 +332,7 @@ def structure_target(plot: Plot, path: Path, seed: int, progress: Progress) -> M
         f"returns a square metre. Errors: of sampling by {how}, and what the smooth metrics of "
         "the voxels are off by."
     )
-    return Measured("structure", path, data, view, told, {**extra, "grain_m": grain})
+    return Measured("structure", path, data, lambda *_: view, told, {**extra, "grain_m": grain})
 
 
 def structure_settings(plot: Plot) -> tuple[StructureSettings, tuple[float, ...]]:

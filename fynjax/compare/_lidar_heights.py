@@ -10,7 +10,7 @@ from jaxtyping import Float
 from fynjax.io.plot import Plot
 from fynjax.io.raster import read_over_plot
 from fynjax.radiation import VoxelScene
-from fynjax.scene import PlotModel, PlotParameters, ground_at, height_profile
+from fynjax.scene import PlotParameters, Scene, ground_at, height_profile
 from fynjax.sensors import LidarBeams, LidarReturns, expected_returns
 from fynjax.sensors.lidar import VEGETATION
 
@@ -52,9 +52,9 @@ class Heights:
 
 
 def compare_heights(
-    model: PlotModel,
+    scene: Scene,
     parameters: PlotParameters,
-    scene: VoxelScene,
+    voxels: VoxelScene,
     beams: LidarBeams,
     returns: LidarReturns,
     *,
@@ -62,20 +62,20 @@ def compare_heights(
 ) -> Heights:
     """Heights of returns, planted area and first hits above the ground.
 
-    `model` is hard: all its plants stand. On sloping ground first hits are left out, as their
-    layers are level.
+    `scene` is hard: all its plants stand; `voxels` are its. On sloping ground first hits are left
+    out, as their layers are level.
     """
-    step = model.grid.vertical_size
-    edges = np.arange(model.grid.shape[2] + 1) * step
+    step = scene.grid.vertical_size
+    edges = np.arange(scene.grid.shape[2] + 1) * step
     place = jnp.asarray(returns.position[:, :2])
-    height = returns.position[:, 2] - np.asarray(ground_at(model, place))
+    height = returns.position[:, 2] - np.asarray(ground_at(scene, place))
     plants = returns.classification == VEGETATION
-    area = height_profile(model, parameters, edges).sum(axis=(0, 1)) * step
+    area = height_profile(scene, parameters, edges).sum(axis=(0, 1)) * step
     counts = {PLANTED: area}
-    if model.terrain is None:
+    if scene.terrain is None:
         # The mean needs no more of them.
         some = beams.select(np.arange(0, len(beams), max(len(beams) // _BEAMS, 1)))
-        first, _ = expected_returns(scene, some, edges, sublayers=sublayers)
+        first, _ = expected_returns(voxels, some, edges, sublayers=sublayers)
         counts[FIRST] = np.asarray(first, float)
     counts[RETURNED] = np.histogram(height[plants], edges)[0].astype(float)
     shares = {name: c / c.sum() for name, c in counts.items() if c.sum() > 0}

@@ -1,13 +1,12 @@
 """Inversion: from measured statistics back to the parameters of a plot."""
 
 from fynjax.inversion._calibrate import (
-    COARSE,
     Calibration,
     Ends,
     calibrate_plot,
     coarser,
     free_space,
-    plot_statistics,
+    search_form,
 )
 from fynjax.inversion._fit import (
     evaluate,
@@ -21,7 +20,7 @@ from fynjax.inversion._information import Information, fisher_information
 from fynjax.inversion._log_posterior import LogPosterior
 from fynjax.inversion._posterior import SamplingMethod, sample_posterior
 from fynjax.inversion._posterior_result import Posterior
-from fynjax.inversion._search import signature
+from fynjax.inversion._search import COARSE, CalibrationSettings, signature
 from fynjax.inversion._sensitivity import (
     DerivativeMeasures,
     LocalSensitivity,
@@ -47,6 +46,8 @@ from fynjax.inversion._views import (
     PlotForward,
     SpectrumView,
     StructureView,
+    nadir_imager,
+    spectrum_names,
     spectrum_view,
     structure_view,
 )
@@ -59,6 +60,7 @@ __all__ = [
     "WELL_CONSTRAINED",
     "AbstractView",
     "Calibration",
+    "CalibrationSettings",
     "Data",
     "DerivativeMeasures",
     "Ends",
@@ -88,12 +90,14 @@ __all__ = [
     "local_sensitivity",
     "make_space",
     "match_names",
+    "nadir_imager",
     "objective_and_gradient",
-    "plot_statistics",
     "predicted_statistics",
     "sample_posterior",
+    "search_form",
     "signature",
     "sobol_indices",
+    "spectrum_names",
     "spectrum_view",
     "statistics_and_jacobian",
     "structure_view",

@@ -1,4 +1,4 @@
-"""The search of a calibration, from one start: a cheap model, corrected by the full one."""
+"""The search of a calibration, from one start: a cheap scene, corrected by the full one."""
 
 import dataclasses
 import hashlib
@@ -8,7 +8,6 @@ from functools import partial
 from importlib.metadata import version
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,12 +20,54 @@ from fynjax.inversion._fit_result import Data, FitResult, FitStatus
 from fynjax.inversion._log_posterior import LogPosterior
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import AbstractView, PlotForward, look
-from fynjax.scene import PlotModel, PlotParameters, with_values
+from fynjax.radiation import Accuracy
+from fynjax.scene import PlotParameters, Scene, with_values
+
+COARSE = Accuracy(
+    lattice=1,
+    sublayers=1,
+    coarsening=(3, 5),
+    levels=2,
+    azimuths=4,
+    tolerance=1e-2,
+    refine=False,
+)
+"""Accuracy of the light while a fit searches; what it lacks is corrected (`calibrate_plot`)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CalibrationSettings:
+    """How a calibration searches, and how far it allows for chance."""
+
+    stride: int = 9
+    """A search renders every so many pixels of a drone's image along each axis."""
+    accuracy: Accuracy = COARSE
+    """Of the light in a search."""
+    rounds: int = 2
+    """Searches one after the other, each corrected by the full scene."""
+    stand_realisations: int = 4
+    """Other plantings on which the effect of chance is measured; 0: the image's plants count as
+    standing where the scene's do."""
+    max_steps: int = 7
+    """Most steps of the first round; those after have half as many."""
+    tolerance: float = 0.02
+    """As `fit` has it."""
+    solver: Any = "least_squares"
+    """As `fit` has it."""
+    starts: int = 1
+    """Searches, the others from draws of the prior; the best is kept."""
+    seed: int = 0
+    """Of those draws."""
+
+    def __post_init__(self) -> None:
+        for name in ("rounds", "starts"):
+            if getattr(self, name) < 1:
+                raise InputError(f"`{name}` must be at least 1, but is {getattr(self, name)}")
 
 
 @dataclasses.dataclass
 class End:
-    """Where a search from one start ended, and what the full model says there."""
+    """Where a search from one start ended, and what the full scene says there."""
 
     objective: float
     """Half the squared whitened misfit and distance from the prior."""
@@ -48,44 +89,41 @@ class Search:
 
     def __init__(
         self,
-        model: PlotModel,
+        scene: Scene,
         parameters: PlotParameters,
         data: Data,
         space: ParameterSpace,
         views: Sequence[AbstractView],
-        quick: PlotModel,
-        stride: int,
+        cheap: tuple[Scene, tuple[AbstractView, ...]],
         keep: Keep,
         report: Callable[[str, float, float], None] | None,
     ) -> None:
-        self._model, self._parameters, self._data, self._space = model, parameters, data, space
-        self._keep, self._report = keep, report
-        self.quick = quick
-        self._look = eqx.filter_jit(lambda m, p: look(views, m, p))
-        cheap = [view.for_search(model, stride) for view in views]
-        self._predict = PlotForward(parameters, space.names, cheap)
+        self._scene, self._parameters, self._data, self._space = scene, parameters, data, space
+        self._keep, self._report, self._views = keep, report, tuple(views)
+        self.quick, cheap_views = cheap
+        self._predict = PlotForward(parameters, space.names, cheap_views)
         self.times: list[float] = []
         """When each step ended that was not one of an earlier run [s]."""
         self.done = 0
-        """Looks of the full model that were not those of an earlier run."""
+        """Looks of the full scene that were not those of an earlier run."""
 
-    def look(self, plot: PlotParameters, planted: PlotModel | None = None) -> tuple[Array, ...]:
-        """Statistics by the full model; and, without other plants, the images."""
-        model = self._model if planted is None else planted
+    def look(self, plot: PlotParameters, planted: Scene | None = None) -> tuple[Array, ...]:
+        """Statistics of the full scene; and, without other plants, the images."""
+        scene = self._scene if planted is None else planted
 
         def step() -> tuple[Array, ...]:
-            found = jax.block_until_ready(self._look(model, plot))
+            found = jax.block_until_ready(look(self._views, scene, plot))
             return found if planted is None else found[:1]
 
         found = self._keep(step)
         self.done += not getattr(self._keep, "repeating", False)
         return found
 
-    def slopes(self, u: Array, quick: PlotModel) -> Float[Array, "statistic free"]:
-        """Derivatives of the cheap model's statistics, of the plot `quick`."""
+    def slopes(self, u: Array, quick: Scene) -> Float[Array, "statistic free"]:
+        """Derivatives of the cheap form's statistics, of the plot `quick`."""
         return self._evaluate(u, quick)[1]
 
-    def _evaluate(self, u: Array, quick: PlotModel) -> tuple[Array, Array]:
+    def _evaluate(self, u: Array, quick: Scene) -> tuple[Array, Array]:
         none = jnp.zeros_like(self._data.value)
         density = LogPosterior(self._predict, self._space, self._data, none, (quick,))
         return evaluate(density, u, self._keep)
@@ -95,7 +133,7 @@ class Search:
         return 0.5 * float(rest @ rest + u @ u)
 
     def _plot(self, u: Array) -> PlotParameters:
-        return with_values(self._parameters, self._model.taxa, self._space.named(u))
+        return with_values(self._parameters, self._scene.taxa, self._space.named(u))
 
     def _note(self, stage: str, loss: float, norm: float) -> None:
         if not getattr(self._keep, "repeating", False):
@@ -103,9 +141,7 @@ class Search:
         if self._report is not None:
             self._report(stage, loss, norm)
 
-    def run(
-        self, u: Array, rounds: int, max_steps: int, tolerance: float, method: str, stage: str
-    ) -> End:
+    def run(self, u: Array, settings: CalibrationSettings, stage: str) -> End:
         """Search from `u`; `stage` begins the name of each round."""
         before = self._plot(u)
         statistics, *images = self.look(before)
@@ -130,15 +166,15 @@ class Search:
         }
         offset_before, result = statistics - predicted, None
         common: dict[str, Any] = {"context": (self.quick,), "keep": self._keep}
-        for turn in range(rounds):
+        for turn in range(settings.rounds):
             offset = statistics - predicted
             found = fit(
                 self._predict,
                 self._data,
                 self._space,
-                solver=method,
-                max_steps=max_steps if turn == 0 else (max_steps + 1) // 2,
-                tolerance=tolerance,
+                solver=settings.solver,
+                max_steps=settings.max_steps if turn == 0 else (settings.max_steps + 1) // 2,
+                tolerance=settings.tolerance,
                 start=u,
                 offset=offset,
                 report=partial(self._note, f"{stage}round {turn + 1}"),
@@ -155,7 +191,7 @@ class Search:
             plot = self._plot(u)
             statistics, *images = self.look(plot)
             reached = self._objective(u, statistics)
-            # The quick model's best need not be the full model's.
+            # The quick scene's best need not be the full scene's.
             if reached < best["objective"]:
                 result = found
                 best = {

@@ -19,8 +19,16 @@ from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._vectorised import value_and_jacobian
 from fynjax.metrics import mean, quantiles, standard_deviation
 from fynjax.radiation import Accuracy
-from fynjax.scene import PlotModel, PlotParameters, replant, with_values
-from fynjax.sensors import BandSet
+from fynjax.scene import (
+    AimedSensor,
+    Placement,
+    PlotParameters,
+    Scene,
+    aim,
+    replant,
+    with_values,
+)
+from fynjax.sensors import BandSet, Sensor
 
 _SHARES = (0.1, 0.5, 0.9)
 _SPREAD_FROM, _TAILS_FROM = 4, 25
@@ -59,9 +67,11 @@ def even_bands(count: int, lowest: float, highest: float) -> BandSet:
 
 
 def sweep_sensors(
-    model: PlotModel,
+    scene: Scene,
     parameters: PlotParameters,
     space: ParameterSpace,
+    sensor: Sensor,
+    placement: Placement | None = None,
     *,
     gsd: Sequence[float],
     bands: Sequence[int],
@@ -83,27 +93,28 @@ def sweep_sensors(
     plantings as in `calibrate_plot`, and only slopes that all plantings share are information.
 
     Each planting and sun is rendered once with its derivatives by forward mode, in the finest
-    pixels and the model's bands; coarser pixels and wider bands are averages of those. Light has
+    pixels and the sensor's bands; coarser pixels and wider bands are averages of those. Light has
     the accuracy `coarse`.
 
     **Arguments:**
 
-    - `model`: its camera's bands must be adjacent and of equal width, as `even_bands` makes them.
-    - `parameters`, `space`: the plot, and the parameters in question with their priors.
+    - `scene`, `parameters`, `space`: the plot, and the parameters in question with their priors.
+    - `sensor`, `placement`: lines of sight; its bands must be adjacent and of equal width, as
+      `even_bands` makes them, and its pixels are those of `gsd`.
     - `gsd`: sides of a pixel [m], multiples of the smallest; what is left of the plot beyond whole
       pixels is cut off.
-    - `bands`: numbers of bands, which divide the model's number; they share its range.
+    - `bands`: numbers of bands, which divide the sensor's number; they share its range.
     - `noise`: of a pixel, over its reflectance [-].
     - `sun_zenith`: [degrees]; the plot's own if left out.
     - `draws`: realisations of the noise.
 
-    Raises `InputError` for settings that do not fit the model.
+    Raises `InputError` for settings that do not fit scene or sensor.
     """
     fine = min(gsd)
-    steps = _check(model, gsd, bands, noise, replants)
+    steps = _check(scene, len(sensor.bands), gsd, bands, noise, replants)
     progress = NullProgress() if progress is None else progress
-    camera = dataclasses.replace(model.camera, pixel=fine)
-    quick = coarser(dataclasses.replace(model, camera=camera), coarse)
+    quick = coarser(scene)
+    placement = dataclasses.replace(placement or Placement(), pixel=fine)
     plantings = [quick, *(replant(quick, one) for one in range(1, replants + 1))]
     centre = np.asarray(parameters.light.sun_zenith, float)
     suns = [float(centre)] if sun_zenith is None else [float(s) for s in sun_zenith]
@@ -114,10 +125,13 @@ def sweep_sensors(
         # A free zenith starts from this sun too, not from its prior's.
         free = "light.sun_zenith" in space.names
         here = at.at[space.names.index("light.sun_zenith")].set(sun) if free else at
+        camera = aim(quick, lit, sensor, placement, accuracy=coarse, point_spread=False)
+        camera = camera.sampled(1)  # one ray a pixel, or a voxel
         with progress.stage(f"Render, sun at {sun:g} degrees", len(plantings)):
             images = []
             for planted in plantings:
-                images.append(jax.device_get(_image_and_slopes(planted, lit, space.names, here)))
+                measured = _image_and_slopes(camera, planted, lit, space.names, here)
+                images.append(jax.device_get(measured))
                 progress.advance()
         with progress.stage("Bounds", len(steps) * len(bands) * len(noise)):
             for step, size in zip(steps, gsd):
@@ -132,7 +146,8 @@ def sweep_sensors(
 
 
 def _check(
-    model: PlotModel,
+    scene: Scene,
+    most: int,
     gsd: Sequence[float],
     bands: Sequence[int],
     noise: Sequence[float],
@@ -146,14 +161,14 @@ def _check(
             "slopes that plantings share need three of them: `replants` must be at least 2, but is "
             f"{replants}"
         )
-    fine, most = min(gsd), len(model.camera.bands)
+    fine = min(gsd)
     steps = [round(size / fine) for size in gsd]
     for size, step in zip(gsd, steps):
         if abs(size - step * fine) > 1e-6 * size:
             raise InputError(
                 f"pixels must be multiples of the finest, {fine:g} m; {size:g} m is not"
             )
-        if size > min(model.grid.extent[:2]) * (1 + 1e-9):
+        if size > min(scene.grid.extent[:2]) * (1 + 1e-9):
             raise InputError(f"a pixel of {size:g} m is larger than the plot")
     for count in bands:
         if count < 1 or most % count:
@@ -163,11 +178,16 @@ def _check(
 
 @eqx.filter_jit
 def _image_and_slopes(
-    model: PlotModel, parameters: PlotParameters, names: tuple[str, ...], at: Array
+    camera: AimedSensor,
+    scene: Scene,
+    parameters: PlotParameters,
+    names: tuple[str, ...],
+    at: Array,
 ) -> tuple[Float[Array, "band y x"], Float[Array, "band y x free"]]:
     def image(values: Array) -> Array:
         named = {name: values[i] for i, name in enumerate(names)}
-        return model.image(with_values(parameters, model.taxa, named))
+        plot = with_values(parameters, scene.taxa, named)
+        return camera.observe(scene, plot).reflectance
 
     return value_and_jacobian(image, at, mode="forward")
 

@@ -13,22 +13,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from fynjax.canopy import FORM_DEFAULTS, VoxelGrid, leaf_angle
 from fynjax.inversion._log_posterior import jacobian_by_rows
 from fynjax.metrics import STRUCTURE_METRICS, StructureSettings, image_statistics, voxel_structure
-from fynjax.radiation import VoxelScene, parallel_rays, reflectance_factor, solve_light
-from fynjax.scene import (
-    Camera,
-    PlotModel,
-    PlotParameters,
-    band_wavelengths,
-    leafy_species,
-    shipped_covers,
-    with_values,
-)
-from fynjax.sensors import BandSet
+from fynjax.radiation import Accuracy, VoxelScene
+from fynjax.scene import AimedSensor, PlotParameters, Scene, aim, leafy_species, with_values
+from fynjax.sensors import BandSet, OrthographicCamera, Sensor
 
 SPECTRUM = "spectrum"
 """Statistics of a mean spectrum are called '<SPECTRUM>.<centre>nm'."""
@@ -37,123 +29,120 @@ LIDAR = "lidar"
 
 
 class AbstractView(eqx.Module):
-    """What one sensor yields of a plot."""
+    """What one sensor yields of a scene."""
 
     names: eqx.AbstractVar[tuple[str, ...]]
     """Of the statistics."""
 
     @abc.abstractmethod
     def observe(
-        self, model: PlotModel, parameters: PlotParameters
+        self, scene: Scene, parameters: PlotParameters
     ) -> tuple[Float[Array, "band y x"] | None, Float[Array, " statistic"]]:
         """The image, of a sensor that makes one, and the statistics. Differentiable."""
 
     @abc.abstractmethod
-    def for_search(self, model: PlotModel, stride: int) -> Self:
-        """A cheaper form of the view of `model`, for its coarser form; one of `stride` of a
-        drone's pixels along each axis is rendered."""
+    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int) -> Self:
+        """A cheaper form of the view, for a `scene` of thicker layers (`search_form`): light of
+        `accuracy`, and of a drone's image every `stride`-th pixel along each axis. `scene` is that
+        of the full form."""
 
-    def predict(self, model: PlotModel, parameters: PlotParameters) -> Float[Array, " statistic"]:
+    def predict(self, scene: Scene, parameters: PlotParameters) -> Float[Array, " statistic"]:
         """The statistics. Differentiable in `parameters`."""
-        return self.observe(model, parameters)[1]
+        return self.observe(scene, parameters)[1]
 
     def jacobian(
-        self, model: PlotModel, plot_at: Callable[[Array], PlotParameters], u: Float[Array, " free"]
+        self, scene: Scene, plot_at: Callable[[Array], PlotParameters], u: Float[Array, " free"]
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
         """Statistics of the plot at `u`, and their derivatives."""
-        return jacobian_by_rows(lambda u: self.predict(model, plot_at(u)).astype(u.dtype), u)
+        return jacobian_by_rows(lambda u: self.predict(scene, plot_at(u)).astype(u.dtype), u)
 
 
 class ImageView(AbstractView):
-    """Statistics of a drone's image (`image_statistics`), in the bands of the plot's camera."""
+    """Statistics of a drone's image (`image_statistics`)."""
 
     names: tuple[str, ...] = eqx.field(static=True, converter=tuple)
-    stride: int = eqx.field(static=True, default=1)
-    """Every so many pixels are rendered."""
+    camera: AimedSensor
+    """The drone's camera over the scene, from `aim`; with the bands that the statistics name."""
 
     def observe(
-        self, model: PlotModel, parameters: PlotParameters
+        self, scene: Scene, parameters: PlotParameters
     ) -> tuple[Float[Array, "band y x"], Float[Array, " statistic"]]:
-        image = model.image(parameters, self.stride)
+        image = self.camera.observe(scene, parameters).reflectance
         return image, image_statistics(image, self.names)
 
-    def for_search(self, model: PlotModel, stride: int) -> "ImageView":
-        return dataclasses.replace(self, stride=stride)
+    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int) -> "ImageView":
+        camera = dataclasses.replace(self.camera.sampled(stride), accuracy=accuracy)
+        return dataclasses.replace(self, camera=camera)
 
 
 class SpectrumView(AbstractView):
-    """Mean reflectance factor of a plot from straight above in the bands of a spectrometer.
+    """Mean reflectance factor of a scene from straight above in the bands of a spectrometer.
 
     The light is solved for band by band, so that the derivatives of one band cost those of one
     band. `spectrum_view` makes one.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
-    bands: BandSet = eqx.field(static=True)
-    soil: Float[np.ndarray, "2 wavelength"] | None
-    covers: Float[np.ndarray, "cover wavelength"]
-    diffuse: Float[np.ndarray, " wavelength"] | None
-    """As `PlotModel` has them, on the wavelengths of `bands`."""
-    stride: int = eqx.field(static=True, default=1)
-    """Every so many voxel columns are looked at."""
-
-    def tuned(self, model: PlotModel) -> PlotModel:
-        """The same plot, with the same plants, in the spectrometer's bands."""
-        camera = Camera(self.bands, model.camera.altitude, model.camera.pixel)
-        return dataclasses.replace(
-            model, camera=camera, soil=self.soil, covers=self.covers, diffuse=self.diffuse
-        )
+    imager: AimedSensor
+    """Looks straight down, a pixel a voxel column."""
 
     def observe(
-        self, model: PlotModel, parameters: PlotParameters
+        self, scene: Scene, parameters: PlotParameters
     ) -> tuple[None, Float[Array, " statistic"]]:
-        scene = self.tuned(model).scene(parameters)
-        every = jnp.arange(len(self.bands))
-        return None, jax.lax.map(lambda band: self._mean(model, scene, band), every)
+        voxels = scene.voxels(parameters, self.imager.sensor.bands)
+        return None, jax.lax.map(lambda band: self._mean(voxels, band), self._bands)
 
-    def for_search(self, model: PlotModel, stride: int) -> "SpectrumView":
-        return dataclasses.replace(self, stride=_SEARCH_COLUMNS)
+    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int) -> "SpectrumView":
+        imager = dataclasses.replace(self.imager.sampled(_SEARCH_COLUMNS), accuracy=accuracy)
+        return dataclasses.replace(self, imager=imager)
 
     def jacobian(
-        self, model: PlotModel, plot_at: Callable[[Array], PlotParameters], u: Float[Array, " free"]
+        self, scene: Scene, plot_at: Callable[[Array], PlotParameters], u: Float[Array, " free"]
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
-        tuned = self.tuned(model)
-        scene, backward = eqx.filter_vjp(lambda u: tuned.scene(plot_at(u)), u)
+        bands = self.imager.sensor.bands
+        voxels, backward = eqx.filter_vjp(lambda u: scene.voxels(plot_at(u), bands), u)
 
-        def one(band: Array) -> tuple[Array, Array]:
-            value, slope = eqx.filter_value_and_grad(lambda s: self._mean(model, s, band))(scene)
+        def value_and_row(band: Array) -> tuple[Array, Array]:
+            value, slope = eqx.filter_value_and_grad(lambda v: self._mean(v, band))(voxels)
             return value.astype(u.dtype), backward(slope)[0]
 
-        value, rows = jax.lax.map(one, jnp.arange(len(self.bands)))
+        value, rows = jax.lax.map(value_and_row, self._bands)
         return value, rows
 
-    def _mean(self, model: PlotModel, scene: VoxelScene, band: Array) -> Float[Array, ""]:
-        light = solve_light(scene.bands(band, 1), model.accuracy)
-        width, dtype = scene.horizontal, scene.area_density.dtype
-        y, x = (
-            ((jnp.arange(0, n, self.stride) + 0.5) * width).astype(dtype) for n in scene.shape[1:]
-        )
-        down = jnp.zeros((), dtype)
-        return jnp.mean(reflectance_factor(light, parallel_rays(x, y, width, down, down)))
+    @property
+    def _bands(self) -> Int[Array, " band"]:
+        return jnp.arange(len(self.imager.sensor.bands))
+
+    def _mean(self, voxels: VoxelScene, band: Array) -> Float[Array, ""]:
+        return self.imager.image(voxels.bands(band, 1))[1][0]
 
 
 _SEARCH_COLUMNS = 3
+"""Every so many voxel columns are looked at in a search."""
+
+
+def spectrum_names(bands: BandSet) -> tuple[str, ...]:
+    """Names of the statistics of a mean spectrum."""
+    return tuple(f"{SPECTRUM}.{centre:.10g}nm" for centre in bands.centre)
+
+
+def nadir_imager(
+    bands: BandSet, scene: Scene, parameters: PlotParameters, accuracy: Accuracy | None = None
+) -> AimedSensor:
+    """A sensor of `bands` that looks straight down on a scene, a pixel a voxel column."""
+    half = 0.5 * scene.grid.horizontal_size
+    camera = OrthographicCamera((-half, -half, half, half), 2.0 * half)
+    sensor = Sensor("nadir", bands, camera)
+    return aim(scene, parameters, sensor, accuracy=accuracy)
 
 
 def spectrum_view(
-    bands: BandSet,
-    *,
-    soil: Float[np.ndarray, "2 wavelength"] | None = None,
-    covers: Float[np.ndarray, "cover wavelength"] | None = None,
-    diffuse: Float[np.ndarray, " wavelength"] | None = None,
+    bands: BandSet, scene: Scene, parameters: PlotParameters, accuracy: Accuracy | None = None
 ) -> SpectrumView:
-    """The view of a spectrometer with `bands`; the rest as `build_model` takes it.
-
-    Spectra are on `fynjax.scene.band_wavelengths(bands)`.
-    """
-    own = shipped_covers(band_wavelengths(bands)) if covers is None else covers
-    names = tuple(f"{SPECTRUM}.{centre:.10g}nm" for centre in bands.centre)
-    return SpectrumView(names, bands, soil, own, diffuse)
+    """The view of a spectrometer with `bands` of a scene; `accuracy` of the light, as `aim` has
+    it."""
+    imager = nadir_imager(bands, scene, parameters, accuracy)
+    return SpectrumView(spectrum_names(bands), imager)
 
 
 class StructureView(AbstractView):
@@ -170,22 +159,22 @@ class StructureView(AbstractView):
     pulses: float = eqx.field(static=True)
     """[m-2]"""
     grid: VoxelGrid | None = None
-    """Voxels instead of the model's: structure depends on their height, and needs no light."""
+    """Voxels instead of the scene's: structure depends on their height, and needs no light."""
 
     def observe(
-        self, model: PlotModel, parameters: PlotParameters
+        self, scene: Scene, parameters: PlotParameters
     ) -> tuple[None, Float[Array, " statistic"]]:
         if self.grid is not None:
-            model = dataclasses.replace(model, grid=self.grid)
-        density = model.area_density(parameters)
-        projected = jnp.asarray(_projections(model), density.dtype) / _EVEN
-        settings, top = self.settings, model.grid.extent[2]
+            scene = dataclasses.replace(scene, grid=self.grid)
+        density = scene.area_density(parameters)
+        projected = jnp.asarray(_projections(scene), density.dtype) / _EVEN
+        settings, top = self.settings, scene.grid.extent[2]
         layers = int(np.ceil((top - settings.base) / settings.layer - 1e-9))
-        terrain = None if model.terrain is None else jnp.asarray(model.terrain, density.dtype)
+        terrain = None if scene.terrain is None else jnp.asarray(scene.terrain, density.dtype)
         found = voxel_structure(
             jnp.tensordot(projected, density, axes=1),
             settings,
-            voxel=(model.grid.horizontal_size, model.grid.vertical_size),
+            voxel=(scene.grid.horizontal_size, scene.grid.vertical_size),
             grain=self.grain,
             pulses=self.pulses,
             layers=max(layers, settings.first_layer(settings.lowest) + 1),
@@ -194,8 +183,8 @@ class StructureView(AbstractView):
         ).means()
         return None, jnp.stack([found[name.split(".", 1)[1]] for name in self.names])
 
-    def for_search(self, model: PlotModel, stride: int) -> "StructureView":
-        return dataclasses.replace(self, grid=model.grid)
+    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int) -> "StructureView":
+        return dataclasses.replace(self, grid=scene.grid)
 
 
 def structure_view(
@@ -215,21 +204,22 @@ _EVEN = 0.5
 """Area projected over area of surfaces that face all directions alike [-]."""
 
 
-def _projections(model: PlotModel) -> Float[Array, " class"]:
+def _projections(scene: Scene) -> Float[Array, " class"]:
     """Area seen from above over area, of each optical class: leaves, then wood, then flowers."""
     found = []
-    for i in leafy_species(model.forms):
-        own = model.leaf_angles[i]
-        angle = leaf_angle(FORM_DEFAULTS[model.forms[i]].leaf_angle) if own is None else own
+    for i in leafy_species(scene.forms):
+        own = scene.leaf_angles[i]
+        angle = leaf_angle(FORM_DEFAULTS[scene.forms[i]].leaf_angle) if own is None else own
         found.append(angle.projection(jnp.ones(())))
     return jnp.stack([*found, *(jnp.asarray(_EVEN),) * 2])
 
 
+@eqx.filter_jit
 def look(
-    views: Sequence[AbstractView], model: PlotModel, parameters: PlotParameters
+    views: Sequence[AbstractView], scene: Scene, parameters: PlotParameters
 ) -> tuple[Array, ...]:
     """The statistics of all views, then the images of those that make one."""
-    seen = [view.observe(model, parameters) for view in views]
+    seen = [view.observe(scene, parameters) for view in views]
     images = [image for image, _ in seen if image is not None]
     return joined([values.astype(float) for _, values in seen]), *images
 
@@ -239,30 +229,29 @@ def joined(parts: Sequence[Array]) -> Array:
     return parts[0] if len(parts) == 1 else jnp.concatenate(parts)
 
 
-class PlotForward:
+class PlotForward(eqx.Module):
     """The forward model of a plot: statistics from the values of the parameters that `free`
-    names, in their own units, and a `PlotModel`. The others are those of `parameters`."""
+    names, in their own units, and a `Scene`. The others are those of `parameters`."""
 
-    def __init__(
-        self, parameters: PlotParameters, free: Sequence[str], views: Sequence[AbstractView]
-    ) -> None:
-        self._parameters, self._free, self._views = parameters, tuple(free), tuple(views)
+    parameters: PlotParameters
+    free: tuple[str, ...] = eqx.field(static=True, converter=tuple)
+    views: tuple[AbstractView, ...] = eqx.field(converter=tuple)
 
-    def __call__(self, values: Float[Array, " free"], model: PlotModel) -> Array:
-        plot = self._plot(values, model)
-        return joined([view.predict(model, plot).astype(values.dtype) for view in self._views])
+    def __call__(self, values: Float[Array, " free"], scene: Scene) -> Array:
+        plot = self._plot(values, scene)
+        return joined([view.predict(scene, plot).astype(values.dtype) for view in self.views])
 
     def jacobian(
-        self, values_at: Callable[[Array], Array], u: Float[Array, " free"], model: PlotModel
+        self, values_at: Callable[[Array], Array], u: Float[Array, " free"], scene: Scene
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
         """Statistics and their derivatives by `u`, of which `values_at` makes the values."""
 
         def plot_at(u: Array) -> PlotParameters:
-            return self._plot(values_at(u), model)
+            return self._plot(values_at(u), scene)
 
-        parts = [view.jacobian(model, plot_at, u) for view in self._views]
+        parts = [view.jacobian(scene, plot_at, u) for view in self.views]
         return joined([value for value, _ in parts]), joined([rows for _, rows in parts])
 
-    def _plot(self, values: Array, model: PlotModel) -> PlotParameters:
-        named: dict[str, Any] = {name: values[i] for i, name in enumerate(self._free)}
-        return with_values(self._parameters, model.taxa, named)
+    def _plot(self, values: Array, scene: Scene) -> PlotParameters:
+        named: dict[str, Any] = {name: values[i] for i, name in enumerate(self.free)}
+        return with_values(self.parameters, scene.taxa, named)

@@ -32,11 +32,11 @@ from fynjax.report.figures import (
 from fynjax.report.pages import Page, Part, Picture, Section, Table
 from fynjax.scene import (
     Instances,
-    PlotModel,
     PlotParameters,
     ProjectedCover,
+    Scene,
     hard_instances,
-    hard_model,
+    hard_scene,
     height_profile,
     leafy_species,
     projected_cover,
@@ -105,11 +105,11 @@ def build(
     chosen = read.seed if seed is None else seed
     run = Run(output, seed=chosen, progress=progress)
     with run.stage("Plant the plot", "plants"):
-        model, parameters = build_plot(read, seed=chosen)
-        real = np.asarray(model.counts(parameters), float)
-        instances = hard_instances(model, parameters)
-        hard = hard_model(model, parameters)
-        del model  # its spare plants
+        scene, parameters = build_plot(read, seed=chosen)
+        real = np.asarray(scene.counts(parameters), float)
+        instances = hard_instances(scene, parameters)
+        hard = hard_scene(scene, parameters)
+        del scene  # its spare plants
     meshes, triangles, paint = None, 0, None
     if view == "meshes":
         with run.stage("Grow the meshes", "meshes_of_the_view"):
@@ -189,9 +189,9 @@ def build(
     )
 
 
-def _layers(instances: Instances, model: PlotModel) -> np.ndarray:
+def _layers(instances: Instances, scene: Scene) -> np.ndarray:
     """Borders of the voxel layers that plants reach from level ground [m]."""
-    step = model.grid.vertical_size
+    step = scene.grid.vertical_size
     return np.arange(np.ceil(1.1 * instances.height.max(initial=step) / step) + 1.0) * step
 
 
@@ -261,10 +261,10 @@ def instance_table(instances: Instances) -> pd.DataFrame:
     )
 
 
-def voxel_dataset(model: PlotModel, density: Any) -> xr.Dataset:
+def voxel_dataset(scene: Scene, density: Any) -> xr.Dataset:
     """Area density [class, z, y, x] with its coordinates, ready for `write_run`."""
-    x, y, z = model.grid.centres
-    names = [f"{model.taxa[k]}, leaf" for k in leafy_species(model.forms)] + ["wood", "flower"]
+    x, y, z = scene.grid.centres
+    names = [f"{scene.taxa[k]}, leaf" for k in leafy_species(scene.forms)] + ["wood", "flower"]
 
     def axis(letter: str, values: np.ndarray, what: str) -> tuple[str, np.ndarray, dict[str, str]]:
         standard = {
@@ -273,7 +273,7 @@ def voxel_dataset(model: PlotModel, density: Any) -> xr.Dataset:
         }
         return letter, values, {"units": "m", "axis": letter.upper(), "long_name": what} | standard
 
-    level = model.terrain is None
+    level = scene.terrain is None
     variables: dict[str, Any] = {
         "area_density": (
             ("class", "z", "y", "x"),
@@ -283,7 +283,7 @@ def voxel_dataset(model: PlotModel, density: Any) -> xr.Dataset:
     }
     if not level:
         what = {"long_name": "height of the ground above its lowest", "units": "m"}
-        variables["ground"] = (("y", "x"), model.terrain, what)
+        variables["ground"] = (("y", "x"), scene.terrain, what)
     return xr.Dataset(
         variables,
         coords={

@@ -9,8 +9,8 @@ import pandas as pd
 
 from fynjax._core.progress import Progress
 from fynjax.assembly import Measured, build_plot, read_targets
-from fynjax.inversion import Calibration, calibrate_plot, free_space, join_data
-from fynjax.io.plot import Plot, as_plot, drone_bands
+from fynjax.inversion import Calibration, CalibrationSettings, calibrate_plot, free_space, join_data
+from fynjax.io.plot import Plot, as_plot
 from fynjax.io.raster import write_run
 from fynjax.jobs._calibration_page import (
     agreement_sentences,
@@ -27,7 +27,7 @@ from fynjax.jobs._render import check_finite, write_image
 from fynjax.jobs._result import JobResult, Number, ParameterSummary, Record, StatisticSummary
 from fynjax.jobs._run import Run
 from fynjax.report.pages import Page
-from fynjax.scene import PlotModel, PlotParameters
+from fynjax.scene import PlotParameters, Scene
 
 
 class TargetSummary(Record):
@@ -128,23 +128,19 @@ def calibrate_to(
     **Raises:** `InputError` as `calibrate`.
     """
     with run.stage("Build the plot", "build"):
-        # Without a drone's image the bands are those that the other views bring.
-        drone = any(sensor.kind == "image" for sensor in measured)
-        bands = drone_bands(plot) if drone else None
-        model, parameters = build_plot(plot, seed=run.seed, bands=bands)
-        space = free_space(model, parameters, plot.calibration.free, plot.calibration.relative_sd)
+        scene, parameters = build_plot(plot, seed=run.seed)
+        views = [sensor.view_of(scene, parameters) for sensor in measured]
+        space = free_space(scene, parameters, plot.calibration.free, plot.calibration.relative_sd)
     steps, starts = plot.calibration.max_iterations, plot.calibration.starts
     evaluations = starts * (steps + (steps + 1) // 2)
     with run.stage("Calibrate", "calibrate", total=evaluations):
         result = calibrate_plot(
-            model,
+            scene,
             parameters,
             join_data([sensor.data for sensor in measured]),
             space,
-            views=[sensor.view for sensor in measured],
-            max_steps=steps,
-            starts=starts,
-            seed=run.seed,
+            views,
+            CalibrationSettings(max_steps=steps, starts=starts, seed=run.seed),
             checkpoint=checkpoint,
             report=lambda stage, loss, norm: run.progress.advance(
                 1, stage=stage, loss=f"{loss:.1f}", gradient=f"{norm:.1f}"
@@ -163,7 +159,7 @@ def calibrate_to(
         page = calibration_page(
             run, plot, result, measured, (parameters_of_fit, statistics), reference, inputs
         )
-        _write(run, plot, model, result, page, (parameters_of_fit, statistics))
+        _write(run, plot, scene, result, page, (parameters_of_fit, statistics))
     rows = statistics.rename(columns={"real": "target"})
     return run.result(
         CalibrateResult,
@@ -172,7 +168,7 @@ def calibrate_to(
             *agreement_sentences(plot, measured, statistics, reference),
             *parameter_sentences(result),
         ],
-        warnings=_short_of_sites(model, result.after),
+        warnings=_short_of_sites(scene, result.after),
         converged=bool(result.fit.converged),
         status="ok" if result.fit.converged else f"not converged: {result.fit.explanation}",
         targets=[
@@ -195,7 +191,7 @@ def calibrate_to(
 def _write(
     run: Run,
     plot: Plot,
-    model: PlotModel,
+    scene: Scene,
     result: Calibration,
     page: Page,
     tables: tuple[pd.DataFrame, pd.DataFrame],
@@ -206,20 +202,20 @@ def _write(
     run.table("statistics.csv", statistics, f"{each}, real and simulated")
     for when, what in (("before", "of the field table"), ("after", "after calibration")):
         image = getattr(result, f"image_{when}")
-        if image is not None:
+        if image is not None and result.camera is not None:
             path = run.path(f"image_{when}.tif", f"image {what}, GeoTIFF")
-            write_image(path, np.asarray(image), plot, model, page.record)
-    dataset = calibration_dataset(plot, model, result)
+            write_image(path, np.asarray(image), plot, result.camera, page.record)
+    dataset = calibration_dataset(scene, result)
     write_run(run.path("run.nc", "the whole run, NetCDF"), dataset, page.record)
     run.page(page)
 
 
-def _short_of_sites(model: PlotModel, parameters: PlotParameters) -> list[str]:
+def _short_of_sites(scene: Scene, parameters: PlotParameters) -> list[str]:
     """Species of which more plants are wanted than sites were held ready."""
-    ready = np.bincount(np.asarray(model.planting.species), minlength=len(model.taxa))
+    ready = np.bincount(np.asarray(scene.planting.species), minlength=len(scene.taxa))
     return [
         f"{taxon}: the estimate asks for {wanted:.0f} plants, but {sites} sites were held ready; "
         "its cover is too high for its diameter to be planted, so trust neither"
-        for taxon, wanted, sites in zip(model.taxa, np.asarray(model.counts(parameters)), ready)
+        for taxon, wanted, sites in zip(scene.taxa, np.asarray(scene.counts(parameters)), ready)
         if wanted > sites
     ]

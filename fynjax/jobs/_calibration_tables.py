@@ -10,12 +10,11 @@ import pandas as pd
 import xarray as xr
 
 from fynjax.assembly import Measured, parameter_columns
-from fynjax.inversion import Calibration, ImageView, SpectrumView
-from fynjax.io.plot import Plot
+from fynjax.inversion import Calibration, ImageView
 from fynjax.io.raster import image_array
 from fynjax.jobs._render import plant_counts
 from fynjax.metrics import BANDS, STRUCTURE_METRICS, image_statistics
-from fynjax.scene import PARAMETERS, PlotModel, named_values, parameter_kind
+from fynjax.scene import PARAMETERS, AimedSensor, Scene, named_values, parameter_kind
 
 
 def parameter_table(calibration: Calibration) -> pd.DataFrame:
@@ -107,8 +106,8 @@ _COLUMNS = ["real", "target_sd", "before", "after"]
 def sensor_table(measured: Measured, statistics: pd.DataFrame) -> pd.DataFrame:
     """The statistics of one sensor: real with its error, and simulated before and after."""
     rows = statistics.set_index("statistic").loc[list(measured.data.names), _COLUMNS].reset_index()
-    if isinstance(measured.view, SpectrumView):
-        rows.insert(0, "wavelength_nm", measured.view.bands.centre)
+    if measured.bands is not None:
+        rows.insert(0, "wavelength_nm", measured.bands.centre)
     else:
         metrics = [name.split(".", 1)[1] for name in rows["statistic"]]
         rows.insert(0, "metric", metrics)
@@ -129,16 +128,16 @@ def sensor_misfit(measured: Measured, table: pd.DataFrame) -> str:
     )
 
 
-def calibration_dataset(plot: Plot, model: PlotModel, result: Calibration) -> xr.Dataset:
+def calibration_dataset(scene: Scene, result: Calibration) -> xr.Dataset:
     """What the run file of a calibration holds."""
-    bands = list(model.camera.bands.centre)
 
-    def image(values: Any, what: str) -> xr.DataArray:
+    def image(values: Any, camera: AimedSensor, what: str) -> xr.DataArray:
+        bands = camera.sensor.bands
         return image_array(
             np.asarray(values),
-            list(BANDS),
-            bands,
-            pixel_m=plot.sensor.pixel_m,
+            list(bands.names),
+            list(bands.centre),
+            pixel_m=camera.pixel,
             long_name=f"simulated reflectance factor {what} calibration",
         )
 
@@ -158,12 +157,12 @@ def calibration_dataset(plot: Plot, model: PlotModel, result: Calibration) -> xr
             attrs={"long_name": name, "units": "1"},
         )
 
-    every = named_values(result.after, model.taxa)
+    every = named_values(result.after, scene.taxa)
     images = {}
-    if result.image_before is not None:
+    if result.camera is not None:
         images = {
-            "reflectance_before": image(result.image_before, "before"),
-            "reflectance_after": image(result.image_after, "after"),
+            "reflectance_before": image(result.image_before, result.camera, "before"),
+            "reflectance_after": image(result.image_after, result.camera, "after"),
         }
     number = np.arange(1, len(result.ends.objective) + 1)
     start = {"start": ("start", number, {"long_name": "number of the search", "units": "1"})}
@@ -193,6 +192,6 @@ def calibration_dataset(plot: Plot, model: PlotModel, result: Calibration) -> xr
                 },
                 attrs={"long_name": "all parameters after calibration, own units", "units": "1"},
             ),
-            "plants": plant_counts(model, np.asarray(model.counts(result.after))),
+            "plants": plant_counts(scene, np.asarray(scene.counts(result.after))),
         }
     )

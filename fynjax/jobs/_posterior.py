@@ -20,12 +20,14 @@ from fynjax.assembly import (
     shown_unit,
 )
 from fynjax.inversion import (
+    CalibrationSettings,
     PlotForward,
     Posterior,
     SamplingMethod,
     calibrate_plot,
     join_data,
     sample_posterior,
+    search_form,
 )
 from fynjax.io.plot import Plot, as_plot
 from fynjax.io.text import atomic_path
@@ -110,27 +112,26 @@ def posterior(
     run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
     paths = [targets] if isinstance(targets, Path) else list(targets)
     measured = read_targets(read, paths, seed=run.seed, progress=run.progress)
-    data, views = join_data([m.data for m in measured]), [m.view for m in measured]
+    data = join_data([m.data for m in measured])
     with run.stage("Build the plot"):
-        drone = any(sensor.kind == "image" for sensor in measured)
-        ready = prepare(read, free, seed=run.seed, drone=drone)
+        ready = prepare(read, free, seed=run.seed)
+        views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
     inputs = (*(p for p in ready.plot.inputs if p is not None), *paths)
     steps = ready.plot.calibration.max_iterations
     with run.stage("Calibrate", total=steps + (steps + 1) // 2):
         calibrated = calibrate_plot(
-            ready.model,
+            ready.scene,
             ready.parameters,
             data,
             ready.space,
-            views=views,
-            stride=STRIDE,
-            max_steps=steps,
+            views,
+            CalibrationSettings(stride=STRIDE, max_steps=steps),
             checkpoint=checkpoint / "calibration",
             report=lambda stage, loss, norm: run.progress.advance(
                 1, stage=stage, loss=f"{loss:.1f}"
             ),
         )
-    cheap = [view.for_search(ready.model, STRIDE) for view in views]
+    quick, cheap = search_form(ready.scene, ready.parameters, views, stride=STRIDE)
     sampled = sample_posterior(
         PlotForward(ready.parameters, ready.space.names, cheap),
         calibrated.data,
@@ -138,7 +139,7 @@ def posterior(
         method=method,
         start=calibrated.fit,
         offset=calibrated.offset,
-        context=(ready.quick,),
+        context=(quick,),
         target=target_size,
         max_steps=max_steps,
         seed=run.seed,

@@ -1,5 +1,6 @@
-"""What `fynjax render` does: the drone image that a plot file describes."""
+"""What `fynjax render` does: the image that a plot file describes, of whatever sensor it names."""
 
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
@@ -14,18 +15,22 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
-from fynjax.assembly import build_plot
-from fynjax.io.plot import Plot, as_plot, drone_bands, plot_place
-from fynjax.io.raster import image_array, write_geotiff, write_run
+from fynjax.assembly import aim_without_air, build_plot
+from fynjax.io.plot import Plot, as_plot, plot_instrument, plot_place
+from fynjax.io.raster import Cube, image_array, write_geotiff, write_run
 from fynjax.jobs._result import JobResult, StatisticSummary
 from fynjax.jobs._run import Run
 from fynjax.metrics import BANDS, vegetation_indices
-from fynjax.report.figures import composites, index_histograms
+from fynjax.report.figures import composites, index_histograms, quick_looks, spectrum_figure
 from fynjax.report.pages import Page, Part, Picture, Section, Table
-from fynjax.scene import PlotModel
+from fynjax.scene import AimedSensor, Scene
 
 SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR")
 """Vegetation indices whose histograms are drawn."""
+
+
+_FEW_BANDS = 8
+"""Bands whose means are told one by one."""
 
 
 class RenderResult(JobResult):
@@ -60,16 +65,21 @@ def render(
     """
     read = as_plot(plot)
     run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
+    instrument = plot_instrument(read)
     with run.stage("Build the plot", "build"):
-        model, parameters = build_plot(read, seed=run.seed, bands=drone_bands(read))
-    render = eqx.filter_jit(lambda m, p: (m.image(p), m.counts(p)))
+        scene, parameters = build_plot(read, seed=run.seed)
+        camera = aim_without_air(read, scene, parameters, instrument)
+    measure = eqx.filter_jit(lambda c, s, p: (c.observe(s, p).reflectance, s.counts(p)))
     with run.stage("Render", "render"):
-        image, counts = jax.block_until_ready(render(model, parameters))
+        image, counts = jax.block_until_ready(measure(camera, scene, parameters))
     check_finite(image, read)
     with run.stage("Write"):
-        _write(run, read, model, np.asarray(image), np.asarray(counts))
-    means = dict(zip(BANDS, np.asarray(jnp.mean(image, axis=(1, 2))).tolist(), strict=True))
-    named = ", ".join(f"{band} {value:.4f}" for band, value in means.items())
+        _write(run, read, scene, camera, np.asarray(image), np.asarray(counts))
+    names = camera.sensor.bands.names
+    means = dict(zip(names, np.asarray(jnp.mean(image, axis=(1, 2))).tolist(), strict=True))
+    shown = dict(itertools.islice(means.items(), _FEW_BANDS))
+    named = ", ".join(f"{band} {value:.4f}" for band, value in shown.items())
+    named += "" if len(means) == len(shown) else f" and {len(means) - len(shown)} bands more"
     return run.result(
         RenderResult,
         headline=[f"{read.name}: mean reflectance {named}."],
@@ -80,23 +90,52 @@ def render(
     )
 
 
-def _write(run: Run, plot: Plot, model: PlotModel, image: np.ndarray, counts: np.ndarray) -> None:
+def _write(
+    run: Run,
+    plot: Plot,
+    scene: Scene,
+    camera: AimedSensor,
+    image: np.ndarray,
+    counts: np.ndarray,
+) -> None:
     record = run.record(plot.inputs)
-    write_image(run.path("image.tif", "simulated reflectance, GeoTIFF"), image, plot, model, record)
+    bands = camera.sensor.bands
+    path = run.path("image.tif", "simulated reflectance, GeoTIFF")
+    write_image(path, image, plot, camera, record)
     reflectance = image_array(
         image,
-        list(BANDS),
-        list(model.camera.bands.centre),
-        pixel_m=plot.sensor.pixel_m,
+        list(bands.names),
+        list(bands.centre),
+        pixel_m=camera.pixel,
         long_name="simulated reflectance factor",
     )
     write_run(
         run.path("run.nc", "image and plant counts, NetCDF"),
-        xr.Dataset({"reflectance": reflectance, "plants": plant_counts(model, counts)}),
+        xr.Dataset({"reflectance": reflectance, "plants": plant_counts(scene, counts)}),
         record,
     )
-    named, pixel = {plot.name: image}, plot.sensor.pixel_m
+    pictures = _drone_pictures if set(BANDS) <= set(bands.names) else _other_pictures
     parts: list[Part] = [
+        *pictures(plot, camera, image),
+        Table(pd.DataFrame({"taxon": scene.taxa, "plants": counts}), "Plants, equation (10)."),
+    ]
+    means = itertools.islice(zip(bands.names, image.mean((1, 2)), strict=True), _FEW_BANDS)
+    run.page(
+        Page(
+            plot.name,
+            f"What {camera.sensor.name} sees of the plot, without air and noise.",
+            [Section("", parts)],
+            {f"mean {band.replace('_', ' ')}": f"{value:.3f}" for band, value in means},
+            record,
+        )
+    )
+
+
+def _drone_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Picture]:
+    names = camera.sensor.bands.names
+    image = image[[names.index(band) for band in BANDS]]
+    named, pixel = {plot.name: image}, camera.pixel
+    return [
         Picture(
             "true_like.png",
             composites(named, BANDS, pixel_m=pixel, kind="true_like"),
@@ -110,18 +149,30 @@ def _write(run: Run, plot: Plot, model: PlotModel, image: np.ndarray, counts: np
         Picture(
             "indices.png", index_histograms(index_images(image)), "histograms of vegetation indices"
         ),
-        Table(pd.DataFrame({"taxon": model.taxa, "plants": counts}), "Plants, equation (10)."),
     ]
-    means = zip(BANDS, image.mean((1, 2)), strict=True)
-    run.page(
-        Page(
-            plot.name,
-            "The drone image that the plot file describes.",
-            [Section("", parts)],
-            {f"mean {band.replace('_', ' ')}": f"{value:.3f}" for band, value in means},
-            record,
-        )
+
+
+def _other_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Picture]:
+    """Of a sensor without the drone's bands."""
+    bands = camera.sensor.bands
+    cube = Cube(
+        image,
+        bands.names,
+        np.asarray(bands.centre),
+        np.asarray(bands.fwhm),
+        np.ones(len(bands), bool),
+        camera.pixel,
+        camera.origin,
+        "reflectance",
+        None,
     )
+    spectrum = Picture(
+        "spectrum.png",
+        spectrum_figure({"reflectance": cube}),
+        "mean and range of the pixels by wavelength",
+    )
+    looks = quick_looks(cube, plot.name).items()
+    return [*(Picture(file, figure, "quick look") for file, figure in looks), spectrum]
 
 
 def index_images(
@@ -132,28 +183,33 @@ def index_images(
 
 
 def write_image(
-    path: Path, image: np.ndarray, plot: Plot, model: PlotModel, record: Mapping[str, str | int]
+    path: Path,
+    image: np.ndarray,
+    plot: Plot,
+    camera: AimedSensor,
+    record: Mapping[str, str | int],
 ) -> None:
-    """Write an image of the drone's bands as GeoTIFF, where the plot lies."""
-    place = plot_place(plot)
+    """Write an image of `camera` as GeoTIFF, where the plot lies."""
+    place, bands = plot_place(plot), camera.sensor.bands
+    west, south = (a + b for a, b in zip(place.origin_m, camera.origin, strict=True))
     write_geotiff(
         path,
         image,
-        list(BANDS),
-        pixel_m=plot.sensor.pixel_m,
-        origin_m=place.origin_m,
+        list(bands.names),
+        pixel_m=camera.pixel,
+        origin_m=(west, south),
         crs=place.crs,
-        wavelengths=list(model.camera.bands.centre),
+        wavelengths=list(bands.centre),
         tags={k: str(v) for k, v in record.items()},
     )
 
 
-def plant_counts(model: PlotModel, counts: np.ndarray) -> xr.DataArray:
+def plant_counts(scene: Scene, counts: np.ndarray) -> xr.DataArray:
     """Plants of each species."""
     return xr.DataArray(
         np.asarray(counts, float),
         dims="species",
-        coords={"species": ("species", list(model.taxa), {"long_name": "taxon"})},
+        coords={"species": ("species", list(scene.taxa), {"long_name": "taxon"})},
         attrs={"long_name": "plants on the plot, eq. (10) without its ceiling", "units": "1"},
     )
 

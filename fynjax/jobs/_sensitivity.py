@@ -10,13 +10,14 @@ import pandas as pd
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.progress import Progress
-from fynjax.assembly import STRIDE, batch_for_device, prepare, shown_unit
+from fynjax.assembly import STRIDE, batch_for_device, image_view, prepare, shown_unit
 from fynjax.inversion import (
     DerivativeMeasures,
+    PlotForward,
     SobolIndices,
     derivative_measures,
     local_sensitivity,
-    plot_statistics,
+    search_form,
     sobol_indices,
 )
 from fynjax.io.plot import Plot, as_plot
@@ -85,16 +86,18 @@ def sensitivity(
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
     space = ready.space
-    predict = plot_statistics(ready.parameters, space.names, names, STRIDE)
+    views = [image_view(read, ready.scene, ready.parameters, names)]
+    quick, cheap = search_form(ready.scene, ready.parameters, views, stride=STRIDE)
+    predict = PlotForward(ready.parameters, space.names, cheap)
     at = np.asarray(space.prior)
     with run.stage("Slopes"):
-        local = local_sensitivity(predict, space.names, names, at, context=(ready.quick,))
+        local = local_sensitivity(predict, space.names, names, at, context=(quick,))
     if not (np.isfinite(local.value).all() and np.isfinite(local.jacobian).all()):
         raise InputError(
             "a metric or its slope is not finite at the plot's parameters", file=read.file
         )
     common: dict[str, Any] = {
-        "context": (ready.quick,),
+        "context": (quick,),
         "seed": run.seed,
         "batch": batch_for_device(),
         "progress": run.progress,

@@ -12,7 +12,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
-from fynjax.assembly import build_sensing
+from fynjax.assembly import aim_at_plot, build_plot
 from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import Air, Place, Plot, as_plot, plot_place
 from fynjax.io.raster import Cube, write_cube_envi, write_cube_geotiff, write_cubes_netcdf
@@ -23,7 +23,7 @@ from fynjax.jobs._simulate_lidar import SimulateLidarResult, simulate_lidar
 from fynjax.jobs._simulate_record import run_record, short_record, warnings_of
 from fynjax.report.figures import quick_looks, spectrum_figure
 from fynjax.report.pages import Page, Picture, Section
-from fynjax.scene import Observation, PlotParameters, PlotSensing
+from fynjax.scene import AimedSensor, Observation, PlotParameters, Scene
 from fynjax.sensors import Lidar, Sensor
 
 AIR_MODELS = ("table", "clear-sky", "none")
@@ -80,7 +80,7 @@ def simulate(
     how noisy it is (`noise=False`: the receiver without noise), gives waveforms and a point cloud
     of the hard scene.
 
-    **Raises:** `InputError` as `read_plot`, `load_instrument` and `build_sensing`, for noise of a
+    **Raises:** `InputError` as `read_plot`, `load_instrument` and `aim_at_plot`, for noise of a
     sensor that has no model of it, and for altitude, pixel, atmosphere or a choice of products
     with a LiDAR; `MissingExtraError` for a LiDAR without laspy and lazrs.
 
@@ -105,16 +105,17 @@ def simulate(
     noisy = instrument.noise is not None and air.model != "none" if asked is None else asked
     _check(read, instrument, air, noisy, products)
     with run.stage("Build the plot", "build"):
-        sensing, parameters = build_sensing(
-            read, instrument, seed=run.seed, altitude=altitude, pixel=pixel, air=air
+        scene, parameters = build_plot(read, seed=run.seed)
+        aimed = aim_at_plot(
+            read, scene, parameters, instrument, altitude=altitude, pixel=pixel, air=air
         )
     with run.stage("Measure"):
-        observation = _measure(sensing, parameters, run.seed if noisy else None, run)
-    cubes = _cubes(sensing, instrument, observation, products, plot_place(read))
+        observation = _measure(aimed, scene, parameters, run.seed if noisy else None, run)
+    cubes = _cubes(aimed, instrument, observation, products, plot_place(read))
     _check_finite(cubes, read)
     inputs = [*read.inputs, *files, air.file]
     record = run.record(inputs)
-    made = run_record(read, instrument, sensing, air, noisy, observation, run.seconds)
+    made = run_record(read, instrument, aimed, air, noisy, observation, run.seconds)
     with run.stage("Write"):
         _write(run, read, instrument, cubes, {**record, **short_record(made)})
         text = json.dumps({**record, **made}, indent=2, ensure_ascii=False, allow_nan=False)
@@ -122,12 +123,12 @@ def simulate(
         write_text(path, text + "\n")
     return run.result(
         SimulateResult,
-        headline=_headline(read, instrument, sensing, cubes, run.seconds),
-        bands=len(sensing.sensor.bands),
-        pixels=sensing.shape,
-        pixel_m=sensing.pixel,
+        headline=_headline(read, instrument, aimed, cubes, run.seconds),
+        bands=len(aimed.sensor.bands),
+        pixels=aimed.shape,
+        pixel_m=aimed.pixel,
         noise=bool(noisy),
-        warnings=warnings_of(read, sensing, instrument),
+        warnings=warnings_of(read, aimed, instrument),
     )
 
 
@@ -163,39 +164,36 @@ def _check(plot: Plot, instrument: Sensor, air: Air, noisy: bool, products: Sequ
 
 
 def _measure(
-    sensing: PlotSensing,
-    parameters: PlotParameters,
-    key: int | None,
-    job: Run,
+    aimed: AimedSensor, scene: Scene, parameters: PlotParameters, key: int | None, job: Run
 ) -> Observation:
     """The observation; times of compiling and of measuring apart."""
     # The air is the same for all bands and pixels: its table need not be compiled with them.
-    sensing = dataclasses.replace(sensing, air=sensing.check(parameters))
+    aimed = dataclasses.replace(aimed, air=aimed.check(parameters))
 
-    def run(sensing: PlotSensing, parameters: PlotParameters) -> Observation:
-        return sensing.observe(parameters, key=key)
+    def run(aimed: AimedSensor, scene: Scene, parameters: PlotParameters) -> Observation:
+        return aimed.observe(scene, parameters, key=key)
 
     observe: Any = eqx.filter_jit(run)
     with job.timed("compile_bands"):
-        compiled = observe.lower(sensing, parameters).compile()
+        compiled = observe.lower(aimed, scene, parameters).compile()
     with job.timed("bands"):
-        return jax.block_until_ready(compiled(sensing, parameters))
+        return jax.block_until_ready(compiled(aimed, scene, parameters))
 
 
 def _cubes(
-    sensing: PlotSensing,
+    aimed: AimedSensor,
     instrument: Sensor,
     observation: Observation,
     products: Sequence[str],
     place: Place,
 ) -> dict[str, Cube]:
     """Images of all of the sensor's bands; those that were left out are bad."""
-    west, south = (a + b for a, b in zip(place.origin_m, sensing.origin, strict=True))
-    every, bands = instrument.bands, sensing.sensor.bands
+    west, south = (a + b for a, b in zip(place.origin_m, aimed.origin, strict=True))
+    every, bands = instrument.bands, aimed.sensor.bands
     places = [every.names.index(name) for name in bands.names]
 
     def cube(name: str, image: Any, good: Any) -> Cube:
-        values = np.full((len(every), *sensing.shape), np.nan)
+        values = np.full((len(every), *aimed.shape), np.nan)
         flags = np.zeros(len(every), bool)
         flags[places] = good
         values[places] = np.where(np.asarray(good)[:, None, None], image, np.nan)
@@ -205,7 +203,7 @@ def _cubes(
             np.asarray(every.centre),
             np.asarray(every.fwhm),
             flags,
-            sensing.pixel,
+            aimed.pixel,
             (west, south),
             name,
             place.crs,
@@ -266,15 +264,15 @@ def _write(
 def _headline(
     plot: Plot,
     instrument: Sensor,
-    sensing: PlotSensing,
+    aimed: AimedSensor,
     cubes: dict[str, Cube],
     seconds: dict[str, float],
 ) -> list[str]:
-    rows, columns = sensing.shape
-    count = len(sensing.sensor.bands)
+    rows, columns = aimed.shape
+    count = len(aimed.sensor.bands)
     lines = [
         f"{plot.name}: {count} bands of {instrument.name}, {columns} x {rows} pixels of "
-        f"{sensing.pixel:.4g} m."
+        f"{aimed.pixel:.4g} m."
     ]
     for cube in cubes.values():
         mean = float(cube.values[cube.good].mean())

@@ -1,18 +1,15 @@
 """What `fynjax simulate` does with a LiDAR: point cloud, waveforms, pictures."""
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-import equinox as eqx
-import jax
 import numpy as np
 import xarray as xr
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax.assembly import build_plot, cover_spectra, soil_spectra
+from fynjax.assembly import build_plot
 from fynjax.compare import Heights, compare_heights, lowest_ground
 from fynjax.io.instruments import write_cloud
 from fynjax.io.plot import Plot, plot_place
@@ -22,16 +19,8 @@ from fynjax.jobs._run import Run
 from fynjax.radiation import VoxelScene
 from fynjax.report.figures import height_profiles, side_view
 from fynjax.report.pages import Page, Part, Picture, Section, Table
-from fynjax.scene import Camera, PlotModel, band_wavelengths, hard_model
-from fynjax.sensors import (
-    Lidar,
-    LidarBeams,
-    LidarReturns,
-    Waveforms,
-    detect_returns,
-    lidar_waveforms,
-    received_electrons,
-)
+from fynjax.scene import LidarObservation, hard_scene, observe
+from fynjax.sensors import Lidar, LidarBeams, LidarReturns
 from fynjax.sensors.lidar import GROUND
 
 
@@ -68,20 +57,11 @@ def simulate_lidar(
     for package in ("laspy", "lazrs"):
         require(package, "terrain")
     with run.stage("Build the plot", "build"):
-        model, parameters = build_plot(plot, seed=run.seed)
-        model = laser_model(plot, hard_model(model, parameters), lidar)
-        scene = eqx.filter_jit(lambda m, p: m.scene(p))(model, parameters)
-        jax.block_until_ready(scene)
-    ground = 0.0 if model.terrain is None else float(np.mean(model.terrain))
-    beams = lidar.beams(plot.size_m, top=scene.height, ground=ground, seed=run.seed)
-    leaves, counting = jax.random.split(jax.random.key(run.seed))
-    sublayers = _sublayers(beams, scene.vertical / scene.horizontal)
-    with run.stage("Trace the pulses", "waveforms"):
-        echoes = lidar_waveforms(scene, lidar, beams, key=leaves, sublayers=sublayers)
-        electrons = received_electrons(lidar, beams, echoes.total, key=counting if noise else None)
-        jax.block_until_ready(electrons)
-    with run.stage("Find the returns", "returns"):
-        returns = detect_returns(lidar, beams, np.asarray(electrons), echoes)
+        scene, parameters = build_plot(plot, seed=run.seed)
+        scene = hard_scene(scene, parameters)
+    with run.stage("Send the pulses", "observe"):
+        observation = observe(scene, parameters, lidar, noise=noise, seed=run.seed)
+    voxels, beams, returns = observation.voxels, observation.beams, observation.returns
     if len(returns) == 0:
         raise InputError(
             f"no pulse of {lidar.name!r} has a return: does its range gate hold the ground, "
@@ -89,7 +69,9 @@ def simulate_lidar(
             file=plot.file,
         )
     with run.stage("Compare with what was planted", "profile"):
-        heights = compare_heights(model, parameters, scene, beams, returns, sublayers=sublayers)
+        heights = compare_heights(
+            scene, parameters, voxels, beams, returns, sublayers=observation.sublayers
+        )
     record = run.record([*plot.inputs, *files])
     record["lidar"] = lidar.name
     record["noise"] = "drawn" if noise else "none"
@@ -99,12 +81,12 @@ def simulate_lidar(
         cloud, origin = run.path("cloud.laz", "point cloud, LAS 1.4"), (*place.origin_m, lowest)
         write_cloud(cloud, returns, origin_m=origin, crs=place.crs, attributes=record)
         waveforms = run.path("waveforms.nc", "waveform of every pulse, NetCDF")
-        write_run(waveforms, waveform_dataset(lidar, beams, np.asarray(electrons), echoes), record)
+        write_run(waveforms, waveform_dataset(lidar, observation), record)
         what = "percentiles of height of returns and of planted area"
         run.table("heights.csv", heights.table(), what, None)
     counts = _counts(plot, beams, returns)
     headline = _headline(plot, lidar, counts, heights)
-    warnings = _warnings(lidar, scene, beams, echoes)
+    warnings = _warnings(lidar, voxels, beams)
     with run.stage("Draw", "figures"):
         run.total()
         sections = _sections(run, plot, lidar, returns, heights, [*headline[1:], *warnings])
@@ -123,23 +105,9 @@ def simulate_lidar(
     )
 
 
-def laser_model(plot: Plot, model: PlotModel, lidar: Lidar) -> PlotModel:
-    """The same plot with the optics of its ground and leaves in the laser's line."""
-    bands = lidar.bands
-    wavelength = band_wavelengths(bands)
-    return dataclasses.replace(
-        model,
-        camera=Camera(bands, lidar.geometry.altitude, 1.0),
-        soil=soil_spectra(plot, wavelength),
-        covers=cover_spectra(plot, wavelength),
-        diffuse=np.zeros(len(wavelength)),  # no sky: the laser is the light
-    )
-
-
-def waveform_dataset(
-    lidar: Lidar, beams: LidarBeams, electrons: np.ndarray, echoes: Waveforms
-) -> xr.Dataset:
+def waveform_dataset(lidar: Lidar, observation: LidarObservation) -> xr.Dataset:
     """What was recorded of each pulse, and the noise-free return of its ground."""
+    beams = observation.beams
 
     def each(values: np.ndarray, name: str, units: str) -> tuple[str, np.ndarray, dict[str, str]]:
         return "pulse", values, {"long_name": name, "units": units}
@@ -158,10 +126,14 @@ def waveform_dataset(
     samples = (np.arange(beams.samples) + 0.5) * lidar.sample
     return xr.Dataset(
         {
-            "waveform": (("pulse", "sample"), electrons.astype(np.float32), recorded),
+            "waveform": (
+                ("pulse", "sample"),
+                np.asarray(observation.electrons, np.float32),
+                recorded,
+            ),
             "ground_waveform": (
                 ("pulse", "sample"),
-                np.asarray(echoes.ground, np.float32),
+                np.asarray(observation.waveforms.ground, np.float32),
                 ground,
             ),
             **where,
@@ -190,20 +162,13 @@ def waveform_dataset(
     )
 
 
-def _sublayers(beams: LidarBeams, shape: float) -> int:
-    """Steps in a layer, so that a pulse moves by at most half a voxel in each."""
-    slant = np.abs(beams.direction[:, 2]).min()
-    run = float(np.sqrt(1.0 - slant**2) / slant)
-    return max(int(np.ceil(2.0 * run * shape)), 1)
-
-
-def _warnings(lidar: Lidar, scene: VoxelScene, beams: LidarBeams, echoes: Waveforms) -> list[str]:
+def _warnings(lidar: Lidar, voxels: VoxelScene, beams: LidarBeams) -> list[str]:
     """What the range gate cut off."""
     if lidar.gate is None:
         return []
-    low = 0.0 if scene.terrain is None else float(np.min(np.asarray(scene.terrain)))
+    low = 0.0 if voxels.terrain is None else float(np.min(np.asarray(voxels.terrain)))
     deep = (beams.origin[:, 2] - low) / np.abs(beams.direction[:, 2]) + 2.0 * lidar.pulse_sd
-    high = (beams.origin[:, 2] - scene.height) / np.abs(beams.direction[:, 2])
+    high = (beams.origin[:, 2] - voxels.height) / np.abs(beams.direction[:, 2])
     lost = []
     if (share := float(np.mean(deep > lidar.gate[1]))) > 0:
         lost.append(f"{100 * share:.0f} % of the pulses may end below the range gate")

@@ -8,27 +8,27 @@ from typing import Any
 import numpy as np
 
 from fynjax.io.plot import Air, Plot, optical_pixel
-from fynjax.scene import Observation, PlotAir, PlotSensing
+from fynjax.scene import AimedSensor, Observation, PlotAir
 from fynjax.sensors import OrthographicCamera, Sensor, frame_of
 
 
-def is_reduced(sensing: PlotSensing) -> bool:
-    solves = sensing.model.accuracy.solves
-    return solves is not None and len(sensing.sensor.bands) > solves
+def is_reduced(aimed: AimedSensor) -> bool:
+    solves = aimed.accuracy.solves
+    return solves is not None and len(aimed.sensor.bands) > solves
 
 
 def run_record(
     plot: Plot,
     instrument: Sensor,
-    sensing: PlotSensing,
+    aimed: AimedSensor,
     air: Air,
     noisy: bool,
     observation: Observation,
     seconds: dict[str, float],
 ) -> dict[str, Any]:
     """What made the product, for `run.json`."""
-    camera, accuracy = sensing.sensor.camera, sensing.model.accuracy
-    optics = optical_pixel(instrument, sensing.sensor_height)
+    camera, accuracy = aimed.sensor.camera, aimed.accuracy
+    optics = optical_pixel(instrument, aimed.sensor_height)
     frame, angles = frame_of(camera), {}
     if frame is not None:
         angles = {"tilt_deg": frame.tilt, "heading_deg": frame.heading}
@@ -51,17 +51,17 @@ def run_record(
             "source": instrument.source,
             "kind": type(camera).__name__,
             "bands": len(instrument.bands),
-            "bands_simulated": len(sensing.sensor.bands),
-            "altitude_m": sensing.sensor_height,
-            "pixel_m": sensing.pixel,
+            "bands_simulated": len(aimed.sensor.bands),
+            "altitude_m": aimed.sensor_height,
+            "pixel_m": aimed.pixel,
             "pixel_of_the_optics_m": optics,
-            "rows_columns": list(sensing.shape),
-            "south_west_corner_from_that_of_the_plot_m": list(sensing.origin),
+            "rows_columns": list(aimed.shape),
+            "south_west_corner_from_that_of_the_plot_m": list(aimed.origin),
             **{k: float(v) for k, v in angles.items()},
-            "point_spread": sensing.sensor.psf is not None,
+            "point_spread": aimed.sensor.psf is not None,
             "noise": bool(noisy),
-            "pixels_averaged_in_noise": sensing.averaged,
-            "reflectance_by": "the known air" if sensing.panels is None else "panels",
+            "pixels_averaged_in_noise": aimed.averaged,
+            "reflectance_by": "the known air" if aimed.panels is None else "panels",
         },
         "atmosphere": {
             "model": air.model,
@@ -80,9 +80,9 @@ def run_record(
         },
         "accuracy": {
             **{f.name: getattr(accuracy, f.name) for f in dataclasses.fields(accuracy)},
-            "bands_reduced_to_few_solves": is_reduced(sensing),
+            "bands_reduced_to_few_solves": is_reduced(aimed),
             "largest_residual": float(residual.max()),
-            "precision": sensing.model.dtype,
+            "precision": observation.reflectance.dtype.name,
         },
         "timings_s": dict(seconds),
     }
@@ -93,11 +93,11 @@ def short_record(run: dict[str, Any]) -> dict[str, str]:
     return {key: json.dumps(run[key]) for key in ("plot", "sensor", "atmosphere", "accuracy")}
 
 
-def _left_out(sensing: PlotSensing, instrument: Sensor) -> list[str]:
+def _left_out(aimed: AimedSensor, instrument: Sensor) -> list[str]:
     lost = [
         f"{name} ({centre:.5g} nm)"
         for name, centre in zip(instrument.bands.names, instrument.bands.centre)
-        if name not in sensing.sensor.bands.names
+        if name not in aimed.sensor.bands.names
     ]
     if not lost:
         return []
@@ -108,19 +108,19 @@ def _left_out(sensing: PlotSensing, instrument: Sensor) -> list[str]:
     ]
 
 
-def _of_other_pixels(sensing: PlotSensing) -> list[str]:
-    sizes = sensing.sensor.band_pixel
+def _of_other_pixels(aimed: AimedSensor) -> list[str]:
+    sizes = aimed.sensor.band_pixel
     if sizes is None or len(set(sizes)) == 1:
         return []
     return [
-        f"bands of {sensing.sensor.name} have pixels of {min(sizes):g} to {max(sizes):g} m in its "
-        f"products; here all have {sensing.pixel:g} m"
+        f"bands of {aimed.sensor.name} have pixels of {min(sizes):g} to {max(sizes):g} m in its "
+        f"products; here all have {aimed.pixel:g} m"
     ]
 
 
-def _of_slant(sensing: PlotSensing) -> list[str]:
-    slant = 1.0 / float(np.min(sensing.rays.cosine))
-    if not isinstance(sensing.air, PlotAir) or slant < 1.05:
+def _of_slant(aimed: AimedSensor) -> list[str]:
+    slant = 1.0 / float(np.min(aimed.rays.cosine))
+    if not isinstance(aimed.air, PlotAir) or slant < 1.05:
         return []
     return [
         f"the air is that of a view straight down, but lines of sight are up to {slant:.2f} times "
@@ -128,13 +128,13 @@ def _of_slant(sensing: PlotSensing) -> list[str]:
     ]
 
 
-def warnings_of(plot: Plot, sensing: PlotSensing, instrument: Sensor) -> list[str]:
+def warnings_of(plot: Plot, aimed: AimedSensor, instrument: Sensor) -> list[str]:
     """What a user should mind of a simulated image."""
     lost = []
-    if plot.sensor.panels and sensing.panels is None:
+    if plot.sensor.panels and aimed.panels is None:
         lost = [f"the plot file's panels are those of {plot.sensor.name}, and left out here"]
-    if sensing.panels is not None and len(sensing.panels.coverage) == 1:
+    if aimed.panels is not None and len(aimed.panels.coverage) == 1:
         lost = [
             "one panel cannot separate the light scattered by the air; reflectance_sd allows for it"
         ]
-    return [*lost, *_left_out(sensing, instrument), *_of_other_pixels(sensing), *_of_slant(sensing)]
+    return [*lost, *_left_out(aimed, instrument), *_of_other_pixels(aimed), *_of_slant(aimed)]

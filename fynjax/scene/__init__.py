@@ -1,9 +1,20 @@
-"""Scene: a plot put together from leaves, plants, light and a sensor."""
+"""Scene: a plot put together from leaves, plants, ground and light; what sensors measure of it."""
 
 from fynjax.scene._cover import ProjectedCover, crown_centres, projected_cover
-from fynjax.scene._ground import COVERS, ground_shares, random_patches
-from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_model
-from fynjax.scene._observe import Observation, PlotAir, PlotSensing, plot_sensing
+from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
+from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
+from fynjax.scene._observe import (
+    DRONE,
+    AimedSensor,
+    LidarObservation,
+    Observation,
+    Placement,
+    PlotAir,
+    aim,
+    fitted_accuracy,
+    observe,
+    observe_lidar,
+)
 from fynjax.scene._parameters import (
     LEAF_FIELDS,
     PARAMETERS,
@@ -18,45 +29,60 @@ from fynjax.scene._parameters import (
 )
 from fynjax.scene._planting import Planting, draw_planting, element_count, leafy_species
 from fynjax.scene._profile import height_profile
-from fynjax.scene._scene import Camera, PlotModel, band_wavelengths, build_model, ground_at, replant
-from fynjax.scene._spectra import background_spectrum, shipped_covers
+from fynjax.scene._scene import (
+    PlantingRules,
+    Scene,
+    SceneSpecies,
+    build_scene,
+    ground_at,
+    replant,
+)
+from fynjax.scene._spectra import Spectrum, background_spectrum, band_wavelengths
 
 __all__ = [
     "COVERS",
+    "DRONE",
     "LEAF_FIELDS",
     "PARAMETERS",
-    "Camera",
+    "AimedSensor",
+    "Ground",
     "GroundParameters",
     "Instances",
+    "LidarObservation",
     "LightParameters",
     "Observation",
+    "Placement",
     "Planting",
+    "PlantingRules",
     "PlotAir",
-    "PlotModel",
     "PlotParameters",
-    "PlotSensing",
     "ProjectedCover",
+    "Scene",
+    "SceneSpecies",
     "SpeciesParameters",
+    "Spectrum",
+    "aim",
     "background_spectrum",
     "band_wavelengths",
-    "build_model",
+    "build_scene",
     "crown_centres",
     "draw_planting",
     "element_count",
+    "fitted_accuracy",
     "ground_at",
     "ground_shares",
     "hard_counts",
     "hard_instances",
-    "hard_model",
+    "hard_scene",
     "height_profile",
     "leafy_species",
     "named_values",
+    "observe",
+    "observe_lidar",
     "parameter_kind",
     "parameter_reference",
-    "plot_sensing",
     "projected_cover",
     "random_patches",
     "replant",
-    "shipped_covers",
     "with_values",
 ]

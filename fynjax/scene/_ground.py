@@ -4,11 +4,16 @@ Where each cover lies is drawn or read once; how much there is of it is a parame
 relative densities per voxel column, scaled until every cover has the share it should have.
 """
 
+from typing import Any
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.ndimage import gaussian_filter
+
+from fynjax.scene._spectra import Spectrum, background_spectrum
 
 COVERS = ("litter", "char", "rock")
 """What may lie on the soil."""
@@ -18,6 +23,40 @@ CONTRAST = 3.0
 largest share of a voxel column is then about three quarters on average. An assumption."""
 
 _ROUNDS = 60
+
+_SHIPPED = {"litter": "litter", "char": "char", "rock": "dry_soil"}
+
+
+class Ground(eqx.Module):
+    """Spectra of soil and of what lies on it, and where each lies. How much there is of each, and
+    how wet and bright the soil is, are parameters."""
+
+    soil: Spectrum | None = None
+    """None: the shipped dry and wet soil, mixed by the parameter `moisture`."""
+    litter: Spectrum | None = None
+    """None: the shipped one."""
+    char: Spectrum | None = None
+    """None: the shipped one."""
+    rock: Spectrum | None = None
+    """None: as the shipped dry soil, an assumption for the pale sandstone that sandy soil comes
+    from: no spectrum of rock is shipped."""
+    patches: Float[np.ndarray, "kind y x"] | None = None
+    """Relative density of soil, litter, char and rock in the voxel columns; None: mixed alike."""
+
+    def cover_spectra(self, wavelength: Float[np.ndarray, " wavelength"]) -> Any:
+        """Reflectance of litter, char and rock [cover, wavelength] at whole `wavelength` [nm] [-].
+
+        Raises `InputError` where one that was given does not cover them.
+        """
+        spectra = []
+        for cover in COVERS:
+            given = getattr(self, cover)
+            if given is None:
+                spectra.append(background_spectrum(_SHIPPED[cover], wavelength))
+            else:
+                given.check(wavelength[0], wavelength[-1])
+                spectra.append(given.at(wavelength))
+        return jnp.stack(spectra)
 
 
 def random_patches(

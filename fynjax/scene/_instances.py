@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from fynjax._core.errors import InputError
 from fynjax.canopy import hard_count
 from fynjax.scene._parameters import PlotParameters
-from fynjax.scene._scene import PlotModel, ground_at
+from fynjax.scene._scene import Scene, ground_at
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Instances:
         return np.bincount(self.species, minlength=len(self.taxa))
 
 
-def hard_counts(model: PlotModel, parameters: PlotParameters) -> Int[np.ndarray, " species"]:
+def hard_counts(model: Scene, parameters: PlotParameters) -> Int[np.ndarray, " species"]:
     """Whole number of plants of each species, eq. (10) with its ceiling [-].
 
     Counted in the precision of `parameters`: give them in 64-bit, as the reader of plot files
@@ -57,7 +57,7 @@ def hard_counts(model: PlotModel, parameters: PlotParameters) -> Int[np.ndarray,
     return np.asarray(hard_count(count, np.ones(len(count))))
 
 
-def hard_instances(model: PlotModel, parameters: PlotParameters) -> Instances:
+def hard_instances(model: Scene, parameters: PlotParameters) -> Instances:
     """The plants of the hard scene, as many of each species as eq. (10) says.
 
     They are the first plants of the model's planting: their places, turns and sizes are those of
@@ -89,7 +89,7 @@ def hard_instances(model: PlotModel, parameters: PlotParameters) -> Instances:
     )
 
 
-def hard_model(model: PlotModel, parameters: PlotParameters) -> PlotModel:
+def hard_scene(model: Scene, parameters: PlotParameters) -> Scene:
     """The plot with the plants of `hard_instances` and no spare ones.
 
     These plants stand whatever a cover is later set to; everything else follows the parameters as
@@ -97,10 +97,10 @@ def hard_model(model: PlotModel, parameters: PlotParameters) -> PlotModel:
     """
     planting = model.planting.only(_standing(model, parameters))
     hard = eqx.tree_at(lambda m: m.planting, model, planting)
-    return dataclasses.replace(hard, softness=0.0, width=0.0)
+    return dataclasses.replace(hard, softness=0.0, softness_plants=0.0)
 
 
-def _standing(model: PlotModel, parameters: PlotParameters) -> np.ndarray:
+def _standing(model: Scene, parameters: PlotParameters) -> np.ndarray:
     """Mask of the plants of the hard scene."""
     count = hard_counts(model, parameters)
     species = np.asarray(model.planting.species)
@@ -110,6 +110,6 @@ def _standing(model: PlotModel, parameters: PlotParameters) -> np.ndarray:
         one = short[0]
         raise InputError(
             f"{model.taxa[one]!r} is to have {count[one]} plants, but {ready[one]} sites are held "
-            "ready: build the model with these parameters, or with more `room`"
+            "ready: build the scene with these parameters, or with more `room`"
         )
     return np.asarray(model.planting.place) < count[species]

@@ -1,13 +1,17 @@
-"""What a sensor measures over a plot: from its parameters to radiance and calibrated reflectance.
+"""What any sensor measures of a scene: the one road from a scene to a measurement.
 
-The image lies on a map: pixels are squares on the ground, rows north, as in an orthorectified
+`aim` lays the lines of sight of a sensor out over a scene, once; `AimedSensor.observe` then gives
+what it measures, as a differentiable function of the scene's parameters. `observe` does both, and
+sends a LiDAR's pulses instead where the sensor is one.
+
+An image lies on a map: pixels are squares on the ground, rows north, as in an orthorectified
 product, and each is seen along the line of sight that the sensor has of it. Pixels wider than a
 voxel average rays a voxel apart, because the light that escapes a clumped canopy is not that of
 its mean density.
 """
 
 import dataclasses
-from typing import Literal
+from typing import Any, Literal, overload
 
 import equinox as eqx
 import jax
@@ -16,30 +20,46 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from fynjax._core.errors import InputError
-from fynjax.radiation import AbstractRays, VoxelScene, reflectance_factor, solve_light
+from fynjax.radiation import (
+    AbstractRays,
+    Accuracy,
+    RayLattice,
+    VoxelScene,
+    reflectance_factor,
+    solve_light,
+)
 from fynjax.scene._panels import PanelsInPicture, panels_in_picture
 from fynjax.scene._parameters import LightParameters, PlotParameters
 from fynjax.scene._pixels import axis_pixels, footprint_shares
-from fynjax.scene._scene import PlotModel
+from fynjax.scene._scene import Scene
 from fynjax.sensors import (
     SPACE,
     AbstractCamera,
     Atmosphere,
     ClearAir,
+    Lidar,
+    LidarBeams,
+    LidarReturns,
     Panel,
     PushbroomCamera,
     Sensor,
+    Waveforms,
     at_sensor_radiance,
     band_atmosphere,
     check_within_table,
     clear_sky_atmosphere,
+    detect_returns,
     frame_of,
     is_transparent,
+    lidar_waveforms,
     map_rays,
+    received_electrons,
     surface_reflectance,
     tabulated_atmosphere,
 )
 
+DRONE = Accuracy(sublayers=1, coarsening=(2, 2), levels=2, refine=False)
+"""Accuracy of a drone's image, seen from close to nadir under a high sun: the default."""
 _AT_550 = (550.0 / 500.0) ** -1.14
 """Optical depth of aerosol at 550 nm over that at 500 nm, by Ångström's law as SPCTRL2 has it."""
 SAMPLES = 2
@@ -100,26 +120,46 @@ class Observation(eqx.Module):
     """Estimated error of light scattered more than once, see `fynjax.radiation.Light` [-]."""
 
 
-class PlotSensing(eqx.Module):
-    """A sensor over a plot; `plot_sensing` makes one. Call `observe` with parameters."""
+class Placement(eqx.Module):
+    """Where an imaging sensor is, and how large its pixels are. None: as its file has it."""
 
-    model: PlotModel
+    altitude: float | None = eqx.field(static=True, default=None)
+    """Above the ground [m]. A sensor without one, such as an orthographic view, is taken to be in
+    space where the air asks for it."""
+    pixel: float | None = eqx.field(static=True, default=None)
+    """Edge of a pixel on the ground [m]; None: from the optics."""
+    tilt: float | None = eqx.field(static=True, default=None)
+    """Of the optical axis from straight down towards the heading [degrees]. Not of an orthographic
+    view, as the heading."""
+    heading: float | None = eqx.field(static=True, default=None)
+    """Clockwise from north [degrees]."""
+
+
+class AimedSensor(eqx.Module):
+    """An imaging sensor over a scene; `aim` makes one. Call `observe` with scene and parameters.
+
+    It serves every scene of the same extent, boundary and mean height of the ground, such as the
+    same one with other plants.
+    """
+
     sensor: Sensor
     air: PlotAir | Atmosphere | None
-    """None: reflectance alone, under the plot's own sky."""
+    """None: reflectance alone, under the scene's own sky."""
     rays: AbstractRays
+    accuracy: Accuracy = eqx.field(static=True)
+    """How finely the light is solved."""
     pixel: float = eqx.field(static=True)
     """Edge of a pixel on the ground [m]."""
     shape: tuple[int, int] = eqx.field(static=True)
     """Rows and columns of the image."""
     origin: tuple[float, float] = eqx.field(static=True)
-    """South-west corner of the image from that of the plot [m]."""
+    """South-west corner of the image from that of the scene [m]."""
     sensor_height: float = eqx.field(static=True)
     """Of the sensor above the ground, for the air [m]."""
     margin: int = eqx.field(static=True)
     """Pixels around the image that `rays` has on top, for the point spread."""
     fine: tuple[int, int] | None = eqx.field(static=True)
-    """Rows and columns of rays over the plot where pixels are wider than voxels; else None."""
+    """Rows and columns of rays over the scene where pixels are wider than voxels; else None."""
     averaged: float = eqx.field(static=True)
     """The sensor's own pixels, by its optics, that a pixel is the mean of; at least 1. Its noise is
     as much lower."""
@@ -128,6 +168,7 @@ class PlotSensing(eqx.Module):
 
     def observe(
         self,
+        scene: Scene,
         parameters: PlotParameters,
         *,
         key: Array | int | None = None,
@@ -143,20 +184,20 @@ class PlotSensing(eqx.Module):
         if key is not None and (air is None or self.sensor.noise is None):
             lack = "no noise model" if air is not None else "no air to make radiance of"
             raise InputError(f"noise was asked for, but {self.sensor.name!r} has {lack}")
-        parameters = jax.tree.map(lambda x: jnp.asarray(x, self.model.dtype), parameters)
-        scene = self.model.scene(parameters)
+        parameters = jax.tree.map(lambda x: jnp.asarray(x, scene.dtype), parameters)
+        voxels = scene.voxels(parameters, self.sensor.bands)
         if air is None:
             every = jnp.ones(len(self.sensor.bands), bool)
-            image, _, residual = self._image(scene)
+            image, _, residual = self.image(voxels)
             return Observation(image, None, every, None, residual)
-        by_band = self._air_of_bands(air, parameters.light)
+        by_band = self._air_of_bands(air, parameters.light, scene.dtype)
         order, back = _sorting(self.sensor)
         total = by_band.direct + by_band.diffuse
         sky = (by_band.diffuse / jnp.maximum(total, jnp.finfo(total.dtype).tiny))[back]
-        scene = eqx.tree_at(
-            lambda s: (s.illumination.sun, s.illumination.sky), scene, (1.0 - sky, sky)
+        voxels = eqx.tree_at(
+            lambda s: (s.illumination.sun, s.illumination.sky), voxels, (1.0 - sky, sky)
         )
-        image, mean, residual = self._image(scene)
+        image, mean, residual = self.image(voxels)
         if self.panels is not None:
             image = self.panels.laid_on(image)
         pixels = jnp.moveaxis(image, 0, -1)[..., order]
@@ -207,108 +248,166 @@ class PlotSensing(eqx.Module):
         self.sensor.bands.weights(found.wavelength)
         return found
 
-    def _air_of_bands(self, air: PlotAir | Atmosphere, light: LightParameters) -> Atmosphere:
+    def _air_of_bands(
+        self, air: PlotAir | Atmosphere, light: LightParameters, dtype: str
+    ) -> Atmosphere:
         curves = air
         if isinstance(air, PlotAir):
             curves = air.atmosphere(light, self.sensor_height)
         assert isinstance(curves, Atmosphere)
         bands = self.sensor.bands.select(_sorting(self.sensor)[0].tolist())
         found = band_atmosphere(curves, bands)
-        return jax.tree.map(lambda v: v.astype(self.model.dtype), found)
+        return jax.tree.map(lambda v: v.astype(dtype), found)
 
-    def _image(
-        self, scene: VoxelScene
+    def image(
+        self, voxels: VoxelScene
     ) -> tuple[Float[Array, "band y x"], Float[Array, " band"], Float[Array, " band"]]:
-        """Reflectance factor of the pixels, its mean over the plot, and the light's residual."""
-        light = solve_light(scene, self.model.accuracy)
-        chunk = min(max(_VOXELS // int(np.prod(scene.shape)), 8), 32)
+        """Reflectance factor of the pixels, its mean over the scene, and the light's residual [-].
+
+        Without air, panels and noise; in whatever bands `voxels` has. Differentiable in `voxels`.
+        """
+        light = solve_light(voxels, self.accuracy)
+        chunk = min(max(_VOXELS // int(np.prod(voxels.shape)), 8), 32)
         seen = reflectance_factor(light, self.rays, chunk=chunk)
         mean = seen.mean(axis=(1, 2))
-        psf, periodic = self.sensor.psf, self.model.boundary == "periodic"
+        psf = self.sensor.psf
         if self.fine is None:
             if psf is not None:
                 edge = slice(self.margin, -self.margin or None)
                 seen = psf.blur(seen)[:, edge, edge]
             return seen, mean, light.residual
+        sides = tuple(n * voxels.horizontal for n in voxels.shape[1:])
         shares = []
         for axis, count, start, cells, length in zip(
-            ("y", "x"), self.shape, self.origin[::-1], self.fine, self.model.grid.extent[1::-1]
+            ("y", "x"), self.shape, self.origin[::-1], self.fine, sides, strict=True
         ):
             centres = start + (np.arange(count) + 0.5) * self.pixel
             kernel = None if psf is None else psf.kernel(axis, seen.dtype)  # type: ignore[arg-type]
             share = footprint_shares(
-                centres, self.pixel, cells, length, periodic=periodic, kernel=kernel
+                centres,
+                self.pixel,
+                cells,
+                length,
+                periodic=voxels.boundary == "periodic",
+                kernel=kernel,
             )
             shares.append(share.astype(seen.dtype))
         image = jnp.einsum("pr,brc,qc->bpq", shares[0], seen, shares[1], optimize="optimal")
         return image, mean, light.residual
 
+    def sampled(self, stride: int) -> "AimedSensor":
+        """The same with every `stride`-th pixel along each axis, without blur: a fair sample of the
+        image at a fraction of its cost. Where pixels are wider than voxels, all of them, from one
+        ray a voxel. Panels are left out."""
+        step = stride if self.fine is None else SAMPLES
+        rows, columns = (
+            slice(self.margin, self.margin + n if self.fine is None else None, step)
+            for n in self.shape
+        )
+        if isinstance(self.rays, RayLattice):
+            x, y, slope_x, slope_y = (
+                getattr(self.rays, name)[part]
+                for name, part in (
+                    ("x", columns), ("y", rows), ("slope_x", columns), ("slope_y", rows),
+                )
+            )  # fmt: skip
+            rays: AbstractRays = dataclasses.replace(
+                self.rays, x=x, y=y, slope_x=slope_x, slope_y=slope_y
+            )
+        else:
+            rays = jax.tree.map(lambda v: v[rows, columns], self.rays)
+        shape, fine = self.shape, self.fine
+        if fine is None:
+            shape = rays.shape
+        else:
+            fine = rays.shape
+        return dataclasses.replace(
+            self,
+            sensor=dataclasses.replace(self.sensor, psf=None),
+            rays=rays,
+            shape=shape,
+            margin=0,
+            fine=fine,
+            panels=None,
+        )
 
-def plot_sensing(
-    model: PlotModel,
+
+def fitted_accuracy(accuracy: Accuracy, scene: Scene, parameters: PlotParameters) -> Accuracy:
+    """`accuracy` with blocks that divide the grid of a scene and, if that is open, room for its sun
+    to stand 5 degrees lower than it does."""
+    nx, ny, nz = scene.grid.shape
+    high, wide = accuracy.coarsening or (2, 2)
+    while nx % wide or ny % wide:
+        wide -= 1
+    while nz % high:
+        high -= 1
+    margin = accuracy.margin
+    if scene.boundary == "open" and margin is None:
+        lowest = min(float(parameters.light.sun_zenith) + 5.0, 85.0)
+        columns = nz * scene.grid.vertical_size / scene.grid.horizontal_size
+        margin = int(np.ceil(columns * np.tan(np.deg2rad(lowest))))
+    return dataclasses.replace(accuracy, coarsening=(high, wide), margin=margin)
+
+
+@jax.ensure_compile_time_eval()
+def aim(
+    scene: Scene,
+    parameters: PlotParameters,
     sensor: Sensor,
+    placement: Placement | None = None,
     *,
-    altitude: float | None = None,
-    pixel: float | None = None,
-    tilt: float | None = None,
-    heading: float | None = None,
     air: PlotAir | Atmosphere | None = None,
-    point_spread: bool = True,
     panels: tuple[Panel, ...] = (),
-) -> PlotSensing:
-    """Aim a sensor at the middle of a plot.
+    point_spread: bool = True,
+    accuracy: Accuracy | None = None,
+) -> AimedSensor:
+    """Aim an imaging sensor at the middle of a scene.
 
     **Arguments:**
 
-    - `model`: built with the bands of `sensor` (`Camera(sensor.bands, ...)`), so that its spectra
-      are on their wavelengths.
-    - `altitude`: of the sensor above the ground [m]; left out, that of its file. A sensor without
-      one, such as an orthographic view, is taken to be in space where the air asks for it.
-    - `pixel`: edge of a pixel on the ground [m]; left out, from the optics.
-    - `tilt`: of the optical axis from straight down towards the heading; `heading`: clockwise from
-      north [degrees]. Left out, those of the sensor's file. Not of an orthographic view.
-    - `air`: between plot and sensor; None for reflectance alone.
-    - `point_spread`: whether the optics blur.
+    - `parameters`: of which the sun counts, where the scene is open.
+    - `placement`: of the sensor and its pixels; left out, as its file has them.
+    - `air`: between scene and sensor; None for reflectance alone.
     - `panels`: to be seen in the picture and to calibrate by, with sharp edges. For a sensor in
       air.
+    - `point_spread`: whether the optics blur.
+    - `accuracy`: of the light; left out, that of a drone's image.
 
-    As many whole pixels as the plot holds lie in its middle; a periodic plot smaller than a pixel
-    fills one, for it goes on for ever. Raises `InputError` for an open plot smaller than a pixel,
-    a sensor that is not above the plants, and values out of range.
+    As many whole pixels as the scene holds lie in its middle; a periodic scene smaller than a pixel
+    fills one, for it goes on for ever. Raises `InputError` for an open scene smaller than a pixel,
+    a sensor that is not above the plants, and values out of range. Sensor, terrain and, of an open
+    scene, the sun must be known: aim before a transformation, observe inside.
     """
+    placement = Placement() if placement is None else placement
     if panels and air is None:
         raise InputError("expected an atmosphere: panels calibrate radiance")
-    if model.camera.bands != sensor.bands:
-        raise InputError(
-            "`model` must be built with the sensor's bands, `Camera(sensor.bands, ...)`, but its "
-            f"bands are {', '.join(model.camera.bands.names[:4])}..."
-        )
-    lx, ly, top = model.grid.extent
-    base = 0.0 if model.terrain is None else float(np.mean(model.terrain))
+    accuracy = fitted_accuracy(DRONE if accuracy is None else accuracy, scene, parameters)
+    lx, ly, top = scene.grid.extent
+    base = scene.ground_level
     frame = frame_of(sensor.camera)
-    if frame is None and (tilt is not None or heading is not None):
+    if frame is None and (placement.tilt is not None or placement.heading is not None):
         raise InputError("an orthographic view has no tilt or heading: set its view angles instead")
     height = SPACE if frame is None else float(frame.position[2])
-    height = height if altitude is None else altitude
+    height = height if placement.altitude is None else placement.altitude
     if not height + base > top:
         raise InputError(
             f"the sensor must be above the plants, which reach {top - base:.2f} m, but is at "
             f"{height:g} m above the ground"
         )
-    optics = sensor.ground_sample_distance(None if frame is None else height)
-    pixel = float(optics) if pixel is None else pixel
+    optics = float(sensor.ground_sample_distance(None if frame is None else height))
+    pixel = optics if placement.pixel is None else placement.pixel
     if not 0.0 < pixel < np.inf:
         raise InputError(f"`pixel` must be a positive number of m, but is {pixel:g}.")
-    periodic = model.boundary == "periodic"
+    periodic = scene.boundary == "periodic"
     (columns, west), (rows, south) = (axis_pixels(s, pixel, periodic=periodic) for s in (lx, ly))
     psf = sensor.psf if point_spread else None
     if psf is not None:  # its reach must be known inside transformations
         psf = dataclasses.replace(psf, radius=psf.reach())
-    wide = pixel > max(model.grid.horizontal_size, 1e-9) * (1.0 + 1e-6)
+    wide = pixel > max(scene.grid.horizontal_size, 1e-9) * (1.0 + 1e-6)
     margin = psf.reach() if psf is not None and periodic and not wide else 0
     if wide:
-        ny, nx = (SAMPLES * n for n in model.grid.shape[1::-1])
-        spacing = model.grid.horizontal_size / SAMPLES
+        ny, nx = (SAMPLES * n for n in scene.grid.shape[1::-1])
+        spacing = scene.grid.horizontal_size / SAMPLES
         axes = [(np.arange(n) + 0.5) * spacing for n in (nx, ny)]
     else:
         spacing = pixel
@@ -316,11 +415,11 @@ def plot_sensing(
             start + (np.arange(-margin, n + margin) + 0.5) * pixel
             for start, n in ((west, columns), (south, rows))
         ]
-    x, y = (jnp.asarray(axis, model.dtype) for axis in axes)
+    x, y = (jnp.asarray(axis, scene.dtype) for axis in axes)
     middle = (lx / 2, ly / 2)
-    camera = _aimed(sensor.camera, middle, height, base, tilt, heading)
+    camera = _aimed(sensor.camera, middle, height, base, placement)
     # The map is at the mean height of the ground: laid out there, then moved to the zero level.
-    rays = map_rays(_aimed(sensor.camera, middle, height, 0.0, tilt, heading), x, y, spacing)
+    rays = map_rays(_aimed(sensor.camera, middle, height, 0.0, placement), x, y, spacing)
     rays = dataclasses.replace(
         rays,
         x=rays.x - base * rays.slope_x,
@@ -330,23 +429,138 @@ def plot_sensing(
     # Rays that cross several voxels in a layer are cut into as many pieces.
     slope = float(jnp.tan(jnp.arccos(jnp.min(rays.cosine))))
     pieces = min(8, int(np.ceil(slope - 1e-6)))
-    if model.accuracy.sublayers is not None and model.accuracy.sublayers < pieces:
-        accuracy = dataclasses.replace(model.accuracy, sublayers=pieces)
-        model = dataclasses.replace(model, accuracy=accuracy)
-    return PlotSensing(
-        model=model,
+    if accuracy.sublayers is not None and accuracy.sublayers < pieces:
+        accuracy = dataclasses.replace(accuracy, sublayers=pieces)
+    return AimedSensor(
         sensor=dataclasses.replace(sensor, camera=camera, psf=psf),
         air=air,
         rays=rays,
+        accuracy=accuracy,
         pixel=pixel,
         shape=(rows, columns),
         origin=(west, south),
         sensor_height=float(height),
         margin=margin,
         fine=(ny, nx) if wide else None,
-        averaged=max(1.0, (pixel / float(optics)) ** 2),
+        averaged=max(1.0, (pixel / optics) ** 2),
         panels=panels_in_picture(panels, (rows, columns), pixel, (west, south)) if panels else None,
     )
+
+
+class LidarObservation(eqx.Module):
+    """What a LiDAR measures of a scene. Heights count from the bottom of the scene's grid."""
+
+    voxels: VoxelScene
+    """The scene in the laser's line."""
+    beams: LidarBeams
+    """The pulses."""
+    sublayers: int = eqx.field(static=True)
+    """Steps in which a pulse crosses a layer of voxels."""
+    waveforms: Waveforms
+    """Apparent reflectance in each sample of each pulse, without noise [-]."""
+    electrons: Float[Array, "beam sample"]
+    """What the receiver counts, its mean background taken off [-]."""
+    returns: LidarReturns
+    """Discrete returns."""
+
+
+def observe_lidar(
+    scene: Scene, parameters: PlotParameters, lidar: Lidar, *, noise: bool = True, seed: int = 0
+) -> LidarObservation:
+    """Fly a LiDAR over a scene: its pulses, their waveforms and returns.
+
+    **Arguments:** `noise`, whether the receiver is noisy; `seed`, of the places of the pulses, the
+    leaves that they hit, which are always drawn, and the noise.
+
+    Single scattering, see `lidar_waveforms`. A cloud is that of whole plants: give it the scene of
+    `hard_scene`. Not differentiable, as returns are found one by one; `lidar_waveforms` is. Raises
+    `InputError` as `Lidar.beams`.
+    """
+    voxels = _voxels(scene, parameters, lidar.bands)
+    beams = lidar.beams(
+        scene.grid.extent[:2], top=voxels.height, ground=scene.ground_level, seed=seed
+    )
+    # Steps in a layer, so that a pulse moves by at most half a voxel in each.
+    slant = np.abs(beams.direction[:, 2]).min()
+    run = float(np.sqrt(1.0 - slant**2) / slant)
+    sublayers = max(int(np.ceil(2.0 * run * voxels.vertical / voxels.horizontal)), 1)
+    leaves, counting = jax.random.split(jax.random.key(seed))
+    waveforms = lidar_waveforms(voxels, lidar, beams, key=leaves, sublayers=sublayers)
+    electrons = received_electrons(lidar, beams, waveforms.total, key=counting if noise else None)
+    returns = detect_returns(lidar, beams, np.asarray(electrons), waveforms)
+    return LidarObservation(voxels, beams, sublayers, waveforms, electrons, returns)
+
+
+@eqx.filter_jit
+def _voxels(scene: Scene, parameters: PlotParameters, bands: Any) -> VoxelScene:
+    return scene.voxels(parameters, bands)
+
+
+@eqx.filter_jit
+def _measure(
+    aimed: AimedSensor, scene: Scene, parameters: PlotParameters, key: Array | None
+) -> Observation:
+    return aimed.observe(scene, parameters, key=key)
+
+
+@overload
+def observe(
+    scene: Scene,
+    parameters: PlotParameters,
+    sensor: Lidar,
+    *,
+    noise: bool = ...,
+    seed: int = ...,
+) -> LidarObservation: ...
+
+
+@overload
+def observe(
+    scene: Scene,
+    parameters: PlotParameters,
+    sensor: Sensor,
+    placement: Placement | None = ...,
+    *,
+    noise: bool = ...,
+    seed: int = ...,
+    **options: Any,
+) -> Observation: ...
+
+
+def observe(
+    scene: Scene,
+    parameters: PlotParameters,
+    sensor: Sensor | Lidar,
+    placement: Placement | None = None,
+    *,
+    noise: bool = False,
+    seed: int = 0,
+    **options: Any,
+) -> Observation | LidarObservation:
+    """What a sensor measures of a scene: an image, or a LiDAR's waveforms and returns.
+
+    **Arguments:**
+
+    - `scene`, `parameters`: from `build_scene`, `Scene.from_table` or a plot file.
+    - `sensor`: from `fynjax.sensors.shipped_sensor` or a file.
+    - `placement`: where an imaging sensor is; a LiDAR's file says where it flies.
+    - `noise`: whether to draw noise; of an imaging sensor in air.
+    - `seed`: of the noise, and of a LiDAR's pulses.
+    - `options`: of an imaging sensor, as `aim` takes them: `air`, `panels`, `point_spread`,
+      `accuracy`.
+
+    **Returns:** an `Observation`, or a `LidarObservation`. An image is differentiable in
+    `parameters`. A second call with the same shapes compiles nothing.
+
+    Raises `InputError` as `aim`, `AimedSensor.observe` and `observe_lidar`, and for a placement or
+    options of a LiDAR.
+    """
+    if isinstance(sensor, Lidar):
+        if placement is not None or options:
+            raise InputError(f"expected no placement or options of the LiDAR {sensor.name!r}")
+        return observe_lidar(scene, parameters, sensor, noise=noise, seed=seed)
+    aimed = aim(scene, parameters, sensor, placement, **options)
+    return _measure(aimed, scene, parameters, jax.random.key(seed) if noise else None)
 
 
 def _aimed(
@@ -354,15 +568,14 @@ def _aimed(
     middle: tuple[float, float],
     height: float,
     base: float,
-    tilt: float | None,
-    heading: float | None,
+    placement: Placement,
 ) -> AbstractCamera:
     """The camera where its optical axis meets the ground, at `base` [m], in the `middle` [m]."""
     frame = frame_of(camera)
     if frame is None:
         return camera.over(*middle)
-    tilt = float(frame.tilt) if tilt is None else tilt
-    heading = float(frame.heading) if heading is None else heading
+    tilt = float(frame.tilt) if placement.tilt is None else placement.tilt
+    heading = float(frame.heading) if placement.heading is None else placement.heading
     back = height * np.tan(np.deg2rad(tilt))
     ahead = np.deg2rad(heading)
     x, y = middle[0] - back * np.sin(ahead), middle[1] - back * np.cos(ahead)

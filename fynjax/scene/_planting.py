@@ -131,7 +131,7 @@ def draw_planting(
     seed: int,
     dtype: str,
 ) -> Planting:
-    """Draw sites, orientations and sizes; see `build_model` for the arguments.
+    """Draw sites, orientations and sizes; see `build_scene` and `PlantingRules` for the arguments.
 
     Raises `InputError` where a species finds no room on the plot.
     """

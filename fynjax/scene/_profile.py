@@ -5,19 +5,19 @@ from jaxtyping import Float
 
 from fynjax.canopy import Organ
 from fynjax.scene._parameters import PlotParameters
-from fynjax.scene._scene import PlotModel
+from fynjax.scene._scene import Scene
 
 
 def height_profile(
-    hard: PlotModel, parameters: PlotParameters, edges: Float[np.ndarray, " edge"]
+    hard: Scene, parameters: PlotParameters, edges: Float[np.ndarray, " edge"]
 ) -> Float[np.ndarray, "organ species layer"]:
     """Mean area density of leaves and of wood of each species in layers of height [m2 m-3].
 
-    **Arguments:** `hard` is a model whose plants all stand, as `hard_model` gives; `edges` are the
+    **Arguments:** `hard` is a model whose plants all stand, as `hard_scene` gives; `edges` are the
     layers' borders, rising [m]. What lies outside counts for the nearest layer.
 
     **Returns:** leaves, then wood; one-sided area that is seen from outside the shoots, as in
-    `PlotModel.area_density`, per volume of the plot's layer.
+    `Scene.area_density`, per volume of the plot's layer.
     """
     planting = hard.planting
     species, own = np.asarray(planting.species), parameters.species

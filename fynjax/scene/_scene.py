@@ -1,12 +1,13 @@
-"""A plot that can be rendered: from its parameters to an image, differentiably.
+"""A scene: plants, ground, light and terrain, and no sensor. What a sensor measures of it is
+`fynjax.scene.observe`.
 
 What is random (where plants may stand, how they are turned, which are large) is drawn once, when
-the model is built. The same plants then stand in the same places whatever the parameters are, so
-that an image is a smooth, repeatable function of the parameters.
+the scene is built. The same plants then stand in the same places whatever the parameters are, so
+that what a sensor measures is a smooth, repeatable function of the parameters.
 """
 
-import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import equinox as eqx
@@ -27,41 +28,66 @@ from fynjax.canopy import (
     soft_count,
     target_area,
 )
-from fynjax.radiation import (
-    Accuracy,
-    Illumination,
-    VoxelScene,
-    nadir_rays,
-    reflectance_factor,
-    solve_light,
-)
-from fynjax.scene._ground import COVERS, ground_shares
+from fynjax.radiation import Illumination, VoxelScene
+from fynjax.scene._ground import COVERS, Ground, ground_shares
 from fynjax.scene._optics import inclination, optical_classes
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._planting import Planting, draw_planting, leafy_species, no_plants
-from fynjax.scene._spectra import background_spectrum, shipped_covers
+from fynjax.scene._spectra import Spectrum, background_spectrum, band_wavelengths
 from fynjax.sensors import BandSet
 from fynjax.sensors.air import clear_sky_diffuse_fraction
 
-DRONE = Accuracy(sublayers=1, coarsening=(2, 2), levels=2, refine=False)
-"""Accuracy of a drone's image, seen from close to nadir under a high sun."""
+_EVEN_LAYERS = 2
+"""Layers of a scene are a multiple of this: the light is solved in pairs of them."""
 
 
-class Camera(eqx.Module):
-    """A frame camera that looks straight down on the middle of the plot."""
+@dataclass(frozen=True)
+class SceneSpecies:
+    """What is fixed about a species of a scene; the rest are its parameters."""
 
-    bands: BandSet = eqx.field(static=True)
-    altitude: float = eqx.field(static=True)
-    """Above the ground, in a `PlotModel` above its lowest [m]."""
-    pixel: float = eqx.field(static=True)
-    """Edge of a pixel on the ground [m]."""
+    taxon: str
+    """Name."""
+    form: str
+    """Growth form, a key of `fynjax.canopy.FORM_DEFAULTS`."""
+    branches: float = 1.0
+    """Copies of the plant model that make one plant [-]."""
+    rotation_spread: float = 0.0
+    """Standard deviation of the plants' lean [degrees]."""
+    minimum_area: float = 0.0
+    """Least ground area that a plant counts for [m2]."""
+    plant: PlantModel | None = None
+    """Shape of the plants, for instance of a mesh, whose leaves then are inclined as the shape's;
+    None: that of the growth form."""
 
 
-class PlotModel(eqx.Module):
-    """A plot: its fixed part. Call `image` with parameters to render it."""
+@dataclass(frozen=True)
+class PlantingRules:
+    """How plants are drawn, and how one more of them appears."""
+
+    room: float = 2.5
+    """Sites held ready, as a multiple of the plants that the parameters ask for [-]. A parameter
+    that later asks for more gets no more."""
+    size_variation: float = 0.2
+    """Coefficient of variation of the crown diameters of a species [-]. An assumption, as is the
+    stature: heights lie evenly between 0.6 and 1 times the greatest."""
+    probability: Float[np.ndarray, "y x"] | None = None
+    """Map of 0-255 over the plot of where plants are likely to stand, row 0 south; None: even."""
+    softness: float = 0.25
+    """Share of a species' plants over which the last ones fade in [-]; see `site_weight`."""
+    softness_plants: float = 1.0
+    """The same in plants, added to it; 0 with `softness` 0 is the hard scene of eq. (10)."""
+    flowering: float = 0.0
+    """Share of full bloom [-]."""
+
+
+class Scene(eqx.Module):
+    """Plants, ground, light and terrain of a plot: the fixed part, without a sensor.
+
+    The rest are its `PlotParameters`. `build_scene` and `Scene.from_table` make one; `observe`
+    gives what a sensor measures of it.
+    """
 
     planting: Planting
-    camera: Camera
     grid: VoxelGrid
     taxa: tuple[str, ...] = eqx.field(static=True)
     forms: tuple[str, ...] = eqx.field(static=True)
@@ -76,27 +102,22 @@ class PlotModel(eqx.Module):
     boundary: Literal["periodic", "open"] = eqx.field(static=True)
     softness: float = eqx.field(static=True)
     """Share of a species' plants over which the last ones fade in [-]; see `site_weight`."""
-    width: float = eqx.field(static=True)
+    softness_plants: float = eqx.field(static=True)
     """The same in plants, added to it; 0 with `softness` 0 is the hard scene of eq. (10)."""
     flowering: float = eqx.field(static=True)
     """Share of full bloom [-]."""
-    accuracy: Accuracy = eqx.field(static=True)
-    soil: Float[np.ndarray, "2 wavelength"] | None
-    """A user's soil instead of the shipped dry and wet one (both rows), on `wavelength`."""
-    covers: Float[np.ndarray, "cover wavelength"]
-    """Reflectance of litter, char and rock on `wavelength` [-]."""
-    patches: Float[np.ndarray, "kind y x"] | None
-    """Relative density of soil, litter, char and rock in the voxel columns; None: mixed alike."""
+    ground: Ground
+    """Spectra of soil and covers, and where they lie."""
     terrain: Float[np.ndarray, "y x"] | None
     """Height of the ground in the voxel columns above the bottom of the grid [m]; None: level."""
-    diffuse: Float[np.ndarray, " wavelength"] | None
-    """A user's diffuse fraction instead of the clear-sky model."""
+    sky: Spectrum | None
+    """Diffuse over global irradiance [-], instead of the clear-sky model."""
     dtype: str = eqx.field(static=True)
 
     @property
-    def wavelength(self) -> Float[np.ndarray, " wavelength"]:
-        """Grid of the spectra behind the bands [nm]."""
-        return band_wavelengths(self.camera.bands)
+    def ground_level(self) -> float:
+        """Mean height of the ground above the bottom of the grid [m]."""
+        return 0.0 if self.terrain is None else float(np.mean(self.terrain))
 
     def counts(self, parameters: PlotParameters) -> Float[Array, " species"]:
         """Real number of plants of each species, eq. (10) without its ceiling [-]."""
@@ -120,7 +141,7 @@ class PlotModel(eqx.Module):
         weight = site_weight(
             self.counts(parameters).astype(self.dtype)[owner],
             planting.place,
-            width=self.width,
+            width=self.softness_plants,
             softness=self.softness,
         )
         diameter = species.diameter[owner] * planting.size
@@ -147,25 +168,29 @@ class PlotModel(eqx.Module):
             boundary=self.boundary,
         )
 
-    def scene(self, parameters: PlotParameters) -> VoxelScene:
-        """The voxel scene of `parameters`: what the radiation layer renders."""
+    def voxels(self, parameters: PlotParameters, bands: BandSet) -> VoxelScene:
+        """What the radiation layer renders: area, optics, ground and light of `parameters`,
+        averaged over `bands`. Differentiable in `parameters`.
+
+        Raises `InputError` where a spectrum of the ground or the sky does not cover the bands.
+        """
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
-        average = jnp.asarray(self.camera.bands.weights(self.wavelength), self.dtype)
-        classes = optical_classes(
-            self.forms, parameters, average, self.wavelength, self.leaf_angles
-        )
+        wavelength = band_wavelengths(bands)
+        average = jnp.asarray(bands.weights(wavelength), self.dtype)
+        classes = optical_classes(self.forms, parameters, average, wavelength, self.leaf_angles)
         light = parameters.light
-        if self.diffuse is None:
+        if self.sky is None:
             share = clear_sky_diffuse_fraction(
-                jnp.asarray(self.wavelength, self.dtype), light.sun_zenith, light.aerosol
+                jnp.asarray(wavelength, self.dtype), light.sun_zenith, light.aerosol
             )
         else:
-            share = jnp.asarray(self.diffuse, self.dtype)
+            self.sky.check(min(bands.centre), max(bands.centre))
+            share = jnp.asarray(self.sky.at(wavelength), self.dtype)
         sky = average @ share
         return VoxelScene(
             self.area_density(parameters),
             classes,
-            self.ground_map(parameters),
+            self.ground_map(parameters, bands),
             Illumination(light.sun_zenith, light.sun_azimuth, 1.0 - sky, sky),
             self.grid.horizontal_size,
             self.grid.vertical_size,
@@ -173,195 +198,132 @@ class PlotModel(eqx.Module):
             terrain=None if self.terrain is None else jnp.asarray(self.terrain, self.dtype),
         )
 
-    def ground_map(self, parameters: PlotParameters) -> Float[Array, " band *yx"]:
-        """Reflectance of the ground in the camera's bands [-]: of all of it, or of each voxel
-        column where its covers lie in patches."""
-        average = jnp.asarray(self.camera.bands.weights(self.wavelength), self.dtype)
-        ground = parameters.ground
+    def ground_map(self, parameters: PlotParameters, bands: BandSet) -> Float[Array, " band *yx"]:
+        """Reflectance of the ground in `bands` [-]: of all of it, or of each voxel column where its
+        covers lie in patches. Raises `InputError` as `voxels`."""
+        wavelength = band_wavelengths(bands)
+        average = jnp.asarray(bands.weights(wavelength), self.dtype)
+        ground, patches = parameters.ground, self.ground.patches
         fractions = jnp.stack([ground.litter_fraction, ground.char_fraction, ground.rock_fraction])
         fractions = fractions.astype(self.dtype)
-        patches = np.ones((len(COVERS) + 1, 1, 1)) if self.patches is None else self.patches
-        shares = ground_shares(fractions, jnp.asarray(patches, self.dtype))
-        mixed = jnp.tensordot(average @ self.ground_spectra(parameters).T, shares, axes=1)
+        density = np.ones((len(COVERS) + 1, 1, 1)) if patches is None else patches
+        shares = ground_shares(fractions, jnp.asarray(density, self.dtype))
+        spectra = self.ground_spectra(parameters, wavelength)
+        mixed = jnp.tensordot(average @ spectra.T, shares, axes=1)
         mixed = jnp.clip(mixed, 0.0, 1.0)
-        return mixed[:, 0, 0] if self.patches is None else mixed
+        return mixed[:, 0, 0] if patches is None else mixed
 
-    def ground_spectra(self, parameters: PlotParameters) -> Float[Array, "kind wavelength"]:
-        """Reflectance of soil, litter, char and rock on `wavelength` [-]."""
-        if self.soil is None:
+    def ground_spectra(
+        self, parameters: PlotParameters, wavelength: Float[np.ndarray, " wavelength"]
+    ) -> Float[Array, "kind wavelength"]:
+        """Reflectance of soil, litter, char and rock at `wavelength` [nm], whole numbers [-]."""
+        if self.ground.soil is None:
             names = ("dry_soil", "wet_soil")
-            soil = np.stack([background_spectrum(name, self.wavelength) for name in names])
+            soil = [background_spectrum(name, wavelength) for name in names]
         else:
-            soil = self.soil
-        dry, wet = jnp.asarray(soil, self.dtype)
+            self.ground.soil.check(wavelength[0], wavelength[-1])
+            soil = [self.ground.soil.at(wavelength)] * 2
+        dry, wet = (jnp.asarray(spectrum, self.dtype) for spectrum in soil)
+        covers = jnp.asarray(self.ground.cover_spectra(wavelength), self.dtype)
         ground = parameters.ground
         mixed = ground.brightness * ((1 - ground.moisture) * dry + ground.moisture * wet)
-        return jnp.concatenate([mixed[None], jnp.asarray(self.covers, self.dtype)])
-
-    def image(self, parameters: PlotParameters, stride: int = 1) -> Float[Array, "band y x"]:
-        """Reflectance factor of the camera's pixels over the plot [-], y to the north.
-
-        `stride` renders every so many pixels along each axis: a fair sample of the image at a
-        fraction of its cost. Differentiable in `parameters`.
-        """
-        light = solve_light(self.scene(parameters), self.accuracy)
-        lx, ly, _ = self.grid.extent
-        x, y = (
-            (
-                (jnp.arange(0, round(length / self.camera.pixel), stride) + 0.5) * self.camera.pixel
-            ).astype(self.dtype)
-            for length in (lx, ly)
-        )
-        rays = nadir_rays(x, y, self.camera.pixel, (lx / 2, ly / 2, self.camera.altitude))
-        return reflectance_factor(light, rays)
+        return jnp.concatenate([mixed[None], covers])
 
 
-def ground_at(model: PlotModel, foot: Float[Array, "plant 2"]) -> Float[Array, " plant"]:
+def ground_at(scene: Scene, foot: Float[Array, "plant 2"]) -> Float[Array, " plant"]:
     """Height of the ground under plants at `foot` [m]."""
-    if model.terrain is None:
+    if scene.terrain is None:
         return jnp.zeros(foot.shape[0], foot.dtype)
-    ny, nx = model.terrain.shape
-    at = jnp.floor(foot / model.grid.horizontal_size).astype(jnp.int32)
-    heights = jnp.asarray(model.terrain, foot.dtype)
+    ny, nx = scene.terrain.shape
+    at = jnp.floor(foot / scene.grid.horizontal_size).astype(jnp.int32)
+    heights = jnp.asarray(scene.terrain, foot.dtype)
     return heights[jnp.clip(at[:, 1], 0, ny - 1), jnp.clip(at[:, 0], 0, nx - 1)]
 
 
-def band_wavelengths(bands: BandSet) -> Float[np.ndarray, " wavelength"]:
-    """A grid fine enough for the responses of `bands`, inside 400-2500 nm [nm]."""
-    centre, width = np.asarray(bands.centre), np.asarray(bands.fwhm)
-    low, high = (centre - 2.2 * width).min(), (centre + 2.2 * width).max()
-    if bands.curves is not None:
-        low = min(points[0] for points, _ in bands.curves)
-        high = max(points[-1] for points, _ in bands.curves)
-    step = max(1.0, round(float(width.min()) / 10))
-    return np.arange(max(400.0, np.floor(low)), min(2500.0, np.ceil(high)) + step / 2, step)
-
-
-def build_model(
-    taxa: Sequence[str],
-    forms: Sequence[str],
+def build_scene(
+    species: Sequence[SceneSpecies],
     parameters: PlotParameters,
     *,
     extent: tuple[float, float],
     voxel: float,
-    camera: Camera,
     seed: int,
     boundary: Literal["periodic", "open"] = "periodic",
-    branches: Sequence[float] | None = None,
-    rotation_spread: Sequence[float] | None = None,
-    minimum_area: Sequence[float] | None = None,
-    plants: Sequence[PlantModel | None] | None = None,
-    probability: Float[np.ndarray, "y x"] | None = None,
-    room: float = 2.5,
-    size_variation: float = 0.2,
-    softness: float = 0.25,
-    width: float = 1.0,
-    flowering: float = 0.0,
-    accuracy: Accuracy | None = None,
-    soil: Float[np.ndarray, "2 wavelength"] | None = None,
-    covers: Float[np.ndarray, "cover wavelength"] | None = None,
-    patches: Float[np.ndarray, "kind y x"] | None = None,
+    rules: PlantingRules | None = None,
+    ground: Ground | None = None,
     terrain: Float[np.ndarray, "y x"] | None = None,
-    diffuse: Float[np.ndarray, " wavelength"] | None = None,
+    sky: Spectrum | None = None,
     dtype: str = "float32",
-) -> PlotModel:
-    """Draw what is random about a plot, once.
+) -> Scene:
+    """Draw what is random about a scene, once.
 
     **Arguments:**
 
-    - `taxa`, `forms`: names and growth forms of the species.
+    - `species`: what is fixed about each.
     - `parameters`: the plot as described; gives the number of sites to hold ready.
     - `extent`: (east-west, north-south) sides of the plot [m].
     - `voxel`: edge of a voxel [m]; must divide the sides.
-    - `room`: sites held ready, as a multiple of the plants that `parameters` ask for. A parameter
-      that asks for more gets no more.
-    - `size_variation`: coefficient of variation of the crown diameters of a species [-]. An
-      assumption, as is the stature: heights lie evenly between 0.6 and 1 times the greatest.
-    - `plants`: shape of the plants of each species, for instance of a mesh; None, or without any,
-      that of its form. Their leaves then are inclined as the shape's.
-    - `probability`: map of 0-255 over the plot, row 0 south, or none.
-    - `softness`, `width`, `flowering`, `soil`, `covers`, `patches`, `terrain`, `diffuse`: see
-      `PlotModel`;
-      without them litter and char are the shipped spectra and rock is as the dry soil.
+    - `rules`, `ground`, `terrain`, `sky`: see `PlantingRules` and `Scene`; left out, even planting
+      on level, shipped ground under a clear sky.
 
     Raises `InputError` where the plants do not fit.
     """
-    count = len(taxa)
-    species = parameters.species
-    top = 1.1 * float(np.max(np.asarray(species.height)))
+    rules = PlantingRules() if rules is None else rules
+    size = parameters.species
+    top = 1.1 * float(np.max(np.asarray(size.height)))
     if terrain is not None:
         top += float(np.max(terrain))
-        camera = dataclasses.replace(camera, altitude=camera.altitude + float(np.mean(terrain)))
     grid = VoxelGrid.cover(extent, top, voxel)
-    accuracy, layers = _fitting(DRONE if accuracy is None else accuracy, grid)
-    if boundary == "open" and accuracy.margin is None:
-        # Room for the sun to stand a little lower than it does.
-        lowest = min(float(parameters.light.sun_zenith) + 5.0, 85.0)
-        reach = float(np.ceil(layers * np.tan(np.deg2rad(lowest))))
-        accuracy = dataclasses.replace(accuracy, margin=int(reach))
-    spread = tuple(rotation_spread or [0.0] * count)
-    shapes = tuple(plants or [None] * count)
-    model = PlotModel(
+    layers = -(-grid.shape[2] // _EVEN_LAYERS) * _EVEN_LAYERS
+    forms = tuple(one.form for one in species)
+    spread = tuple(one.rotation_spread for one in species)
+    plants = tuple(one.plant for one in species)
+    scene = Scene(
         planting=no_plants(dtype),
-        camera=camera,
         grid=VoxelGrid((*grid.shape[:2], layers), voxel, voxel),
-        taxa=tuple(taxa),
-        forms=tuple(forms),
-        branches=tuple(branches or [1.0] * count),
+        taxa=tuple(one.taxon for one in species),
+        forms=forms,
+        branches=tuple(one.branches for one in species),
         rotation_spread=spread,
-        minimum_area=tuple(minimum_area or [0.0] * count),
-        leaf_angles=tuple(None if p is None else inclination(p) for p in shapes),
+        minimum_area=tuple(one.minimum_area for one in species),
+        leaf_angles=tuple(None if plant is None else inclination(plant) for plant in plants),
         boundary=boundary,
-        softness=softness,
-        width=width,
-        flowering=flowering,
-        accuracy=accuracy,
-        soil=soil,
-        covers=shipped_covers(band_wavelengths(camera.bands)) if covers is None else covers,
-        patches=patches,
+        softness=rules.softness,
+        softness_plants=rules.softness_plants,
+        flowering=rules.flowering,
+        ground=Ground() if ground is None else ground,
         terrain=terrain,
-        diffuse=diffuse,
+        sky=sky,
         dtype=dtype,
     )
     planting = draw_planting(
         forms,
-        np.asarray(model.counts(parameters)),
-        np.asarray(species.diameter),
-        np.asarray(species.height),
+        np.asarray(scene.counts(parameters)),
+        np.asarray(size.diameter),
+        np.asarray(size.height),
         spread,
-        shapes,
-        taxa=taxa,
+        plants,
+        taxa=scene.taxa,
         extent=extent,
         voxel=voxel,
         periodic=boundary == "periodic",
-        probability=probability,
-        room=room,
-        size_variation=size_variation,
+        probability=rules.probability,
+        room=rules.room,
+        size_variation=rules.size_variation,
         seed=seed,
         dtype=dtype,
     )
-    return eqx.tree_at(lambda m: m.planting, model, planting)
+    return eqx.tree_at(lambda s: s.planting, scene, planting)
 
 
-def replant(model: PlotModel, seed: int) -> PlotModel:
+def replant(scene: Scene, seed: int) -> Scene:
     """The same plot with other plants standing: each species fills its sites in another order.
 
     The sites held ready stay, and with them the pattern of a probability map.
     """
-    planting = model.planting
+    planting = scene.planting
     species, place = np.asarray(planting.species), np.array(planting.place)
     rng = np.random.default_rng([seed, 211])
     for one in np.unique(species):
         mine = species == one
         place[mine] = rng.permutation(place[mine])
-    return eqx.tree_at(lambda m: m.planting.place, model, jnp.asarray(place, planting.place.dtype))
-
-
-def _fitting(accuracy: Accuracy, grid: VoxelGrid) -> tuple[Accuracy, int]:
-    """Coarsening that divides the plot's sides, and layers padded to a multiple of it."""
-    nx, ny, nz = grid.shape
-    high, wide = accuracy.coarsening or (2, 2)
-    while nx % wide or ny % wide:
-        wide -= 1
-    layers = -(-nz // high) * high
-    return dataclasses.replace(accuracy, coarsening=(high, wide)), layers
+    return eqx.tree_at(lambda s: s.planting.place, scene, jnp.asarray(place, planting.place.dtype))

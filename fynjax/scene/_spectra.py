@@ -1,11 +1,75 @@
-"""Reflectance of soil, litter and bark."""
+"""Spectra of a scene: those shipped of soil, litter and bark, and those that were given."""
 
 from functools import lru_cache
 from importlib import resources
+from pathlib import Path
+from typing import Any
 
+import equinox as eqx
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
+
+from fynjax._core.errors import InputError
+from fynjax.sensors import BandSet
+
+LOWEST, HIGHEST = 400.0, 2500.0
+"""Range of the spectra of leaves and ground, and so of a scene [nm]."""
+
+
+class Spectrum(eqx.Module):
+    """A spectrum that was given for a scene, in steps of 1 nm. `Spectrum.of` makes one.
+
+    `values` hold the last known value beyond the range that was given; `check` tells where that
+    would be used.
+    """
+
+    values: Float[np.ndarray, " wavelength"]
+    """From 400 to 2500 nm [-]."""
+    what: str = eqx.field(static=True)
+    """Of what it is, for errors, such as "a soil spectrum"."""
+    known: tuple[float, float] = eqx.field(static=True)
+    """Lowest and highest wavelength that was given [nm]."""
+    file: Path | None = eqx.field(static=True, default=None)
+    """Where it was read from."""
+
+    @classmethod
+    def of(
+        cls,
+        wavelength: Float[np.ndarray, " wavelength"],
+        values: Float[np.ndarray, " wavelength"],
+        what: str = "a spectrum",
+        file: Path | None = None,
+    ) -> "Spectrum":
+        """From values [-] at rising `wavelength` [nm], linear between them."""
+        grid = np.arange(LOWEST, HIGHEST + 1.0)
+        known = float(wavelength[0]), float(wavelength[-1])
+        return cls(np.interp(grid, wavelength, values), what, known, file)
+
+    def at(self, wavelength: Float[np.ndarray, " wavelength"]) -> Any:
+        """The values at `wavelength`, whole numbers of nm [-]."""
+        place = np.round(np.asarray(wavelength) - LOWEST).astype(int)
+        return self.values[np.clip(place, 0, int(HIGHEST - LOWEST))]
+
+    def check(self, lowest: float, highest: float) -> None:
+        """Raise `InputError` unless it is known from `lowest` to `highest` [nm]."""
+        if self.known[0] > lowest or self.known[1] < highest:
+            raise InputError(
+                f"{self.what} must cover {lowest:g}-{highest:g} nm for this sensor, but covers "
+                f"{self.known[0]:g}-{self.known[1]:g} nm",
+                file=self.file,
+            )
+
+
+def band_wavelengths(bands: BandSet) -> Float[np.ndarray, " wavelength"]:
+    """A grid fine enough for the responses of `bands`, inside 400-2500 nm, in whole nm [nm]."""
+    centre, width = np.asarray(bands.centre), np.asarray(bands.fwhm)
+    low, high = (centre - 2.2 * width).min(), (centre + 2.2 * width).max()
+    if bands.curves is not None:
+        low = min(points[0] for points, _ in bands.curves)
+        high = max(points[-1] for points, _ in bands.curves)
+    step = max(1.0, round(float(width.min()) / 10))
+    return np.arange(max(LOWEST, np.floor(low)), min(HIGHEST, np.ceil(high)) + step / 2, step)
 
 
 def background_spectrum(
@@ -17,17 +81,6 @@ def background_spectrum(
     """
     frame = _table()
     return np.interp(wavelength, frame["wavelength_nm"], frame[name])
-
-
-def shipped_covers(
-    wavelength: Float[np.ndarray, " wavelength"],
-) -> Float[np.ndarray, "cover wavelength"]:
-    """Reflectance of litter, char and rock [-] where none is given.
-
-    Rock, of which no spectrum is shipped, is as the dry soil: an assumption for the pale
-    sandstone that sandy soil comes from.
-    """
-    return np.stack([background_spectrum(n, wavelength) for n in ("litter", "char", "dry_soil")])
 
 
 @lru_cache(maxsize=1)

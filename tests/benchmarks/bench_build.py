@@ -51,14 +51,14 @@ def build(side: float) -> dict[str, Any]:
     from fynjax.cli._runtime import prepare_jax
     from fynjax.io.plot import example_folder, read_plot
     from fynjax.jobs import peak_memory_mib
-    from fynjax.scene import hard_instances, hard_model
+    from fynjax.scene import hard_instances, hard_scene
 
     prepare_jax()
     plot = dataclasses.replace(read_plot(example_folder() / "plot.toml"), size_m=(side, side))
     both = watch("plants", lambda: build_plot(plot))
     sites, parameters = len(both[0].planting.species), both[1]
     instances = watch("instances", partial(hard_instances, *both))
-    hard = watch("hard model", partial(hard_model, *both))
+    hard = watch("hard scene", partial(hard_scene, *both))
     del both  # the spare plants
     fill = eqx.filter_jit(lambda m, p: m.area_density(p))
     density = watch("voxels", lambda: fill(hard, parameters).block_until_ready())

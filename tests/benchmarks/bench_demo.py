@@ -24,22 +24,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax.assembly._build import build_plot
+from fynjax.assembly import build_plot, image_view
 from fynjax.inversion import (
-    COARSE,
     Data,
     LogPosterior,
-    ParameterSpace,
-    coarser,
+    PlotForward,
     free_space,
     objective_and_gradient,
     predicted_statistics,
+    search_form,
     statistics_and_jacobian,
     weigh_targets,
 )
 from fynjax.io.plot import example_folder, read_plot
-from fynjax.metrics import BANDS, image_statistics
-from fynjax.scene import PlotModel, PlotParameters, with_values
+from fynjax.metrics import BANDS
 
 STATISTICS = tuple(f"{layer}.{kind}" for layer in (*BANDS, "NDVI") for kind in ("mean", "std"))
 
@@ -62,27 +60,29 @@ def row(name: str, first: float, again: float) -> None:
 def plot_in_this_process() -> None:
     began = time.perf_counter()
     read = read_plot(example_folder() / "plot.toml")
-    model, parameters = build_plot(read, seed=0)
+    scene, parameters = build_plot(read, seed=0)
     built = time.perf_counter() - began
     print(f"{'':<52}{'first':>10}{'again':>11}")
-    row("plot file to planted model", built, built)
+    row("plot file to planted scene", built, built)
 
-    render = eqx.filter_jit(lambda m, p: m.image(p))
-    row("render, 400 x 400 pixels", *clock(lambda: render(model, parameters)))
+    view = image_view(read, scene, parameters, STATISTICS)
+    render = eqx.filter_jit(lambda v, s, p: v.camera.observe(s, p).reflectance)
+    row("render, 400 x 400 pixels", *clock(lambda: render(view, scene, parameters)))
 
-    space = free_space(model, parameters, read.calibration.free, read.calibration.relative_sd)
-    predict = _predict(model, parameters, space)
+    quick, cheap = search_form(scene, parameters, [view])
+    space = free_space(scene, parameters, read.calibration.free, read.calibration.relative_sd)
+    predict = PlotForward(parameters, space.names, cheap)
     u, none = jnp.zeros(len(space.names)), jnp.zeros(len(STATISTICS))
-    density = LogPosterior(predict, space, Data(STATISTICS, none, none + 1.0), none)
+    density = LogPosterior(predict, space, Data(STATISTICS, none, none + 1.0), none, (quick,))
     value = clock(lambda: predicted_statistics(density, u))
     data = weigh_targets(STATISTICS, 1.1 * np.asarray(predicted_statistics(density, u)), 0.01)
-    density = LogPosterior(predict, space, data, none)
+    density = LogPosterior(predict, space, data, none, (quick,))
     row("value, as a search sees it (every 9th pixel)", *value)
     both = clock(lambda: objective_and_gradient(density, u))
     row(f"value and gradient by {len(space.names)} parameters", *both)
     print(f"{'  ratio to the value alone':<52}{'':>10}{both[1] / value[1]:>9.2f}")
-    few = free_space(model, parameters, (f"species.{model.taxa[0]}.*",), lambda name: 0.2)
-    short = LogPosterior(_predict(model, parameters, few), few, data, none)
+    few = free_space(scene, parameters, (f"species.{scene.taxa[0]}.*",), lambda name: 0.2)
+    short = LogPosterior(PlotForward(parameters, few.names, cheap), few, data, none, (quick,))
     v = jnp.zeros(len(few.names))
     small = clock(lambda: objective_and_gradient(short, v))
     row(f"value and gradient by {len(few.names)} parameters", *small)
@@ -97,20 +97,6 @@ def plot_in_this_process() -> None:
     )
     rows = clock(lambda: statistics_and_jacobian(density, u), repeats=1)
     row(f"value and gradients of {len(STATISTICS)} statistics", *rows)
-
-
-def _predict(
-    model: PlotModel, parameters: PlotParameters, space: ParameterSpace
-) -> Callable[[jax.Array], jax.Array]:
-    """Statistics as a search sees them, of the parameters of `space`."""
-    quick = coarser(model, COARSE)
-
-    def predict(values: jax.Array) -> jax.Array:
-        named = {name: values[i] for i, name in enumerate(space.names)}
-        image = quick.image(with_values(parameters, model.taxa, named), 9)
-        return image_statistics(image, STATISTICS).astype(values.dtype)
-
-    return predict
 
 
 def whole_demo() -> None:

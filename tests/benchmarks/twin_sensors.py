@@ -1,7 +1,7 @@
 """What sensors know together: `python -m tests.benchmarks.twin_sensors [--seeds 10] [--size 4]`.
 
 Twins of the plot that burnt in 2006, cut to a square of SIZE m. For each seed the true parameters
-are drawn from the prior, the truth's plants stand elsewhere than the model's, and what the sensors
+are drawn from the prior, the truth's plants stand elsewhere than the scene's, and what the sensors
 measure of it has errors drawn from those that the calibration assumes. The plot is calibrated from
 the prior's centre to a drone's image (MSI), to MSI and LiDAR, and to AVIRIS-NG and LiDAR. Printed,
 by the Laplace approximation: posterior widths by kind of parameter, coverage of the 68 and 95 %
@@ -30,23 +30,25 @@ import pandas as pd
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from fynjax.assembly._build import build_plot
-from fynjax.assembly._targets import plot_spectrum_view, reflectance_noise, structure_settings
+from fynjax.assembly import build_plot, image_view
+from fynjax.assembly._targets import reflectance_noise, structure_settings
 from fynjax.inversion import (
-    COARSE,
     WELL_CONSTRAINED,
     AbstractView,
     Calibration,
+    CalibrationSettings,
     Data,
     ImageView,
     ParameterSpace,
     PlotForward,
+    SpectrumView,
     StructureView,
     calibrate_plot,
-    coarser,
     free_space,
     join_data,
     sample_posterior,
+    search_form,
+    spectrum_view,
     structure_view,
     weigh_spectrum,
     weigh_structure,
@@ -54,9 +56,8 @@ from fynjax.inversion import (
 )
 from fynjax.inversion._views import look
 from fynjax.io.plot import Plot, example_folder, read_plot
-from fynjax.io.plot._sensor import drone_bands
 from fynjax.metrics import BANDS
-from fynjax.scene import PlotModel, PlotParameters, replant, with_values
+from fynjax.scene import PlotParameters, Scene, replant, with_values
 from fynjax.sensors import BandSet, shipped_sensor
 
 STATISTICS = tuple(f"{layer}.{kind}" for layer in (*BANDS, "NDVI") for kind in ("mean", "std"))
@@ -74,10 +75,10 @@ GRAIN = 1.0  # m, cells of the structure
 FEW = ("cover", "diameter", "leaf.chlorophyll", "leaf.water", "leaf.dry_matter")
 
 
-def few(model: PlotModel, parameters: PlotParameters) -> tuple[str, ...]:
+def few(scene: Scene, parameters: PlotParameters) -> tuple[str, ...]:
     """Names of the free parameters of the dominant species, and of the soil."""
     leafy = np.asarray(parameters.species.leaf_area_index) > 0
-    taxon = model.taxa[int(np.argmax(np.asarray(parameters.species.cover) * leafy))]
+    taxon = scene.taxa[int(np.argmax(np.asarray(parameters.species.cover) * leafy))]
     return (*(f"species.{taxon}.{kind}" for kind in FEW), "ground.brightness")
 
 
@@ -85,7 +86,9 @@ def prior_sd(name: str) -> float:
     return PRIOR.get(name.rsplit(".", 1)[-1], 0.3)
 
 
-def sensors(plot: Plot, bands: int) -> dict[str, AbstractView]:
+def sensors(
+    plot: Plot, scene: Scene, parameters: PlotParameters, bands: int
+) -> dict[str, AbstractView]:
     """The three views: MSI, AVIRIS-NG in about `bands` bands, LiDAR."""
     own = shipped_sensor("aviris_ng").bands
     clear = [
@@ -97,8 +100,8 @@ def sensors(plot: Plot, bands: int) -> dict[str, AbstractView]:
     named = BandSet(tuple(f"{c:.1f}nm" for c in chosen.centre), chosen.centre, chosen.fwhm)
     settings, _ = structure_settings(plot)
     return {
-        "MSI": ImageView(STATISTICS),
-        "AVIRIS-NG": plot_spectrum_view(plot, named),
+        "MSI": image_view(plot, scene, parameters, STATISTICS),
+        "AVIRIS-NG": spectrum_view(named, scene, parameters),
         "LiDAR": structure_view(settings=settings, grain=GRAIN, pulses=PULSES),
     }
 
@@ -109,7 +112,8 @@ def targets(view: AbstractView, value: np.ndarray, zenith: float, cells: int) ->
         return weigh_targets(view.names, value, SHARE)
     if isinstance(view, StructureView):
         return weigh_structure(view.names, value, SHARE, sd=0.1 * np.abs(value) / np.sqrt(cells))
-    noise = reflectance_noise(view.bands, value, zenith)  # type: ignore[attr-defined]
+    assert isinstance(view, SpectrumView)
+    noise = reflectance_noise(view.imager.sensor.bands, value, zenith)
     return weigh_spectrum(view.names, value, SHARE, noise=noise)
 
 
@@ -123,21 +127,21 @@ def noisy(data: Data, random: np.random.Generator) -> Data:
 
 
 class StandIn(eqx.Module):
-    """A cubic polynomial of the statistics in whitened coordinates, for the search's cheap model:
+    """A cubic polynomial of the statistics in whitened coordinates, for the search's cheap scene:
     the chain asks for some 10^5 of them."""
 
     coefficients: np.ndarray
     space: ParameterSpace
 
     @staticmethod
-    def of(predict: Any, space: ParameterSpace, model: PlotModel, scale: np.ndarray) -> "StandIn":
+    def of(predict: Any, space: ParameterSpace, scene: Scene, scale: np.ndarray) -> "StandIn":
         """From renders spread over three prior standard deviations; prints its error in `scale`."""
         free = len(space.names)
         count, more = 3 * len(_terms(free)), 24
         shares = qmc.Sobol(free, rng=0).random(count + more)
         design = ndtri(np.clip(shares, 1e-3, 1.0 - 1e-3))
         once = eqx.filter_jit(lambda u, m: predict(space.physical(u), m))
-        seen = np.array([once(jnp.asarray(u), model) for u in design])
+        seen = np.array([once(jnp.asarray(u), scene) for u in design])
         basis = np.asarray(jax.vmap(lambda u: _powers(u, free))(jnp.asarray(design)))
         fitted = np.linalg.lstsq(basis[:count], seen[:count])[0]
         wrong = ((seen - basis @ fitted)[count:] ** 2).mean(axis=0) ** 0.5 / scale
@@ -160,7 +164,7 @@ def sampled(
     stand_in: StandIn, found: Calibration, space: ParameterSpace, options: argparse.Namespace
 ) -> np.ndarray:
     """Draws by emcee in whitened coordinates [draw, free]."""
-    # The cheap model's statistics at the estimate, which the full one differs from.
+    # The cheap scene's statistics at the estimate, which the full one differs from.
     offset = found.statistics_after - stand_in(space.physical(found.fit.whitened))
     drawn = sample_posterior(
         lambda values, stand_in: stand_in(values),
@@ -181,7 +185,7 @@ COMBINATIONS = (("MSI",), ("MSI", "LiDAR"), ("AVIRIS-NG", "LiDAR"))
 
 def twin(
     seed: int,
-    model: PlotModel,
+    scene: Scene,
     parameters: PlotParameters,
     space: ParameterSpace,
     views: dict[str, AbstractView],
@@ -193,8 +197,8 @@ def twin(
     """A row for each combination of sensors and parameter."""
     random = np.random.default_rng([seed, 2006])
     truth = random.normal(size=len(space.names)).clip(-2.0, 2.0)
-    plot = with_values(parameters, model.taxa, space.named(jnp.asarray(truth)))
-    seen = observe(replant(model, 1000 + seed), plot)
+    plot = with_values(parameters, scene.taxa, space.named(jnp.asarray(truth)))
+    seen = observe(replant(scene, 1000 + seed), plot)
     cells = max(1, int(options.size / GRAIN) ** 2)
     measured = {
         name: noisy(targets(view, np.asarray(seen[name], float), zenith, cells), random)
@@ -206,24 +210,28 @@ def twin(
             continue
         began = time.perf_counter()
         found = calibrate_plot(
-            model,
+            scene,
             parameters,
             join_data([measured[n] for n in names]),
             space,
-            views=[views[n] for n in names],
-            stride=options.stride,
-            max_steps=options.steps,
-            replants=options.replants,
+            [views[n] for n in names],
+            CalibrationSettings(
+                stride=options.stride,
+                max_steps=options.steps,
+                stand_realisations=options.replants,
+            ),
         )
         fit = found.fit
         width = np.sqrt(np.diagonal(np.asarray(fit.covariance)))
         draws = np.empty((0, len(space.names)))
         if options.draws:
             if names not in stand_ins:
-                cheap = [views[n].for_search(model, options.stride) for n in names]
+                quick, cheap = search_form(
+                    scene, parameters, [views[n] for n in names], stride=options.stride
+                )
                 predict = PlotForward(parameters, space.names, cheap)
                 scale = np.asarray(found.data.sd)
-                stand_ins[names] = StandIn.of(predict, space, coarser(model, COARSE), scale)
+                stand_ins[names] = StandIn.of(predict, space, quick, scale)
             draws = sampled(stand_ins[names], found, space, options)
         true = np.asarray(space.physical(jnp.asarray(truth)))
         rest = np.asarray(found.data.whiten(found.statistics_after - found.data.value))
@@ -315,13 +323,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     side = (options.size, options.size)
     sensor = dataclasses.replace(read.sensor, pixel_m=options.pixel)
     read = dataclasses.replace(read, size_m=side, sensor=sensor)
-    model, parameters = build_plot(read, seed=0, bands=drone_bands(read))
-    free = few(model, parameters) if options.few else FREE
-    space = free_space(model, parameters, free, prior_sd)
+    scene, parameters = build_plot(read, seed=0)
+    free = few(scene, parameters) if options.few else FREE
+    space = free_space(scene, parameters, free, prior_sd)
     chosen = [c for c in COMBINATIONS if options.sensors in (None, " + ".join(c))]
     views = {
         name: view
-        for name, view in sensors(read, options.bands).items()
+        for name, view in sensors(read, scene, parameters, options.bands).items()
         if any(name in names for names in chosen)
     }
     print(f"{len(space.names)} free parameters; {', '.join(map(' + '.join, chosen))}", flush=True)
@@ -330,7 +338,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     stand_ins: dict[tuple[str, ...], StandIn] = {}
     zenith = read.sun.zenith_deg
     for seed in range(options.first, options.first + options.seeds):
-        rows += twin(seed, model, parameters, space, views, compiled, options, zenith, stand_ins)
+        rows += twin(seed, scene, parameters, space, views, compiled, options, zenith, stand_ins)
         if options.save is not None:
             pd.DataFrame(rows).to_csv(options.save, index=False)
     report(pd.DataFrame(rows))

@@ -9,6 +9,7 @@ from fynjax.canopy import FORM_DEFAULTS
 from fynjax.inversion import (
     IMAGE_STATISTICS,
     WELL_CONSTRAINED,
+    CalibrationSettings,
     ImageView,
     calibrate_plot,
     free_space,
@@ -17,16 +18,18 @@ from fynjax.inversion import (
 from fynjax.leaf import LeafParameters
 from fynjax.metrics import image_statistics
 from fynjax.scene import (
-    Camera,
     GroundParameters,
     LightParameters,
+    Placement,
     PlotParameters,
+    SceneSpecies,
     SpeciesParameters,
-    build_model,
+    aim,
+    build_scene,
     named_values,
     with_values,
 )
-from fynjax.sensors import mavic_3m
+from fynjax.sensors import shipped_sensor
 
 TAXA = ("Erica", "Restio", "Euclea")
 FORMS = ("rounded_shrub", "tussock", "broad_leaved")
@@ -73,31 +76,26 @@ def truth() -> PlotParameters:
 def twin():
     """Truth by name, and the calibration from a start (and prior) 30 % off, either way."""
     real = truth()
-    model = build_model(
-        TAXA,
-        FORMS,
-        real,
-        extent=(6.0, 6.0),
-        voxel=0.1,
-        camera=Camera(mavic_3m(), 50.0, 0.05),
-        seed=11,
-    )
-    render = eqx.filter_jit(lambda m, p: ImageView(IMAGE_STATISTICS).observe(m, p))
-    image = np.asarray(render(model, real)[0])
+    species = [SceneSpecies(taxon, form) for taxon, form in zip(TAXA, FORMS, strict=True)]
+    scene = build_scene(species, real, extent=(6.0, 6.0), voxel=0.1, seed=11)
+    camera = aim(scene, real, shipped_sensor("mavic_3m"), Placement(50.0, 0.05))
+    view = ImageView(IMAGE_STATISTICS, camera)
+    image = np.asarray(eqx.filter_jit(view.observe)(scene, real)[0])
     draw = np.random.default_rng(4)
     noisy = image * (1 + 0.02 * draw.normal(size=image.shape)) + 0.001 * draw.normal(
         size=image.shape
     )
     values = {k: float(v) for k, v in named_values(real, TAXA).items()}
-    freed = free_space(model, real, FREE, lambda _: 0.3).names
+    freed = free_space(scene, real, FREE, lambda _: 0.3).names
     off = {n: values[n] * draw.choice([0.7, 1.3]) for n in freed}
     off |= {f"species.{t}.cover": 0.7 * values[f"species.{t}.cover"] for t in TAXA}
     start = with_values(real, TAXA, {n: jnp.asarray(v) for n, v in off.items()})
-    space = free_space(model, start, FREE, lambda _: 0.3)
+    space = free_space(scene, start, FREE, lambda _: 0.3)
     measured = np.asarray(image_statistics(jnp.asarray(noisy), IMAGE_STATISTICS))
     # 3 %: what another planting of so small a plot would change.
     data = weigh_targets(IMAGE_STATISTICS, measured, 0.03)
-    found = calibrate_plot(model, start, data, space, stride=3, max_steps=14)
+    settings = CalibrationSettings(stride=3, max_steps=14)
+    found = calibrate_plot(scene, start, data, space, [view], settings)
     return values, found
 
 

@@ -8,7 +8,8 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.inversion import even_bands, fisher_information, free_space, sweep_sensors
-from fynjax.scene import Camera
+from fynjax.scene import Placement
+from fynjax.sensors import shipped_sensor
 from tests.inversion.linear import DATA, MATRIX, SPACE, posterior
 from tests.scene.plots import small_parameters, small_plot
 
@@ -90,10 +91,13 @@ def test_wrong_shapes_and_errors_are_refused(changes, text):
 # -- sensors --------------------------------------------------------------------------------
 
 
+SENSOR = dataclasses.replace(shipped_sensor("mavic_3m"), bands=even_bands(4, 450.0, 900.0))
+
+
 @pytest.fixture(scope="module")
 def swept():
     """A tiny plot under sensors of several pixels, bands and noises."""
-    model = small_plot(camera=Camera(even_bands(4, 450.0, 900.0), 50.0, 0.1), dtype="float32")
+    model = small_plot(dtype="float32")
     parameters = small_parameters()
     space = free_space(
         model, parameters, ["species.*.cover", "ground.brightness", "light.sun_zenith"],
@@ -103,7 +107,8 @@ def swept():
         space, upper=space.upper.at[space.names.index("light.sun_zenith")].set(60.0)
     )
     options = {"gsd": [0.1, 0.8, 1.6], "bands": [1, 4], "noise": [0.01, 0.3], "replants": 2}
-    return model, parameters, space, sweep_sensors(model, parameters, space, **options), options
+    found = sweep_sensors(model, parameters, space, SENSOR, Placement(50.0), **options)
+    return model, parameters, space, found, options
 
 
 @pytest.mark.study
@@ -146,11 +151,11 @@ def test_the_ground_is_seen_in_most_bands_and_noise_blurs_it(swept):
     ],
 )
 def test_sensors_that_do_not_fit_are_refused(changes, text):
-    model = small_plot(camera=Camera(even_bands(4, 450.0, 900.0), 50.0, 0.1))
+    model = small_plot()
     parameters = small_parameters()
     space = free_space(model, parameters, ["species.*.cover"], lambda _: 0.3)
     with pytest.raises(InputError, match=text):
-        sweep_sensors(model, parameters, space, **{"gsd": [0.1], "bands": [4], **changes})
+        sweep_sensors(model, parameters, space, SENSOR, **{"gsd": [0.1], "bands": [4], **changes})
 
 
 def test_even_bands_share_their_range():

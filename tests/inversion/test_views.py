@@ -12,12 +12,12 @@ from fynjax._core.errors import InputError
 from fynjax.inversion import (
     COARSE,
     AbstractView,
+    CalibrationSettings,
     Data,
     ImageView,
     LogPosterior,
     PlotForward,
     calibrate_plot,
-    coarser,
     free_space,
     join_data,
     predicted_statistics,
@@ -31,16 +31,11 @@ from fynjax.inversion import (
 from fynjax.inversion._views import _projections
 from fynjax.metrics import STRUCTURE_METRICS, voxel_structure
 from fynjax.radiation import parallel_rays, reflectance_factor, solve_light
-from fynjax.scene import Camera, build_model, replant, with_values
+from fynjax.scene import replant, with_values
 from fynjax.sensors import BandSet
-from tests.scene.plots import FORMS, TAXA, densities, small_parameters, small_plot
+from tests.scene.plots import TAXA, densities, drone, small_parameters, small_plot
 
 BANDS = BandSet(("a", "b", "c"), (550.0, 860.0, 1650.0), (20.0, 20.0, 20.0))
-VIEWS = (
-    ImageView(("red.mean", "nir.mean", "NDVI.std")),
-    spectrum_view(BANDS),
-    structure_view(grain=1.0),
-)
 FREE = ("species.Erica irregularis.cover", "species.*.height", "*irregularis.leaf.water")
 ACCURACY = dataclasses.replace(COARSE, coarsening=(2, 2), tolerance=1e-11, iterations=200)
 
@@ -48,37 +43,47 @@ ACCURACY = dataclasses.replace(COARSE, coarsening=(2, 2), tolerance=1e-11, itera
 @pytest.fixture(scope="module")
 def plot():
     """A plot of 2 m, its parameters and three kinds of free ones."""
-    model, parameters = small_plot(extent=(2.0, 2.0), accuracy=ACCURACY), small_parameters()
+    model, parameters = small_plot(extent=(2.0, 2.0)), small_parameters()
     return model, parameters, free_space(model, parameters, FREE, lambda _: 0.2)
 
 
-def test_names_carry_the_sensor_but_for_the_drone():
-    assert VIEWS[0].names == ("red.mean", "nir.mean", "NDVI.std")
-    assert VIEWS[1].names == ("spectrum.550nm", "spectrum.860nm", "spectrum.1650nm")
-    assert VIEWS[2].names[1] == "lidar.gap_fraction"
+def views_of(scene, accuracy):
+    """Of a drone, a spectrometer and a LiDAR."""
+    return (
+        ImageView(("red.mean", "nir.mean", "NDVI.std"), drone(scene, accuracy)),
+        spectrum_view(BANDS, scene, small_parameters(), accuracy),
+        structure_view(grain=1.0),
+    )
 
 
-def test_a_spectrum_is_the_mean_of_the_plot_in_its_bands(plot):
-    """Against a plot built with these bands, all of them solved for at once."""
+@pytest.fixture(scope="module")
+def views(plot):
+    return views_of(plot[0], ACCURACY)
+
+
+def test_names_carry_the_sensor_but_for_the_drone(views):
+    assert views[0].names == ("red.mean", "nir.mean", "NDVI.std")
+    assert views[1].names == ("spectrum.550nm", "spectrum.860nm", "spectrum.1650nm")
+    assert views[2].names[1] == "lidar.gap_fraction"
+
+
+def test_a_spectrum_is_the_mean_of_the_plot_in_its_bands(plot, views):
+    """Against all of its bands solved for at once."""
     model, parameters, _ = plot
-    own = build_model(
-        TAXA, FORMS, parameters, extent=(2.0, 2.0), voxel=0.1, camera=Camera(BANDS, 50.0, 0.1),
-        seed=3, accuracy=model.accuracy, dtype="float64",
-    )  # fmt: skip
     at = jnp.arange(20) * 0.1 + 0.05
     rays = parallel_rays(at, at, 0.1, jnp.zeros(()), jnp.zeros(()))
     every = eqx.filter_jit(
-        lambda m, p: reflectance_factor(solve_light(m.scene(p), m.accuracy), rays)
+        lambda m, p: reflectance_factor(solve_light(m.voxels(p, BANDS), ACCURACY), rays)
     )
-    expected = every(own, parameters).mean(axis=(1, 2))
-    found = eqx.filter_jit(VIEWS[1].predict)(model, parameters)
+    expected = every(model, parameters).mean(axis=(1, 2))
+    found = eqx.filter_jit(views[1].predict)(model, parameters)
     np.testing.assert_allclose(found, expected, rtol=1e-8)
 
 
-def test_structure_is_that_of_all_that_a_beam_can_hit(plot):
+def test_structure_is_that_of_all_that_a_beam_can_hit(plot, views):
     """Spherical normals: the projected area of leaves, wood and flowers is half of it."""
     model, parameters, _ = plot
-    found = eqx.filter_jit(VIEWS[2].predict)(model, parameters)
+    found = eqx.filter_jit(views[2].predict)(model, parameters)
     density = densities(model, parameters)
     share = np.asarray(_projections(model))
     assert share.shape == (density.shape[0],)
@@ -87,7 +92,7 @@ def test_structure_is_that_of_all_that_a_beam_can_hit(plot):
     layers = int(np.ceil((model.grid.extent[2] - 0.25) / 0.25))
     other = voxel_structure(
         effective,
-        VIEWS[2].settings,
+        views[2].settings,
         voxel=(0.1, 0.1),
         grain=1.0,
         pulses=100.0,
@@ -100,14 +105,15 @@ def test_structure_is_that_of_all_that_a_beam_can_hit(plot):
 
 
 @pytest.mark.parametrize(
-    "view", [pytest.param(VIEWS[0], marks=pytest.mark.study), *VIEWS[1:]], ids=lambda v: v.names[0]
+    "number", [pytest.param(0, marks=pytest.mark.study), 1, 2], ids=["drone", "spectrum", "lidar"]
 )
-def test_slopes_of_each_view_are_those_of_central_differences(plot, view):
+def test_slopes_of_each_view_are_those_of_central_differences(plot, views, number):
     """As a search has them; contracted to one number, along each free parameter."""
     model, parameters, space = plot
-    predict = PlotForward(parameters, space.names, [view.for_search(model, 3)])
-    none = jnp.zeros(len(view.names))
-    density = LogPosterior(predict, space, Data(view.names, none, none + 1), none, (model,))
+    cheap = views[number].for_search(model, ACCURACY, 3)
+    predict = PlotForward(parameters, space.names, [cheap])
+    none = jnp.zeros(len(cheap.names))
+    density = LogPosterior(predict, space, Data(cheap.names, none, none + 1), none, (model,))
     u = 0.3 * jnp.arange(-2.0, len(space.names) - 2.0)
     value, rows = statistics_and_jacobian(density, u)
     weight = np.random.default_rng(5).normal(size=value.size) / np.asarray(value)
@@ -118,7 +124,7 @@ def test_slopes_of_each_view_are_those_of_central_differences(plot, view):
         assert float(weight @ rows[:, i]) == pytest.approx(difference, rel=2e-5, abs=1e-8)
     seen = np.abs(np.asarray(rows)).max(axis=0)
     assert seen[0] > 0.0
-    if view is VIEWS[2]:  # a LiDAR knows nothing of the water in a leaf
+    if number == 2:  # a LiDAR knows nothing of the water in a leaf
         assert seen[-1] == 0.0
 
 
@@ -179,7 +185,7 @@ class Sums(AbstractView):
         found = [height @ cover, height[0] ** 2, cover[1] * height[1], jnp.sum(cover)]
         return None, jnp.stack(found) + self.lack * height[0] ** 2
 
-    def for_search(self, model, stride):
+    def for_search(self, scene, accuracy, stride):
         return dataclasses.replace(self, lack=0.02)
 
 
@@ -198,7 +204,10 @@ def sums():
 
 
 def calibrated(sums, view=Sums(), **options):  # noqa: B008
-    return calibrate_plot(*sums, views=(view,), **{"replants": 2, "max_steps": 4} | options)
+    fields = {field.name for field in dataclasses.fields(CalibrationSettings)}
+    chosen = {name: options.pop(name) for name in fields & set(options)}
+    settings = CalibrationSettings(**{"stand_realisations": 2, "max_steps": 4} | chosen)
+    return calibrate_plot(*sums, (view,), settings, **options)
 
 
 class Stop(Exception):
@@ -287,12 +296,12 @@ def test_other_starts_end_in_the_same_minimum(sums, whole):
     np.testing.assert_allclose(whole.ends.apart, [0.0])
 
 
-def test_views_must_be_those_of_the_data(sums):
+def test_views_must_be_those_of_the_data(sums, views):
     model, start, data, space = sums
     with pytest.raises(InputError, match="`views` must yield"):
-        calibrate_plot(model, start, data, space, views=VIEWS)
+        calibrate_plot(model, start, data, space, views)
     with pytest.raises(InputError, match="`views` must yield"):
-        calibrate_plot(model, start, data, space, views=(Sums(), *VIEWS))
+        calibrate_plot(model, start, data, space, (Sums(), *views))
     with pytest.raises(InputError, match="`starts` must be at least 1"):
         calibrated(sums, starts=0)
 
@@ -334,14 +343,13 @@ def test_a_parameter_that_nothing_depends_on_is_named(sums):
 def test_a_twin_of_three_sensors_is_reproduced():
     """What the sensors saw of a known plot comes back from parameters that are off by 20 %."""
     truth, model = small_parameters(), small_plot(extent=(2.0, 2.0), dtype="float32")
-    model = dataclasses.replace(model, accuracy=COARSE)
-    model = dataclasses.replace(model, accuracy=coarser(model, COARSE).accuracy)
-    values = [np.asarray(eqx.filter_jit(v.predict)(model, truth), float) for v in VIEWS]
+    views = views_of(model, COARSE)
+    values = [np.asarray(eqx.filter_jit(v.predict)(model, truth), float) for v in views]
     data = join_data(
         [
-            weigh_targets(VIEWS[0].names, values[0], 0.01),
-            weigh_spectrum(VIEWS[1].names, values[1], 0.01, gain=0.005, offset=0.001),
-            weigh_structure(VIEWS[2].names, values[2], 0.01, sd=np.zeros(len(values[2]))),
+            weigh_targets(views[0].names, values[0], 0.01),
+            weigh_spectrum(views[1].names, values[1], 0.01, gain=0.005, offset=0.001),
+            weigh_structure(views[2].names, values[2], 0.01, sd=np.zeros(len(values[2]))),
         ]
     )
     named = {"species.Erica irregularis.cover": 0.2, "species.Erica irregularis.height": 0.8}
@@ -349,7 +357,8 @@ def test_a_twin_of_three_sensors_is_reproduced():
     start = with_values(truth, TAXA, {n: jnp.asarray(v) for n, v in named.items()})
     free = ("species.*.cover", "species.*.height", "species.*.leaf_area_index", "ground.brightness")
     space = free_space(model, start, free, lambda _: 0.3)
-    found = calibrate_plot(model, start, data, space, views=VIEWS, stride=2, max_steps=10)
+    settings = CalibrationSettings(stride=2, max_steps=10)
+    found = calibrate_plot(model, start, data, space, views, settings)
     before, after = (
         np.asarray(data.whiten(s - data.value))
         for s in (found.statistics_before, found.statistics_after)

@@ -8,6 +8,7 @@ from fynjax.assembly import build_plot
 from fynjax.io.plot import read_plot
 from fynjax.io.raster._cover_map import read_cover_map
 from fynjax.io.raster._writer import write_geotiff
+from fynjax.sensors import mavic_3m
 
 
 def written(folder, bands, names, pixel=0.5):
@@ -68,7 +69,7 @@ def test_a_plot_takes_its_ground_from_the_map(tmp_path):
     model, parameters = build_plot(read_plot(toml))
     assert float(parameters.ground.char_fraction) == pytest.approx(0.36, abs=1e-6)
     assert float(parameters.ground.litter_fraction) == 0.0
-    nir = np.asarray(model.ground_map(parameters))[-1]
+    nir = np.asarray(model.ground_map(parameters, mavic_3m()))[-1]
     burnt, bare = nir[:, :8], nir[:, 8:]
     assert burnt.max() < 0.6 * bare.min()
     assert np.ptp(burnt) < 1e-4

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.assembly._ground import soil_spectra
+from fynjax.assembly._ground import plot_ground
 from fynjax.canopy import FORM_DEFAULTS, table1_2006
 from fynjax.io.plot import (
     GROWTH_FORMS,
@@ -378,4 +378,4 @@ def test_a_soil_that_cannot_serve_is_named(folder, content, words):
     edit(folder / "plot.toml", 'soil = "dry"', 'soil = "sand.csv"')
     edit(folder / "plot.toml", "moisture = 0.5", "")
     with pytest.raises(InputError, match=words):
-        soil_spectra(read_plot(folder / "plot.toml"), np.arange(500.0, 950.0))
+        plot_ground(read_plot(folder / "plot.toml"), None).soil.check(500.0, 950.0)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import build_sensing
+from fynjax.assembly import aim_at_plot, build_plot
 from fynjax.io.instruments import load_sensor
 from fynjax.io.plot import Air, read_plot
-from fynjax.io.plot._sensor import drone_bands, plot_instrument, visible_sensor
+from fynjax.io.plot._sensor import drone_sensor, plot_instrument, visible_sensor
 from fynjax.metrics import BANDS
 from fynjax.scene import PlotAir
 from fynjax.sensors import SPACE, Atmosphere, BandSet
@@ -66,7 +66,7 @@ def test_left_out_sensors_are_the_drone_of_old_files(tmp_path):
         0.025,
     )
     assert read.air is None
-    assert drone_bands(read) == load_sensor("mavic_3m").bands
+    assert drone_sensor(read).bands == load_sensor("mavic_3m").bands
 
 
 @pytest.mark.parametrize(
@@ -131,15 +131,15 @@ def test_a_satellite_sees_a_plot_that_goes_on_for_ever_only(tmp_path):
 
 def test_the_drone_commands_need_the_drone_bands(tmp_path):
     read = plot(tmp_path, '[sensor]\npath = "mine.toml"\n')
-    bands = drone_bands(read)
+    bands = drone_sensor(read).bands
     assert bands.names == BANDS  # in the order of the indices, whatever the file's
     assert bands.centre == (560.0, 650.0, 730.0, 860.0)
     for name, words in (("aviris_ng", "has no green"), ("emit", "fynjax simulate plot.toml")):
         with pytest.raises(InputError, match=words):
-            drone_bands(plot(tmp_path, f'[sensor]\nname = "{name}"\n'))
+            drone_sensor(plot(tmp_path, f'[sensor]\nname = "{name}"\n'))
     wide = plot(tmp_path, '[sensor]\npath = "mine.toml"\npixel_m = 3.0\n')
     with pytest.raises(InputError, match="2 m, but 'mine' has 3 m"):
-        drone_bands(wide)
+        drone_sensor(wide)
 
 
 def test_bands_beyond_the_spectra_are_left_out(tmp_path):
@@ -164,7 +164,8 @@ def test_a_sensor_is_built_as_the_files_say(tmp_path):
         '[sensor]\npath = "mine.toml"\naltitude_m = 120\ntilt_deg = 10\nheading_deg = 90\n'
         "[atmosphere]\nwater_vapour_cm = 2.5\naerosol_optical_depth = 0.07\n",
     )
-    sensing, parameters = build_sensing(read, plot_instrument(read))
+    scene, parameters = build_plot(read)
+    sensing = aim_at_plot(read, scene, parameters, plot_instrument(read))
     assert sensing.pixel == pytest.approx(0.06)
     assert sensing.sensor_height == 120.0
     assert float(sensing.sensor.camera.tilt) == 10.0
@@ -172,26 +173,24 @@ def test_a_sensor_is_built_as_the_files_say(tmp_path):
     assert (sensing.air.water_vapour, sensing.air.aerosol) == (2.5, 0.07)
     assert sensing.sensor.psf is not None
     # Another sensor takes nothing from the file's.
-    other, _ = build_sensing(read, load_sensor("emit"), air=Air("none"))
+    other = aim_at_plot(read, scene, parameters, load_sensor("emit"), air=Air("none"))
     assert (other.pixel, other.air, other.shape) == (60.0, None, (1, 1))
-    own, _ = build_sensing(read, plot_instrument(read), air=Air("file", tmp_path / "curves.csv"))
+    air = Air("file", tmp_path / "curves.csv")
+    own = aim_at_plot(read, scene, parameters, plot_instrument(read), air=air)
     assert isinstance(own.air, Atmosphere)
     with pytest.raises(InputError, match=r"outside the spectrum's range 400 to 1000 nm"):
-        build_sensing(read, load_sensor("emit"), air=Air("file", tmp_path / "curves.csv"))
+        aim_at_plot(read, scene, parameters, load_sensor("emit"), air=air)
     assert np.isfinite(float(parameters.light.aerosol))
 
 
 def test_a_pixel_that_the_optics_do_not_give_is_told(tmp_path):
     read = plot(tmp_path)
+    wide = plot(tmp_path, head=HEAD.replace("2.0", "4.0").replace("0.2", "0.4"))
     with pytest.warns(UserWarning, match=r"pixel of 3 m is used.* optics give 1\.015 m.* 2956 m"):
-        build_sensing(
-            plot(tmp_path, head=HEAD.replace("2.0", "4.0").replace("0.2", "0.4")),
-            load_sensor("aviris_ng"),
-            pixel=3.0,
-        )
+        aim_at_plot(wide, *build_plot(wide), load_sensor("aviris_ng"), pixel=3.0)
     with pytest.raises(InputError, match="above the plants"):
-        build_sensing(read, load_sensor("mavic_3m"), altitude=0.4)
+        aim_at_plot(read, *build_plot(read), load_sensor("mavic_3m"), altitude=0.4)
     (tmp_path / "sky.csv").write_text("wavelength_nm,diffuse_fraction\n400,0.3\n2500,0.05\n")
     both = plot(tmp_path, '[sky]\ntable = "sky.csv"\n[atmosphere]\nmodel = "table"\n')
     with pytest.raises(InputError, match="but got both"):
-        build_sensing(both, load_sensor("mavic_3m"))
+        aim_at_plot(both, *build_plot(both), load_sensor("mavic_3m"))

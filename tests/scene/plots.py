@@ -1,22 +1,28 @@
 """A small plot that several tests share."""
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from fynjax.leaf import LeafParameters
 from fynjax.radiation import Accuracy
 from fynjax.scene import (
-    Camera,
+    AimedSensor,
     GroundParameters,
     LightParameters,
-    PlotModel,
+    Placement,
+    PlantingRules,
     PlotParameters,
+    Scene,
+    SceneSpecies,
     SpeciesParameters,
-    build_model,
+    aim,
+    build_scene,
 )
-from fynjax.sensors import mavic_3m
+from fynjax.sensors import Sensor, shipped_sensor
 
 TAXA = ("Erica irregularis", "Restio eleocharis", "Deadwood")
 FORMS = ("rounded_shrub", "tussock", "deadwood")
@@ -48,17 +54,38 @@ def small_parameters() -> PlotParameters:
     )
 
 
-def small_plot(**changes: Any) -> PlotModel:
-    options: dict[str, Any] = {
-        "extent": (1.6, 1.6),
-        "voxel": 0.1,
-        "camera": Camera(mavic_3m(), 50.0, 0.1),
-        "seed": 3,
-        "accuracy": Accuracy(tolerance=1e-11, iterations=200),
-        "dtype": "float64",
-    } | changes
-    return build_model(TAXA, FORMS, small_parameters(), **options)
+EXACT = Accuracy(tolerance=1e-11, iterations=200)
 
 
-render = eqx.filter_jit(lambda model, parameters, stride=1: model.image(parameters, stride))
-densities = eqx.filter_jit(lambda model, parameters: model.area_density(parameters))
+def small_plot(**changes: Any) -> Scene:
+    """A scene of 1.6 m; `changes` are arguments of `build_scene`, of its rules, or spreads."""
+    fields = {f.name for f in dataclasses.fields(PlantingRules)}
+    rules = PlantingRules(**{name: changes.pop(name) for name in fields & set(changes)})
+    spread = changes.pop("rotation_spread", [0.0] * len(TAXA))
+    species = [
+        SceneSpecies(taxon, form, rotation_spread=lean)
+        for taxon, form, lean in zip(TAXA, FORMS, spread, strict=True)
+    ]
+    options: dict[str, Any] = {"extent": (1.6, 1.6), "voxel": 0.1, "seed": 3, "dtype": "float64"}
+    return build_scene(species, small_parameters(), **options | changes, rules=rules)
+
+
+def drone(
+    scene: Scene, accuracy: Accuracy = EXACT, pixel: float = 0.1, sensor: Sensor | None = None
+) -> AimedSensor:
+    """The drone's camera 50 m over a scene."""
+    sensor = shipped_sensor("mavic_3m") if sensor is None else sensor
+    return aim(scene, small_parameters(), sensor, Placement(50.0, pixel), accuracy=accuracy)
+
+
+reflectance = eqx.filter_jit(
+    lambda camera, scene, parameters: camera.observe(scene, parameters).reflectance
+)
+
+
+def render(scene: Scene, parameters: PlotParameters, stride: int = 1) -> Array:
+    """The drone's image [band, y, x]."""
+    return reflectance(drone(scene).sampled(stride), scene, parameters)
+
+
+densities = eqx.filter_jit(lambda scene, parameters: scene.area_density(parameters))

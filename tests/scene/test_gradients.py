@@ -8,7 +8,7 @@ import pytest
 
 from fynjax.metrics import image_statistics
 from fynjax.scene import named_values, with_values
-from tests.scene.plots import TAXA, small_parameters, small_plot
+from tests.scene.plots import TAXA, drone, small_parameters, small_plot
 
 STATISTICS = (
     "green.mean",
@@ -30,19 +30,20 @@ WEIGHTS = np.random.default_rng(5).normal(size=len(STATISTICS))
 
 @pytest.fixture(scope="module")
 def metric():
-    model, parameters = small_plot(), small_parameters()
+    scene, parameters = small_plot(), small_parameters()
+    camera = drone(scene)
     names = tuple(named_values(parameters, TAXA))
     start = jnp.stack(list(named_values(parameters, TAXA).values()))
 
-    def scalar(values, model):
+    def scalar(values, scene):
         plot = with_values(parameters, TAXA, dict(zip(names, values)))
-        statistics = image_statistics(model.image(plot), STATISTICS)
+        statistics = image_statistics(camera.observe(scene, plot).reflectance, STATISTICS)
         return jnp.asarray(WEIGHTS) @ statistics
 
     compiled = eqx.filter_jit(scalar)
     slope = eqx.filter_jit(eqx.filter_grad(scalar))
-    value = lambda values: float(compiled(values, model))  # noqa: E731
-    return value, lambda values: np.asarray(slope(values, model)), names, start
+    value = lambda values: float(compiled(values, scene))  # noqa: E731
+    return value, lambda values: np.asarray(slope(values, scene)), names, start
 
 
 def test_every_derivative_is_finite(metric):
@@ -94,26 +95,32 @@ def test_gradient_of_final_metrics_against_central_differences(metric):
 
 @pytest.mark.study
 def test_forward_and_reverse_mode_agree():
-    model, parameters = small_plot(), small_parameters()
+    scene, parameters = small_plot(), small_parameters()
+    camera = drone(scene)
 
-    def ndvi(cover, model):
+    def ndvi(cover, scene):
         plot = eqx.tree_at(lambda p: p.species.cover, parameters, cover)
-        return image_statistics(model.image(plot), ("NDVI.mean",))[0]
+        return image_statistics(camera.observe(scene, plot).reflectance, ("NDVI.mean",))[0]
 
     cover = parameters.species.cover
     tangent = jnp.array([1.0, -0.5, 0.3])
     along = eqx.filter_jit(lambda c, m: jax.jvp(lambda x: ndvi(x, m), (c,), (tangent,))[1])
-    reverse = eqx.filter_jit(jax.grad(ndvi))(cover, model)
-    assert float(along(cover, model)) == pytest.approx(float(reverse @ tangent), rel=1e-8)
+    reverse = eqx.filter_jit(jax.grad(ndvi))(cover, scene)
+    assert float(along(cover, scene)) == pytest.approx(float(reverse @ tangent), rel=1e-8)
 
 
 @pytest.mark.study
 def test_no_plants_at_all_give_finite_derivatives():
     """Zero cover of every species: bare ground, and the slope towards the first plants."""
-    model, parameters = small_plot(), small_parameters()
+    scene, parameters = small_plot(), small_parameters()
+    camera = drone(scene)
     bare = eqx.tree_at(lambda p: p.species.cover, parameters, jnp.zeros(3))
-    slope = eqx.filter_grad(lambda p, m: image_statistics(m.image(p), ("nir.mean",))[0])
-    gradient = eqx.filter_jit(slope)(bare, model)
+
+    @eqx.filter_grad
+    def slope(plot, scene):
+        return image_statistics(camera.observe(scene, plot).reflectance, ("nir.mean",))[0]
+
+    gradient = eqx.filter_jit(slope)(bare, scene)
     for leaf in jax.tree.leaves(gradient):
         assert np.all(np.isfinite(np.asarray(leaf)))
     assert np.abs(np.asarray(gradient.species.cover)).max() > 0

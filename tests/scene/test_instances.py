@@ -14,7 +14,7 @@ from fynjax.io.plot import example_folder, read_plot
 from fynjax.scene import (
     Instances,
     hard_instances,
-    hard_model,
+    hard_scene,
     height_profile,
     projected_cover,
     replant,
@@ -73,10 +73,10 @@ def test_a_plot_of_another_side_has_the_counts_of_its_area() -> None:
 @pytest.mark.parametrize("seed", [0, 5])
 def test_the_hard_scene_is_the_soft_one_without_softness(seed: int) -> None:
     parameters = small_parameters()
-    model = small_plot(softness=0.0, width=0.0, rotation_spread=[8.0, 0.0, 20.0])
+    model = small_plot(softness=0.0, softness_plants=0.0, rotation_spread=[8.0, 0.0, 20.0])
     if seed:
         model = replant(model, seed)
-    hard = hard_model(dataclasses.replace(model, softness=0.25, width=1.0), parameters)
+    hard = hard_scene(dataclasses.replace(model, softness=0.25, softness_plants=1.0), parameters)
     soft, whole = (np.asarray(densities(m, parameters)) for m in (model, hard))
     np.testing.assert_allclose(whole, soft, rtol=1e-12, atol=1e-12)
     assert len(hard.planting.plant) < 0.6 * len(model.planting.plant)
@@ -142,7 +142,7 @@ def test_a_plot_without_plants() -> None:
     assert len(instances) == 0
     cover = projected_cover(instances, cell=0.1)
     assert cover.total == 0.0
-    assert np.all(np.asarray(hard_model(model, bare).area_density(bare)) == 0.0)
+    assert np.all(np.asarray(hard_scene(model, bare).area_density(bare)) == 0.0)
 
 
 def lens(radius: float, distance: float) -> float:

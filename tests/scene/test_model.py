@@ -10,8 +10,9 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import hard_count
-from fynjax.scene import background_spectrum, named_values, with_values
+from fynjax.scene import background_spectrum, band_wavelengths, named_values, with_values
 from fynjax.scene._optics import _shoot_optics
+from fynjax.sensors import mavic_3m
 from fynjax.sensors.air._sky import clear_sky_diffuse_fraction
 from tests.scene.plots import TAXA, densities, render, small_parameters, small_plot
 
@@ -24,7 +25,7 @@ def leaf_area(model, parameters):
 def test_hard_scene_plants_whole_plants_of_equation_10():
     """With no softness the wood of deadwood is that of ceil(n) plants of their drawn sizes."""
     parameters = small_parameters()
-    model = small_plot(softness=0.0, width=0.0)
+    model = small_plot(softness=0.0, softness_plants=0.0)
     species = parameters.species
     radius = np.asarray(species.diameter) / 2
     share = (1 - np.asarray(species.packing)) * np.asarray(species.fill)
@@ -50,11 +51,11 @@ def test_hard_scene_plants_whole_plants_of_equation_10():
 
 def test_soft_scene_tends_to_the_hard_one():
     parameters = small_parameters()
-    hard = small_plot(softness=0.0, width=0.0)
+    hard = small_plot(softness=0.0, softness_plants=0.0)
     plants = np.asarray(hard.area_density(parameters))
     away = []
     for width in (1.0, 0.3, 1e-3):
-        soft = dataclasses.replace(hard, width=width)
+        soft = dataclasses.replace(hard, softness_plants=width)
         away.append(np.abs(np.asarray(soft.area_density(parameters)) - plants).max())
     assert away[0] > 1e-3  # the soft scene is another one
     assert away[2] < 1e-12
@@ -110,10 +111,12 @@ def test_area_follows_the_parameters_at_any_resolution():
 def test_a_plot_without_plants_is_the_bare_ground():
     model, parameters = small_plot(), small_parameters()
     bare = eqx.tree_at(lambda p: p.species.cover, parameters, jnp.zeros(3))
-    soil, litter, *_ = np.asarray(model.ground_spectra(bare))
+    bands = mavic_3m()
+    wavelength = band_wavelengths(bands)
+    soil, litter, *_ = np.asarray(model.ground_spectra(bare, wavelength))
     share = float(bare.ground.litter_fraction)
     mixed = (1 - share) * soil + share * litter
-    ground = np.asarray(model.camera.bands.weights(model.wavelength)) @ mixed
+    ground = np.asarray(bands.weights(wavelength)) @ mixed
     image = np.asarray(render(model, bare))
     np.testing.assert_allclose(
         image, np.broadcast_to(ground[:, None, None], image.shape), rtol=1e-9

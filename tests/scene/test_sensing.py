@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.radiation import Accuracy, reflectance_factor, solve_light
-from fynjax.scene import Camera, PlotAir, band_wavelengths, plot_sensing
+from fynjax.radiation import Accuracy, nadir_rays, reflectance_factor, solve_light
+from fynjax.scene import Ground, Placement, PlotAir, Spectrum, aim
 from fynjax.scene._panels import panels_in_picture
 from fynjax.scene._pixels import axis_pixels, footprint_shares
 from fynjax.sensors import (
@@ -25,17 +25,21 @@ from fynjax.sensors import (
     shipped_sensor,
 )
 from tests.helpers import assert_gradients
-from tests.scene.plots import render, small_parameters, small_plot
+from tests.scene.plots import small_parameters, small_plot
 
 FAST = Accuracy(sublayers=1, levels=2, refine=False, tolerance=1e-9, iterations=200)
 NOISE = ((1e14, 0.0), (8000.0, 4.0))
 """Full well and read noise of a camera without noise, and of one with; the same program."""
-observe = eqx.filter_jit(lambda s, p, key=None, air=None: s.observe(p, key=key, air=air))
+observe = eqx.filter_jit(lambda a, s, p, key=None, air=None: a.observe(s, p, key=key, air=air))
+
+
+def over(scene, sensor, placement=None, **options):
+    return aim(scene, small_parameters(), sensor, placement, **{"accuracy": FAST} | options)
 
 
 @pytest.fixture(scope="module")
 def model():
-    return small_plot(accuracy=FAST)
+    return small_plot()
 
 
 @pytest.fixture(scope="module")
@@ -58,9 +62,7 @@ def test_pixels_of_a_hill_lie_where_the_map_has_them(model, drone, tilt):
     hill = dataclasses.replace(
         model, boundary="open", terrain=np.full(model.grid.shape[1::-1], 0.5)
     )
-    level, high = (
-        plot_sensing(m, drone, altitude=30.0, pixel=0.1, tilt=tilt) for m in (model, hill)
-    )
+    level, high = (over(m, drone, Placement(30.0, 0.1, tilt)) for m in (model, hill))
     for axis in ("x", "y"):
         slope = getattr(high.rays, f"slope_{axis}")
         at_ground = getattr(high.rays, axis) + 0.5 * slope
@@ -96,26 +98,34 @@ def test_point_spread_of_wide_pixels_is_that_of_the_image(periodic):
 
 
 def test_a_nadir_frame_is_the_image_of_render(model, drone):
-    sensing = plot_sensing(model, drone, altitude=50.0, pixel=0.1)
-    seen = observe(sensing, small_parameters())
-    np.testing.assert_allclose(seen.reflectance, render(model, small_parameters()), rtol=1e-12)
+    """Rays to the camera 50 m over the middle, as `nadir_rays` has them."""
+    sensing = over(model, drone, Placement(50.0, 0.1))
+    seen = observe(sensing, model, small_parameters())
+    at = (jnp.arange(16) + 0.5) * 0.1
+    rays = nadir_rays(at, at, 0.1, (0.8, 0.8, 50.0))
+    image = eqx.filter_jit(
+        lambda s, p: reflectance_factor(solve_light(s.voxels(p, drone.bands), FAST), rays)
+    )(model, small_parameters())
+    np.testing.assert_allclose(seen.reflectance, image, rtol=1e-12)
     assert seen.radiance is None
     assert sensing.origin == (0.0, 0.0)
 
 
 def test_a_wide_pixel_is_the_mean_of_small_ones(model, drone):
     """Rays half a voxel apart, against pixels of an eighth: what is left is 0.1 %."""
-    fine = plot_sensing(model, drone, altitude=1000.0, pixel=0.0125)
+    fine = over(model, drone, Placement(1000.0, 0.0125))
     seen = eqx.filter_jit(
-        lambda s, p: reflectance_factor(solve_light(s.model.scene(p), s.model.accuracy), s.rays)
-    )(fine, small_parameters())
+        lambda a, s, p: reflectance_factor(
+            solve_light(s.voxels(p, a.sensor.bands), a.accuracy), a.rays
+        )
+    )(fine, model, small_parameters())
     small = np.asarray(seen).reshape(4, 4, 32, 4, 32).mean((2, 4))
-    wide = plot_sensing(model, drone, altitude=1000.0, pixel=0.4)
-    seen = observe(wide, small_parameters()).reflectance
+    wide = over(model, drone, Placement(1000.0, 0.4))
+    seen = observe(wide, model, small_parameters()).reflectance
     assert seen.shape == (4, 4, 4)
     np.testing.assert_allclose(seen, small, rtol=5e-3)
     np.testing.assert_allclose(seen.mean((1, 2)), small.mean((1, 2)), rtol=1e-3)
-    whole = plot_sensing(model, drone, altitude=1000.0, pixel=4.8)  # nine copies of the plot
+    whole = over(model, drone, Placement(1000.0, 4.8))  # nine copies of the plot
     assert whole.shape == (1, 1)
     shares = footprint_shares(np.array([0.8]), 4.8, 32, 1.6, periodic=True)
     np.testing.assert_allclose(shares, 1 / 32, rtol=1e-12)
@@ -133,14 +143,8 @@ def bare(soil, **changes):
         parameters.ground, brightness=jnp.asarray(1.0), litter_fraction=jnp.asarray(0.0)
     )
     parameters = dataclasses.replace(parameters, ground=ground)
-    grid = band_wavelengths(PANELS)
-    model = small_plot(
-        camera=Camera(PANELS, 1000.0, 0.4),
-        accuracy=FAST,
-        soil=np.full((2, grid.size), soil),
-        **changes,
-    )
-    return model, parameters
+    ground = Ground(soil=Spectrum.of(np.array([400.0, 2500.0]), np.full(2, soil)))
+    return small_plot(ground=ground, **changes), parameters
 
 
 @pytest.mark.parametrize("kind", ["table", "clear-sky"])
@@ -152,9 +156,9 @@ def test_even_panels_come_back_through_the_air(kind):
     run = None
     for soil in (0.05, 0.5):
         model, parameters = bare(soil)
-        sensing = plot_sensing(model, sensor, air=air)
-        run = eqx.filter_jit(lambda s, p: s.observe(p)) if run is None else run
-        seen = run(sensing, parameters)
+        sensing = over(model, sensor, air=air)
+        run = eqx.filter_jit(lambda a, s, p: a.observe(s, p)) if run is None else run
+        seen = run(sensing, model, parameters)
         clear = np.asarray(seen.transparent)
         assert clear.tolist() == [True, True, True, False, True]
         assert seen.reflectance.shape == (5, 4, 4)
@@ -176,7 +180,7 @@ def test_panels_in_the_picture_calibrate_it():
     dark, bright = Panel(0.4, 0.4, 0.35, 0.05, 0.02), Panel(1.2, 0.4, 0.4, 0.5, 0.01)
     model, parameters = bare(0.2)
     quiet, loud = (
-        plot_sensing(model, one, air=PlotAir("clear-sky"), panels=(dark, bright)) for one in sensors
+        over(model, one, air=PlotAir("clear-sky"), panels=(dark, bright)) for one in sensors
     )
     sensor, sensing = sensors[0], quiet
     truth = np.full(sensing.shape, 0.2)
@@ -184,7 +188,7 @@ def test_panels_in_the_picture_calibrate_it():
     mixed = np.zeros(sensing.shape, bool)
     mixed[2:6, 2:6] = True
     mixed[3:5, 3:5] = False
-    clean, noisy = (observe(s, parameters, jax.random.key(3)) for s in (quiet, loud))
+    clean, noisy = (observe(s, model, parameters, jax.random.key(3)) for s in (quiet, loud))
     clear = np.asarray(clean.transparent)
     image = np.asarray(clean.reflectance)[clear]
     np.testing.assert_allclose(image[:, ~mixed], np.tile(truth[~mixed], (4, 1)), rtol=1e-3)
@@ -209,7 +213,7 @@ def test_panels_in_the_picture_calibrate_it():
     assert np.all(np.abs(found - 0.2) < 1.5 * sd)
 
     def with_panels(*panels):
-        return plot_sensing(model, sensor, air=PlotAir("clear-sky"), panels=panels)
+        return over(model, sensor, air=PlotAir("clear-sky"), panels=panels)
 
     with pytest.raises(InputError, match=r"panel 1 must cover some pixels wholly.* holds none"):
         with_panels(Panel(0.45, 0.45, 0.05, 0.5))
@@ -220,21 +224,21 @@ def test_panels_in_the_picture_calibrate_it():
     with pytest.raises(InputError, match=r"must lie in the image, 0 to 1\.6 m east"):
         with_panels(dark, Panel(1.5, 0.4, 0.4, 0.5))
     with pytest.raises(InputError, match="expected an atmosphere"):
-        plot_sensing(model, sensor, panels=(dark, bright))
+        over(model, sensor, panels=(dark, bright))
 
 
 def test_noise_is_seeded_and_as_large_as_its_model_says(model, drone):
     none, noise = (CameraNoise(300.0, *n, 32) for n in NOISE)
     quiet, sensing = (
-        plot_sensing(
-            model, dataclasses.replace(drone, noise=n), altitude=50.0, pixel=0.1,
+        over(
+            model, dataclasses.replace(drone, noise=n), Placement(50.0, 0.1),
             air=PlotAir("clear-sky"),
         )
         for n in (none, noise)
     )  # fmt: skip
-    clean = observe(quiet, small_parameters(), jax.random.key(0))
+    clean = observe(quiet, model, small_parameters(), jax.random.key(0))
     first, again, other = (
-        observe(sensing, small_parameters(), jax.random.key(k)) for k in (1, 1, 2)
+        observe(sensing, model, small_parameters(), jax.random.key(k)) for k in (1, 1, 2)
     )
     np.testing.assert_array_equal(first.radiance, again.radiance)
     assert not np.array_equal(first.radiance, other.radiance)
@@ -260,7 +264,7 @@ def test_radiance_has_the_derivative_of_differences(model, drone):
     """In cover, chlorophyll, the sun and the water in the air; wide pixels, a point spread."""
     psf = PointSpread("gaussian", 1.2)
     sensor = dataclasses.replace(drone, psf=psf)
-    sensing = plot_sensing(model, sensor, altitude=1000.0, pixel=0.4)
+    sensing = over(model, sensor, Placement(1000.0, 0.4))
     parameters = small_parameters()
 
     @jax.jit
@@ -275,16 +279,16 @@ def test_radiance_has_the_derivative_of_differences(model, drone):
                 zenith,
             ),
         )
-        return sensing.observe(moved, air=PlotAir("table", water_vapour=water)).radiance
+        return sensing.observe(model, moved, air=PlotAir("table", water_vapour=water)).radiance
 
     assert_gradients(radiance, jnp.array([0.25, 55.0, 31.3, 1.7]), step=1e-4, rtol=2e-4)
 
 
 def test_an_oblique_view_is_followed_voxel_by_voxel(model, drone):
-    straight = plot_sensing(model, drone, altitude=50.0, pixel=0.1)
-    tilted = plot_sensing(model, drone, altitude=50.0, pixel=0.1, tilt=50.0, heading=90.0)
-    assert straight.model.accuracy.sublayers == 1
-    assert tilted.model.accuracy.sublayers == 2
+    straight = over(model, drone, Placement(50.0, 0.1))
+    tilted = over(model, drone, Placement(50.0, 0.1, 50.0, 90.0))
+    assert straight.accuracy.sublayers == 1
+    assert tilted.accuracy.sublayers == 2
     # The camera stands west of the plot and looks east at its middle.
     place = np.asarray(tilted.sensor.camera.position)
     np.testing.assert_allclose(place, [0.8 - 50.0 * np.tan(np.deg2rad(50.0)), 0.8, 50.0])
@@ -293,18 +297,16 @@ def test_an_oblique_view_is_followed_voxel_by_voxel(model, drone):
 
 def test_what_cannot_be_simulated_is_refused(model, drone):
     with pytest.raises(InputError, match=r"above the plants.* 0\.8.* but is at 0\.5 m"):
-        plot_sensing(model, drone, altitude=0.5, pixel=0.1)
-    with pytest.raises(InputError, match="built with the sensor's bands"):
-        plot_sensing(model, shipped_sensor("rededge_3"), altitude=50.0)
+        over(model, drone, Placement(0.5, 0.1))
     with pytest.raises(InputError, match=r"pixel of 5 m, but is 1\.6 m wide"):
-        plot_sensing(dataclasses.replace(model, boundary="open"), drone, altitude=50.0, pixel=5.0)
+        over(dataclasses.replace(model, boundary="open"), drone, Placement(50.0, 5.0))
     with pytest.raises(InputError, match="no air to make radiance of"):
-        plot_sensing(model, drone).observe(small_parameters(), key=0)
+        over(model, drone).observe(model, small_parameters(), key=0)
     with pytest.raises(InputError, match="no noise model"):
-        plot_sensing(model, drone, air=PlotAir()).observe(small_parameters(), key=0)
+        over(model, drone, air=PlotAir()).observe(model, small_parameters(), key=0)
     view = Sensor("view", mavic_3m(), OrthographicCamera((0, 0, 1, 1), 0.1))
     with pytest.raises(InputError, match="no tilt or heading"):
-        plot_sensing(model, view, tilt=10.0)
+        over(model, view, Placement(tilt=10.0))
     low = eqx.tree_at(lambda p: p.light.sun_zenith, small_parameters(), jnp.asarray(88.0))
     with pytest.raises(InputError, match="`sun_zenith` must be within the table"):
-        plot_sensing(model, drone, air=PlotAir()).check(low)
+        over(model, drone, air=PlotAir()).check(low)

@@ -1,6 +1,5 @@
 """Plots on ground that is not level."""
 
-import equinox as eqx
 import numpy as np
 import pytest
 from rasterio import Affine
@@ -9,7 +8,8 @@ from fynjax._core.errors import InputError
 from fynjax.assembly import build_plot
 from fynjax.assembly._ground import ground_heights
 from fynjax.io.plot import read_plot
-from fynjax.scene import hard_instances
+from fynjax.scene import Placement, hard_instances, observe
+from fynjax.sensors import shipped_sensor
 from tests.helpers import write_raster
 
 SPECIES = (
@@ -71,8 +71,9 @@ def test_bare_ground_is_lit_as_its_slope_has_it(tmp_path):
     and up to r / 50 of it again from ground nearby. Cells of the raster wider than the voxels must
     not make steps."""
     model, parameters = build_plot(plot(tmp_path, LINE, cover=0.0, cell=0.5))
-    image = np.asarray(eqx.filter_jit(lambda m, p: m.image(p))(model, parameters))
-    level = np.asarray(model.ground_map(parameters))
+    sensor = shipped_sensor("mavic_3m")
+    image = np.asarray(observe(model, parameters, sensor, Placement(50.0, 0.1)).reflectance)
+    level = np.asarray(model.ground_map(parameters, sensor.bands))
     sun = np.array([-np.sin(np.deg2rad(40.0)), 0.0, np.cos(np.deg2rad(40.0))])
     up = np.array([-RISE, -NORTHWARD, 1.0])
     facing = sun @ up / np.linalg.norm(up) / sun[2]

@@ -43,7 +43,7 @@ from fynjax.studies.bioscape._inversion_compare import (
     others,
     shift_table,
 )
-from fynjax.studies.bioscape._scenes import Resolution, build_scenes, slots_of
+from fynjax.studies.bioscape._scenes import ACCURACY, Resolution, build_scenes, slots_of
 from tests.studies.test_bioscape_validate import write_tables
 
 
@@ -202,11 +202,11 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
     slots = slots_of([file])
     seeds = [0, 1, 2, 3, 9]
     scenes = build_scenes(
-        [file] * len(seeds), bands, Resolution(6.0, 0.5), seeds, room=ROOM, softness=SOFTNESS
+        [file] * len(seeds), Resolution(6.0, 0.5), seeds, room=ROOM, softness=SOFTNESS
     )
     models, parameters = [m for m, _ in scenes], scenes[0][1]
-    view = spectrum_view(bands)
-    predict = PlotSpectrumForward(view, [s == "deadwood" for s in slots])
+    view = spectrum_view(bands, *scenes[0], ACCURACY)
+    predict = PlotSpectrumForward(view, tuple(s == "deadwood" for s in slots))
     space = prior_space(plot)
     at = dict.fromkeys(FREE, 0.0) | {
         "leaf_mass_per_area": 1.0, "water_per_dry_matter": -1.0, "chlorophyll": -1.5,

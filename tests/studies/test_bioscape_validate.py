@@ -64,13 +64,12 @@ def test_plots_of_other_species_get_one_shape_and_keep_their_plants(tmp_path: Pa
         files.append(read_plot(tmp_path / plot.name / "plot.toml"))
     slots = slots_of(files)
     assert slots == ("broad_leaved", "deadwood", "rounded_shrub", "tussock", "upright_ericoid")
-    bands = BandSet(("a", "b"), (670.0, 860.0), (6.0, 6.0))
-    scenes = build_scenes(files, bands, COARSE, [0, 0])
+    scenes = build_scenes(files, COARSE, [0, 0])
     shapes = [[leaf.shape for leaf in (m.planting.part, m.planting.foot)] for m, _ in scenes]
     assert shapes[0] == shapes[1]
     assert scenes[0][0].grid == scenes[1][0].grid
     for file, (model, parameters) in zip(files, scenes):
-        alone, same = _build(file, slots, bands, COARSE, 0, room=1.0, softness=0.0)
+        alone, same = _build(file, slots, COARSE, 0, room=1.0, softness=0.0)
         expected = np.asarray(alone.area_density(same))
         found = np.asarray(model.area_density(parameters))
         layers = expected.shape[1]
@@ -94,8 +93,8 @@ def test_a_plot_looks_as_it_does_when_rendered_alone(
     bands = BandSet(("a", "b"), (670.0, 860.0), (5.8, 5.8))
     seen = []
     for seed in range(6):
-        model, parameters = build_plot(file, seed=seed, bands=bands)
-        light = solve_light(model.scene(parameters), ACCURACY)
+        model, parameters = build_plot(file, seed=seed)
+        light = solve_light(model.voxels(parameters, bands), ACCURACY)
         seen.append(directional_reflectance(light, jnp.zeros(1), jnp.zeros(1))[0])
     spectra = xr.load_dataset(output / "spectra.nc").set_index(band="wavelength")
     ours = spectra["simulated"].sel(plot="A1", band=[670.0, 860.0]).to_numpy()

@@ -8,7 +8,7 @@ import numpy as np
 from fynjax._core.errors import InputError
 from fynjax.canopy import Organ, PlantMesh, generate_plant, table1_2006, unit_shapes
 from fynjax.io.text import atomic_path, write_text
-from fynjax.scene import Instances, PlotModel, PlotParameters
+from fynjax.scene import Instances, PlotParameters, Scene
 
 LEAST_TRIANGLES = 2000
 """Fewest triangles that a plant may be asked to be made of."""
@@ -17,7 +17,7 @@ _MOST_PER_PLANT = 200_000
 
 def scene_meshes(
     instances: Instances,
-    model: PlotModel,
+    scene: Scene,
     parameters: PlotParameters,
     *,
     max_triangles: int,
@@ -41,7 +41,7 @@ def scene_meshes(
     )
     species = parameters.species
     meshes: list[PlantMesh | None] = []
-    for taxon_index, (taxon, form) in enumerate(zip(model.taxa, model.forms)):
+    for taxon_index, (taxon, form) in enumerate(zip(scene.taxa, scene.forms)):
         if counts[taxon_index] == 0:
             meshes.append(None)
             continue
@@ -52,7 +52,7 @@ def scene_meshes(
             height=float(species.height[taxon_index]),
             leaf_area_index=float(species.leaf_area_index[taxon_index]),
             wood_area_index=float(species.wood_area_index[taxon_index]),
-            flowering=model.flowering,
+            flowering=scene.flowering,
             max_triangles=each,
         )
         meshes.append(made.mesh)

@@ -25,7 +25,7 @@ from fynjax.io.plot._rows import (
     StructureRow,
 )
 from fynjax.io.plot._sensor import (
-    drone_bands,
+    drone_sensor,
     optical_pixel,
     plot_instrument,
     sensor_altitude,
@@ -54,7 +54,7 @@ __all__ = [
     "Sun",
     "TargetStatistics",
     "as_plot",
-    "drone_bands",
+    "drone_sensor",
     "example_folder",
     "optical_pixel",
     "plot_instrument",

@@ -14,7 +14,6 @@ from fynjax.metrics import BANDS
 from fynjax.scene import PARAMETERS
 from fynjax.sensors import (
     SPACE,
-    BandSet,
     OrthographicCamera,
     Panel,
     frame_of,
@@ -101,13 +100,14 @@ def plot_instrument(plot: Plot) -> Instrument:
     return visible_sensor(load_sensor(plot.sensor.path or plot.sensor.name))
 
 
-def drone_bands(plot: Plot) -> BandSet:
-    """Bands green, red, red edge and near infrared of a plot's sensor.
+def drone_sensor(plot: Plot) -> Instrument:
+    """A plot's sensor with its bands green, red, red edge and near infrared.
 
     They are what the indices of a drone's image are made of. Raises `InputError` for a sensor
     without them, and for pixels wider than the plot.
     """
-    bands = plot_instrument(plot).bands
+    instrument = plot_instrument(plot)
+    bands = instrument.bands
     if missing := [name for name in BANDS if name not in bands.names]:
         raise InputError(
             f"expected a sensor with bands {', '.join(BANDS)}, but {plot.sensor.name!r} has no "
@@ -123,7 +123,7 @@ def drone_bands(plot: Plot) -> BandSet:
             file=plot.file,
             column="sensor.pixel_m",
         )
-    return bands.select([bands.names.index(name) for name in BANDS])
+    return instrument.select([bands.names.index(name) for name in BANDS])
 
 
 def plot_sun(table: SunTable, path: Path, text: str) -> Sun:

@@ -50,7 +50,13 @@ from fynjax.studies.bioscape._inversion_files import CalibratePlotsResult, Findi
 from fynjax.studies.bioscape._plot_files import run_bioscape, write_plot_files
 from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
 from fynjax.studies.bioscape._plsr import read_leaf_mass_model
-from fynjax.studies.bioscape._scenes import Resolution, build_scenes, slots_of, slotted_parameters
+from fynjax.studies.bioscape._scenes import (
+    ACCURACY,
+    Resolution,
+    build_scenes,
+    slots_of,
+    slotted_parameters,
+)
 from fynjax.studies.bioscape._spectra import (
     PlotSpectra,
     Spectrometer,
@@ -120,11 +126,11 @@ def calibrate_plots(
     with run.stage("Plant the plots"):
         each = [(file, seed + k) for file in files for k in range(realisations)]
         scenes = build_scenes(
-            [f for f, _ in each], bands, resolution, [s for _, s in each],
+            [f for f, _ in each], resolution, [s for _, s in each],
             room=ROOM, softness=SOFTNESS,
         )  # fmt: skip
-    models = [
-        [model for model, _ in scenes[i * realisations : (i + 1) * realisations]]
+    stands = [
+        [scene for scene, _ in scenes[i * realisations : (i + 1) * realisations]]
         for i in range(len(read))
     ]
     priors = [Prior(TABLES_PRIOR, read, [p for _, p in scenes[::realisations]], None)]
@@ -132,10 +138,10 @@ def calibrate_plots(
         priors.append(_elsewhere(read, files, slots, field))
     if len(read) >= _FEWEST_FOR_CORRECTION:
         priors.append(replace(priors[-1], name=BIAS_CORRECTED))
-    view = spectrum_view(bands)
+    view = spectrum_view(bands, *scenes[0], ACCURACY)
     repeatability = flight_covariance(flights)
     data = [plot_data(view.names, f, repeatability) for f in flights]
-    predict = PlotSpectrumForward(view, [form == "deadwood" for form in slots])
+    predict = PlotSpectrumForward(view, tuple(form == "deadwood" for form in slots))
     inputs = sorted([*folder.glob("*.csv"), *folder.glob("*.json")])
     inputs += [] if traits is None else [Path(traits)]
     settings = (resolution, realisations, seed, [p.name for p in read], FREE, len(bands))
@@ -156,7 +162,7 @@ def calibrate_plots(
                         view.names, flights[i], np.delete(np.stack(rest), i, axis=0)
                     )
                 fit = infer_plot(
-                    predict, spectrum, space, prior.parameters[i], models[i], journal,
+                    predict, spectrum, space, prior.parameters[i], stands[i], journal,
                     bias=bias,
                 )  # fmt: skip
                 _check(fit, plot, folder)

@@ -27,7 +27,7 @@ from fynjax.inversion import (
     predicted_statistics,
     weigh_spectrum,
 )
-from fynjax.scene import PARAMETERS, PlotModel, PlotParameters
+from fynjax.scene import PARAMETERS, PlotParameters, Scene
 from fynjax.studies.bioscape._plots import BioscapePlot
 
 MODEL_SD = 0.05
@@ -125,31 +125,33 @@ def quantity(reference: Reference, name: str, factor: Any) -> Any:
     return (reference.leaf_mass if name == "leaf_mass_per_area" else reference.water)(factor)
 
 
-class PlotSpectrumForward:
+class PlotSpectrumForward(eqx.Module):
     """The forward model: a plot's mean spectrum at values of `FREE`.
 
-    Called with a model and the parameters as the tables have them, so that all plots share one
+    Called with a scene and the parameters as the tables have them, so that all plots share one
     compilation. Differentiable.
     """
 
-    def __init__(self, view: SpectrumView, dead: Sequence[bool]) -> None:
-        self._view, self._dead = view, np.asarray(dead)
+    view: SpectrumView
+    dead: tuple[bool, ...] = eqx.field(static=True, converter=tuple)
+    """Which species are standing dead plants."""
 
     def __call__(
-        self, values: Float[Array, " free"], model: PlotModel, parameters: PlotParameters
+        self, values: Float[Array, " free"], scene: Scene, parameters: PlotParameters
     ) -> Float[Array, " band"]:
-        return self._view.predict(model, self._plot(values, parameters))
+        return self.view.predict(scene, self._plot(values, parameters))
 
     def jacobian(
         self,
         values_at: Callable[[Array], Array],
         u: Float[Array, " free"],
-        model: PlotModel,
+        scene: Scene,
         parameters: PlotParameters,
     ) -> tuple[Float[Array, " band"], Float[Array, "band free"]]:
-        return self._view.jacobian(model, lambda u: self._plot(values_at(u), parameters), u)
+        return self.view.jacobian(scene, lambda u: self._plot(values_at(u), parameters), u)
 
     def _plot(self, values: Array, parameters: PlotParameters) -> PlotParameters:
+        dead = np.asarray(self.dead)
         at = {name: values[i] for i, name in enumerate(FREE)}
         species, leaf, ground = parameters.species, parameters.leaf, parameters.ground
         mass = at["leaf_mass_per_area"]
@@ -165,7 +167,7 @@ class PlotSpectrumForward:
             parameters,
             species=replace(
                 species,
-                cover=species.cover * jnp.where(self._dead, at["standing_dead"], at["cover"]),
+                cover=species.cover * jnp.where(dead, at["standing_dead"], at["cover"]),
                 leaf_area_index=species.leaf_area_index * at["leaf_area_index"],
             ),
             leaf=eqx.tree_at(
@@ -307,13 +309,13 @@ def infer_plot(
     data: Data,
     space: ParameterSpace,
     parameters: PlotParameters,
-    models: Sequence[PlotModel],
+    scenes: Sequence[Scene],
     keep: Keep,
     *,
     bias: Float[np.ndarray, " band"] | None = None,
     max_steps: int = 20,
 ) -> Estimate:
-    """Fit one plot. `models` are stand realisations of it; the first is fitted, the others
+    """Fit one plot. `scenes` are stand realisations of it; the first is fitted, the others
     estimate the variance over realisations.
 
     `bias` is added to the model's spectrum; `data` then hold the errors of all that, those of
@@ -324,7 +326,7 @@ def infer_plot(
     def do() -> tuple[Array, ...]:
         none = jnp.zeros_like(offset)
         densities = [
-            LogPosterior(predict, space, data, none, (model, parameters)) for model in models
+            LogPosterior(predict, space, data, none, (scene, parameters)) for scene in scenes
         ]
         start = jnp.zeros(len(space.names))
         prior_spectra = jnp.stack([predicted_statistics(density, start) for density in densities])

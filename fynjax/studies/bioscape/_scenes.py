@@ -16,12 +16,19 @@ from jaxtyping import Array, Float
 
 from fynjax.assembly import USUAL_LEAF, plot_parameters
 from fynjax.canopy import FORM_DEFAULTS, VoxelGrid
+from fynjax.inversion import nadir_imager
 from fynjax.io.plot import Plot
-from fynjax.radiation import Accuracy, parallel_rays, render, solve_light
-from fynjax.scene import Camera, PlotModel, PlotParameters, build_model
+from fynjax.radiation import Accuracy, render, solve_light
+from fynjax.scene import (
+    AimedSensor,
+    PlantingRules,
+    PlotParameters,
+    Scene,
+    SceneSpecies,
+    build_scene,
+)
 from fynjax.sensors import BandSet
 
-ALTITUDE_M = 1000.0
 ACCURACY = Accuracy(sublayers=2, coarsening=(2, 2), levels=2, refine=False, solves=25)
 
 
@@ -57,61 +64,54 @@ def slots_of(plots: Sequence[Plot]) -> tuple[str, ...]:
 
 def build_scenes(
     plots: Sequence[Plot],
-    bands: BandSet,
     resolution: Resolution,
     seeds: Sequence[int],
     *,
     room: float = 1.0,
     softness: float = 0.0,
-) -> list[tuple[PlotModel, PlotParameters]]:
-    """A model and the parameters of each plot, all of one shape and tree.
+) -> list[tuple[Scene, PlotParameters]]:
+    """A scene and the parameters of each plot, all of one shape and tree.
 
-    `seeds` draw the places of each plot's plants; `room` and `softness` as `build_model` has them:
-    a model whose covers shall be differentiated needs both.
+    `seeds` draw the places of each plot's plants; `room` and `softness` as `PlantingRules` has
+    them: a scene whose covers shall be differentiated needs both.
     """
     slots = slots_of(plots)
     built = [
-        _build(plot, slots, bands, resolution, seed, room, softness)
+        _build(plot, slots, resolution, seed, room, softness)
         for plot, seed in zip(plots, seeds, strict=True)
     ]
-    layers = max(model.grid.shape[2] for model, _ in built)
+    layers = max(scene.grid.shape[2] for scene, _ in built)
     sizes = [
         tuple(len(a) for a in (p.species, p.plant, p.shapes.organ))
-        for p in (model.planting for model, _ in built)
+        for p in (scene.planting for scene, _ in built)
     ]
     plants, elements, parts = (max(size) for size in zip(*sizes))
     side = round(resolution.size_m / resolution.voxel_m)
     grid = VoxelGrid((side, side, layers), resolution.voxel_m, resolution.voxel_m)
     return [
-        (_padded(replace(model, grid=grid), plants, elements, parts), parameters)
-        for model, parameters in built
+        (_padded(replace(scene, grid=grid), plants, elements, parts), parameters)
+        for scene, parameters in built
     ]
 
 
 def _build(
     plot: Plot,
     slots: tuple[str, ...],
-    bands: BandSet,
     resolution: Resolution,
     seed: int,
     room: float,
     softness: float,
-) -> tuple[PlotModel, PlotParameters]:
+) -> tuple[Scene, PlotParameters]:
     parameters = slotted_parameters(plot, slots)
-    model = build_model(
-        [f"slot {i}" for i in range(len(slots))],
-        slots,
+    scene = build_scene(
+        [SceneSpecies(f"slot {i}", form) for i, form in enumerate(slots)],
         parameters,
         extent=(resolution.size_m, resolution.size_m),
         voxel=resolution.voxel_m,
-        camera=Camera(bands, ALTITUDE_M, resolution.voxel_m),
         seed=seed,
-        room=room,
-        softness=softness,
-        width=1.0,
-        accuracy=ACCURACY,
+        rules=PlantingRules(room=room, softness=softness),
     )
-    return model, parameters
+    return scene, parameters
 
 
 def slotted_parameters(plot: Plot, slots: tuple[str, ...]) -> PlotParameters:
@@ -139,9 +139,9 @@ def slotted_parameters(plot: Plot, slots: tuple[str, ...]) -> PlotParameters:
     return PlotParameters(species, leaf, read.ground, read.light)
 
 
-def _padded(model: PlotModel, plants: int, elements: int, parts: int) -> PlotModel:
+def _padded(scene: Scene, plants: int, elements: int, parts: int) -> Scene:
     """The same plot with room for more: plants that do not stand, elements without area."""
-    planting = model.planting
+    planting = scene.planting
 
     def longer(values: Array, length: int, fill: float = 0.0) -> Array:
         missing = length - len(values)
@@ -152,7 +152,7 @@ def _padded(model: PlotModel, plants: int, elements: int, parts: int) -> PlotMod
     shapes = jax.tree.map(lambda a: longer(a, parts + 1), planting.shapes)
     of_plants = ("species", "foot", "azimuth", "tilt", "size", "stature")
     return replace(
-        model,
+        scene,
         planting=replace(
             planting,
             **{name: longer(getattr(planting, name), plants) for name in of_plants},
@@ -166,17 +166,12 @@ def _padded(model: PlotModel, plants: int, elements: int, parts: int) -> PlotMod
 
 
 @eqx.filter_jit
-def nadir_spectrum(model: PlotModel, parameters: PlotParameters) -> PlotSpectrum:
-    """Mean spectrum of a plot from straight above."""
-    scene = model.scene(parameters)
-    light = solve_light(scene, model.accuracy)
-    width = scene.horizontal
-    _, ny, nx = scene.shape
-    x, y = ((jnp.arange(n) + 0.5) * width for n in (nx, ny))
-    dtype = scene.area_density.dtype
-    x, y, down = x.astype(dtype), y.astype(dtype), jnp.zeros((), dtype)
-    image = render(light, parallel_rays(x, y, width, down, down))
-    incident = scene.illumination.incident
+def nadir_spectrum(imager: AimedSensor, scene: Scene, parameters: PlotParameters) -> PlotSpectrum:
+    """Mean spectrum of a plot from straight above, by `nadir_imager`."""
+    voxels = scene.voxels(parameters, imager.sensor.bands)
+    light = solve_light(voxels, imager.accuracy)
+    image = render(light, imager.rays)
+    incident = voxels.illumination.incident
     return PlotSpectrum(
         jnp.pi * image.total.mean(axis=(1, 2)) / incident,
         image.gap.mean(),
@@ -185,11 +180,12 @@ def nadir_spectrum(model: PlotModel, parameters: PlotParameters) -> PlotSpectrum
 
 
 def simulate(
-    scenes: Sequence[tuple[PlotModel, PlotParameters]], done: Callable[[int], None]
+    scenes: Sequence[tuple[Scene, PlotParameters]], bands: BandSet, done: Callable[[int], None]
 ) -> list[PlotSpectrum]:
-    """The spectrum of each plot; `done` hears of each."""
+    """The spectrum of each plot in `bands`; `done` hears of each."""
+    imager = nadir_imager(bands, *scenes[0], ACCURACY)
     spectra = []
-    for number, (model, parameters) in enumerate(scenes):
-        spectra.append(jax.tree.map(np.asarray, nadir_spectrum(model, parameters)))
+    for number, (scene, parameters) in enumerate(scenes):
+        spectra.append(jax.tree.map(np.asarray, nadir_spectrum(imager, scene, parameters)))
         done(number)
     return spectra

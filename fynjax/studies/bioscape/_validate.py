@@ -65,9 +65,9 @@ def validate_plots(
         )
     files = [read_plot(run.folder / "plots" / p.name / "plot.toml") for p in read]
     with run.stage("Plant the plots"):
-        scenes = build_scenes(files, bands, resolution, [seed] * len(files))
+        scenes = build_scenes(files, resolution, [seed] * len(files))
     with run.stage("Simulate", total=len(read)):
-        spectra = simulate(scenes, lambda n: run.progress.advance(1, plot=read[n].name))
+        spectra = simulate(scenes, bands, lambda n: run.progress.advance(1, plot=read[n].name))
     _check_finite(spectra, read)
     pair = PlotSpectraPair(
         tuple(p.name for p in read),

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from fynjax._core.progress import Progress
-from fynjax.assembly import Measured
+from fynjax.assembly import Measured, drone_view
 from fynjax.compare import bands_2006, consistent_targets, table4_2006
-from fynjax.inversion import ImageView, weigh_targets
+from fynjax.inversion import weigh_targets
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.jobs import CalibrateResult, Reference, Run, calibrate_to
 from fynjax.metrics import BANDS
@@ -35,7 +35,7 @@ def demo(output: Path, *, seed: int, progress: Progress | None = None) -> Calibr
     description = f"{len(names)} published statistics of the real drone image."
     return calibrate_to(
         plot,
-        (Measured("image", plot.file, data, ImageView(names), description),),
+        (Measured("image", plot.file, data, drone_view(plot, names), description),),
         Run(output, seed=seed, progress=progress),
         inputs=plot.inputs,
         reference=Reference(
