@@ -1,6 +1,6 @@
 """From files to a scene: what turns a plot file and its tables into a scene and parameters."""
 
-from fynjax.assembly._build import USUAL_LEAF, build_plot, plot_parameters
+from fynjax.assembly._build import build_plot, plot_parameters
 from fynjax.assembly._forward import (
     STRIDE,
     Prepared,
@@ -15,7 +15,6 @@ from fynjax.assembly._targets import Measured, drone_view, read_targets
 
 __all__ = [
     "STRIDE",
-    "USUAL_LEAF",
     "Measured",
     "Prepared",
     "aim_at_plot",

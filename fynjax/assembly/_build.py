@@ -11,11 +11,11 @@ from fynjax._core.errors import InputError
 from fynjax.assembly._ground import cover_patches, ground_heights, plot_ground
 from fynjax.assembly._memory import check_memory
 from fynjax.assembly._plants import read_plant
-from fynjax.canopy import FORM_DEFAULTS, MeshPlant, Organ
+from fynjax.canopy import MeshPlant, Organ
 from fynjax.io.plot import Plot, Species, with_parameter_table
 from fynjax.io.raster import read_probability_map
 from fynjax.io.spectra import reflectances
-from fynjax.leaf import LeafParameters, fit_leaf
+from fynjax.leaf import fit_leaf
 from fynjax.scene import (
     LEAF_FIELDS,
     GroundParameters,
@@ -24,22 +24,10 @@ from fynjax.scene import (
     PlotParameters,
     Scene,
     SceneSpecies,
-    SpeciesParameters,
     Spectrum,
     build_scene,
+    species_parameters,
 )
-
-USUAL_LEAF = {
-    "structure": 1.8,
-    "chlorophyll": 40.0,
-    "carotenoids": 9.0,
-    "anthocyanins": 1.5,
-    "brown_pigments": 0.1,
-    "water": 0.02,
-    "dry_matter": 0.02,
-}
-"""Leaves of a species for which nothing is given: an evergreen, sclerophyllous leaf."""
-
 
 AREA_INDICES = {"leaf_area_index": Organ.LEAF, "wood_area_index": Organ.WOOD}
 
@@ -135,33 +123,25 @@ def plot_parameters(
     litter, char, rock = plot.ground.fractions if fractions is None else fractions
     models = [None] * len(plot.species) if plants is None else plants
 
-    def column(name: str) -> jnp.ndarray:
+    def column(name: str) -> list[float | None]:
         values = []
         for s, model in zip(plot.species, models, strict=True):
             value = getattr(s, name)
             if value is None and model is not None and name in AREA_INDICES:
                 crown = np.pi / 4.0 * model.modelled_diameter**2
                 value = float(model.organ_area[AREA_INDICES[name]]) / crown
-            if value is None:
-                value = getattr(FORM_DEFAULTS[s.growth_form], name)
-            values.append(float(value))
-        return jnp.asarray(values)
+            values.append(value)
+        return values
 
-    leaves = [_leaf(s) for s in plot.species]
+    given = ("cover", "packing", "fill", "leaf_area_index", "wood_area_index", "shoot_clumping")
+    stated = {name: column(name) for name in given}
+    stated |= {"diameter": column("diameter_m"), "height": column("height_m")}
+    species, leaf = species_parameters(
+        [s.growth_form for s in plot.species], stated, [_leaf(s) for s in plot.species]
+    )
     return PlotParameters(
-        SpeciesParameters(
-            cover=column("cover"),
-            diameter=column("diameter_m"),
-            height=column("height_m"),
-            packing=column("packing"),
-            fill=column("fill"),
-            leaf_area_index=column("leaf_area_index"),
-            wood_area_index=column("wood_area_index"),
-            shoot_clumping=column("shoot_clumping"),
-        ),
-        LeafParameters.many(
-            **{name: np.array([leaf[name] for leaf in leaves]) for name in LEAF_FIELDS}
-        ),
+        species,
+        leaf,
         GroundParameters(
             brightness=jnp.asarray(plot.ground.brightness),
             moisture=jnp.asarray(plot.ground.moisture),
@@ -177,10 +157,10 @@ def plot_parameters(
     )
 
 
-def _leaf(species: Species) -> dict[str, float]:
+def _leaf(species: Species) -> dict[str, float] | None:
     source = species.leaf
     if source is None:
-        return USUAL_LEAF
+        return None
     if source.parameters is not None:
         return source.parameters
     assert source.spectrum is not None  # the plot's reader leaves exactly one of the two

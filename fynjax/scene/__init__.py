@@ -38,12 +38,14 @@ from fynjax.scene._scene import (
     replant,
 )
 from fynjax.scene._spectra import Spectrum, background_spectrum, band_wavelengths
+from fynjax.scene._table import USUAL_LEAF, species_parameters
 
 __all__ = [
     "COVERS",
     "DRONE",
     "LEAF_FIELDS",
     "PARAMETERS",
+    "USUAL_LEAF",
     "AimedSensor",
     "Ground",
     "GroundParameters",
@@ -84,5 +86,6 @@ __all__ = [
     "projected_cover",
     "random_patches",
     "replant",
+    "species_parameters",
     "with_values",
 ]

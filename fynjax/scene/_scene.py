@@ -6,9 +6,9 @@ the scene is built. The same plants then stand in the same places whatever the p
 that what a sensor measures is a smooth, repeatable function of the parameters.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -31,9 +31,10 @@ from fynjax.canopy import (
 from fynjax.radiation import Illumination, VoxelScene
 from fynjax.scene._ground import COVERS, Ground, ground_shares
 from fynjax.scene._optics import inclination, optical_classes
-from fynjax.scene._parameters import PlotParameters
+from fynjax.scene._parameters import GroundParameters, LightParameters, PlotParameters
 from fynjax.scene._planting import Planting, draw_planting, leafy_species, no_plants
 from fynjax.scene._spectra import Spectrum, background_spectrum, band_wavelengths
+from fynjax.scene._table import SCENE_COLUMNS, species_parameters, table_rows, table_values
 from fynjax.sensors import BandSet
 from fynjax.sensors.air import clear_sky_diffuse_fraction
 
@@ -113,6 +114,74 @@ class Scene(eqx.Module):
     sky: Spectrum | None
     """Diffuse over global irradiance [-], instead of the clear-sky model."""
     dtype: str = eqx.field(static=True)
+
+    @classmethod
+    def from_table(
+        cls,
+        table: Any,
+        *,
+        size_m: float | tuple[float, float],
+        voxel_m: float = 0.1,
+        seed: int = 0,
+        boundary: Literal["periodic", "open"] = "periodic",
+        leaves: Mapping[str, Mapping[str, float]] | None = None,
+        ground: GroundParameters | None = None,
+        light: LightParameters | None = None,
+    ) -> tuple["Scene", PlotParameters]:
+        """A scene and its parameters from a species table, without any file.
+
+        **Arguments:**
+
+        - `table`: a pandas frame or records with `taxon`, `growth_form`, `mean_diameter_cm`,
+          `cover_percent` and `height_max_m`, as of `fynjax.canopy.table1_2006`; and any of the
+          other columns of a plot's species table but `plant`.
+        - `size_m`: side of the plot, or (east-west, north-south) [m].
+        - `voxel_m`: edge of a voxel [m]; must divide the sides.
+        - `seed`: of everything random.
+        - `boundary`: "periodic" repeats the plot for ever, "open" does not.
+        - `leaves`: PROSPECT-D parameters by taxon, in PROSPECT's units; "*" is any other. Left out,
+          the usual leaf.
+        - `ground`, `light`: left out, their defaults.
+
+        What is left out is as in a plot file. Raises `InputError` for a table that cannot be used,
+        and as `build_scene`.
+
+        **Example:**
+
+        >>> from fynjax.canopy import table1_2006
+        >>> from fynjax.scene import Scene
+        >>> scene, parameters = Scene.from_table(table1_2006(), size_m=2.0, voxel_m=0.5)
+        >>> len(scene.taxa), scene.grid.shape[:2]
+        (16, (4, 4))
+        """
+        rows, leaves = table_rows(table), {} if leaves is None else leaves
+        forms = [row["growth_form"] for row in rows]
+        optics = [
+            None if form == "deadwood" else leaves.get(row["taxon"], leaves.get("*"))
+            for row, form in zip(rows, forms, strict=True)
+        ]
+        parameters = PlotParameters(
+            *species_parameters(forms, table_values(rows), optics),
+            GroundParameters() if ground is None else ground,
+            LightParameters() if light is None else light,
+        )
+        species = [
+            SceneSpecies(
+                row["taxon"],
+                row["growth_form"],
+                **{
+                    field: float(row[column])
+                    for column, field in SCENE_COLUMNS.items()
+                    if column in row
+                },
+            )
+            for row in rows
+        ]
+        extent = size_m if isinstance(size_m, tuple) else (size_m, size_m)
+        scene = build_scene(
+            species, parameters, extent=extent, voxel=voxel_m, seed=seed, boundary=boundary
+        )
+        return scene, parameters
 
     @property
     def ground_level(self) -> float:

@@ -21,6 +21,7 @@ from fynjax.inversion import (
     free_space,
     join_data,
     predicted_statistics,
+    search_form,
     spectrum_view,
     statistics_and_jacobian,
     structure_view,
@@ -126,6 +127,25 @@ def test_slopes_of_each_view_are_those_of_central_differences(plot, views, numbe
     assert seen[0] > 0.0
     if number == 2:  # a LiDAR knows nothing of the water in a leaf
         assert seen[-1] == 0.0
+
+
+def test_a_second_forward_model_of_the_same_shapes_compiles_nothing(plot, views):
+    """Parameters and lines of sight are leaves: another plot's are other numbers of one program."""
+    model, parameters, space = plot
+    traced = []
+
+    @eqx.filter_jit
+    def predict(forward, values, scene):
+        traced.append(1)
+        return forward(values, scene)
+
+    at, results = space.prior, []
+    other = with_values(parameters, TAXA, {"ground.brightness": jnp.asarray(0.5)})
+    for plant, start in ((model, parameters), (replant(model, 1), other)):
+        quick, cheap = search_form(plant, start, views[1:2], accuracy=ACCURACY)
+        results.append(predict(PlotForward(start, space.names, cheap), at, quick))
+    assert traced == [1]
+    assert np.abs(results[0] - results[1]).max() > 1e-3
 
 
 def test_errors_of_a_spectrum_are_shared_by_its_bands():

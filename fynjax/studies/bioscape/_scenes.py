@@ -14,12 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax.assembly import USUAL_LEAF, plot_parameters
+from fynjax.assembly import plot_parameters
 from fynjax.canopy import FORM_DEFAULTS, VoxelGrid
 from fynjax.inversion import nadir_imager
 from fynjax.io.plot import Plot
 from fynjax.radiation import Accuracy, render, solve_light
 from fynjax.scene import (
+    USUAL_LEAF,
     AimedSensor,
     PlantingRules,
     PlotParameters,

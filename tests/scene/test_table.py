@@ -1,0 +1,79 @@
+"""A scene from a species table in Python, against the same plot from its files."""
+
+import jax
+import numpy as np
+import pytest
+
+from fynjax._core.errors import InputError
+from fynjax.assembly import aim_without_air, build_plot
+from fynjax.io.plot import plot_instrument, read_plot
+from fynjax.scene import Placement, Scene, observe
+from fynjax.sensors import shipped_sensor
+from tests.small import write_plot
+
+TABLE = [
+    {
+        "taxon": "Erica irregularis",
+        "growth_form": "rounded_shrub",
+        "mean_diameter_cm": 40,
+        "cover_percent": 30,
+        "height_max_m": 0.6,
+    },
+    {
+        "taxon": "Restio eleocharis",
+        "growth_form": "tussock",
+        "mean_diameter_cm": 30,
+        "cover_percent": 15,
+        "height_max_m": 0.5,
+    },
+]
+
+
+@pytest.fixture(scope="module")
+def built():
+    return Scene.from_table(TABLE, size_m=2.0, seed=3)
+
+
+def test_a_table_gives_the_scene_and_the_image_of_its_plot_file(built, tmp_path):
+    plot = read_plot(write_plot(tmp_path))
+    from_files = build_plot(plot, seed=3)
+    same = jax.tree.map(np.array_equal, from_files, built)
+    assert all(jax.tree.leaves(same))
+    camera = aim_without_air(plot, *from_files, plot_instrument(plot))
+    image = observe(*built, shipped_sensor("mavic_3m"), Placement(50.0, 0.1)).reflectance
+    assert image.shape == (4, 20, 20)
+    assert camera.shape == (80, 80)  # the file's pixels are of 2.5 cm
+    fine = np.asarray(camera.observe(*from_files).reflectance).reshape(4, 20, 4, 20, 4)
+    np.testing.assert_allclose(image.mean((1, 2)), fine.mean((1, 2, 3, 4)), rtol=0.01)
+
+
+def test_a_frame_is_as_good_as_records_and_leaves_are_by_taxon(built):
+    pd = pytest.importorskip("pandas")
+    leaf = {**LEAF, "chlorophyll": 60.0}
+    frame = pd.DataFrame(TABLE).assign(packing_percent=[5.0, np.nan])
+    scene, parameters = Scene.from_table(
+        frame, size_m=(2.0, 2.0), leaves={"Restio eleocharis": leaf}
+    )
+    assert scene.taxa == built[0].taxa
+    np.testing.assert_allclose(parameters.leaf.chlorophyll, [40.0, 60.0])
+    np.testing.assert_allclose(parameters.species.packing, [0.05, 0.0])
+
+
+LEAF = {
+    "structure": 1.8, "chlorophyll": 40.0, "carotenoids": 9.0, "anthocyanins": 1.5,
+    "brown_pigments": 0.1, "water": 0.02, "dry_matter": 0.02,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"growth_form": "palm"}, "row 1, column 'growth_form'.*'palm'"),
+        ({"height_max_m": None}, "row 1, column 'height_max_m'"),
+        ({"cover_percent": 130}, "row 1, column 'cover_percent'.*0 to 100, but got 130"),
+        ({"taxon": "Restio eleocharis"}, "row 2, column 'taxon'.*twice"),
+    ],
+)
+def test_a_row_that_cannot_serve_is_named(change, words):
+    with pytest.raises(InputError, match=words):
+        Scene.from_table([TABLE[0] | change, TABLE[1]], size_m=2.0)
