@@ -229,11 +229,17 @@ def joined(parts: Sequence[Array]) -> Array:
     return parts[0] if len(parts) == 1 else jnp.concatenate(parts)
 
 
+def _of_fixed_type(parameters: PlotParameters) -> PlotParameters:
+    """The same with types that JAX does not promote: a Python number's array would be another
+    program than one that was computed."""
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.asarray(x).dtype), parameters)
+
+
 class PlotForward(eqx.Module):
     """The forward model of a plot: statistics from the values of the parameters that `free`
     names, in their own units, and a `Scene`. The others are those of `parameters`."""
 
-    parameters: PlotParameters
+    parameters: PlotParameters = eqx.field(converter=_of_fixed_type)
     free: tuple[str, ...] = eqx.field(static=True, converter=tuple)
     views: tuple[AbstractView, ...] = eqx.field(converter=tuple)
 

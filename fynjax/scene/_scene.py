@@ -165,18 +165,14 @@ class Scene(eqx.Module):
             GroundParameters() if ground is None else ground,
             LightParameters() if light is None else light,
         )
-        species = [
-            SceneSpecies(
-                row["taxon"],
-                row["growth_form"],
-                **{
-                    field: float(row[column])
-                    for column, field in SCENE_COLUMNS.items()
-                    if column in row
-                },
-            )
-            for row in rows
-        ]
+        species = []
+        for row in rows:
+            further: dict[str, Any] = {
+                field: float(row[column])
+                for column, field in SCENE_COLUMNS.items()
+                if column in row
+            }
+            species.append(SceneSpecies(row["taxon"], row["growth_form"], **further))
         extent = size_m if isinstance(size_m, tuple) else (size_m, size_m)
         scene = build_scene(
             species, parameters, extent=extent, voxel=voxel_m, seed=seed, boundary=boundary

@@ -60,6 +60,7 @@ def species_parameters(
     """
 
     def column(name: str) -> Any:
+        usual: list[Any]
         stated, default = values.get(name, [None] * len(forms)), PARAMETERS[name].default
         if default is None:
             usual = [getattr(FORM_DEFAULTS[form], name, None) for form in forms]

@@ -150,7 +150,7 @@ def test_a_plot_is_read_once_and_its_seed_taken_unless_given(
         raise InputError("far enough")
 
     monkeypatch.setattr("fynjax.io.plot._plot_file.read_plot", count)
-    for module in ("jobs._render", "jobs._build", "assembly._sensing", "assembly._forward"):
+    for module in ("jobs._render", "jobs._build", "jobs._simulate", "assembly._forward"):
         monkeypatch.setattr(f"fynjax.{module}.build_plot", build)
     for seed in ([], ["--seed", 3]):
         done = call(capsys, command, plot, "--output", tmp_path / "o", *seed)
