@@ -76,7 +76,7 @@ def test_a_taxon_becomes_a_mesh_and_elements(tmp_path: Path) -> None:
         ("material,organ,solid\nleaf,leaf,2\n", r"row 2, column 'solid'"),
         ("material,organ\nwood,wood\nwod,wood\n", "row 3.*'wod' is not in the mesh.*'wood'"),
         ("material,organ\nwood,wood\nwood,leaf\n", "row 3.*'wood' is there twice"),
-        ("material,organ\nleaf,leaf\n", "material 'wood' must have an organ in `--materials`"),
+        ("material,organ\nleaf,leaf\n", "'wood'.*`--materials`"),
     ],
 )
 def test_a_bad_table_of_materials(text: str, word: str, tmp_path: Path) -> None:
@@ -151,13 +151,13 @@ def test_options_that_mean_nothing_are_refused(tmp_path: Path) -> None:
     table = tmp_path / "materials.csv"
     table.write_text("material,organ\nleaf,leaf\n")
     for source, options, word in (
-        (scan, ("--materials", str(table)), "scan.xyz: `--materials` is for a mesh or a taxon"),
+        (scan, ("--materials", str(table)), "scan.xyz: `--materials`"),
         (scan, ("--rotation-spread", "5"), "`--rotation-spread` .* `--branches` too"),
-        (scan, ("--flowering", "0.5"), "`--flowering` is for a taxon"),
-        ("Deadwood", ("--up", "y"), "`--up` is for a mesh or a scan, but 'Deadwood' is a taxon"),
+        (scan, ("--flowering", "0.5"), "`--flowering`"),
+        ("Deadwood", ("--up", "y"), "`--up`.*'Deadwood'"),
         ("Deadwood", ("--maximum-extent", "9"), "`--maximum-extent`"),
-        ("Deadwood", ("--max-triangles", "9"), "`--max-triangles` must be at least 2000"),
-        ("Clutia alaternoides", ("--elements", "1"), "`--elements` must be at least 2"),
+        ("Deadwood", ("--max-triangles", "9"), "`--max-triangles`.*2000"),
+        ("Clutia alaternoides", ("--elements", "1"), "`--elements`.* 2"),
         (scan, ("--branches", "1000000"), "scan.xyz: .* lower `--branches` to 10000"),
     ):
         with pytest.raises(InputError, match=word):
@@ -179,7 +179,7 @@ def test_bad_sources(tmp_path: Path) -> None:
     (tmp_path / "plant").write_text("solid")
     for source, word in (
         ("none.obj", "no such file"),
-        ("Clutia alternoides", "no taxon of table 1. Did you mean 'Clutia alaternoides'"),
+        ("Clutia alternoides", "Did you mean 'Clutia alaternoides'"),
         ("shrub.blend", "shrub.blend: expected a mesh .*obj.* or a scan .*xyz"),
         (str(tmp_path / "plant"), "plant: expected a mesh"),
     ):

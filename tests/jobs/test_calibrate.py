@@ -63,7 +63,7 @@ def test_a_table_of_statistics_is_approached(rendered, tmp_path):
     output.mkdir()
     other = calibrate(folder / "plot.toml", table, output, seed=0)
     assert misfit(other, "after") < 0.2 * misfit(other, "before")
-    # No index is a target, so that none is told of.
+    # No index is a target, so the headline has none.
     assert other.headline[0].startswith("small: largest error of a band mean")
     assert "nan" not in " ".join(other.headline)
     assert "nan %" not in (output / "report.html").read_text("utf-8")
@@ -75,7 +75,7 @@ def test_a_table_of_statistics_is_approached(rendered, tmp_path):
 def test_no_product_holds_nan():
     plot = read_plot(example_folder() / "plot.toml")
     check_finite(jnp.ones((4, 2, 2)), plot)
-    with pytest.raises(InputError, match="1 values of the rendered image are not finite"):
+    with pytest.raises(InputError, match=r"1 values.*not finite"):
         check_finite(jnp.ones((4, 2, 2)).at[1, 0, 1].set(jnp.nan), plot)
 
 
@@ -136,5 +136,5 @@ def test_a_spectrum_and_a_cloud_together_after_an_interruption(tmp_path):
     assert "noise of AVIRIS-NG" in page
     assert any("RMSE of the spectrum" in line for line in found.headline)
     spectrum.write_text(spectrum.read_text().replace("0.26", "0.27"))
-    with pytest.raises(InputError, match="checkpoint is of another run"):
+    with pytest.raises(InputError, match="another run"):
         calibrate(*arguments, second, seed=0, checkpoint=kept)

@@ -131,26 +131,26 @@ def test_two_panels_take_the_haze_off(tmp_path: Path) -> None:
 def test_what_is_refused(flight: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     for arguments, message in (
-        ((*PANEL, "--light", "sun"), "must be one of panel, sensor, both"),
-        ((*PANEL, "--panel-area", "1,2 3"), "expected corners of a panel's area"),
-        ((*PANEL, "--panel", "IMG_0001", "--panel-area", "1,2 3,4 5,1"), "one --panel-area for ea"),
-        ((*PANEL, "--height", "50", "--pixel", "0.1"), "but got both"),
-        ((*PANEL, "--pixel", "0"), "`pixel` must be positive"),
-        ((*PANEL, "--panel-sd", "5"), "`panel_sd` must be a fraction"),
+        ((*PANEL, "--light", "sun"), "panel, sensor, both"),
+        ((*PANEL, "--panel-area", "1,2 3"), "corners"),
+        ((*PANEL, "--panel", "IMG_0001", "--panel-area", "1,2 3,4 5,1"), "--panel-area"),
+        ((*PANEL, "--height", "50", "--pixel", "0.1"), "both"),
+        ((*PANEL, "--pixel", "0"), "`pixel`"),
+        ((*PANEL, "--panel-sd", "5"), "`panel_sd`"),
         (("--panel", "IMG_0009"), r"'IMG_0009'\. Did you mean 'IMG_000"),
-        (("--light", "panel"), "no capture says that it shows one. Name it: --panel IMG_0000"),
+        (("--light", "panel"), "--panel IMG_0000"),
         (("--panel", "IMG_0000"), "pictures do not state it"),
         (("--panel", "IMG_0001", "--panel-reflectance", "0.5"), "--panel-area"),
         (("--panel", "IMG_0000", "--panel", "IMG_0000", "--panel-reflectance", "0.5"),
-         "panels must differ in reflectance, but in band 1"),
+         "differ in reflectance.*band 1"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=message):
             run(flight, *arguments, "--output", out)
     dark = write_rededge(tmp_path, "D", lit(ground()), light=None)
-    with pytest.raises(InputError, match="light sensor in the metadata, but there is none"):
+    with pytest.raises(InputError, match="light sensor"):
         run(*dark, "--output", out)
     only = [flight / f"IMG_0000_{k}.tif" for k in (1, 2, 3)]
-    with pytest.raises(InputError, match="only those of panels: IMG_0000"):
+    with pytest.raises(InputError, match="panels: IMG_0000"):
         run(*only, *PANEL, "--output", out)
     assert not out.exists()
 

@@ -174,7 +174,7 @@ def test_a_slip_is_one_line_and_leaves_nothing(tmp_path, capsys, options, words)
 
 
 def test_unknown_products_are_refused(tmp_path):
-    with pytest.raises(InputError, match="expected products among reflectance, radiance"):
+    with pytest.raises(InputError, match="reflectance, radiance"):
         simulate(write_plot(tmp_path), tmp_path, products=["brightness"])
 
 

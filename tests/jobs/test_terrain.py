@@ -109,7 +109,7 @@ def test_a_plot_of_a_raster_is_as_large_as_asked(tmp_path, columns, size):
     assert np.abs(middle - [0.5 * columns, 40.0]).max() <= 0.5
     finer = terrain(path, tmp_path / "out", size=12.5, cell=0.5).terrain.bounds_m
     assert finer[2] - finer[0] == 12.5
-    with pytest.raises(InputError, match=r"a\.tif: `cell` must .* divide 12\.5"):
+    with pytest.raises(InputError, match=r"a\.tif: `cell`.*12\.5"):
         terrain(path, tmp_path / "out", size=12.5)
 
 
@@ -120,13 +120,13 @@ def test_filled_cells_are_counted_and_not_far(tmp_path):
     summary = terrain(path, tmp_path / "out", fill_gaps=True)
     assert summary.terrain.cells_filled == pytest.approx(11 / 60)
     assert "18.3 % of the cells had no height" in summary.headline[1]
-    with pytest.raises(InputError, match=r"a\.tif: expected ground within 5 m of every cell"):
+    with pytest.raises(InputError, match=r"a\.tif: .*within 5 m"):
         terrain(path, tmp_path / "out", fill_gaps=True, largest_gap=5.0)
     heights[:, 11:] = np.nan
     path = plain_raster(tmp_path / "b.tif", heights)
-    with pytest.raises(InputError, match="expected ground within 10 m of every cell"):
+    with pytest.raises(InputError, match="within 10 m"):
         terrain(path, tmp_path / "out", fill_gaps=True)
-    with pytest.warns(UserWarning, match="78 % of the plot's cells lie outside of all ground"):
+    with pytest.warns(UserWarning, match="78 %"):
         terrain(path, tmp_path / "out", fill_gaps=True, largest_gap=60.0)
 
 
@@ -135,20 +135,20 @@ def test_rough_ground_is_warned_of(tmp_path):
     rng = np.random.default_rng(3)
     points = rng.uniform([0.0, 0.0, 0.3], [12.0, 12.0, 1.5], (40_000, 3))
     np.savetxt(tmp_path / "a.xyz", points)
-    with pytest.warns(UserWarning, match="may have no points on the ground"):
+    with pytest.warns(UserWarning, match="no points on the ground"):
         terrain(tmp_path / "a.xyz", tmp_path)
 
 
 def test_what_does_not_go_together(cloud_file, tmp_path):
     with pytest.raises(InputError, match="`bounds` or `size`"):
         terrain(cloud_file, tmp_path, size=3.0, bounds=(0.0, 0.0, 1.0, 1.0))
-    with pytest.raises(InputError, match="`size` must be positive"):
+    with pytest.raises(InputError, match="`size`"):
         terrain(cloud_file, tmp_path, size=-3.0)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
-    ("name", "settings", "said"),
+    ("name", "settings", "message"),
     [
         ("a.tif", {"method": "smrf"}, "`method` is for point clouds"),
         ("a.tif", {"tolerance": 0.2}, "`tolerance` is for point clouds"),
@@ -161,28 +161,28 @@ def test_what_does_not_go_together(cloud_file, tmp_path):
         ("a.las", {"method": "cloth", "window": 2.0}, "`window` is for the method 'smrf'"),
         ("a.las", {"method": "labels", "slope": 0.2}, "`slope` is for the method 'smrf'"),
         ("a.las", {"method": "labels", "tolerance": 0.2}, "`tolerance` is for methods that"),
-        ("a.tif", {"tolerance": -1.0}, "`tolerance` must be positive, but is -1"),
-        ("a.tif", {"largest_gap": -3.0}, "`largest_gap` must be positive, but is -3"),
-        ("a.las", {"cell": 0.0}, "`cell` must be positive, but is 0"),
-        ("a.las", {"bounds": (1.0, 0.0, 0.0, 1.0)}, "`bounds` must be"),
+        ("a.tif", {"tolerance": -1.0}, "`tolerance`.* -1"),
+        ("a.tif", {"largest_gap": -3.0}, "`largest_gap`.* -3"),
+        ("a.las", {"cell": 0.0}, "`cell`.* 0"),
+        ("a.las", {"bounds": (1.0, 0.0, 0.0, 1.0)}, "`bounds`"),
     ],
 )
-def test_settings_that_do_nothing_or_are_out_of_range(tmp_path, name, settings, said):
+def test_settings_that_do_nothing_or_are_out_of_range(tmp_path, name, settings, message):
     """Before the file is looked for."""
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         terrain(tmp_path / name, tmp_path, **settings)
 
 
 def test_a_failed_command_writes_nothing_and_names_its_options(cloud_file, tmp_path):
-    for options, said in {
-        ("--size", 42): r"plot\.csv: the cloud covers \(412300\.0.* the plot is \(412294\.0",
-        ("--window", 100): r"plot\.csv: `--window` must be at most half",
-        ("--largest-gap", -3): "`--largest-gap` must be positive",
-        ("--cell", 0.3, "--size", 20): r"plot\.csv: `--cell` must be positive and divide",
+    for options, message in {
+        ("--size", 42): r"plot\.csv: .*412300\.0.*412294\.0",
+        ("--window", 100): r"plot\.csv: `--window`",
+        ("--largest-gap", -3): "`--largest-gap`",
+        ("--cell", 0.3, "--size", 20): r"plot\.csv: `--cell`",
         ("--bounds", 0, 0, 5, 5): r"plot\.csv: the cloud covers",
-        ("--cell", 40): r"plot\.csv: expected a cloud of more than two cells",
+        ("--cell", 40): r"plot\.csv: .*two cells",
     }.items():
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             invoke(cloud_file, *options, "--output", tmp_path / "out")
     assert not list(tmp_path.iterdir())
 

@@ -145,7 +145,7 @@ def test_options_reach_the_settings_and_override_the_preset() -> None:
     ):
         with pytest.raises(InputError, match=word):
             cloud_settings(None, options)
-    with pytest.raises(InputError, match="one of fynjax, lidR"):
+    with pytest.raises(InputError, match="fynjax, lidR"):
         cloud_settings("nope", {})
 
 

@@ -44,11 +44,11 @@ def test_parameters_are_recovered_from_perfect_spectra():
     fit = fit_leaf(GRID, r, t, error_model=independent_error_model(1e-4))
     assert fit.converged.all()
     for name, values in truth.items():
-        found = np.asarray(getattr(fit.parameters, name))
+        fitted = np.asarray(getattr(fit.parameters, name))
         # Bins average absorption before, not after, it acts: carotenoids come out low by 1 %.
         tolerance = {"carotenoids": 0.025, "chlorophyll": 0.01}.get(name, 0.02)
         least = 0.1 if name == "anthocyanins" else 0.0  # µg/cm2, taken from the carotenoids
-        np.testing.assert_allclose(found, values, rtol=tolerance, atol=least)
+        np.testing.assert_allclose(fitted, values, rtol=tolerance, atol=least)
 
 
 @pytest.mark.slow
@@ -74,7 +74,7 @@ def test_intervals_cover_leaves_drawn_from_the_error_model():
     narrow = fit_leaf(bin_centres(), *clipped, error_model=independent_error_model(0.01))
     i = narrow.names.index("structure")
     held = (truth["structure"] >= narrow.lower[:, i]) & (truth["structure"] <= narrow.upper[:, i])
-    assert held.mean() < 0.6, "independent noise must be seen to promise too much"
+    assert held.mean() < 0.6, "independent noise must give intervals that are too narrow"
 
 
 def test_slopes_of_the_fit_are_those_of_the_forward_model():
@@ -119,9 +119,11 @@ def test_background_through_the_leaf_is_the_sum_of_reflections():
     leaf = prospect(LeafParameters())
     r, t, b = leaf.reflectance, leaf.transmittance, 0.6
     series = r + sum(t**2 * b * (r * b) ** i for i in range(60))
-    seen, _ = LeafOverBackground(jnp.full(r.shape, b)).observe(r, t)
-    np.testing.assert_allclose(seen, series, rtol=1e-12)
-    np.testing.assert_allclose(transmittance_from_two_readings(r, seen, b), t, rtol=0, atol=1e-7)
+    recorded, _ = LeafOverBackground(jnp.full(r.shape, b)).observe(r, t)
+    np.testing.assert_allclose(recorded, series, rtol=1e-12)
+    np.testing.assert_allclose(
+        transmittance_from_two_readings(r, recorded, b), t, rtol=0, atol=1e-7
+    )
     gaps, through = LeafOverBackground(jnp.zeros(r.shape), 0.25).observe(r, t)
     np.testing.assert_allclose(gaps, 0.75 * r)
     np.testing.assert_allclose(through, 0.75 * t + 0.25)
@@ -160,7 +162,7 @@ def test_bad_calls_are_refused():
 
 
 @pytest.mark.slow
-def test_real_leaves_of_a_set_the_error_model_has_not_seen(shared_data):
+def test_real_leaves_of_a_set_left_out_of_the_error_model(shared_data):
     """NASA FFT: predicted T better than 0.0390, the ask; intervals not far from honest."""
     with np.load(shared_data / "leaf" / "nasa_fft_spectra.npz") as stored:
         grid, r, t = (
@@ -223,7 +225,7 @@ def test_a_glitch_hidden_by_its_bin_is_no_water_band_and_a_soil_is_no_leaf():
 
 
 @pytest.mark.slow
-def test_traits_of_a_campaign_the_error_model_has_not_seen(shared_data):
+def test_traits_of_a_campaign_left_out_of_the_error_model(shared_data):
     """ANGERS with what LOPEX and NASA FFT taught, against the sub-domain fits of the R package.
 
     Its errors on all of ANGERS: Cab 5.13, EWT 1.41, LMA 0.93 with R and T (the same recipe in

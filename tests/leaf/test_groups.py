@@ -56,7 +56,7 @@ def test_leaves_of_a_species_help_each_other():
 
 def test_a_group_of_one_and_a_wrong_number_of_names():
     _, r, names = species(1, 2)
-    found = fit_leaf_groups(bin_centres(), r[:3], groups=["a", "a", "b"])
-    assert found.leaves.converged.all()
+    fitted = fit_leaf_groups(bin_centres(), r[:3], groups=["a", "a", "b"])
+    assert fitted.leaves.converged.all()
     with pytest.raises(ValueError, match="groups"):
         fit_leaf_groups(bin_centres(), r, groups=names[:2])

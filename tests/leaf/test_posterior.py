@@ -43,16 +43,16 @@ def test_posterior_agrees_with_the_gaussian_of_the_fit_where_that_holds():
 def test_the_two_samplers_agree():
     """Ensemble and Hamiltonian draws share nothing but the density."""
     pytest.importorskip("blackjax", reason="the extra `nuts` is not installed")
-    found = [
+    posteriors = [
         sample_leaf_posterior(GRID, R, T, draws=20_000, target=5000.0, sampler=name)
         for name in ("emcee", "nuts")
     ]
-    assert found[0].status == found[1].status == ("converged",)
-    for i in range(len(found[0].names)):
-        one, other = (f.samples[0, :, i] for f in found)
+    assert posteriors[0].status == posteriors[1].status == ("converged",)
+    for i in range(len(posteriors[0].names)):
+        emcee, nuts = (f.samples[0, :, i] for f in posteriors)
         # Two means of 5000 effective draws differ by 0.02 sd.
-        assert abs(one.mean() - other.mean()) < 0.1 * one.std()
-        assert 0.93 < other.std() / one.std() < 1.07
+        assert abs(emcee.mean() - nuts.mean()) < 0.1 * emcee.std()
+        assert 0.93 < nuts.std() / emcee.std() < 1.07
 
 
 @pytest.fixture
@@ -67,14 +67,14 @@ def simulated():
 def test_the_truth_has_any_rank_among_the_draws(simulated):
     """`python -m tests.benchmarks.leaf_ranks` does so with hundreds of leaves."""
     setup, truth, problems = simulated
-    found, short = ranks(setup, truth, problems, "emcee")
+    rank, short = ranks(setup, truth, problems, "emcee")
     assert short == 0
     # Uniform ranks have this mean and spread; both within four standard errors.
-    share = (found + 0.5) / (DRAWS + 1)
-    error = 12**-0.5 / found.shape[0] ** 0.5
+    share = (rank + 0.5) / (DRAWS + 1)
+    error = 12**-0.5 / rank.shape[0] ** 0.5
     assert np.all(np.abs(share.mean(axis=0) - 0.5) < 4.0 * error)
     inside = np.mean(np.abs(share - 0.5) < 0.34)
-    assert inside == pytest.approx(0.68, abs=4.0 * (0.68 * 0.32 / found.size * 2.0) ** 0.5)
+    assert inside == pytest.approx(0.68, abs=4.0 * (0.68 * 0.32 / rank.size * 2.0) ** 0.5)
 
 
 def test_a_missing_extra_names_the_line_to_type(monkeypatch):

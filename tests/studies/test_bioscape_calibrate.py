@@ -186,7 +186,7 @@ def test_priors_change_and_nothing_compiles_again(plots):
 
 def test_without_spectra_there_is_nothing_to_learn(tmp_path: Path):
     write_tables(tmp_path / "tables", measured=False)
-    with pytest.raises(InputError, match="none of the plots has a measured spectrum"):
+    with pytest.raises(InputError, match="measured spectrum"):
         calibrate_plots(tmp_path / "tables", tmp_path, checkpoint=tmp_path / "c")
 
 

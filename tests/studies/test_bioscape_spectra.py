@@ -25,14 +25,14 @@ def tables(tmp_path: Path) -> Path:
 
 
 def test_flights_by_plot_without_masked_bands_and_lost_pixels(tables: Path) -> None:
-    found = read_plot_spectra(tables)
-    assert list(found) == ["A1", "B2"]
+    spectra_by_plot = read_plot_spectra(tables)
+    assert list(spectra_by_plot) == ["A1", "B2"]
     np.testing.assert_equal(
-        found["A1"].reflectance, [[0.03, 0.06, 0.2, np.nan], [0.05, 0.08, 0.3, np.nan]]
+        spectra_by_plot["A1"].reflectance, [[0.03, 0.06, 0.2, np.nan], [0.05, 0.08, 0.3, np.nan]]
     )
-    assert found["A1"].left_out == 1
-    assert found["A1"].times[1] == "2023-11-26 09:15:42+00:00"
-    assert found["B2"].reflectance[0, 1] == -0.001  # slightly negative is no mask
+    assert spectra_by_plot["A1"].left_out == 1
+    assert spectra_by_plot["A1"].times[1] == "2023-11-26 09:15:42+00:00"
+    assert spectra_by_plot["B2"].reflectance[0, 1] == -0.001  # slightly negative is no mask
 
 
 def test_centres_and_the_widths_of_the_nearest_shipped_band(tables: Path) -> None:
@@ -48,7 +48,7 @@ def test_no_table_of_spectra_is_no_spectra(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("file", "old", "new", "told"),
+    ("file", "old", "new", "message"),
     [
         ("waves.csv", "650.5\n", "", "for each of 3 wavelengths"),
         ("waves.csv", "860.0", "600.0", "increasing"),
@@ -62,24 +62,24 @@ def test_no_table_of_spectra_is_no_spectra(tmp_path: Path) -> None:
     ],
 )
 def test_bad_tables_say_what_is_wrong(
-    tables: Path, file: str, old: str, new: str, told: str
+    tables: Path, file: str, old: str, new: str, message: str
 ) -> None:
     path = tables / file
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         read_plot_spectra(tables)
 
 
 def test_real_spectra_are_whole_outside_the_water_windows(shared_data: Path) -> None:
     folder = shared_data / "eco" / "bioscape"
     centre = read_spectrometer(folder).centre
-    found = read_plot_spectra(folder)
-    assert len(found) >= 10
+    spectra_by_plot = read_plot_spectra(folder)
+    assert len(spectra_by_plot) >= 10
     clear = (centre > 410) & (centre < 2450)
     clear &= ~((centre > 1340) & (centre < 1460)) & ~((centre > 1790) & (centre < 2100))
-    for spectra in found.values():
+    for spectra in spectra_by_plot.values():
         assert spectra.times
         assert np.isfinite(spectra.reflectance[:, clear]).all()
         assert np.isnan(spectra.reflectance[:, (centre > 1375) & (centre < 1405)]).all()
