@@ -21,7 +21,9 @@ COMPLETE = (
     "fynjax.leaf",
     "fynjax.metrics",
     "fynjax.radiation",
+    "fynjax.report",
     "fynjax.sensors",
+    "fynjax.studies",
     "fynjax.terrain",
 )
 """Packages, with those inside them, in which every public function documents its parameters."""

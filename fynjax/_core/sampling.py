@@ -28,7 +28,7 @@ Report = Callable[[int, dict[str, float]], None]
 
 _CHECK_EVERY = 200
 _BURN_IN = 100
-# A chain shorter than this many autocorrelation times does not know its own autocorrelation time
+# Below this many autocorrelation times the chain is too short to estimate the autocorrelation time
 # (Goodman & Weare 2010; the emcee documentation asks for 50).
 _TIMES_TAU = 50.0
 _R_HAT = 1.1
@@ -312,9 +312,9 @@ def hamiltonian(
     from blackjax.adaptation.step_size import dual_averaging_adaptation
 
     position = jnp.asarray(start)
-    states = eqx.filter_jit(lambda d, z: jax.lax.map(lambda one: blackjax.nuts.init(one, d), z))(
-        density, position
-    )
+    states = eqx.filter_jit(
+        lambda d, z: jax.lax.map(lambda start: blackjax.nuts.init(start, d), z)
+    )(density, position)
     finite = np.isfinite(np.asarray(states.logdensity))
     slope = np.isfinite(np.asarray(states.logdensity_grad)).all(axis=1)
     if not (finite & slope).all():

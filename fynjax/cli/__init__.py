@@ -92,6 +92,8 @@ def _fail(message: str, status: int) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit.
 
+    **Arguments:** `arguments` of the command, those of the process by default.
+
     Exit status 0, 2 for wrong arguments or input, 1 for anything else, 130 for Ctrl-C, 143 for
     `kill`; other than 0 comes with one line on stderr, except the last. `FYNJAX_DEBUG=1` shows the
     traceback instead.

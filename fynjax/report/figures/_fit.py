@@ -99,8 +99,9 @@ def _rows(axes: Axes, labels: Sequence[str]) -> NDArray[np.float64]:
 def parameter_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
     """Prior against estimate, with one standard deviation, one panel for each kind.
 
-    **Arguments:** `table` with the columns name, kind, unit, prior, prior_sd, estimate, sd; one row
-    for each parameter. Within a kind, rows are sorted by the prior, largest first.
+    **Arguments:** `table` with the columns name, kind, unit, prior, prior_sd, estimate, sd; a row
+    for each parameter; `columns`, panels in a row. Within a kind, rows are sorted by the prior,
+    largest first.
     """
     groups = [
         (kind, part.sort_values("prior", ascending=False, kind="stable"))
@@ -133,8 +134,8 @@ def parameter_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
 def constraint_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
     """How far the data narrowed each parameter: 1 - (sd / prior sd)^2, in percent.
 
-    **Arguments:** `table` with the columns name, kind, constrained (0 to 1). Within a kind, rows
-    are sorted, best constrained first.
+    **Arguments:** `table` with the columns name, kind, constrained (0 to 1); `columns`, panels in a
+    row. Within a kind, rows are sorted, best constrained first.
     """
     groups = [
         (kind, part.sort_values("constrained", ascending=False, kind="stable"))
@@ -174,7 +175,11 @@ def constraint_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
 def convergence_plot(
     loss: ArrayLike, gradient_norm: ArrayLike | None = None, *, loss_label: str = "Loss [-]"
 ) -> Figure:
-    """Loss, and the norm of its gradient if given, against the iteration (from 0)."""
+    """Loss, and the norm of its gradient if given, against the iteration (from 0).
+
+    **Arguments:** `loss` and `gradient_norm` [iteration]; `loss_label`, the label of the axis
+    of the loss, with its unit.
+    """
     losses = np.asarray(loss, dtype=float)
     with style():
         rows = 1 if gradient_norm is None else 2

@@ -74,6 +74,7 @@ def composites(
       `{"Before": ..., "After": ...}`.
     - `band_names`: names of the bands; green, red and (for false colour) nir are needed.
     - `pixel_m`: side of a pixel [m].
+    - `kind`: 'false_colour' (nir, red, green) or 'true_like'.
     """
     channels, what = _COMPOSITES[kind]
     stacks = {title: _channels(image, band_names, channels) for title, image in images.items()}
@@ -126,6 +127,7 @@ def index_histograms(
     - `before`, `after`: pixel values of each index, any shape; NaN is left out.
     - `target`: mean and standard deviation over the pixels of the real image, by index; a NaN
       standard deviation draws the mean alone.
+    - `columns`: panels in a row; `bins`: bins of a histogram.
     """
     target = target or {}
     names = list(before)

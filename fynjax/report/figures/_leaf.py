@@ -11,9 +11,11 @@ _SHOWN = 12
 
 
 def leaf_fit_figure(fit: LeafFit, names: Sequence[str]) -> Figure:
-    """Draw R from below and 1 - T from above with its 90 % band, one panel a leaf.
+    """Draw R from below and 1 - T from above with its 90 % band, a panel for each leaf.
 
-    At most twelve leaves, evenly drawn from all, so that a run of thousands still fits a page.
+    **Arguments:** `fit` of the leaves; `names` of the leaves, for the titles.
+
+    At most twelve leaves are shown, evenly drawn from all.
     """
     count = len(fit.status)
     shown = np.unique(np.linspace(0, count - 1, min(count, _SHOWN)).round().astype(int))

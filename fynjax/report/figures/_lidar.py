@@ -22,6 +22,9 @@ def side_view(
 ) -> Figure:
     """The cloud from the south, and from above, coloured by `height` above the ground [m].
 
+    **Arguments:** `returns` of the pulses; `height` of each above the ground [m]; `extent` of the
+    plot to the east and to the north [m]; `title` of the figure.
+
     From the south only a strip through the plot's middle is shown, so that plants stay apart.
     """
     lx, ly = extent
@@ -60,7 +63,10 @@ def side_view(
 
 
 def height_profiles(compared: Heights) -> Figure:
-    """Shares of planted area, of first hits and of returns against height, and percentiles."""
+    """Shares of planted area, of first hits and of returns against height, and percentiles.
+
+    **Arguments:** `compared`, the heights of the plants and of the point cloud.
+    """
     edges = compared.edges
     colours = dict(zip(compared.shares, (GREEN, ORANGE, BLUE)))
     with style():

@@ -17,7 +17,11 @@ _LARGEST = 1200
 
 
 def pattern_figure(stack: BandStack, pattern: VegetationPattern, green: Greenness) -> Figure:
-    """The image beside the map, and below them each cluster's spectrum and greenness."""
+    """The image beside the map, and below them each cluster's spectrum and greenness.
+
+    **Arguments:** `stack`, the bands of the image; `pattern`, the clusters; `green`, the index
+    that orders them.
+    """
     t = stack.transform
     rows, columns = stack.mask.shape
     step = max(1, -(-max(rows, columns) // _LARGEST))

@@ -20,7 +20,7 @@ _THINNEST = 0.12
 def plant_figure(model: MeshPlant) -> Figure:
     """The elements from the south and from above, as discs of their area and tilt.
 
-    Where there are very many, some stand for all, each with more area.
+    **Arguments:** `model`, the plant. Of very many elements a sample is drawn, with more area each.
     """
     step = max(1, -(-len(model.area) // _MOST_DRAWN))
     place = np.asarray(model.position)[::step]

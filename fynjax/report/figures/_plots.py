@@ -42,7 +42,10 @@ def draw_band(
 
 
 def spectra_plot(pair: PlotSpectraPair) -> Figure:
-    """Every plot: simulated spectrum, measured mean and the range of its flights."""
+    """Every plot: simulated spectrum, measured mean and the range of its flights.
+
+    **Arguments:** `pair`, the simulated and the measured spectra of the plots.
+    """
     count = len(pair.plots)
     columns = min(4, count)
     rows = -(-count // columns)
@@ -74,7 +77,10 @@ def spectra_plot(pair: PlotSpectraPair) -> Figure:
 
 
 def residual_plot(pair: PlotSpectraPair) -> Figure:
-    """Where the model is off: mean residual, error by band, correlation across plots."""
+    """Residuals by band: mean, error, and correlation across plots.
+
+    **Arguments:** `pair`, the simulated and the measured spectra of the plots.
+    """
     table = band_table(pair)
     x = table["wavelength_nm"].to_numpy()
     column = {name: table[name].to_numpy() for name in table}
@@ -117,7 +123,10 @@ def residual_plot(pair: PlotSpectraPair) -> Figure:
 
 
 def misfit_of_plots(pair: PlotSpectraPair) -> Figure:
-    """What each plot's squared error is made of, and how large the error is."""
+    """Parts of the squared error of each plot, and the size of the error.
+
+    **Arguments:** `pair`, the simulated and the measured spectra of the plots.
+    """
     table = misfit_table(pair).sort_values("rmse", ascending=True)
     y = np.arange(len(table))
     with style():
@@ -141,7 +150,10 @@ def misfit_of_plots(pair: PlotSpectraPair) -> Figure:
 
 
 def feature_plot(pair: PlotSpectraPair) -> Figure:
-    """Simulated over measured features of the spectra, a point a plot."""
+    """Simulated over measured features of the spectra, a point for each plot.
+
+    **Arguments:** `pair`, the simulated and the measured spectra of the plots.
+    """
     real, simulated = (feature_values(pair.wavelength, s) for s in (pair.measured, pair.simulated))
     columns = 4
     rows = -(-len(FEATURES) // columns)

@@ -70,7 +70,10 @@ def estimates_plot(
 
 
 def shifts_plot(parameters: pd.DataFrame) -> Figure:
-    """How far the spectra shift each parameter from its prior, a point a plot."""
+    """Shift of each parameter from its prior, a point for each plot.
+
+    **Arguments:** `parameters`, a row for each plot and parameter.
+    """
     colours = dict(zip(parameters["predictor"].unique(), _COLOURS))
     priors, free = list(colours), list(parameters["parameter"].unique())
     with style():
@@ -98,7 +101,10 @@ def residuals_plot(
     wavelength: Float[np.ndarray, " band"],
     residuals: dict[str, Float[np.ndarray, "plot band"]],
 ) -> Figure:
-    """What is left between model and measurement, mean and spread over the plots."""
+    """Residuals of model and measurement, mean and spread over the plots.
+
+    **Arguments:** `wavelength` [nm]; `residuals` of reflectance [-], by the name of the prior.
+    """
     gap = 2.5 * float(np.median(np.diff(wavelength)))
     with style():
         figure = Figure(figsize=(7.4, 3.2))

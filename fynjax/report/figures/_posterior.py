@@ -26,7 +26,10 @@ _SERIES = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, GREY)
 
 
 def short_name(name: str) -> str:
-    """`Erica irregularis cover` for `species.Erica irregularis.cover`."""
+    """`Erica irregularis cover` for `species.Erica irregularis.cover`.
+
+    **Arguments:** `name` of a parameter.
+    """
     return words(name.removeprefix("species.").replace(".leaf.", " ").replace(".", " "))
 
 
@@ -123,9 +126,10 @@ def predictive_plot(
     sd: ArrayLike,
     names: Sequence[str],
 ) -> Figure:
-    """What the posterior predicts of each statistic against what was measured, in its errors.
+    """Posterior prediction of each statistic against the measurement, in standard errors.
 
-    **Arguments:** `predicted` [draw, statistic], without error; `observed` and `sd` [statistic].
+    **Arguments:** `predicted` [draw, statistic], without error; `observed` and `sd` [statistic];
+    `names` of the statistics.
     """
     error = np.asarray(sd, float)
     off = (np.asarray(predicted, float) - np.asarray(observed, float)) / error
@@ -147,9 +151,10 @@ def predictive_plot(
 
 
 def tornado_plot(table: pd.DataFrame, *, most: int = 15) -> Figure:
-    """Elasticities of each metric, largest first, one panel a metric.
+    """Elasticities of each metric, largest first, a panel for each metric.
 
-    **Arguments:** `table` with the columns metric, parameter, elasticity.
+    **Arguments:** `table` with the columns metric, parameter, elasticity [-]; `most`, how many
+    parameters to show.
     """
     metrics = list(dict.fromkeys(table["metric"]))
     columns = min(2, len(metrics))
@@ -181,7 +186,7 @@ def indices_plot(table: pd.DataFrame, *, most: int = 15) -> Figure:
     """First and total Sobol indices with their 95 % intervals, and the derivative-based bound.
 
     **Arguments:** `table` with the columns metric, parameter, first, first_error, total,
-    total_error, bound (NaN where unknown).
+    total_error, bound (NaN where unknown); `most`, how many parameters to show.
     """
     metrics = list(dict.fromkeys(table["metric"]))
     columns = min(2, len(metrics))
@@ -223,7 +228,7 @@ def indices_plot(table: pd.DataFrame, *, most: int = 15) -> Figure:
 def bound_plot(
     table: pd.DataFrame, species: Sequence[str], *, labels: Mapping[int, str] | None = None
 ) -> Figure:
-    """Bound on each species' cover over the cover, against the pixel, a line a number of bands.
+    """Bound on the cover of each species over the cover, against the pixel size and bands.
 
     **Arguments:** `table` with the columns parameter, gsd_m, bands, bound, value; `species`, the
     parameters to show; `labels` of the numbers of bands. Infinite bounds leave the panel.

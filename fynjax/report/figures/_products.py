@@ -30,7 +30,11 @@ def colour_bands(cube: Cube) -> dict[str, int]:
 
 
 def quick_looks(cube: Cube, title: str) -> dict[str, Figure]:
-    """Pictures of a reflectance image by file name; none of bands that the sensor lacks."""
+    """Pictures of a reflectance image, by file name.
+
+    **Arguments:** `cube`, the reflectance [-]; `title` of the pictures. Pictures of bands that the
+    sensor does not have are left out.
+    """
     bands = colour_bands(cube)
     if cube.pixel_m is None or not {"green", "red"} <= set(bands):
         return {}
@@ -43,7 +47,10 @@ def quick_looks(cube: Cube, title: str) -> dict[str, Figure]:
 
 
 def spectrum_figure(cubes: Mapping[str, Cube]) -> Figure:
-    """Mean and range over the pixels of each cube against wavelength; gaps where bands are bad."""
+    """Mean and range over the pixels of each cube against wavelength; gaps where bands are bad.
+
+    **Arguments:** `cubes`, by the name of the quantity.
+    """
     with style():
         figure = Figure(figsize=(6.4, 1.0 + 2.1 * len(cubes)))
         grid = figure.subplots(len(cubes), 1, squeeze=False, sharex=True)[:, 0]

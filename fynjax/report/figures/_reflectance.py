@@ -31,7 +31,8 @@ def _band(cube: Cube, wavelength: float) -> NDArray[np.float64] | None:
 def capture_figure(cube: Cube, title: str, *, pixels: bool) -> Figure:
     """Reflectance of a capture: composites and NDVI, as far as its bands reach.
 
-    **Arguments:** `pixels`: whether its coordinates are pixels, not metres.
+    **Arguments:** `cube`, the reflectance [-]; `title` of the figure; `pixels`, whether the
+    coordinates of `cube` are pixels instead of metres.
     """
     pictures: dict[str, NDArray[np.float64]] = {}
     ranges = []
@@ -80,7 +81,11 @@ def capture_figure(cube: Cube, title: str, *, pixels: bool) -> Figure:
 
 
 def panel_figure(panels: Sequence[PanelSeen], known: Sequence[NDArray[np.float64]]) -> Figure:
-    """Every panel in every band, with the outline of the pixels that were read."""
+    """Every panel in every band, with the outline of the pixels that were read.
+
+    **Arguments:** `panels`, the panels in their captures; `known`, for each panel its known
+    reflectance by band [-].
+    """
     columns = max(len(panel.areas) for panel in panels)
     with style():
         figure = Figure(figsize=(2.3 * columns + 0.3, 2.15 * len(panels) + 0.25))

@@ -22,7 +22,10 @@ _PIXELS = 1300
 
 
 def species_colours(forms: Sequence[str]) -> list[str]:
-    """A colour for each species of a table: deadwood is grey, the others as far apart as may be."""
+    """A colour for each species: deadwood is grey, the others as different as possible.
+
+    **Arguments:** `forms`, growth form of each species.
+    """
     living = iter(range(len(forms)))
     return [
         _DEAD if form == "deadwood" else _PALETTE[next(living) % len(_PALETTE)] for form in forms
@@ -30,7 +33,7 @@ def species_colours(forms: Sequence[str]) -> list[str]:
 
 
 def rgb(colour: str) -> Float[np.ndarray, "3"]:
-    """Red, green and blue of '#RRGGBB', 0 to 1."""
+    """Red, green and blue of a `colour` '#RRGGBB', 0 to 1."""
     return np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
 
 
@@ -38,6 +41,9 @@ def plan_view(
     instances: Instances, forms: Sequence[str], *, periodic: bool, title: str = ""
 ) -> Figure:
     """The crowns from straight above, the tallest on top, each species in its colour.
+
+    **Arguments:** `instances`, the plants; `forms`, growth form of each species; `periodic`,
+    whether the plot repeats itself beyond its edges; `title` of the figure.
 
     The legend gives the plants of each species and the share of the ground over which it is the
     tallest.
@@ -138,7 +144,8 @@ def profile_view(
 ) -> Figure:
     """Area density of leaves and of wood against height, the species side by side.
 
-    `profile` and `edges` are those of `height_profile`.
+    **Arguments:** `profile` and `edges` [m], those of `height_profile`; `instances`, the plants;
+    `forms`, growth form of each species.
     """
     colours = species_colours(forms)
     with style():

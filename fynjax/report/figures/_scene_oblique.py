@@ -82,9 +82,14 @@ def oblique_view(
 ) -> Figure:
     """The plants from the south-south-west, as clouds of their area elements.
 
-    `ground` is its height in the middles of even cells over the plot [m]; None: level. `paint`
-    may draw the plants instead, and ground that is not level: red, green, blue and opacity of
-    each pixel, rows from the bottom, as a view sees them.
+    **Arguments:**
+
+    - `instances`: the plants; `forms`: growth form of each species.
+    - `periodic`: whether the plot repeats itself beyond its edges.
+    - `ground`: its height in the middles of even cells over the plot [m]; `None` if level.
+    - `title` of the figure.
+    - `paint`: draws the plants, and ground that is not level, instead of the area elements: red,
+      green, blue and opacity of each pixel of a view, rows from the bottom.
     """
     colours = species_colours(forms)
     top = float((instances.z + instances.height).max(initial=0.3))

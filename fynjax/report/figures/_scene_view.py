@@ -17,7 +17,7 @@ _MOST_TRIANGLES = 30_000_000
 
 
 def check_view() -> None:
-    """Say at once if PyVista is missing. Raises `MissingExtraError`."""
+    """Check that PyVista is installed. Raises `MissingExtraError`."""
     require("pyvista", "view")
 
 
@@ -30,9 +30,12 @@ def mesh_image(
 ) -> Float[np.ndarray, "row column 4"]:
     """The plants as `view` sees them, each a copy of its species' mesh: RGBA, rows from the bottom.
 
-    `meshes` holds one for each species that has plants. `ground` that is not level is drawn too:
-    its height in the middles of even cells over the plot [m]. Raises `MissingExtraError` without
-    PyVista and `InputError` where the copies have more than 3e7 triangles.
+    **Arguments:** `instances`, the plants; `meshes`, a mesh for each species that has plants, else
+    `None`; `forms`, growth form of each species; `ground`, its height in the middles of even cells
+    over the plot [m], `None` if level; `view`, the direction and the pixels of the picture.
+
+    **Raises:** `MissingExtraError` without PyVista, `InputError` where the copies have more than
+    3e7 triangles.
     """
     triangles = sum(len(m.faces) * n for m, n in zip(meshes, instances.counts) if m is not None)
     if triangles > _MOST_TRIANGLES:

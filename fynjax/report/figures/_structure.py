@@ -14,7 +14,10 @@ _SIDES = (("real", REAL, "o"), ("simulated", AFTER, "s"))
 
 
 def structure_figure(comparison: StructureComparison) -> Figure:
-    """Metrics with their intervals, and heights, percentiles and profiles of both clouds."""
+    """Metrics with their intervals, and heights, percentiles and profiles of both clouds.
+
+    **Arguments:** `comparison` of the real and the simulated cloud.
+    """
     with style():
         figure = Figure(figsize=(11.4, 7.4))
         parts: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.15))
@@ -33,7 +36,10 @@ def structure_figure(comparison: StructureComparison) -> Figure:
 
 
 def structure_maps(comparison: StructureComparison) -> Figure:
-    """Every metric in each cell, the real cloud above and the simulated below, on one scale."""
+    """Every metric in each cell, the real cloud above and the simulated below, on the same scale.
+
+    **Arguments:** `comparison` of the real and the simulated cloud.
+    """
     west, south, east, north = comparison.bounds
     extent = (0.0, east - west, 0.0, north - south)
     with style():

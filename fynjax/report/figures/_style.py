@@ -58,11 +58,15 @@ def style() -> Iterator[None]:
 
 
 def save_figure(figure: Figure, path: str | Path, *, dpi: int = FIGURE_DPI) -> None:
-    """Write a figure (PNG, PDF or SVG by its suffix), whole or not at all."""
+    """Write a figure as PNG, PDF or SVG, by the suffix of its file.
+
+    **Arguments:** `figure`; `path` of the file, which is replaced at once when complete; `dpi`,
+    pixels an inch of a PNG.
+    """
     with atomic_path(path) as partial:
         figure.savefig(partial, dpi=dpi, facecolor="white")
 
 
 def words(name: str) -> str:
-    """A name as people write it."""
+    """The `name` of a statistic or parameter in words."""
     return name.replace("_", " ").replace("nir", "NIR")

@@ -28,7 +28,11 @@ def hillshade(
 
 
 def terrain_figure(terrain: Terrain, canopy: NDArray[np.float64] | None = None) -> Figure:
-    """Heights over a shaded relief, and beside it the height of the canopy."""
+    """Heights over a shaded relief, and beside it the height of the canopy.
+
+    **Arguments:** `terrain`, the heights of the ground; `canopy`, the highest point above the
+    ground in each cell [m], if known.
+    """
     west, south, east, north = terrain.bounds
     extent = (0.0, east - west, 0.0, north - south)
     figure = Figure(figsize=(5.4 if canopy is None else 10.4, 4.6), layout="constrained")

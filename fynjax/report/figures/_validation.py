@@ -144,7 +144,7 @@ def index_pair_histograms(
 
     **Arguments:** `indices` with the columns `index`, `histogram_intersection`,
     `central_intersection`, `ks`, `real_mean`, `simulated_mean`; `edges` and `density` of the real
-    and the simulated image's histogram.
+    and the simulated image's histogram; `columns`, panels in a row.
     """
     names = list(indices["index"])
     rows = -(-len(names) // columns)

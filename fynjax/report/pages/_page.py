@@ -52,7 +52,7 @@ footer dt { font-weight: 600; } footer dd { margin: 0; overflow-wrap: anywhere; 
 
 
 def format_number(value: float, digits: int = 4) -> str:
-    """A number for a reader: `digits` significant digits, no needless zeros, – for none."""
+    """A `value` as text: `digits` significant digits, no trailing zeros, – for NaN."""
     if not np.isfinite(value):
         return "–"
     if value == 0:
@@ -116,7 +116,7 @@ Part = str | Picture | Table
 
 @dataclass(frozen=True)
 class Section:
-    """Part of a page under one heading; without a title it has none."""
+    """Part of a page under a heading; without a title it has no heading."""
 
     title: str
     parts: Sequence[Part]
@@ -136,7 +136,12 @@ class Page:
 
 
 def write_page(page: Page, folder: Path, file: str = "report.html") -> dict[str, str]:
-    """Write a page and its pictures into `folder`; returns file names with what they hold."""
+    """Write a page and its pictures into a folder.
+
+    **Arguments:** `page`; `folder`, made if missing; `file`, name of the page.
+
+    **Returns:** a description of each file, by its name.
+    """
     files = {file: "all of it on one page"}
     title = html.escape(page.title)
     body = [f"<h1>{title}</h1>"]

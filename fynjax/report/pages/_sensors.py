@@ -10,8 +10,8 @@ from fynjax.report.pages._page import Picture, Section, Table
 def sensor_section(measured: Measured, table: pd.DataFrame) -> Section:
     """The section of a spectrum or a cloud.
 
-    **Arguments:** `table` of its statistics, with the columns real, target_sd, before, after, and
-    wavelength_nm of a spectrum, or metric and unit of a cloud.
+    **Arguments:** `measured`, the measurement; `table` of its statistics, with the columns
+    real, target_sd, before, after, and wavelength_nm of a spectrum, or metric and unit of a cloud.
     """
     if measured.spectrum is not None:
         title = "The spectrum"

@@ -8,7 +8,10 @@ from fynjax.report.pages._page import Picture, Section, Table
 
 
 def structure_section(structure: StructureComparison) -> Section:
-    """Figure 13 and its numbers."""
+    """Section of the point clouds: figure 13 and its numbers.
+
+    **Arguments:** `structure`, the comparison of the point clouds.
+    """
     table = structure.table()
     numbers = table.columns.drop(["metric", "unit"])
     table[numbers] = table[numbers].astype(float)

@@ -54,7 +54,10 @@ def _rows(table: pd.DataFrame, caption: str, *, folded: bool = False) -> Table:
 
 
 def drone_section(drone: DroneComparison) -> Section:
-    """Figures 9 and 10 and table 4."""
+    """Section of the drone images: figures 9 and 10 and table 4.
+
+    **Arguments:** `drone`, the comparison of the drone images.
+    """
     parts: list[Part] = list(drone.notes)
     images = _pictures(drone.real, drone.simulated)
     if images is not None:
@@ -112,7 +115,10 @@ def drone_section(drone: DroneComparison) -> Section:
 
 
 def published_section(published: PublishedComparison) -> Section:
-    """A simulated image beside the paper's printed statistics."""
+    """Section of a simulated image beside the published statistics.
+
+    **Arguments:** `published`, the comparison with those statistics.
+    """
     table = _rows(
         published.statistics,
         "Real and DIRSIG are the paper's; of DIRSIG's bands only absolute differences are printed. "
@@ -123,7 +129,10 @@ def published_section(published: PublishedComparison) -> Section:
 
 
 def spectral_section(spectra: SpectralComparison) -> Section:
-    """Figures 11 and 12, table 5, and what the misfit is made of."""
+    """Section of the spectra: figures 11 and 12, table 5, and the parts of the misfit.
+
+    **Arguments:** `spectra`, the comparison of the spectra.
+    """
     parts: list[Part] = [
         *spectra.notes,
         Picture(

@@ -1,4 +1,4 @@
-"""What the BioSCape tables do not say of a plant: form, size, leaf shape, pigments.
+"""Assumed properties of plants that the BioSCape tables lack: form, size, leaf shape, pigments.
 
 All of it is assumed, from the botany of genera and families of the Cape and from the plot that
 this program ships. Each value goes into a plot's files with the word for where it came from.

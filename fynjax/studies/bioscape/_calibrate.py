@@ -96,10 +96,18 @@ def calibrate_plots(
 ) -> CalibratePlotsResult:
     """Infer cover, leaf mass per area and water of a folder's plots from their spectra.
 
-    **Arguments:** `folder`, `plots`, `traits` and `resolution` as `validate_plots` takes them;
-    a `*LMA*model*.json` in the folder is the published regression. `realisations`: number of
-    stand realisations of each plot used to estimate the variance over them; at least 3.
-    `checkpoint`: a folder that keeps each plot's fit; the same call goes on from it.
+    **Arguments:**
+
+    - `folder`, `plots`, `traits`, `resolution`: as for `validate_plots`; a `*LMA*model*.json` in
+      the folder is the published regression.
+    - `output`: folder of the results, made if missing.
+    - `realisations`: number of stand realisations of each plot used to estimate the variance over
+      them; at least 3.
+    - `seed`: seed of the positions of the plants.
+    - `checkpoint`: folder that keeps the fit of each plot, from which an interrupted run goes on.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `CalibratePlotsResult`. Writes tables, figures and a page into `output`.
 
     **Raises:** `InputError` for tables that are missing or cannot be read, plots without spectra,
     and a checkpoint of another run.

@@ -72,7 +72,7 @@ assumed."""
 
 @dataclass(frozen=True)
 class Reference:
-    """What a plot's parameters are factors on."""
+    """Reference values of a plot, on which its parameters are factors."""
 
     plot: BioscapePlot
     """With the traits that its scene was built with."""
@@ -115,7 +115,7 @@ QUANTITIES: dict[str, tuple[str, str, str]] = {
     "leaf_mass_per_area": ("leaf_mass_per_area", "leaf mass per area", "g m-2"),
     "water_content": ("water_per_dry_matter", "water content", "% of fresh mass"),
 }
-"""What is estimated of a plot: the parameter that it follows from, words, unit."""
+"""Quantities that are estimated of a plot: parameter that each follows from, words, unit."""
 
 
 def quantity(reference: Reference, name: str, factor: Any) -> Any:
@@ -195,8 +195,8 @@ def prior_space(
     than the plot has room for: the centre is then a twentieth of the range inside that bound.
     """
     centre, sd = ({n: getattr(f, k) for n, f in FREE.items()} for k in ("centre", "sd"))
-    # Crews do not tell 0 from 5 %, nor 95 from 100. The spread is half-way between certain and
-    # unknown, in the coordinate of a share.
+    # Field crews cannot distinguish 0 from 5 %, nor 95 from 100. The spread is half-way between
+    # certain and unknown, in the coordinate of a share.
     centre["litter"] = float(np.clip(plot.litter_fraction, 0.05, 0.95))
     sd["litter"] = centre["litter"] * (1.0 - centre["litter"])
     reference = Reference(plot)
@@ -274,7 +274,7 @@ def bias_corrected_data(
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a plot's spectrum says, given a prior."""
+    """Posterior of a plot, given its spectrum and a prior."""
 
     space: ParameterSpace
     whitened: np.ndarray
@@ -295,7 +295,7 @@ class Estimate:
         return 1.0 - np.diagonal(self.covariance)
 
     def draws(self, name: str, count: int = 4000) -> np.ndarray:
-        """Draws of a parameter from the Gaussian about the estimate, in its own unit."""
+        """Draws of a parameter from the Gaussian about the estimate, in its unit."""
         i = self.space.names.index(name)
         normal = np.random.default_rng(61).normal(size=count)
         u = self.whitened[i] + np.sqrt(self.covariance[i, i]) * normal

@@ -65,8 +65,11 @@ def mean_leaf(plot: BioscapePlot) -> dict[str, float]:
 def write_plot_files(plot: BioscapePlot, folder: str | Path) -> None:
     """Write a plot as `plot.toml`, `species.csv`, `leaves.csv` and `sources.csv` into a folder.
 
-    `fynjax render` takes `plot.toml`. `sources.csv` has every number with its source: what was
-    measured, what is a mean of relatives, what is assumed. Files of the same name are replaced.
+    `fynjax render` takes `plot.toml`. `sources.csv` has every number with its source: measured, the
+    mean of related species, or assumed.
+
+    **Arguments:** `plot`, as read by `read_bioscape`; `folder`, whose files of these names are
+    replaced.
     """
     folder = Path(folder)
     write_text(folder / "plot.toml", _plot_toml(plot))
@@ -285,7 +288,7 @@ def _index_row(plot: BioscapePlot) -> list[Any]:
 
 
 class BioscapeResult(JobResult):
-    """What `bioscape` wrote."""
+    """Result of `bioscape`: the plots that were written."""
 
     command: Literal["bioscape"] = "bioscape"
     plots: list[str]
@@ -303,10 +306,16 @@ def run_bioscape(
 ) -> BioscapeResult:
     """Write a folder of plot files for each plot of BioSCape's tables, and `plots.csv`.
 
-    **Arguments:** as `read_bioscape` and `write_plot_files` take them.
+    **Arguments:**
 
-    **Raises:** what `read_bioscape` raises, and `InputError` for a plot whose name is no name of
-    a folder.
+    - `folder`, `plots`, `traits`: as for `read_bioscape`.
+    - `output`: folder of the results, made if missing.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `BioscapeResult`, with the plots that were written.
+
+    **Raises:** as `read_bioscape`, and `InputError` for a plot whose name cannot be that of a
+    folder.
     """
     run = Run(output, progress=progress)
     with run.stage("Read the tables"):

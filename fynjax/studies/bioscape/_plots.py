@@ -267,7 +267,7 @@ def _unique(rows: list[tuple[int, CoverRow]], path: Path) -> dict[str, tuple[int
 def _species_by_plot(
     rows: list[tuple[int, SpeciesCoverRow]], path: Path
 ) -> dict[str, dict[str, SpeciesCoverRow]]:
-    """Species of each plot. Rows that differ in the family alone are one, joined twice."""
+    """Species of each plot. Rows that differ only in the family are the same row, joined twice."""
     if len(rows) > 1 and max(row.PercentCoverAlive for _, row in rows) <= 1:
         raise InputError(
             "expected covers in percent, but none is over 1. Are these fractions?",

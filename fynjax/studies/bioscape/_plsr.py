@@ -28,8 +28,8 @@ class SpectralRegression:
 
     def predict(
         self,
-        wavelength: Float[np.ndarray, " own"],
-        reflectance: Float[np.ndarray, "spectrum own"],
+        wavelength: Float[np.ndarray, " input"],
+        reflectance: Float[np.ndarray, "spectrum input"],
     ) -> Float[np.ndarray, " spectrum"]:
         """The trait of each spectrum; NaN where a band of the model has no value.
 

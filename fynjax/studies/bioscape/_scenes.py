@@ -34,7 +34,7 @@ ACCURACY = Accuracy(sublayers=2, coarsening=(2, 2), levels=2, refine=False, solv
 
 
 class PlotSpectrum(eqx.Module):
-    """What is seen of a plot from straight above."""
+    """Simulated spectrum of a plot at nadir."""
 
     reflectance: Float[Array, " band"]
     """Mean reflectance factor [-]."""

@@ -38,7 +38,7 @@ class _Foreign(Strict):
 
 
 class CoverRow(_Foreign):
-    """What covers one plot."""
+    """Cover of a plot."""
 
     slips: ClassVar[dict[str, Slip]] = {
         f"Percent{name}": _over_100
@@ -52,7 +52,7 @@ class CoverRow(_Foreign):
 
 
 class SpeciesCoverRow(_Foreign):
-    """Live cover of one species on one plot."""
+    """Live cover of a species on a plot."""
 
     slips: ClassVar[dict[str, Slip]] = {
         "PercentCoverAlive": lambda v: "Leave the row out." if v == 0 else _over_100(v)
@@ -70,7 +70,7 @@ def _mass_slip(value: float) -> str | None:
 
 
 class TraitRow(_Foreign):
-    """Mean traits of one species."""
+    """Mean traits of a species."""
 
     slips: ClassVar[dict[str, Slip]] = {
         "Mean_Nitrogen": lambda v: f"Percent? In mg g-1 this is {v * 10:g}." if v < 1 else None,
@@ -97,7 +97,7 @@ class TraitRow(_Foreign):
 
 
 class VisitRow(_Foreign):
-    """Place and time of one spectrum of a plot."""
+    """Place and time of a spectrum of a plot."""
 
     BScpPID: str = Field(description="Name of the plot.", min_length=1)
     X: float = number("Longitude, WGS84", "degree", ge=-180, le=180)
@@ -114,7 +114,7 @@ VISITS = "*VegCenters.csv", "a table of spectra by plot"
 
 
 def find_table(folder: Path, kind: tuple[str, str]) -> Path | None:
-    """The one file of a folder that holds a table, or `None`. `InputError` if there are two."""
+    """The file of a folder that holds a table, or `None`. `InputError` if there are two."""
     paths = sorted(folder.glob(kind[0]))
     if len(paths) > 1:
         raise InputError(
@@ -126,7 +126,7 @@ def find_table(folder: Path, kind: tuple[str, str]) -> Path | None:
 
 
 def needed_table(folder: Path, kind: tuple[str, str]) -> Path:
-    """The one file of a folder that holds a table; `InputError` if there is none."""
+    """The file of a folder that holds a table; `InputError` if there is none."""
     path = find_table(folder, kind)
     if path is None:
         beside = sorted(p.name for p in folder.glob("*.csv"))

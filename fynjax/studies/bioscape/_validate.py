@@ -41,9 +41,16 @@ def validate_plots(
 ) -> ValidatePlotsResult:
     """Simulate the spectra of a folder's plots from its tables and compare them with the measured.
 
-    **Arguments:** `folder`, `plots` and `traits` as `fynjax.io.read_bioscape` takes them; for the
-    measured spectra the folder has `*VegCenters.csv` and `*waves.csv`. `resolution`: see
-    `Resolution`. `seed` draws the places of the plants.
+    **Arguments:**
+
+    - `folder`, `plots`, `traits`: as for `read_bioscape`; for the measured spectra the folder has
+      `*VegCenters.csv` and `*waves.csv`.
+    - `output`: folder of the results, made if missing.
+    - `resolution`: size and voxels of the simulated plots, see `Resolution`.
+    - `seed`: seed of the positions of the plants.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `ValidatePlotsResult`. Writes tables, figures and a page into `output`.
 
     **Raises:** `InputError` for tables that are missing or cannot be read.
     """
@@ -120,7 +127,7 @@ def plot_table(
     spectra: Sequence[PlotSpectrum],
     measured: dict[str, PlotSpectra],
 ) -> pd.DataFrame:
-    """What was assumed of each plot and what was measured, one a row."""
+    """What was assumed and what was measured, a row for each plot."""
     rows = []
     for plot, file, spectrum in zip(read, files, spectra):
         flown = measured.get(plot.name)

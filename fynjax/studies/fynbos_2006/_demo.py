@@ -23,7 +23,16 @@ reported beside, as a check."""
 
 
 def demo(output: Path, *, seed: int, progress: Progress | None = None) -> CalibrateResult:
-    """Calibrate the shipped 2006 plot to the published statistics of its real drone image."""
+    """Calibrate the shipped 2006 plot to the published statistics of its real drone image.
+
+    **Arguments:**
+
+    - `output`: folder of the results, made if missing.
+    - `seed`: seed of every random number.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `CalibrateResult`. Writes the files of `jobs.calibrate` into `output`.
+    """
     plot = read_plot(example_folder() / "plot.toml")
     known = {t.key: t.value for t in consistent_targets()}
     targets = [t for t in consistent_targets() if t.key in DEMO_TARGETS]
@@ -46,8 +55,10 @@ def demo(output: Path, *, seed: int, progress: Progress | None = None) -> Calibr
 
 
 def paper_simulation() -> tuple[dict[str, float], dict[str, float]]:
-    """The paper's own DIRSIG simulation of the 2006 plot: statistics where they are printed, and
-    the relative errors of the band means, of which it prints only the size [%]."""
+    """Published DIRSIG simulation of the 2006 plot.
+
+    **Returns:** its statistics where they are printed, by name, and the relative errors of the
+    band means [%], of which only the size is printed."""
     statistics: dict[str, float] = {}
     for name, row in table4_2006().items():
         statistics[f"{name}.mean"], statistics[f"{name}.std"] = row.sim_mean, row.sim_std

@@ -30,7 +30,7 @@ ASSUMED = (
 
 
 class InitResult(JobResult):
-    """What `init` wrote."""
+    """Result of `init`: the files that were written."""
 
     command: Literal["init"] = "init"
 
@@ -38,8 +38,14 @@ class InitResult(JobResult):
 def init(folder: Path, *, burnt: int = PUBLISHED, seed: int = 0) -> InitResult:
     """Write a commented example plot into `folder`; it runs as it is.
 
-    **Arguments:** `burnt`, the year of the plot's last fire: 2006 is the published plot, others
-    rest on assumptions about recovery, which their files state. `seed` of everything random.
+    **Arguments:**
+
+    - `folder`: where to write the plot file and its tables, made if missing.
+    - `burnt`: year of the plot's last fire. 2006 is the published plot; other years rest on
+      assumptions about recovery, which the files state.
+    - `seed`: seed of every random number of the plot.
+
+    **Returns:** `InitResult`, with the files that were written.
 
     **Raises:** `InputError` where a file would be overwritten, or for a year out of range.
     """

@@ -76,7 +76,7 @@ def table_after_fire(age: float) -> "pd.DataFrame":
 
 
 def ground_after_fire(age: float, litter: float) -> GroundAfterFire:
-    """What lies on the ground `age` years after a fire, given its `litter` at 16 years [-]."""
+    """Ground cover `age` years after a fire, given the share of `litter` at 16 years [-]."""
     _check_age(age)
     return GroundAfterFire(
         float(min(litter * _share(age, _LITTER), 1.0)), float(_CHARRED * np.exp(-age / _CHAR))
