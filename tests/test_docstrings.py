@@ -17,6 +17,8 @@ import fynjax.radiation
 
 COMPLETE = (
     "fynjax.canopy",
+    "fynjax.compare",
+    "fynjax.io",
     "fynjax.jobs",
     "fynjax.leaf",
     "fynjax.metrics",

@@ -14,14 +14,27 @@ _UNITS = (("_percent", "percent"), ("_deg", "degree"), ("_nm", "nm"), ("_m", "m"
 
 
 def unit_of(column: str) -> str:
-    """Unit of a table's column, by the end of its name."""
+    """Unit of a table's `column`, by the end of its name; "1" without one.
+
+    >>> from fynjax.compare import unit_of
+    >>> unit_of("wavelength_nm"), unit_of("correlation")
+    ('nm', '1')
+    """
     return next((unit for end, unit in _UNITS if column.endswith(end)), "1")
 
 
 def validation_dataset(
     drone: DroneComparison | PublishedComparison | None, spectra: SpectralComparison | None
 ) -> xr.Dataset:
-    """What the run file of a validation holds: every column of every table, and the histograms."""
+    """What the run file of a validation holds: every column of every table, and the histograms.
+
+    **Arguments:**
+
+    - `drone`: comparison of drone images, or with what is published; `None` without one.
+    - `spectra`: comparison of spectra; `None` without one.
+
+    **Returns:** a data set; each numeric variable has `units` and `long_name`.
+    """
     variables: dict[str, Any] = {}
     coords: dict[str, Any] = {}
 

@@ -56,10 +56,19 @@ class DroneComparison:
 def compare_drone_images(
     real: DroneImage, simulated: DroneImage, progress: Progress
 ) -> DroneComparison:
-    """Compare the bands and the twenty indices of two images, pixel distributions all.
+    """Compare bands and vegetation indices of two images by the distributions of their pixels.
 
     A pixel where an index is undefined (a black band, the root of a negative NDVI) is left out of
     that index alone, and counted.
+
+    **Arguments:**
+
+    - `real`, `simulated`: reflectance [band, y, x] in four bands [-], as of `read_drone_image`;
+      they may differ in size and place.
+    - `progress`: is advanced once for each index.
+
+    **Returns:** a `DroneComparison`: means, standard deviations, histogram intersections and
+    Kolmogorov-Smirnov distances beside those of the paper, and notes.
     """
     samples = (real.pixels, simulated.pixels)
     published = table4_2006()
@@ -82,7 +91,7 @@ def compare_drone_images(
                 "paper_real_mean": paper.real_mean,
                 "paper_simulated_mean": paper.sim_mean,
                 "paper_real_std": paper.real_std,
-                "paper_real_std_consistent": _told(paper.std_consistent),
+                "paper_real_std_consistent": _yes_or_no(paper.std_consistent),
                 "paper_simulated_std": paper.sim_std,
                 "paper_histogram_intersection": paper.histogram_intersection,
                 "paper_ks": paper.ks,
@@ -105,7 +114,7 @@ def compare_drone_images(
     )
 
 
-def _told(consistent: bool | None) -> str:
+def _yes_or_no(consistent: bool | None) -> str:
     return {True: "yes", False: "no", None: "open"}[consistent]
 
 

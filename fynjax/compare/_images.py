@@ -47,7 +47,7 @@ class DroneImage:
     taken: tuple[str, ...]
     """What the file calls each band."""
     chosen_by: str
-    """How the bands were found: 'option', 'names', 'wavelengths' or 'order'."""
+    """How the bands were identified: 'option', 'names', 'wavelengths' or 'order'."""
     shape: tuple[int, int]
     """Rows and columns of the file."""
     step: int
@@ -104,19 +104,36 @@ def read_drone_image(
 
     - `path`: any raster that GDAL reads. Its scale and offset tags are applied, no scale is
       guessed.
+    - `progress`: is advanced once for each block.
     - `bands`: what each band of the file is, in its order, such as "blue", "green", "red", "nir",
       "red_edge"; any other name is a band that is not used. If not given, bands are known by
       their names, else by their wavelengths, else, of exactly four bands without either, by the
       order green, red, red edge, near infrared.
-    - `saturation`: reflectance [-] from which on a pixel is saturated and left out. In files of
-      integers the largest value of their type always is, unless it is their no-data value.
+    - `saturation`: saturation threshold [-]: pixels that reach it in a band are left out. In files
+      of integers the largest value of their type always is, unless it is their no-data value.
     - `most_pixels`: of a larger image every k-th row and column is read, with the smallest k that
       gives no more; `None` reads all.
 
-    Warns where pixels pile up at a band's largest value, as clipped ones do.
+    **Returns:** a `DroneImage`: reflectance [-] of the pixels that are compared.
 
-    **Raises:** `InputError` for a file that is missing or cut short, where a band cannot be found,
-    for values that are no fractions, or without a pixel to compare.
+    **Raises:** `InputError` for a file that is missing or cut short, for a band that cannot be
+    identified, for values that are no fractions, or without a pixel to compare. Warns where pixels
+    pile up at a band's largest value, as clipped ones do.
+
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from fynjax._core.progress import NullProgress
+    >>> from fynjax.compare import read_drone_image
+    >>> from fynjax.io.raster import write_geotiff
+    >>> levels = np.linspace(0.9, 1.1, 900).reshape(30, 30)
+    >>> bands = {"green": 0.05, "red": 0.04, "red_edge": 0.15, "nir": 0.30}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "drone.tif"
+    ...     picture = [level * levels for level in bands.values()]
+    ...     write_geotiff(path, picture, list(bands), pixel_m=0.1)
+    ...     image = read_drone_image(path, NullProgress())
+    >>> image.chosen_by, image.pixels.shape
+    ('names', (4, 900))
     """
     path = Path(path)
     with open_raster(path, "a drone image") as file:

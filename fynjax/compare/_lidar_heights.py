@@ -62,8 +62,18 @@ def compare_heights(
 ) -> Heights:
     """Heights of returns, planted area and first hits above the ground.
 
-    `scene` is hard: all its plants stand; `voxels` are its. On sloping ground first hits are left
-    out, as their layers are level.
+    On sloping ground first hits are left out, as their layers are level.
+
+    **Arguments:**
+
+    - `scene`: of the plot, hard: all its plants stand.
+    - `parameters`: of the plot, in its units.
+    - `voxels`: of the scene, at the wavelength of the laser.
+    - `beams`: of the flight.
+    - `returns`: that it recorded; positions [m] in the plot's frame.
+    - `sublayers`: steps in a voxel along a beam.
+
+    **Returns:** a `Heights`: shares by layer [-] and percentiles [m].
     """
     step = scene.grid.vertical_size
     edges = np.arange(scene.grid.shape[2] + 1) * step
@@ -90,7 +100,14 @@ def compare_heights(
 
 
 def lowest_ground(plot: Plot) -> float:
-    """Height of the plot's lowest voxel column on the map of its terrain [m]."""
+    """Height of the plot's lowest voxel column on the map of its terrain [m].
+
+    **Arguments:**
+
+    - `plot`: with a terrain.
+
+    **Raises:** `InputError` for a map that cannot be read or does not cover the plot.
+    """
     assert plot.terrain is not None
     part = read_over_plot(
         plot.terrain,

@@ -68,7 +68,21 @@ class PlotSpectraPair:
 
 
 def leave_one_out(spectra: Float[np.ndarray, "plot band"]) -> Float[np.ndarray, "plot band"]:
-    """Mean of all other spectra, for each; NaN where there is no other value."""
+    """Mean of all other spectra, for each spectrum.
+
+    **Arguments:**
+
+    - `spectra`: in any unit, NaN where missing.
+
+    **Returns:** the same shape and unit; NaN where there is no other value.
+
+    >>> import numpy as np
+    >>> from fynjax.compare import leave_one_out
+    >>> leave_one_out(np.array([[1.0], [2.0], [6.0]]))
+    array([[4. ],
+           [3.5],
+           [1.5]])
+    """
     there = np.isfinite(spectra)
     total = np.where(there, spectra, 0.0).sum(axis=0) - np.where(there, spectra, 0.0)
     count = there.sum(axis=0) - there
@@ -76,20 +90,38 @@ def leave_one_out(spectra: Float[np.ndarray, "plot band"]) -> Float[np.ndarray, 
 
 
 def predictions(pair: PlotSpectraPair) -> dict[str, Float[np.ndarray, "plot band"]]:
-    """What each of `PREDICTORS` but the flights expects of the plots that were measured."""
-    found = {MODEL: pair.simulated}
+    """Spectra that each of `PREDICTORS` but the flights expects of the plots that were measured."""
+    expected = {MODEL: pair.simulated}
     if len(pair.plots) > 1:
-        found[OTHERS] = leave_one_out(pair.measured)
-        flat = np.nanmean(found[OTHERS], axis=1, keepdims=True)
-        found[FLAT] = np.broadcast_to(flat, found[OTHERS].shape)
-    return found
+        expected[OTHERS] = leave_one_out(pair.measured)
+        flat = np.nanmean(expected[OTHERS], axis=1, keepdims=True)
+        expected[FLAT] = np.broadcast_to(flat, expected[OTHERS].shape)
+    return expected
 
 
 def agreement_table(pair: PlotSpectraPair) -> pd.DataFrame:
-    """Agreement by plot, predictor and region; `pair` holds measured plots only.
+    """Agreement by plot, predictor (`PREDICTORS`) and region.
 
     The measures are those of `fynjax.metrics.spectral_agreement`. Of the flights the values are
     means over a plot's flights.
+
+    **Arguments:**
+
+    - `pair`: plots that were all measured (`PlotSpectraPair.those_measured`).
+
+    **Returns:** a row for each plot, predictor and region: spectral angle [degree], rmse [-], nrmse
+    [-], correlation [-], relative difference of the means [-].
+
+    >>> import numpy as np
+    >>> from fynjax.compare import PlotSpectraPair, agreement_table
+    >>> wavelength = np.linspace(500.0, 700.0, 21)
+    >>> measured = np.linspace(0.05, 0.15, 21)
+    >>> pair = PlotSpectraPair(("A",), wavelength, measured[None] + 0.01, (measured[None],))
+    >>> table = agreement_table(pair)
+    >>> table["region"].tolist()
+    ['full', 'vnir']
+    >>> round(float(table["rmse"][0]), 4)
+    0.01
     """
     real, grid = pair.measured, pair.wavelength
     regions = {name: spectral_mask(grid, name) for name in SPECTRAL_REGIONS if _fits(grid, name)}
@@ -100,9 +132,9 @@ def agreement_table(pair: PlotSpectraPair) -> pd.DataFrame:
     repeated = [(n, f) for n, f in zip(pair.plots, pair.flights) if len(f) > 1]
     for region, mask in regions.items() if repeated else ():
         names = [name for name, flights in repeated for _ in flights]
-        one = np.concatenate([flights for _, flights in repeated])
+        single = np.concatenate([flights for _, flights in repeated])
         rest = np.concatenate([leave_one_out(flights) for _, flights in repeated])
-        each = _agreement(names, FLIGHT, region, rest, one, mask)
+        each = _agreement(names, FLIGHT, region, rest, single, mask)
         rows.append(each.groupby(["plot", "predictor", "region"], as_index=False).mean())
     return pd.concat(rows, ignore_index=True)
 
@@ -121,19 +153,25 @@ def _agreement(
     mask: Bool[np.ndarray, " band"],
 ) -> pd.DataFrame:
     valid = mask & np.isfinite(real) & np.isfinite(expected)
-    found = jax.vmap(spectral_agreement)(jnp.asarray(real), jnp.asarray(expected), valid)
+    agreement = jax.vmap(spectral_agreement)(jnp.asarray(real), jnp.asarray(expected), valid)
     return pd.DataFrame(
         {"plot": list(plots), "predictor": predictor, "region": region}
-        | {name: np.asarray(getattr(found, name)) for name in MEASURES}
+        | {name: np.asarray(getattr(agreement, name)) for name in MEASURES}
     )
 
 
 def mean_agreement(table: pd.DataFrame) -> pd.DataFrame:
-    """Means over the plots, with the number of plots and, but for the flights, the skill.
+    """Means of an agreement over the plots, with the number of plots and the skill.
 
     Skill is 1 - MSE of the predictor / MSE of the mean of the other plots, over all plots: 1 is
     perfect, 0 no better than that mean, below 0 worse (Murphy 1988, Monthly Weather Review
-    116:2417).
+    116:2417). Flights have none.
+
+    **Arguments:**
+
+    - `table`: as of `agreement_table`.
+
+    **Returns:** a row for each predictor and region, in the units of `table`.
     """
     keys = ["predictor", "region"]
     mean = table.groupby(keys, sort=False)[list(MEASURES)].mean()
@@ -149,17 +187,25 @@ def mean_agreement(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def misfit_table(pair: PlotSpectraPair) -> pd.DataFrame:
-    """What each plot's misfit is made of, over all regions (`misfit_decomposition`)."""
+    """Level, contrast and shape of each plot's misfit, over all regions (`misfit_decomposition`).
+
+    **Arguments:**
+
+    - `pair`: plots that were all measured.
+
+    **Returns:** a row for each plot: rmse [-], gain [-], offset [-], and shares of the mean squared
+    error [-].
+    """
     mask = spectral_mask(pair.wavelength)
     real, simulated = jnp.asarray(pair.measured), jnp.asarray(pair.simulated)
-    found = jax.vmap(misfit_decomposition)(real, simulated, mask & np.isfinite(pair.measured))
-    shares = np.asarray(jax.vmap(lambda one: one.shares)(found))
+    misfit = jax.vmap(misfit_decomposition)(real, simulated, mask & np.isfinite(pair.measured))
+    shares = np.asarray(jax.vmap(lambda plot: plot.shares)(misfit))
     return pd.DataFrame(
         {
             "plot": list(pair.plots),
-            "rmse": np.sqrt(np.asarray(found.mean_squared_error)),
-            "gain": np.asarray(found.gain),
-            "offset": np.asarray(found.offset),
+            "rmse": np.sqrt(np.asarray(misfit.mean_squared_error)),
+            "gain": np.asarray(misfit.gain),
+            "offset": np.asarray(misfit.offset),
             "level_share": shares[:, 0],
             "contrast_share": shares[:, 1],
             "shape_share": shares[:, 2],
@@ -168,12 +214,17 @@ def misfit_table(pair: PlotSpectraPair) -> pd.DataFrame:
 
 
 def band_table(pair: PlotSpectraPair) -> pd.DataFrame:
-    """By band: means, errors and the correlation across plots.
+    """Means, errors and the correlation across plots, by band.
 
-    Columns: `wavelength_nm`; `measured`, `simulated`, means over the plots; `residual`, its mean,
-    and `residual_sd`; `rmse_model`, `rmse_others`, errors of the model and of the mean of the
-    other plots; `flight_sd`, standard deviation of a plot's flights (root mean square over the
-    plots); `correlation` of simulated with measured across plots.
+    **Arguments:**
+
+    - `pair`: plots that were all measured.
+
+    **Returns:** a row for each band: `wavelength_nm`; `measured`, `simulated`, means over the plots
+    [-]; `residual`, its mean, and `residual_sd` [-]; `rmse_model`, `rmse_others`, errors of the
+    model and of the mean of the other plots [-]; `flight_sd`, standard deviation of a plot's
+    flights (root mean square over the plots) [-]; `correlation` of simulated with measured across
+    plots [-].
     """
     real, simulated = pair.measured, pair.simulated
     residual = simulated - real
@@ -213,7 +264,18 @@ def _across(
 
 
 def chance_correlation(plots: int) -> float:
-    """Correlation that chance alone exceeds in one of twenty sets of so many plots [-]."""
+    """Correlation whose size chance alone exceeds in 1 of 20 sets of independent plots [-].
+
+    From Student's t with `plots` - 2 degrees of freedom, two-sided.
+
+    **Arguments:**
+
+    - `plots`: number of plots, above 2.
+
+    >>> from fynjax.compare import chance_correlation
+    >>> round(chance_correlation(20), 3)
+    0.444
+    """
     t = stats.t.ppf(0.975, plots - 2)
     return float(t / np.sqrt(plots - 2 + t**2))
 
@@ -234,7 +296,15 @@ FEATURES: Mapping[str, tuple[str, Feature]] = {
 def feature_values(
     wavelength: Float[np.ndarray, " band"], spectra: Float[np.ndarray, "plot band"]
 ) -> dict[str, Float[np.ndarray, " plot"]]:
-    """`FEATURES` of each spectrum."""
+    """`FEATURES` of each spectrum.
+
+    **Arguments:**
+
+    - `wavelength`: band centres [nm].
+    - `spectra`: reflectance [-], NaN where missing; the mean within 10 nm is taken.
+
+    **Returns:** for each feature a value a plot [-].
+    """
 
     def at(centre: float) -> np.ndarray:
         near = np.abs(wavelength - centre) <= 10.0
@@ -245,7 +315,15 @@ def feature_values(
 
 
 def feature_table(pair: PlotSpectraPair) -> pd.DataFrame:
-    """How well the model tells plots apart: correlations of `FEATURES` across plots."""
+    """How well the model distinguishes plots: correlations of `FEATURES` across plots.
+
+    **Arguments:**
+
+    - `pair`: plots that were all measured.
+
+    **Returns:** a row for each feature: means and standard deviations over the plots [-],
+    correlation and rank correlation (Spearman) of simulated with measured [-].
+    """
     real, simulated = (feature_values(pair.wavelength, s) for s in (pair.measured, pair.simulated))
     rows = []
     for name, (what, _) in FEATURES.items():

@@ -27,6 +27,12 @@ def compare_with_published(image: DroneImage) -> PublishedComparison:
     The real band means are derived (see `fynjax/compare/data/README.md`), and of DIRSIG's only the
     absolute difference is printed. A printed standard deviation that contradicts the formulas is
     marked, and EVI, whose form is not known.
+
+    **Arguments:**
+
+    - `image`: simulated reflectance in four bands [-], as of `read_drone_image`.
+
+    **Returns:** a `PublishedComparison`.
     """
     rows = []
     published = bands_2006()
@@ -70,7 +76,14 @@ def _row(
 
 
 def wins(statistics: pd.DataFrame) -> tuple[int, int]:
-    """Of the sound rows with both errors known: how often this image is nearer, and how many."""
+    """In how many statistics the simulated image is nearer to the real one than DIRSIG's.
+
+    **Arguments:**
+
+    - `statistics`: the table of a `PublishedComparison`.
+
+    **Returns:** that number, and the number of statistics that are consistent and have both errors.
+    """
     sound = statistics[statistics["status"].isin(["derived", "printed"])]
     both = sound.dropna(subset=["dirsig_abs_error_percent", "simulated_error_percent"])
     nearer = both["simulated_error_percent"].abs() < both["dirsig_abs_error_percent"]

@@ -87,7 +87,12 @@ class Target:
 
 
 def table4_2006() -> dict[str, Table4Row]:
-    """Table 4 of the paper (2006 burn plot), by index name. Source: `data/README.md`."""
+    """Table 4 of the paper (2006 burn plot), by index name. Source: `data/README.md`.
+
+    >>> from fynjax.compare import table4_2006
+    >>> len(table4_2006())
+    20
+    """
     consistent = {"true": True, "false": False, "open": None}
     rows = {}
     for row in _read("table4_2006.csv"):
@@ -150,9 +155,14 @@ def consistent_targets(*, independent: bool = False) -> tuple[Target, ...]:
     """Numbers of the real 2006 image that are fit to calibrate against.
 
     The four derived band means, the means of the nineteen indices whose formula is known, and
-    those of their standard deviations that do not contradict the formulas. `independent=True`
-    leaves out rows that are exact affine functions of another one (IPVI, NDWI, NormNIR, RVI),
-    which would only count the same measurement twice.
+    those of their standard deviations that do not contradict the formulas.
+
+    **Arguments:**
+
+    - `independent`: leave out rows that are exact affine functions of another one (IPVI, NDWI,
+      NormNIR, RVI), which would count the same measurement twice.
+
+    **Returns:** a `Target` for each number, reflectance and indices [-].
     """
     bands, table = bands_2006(), table4_2006()
     targets = [Target(name, "mean", bands[name].real_mean, derived=True) for name in BANDS]

@@ -65,15 +65,22 @@ def read_spectra_sample(
 ) -> SpectraSample:
     """Read the spectra of one or several files, all on one grid of wavelengths.
 
-    Tables, ASD files and spectral libraries as `fynjax.io.read_spectra` (but single spectra that
-    cannot be used are left out, with a warning); cubes as ENVI files (with
-    their header beside them) or GeoTIFF with the wavelengths in its tags, in blocks of rows; NetCDF
-    with a variable over a dimension that has wavelengths. Of a cube with more than `most_spectra`
-    pixels every k-th row and column is read.
+    Tables, ASD files and spectral libraries as `fynjax.io.spectra.read_spectra` (but single spectra
+    that cannot be used are left out, with a warning); cubes as ENVI files (with their header beside
+    them) or GeoTIFF with the wavelengths in its tags, in blocks of rows; NetCDF with a variable
+    over a dimension that has wavelengths.
 
     A band is left out in which fewer than half of the spectra have a value, or all have the same
-    one of zero or less, with which products fill bands that the air hides; or that the header's
+    value of zero or less, with which products fill bands that the air hides; or that the header's
     bad-band list (`bbl`) names. Then a spectrum is left out that still misses a value.
+
+    **Arguments:**
+
+    - `paths`: the files.
+    - `progress`: is advanced once for each block of rows.
+    - `most_spectra`: of a cube with more pixels every k-th row and column is read.
+
+    **Returns:** a `SpectraSample`: wavelengths [nm] and reflectance [spectrum, wavelength] [-].
 
     **Raises:** `InputError` for files that are missing or cut short, have no wavelengths, differ in
     their grids, are no fractions, or leave nothing to compare.
@@ -143,7 +150,7 @@ def _read(path: Path, most: int, progress: Progress) -> _Part:
 
 
 def _header_of(path: Path) -> Path | None:
-    """The ENVI header that belongs to a data file, or the file itself if it is one."""
+    """The ENVI header that belongs to a data file, or the file itself if it is a header."""
     if path.suffix.lower() == ".hdr":
         return path
     beside = [path.with_name(path.name + ".hdr")]
@@ -236,7 +243,7 @@ def _wavelengths_in(
     nodes: Sequence[xr.Dataset],
 ) -> tuple[str, NDArray[np.float64], NDArray[np.float64] | None] | None:
     """Dimension, wavelengths [nm] and widths [nm], wherever in the file they stand."""
-    found, width = None, None
+    centres, width = None, None
     for node in nodes:
         for name, variable in node.variables.items():
             if variable.ndim != 1 or variable.dtype.kind not in "fiu":
@@ -245,13 +252,13 @@ def _wavelengths_in(
             plain = str(name).lower().rstrip("s")
             is_wave = plain in ("wavelength", "band_center", "band_centre", "wavelength_center")
             if is_wave or "radiation_wavelength" in standard:
-                found = found or (str(variable.dims[0]), _nanometres(variable))
+                centres = centres or (str(variable.dims[0]), _nanometres(variable))
             if plain == "fwhm":
                 width = width if width is not None else _nanometres(variable, 0.5)
-    if found is None:
+    if centres is None:
         return None
-    fits = width is not None and width.shape == found[1].shape
-    return found[0], found[1], width if fits else None
+    fits = width is not None and width.shape == centres[1].shape
+    return centres[0], centres[1], width if fits else None
 
 
 def _nanometres(variable: Any, largest_micro: float = 100.0) -> NDArray[np.float64]:

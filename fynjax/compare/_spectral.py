@@ -65,12 +65,34 @@ def compare_spectra(
     method: MatchingMethod = "auto",
     windows: Sequence[tuple[float, float]] = WATER_WINDOWS,
 ) -> SpectralComparison:
-    """Compare the mean spectra of two sets, by region, and their indices.
+    r"""Compare the mean spectra of two sets, by region, and their indices.
 
-    **Arguments:** `method` as `match_wavelengths` has it; `windows`, wavelengths to leave out [nm].
-    The edges of the sensor (below 400 and above 2450 nm) always are.
+    **Arguments:**
+
+    - `real`, `simulated`: reflectance [spectrum, wavelength] [-], as of `read_spectra_sample`.
+    - `method`: how the grids are brought together, as `fynjax.metrics.match_wavelengths` has it.
+    - `windows`: wavelengths to leave out [nm]. The edges of the sensor (below 400 and above 2450
+      nm) always are.
+
+    **Returns:** a `SpectralComparison`: tables of bands, regions, misfit and indices, and notes.
 
     **Raises:** `InputError` where the grids have too little in common.
+
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from fynjax._core.progress import NullProgress
+    >>> from fynjax.compare import compare_spectra, read_spectra_sample
+    >>> header = "wavelength,a,b\n"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     samples = []
+    ...     for name, offset in (("real", 0.0), ("simulated", 0.02)):
+    ...         rows = [f"{w},{w / 5e3 + offset},{w / 4e3 + offset}" for w in range(450, 1001, 10)]
+    ...         path = pathlib.Path(folder) / f"{name}.csv"
+    ...         _ = path.write_text(header + "\n".join(rows))
+    ...         samples.append(read_spectra_sample([path], NullProgress()))
+    >>> comparison = compare_spectra(*samples)
+    >>> comparison.regions.set_index("region")["rmse"].round(3).to_dict()
+    {'full': 0.02, 'vnir': 0.02}
     """
     match = match_wavelengths(
         real.wavelength,

@@ -55,7 +55,11 @@ def compare_clouds(
     - `real_path`, `simulated_path`: clouds, as `fynjax.terrain.read_cloud` reads them. They may
       differ in density and in the level of their heights. A cloud without ground classes is
       filtered, and returns far below its ground are left out as noise and counted.
+    - `settings`: of reading, cells, thinning and bootstrap; those of the paper if not given.
     - `seed`: of thinnings and bootstrap.
+    - `progress`: is advanced as cells and thinnings are worked through.
+
+    **Returns:** a `StructureComparison`.
 
     **Raises:** `InputError`, with the file where it is one's fault: no common plot, different
     reference systems, no ground, no grain that fits.
@@ -158,8 +162,17 @@ def cloud_structure(
 ) -> CloudStructure:
     """The structure of one cloud: its ground, grain, metrics in each cell and their means.
 
-    Of `settings`, those of thinning and of the simulated cloud are not used; `real` is how the
-    cloud is read. Raises what `compare_clouds` does.
+    **Arguments:**
+
+    - `path`: a cloud, as `fynjax.terrain.read_cloud` reads it.
+    - `settings`: those of thinning and of the simulated cloud are not used; `real` is how the cloud
+      is read.
+    - `seed`: of the bootstrap.
+    - `progress`: is advanced while cells are worked through.
+
+    **Returns:** a `CloudStructure`.
+
+    **Raises:** `InputError` as `compare_clouds`.
     """
     settings = ComparisonSettings() if settings is None else settings
     progress = NullProgress() if progress is None else progress

@@ -67,13 +67,20 @@ def choose_cells(
 
 
 def cut_off(plot: Bounds, cells: Bounds) -> float:
-    """Share of a plot that lies in no cell [-]."""
+    """Share of the area of `plot` that lies outside `cells` [-]; both are bounds [m]."""
     area, used = ((b[2] - b[0]) * (b[3] - b[1]) for b in (plot, cells))
     return max(0.0, 1.0 - used / area)
 
 
 def grain_table(checks: tuple[GrainCheck, ...], taken: float, plot: Bounds) -> pd.DataFrame:
-    """A row for each grain that was tried, with its cells and the paper's changes beside it."""
+    """A row for each grain that was tried, with its cells and the paper's changes beside it.
+
+    **Arguments:**
+
+    - `checks`: of the grains.
+    - `taken`: the grain that was taken [m].
+    - `plot`: bounds of the plot [m].
+    """
     rows = []
     for check in checks:
         west, south, east, north = check.bounds

@@ -94,10 +94,14 @@ _BOTH = ("tallest", "deepest", "tolerance")
 
 
 def cloud_settings(preset: str | None, options: Mapping[str, Any]) -> ComparisonSettings:
-    """Settings by a preset's name and single options, which override it; `None` is not stated.
+    """Settings by the name of a preset and single options, which override it.
 
-    `options` by the names of `StructureSettings` and `ComparisonSettings`, besides `shift`,
-    `real_ground`, `simulated_ground`, and those of reading that hold for both clouds.
+    **Arguments:**
+
+    - `preset`: its name; `None` is not stated.
+    - `options`: by the names of `StructureSettings` and `ComparisonSettings`, besides `shift`,
+      `real_ground`, `simulated_ground`, and those of reading that hold for both clouds; `None` is
+      not stated.
     """
     if preset is not None and preset not in STRUCTURE_PRESETS:
         raise InputError(

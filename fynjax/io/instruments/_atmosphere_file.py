@@ -38,7 +38,7 @@ _HEADER = re.compile(r"^\s*([A-Za-z_ ]+?)\s*(?:[\[(](.*)[\])])?\s*$")
 
 
 def read_atmosphere(path: str | Path) -> Atmosphere:
-    """Read the curves of an atmosphere from CSV, or from NetCDF (`.nc`).
+    r"""Read the curves of an atmosphere from CSV, or from NetCDF (`.nc`).
 
     A CSV file has one header row, `name [unit]` in each column, and rows in increasing wavelength;
     a NetCDF file has variables of the same names with an attribute `units`:
@@ -50,8 +50,28 @@ def read_atmosphere(path: str | Path) -> Atmosphere:
     may be in W, mW or µW, m-2 or cm-2, nm-1 or µm-1, written with exponents or with `/`; shares
     as fractions or in %. Lines that start with `#` are skipped.
 
+    **Arguments:**
+
+    - `path`: the file.
+
+    **Returns:** a `fynjax.sensors.air.Atmosphere` on the wavelengths of the file, in the units
+    above.
+
     **Raises:** `InputError` with file, row and column: a missing curve, a missing or unknown unit,
     wavelengths in µm or out of order, a value that is no number, negative, or impossibly large.
+
+    >>> import pathlib, tempfile
+    >>> from fynjax.io.instruments import read_atmosphere
+    >>> text = '''wavelength [nm],direct [W/m2/nm],diffuse [W/m2/nm],upward_transmittance [%],\
+    ... path_radiance [W m-2 sr-1 um-1],spherical_albedo
+    ... 500,1.20,0.30,80,25,0.10
+    ... 900,0.80,0.05,92,3,0.02'''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "air.csv"
+    ...     _ = path.write_text(text)
+    ...     air = read_atmosphere(path)
+    >>> [round(float(value), 1) for value in air.direct]
+    [1200.0, 800.0]
     """
     path = existing_file(path, "a file of atmospheric curves")
     suffix = path.suffix.lower()

@@ -28,19 +28,40 @@ def write_cloud(
 ) -> None:
     """Write returns as LAS 1.4, point format 6, whole or not at all; a name in .laz compresses.
 
-    **Arguments:**
-
-    - `returns`: as of `fynjax.sensors.detect_returns`.
-    - `origin_m`: added to the coordinates, such as the plot's corner on a map.
-    - `crs`: reference system, such as "EPSG:32734"; written as WKT. None: not known.
-    - `attributes`: such as those of `provenance`; `source` becomes the generating software.
-
     `intensity` is apparent reflectance times 20 000; `classification` 2 is ground and 3 low
     vegetation; `gps_time` counts from the start of the flight. Extra bytes: `reflectance`,
     `echo_width` [ns], `pulse` (its index). Steps of 0.5 mm.
 
-    **Raises:** `InputError` for another suffix than .las and .laz, for no returns, and where the
-    file cannot be written; `MissingExtraError` without laspy (and lazrs for .laz).
+    **Arguments:**
+
+    - `path`: the file to write, .las or .laz.
+    - `returns`: as of `fynjax.sensors.detect_returns`, at least one.
+    - `origin_m`: (x, y, z) that is added to the coordinates [m], such as the plot's corner on a
+      map.
+    - `crs`: reference system, such as "EPSG:32734"; written as WKT. `None`: not known.
+    - `attributes`: such as those of `provenance`; `source` becomes the generating software.
+
+    **Raises:** `InputError` for another suffix than .las and .laz, for no returns, for a `crs` that
+    is not known, and where the file cannot be written; `MissingExtraError` without laspy (and lazrs
+    for .laz).
+
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from fynjax.io.instruments import write_cloud
+    >>> from fynjax.sensors import LidarReturns
+    >>> from fynjax.terrain import read_cloud
+    >>> first, zero = np.ones(4, int), np.zeros(4)
+    >>> returns = LidarReturns(
+    ...     beam=np.arange(4), position=np.array([[0, 0, 0], [0, 2, 0.5], [3, 0, 0.5], [3, 2, 0]]),
+    ...     distance=50.0 + zero, reflectance=0.4 + zero, width=4.0 + zero,
+    ...     number=first, of=first, classification=2 * first, time=zero, scan_angle=zero,
+    ... )
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "flight.las"
+    ...     write_cloud(path, returns, crs="EPSG:32734", origin_m=(300000.0, 6200000.0, 80.0))
+    ...     cloud = read_cloud(path)
+    >>> cloud.z.round(1)
+    array([80. , 80.5, 80.5, 80. ])
     """
     path = Path(path)
     kind = path.suffix.lower()

@@ -248,6 +248,10 @@ def load_lidar(name_or_path: str | Path) -> Lidar:
 
     **Raises:** `InputError` with file, row and key for what cannot be used: unknown keys and
     units, values out of range, keys of another kind of LiDAR.
+
+    >>> from fynjax.io.instruments import load_lidar
+    >>> load_lidar("scanning_lidar").name
+    'scanning_lidar'
     """
     path = shipped_or_own(name_or_path, "LiDAR", shipped_lidars(), lidar_folder())
     description, _ = read_toml(path, LidarFile)

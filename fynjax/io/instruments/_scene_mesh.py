@@ -25,8 +25,19 @@ def scene_meshes(
 ) -> tuple[list[PlantMesh | None], int]:
     """A mesh for each species that has plants, and the triangles that all its copies make.
 
-    Raises `InputError` with both numbers where the plants need more than `max_triangles`. Warns
-    where a taxon is not in table 1 and another of its growth form stands in for it.
+    **Arguments:**
+
+    - `instances`: the plants that stand, as `fynjax.scene` places them.
+    - `model`: the plot's model; it names the taxa, their growth forms and their sizes.
+    - `parameters`: of the plot, in its units.
+    - `max_triangles`: most triangles of the whole scene.
+    - `seed`: of the shapes.
+
+    **Returns:** for each species its mesh [m], or `None` where it has no plants; and the number of
+    triangles of all plants.
+
+    **Raises:** `InputError` with both numbers where the plants need more than `max_triangles`.
+    Warns where a taxon is not in table 1 and another of its growth form stands in for it.
     """
     counts = instances.counts
     least = int(counts.sum()) * LEAST_TRIANGLES
@@ -87,7 +98,14 @@ def write_scene_mesh(
     """Write the scene as OBJ with its MTL beside, metres, z upwards, one object for each plant.
 
     Copies are stretched to each plant's diameter and height, turned and tilted. Materials are
-    named `taxon_organ`; `colours` (red, green, blue of each species, 0 to 1) are for show.
+    named `taxon_organ`.
+
+    **Arguments:**
+
+    - `path`: the OBJ file to write; the materials get the same name in .mtl.
+    - `instances`: the plants that stand.
+    - `meshes`: one for each species, as of `scene_meshes`.
+    - `colours`: (red, green, blue) of each species, 0 to 1, for show.
     """
     path = Path(path)
     materials: dict[str, tuple[float, float, float]] = {}

@@ -27,8 +27,14 @@ _FEW = 20  # bands of a camera; with more, neighbours of a spectrometer are a wi
 def load_instrument(name_or_path: str | Path) -> Sensor | Lidar:
     """An imaging sensor or a LiDAR, by its shipped name or from a file.
 
-    A file with a table [laser] is that of a LiDAR. Raises `InputError` as `load_sensor` and
-    `load_lidar`.
+    **Arguments:**
+
+    - `name_or_path`: a shipped name, or the path of a sensor or LiDAR file. A file with a table
+      [laser] is that of a LiDAR.
+
+    **Returns:** a `fynjax.sensors.Sensor` or a `fynjax.sensors.Lidar`.
+
+    **Raises:** `InputError` as `load_sensor` and `load_lidar`.
     """
     text = str(name_or_path)
     if text in shipped_lidars():
@@ -66,6 +72,10 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     units, wavelengths in µm, bands that are descending, out of order or there twice, responses
     and noise that do not fit the bands. Warns where the file states a ground sample distance that
     its optics do not give (the optics are used), and where widths look like half widths.
+
+    >>> from fynjax.io.instruments import load_sensor
+    >>> load_sensor("mavic_3m").bands.names
+    ('green', 'red', 'red_edge', 'nir')
     """
     path = _path_of(name_or_path)
     description, text = read_toml(path, SensorFile)

@@ -236,8 +236,8 @@ class BandsTable(Strict):
             raise ValueError("response = 'tabulated' and curves go together: give both or neither")
         widths = [n for n in ("fwhm_nm", "half_width_nm") if getattr(self, n) is not None]
         if self.centre_nm is None:
-            if own := [*widths, *(["name"] if self.name else [])]:
-                raise ValueError(f"expected no {own[0]} beside {given[0]}, which has its own")
+            if beside := [*widths, *(["name"] if self.name else [])]:
+                raise ValueError(f"expected no {beside[0]} beside {given[0]}, which has its own")
             return self
         if len(widths) != 1:
             came = "both" if widths else "none"

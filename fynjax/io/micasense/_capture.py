@@ -72,10 +72,14 @@ class AlignedCapture:
 def find_captures(paths: Sequence[str | Path]) -> dict[str, list[Path]]:
     """The files of each capture, by the capture's name and in order of their bands.
 
-    **Arguments:** `paths`: folders, of which all files called `NAME_1.tif`, `NAME_2.tif`, ... are
-    taken; or files, of which only those given are.
+    **Arguments:**
 
-    **Raises:** `InputError` for a path that does not exist, a file that is not called so, or a
+    - `paths`: folders, of which all files called `NAME_1.tif`, `NAME_2.tif`, ... are taken; or
+      files, of which only those given are.
+
+    **Returns:** for each `NAME` its files.
+
+    **Raises:** `InputError` for a path that does not exist, a file of another pattern of name, or a
     folder without such files.
     """
     captures: dict[str, list[tuple[int, Path]]] = {}
@@ -117,7 +121,14 @@ def find_captures(paths: Sequence[str | Path]) -> dict[str, list[Path]]:
 
 
 def same_capture(path: str | Path, captures: dict[str, list[Path]]) -> tuple[str, list[Path]]:
-    """A capture by its name among `captures`, or by one of its files, with the others beside it.
+    """A capture by its name, or by one of its files.
+
+    **Arguments:**
+
+    - `path`: a key of `captures`, or a file; the other files of its capture lie beside it.
+    - `captures`: files by the name of their capture, as of `find_captures`.
+
+    **Returns:** name and files of the capture.
 
     **Raises:** `InputError` where there is none.
     """
@@ -135,7 +146,14 @@ def same_capture(path: str | Path, captures: dict[str, list[Path]]) -> tuple[str
 
 
 def read_capture(name: str, paths: Sequence[Path]) -> Capture:
-    """Read the files of one capture (`read_rededge_band`).
+    """Read the files of one capture, each with its metadata (`read_rededge_band`).
+
+    **Arguments:**
+
+    - `name`: of the capture, for errors and reports.
+    - `paths`: its files, one for each band.
+
+    **Returns:** a `Capture`, bands in the order of the files.
 
     **Raises:** `InputError` where they are not of one capture, of one size, or of different bands.
     """
@@ -164,7 +182,16 @@ def read_capture(name: str, paths: Sequence[Path]) -> Capture:
 def aligned_radiance(
     capture: Capture, *, align: bool = True, progress: Progress | None = None
 ) -> AlignedCapture:
-    """Radiance of a capture, its bands laid on the first (`align_bands`).
+    """Radiance of a capture, its bands laid on the first (`fynjax.io.raster.align_bands`).
+
+    **Arguments:**
+
+    - `capture`: all bands of one moment.
+    - `align`: false leaves every band on its own pixels.
+    - `progress`: is advanced once for each band.
+
+    **Returns:** an `AlignedCapture`: radiance [W m-2 sr-1 um-1], full pixels, and how bands were
+    moved.
 
     **Raises:** `InputError` as `align_bands`; `MissingExtraError` without scikit-image.
     """

@@ -22,20 +22,20 @@ _EVEN = 0.08
 """Spread over mean of a panel's pixels up to which it is one surface [-]; that of a RedEdge's own
 panel is 0.02."""
 _INNER = 0.75
-"""Side of the area that is read over that of the panel found."""
+"""Side of the area that is read over that of the panel."""
 _ALIKE = 0.15
 """Share of their own side by which areas in different bands may differ."""
 
 
 @dataclass(frozen=True)
 class PanelSeen:
-    """One panel in all bands of a capture."""
+    """Where a panel lies in all bands of a capture, and its radiance there."""
 
     capture: Capture
     areas: tuple[Float[np.ndarray, "corner 2"], ...]
     """Of each band, corners (x, y) on its own pixels [pixel], y down from the top."""
     found: str
-    """How: 'found in the picture', 'given', or 'stated by the camera'."""
+    """How its place is known: 'found in the picture', 'given', or 'stated by the camera'."""
     mean: Float[np.ndarray, " band"]
     """Radiance [W m-2 sr-1 um-1]."""
     spread: Float[np.ndarray, " band"]
@@ -61,10 +61,14 @@ class _PanelRow(Strict):
 def panel_reflectance(given: str | None, capture: Capture) -> Float[np.ndarray, " band"]:
     """Reflectance of a panel in each band of a capture [-].
 
-    **Arguments:** `given`: a number for all bands, numbers with commas in the order of the bands,
-    or a CSV file with the columns `band,reflectance` or `wavelength_nm,reflectance` (a spectrum,
-    which is averaged over the bands). `None`: as the camera states it, where it read the panel's
-    code.
+    **Arguments:**
+
+    - `given`: a number for all bands, numbers with commas in the order of the bands, or a CSV file
+      with the columns `band,reflectance` or `wavelength_nm,reflectance` (a spectrum, which is
+      averaged over the bands). `None`: as the camera states it, where it read the panel's code.
+    - `capture`: the picture of the panel, with its bands.
+
+    **Returns:** reflectance factors, above 0 and at most 1.2 [-].
 
     **Raises:** `InputError` where it is not given and not stated, or does not fit the bands.
     """
@@ -123,13 +127,18 @@ def _of_file(path: Path, capture: Capture) -> Float[np.ndarray, " band"]:
 
 
 def read_panel(capture: Capture, area: NDArray[np.float64] | None = None) -> PanelSeen:
-    """Read a panel in every band of a capture.
+    """Read the radiance of a panel in every band of a capture.
 
-    **Arguments:** `area`: corners (x, y) [pixel], y down from the top, inside the panel in every
-    band (the lenses see it some pixels apart). Left out, it is what the camera states, or else the
-    brightest even square near the middle (`find_panel`).
+    **Arguments:**
 
-    **Raises:** `InputError` where no panel is found, or it is saturated, uneven, or at another
+    - `capture`: the picture of the panel.
+    - `area`: corners (x, y) [pixel], shape (corner, 2), y down from the top, inside the panel in
+      every band (the lenses show a near panel some pixels apart). If not given, it is what the
+      camera states, or else the brightest even square near the middle (`find_panel`).
+
+    **Returns:** a `PanelSeen`: its area, and mean and spread of its radiance [W m-2 sr-1 um-1].
+
+    **Raises:** `InputError` where there is no panel, or it is saturated, uneven, or at another
     place in some band.
     """
     stated = [band.panel_area for band in capture.bands]

@@ -7,7 +7,7 @@ from pydantic import Field
 from fynjax.io.text import Strict, number
 
 DEFAULT_FREE = ("species.*.cover", "species.*.diameter", "species.*.leaf.*", "ground.*")
-"""Patterns of parameters that a calibration frees unless told otherwise."""
+"""Patterns of parameters that a calibration frees by default."""
 
 
 class CalibrationTable(Strict):

@@ -24,7 +24,16 @@ def _accepted(record: Parameter) -> dict[str, float]:
 def with_parameter_table(
     parameters: PlotParameters, taxa: tuple[str, ...], path: Path
 ) -> PlotParameters:
-    """`parameters` with the estimates of a table, such as the parameters.csv of a calibration.
+    """A plot's parameters with the estimates of a table, such as `parameters.csv`.
+
+    **Arguments:**
+
+    - `parameters`: of the plot, in their units.
+    - `taxa`: the plot's taxa, in the order of `parameters`.
+    - `path`: a CSV file with the columns of `ParameterRow`; name and estimate are enough, and the
+      unit of covers and lengths.
+
+    **Returns:** `parameters` with the values of the table.
 
     **Raises:** `InputError` for a name that the plot has not or that is there twice, another unit
     than the parameter's, and a value outside its bounds.

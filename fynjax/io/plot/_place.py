@@ -17,10 +17,17 @@ class Place:
 
 
 def plot_place(plot: Plot) -> Place:
-    """The plot's corner on the first of its maps (ground heights, probability, ground covers) that
-    lies on Earth; the plot's own frame where none does.
+    """Where a plot lies on Earth, by the first of its maps that does.
 
-    Raises `InputError` for a map that cannot be read.
+    The maps are ground heights, probability and ground covers, in this order.
+
+    **Arguments:**
+
+    - `plot`: as of `read_plot`.
+
+    **Returns:** corner [m] and reference system; the plot's own frame where no map lies on Earth.
+
+    **Raises:** `InputError` for a map that cannot be read.
     """
     maps = {
         "a raster of heights": plot.terrain,

@@ -57,17 +57,17 @@ def _size(
 
 def _read_species(path: Path) -> list[tuple[int, SpeciesRow]]:
     rows = read_rows(path, SpeciesRow, "a species table")
-    seen: dict[str, int] = {}
+    row_of: dict[str, int] = {}
     for number, row in rows:
-        if row.taxon in seen:
+        if row.taxon in row_of:
             raise InputError(
-                f"{row.taxon!r} is in row {seen[row.taxon]} already. Add the covers up, or give "
+                f"{row.taxon!r} is in row {row_of[row.taxon]} already. Add the covers up, or give "
                 "the two layers different names.",
                 file=path,
                 row=number,
                 column="taxon",
             )
-        seen[row.taxon] = number
+        row_of[row.taxon] = number
     total = sum(row.cover_percent for _, row in rows)
     if total > 300:
         raise InputError(
@@ -132,7 +132,7 @@ def _stated(value: float | None, kind: str) -> float:
 
 
 def _beside(owner: Path, name: str, what: str, row: int | None, column: str) -> Path:
-    """The file `name` as seen from the folder of `owner`, which must exist."""
+    """The file `name`, a path from the folder of `owner`, which must exist."""
     try:
         return existing_file((owner.parent / name).resolve(), what)
     except InputError as error:
@@ -159,7 +159,7 @@ def _read_sky(path: Path) -> tuple[Floats, Floats]:
 
 
 def as_plot(plot: Plot | str | Path) -> Plot:
-    """A plot as it is, or read from its file by `read_plot`."""
+    """`plot` as it is, or read from its file by `read_plot`, whose errors are raised."""
     return plot if isinstance(plot, Plot) else read_plot(plot)
 
 
@@ -175,6 +175,11 @@ def read_plot(path: str | Path) -> Plot:
 
     **Raises:** `InputError` with file, row (as an editor counts), column, the value, what was
     expected and the likely slip. Warns where covers look like fractions.
+
+    >>> from fynjax.io.plot import example_folder, read_plot
+    >>> plot = read_plot(example_folder() / "plot.toml")
+    >>> len(plot.species), plot.species[0].taxon, plot.size_m
+    (13, 'Metalasia muricata', (10.0, 10.0))
     """
     path = existing_file(path, "a plot file").resolve()
     parsed, text = read_toml(path, PlotFile)
@@ -275,7 +280,7 @@ def read_plot(path: str | Path) -> Plot:
         *(path, species_path, leaf_path, map_path, sky_path, soil_path, cover_map),
         *(terrain_path, sensor_path, air_path, values_path),
         *cover_paths,
-        *(one.plant for one in species),
+        *(entry.plant for entry in species),
         *spectra,
     )
     fractions = [_stated(getattr(parsed.ground, name), name) for name in COVER_FRACTIONS]

@@ -28,22 +28,34 @@ _DRONE_ALTITUDE, _DRONE_PIXEL = 50.0, 0.025  # m, of the paper
 
 
 def sensor_altitude(instrument: Instrument) -> float:
-    """Usual height of a sensor above the ground [m]; in space where its file has none."""
+    """Usual height of a sensor above the ground [m]; in space where its file has none.
+
+    **Arguments:**
+
+    - `instrument`: as of `fynjax.io.instruments.load_sensor`.
+    """
     frame = frame_of(instrument.camera)
     return SPACE if frame is None else float(frame.position[2])
 
 
 def optical_pixel(instrument: Instrument, altitude: float) -> float:
-    """Side of a sensor's pixel on the ground straight below, from its optics [m]."""
+    """Side of a sensor's pixel on the ground straight below, from its optics [m].
+
+    **Arguments:**
+
+    - `instrument`: as of `fynjax.io.instruments.load_sensor`.
+    - `altitude`: above the ground [m]; without effect on a sensor with parallel lines of sight.
+    """
     if isinstance(instrument.camera, OrthographicCamera):
         return instrument.camera.pixel_size
     return float(instrument.ground_sample_distance(altitude))
 
 
-def plot_sensor(table: SensorTable, own: Path | None, path: Path, text: str) -> Sensor:
-    """The sensor of the plot file `path`, whose contents are `text`; `own` is its sensor file."""
+def plot_sensor(table: SensorTable, sensor_file: Path | None, path: Path, text: str) -> Sensor:
+    """The sensor of the plot file `path`, whose contents are `text`; `sensor_file` the
+    sensor file that it names, if any."""
     name = table.name
-    if own is None and name not in shipped_sensors():
+    if sensor_file is None and name not in shipped_sensors():
         raise InputError(
             f"expected a shipped sensor ({', '.join(shipped_sensors())}) or a path, but got "
             f"{name!r}.{did_you_mean(name, shipped_sensors())}",
@@ -52,13 +64,13 @@ def plot_sensor(table: SensorTable, own: Path | None, path: Path, text: str) -> 
             column="sensor.name",
         )
     altitude, pixel = table.altitude_m, table.pixel_m
-    if own is None and name == DRONE:
+    if sensor_file is None and name == DRONE:
         altitude = _DRONE_ALTITUDE if altitude is None else altitude
         pixel = _DRONE_PIXEL if pixel is None else pixel
     else:
-        with warnings.catch_warnings():  # what the file states is told by those who use it
+        with warnings.catch_warnings():  # whoever uses the sensor warns again
             warnings.simplefilter("ignore", UserWarning)
-            instrument = load_sensor(name if own is None else own)
+            instrument = load_sensor(name if sensor_file is None else sensor_file)
         name = instrument.name
         altitude = sensor_altitude(instrument) if altitude is None else altitude
         pixel = optical_pixel(instrument, altitude) if pixel is None else pixel
@@ -66,7 +78,7 @@ def plot_sensor(table: SensorTable, own: Path | None, path: Path, text: str) -> 
         name,
         altitude,
         pixel,
-        own,
+        sensor_file,
         table.altitude_m,
         table.pixel_m,
         table.tilt_deg,
@@ -82,9 +94,15 @@ SPECTRA = (400.0, 2500.0)
 
 
 def visible_sensor(instrument: Instrument) -> Instrument:
-    """A sensor without the bands that the spectra of a plot do not cover.
+    """A sensor without the bands that the spectra of a plot do not cover (400 to 2500 nm).
 
-    Raises `InputError` where they cover none.
+    **Arguments:**
+
+    - `instrument`: as of `fynjax.io.instruments.load_sensor`.
+
+    **Returns:** `instrument` itself where they cover all of its bands.
+
+    **Raises:** `InputError` where they cover none.
     """
     places = instrument.bands.covered(np.arange(SPECTRA[0], SPECTRA[1] + 1.0))
     if not places:
@@ -96,15 +114,23 @@ def visible_sensor(instrument: Instrument) -> Instrument:
 
 
 def plot_instrument(plot: Plot) -> Instrument:
-    """The sensor that a plot file names, with the bands that can be simulated."""
+    """The sensor that the file of `plot` names, with the bands that can be simulated.
+
+    **Raises:** `InputError` as `fynjax.io.instruments.load_sensor` and `visible_sensor`.
+    """
     return visible_sensor(load_sensor(plot.sensor.path or plot.sensor.name))
 
 
 def drone_sensor(plot: Plot) -> Instrument:
     """A plot's sensor with its bands green, red, red edge and near infrared.
 
-    They are what the indices of a drone's image are made of. Raises `InputError` for a sensor
-    without them, and for pixels wider than the plot.
+    **Arguments:**
+
+    - `plot`: as of `read_plot`.
+
+    **Returns:** the sensor with these four bands, in this order.
+
+    **Raises:** `InputError` for a sensor without them, and for pixels wider than the plot.
     """
     instrument = plot_instrument(plot)
     bands = instrument.bands

@@ -36,22 +36,24 @@ def read_statistics(path: str | Path, known: Collection[str] | None = None) -> T
     - `path`: a CSV file.
     - `known`: names of bands and indices that can be computed; `None` takes any.
 
+    **Returns:** a `TargetStatistics`, in the order of the file.
+
     **Raises:** `InputError` for an unknown name, a statistic given twice, a standard deviation
     that is not above 0, or a band's reflectance above 1.5 (percent, not a fraction).
     """
     path = Path(path)
     rows = read_rows(path, StatisticRow, "a table of statistics")
-    seen: dict[str, int] = {}
+    row_of: dict[str, int] = {}
     for number, row in rows:
         subject, kind = row.statistic.rsplit(".", 1)
-        if row.statistic in seen:
+        if row.statistic in row_of:
             raise InputError(
-                f"{row.statistic!r} is in row {seen[row.statistic]} already",
+                f"{row.statistic!r} is in row {row_of[row.statistic]} already",
                 file=path,
                 row=number,
                 column="statistic",
             )
-        seen[row.statistic] = number
+        row_of[row.statistic] = number
         if known is not None and subject not in known:
             raise InputError(
                 f"unknown band or index {subject!r}.{did_you_mean(subject, known)}",
@@ -100,8 +102,14 @@ class TargetStructure:
 
 
 def read_structure(path: str | Path) -> TargetStructure:
-    """Read a table of structure with the columns metric, value and, if need be, sd, grain_m,
-    returns_m2.
+    """Read a table of structure metrics of a point cloud.
+
+    **Arguments:**
+
+    - `path`: a CSV file with the columns metric and value, and, if need be, sd, grain_m [m] and
+      returns_m2 [m-2].
+
+    **Returns:** a `TargetStructure`, in the order of the file.
 
     **Raises:** `InputError` for an unknown metric, one given twice, or rows that differ in grain or
     returns.

@@ -39,14 +39,18 @@ def align_bands(
     The lenses of a camera sit side by side and are not quite parallel. Bands are compared by their
     edges, since plants are bright in one band and dark in another: the shift of the whole by the
     peak of the cross-correlation (scikit-image, Guizar-Sicairos et al. 2008), then that of tiles,
-    to which an affine map is fitted, robust to tiles that find no match (RANSAC). One affine map
+    to which an affine map is fitted, robust to tiles without a match (RANSAC). One affine map
     serves ground that is flat beside the height of flight; a wall or a tall tree keeps its
     parallax.
 
-    **Arguments:** `image`, finite; row 0 at the southern edge.
+    **Arguments:**
 
-    **Returns:** the aligned bands, cut to what all of them saw; that cut as slices (y, x) of the
-    first band; an `Alignment` for each band.
+    - `image`: [band, y, x] in any unit, finite, at least 80 x 80 pixels; row 0 at the southern
+      edge.
+    - `progress`: is advanced once for each band.
+
+    **Returns:** the aligned bands, cut to the part that all of them cover; that cut as slices (y,
+    x) of the first band; an `Alignment` for each band.
 
     **Raises:** `InputError` where a band does not fit the first; `MissingExtraError` without
     scikit-image.

@@ -78,6 +78,9 @@ def read_band_stack(
     - `pixel_m`: side of a pixel on the ground [m]. Needed for an image without a coordinate
       reference system, which is then put into the plot's local frame, its south-west corner at
       (0, 0) and the top of the picture north.
+    - `progress`: is advanced as bands are aligned.
+
+    **Returns:** a `BandStack` of the bands that have data, in the file's unit.
 
     **Raises:** `InputError` for files that are missing or cut short, do not fit together, are in
     degrees or feet or rotated, have no place while `pixel_m` is not given, or have no data;

@@ -19,10 +19,19 @@ def read_cover_map(
     origin_m: tuple[float, float] | None,
     option: str,
 ) -> Float64[np.ndarray, "kind y x"]:
-    """Shares of soil, litter, char and rock in each voxel column of a plot, y to the north [-].
+    """Shares of soil, litter, char and rock in each voxel column of a plot.
 
     From a GeoTIFF whose bands are named after the covers, any of them, with values of 0 to 1; the
-    soil is the rest. Where the raster lies over the plot says `read_probability_map`.
+    soil is the rest.
+
+    **Arguments:**
+
+    - `path`: the GeoTIFF.
+    - `size_m`: (x, y) extent of the plot [m].
+    - `shape`: rows and columns of voxels.
+    - `origin_m`, `option`: where the plot lies in the raster, as `read_probability_map` has them.
+
+    **Returns:** shares [kind, y, x] of 0 to 1, y to the north [-].
 
     **Raises:** `InputError` for a raster that cannot be read or placed, bands of other names, and
     shares below 0 or that sum to more than 1.

@@ -20,7 +20,15 @@ UNITS: dict[str, float] = {
 
 
 def parse_crs(text: str | int, file: Path | None) -> CRS:
-    """A coordinate reference system from WKT, "EPSG:32734" or a number."""
+    """A coordinate reference system from text.
+
+    **Arguments:**
+
+    - `text`: WKT, "EPSG:32734" or an EPSG number.
+    - `file`: that states it, for errors; `None` without one.
+
+    **Raises:** `InputError` for a system that is not known.
+    """
     try:
         return CRS.from_user_input(text)
     except CRSError as error:
@@ -47,8 +55,14 @@ def check_metric(
 ) -> None:
     """Refuse a system whose coordinates are not metres to the east and north.
 
-    `unit_stated` and `height_stated`: the user has stated the unit of coordinates or of heights,
-    so that the system need not be in metres.
+    **Arguments:**
+
+    - `crs`: the system.
+    - `file`: that states it, for errors; `None` without one.
+    - `unit_stated`, `height_stated`: the user has stated the unit of coordinates or of heights, so
+      that the system need not be in metres.
+
+    **Raises:** `InputError` for degrees, feet and other units, and geocentric coordinates.
     """
     wkt = crs.to_wkt()
     remedy = "Reproject to a metric system first, such as the plot's UTM zone."

@@ -66,7 +66,14 @@ class Cube:
 
 
 def write_cube_geotiff(path: str | Path, cube: Cube, record: Mapping[str, Any]) -> None:
-    """Write a cube as GeoTIFF; `record` becomes its tags, such as that of `provenance`."""
+    """Write a cube as GeoTIFF, whole or not at all.
+
+    **Arguments:**
+
+    - `path`: the file to write.
+    - `cube`: in the unit of its quantity (`QUANTITIES`).
+    - `record`: becomes the file's tags, such as that of `provenance`.
+    """
     write_geotiff(
         path,
         cube.values,
@@ -90,6 +97,12 @@ def write_cube_envi(path: str | Path, cube: Cube, record: Mapping[str, Any]) -> 
     Interleaved by line, float32. The header has wavelengths and widths in nanometres, the list of
     bad bands, the place and its reference system, and `record`. Neither file appears until both are
     complete.
+
+    **Arguments:**
+
+    - `path`: the header to write.
+    - `cube`: in the unit of its quantity (`QUANTITIES`).
+    - `record`: becomes fields of the header, such as that of `provenance`.
     """
     path = Path(path)
     unit, _, name = QUANTITIES[cube.quantity]
@@ -135,7 +148,14 @@ def write_cube_envi(path: str | Path, cube: Cube, record: Mapping[str, Any]) -> 
 def write_cubes_netcdf(
     path: str | Path, cubes: Mapping[str, Cube], record: Mapping[str, Any]
 ) -> None:
-    """Write cubes of the same bands and pixels as variables of one NetCDF file."""
+    """Write cubes of the same bands and pixels as variables of one NetCDF file.
+
+    **Arguments:**
+
+    - `path`: the file to write.
+    - `cubes`: by the name of their variable, in the units of their quantities (`QUANTITIES`).
+    - `record`: becomes the file's attributes, such as that of `provenance`.
+    """
     variables = {}
     for name, cube in cubes.items():
         unit, standard, long = QUANTITIES[cube.quantity]
@@ -196,10 +216,30 @@ def read_cube(path: str | Path) -> Cube:
     """Read an image of any number of bands: ENVI (header or data file), GeoTIFF, or what else GDAL
     reads. (A NetCDF product is one for xarray: `xr.open_dataset(path).reflectance`.)
 
-    **Returns:** a `Cube`: no-data values are NaN, wavelengths in nm whatever the header's unit.
+    **Arguments:**
+
+    - `path`: the image; of an ENVI file the header or the data.
+
+    **Returns:** a `Cube`: no-data values are NaN, wavelengths in nm whatever the header's unit,
+    reflectance [-] or radiance [W m-2 sr-1 um-1].
 
     **Raises:** `InputError` as `open_raster`; for a header with another number of wavelengths than
     bands or an unknown unit; and for an image that is rotated.
+
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from fynjax.io.raster import read_cube, write_geotiff
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "image.tif"
+    ...     write_geotiff(
+    ...         path, np.full((2, 3, 4), 0.25), ["red", "nir"], pixel_m=0.5,
+    ...         wavelengths=[660.0, 860.0], crs="EPSG:32734",
+    ...     )
+    ...     cube = read_cube(path)
+    >>> cube.values.shape, cube.names, cube.pixel_m
+    ((2, 3, 4), ('red', 'nir'), 0.5)
+    >>> cube.wavelength
+    array([660., 860.])
     """
     with open_raster(path, "an image") as file:
         pixel = file.cell_m

@@ -24,7 +24,7 @@ CONVENTIONS = "CF-1.11"
 
 
 def file_hash(path: str | Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
+    """SHA-256 of the file `path`, in hexadecimal."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -47,6 +47,8 @@ def provenance(
     - `seed`: seed of the run.
     - `inputs`: files that were read; each enters as `name: sha256`.
     - `command`: what was run; the present command line if left out.
+
+    **Returns:** file attributes by name.
     """
     record: dict[str, str | int] = {
         "source": f"fynjax {fynjax.__version__}",
@@ -73,11 +75,20 @@ def image_array(
     standard_name: str | None = "surface_bidirectional_reflectance",
     units: str = "1",
 ) -> xr.DataArray:
-    """An image [band, y, x], y to the north, with CF coordinates: band, wavelength, y, x.
+    """An image with CF coordinates band, wavelength, y and x.
 
-    **Arguments:** `wavelengths` in nm, `pixel_m` in m, `origin_m` (x, y) of the image's
-    south-west corner. Coordinates are pixel centres; those of a `crs` refer to a variable "crs",
-    see `grid_mapping`.
+    Coordinates are pixel centres; those of a `crs` refer to a variable "crs", see `grid_mapping`.
+
+    **Arguments:**
+
+    - `image`: [band, y, x], y increasing to the north, in `units`.
+    - `band_names`: one for each band.
+    - `wavelengths`: band centres [nm].
+    - `pixel_m`: side of a pixel [m].
+    - `origin_m`: (x, y) of the image's south-west corner [m].
+    - `crs`: anything rasterio reads, such as "EPSG:32734"; `None` is the plot's local frame.
+    - `long_name`, `standard_name`: what the values are, in words and as the CF conventions name it.
+    - `units`: of the values.
     """
     values = np.asarray(image)
     attributes = {"long_name": long_name, "units": units}
@@ -139,6 +150,7 @@ def write_run(
 
     **Arguments:**
 
+    - `path`: the file to write.
     - `dataset`: every numeric variable carries `units` ("1" where it has none) and `long_name`,
       as CF-1.11 asks; a grid mapping needs no units.
     - `attributes`: file attributes, such as those of `provenance`.

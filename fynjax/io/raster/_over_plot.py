@@ -73,12 +73,16 @@ def read_over_plot(
     origin_m: tuple[float, float] | None,
     option: str,
 ) -> OverPlot:
-    """Read the part of a raster over a plot; where that is, says `read_probability_map`.
+    """Read the part of a raster that lies over a plot.
 
     **Arguments:**
 
+    - `path`: any raster that GDAL reads.
     - `what`: names the file in errors, such as "a probability map".
-    - the rest as in `read_probability_map`.
+    - `size_m`: (x, y) extent of the plot [m].
+    - `origin_m`, `option`: where the plot lies in the raster, as `read_probability_map` has them.
+
+    **Returns:** an `OverPlot`: the cells that cover the plot, in the file's unit.
 
     **Raises:** `InputError` for a raster that cannot be read or placed, does not cover the plot,
     or has cells without data over it.

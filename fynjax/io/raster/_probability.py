@@ -31,6 +31,7 @@ def write_probability_map(
 
     **Arguments:**
 
+    - `path`: the file to write.
     - `grey`: 0 to 255, row 0 at the southern edge.
     - `transform`: from column and row, counted from the north-west corner, to x and y [m], as
       rasterio has it; that of the image which the map was made from.

@@ -340,7 +340,12 @@ class RasterFile:
 def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
     """A raster open for reading: GeoTIFF, ENVI (data or header file), or what else GDAL reads.
 
-    `what` names the file in errors, such as "a probability map".
+    **Arguments:**
+
+    - `path`: the file.
+    - `what`: names the file in errors, such as "a probability map".
+
+    **Returns:** a context manager that gives a `RasterFile`.
 
     **Raises:** `InputError` for a file that is missing, cut short, damaged or no raster, and an
     ENVI header that lacks a field; also where GDAL fails inside the block.

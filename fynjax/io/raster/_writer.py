@@ -41,6 +41,7 @@ def write_geotiff(
 
     **Arguments:**
 
+    - `path`: the file to write.
     - `image`: [band, y, x], y increasing to the north. `uint8` stays so, all else is float32.
     - `band_names`: one for each band; they become the band descriptions.
     - `pixel_m`: side of a pixel [m]; `origin_m`: (x, y) of the south-west corner [m]. Or

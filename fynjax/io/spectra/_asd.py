@@ -37,7 +37,10 @@ def is_asd(data: bytes) -> bool:
 def read_asd(path: str | Path, data: bytes | None = None) -> Spectrum:
     """Read one ASD binary file as reflectance (or transmittance, if its type says so).
 
-    **Arguments:** `path`, and the content if it was read already.
+    **Arguments:**
+
+    - `path`: the file.
+    - `data`: its content, if it was read already.
 
     **Returns:** a `Spectrum` with target over white reference, unchecked: outdoor spectra hold any
     number in the water bands. `meta` has the version, type, instrument, integration time [ms],

@@ -18,10 +18,15 @@ _UNSTATED = ("", "unknown", "index")
 def read_header(path: Path) -> dict[str, Any]:
     """Fields of an ENVI header, names in lower case; what stands in braces is a list of texts.
 
-    `layout` has nrows, ncols, nbands, offset and dtype of the data file, as SPy has them.
+    **Arguments:**
 
-    **Raises:** `InputError` where it is no ENVI header, or lacks a field that tells how its data
-    are stored.
+    - `path`: the header file.
+
+    **Returns:** the fields, and `layout` with nrows, ncols, nbands, offset and dtype of the data
+    file, as SPy has them.
+
+    **Raises:** `InputError` where it is no ENVI header, or lacks a field without which the data
+    cannot be read.
     """
     from spectral.io import envi  # takes a quarter of a second
 
@@ -42,9 +47,15 @@ def read_header(path: Path) -> dict[str, Any]:
 def open_envi(
     path: str | Path, suffixes: tuple[str, ...], what: str
 ) -> tuple[dict[str, Any], Path, Path]:
-    """Header, its file and the data file of an ENVI file, given one of the two files.
+    """Header and data file of an ENVI file, given either of them.
 
-    `suffixes` are those that a data file may have, `what` it is.
+    **Arguments:**
+
+    - `path`: the header or the data file.
+    - `suffixes`: those that a data file may have.
+    - `what`: names the file in errors, such as "image".
+
+    **Returns:** fields of the header as of `read_header`, path of the header, path of the data.
 
     **Raises:** `InputError` where one of them is missing, or the data are cut short; as
     `read_header`.
@@ -78,7 +89,19 @@ def open_envi(
 def header_numbers(
     header: dict[str, Any], key: str, count: int, path: Path
 ) -> NDArray[np.float64] | None:
-    """A number for each of `count` bands; `None` where the header has none of this name."""
+    """A number for each band from a field of an ENVI header.
+
+    **Arguments:**
+
+    - `header`: fields, as of `read_header`.
+    - `key`: name of the field.
+    - `count`: number of bands.
+    - `path`: of the header, for errors.
+
+    **Returns:** shape (`count`,); `None` where the header has no such field.
+
+    **Raises:** `InputError` for what is no number, and for another count.
+    """
     if key not in header:
         return None
     try:
@@ -99,7 +122,15 @@ def header_numbers(
 def in_nanometres(
     wavelength: NDArray[np.float64], unit: str, path: Path
 ) -> tuple[NDArray[np.float64], float]:
-    """Band centres [nm], and the factor that made them nm of numbers in `unit`.
+    """Band centres in nanometres.
+
+    **Arguments:**
+
+    - `wavelength`: band centres in `unit`, shape (band,).
+    - `unit`: as a file states it; empty where it states none.
+    - `path`: of the file, for errors.
+
+    **Returns:** band centres [nm], and the factor from `unit` to nm.
 
     **Raises:** `InputError` for a unit that is neither nm nor µm, and for numbers that are in µm
     where nm are stated.

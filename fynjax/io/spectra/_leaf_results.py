@@ -18,7 +18,16 @@ _UNITS = {name: "1" if p.unit == "-" else p.unit for name, p in LEAF_PARAMETERS.
 
 
 def traits_table(fit: LeafFit, files: Sequence[str], names: Sequence[str]) -> pd.DataFrame:
-    """One row a spectrum: file, name, parameters, their deviations and 90 % ends, rmse, status."""
+    """Traits of fitted leaves, one row for each spectrum.
+
+    **Arguments:**
+
+    - `fit`: of `fynjax.leaf.fit_leaf`, with one leaf for each spectrum.
+    - `files`, `names`: file and name of each spectrum.
+
+    **Returns:** file, name, parameters (units of `LeafParameters`), their standard deviations and
+    the ends of their 90 % intervals, rmse of the fit [-], inflation of the error [-], and status.
+    """
     columns: dict[str, Any] = {"file": list(files), "name": list(names)}
     for i, name in enumerate(fit.names):
         columns[name] = np.asarray(getattr(fit.parameters, name))
@@ -30,7 +39,7 @@ def traits_table(fit: LeafFit, files: Sequence[str], names: Sequence[str]) -> pd
 
 
 def write_traits_csv(table: pd.DataFrame, path: str | Path) -> None:
-    """Write a table of traits; units are those of `LeafParameters`."""
+    """Write a `table` of traits to the CSV file `path`; units are those of `LeafParameters`."""
     with atomic_path(path) as partial:
         table.to_csv(partial, index=False, float_format="%.6g")
 
@@ -38,7 +47,17 @@ def write_traits_csv(table: pd.DataFrame, path: str | Path) -> None:
 def spectra_dataset(
     fit: LeafFit, files: Sequence[str], names: Sequence[str], settings: dict[str, str]
 ) -> xr.Dataset:
-    """Measured, fitted and predicted spectra with the 90 % band of T, and the traits."""
+    """Measured, fitted and predicted spectra of leaves, and their traits.
+
+    **Arguments:**
+
+    - `fit`: of `fynjax.leaf.fit_leaf`, with one leaf for each spectrum.
+    - `files`, `names`: file and name of each spectrum.
+    - `settings`: how the fit was made; they become attributes.
+
+    **Returns:** reflectance and transmittance [leaf, wavelength] as fractions [-], with the 90 %
+    interval of transmittance; traits [leaf] in the units of `LeafParameters`; wavelength in nm.
+    """
     wide = 1.6448536269514722 * fit.transmittance_deviation
     tables: dict[str, tuple[np.ndarray, str]] = {
         "measured_reflectance": (fit.measured[:, 0], "recorded reflectance used by the fit"),
@@ -88,7 +107,7 @@ def spectra_dataset(
 
 
 def write_leaf_netcdf(dataset: xr.Dataset, path: str | Path) -> None:
-    """Write the spectra as compressed NetCDF-4."""
+    """Write a `dataset` of leaf spectra to the file `path`, as compressed NetCDF-4."""
     floats = [key for key, v in dataset.data_vars.items() if v.dtype.kind == "f"]
     with atomic_path(path) as partial:
         dataset.to_netcdf(partial, engine="netcdf4", encoding={k: {"zlib": True} for k in floats})
@@ -98,7 +117,15 @@ _VARIANTS = 5
 
 
 def species_table(groups: LeafGroups, seed: int) -> pd.DataFrame:
-    """The mean leaf of each species (variant 0), and material variants of it."""
+    """The mean leaf of each species (variant 0), and material variants of it.
+
+    **Arguments:**
+
+    - `groups`: species means and their spread, as `fynjax.leaf` fits them.
+    - `seed`: of the variants.
+
+    **Returns:** species, variant and parameters, in the units of `LeafParameters`.
+    """
     drawn = groups.variants(_VARIANTS, seed)
     rows = []
     for g, species in enumerate(groups.groups):
@@ -117,7 +144,18 @@ def posterior_dataset(
     names: Sequence[str],
     settings: dict[str, str],
 ) -> xr.Dataset:
-    """Draws of the parameters and of T of each leaf."""
+    """Draws from the posterior of leaves: parameters and transmittance.
+
+    **Arguments:**
+
+    - `drawn`: the draws, of `fynjax.leaf`.
+    - `fit`: from which they started; it holds the wavelengths.
+    - `files`, `names`: file and name of each spectrum.
+    - `settings`: how the draws were made; they become attributes.
+
+    **Returns:** parameters [leaf, draw] in the units of `LeafParameters`, transmittance [leaf,
+    draw, wavelength] as fractions [-], effective number of draws and status of each leaf.
+    """
     variables: dict[str, Any] = {
         name: (
             ("leaf", "draw"),

@@ -14,12 +14,16 @@ from fynjax.io.spectra._text import read_text_spectra
 
 
 def read_spectra(path: str | Path) -> list[Spectrum]:
-    """Read every spectrum of a file.
+    r"""Read every spectrum of a file.
 
     Recognised by content, not by name: ASD binary (versions 6, 7, 8); ASD's ASCII export; ECOSTRESS
     and older ASTER library text; CSV and TSV with a wavelength column and one column a spectrum, or
     wide with one row a spectrum and wavelengths as column names (EcoSIS, SPECCHIO); ENVI spectral
     libraries (give the `.sli` or its `.hdr`). A `.gz` ending is unpacked.
+
+    **Arguments:**
+
+    - `path`: the file.
 
     **Returns:** a list of `Spectrum`, wavelengths in nm and ascending, fractions 0 to 1. What was
     repaired on the way (unit conversion, sorting, single impossible values set to NaN) is written
@@ -27,7 +31,16 @@ def read_spectra(path: str | Path) -> list[Spectrum]:
 
     **Raises:** `InputError` naming the file, for an unknown format, a file cut short, an ASD file
     that holds radiance or has no usable white reference, reflectance that must be percent, is
-    negative or above one, wavelengths in µm under a nm header, or a spectrum of NaN only.
+    negative or above 1, wavelengths in µm under a nm header, or a spectrum of NaN only.
+
+    >>> import pathlib, tempfile
+    >>> from fynjax.io.spectra import read_spectra
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "leaves.csv"
+    ...     _ = path.write_text("wavelength,protea,restio\n500,0.05,0.08\n800,0.48,0.40\n")
+    ...     protea, restio = read_spectra(path)
+    >>> restio.name, restio.reflectance
+    ('restio', array([0.08, 0.4 ]))
     """
     spectra, refused = read_usable_spectra(path)
     if refused:
@@ -41,6 +54,12 @@ def read_usable_spectra(
     """The spectra of a file that can be used, and name and reason of those that cannot.
 
     As `read_spectra`, but one bad spectrum among many does not stop the others.
+
+    **Arguments:**
+
+    - `path`: the file.
+
+    **Returns:** usable spectra; name and error of each other.
 
     **Raises:** `InputError` if the file as a whole cannot be read.
     """
@@ -100,7 +119,16 @@ def _is_text(data: bytes) -> bool:
 
 
 def reflectances(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Wavelengths [nm] and reflectance of the spectra of a file."""
+    """Reflectance spectra of a file.
+
+    **Arguments:**
+
+    - `path`: the file, as `read_spectra` reads it.
+
+    **Returns:** for each spectrum wavelengths [nm] and reflectance [-], both of shape (band,).
+
+    **Raises:** `InputError` as `read_spectra`, and where the file has no reflectance.
+    """
     spectra = [
         (s.wavelength, s.reflectance) for s in read_spectra(path) if s.reflectance is not None
     ]

@@ -30,7 +30,7 @@ class Spectrum:
 
 
 def note(meta: dict[str, Any], sentence: str) -> None:
-    """Add a sentence to the repairs of a spectrum under construction."""
+    """Add `sentence` to the repairs in `meta`, which belongs to a spectrum under construction."""
     meta.setdefault("repairs", []).append(sentence)
 
 

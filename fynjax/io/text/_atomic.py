@@ -21,6 +21,14 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
     If the block raises, the temporary file is removed and `path` is left as it was. Missing
     parent folders are made.
+
+    **Arguments:**
+
+    - `path`: the file to write.
+
+    **Returns:** a context manager that gives the temporary path, in the same folder.
+
+    **Raises:** `OSError` where the folder cannot be made or written.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -33,7 +41,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write `text` to `path` in UTF-8, whole or not at all."""
+    """Write `text` to the file `path` in UTF-8, whole or not at all (`atomic_path`)."""
     with atomic_path(path) as partial:
         partial.write_text(text, encoding="utf-8")
 
@@ -41,11 +49,17 @@ def write_text(path: str | Path, text: str) -> None:
 def remove_replaced(
     folder: str | Path, names: Iterable[str], kept: Iterable[str | Path]
 ) -> list[str]:
-    """Remove files of an earlier run from its folder, and tell which.
+    """Remove files of an earlier run from its folder.
 
-    **Arguments:** `names`, files that the earlier run listed, relative to `folder`; `kept`, files
-    that stay, relative to `folder` or absolute. What is no plain file, or leads out of the folder,
-    stays too, and so does what cannot be removed.
+    What is no plain file, or leads out of the folder, stays, and so does what cannot be removed.
+
+    **Arguments:**
+
+    - `folder`: of the earlier run and of this one.
+    - `names`: files that the earlier run listed, relative to `folder`.
+    - `kept`: files that stay, relative to `folder` or absolute.
+
+    **Returns:** the names of the files that were removed.
     """
     root = Path(folder).resolve()
     stay = set()
@@ -72,6 +86,12 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
 
     If the block raises or is interrupted nothing reaches `folder`, and `folder` is not made.
     Files of an earlier run that have the same name are replaced, others are left alone.
+
+    **Arguments:**
+
+    - `folder`: where the files shall be.
+
+    **Returns:** a context manager that gives the empty folder.
 
     **Raises:** `InputError` if `folder` is a file or cannot be written.
     """

@@ -1,4 +1,4 @@
-"""Files that are shipped under a name, or are a user's own."""
+"""Files that are shipped under a name, or that a user has."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,8 +13,16 @@ def shipped_or_own(
 ) -> Path:
     """The path of a shipped file by its name, or the path given.
 
-    `what` names the thing in errors, such as "sensor". Raises `InputError` for a name that is not
-    in `shipped`, and for a path without a file.
+    **Arguments:**
+
+    - `name_or_path`: a name in `shipped`, or the path of a file.
+    - `what`: names the thing in errors, such as "sensor".
+    - `shipped`: names of the shipped files, without suffix.
+    - `folder`: where the shipped files lie.
+
+    **Returns:** the path of the file.
+
+    **Raises:** `InputError` for a name that is not in `shipped`, and for a path without a file.
     """
     text = str(name_or_path)
     if Path(text).suffix or len(Path(text).parts) != 1:

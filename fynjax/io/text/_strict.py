@@ -24,7 +24,17 @@ def number(
     lt: float | None = None,
     le: float | None = None,
 ) -> Any:
-    """A finite number with a range and a unit, both told to the user when missed."""
+    """A field of a record: a finite number with a range and a unit, which errors and schemas state.
+
+    **Arguments:**
+
+    - `description`: what the number is, for schemas and help.
+    - `unit`: such as "nm"; "-" of a number without one.
+    - `default`: value where none is given; the number is required if this is left out.
+    - `gt`, `ge`, `lt`, `le`: bounds, without or with their end, in `unit`.
+
+    **Returns:** a pydantic field.
+    """
     return Field(
         default,
         description=f"{description} [{unit}].",
@@ -38,7 +48,16 @@ def number(
 
 
 def quantity(parameter: Parameter, *, default: Any = ..., note: str = "") -> Any:
-    """A number that holds `parameter`, in its shown unit and within its bounds."""
+    """A field of a record that holds a physical parameter, in its shown unit and within its bounds.
+
+    **Arguments:**
+
+    - `parameter`: the parameter's record, with unit and bounds.
+    - `default`: value where none is given, in the shown unit; required if this is left out.
+    - `note`: what the description adds to unit and name.
+
+    **Returns:** a pydantic field.
+    """
     factor, unit = parameter.shown_factor, parameter.shown_unit
     return Field(
         default,
@@ -52,7 +71,7 @@ def quantity(parameter: Parameter, *, default: Any = ..., note: str = "") -> Any
 
 
 def optional_quantity(parameter: Parameter) -> Any:
-    """The same where nothing needs to be stated: None stands for the parameter's default."""
+    """As `quantity`, but may be left out: `None` stands for the default of `parameter`."""
     assert parameter.default is not None
     default = parameter.shown_factor * parameter.default
     return quantity(parameter, default=None, note=f"{default:g} if left out")

@@ -18,7 +18,18 @@ _DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
 def existing_file(path: str | Path, what: str) -> Path:
-    """`path` if it is a file that exists, or an `InputError` with the nearest name beside it."""
+    """The path of a file that must exist.
+
+    **Arguments:**
+
+    - `path`: the file.
+    - `what`: names the file in errors, such as "a species table".
+
+    **Returns:** `path`.
+
+    **Raises:** `InputError` for a folder, and where there is no file, with the nearest
+    name beside it.
+    """
     path = Path(path)
     if path.is_file():
         return path
@@ -31,7 +42,14 @@ def existing_file(path: str | Path, what: str) -> Path:
 
 
 def read_text(path: Path) -> str:
-    """The text of a UTF-8 or UTF-16 file, without its byte-order mark."""
+    """The text of a UTF-8 or UTF-16 file, without its byte-order mark.
+
+    **Arguments:**
+
+    - `path`: a file that exists.
+
+    **Raises:** `InputError` for other encodings, spreadsheets and binary files.
+    """
     raw = path.read_bytes()
     if raw[:4] == b"PK\x03\x04":
         raise InputError(
@@ -112,7 +130,13 @@ def read_rows(path: str | Path, model: type[Row], what: str) -> list[tuple[int, 
     Commas separate, points are decimal, UTF-8 (with or without byte-order mark) or UTF-16.
     Empty lines and lines that start with `#` are skipped but counted.
 
-    **Arguments:** `what` names the file in errors, such as "a species table".
+    **Arguments:**
+
+    - `path`: the file.
+    - `model`: the record of a row; its fields are the columns.
+    - `what`: names the file in errors, such as "a species table".
+
+    **Returns:** for each row its number, as an editor counts, and its record.
 
     **Raises:** `InputError` with file, row, column, value and what was expected.
     """

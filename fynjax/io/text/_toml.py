@@ -17,25 +17,41 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def line_of(text: str, loc: tuple[str | int, ...]) -> int | None:
-    """Row of `[table]` or `key =` in TOML text; a search, as tomllib keeps no positions."""
+    """Row of `[table]` or `key =` in TOML text; a search, as tomllib keeps no positions.
+
+    **Arguments:**
+
+    - `text`: of the file.
+    - `loc`: table and key, such as ("sensor", "name"); numbers in it are skipped.
+
+    **Returns:** the row, counted from 1; that of the table where the key is not there, `None` where
+    neither is.
+    """
     names = [part for part in loc if isinstance(part, str)]
-    table, found = "", None
+    table, row = "", None
     for number, line in enumerate(text.splitlines(), start=1):
         if header := re.match(r"\s*\[([^\[\]]+)\]", line):
             table = header[1].strip()
             if names and table == names[0]:
-                found = number
+                row = number
         elif (key := re.match(r"\s*[\"']?([^\"'=]+?)[\"']?\s*=", line)) and (
             [*filter(None, [table]), key[1]] == names[:2]
         ):
             return number
-    return found
+    return row
 
 
 def read_toml(path: Path, model: type[Model]) -> tuple[Model, str]:
-    """A TOML file as a record of `model`, and its text.
+    """A TOML file as a record.
 
-    Raises `InputError` with file, row, key, what was expected, what came and the likely slip.
+    **Arguments:**
+
+    - `path`: a file that exists.
+    - `model`: class of the record; its fields are tables and keys.
+
+    **Returns:** the record, and the text of the file.
+
+    **Raises:** `InputError` with file, row, key, what was expected, what came and the likely slip.
     """
     text = read_text(path)
     try:

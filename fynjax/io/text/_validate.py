@@ -14,7 +14,7 @@ from fynjax.io.text._strict import Strict
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """' Did you mean ...?' for the nearest of `known`, or nothing if none is near."""
+    """' Did you mean ...?' for the nearest of `known` to `name`, or nothing if none is near."""
     known = list(known)
     lower = {k.lower(): k for k in known}
     near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
@@ -86,7 +86,14 @@ def _field(model: type[BaseModel], name: str) -> FieldInfo | None:
 
 
 def sentence(error: ErrorDetails, model: type[BaseModel], name: str) -> str:
-    """The first complaint about field `name` of `model` in one line."""
+    """One sentence of a validation error: what was expected, what came, and the likely slip.
+
+    **Arguments:**
+
+    - `error`: as pydantic gives it.
+    - `model`: the record that was refused.
+    - `name`: of the field.
+    """
     kind, value = error["type"], error["input"]
     known = list(model.model_fields)
     if kind == "extra_forbidden":
@@ -112,6 +119,9 @@ def sentence(error: ErrorDetails, model: type[BaseModel], name: str) -> str:
 
 
 def first_error(error: ValidationError) -> ErrorDetails:
-    """The complaint to show first: unknown names explain the missing ones that follow."""
+    """The part of a validation `error` to show first.
+
+    Unknown names come first, as they explain missing ones; then missing names, then values.
+    """
     errors = error.errors(include_url=False)
     return min(errors, key=lambda e: (e["type"] != "extra_forbidden", e["type"] != "missing"))
