@@ -28,7 +28,7 @@ def scene_meshes(
     **Arguments:**
 
     - `instances`: the plants that stand, as `fynjax.scene` places them.
-    - `model`: the plot's model; it names the taxa, their growth forms and their sizes.
+    - `scene`: of the plot; it names the taxa, their growth forms and their sizes.
     - `parameters`: of the plot, in its units.
     - `max_triangles`: most triangles of the whole scene.
     - `seed`: of the shapes.
