@@ -28,8 +28,6 @@ import numpy as np
 from fynjax.leaf import LeafParameters, prospect
 from fynjax.sensors import mavic_3m
 
-jax.config.update("jax_enable_x64", True)  # differences at the end need all digits
-
 # %% [markdown]
 # ## Two leaves
 #

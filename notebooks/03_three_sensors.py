@@ -21,7 +21,6 @@ import dataclasses
 import os
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
@@ -32,7 +31,6 @@ from fynjax.io.instruments import load_lidar, load_sensor
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.scene import Placement, PlotAir, aim, observe, replant
 
-jax.config.update("jax_enable_x64", True)  # for counts of plants; light is computed in 32 bits
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer pixels and channels
 SIDE = 2.0 if FAST else 6.0  # m
 PIXEL = 0.1 if FAST else 0.05  # m, of the drone's image

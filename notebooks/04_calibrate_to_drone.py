@@ -21,7 +21,6 @@ import dataclasses
 import os
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
@@ -39,7 +38,6 @@ from fynjax.io.plot import example_folder, read_plot
 from fynjax.metrics import image_statistics
 from fynjax.scene import named_values, replant
 
-jax.config.update("jax_enable_x64", True)  # for the small system of the fit, not for the light
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer steps
 SIDE = 2.0 if FAST else 4.0  # m
 PIXEL = 0.1 if FAST else 0.05  # m

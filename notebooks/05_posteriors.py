@@ -43,7 +43,6 @@ from fynjax.io.plot import example_folder, read_plot
 from fynjax.leaf import LeafParameters, fit_leaf, prospect, sample_leaf_posterior
 from fynjax.scene import replant
 
-jax.config.update("jax_enable_x64", True)
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # shorter chains, a smaller plot
 
 # %% [markdown]

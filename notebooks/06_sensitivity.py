@@ -41,7 +41,6 @@ from fynjax.inversion import (
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.scene import named_values
 
-jax.config.update("jax_enable_x64", True)  # for small matrices; light is computed in 32 bits
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer runs
 SIDE = 2.0 if FAST else 4.0  # m
 STRIDE = 2 if FAST else 4  # every so many pixels are rendered

@@ -20,7 +20,6 @@
 import dataclasses
 import os
 
-import jax
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LogNorm
@@ -30,7 +29,6 @@ from fynjax.inversion import even_bands, fisher_information, free_space, sweep_s
 from fynjax.io.instruments import load_sensor
 from fynjax.io.plot import example_folder, read_plot
 
-jax.config.update("jax_enable_x64", True)  # for small matrices; light is computed in 32 bits
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer species free
 SIDE = 2.0 if FAST else 4.0  # m
 GSD = (0.1, 0.5, 2.0) if FAST else (0.1, 0.2, 0.4, 1.0, 2.0, 4.0)  # m, pixels

@@ -46,7 +46,6 @@ from fynjax.sensors import (
     tabulated_atmosphere,
 )
 
-jax.config.update("jax_enable_x64", True)
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer channels
 
 # %% [markdown]

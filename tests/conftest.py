@@ -8,12 +8,14 @@ from pathlib import Path
 import jax
 import pytest
 
+from fynjax._core.precision import enable_double_precision
+
 # Tests compile much and run little. So they compile in a quarter of the time; what comes out runs
 # a little slower. Read when JAX is first used; the children of a test inherit it.
 os.environ.setdefault(
     "XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 )
-jax.config.update("jax_enable_x64", True)
+enable_double_precision()  # also for the packages that set nothing, such as `fynjax.radiation`
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -57,10 +57,9 @@ def cache_folder() -> Path:
 
 
 def prepare_jax() -> None:
-    """Switch 64-bit numbers on, and keep compiled programs for the next run."""
+    """Keep compiled programs for the next run."""
     import jax
 
-    jax.config.update("jax_enable_x64", True)
     folder = cache_folder() / "jax"
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,5 +1,9 @@
-"""Inversion: from measured statistics back to the parameters of a plot."""
+"""Inversion: from measured statistics back to the parameters of a plot.
 
+Importing it lets JAX compute in 64 bits, unless `JAX_ENABLE_X64=0` is in the environment.
+"""
+
+from fynjax._core.precision import enable_double_precision
 from fynjax.inversion._calibrate import (
     Calibration,
     Ends,
@@ -51,6 +55,8 @@ from fynjax.inversion._views import (
     spectrum_view,
     structure_view,
 )
+
+enable_double_precision()
 
 __all__ = [
     "COARSE",

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.checkpoint import Journal, keep_nothing
 from fynjax._core.errors import InputError
+from fynjax._core.precision import require_double_precision
 from fynjax.canopy import VoxelGrid
 from fynjax.inversion._fit_result import Data, FitResult
 from fynjax.inversion._search import COARSE, CalibrationSettings, End, Search, signature
@@ -136,8 +137,9 @@ def calibrate_plot(
     - `report`: called with the stage, the objective and its gradient's norm.
 
     Raises `InputError` for views that do not yield the data's statistics, a start at which these
-    are not finite, and a checkpoint of another calibration.
+    are not finite, a checkpoint of another calibration, and where JAX is limited to 32 bits.
     """
+    require_double_precision("`calibrate_plot`")
     settings = CalibrationSettings() if settings is None else settings
     views = tuple(views)
     yielded = tuple(name for view in views for name in view.names)

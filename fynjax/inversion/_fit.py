@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.checkpoint import Keep, keep_nothing
 from fynjax._core.errors import InputError
+from fynjax._core.precision import require_double_precision
 from fynjax.inversion._fit_result import Data, FitResult, FitStatus, fit_result
 from fynjax.inversion._log_posterior import LogPosterior, Predict
 from fynjax.inversion._solvers import (
@@ -76,7 +77,8 @@ def fit(
     differentiable once in data, priors, offset and context, by the implicit function theorem with
     the Hessian of the objective.
 
-    **Raises:** `InputError` for an unknown solver, or a fit that cannot be traced.
+    **Raises:** `InputError` for an unknown solver, a fit that cannot be traced, and where JAX is
+    limited to 32 bits.
 
     **Example:** a line through three points, whose offset and slope have wide priors.
 
@@ -90,6 +92,7 @@ def fit(
     >>> line.estimate.round(2).tolist(), bool(line.converged)
     ([1.0, 1.0], True)
     """
+    require_double_precision("`fit`")
     if max_steps < 1:
         raise InputError(f"`max_steps` must be at least 1, but is {max_steps}")
     shift = jnp.zeros_like(data.value) if offset is None else jnp.asarray(offset)

@@ -10,11 +10,14 @@ from typing import Any, TypeVar
 
 import pandas as pd
 
+from fynjax._core.precision import enable_double_precision
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.io.raster import provenance
 from fynjax.io.text import write_text
 from fynjax.jobs._result import JobResult
 from fynjax.report.pages import Page, Picture, Table, write_page
+
+enable_double_precision()
 
 Result = TypeVar("Result", bound=JobResult)
 

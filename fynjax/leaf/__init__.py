@@ -1,5 +1,9 @@
-"""Leaf optics: PROSPECT, forward and backward."""
+"""Leaf optics: PROSPECT, forward and backward.
 
+Importing it lets JAX compute in 64 bits, unless `JAX_ENABLE_X64=0` is in the environment.
+"""
+
+from fynjax._core.precision import enable_double_precision
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._detectors import LARGEST_JUMP, correct_detector_jumps
 from fynjax.leaf._error_model import (
@@ -23,6 +27,8 @@ from fynjax.leaf._posterior import LeafPosterior, sample_leaf_posterior
 from fynjax.leaf._problem import FitDomain
 from fynjax.leaf._prospect import LeafOptics, interface_transmissivity, prospect
 from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
+
+enable_double_precision()
 
 __all__ = [
     "LARGEST_JUMP",

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._coefficients import ProspectVersion
@@ -235,7 +236,8 @@ def fit_leaf(
     **Returns:** `LeafFit`, on bins of 5 and 10 nm. A leaf with fewer than ten usable bins has NaN,
     and its `status` says so.
 
-    **Raises:** `InputError` for arrays that do not match, an unknown version, domain or parameter.
+    **Raises:** `InputError` for arrays that do not match, an unknown version, domain or parameter,
+    and where JAX is limited to 32 bits.
 
     NumPy in and out, in float64; not differentiable. For gradients see `prospect`.
 
@@ -253,19 +255,19 @@ def fit_leaf(
     >>> round(float(fit.parameters.water[0]), 3)
     0.012
     """
+    require_double_precision("`fit_leaf`")
     progress = NullProgress() if progress is None else progress
     data = binned_data(wavelength, reflectance, transmittance, detector_changes)
     use = usable_bins(data, domain, outdoor)
-    with jax.enable_x64(True):
-        setup = make_setup(version, measurement, free, error_model)
-        prior = leaf_priors(setup, data, use)
-        parts = []
-        with progress.stage("fitting leaves", len(data)):
-            for at in range(0, len(data), chunk):
-                rows = slice(at, at + chunk)
-                chunk_prior = (prior[0][rows], prior[1][rows])
-                parts.append(fit_chunk(setup, data[rows], use[rows], chunk_prior))
-                progress.advance(len(data[rows]))
+    setup = make_setup(version, measurement, free, error_model)
+    prior = leaf_priors(setup, data, use)
+    parts = []
+    with progress.stage("fitting leaves", len(data)):
+        for at in range(0, len(data), chunk):
+            rows = slice(at, at + chunk)
+            chunk_prior = (prior[0][rows], prior[1][rows])
+            parts.append(fit_chunk(setup, data[rows], use[rows], chunk_prior))
+            progress.advance(len(data[rows]))
     return assemble(setup, parts, data, use)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import require_double_precision
 from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel
@@ -121,33 +122,33 @@ def fit_leaf_groups(
     >>> bool(species.mean.chlorophyll[0] < 45.0 < species.mean.chlorophyll[1])
     True
     """
+    require_double_precision("`fit_leaf_groups`")
     data = binned_data(wavelength, reflectance, transmittance, detector_changes)
     if len(groups) != len(data):
         raise InputError(f"`groups` must name {len(data)} leaves, but has {len(groups)} names")
     labels = tuple(dict.fromkeys(str(g) for g in groups))
     member = np.array([labels.index(str(g)) for g in groups])
     use = usable_bins(data, domain, outdoor)
-    with jax.enable_x64(True):
-        setup = make_setup(version, measurement, free, error_model)
-        leaf_mean, leaf_precision = leaf_priors(setup, data, use)
-        # N estimated from the near-infrared plateau is evidence about the leaf, not its species.
-        line = leaf_precision - setup.prior_precision
-        pull = (leaf_precision @ leaf_mean[:, :, None])[:, :, 0]
-        pull = pull - setup.prior_precision @ setup.prior_mean
-        loose = np.isin(setup.names, setup.free)
-        guess = np.diag(np.where(loose, _WITHIN**2, 1e-6))
-        within, prior = guess, (leaf_mean, leaf_precision)
-        means = np.tile(setup.prior_mean, (len(labels), 1))
-        good = use.sum((1, 2)) >= 10
-        for _ in range(_ROUNDS):
-            state, _, _ = solve_leaves(setup, data, use, prior)
-            means, within = _update(state, member, good, means, within, guess, setup.prior_mean,
-                                    setup.prior_precision)  # fmt: skip
-            inverse = np.linalg.inv(within)
-            precision = inverse + line
-            mean = np.linalg.solve(precision, ((means @ inverse)[member] + pull)[:, :, None])
-            prior = (mean[:, :, 0], precision)
-        leaves = assemble(setup, [fit_chunk(setup, data, use, prior)], data, use)
+    setup = make_setup(version, measurement, free, error_model)
+    leaf_mean, leaf_precision = leaf_priors(setup, data, use)
+    # N estimated from the near-infrared plateau is evidence about the leaf, not its species.
+    line = leaf_precision - setup.prior_precision
+    pull = (leaf_precision @ leaf_mean[:, :, None])[:, :, 0]
+    pull = pull - setup.prior_precision @ setup.prior_mean
+    loose = np.isin(setup.names, setup.free)
+    guess = np.diag(np.where(loose, _WITHIN**2, 1e-6))
+    within, prior = guess, (leaf_mean, leaf_precision)
+    means = np.tile(setup.prior_mean, (len(labels), 1))
+    good = use.sum((1, 2)) >= 10
+    for _ in range(_ROUNDS):
+        state, _, _ = solve_leaves(setup, data, use, prior)
+        means, within = _update(state, member, good, means, within, guess, setup.prior_mean,
+                                setup.prior_precision)  # fmt: skip
+        inverse = np.linalg.inv(within)
+        precision = inverse + line
+        mean = np.linalg.solve(precision, ((means @ inverse)[member] + pull)[:, :, None])
+        prior = (mean[:, :, 0], precision)
+    leaves = assemble(setup, [fit_chunk(setup, data, use, prior)], data, use)
     return LeafGroups(labels, _parameters(means, setup.names), means, within, setup.names, leaves)
 
 

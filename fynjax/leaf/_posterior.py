@@ -12,6 +12,7 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import NullProgress, Progress
 from fynjax._core.sampling import ensemble, hamiltonian
 from fynjax.leaf import _levenberg as lm
@@ -118,11 +119,12 @@ def sample_leaf_posterior(
     """
     if sampler not in ("emcee", "nuts"):
         raise InputError(f'`sampler` must be "emcee" or "nuts", but is {sampler!r}')
+    require_double_precision("`sample_leaf_posterior`")
     progress = NullProgress() if progress is None else progress
     data = binned_data(wavelength, reflectance, transmittance, detector_changes)
     use = usable_bins(data, domain, outdoor)
     random = np.random.default_rng(seed)
-    with jax.enable_x64(True), progress.stage("sampling leaves", len(data)):
+    with progress.stage("sampling leaves", len(data)):
         setup = make_setup(version, measurement, free, error_model)
         state, problems, _ = solve_leaves(setup, data, use, leaf_priors(setup, data, use))
         columns = free_columns(setup)

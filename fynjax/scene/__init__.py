@@ -1,5 +1,10 @@
-"""Scene: a plot put together from leaves, plants, ground and light; what sensors measure of it."""
+"""Scene: a plot put together from leaves, plants, ground and light; what sensors measure of it.
 
+Its light is computed in float32. Importing it lets JAX compute the rest in 64 bits, unless
+`JAX_ENABLE_X64=0` is in the environment.
+"""
+
+from fynjax._core.precision import enable_double_precision
 from fynjax.scene._cover import ProjectedCover, crown_centres, projected_cover
 from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
 from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
@@ -39,6 +44,8 @@ from fynjax.scene._scene import (
 )
 from fynjax.scene._spectra import Spectrum, background_spectrum, band_wavelengths
 from fynjax.scene._table import USUAL_LEAF, species_parameters
+
+enable_double_precision()
 
 __all__ = [
     "COVERS",

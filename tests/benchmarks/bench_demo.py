@@ -120,7 +120,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="no whole demo")
     options = parser.parse_args()
-    jax.config.update("jax_enable_x64", True)  # as the commands have it; the plot is float32
     if not options.quick:
         whole_demo()
     plot_in_this_process()

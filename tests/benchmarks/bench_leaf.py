@@ -230,6 +230,5 @@ def main(folder: Path, error_model: ErrorModel | None = None) -> None:
 
 
 if __name__ == "__main__":
-    jax.config.update("jax_enable_x64", True)
     default = Path(os.environ.get("FYNJAX_SHARED_DATA", "../shared/data")) / "leaf"
     main(Path(sys.argv[1]) if len(sys.argv) > 1 else default)

@@ -136,7 +136,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--save", type=Path)
     options = parser.parse_args(arguments)
-    jax.config.update("jax_enable_x64", True)
     setup = make_setup("D", None, None, None)
     truth, problems = simulate(setup, options.leaves, options.seed, options.reflectance_only)
     found, short = ranks(

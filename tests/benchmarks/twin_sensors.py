@@ -318,7 +318,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=0, help="seed to begin with")
     parser.add_argument("--save", type=Path)
     options = parser.parse_args(arguments)
-    jax.config.update("jax_enable_x64", True)
     read = read_plot(example_folder() / "plot.toml")
     side = (options.size, options.size)
     sensor = dataclasses.replace(read.sensor, pixel_m=options.pixel)

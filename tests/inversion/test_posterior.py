@@ -205,10 +205,9 @@ def test_a_missing_extra_names_the_line_to_type(monkeypatch, tmp_path, module, l
 # -- interrupted ----------------------------------------------------------------------------
 
 CUT = """
-import signal, sys, jax
+import signal, sys
 # A shell that runs the tests in the background has them ignore Ctrl-C.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-jax.config.update("jax_enable_x64", True)
 import fynjax._core.sampling as sampling
 sampling._SAVE_SECONDS = 0.0
 from fynjax.inversion import sample_posterior

@@ -3,7 +3,6 @@
 import sys
 import time
 
-import jax
 import numpy as np
 import pytest
 
@@ -58,9 +57,8 @@ def test_the_two_samplers_agree():
 @pytest.fixture
 def simulated():
     """Leaves from prior and error model: the truth, and the problems that they pose."""
-    with jax.enable_x64(True):
-        setup = make_setup("D", None, None, None)
-        return setup, *simulate(setup, 24, 0, reflectance_only=False)
+    setup = make_setup("D", None, None, None)
+    return setup, *simulate(setup, 24, 0, reflectance_only=False)
 
 
 @pytest.mark.study
@@ -93,4 +91,3 @@ def test_an_empty_leaf_fails_alone():
     assert np.isfinite(posterior.samples[0]).all()
     again = sample_leaf_posterior(GRID, both, draws=16, target=50.0, max_steps=300)
     np.testing.assert_array_equal(again.samples, posterior.samples)
-    assert jax.config.jax_enable_x64

@@ -1,5 +1,6 @@
 """Captures of MicaSense cameras (RedEdge, Altum) and of their reference panels."""
 
+from fynjax._core.precision import enable_double_precision
 from fynjax.io.micasense._capture import (
     AlignedCapture,
     Capture,
@@ -9,6 +10,8 @@ from fynjax.io.micasense._capture import (
     same_capture,
 )
 from fynjax.io.micasense._panel import PanelSeen, panel_reflectance, read_panel
+
+enable_double_precision()
 
 __all__ = [
     "AlignedCapture",

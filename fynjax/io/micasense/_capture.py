@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.io.micasense._metadata import RedEdgeBand, read_rededge_band
 from fynjax.io.raster import Alignment, align_bands
@@ -41,20 +42,20 @@ class Capture:
 
     def radiance(self) -> Float[np.ndarray, "band row column"]:
         """Of each band on its own pixels [W m-2 sr-1 um-1], row 0 at the top; as float32."""
+        require_double_precision("the radiance of a capture")
         read = jax.jit(counts_to_radiance)
-        with jax.enable_x64(True):
-            return np.stack(
-                [np.asarray(read(b.counts.astype(float), b.camera), np.float32) for b in self.bands]
-            )
+        return np.stack(
+            [np.asarray(read(b.counts.astype(float), b.camera), np.float32) for b in self.bands]
+        )
 
     def full_radiance(self) -> Float[np.ndarray, "band row column"]:
         """Radiance [W m-2 sr-1 um-1] from which pixels are full."""
+        require_double_precision("the radiance of a capture")
         read = jax.jit(counts_to_radiance)
-        with jax.enable_x64(True):
-            full = [np.full(b.counts.shape, float(b.saturation)) for b in self.bands]
-            return np.stack(
-                [np.asarray(read(f, b.camera), np.float32) for f, b in zip(full, self.bands)]
-            )
+        full = [np.full(b.counts.shape, float(b.saturation)) for b in self.bands]
+        return np.stack(
+            [np.asarray(read(f, b.camera), np.float32) for f, b in zip(full, self.bands)]
+        )
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,6 @@ def write(model: ErrorModel, output: Path) -> None:
 
 
 if __name__ == "__main__":
-    jax.config.update("jax_enable_x64", True)
     place = Path(sys.argv[1])
     target = Path(
         sys.argv[2] if len(sys.argv) > 2 else Path(__file__).with_name("error_model.csv.gz")
