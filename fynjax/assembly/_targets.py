@@ -83,7 +83,7 @@ class Measured:
     data: Data
     view_of: Callable[[Scene, PlotParameters], AbstractView]
     """The sensor's view of a scene."""
-    told: str
+    description: str
     """What was read and how it is weighed, in sentences."""
     extra: dict[str, Any] = field(default_factory=dict)
     """For the summary."""

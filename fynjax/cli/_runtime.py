@@ -131,7 +131,7 @@ def command(
 
 
 def _listed_files(output: Path, command: str) -> list[str]:
-    """Files that an earlier run of this command lists in its folder; none where it cannot tell.
+    """Files that an earlier run of this command lists in its folder; none if it lists none.
 
     Those of another command stay: they are other results, and may be what this run reads.
     """

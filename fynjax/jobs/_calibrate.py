@@ -173,7 +173,10 @@ def calibrate_to(
         status="ok" if result.fit.converged else f"not converged: {result.fit.explanation}",
         targets=[
             TargetSummary(
-                kind=sensor.kind, file=sensor.file.name, description=sensor.told, **sensor.extra
+                kind=sensor.kind,
+                file=sensor.file.name,
+                description=sensor.description,
+                **sensor.extra,
             )
             for sensor in measured
         ],

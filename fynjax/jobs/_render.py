@@ -30,7 +30,7 @@ SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR"
 
 
 _FEW_BANDS = 8
-"""Bands whose means are told one by one."""
+"""Most bands whose means the headline lists."""
 
 
 class RenderResult(JobResult):

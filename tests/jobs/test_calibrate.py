@@ -118,23 +118,23 @@ def test_a_spectrum_and_a_cloud_together_after_an_interruption(tmp_path):
         calibrate(*arguments, first, seed=0, checkpoint=kept, progress=Interrupting())
     assert not list(first.iterdir())
     before = {p.name: p.stat().st_mtime_ns for p in kept.iterdir()}
-    found = calibrate(*arguments, second, seed=0, checkpoint=kept)
+    calibration = calibrate(*arguments, second, seed=0, checkpoint=kept)
     assert all(p.stat().st_mtime_ns == before[p.name] for p in kept.iterdir() if p.name in before)
-    assert [t.kind for t in found.targets] == ["spectrum", "structure"]
-    names = [s.statistic for s in found.statistics]
+    assert [t.kind for t in calibration.targets] == ["spectrum", "structure"]
+    names = [s.statistic for s in calibration.statistics]
     assert names == [
         *(f"spectrum.{nm}nm" for nm in (550, 680, 860, 1650)),
         *("lidar.gap_fraction", "lidar.rugosity"),
     ]
-    assert misfit(found, "after") < 0.8 * misfit(found, "before")
-    assert {"spectrum.png", "structure.png", "run.nc"} <= set(found.files)
-    assert "image_after.tif" not in found.files
-    assert all((second / name).stat().st_size for name in found.files)
+    assert misfit(calibration, "after") < 0.8 * misfit(calibration, "before")
+    assert {"spectrum.png", "structure.png", "run.nc"} <= set(calibration.files)
+    assert "image_after.tif" not in calibration.files
+    assert all((second / name).stat().st_size for name in calibration.files)
     page = (second / "report.html").read_text("utf-8")
     assert "<h2>The spectrum</h2>" in page
     assert "<h2>The point cloud</h2>" in page
     assert "noise of AVIRIS-NG" in page
-    assert any("RMSE of the spectrum" in line for line in found.headline)
+    assert any("RMSE of the spectrum" in line for line in calibration.headline)
     spectrum.write_text(spectrum.read_text().replace("0.26", "0.27"))
     with pytest.raises(InputError, match="another run"):
         calibrate(*arguments, second, seed=0, checkpoint=kept)

@@ -115,16 +115,16 @@ def test_a_posterior_from_three_sensors(plot, tmp_path):
         "metric,value,sd,grain_m,returns_m2\ngap_fraction,0.45,0.02,1,100\n"
         "rugosity,0.25,0.01,1,100\n"
     )
-    found = []
+    deviations = []
     for name, targets in (("one", []), ("all", [spectrum, cloud])):
         (tmp_path / name).mkdir()
         result = posterior(
             plot, [*targets, plot.with_name("target.csv")], tmp_path / name, method="laplace",
             checkpoint=tmp_path / f"{name}.kept", seed=0,
         )  # fmt: skip
-        found.append({row.name: row.sd for row in result.parameters})
+        deviations.append({row.name: row.sd for row in result.parameters})
     # More sensors, no less known.
-    assert found[1]["ground.brightness"] < 1.1 * found[0]["ground.brightness"]
+    assert deviations[1]["ground.brightness"] < 1.1 * deviations[0]["ground.brightness"]
     with xr.open_dataset(tmp_path / "all" / "posterior.nc", group="observed_data") as data:
         assert {"spectrum.860nm", "lidar.rugosity"} <= set(data["statistic"].values.tolist())
 

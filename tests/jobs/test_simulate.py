@@ -72,7 +72,7 @@ def run(tmp_path_factory):
     return simulate(plot, folder / "out", seed=4), folder / "out"
 
 
-def test_every_file_is_there_and_is_told(run):
+def test_every_file_is_written_and_listed(run):
     summary, folder = run
     assert set(summary.files) | {"reflectance.dat", "radiance.dat"} == {
         p.name for p in folder.iterdir()

@@ -44,11 +44,11 @@ def test_files_are_there_and_agree(run):
         assert np.all(peak > 0)
         # The highest sample of the first echo is where the point is.
         first = int(np.asarray(cloud.pulse)[0])
-        one = data.isel(pulse=first)
-        distance = float(one.first_range + one.sample[int(np.argmax(one.waveform.values))])
-        found = one.origin_z + distance * one.direction_z
-        own = z[np.asarray(cloud.pulse) == first]
-        assert np.abs(own - float(found)).min() < 0.15
+        pulse = data.isel(pulse=first)
+        distance = float(pulse.first_range + pulse.sample[int(np.argmax(pulse.waveform.values))])
+        height = pulse.origin_z + distance * pulse.direction_z
+        points_of_pulse = z[np.asarray(cloud.pulse) == first]
+        assert np.abs(points_of_pulse - float(height)).min() < 0.15
 
 
 def test_the_summary_says_what_was_measured(run):

@@ -49,7 +49,7 @@ def test_slopes_ditches_and_steps_are_ground() -> None:
         assert without_pits(cloud, np.ones(400, bool), 0.5).all()
 
 
-def test_what_lies_below_the_ground_is_told_from_plants() -> None:
+def test_points_below_the_ground_are_not_plants() -> None:
     cloud = surface(lambda x, y: 0.8 * x)
     ground = np.arange(400) % 4 == 0
     cloud.z[1::4] += 1.0
@@ -95,8 +95,8 @@ FEW = {"real_ground": "none", "simulated_ground": "none", "repetitions": 3, "bou
 
 def notes(folder: Path, real: str = "real", preset: str | None = None, **options: object) -> str:
     settings = cloud_settings(preset, {**FEW, **options})
-    found = compare_clouds(folder / f"{real}.las", folder / "simulated.las", settings=settings)
-    return " ".join(found.notes)
+    comparison = compare_clouds(folder / f"{real}.las", folder / "simulated.las", settings=settings)
+    return " ".join(comparison.notes)
 
 
 def test_notes_name_what_makes_numbers_doubtful(clouds: Path) -> None:
@@ -117,12 +117,12 @@ def test_notes_name_what_makes_numbers_doubtful(clouds: Path) -> None:
 
 def test_bare_ground_is_not_measured_by_its_rounding(clouds: Path) -> None:
     settings = cloud_settings(None, {**FEW, "grain": 2.0})
-    found = compare_clouds(clouds / "bare.las", clouds / "simulated.las", settings=settings)
-    metrics = {one.name: one for one in found.metrics}
+    comparison = compare_clouds(clouds / "bare.las", clouds / "simulated.las", settings=settings)
+    metrics = {metric.name: metric for metric in comparison.metrics}
     assert metrics["height_cv"].real.value is None
     assert metrics["rugosity"].real.value == 0.0
     assert metrics["rugosity"].difference_percent is None
-    assert "height cv is undefined in the real cloud" in " ".join(found.notes)
+    assert "height cv is undefined in the real cloud" in " ".join(comparison.notes)
 
 
 def test_options_reach_the_settings_and_override_the_preset() -> None:
@@ -152,8 +152,10 @@ def test_options_reach_the_settings_and_override_the_preset() -> None:
 def test_a_shift_upwards_moves_given_heights(clouds: Path) -> None:
     def percentiles(up: float) -> np.ndarray:
         settings = cloud_settings(None, {**FEW, "grain": 5.0, "shift": (0.0, 0.0, up)})
-        found = compare_clouds(clouds / "real.las", clouds / "simulated.las", settings=settings)
-        return found.simulated.percentiles
+        comparison = compare_clouds(
+            clouds / "real.las", clouds / "simulated.las", settings=settings
+        )
+        return comparison.simulated.percentiles
 
     np.testing.assert_allclose(percentiles(0.5), percentiles(0.0) + 0.5, atol=2e-3)
 

@@ -285,7 +285,7 @@ def test_every_real_plot_loads_and_its_mean_leaf_is_the_published_one(
     folder = shared_data / "eco" / "bioscape"
     with (folder / "compatible_SpectraCWM.csv").open() as file:
         published = {r["sample_id"]: float(r["LMA_CWM"]) for r in csv.DictReader(file)}
-    found, expected = [], []
+    estimated, expected = [], []
     for plot in _real(folder):
         write_plot_files(plot, tmp_path / plot.name)
         written = read_plot(tmp_path / plot.name / "plot.toml")
@@ -303,13 +303,13 @@ def test_every_real_plot_loads_and_its_mean_leaf_is_the_published_one(
                 ratio = float(sources[species.taxon, "leaf_area_ratio"]["value"])
                 mass += species.cover * species.leaf.parameters["dry_matter"] * 1e4 * ratio
         if plot.name in published:
-            found.append(mass / total)
+            estimated.append(mass / total)
             expected.append(published[plot.name])
-    assert len(found) >= 5
-    assert np.corrcoef(found, expected)[0, 1] > 0.999
+    assert len(estimated) >= 5
+    assert np.corrcoef(estimated, expected)[0, 1] > 0.999
     # T098 has a species twice in the published mean; all else is the same to rounding.
-    assert np.sqrt(np.mean(np.subtract(found, expected) ** 2)) < 1.0
-    assert np.median(np.abs(np.subtract(found, expected))) < 0.01
+    assert np.sqrt(np.mean(np.subtract(estimated, expected) ** 2)) < 1.0
+    assert np.median(np.abs(np.subtract(estimated, expected))) < 0.01
 
 
 def test_real_leaves_lie_where_prospect_is_valid(shared_data: Path) -> None:

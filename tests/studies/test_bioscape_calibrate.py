@@ -63,12 +63,12 @@ def test_at_one_a_plot_is_what_its_tables_say(plots):
         assert quantity(reference, "water_content", 1.0) == pytest.approx(water)
         assert reference.factor(reference.live(0.8)) == pytest.approx(0.8)
         # Twice the water of a leaf that holds half of its mass: two thirds.
-        one = replace(
+        species = replace(
             plot.species[0],
             traits=plot.species[0].traits
             | {"water_content": replace(plot.species[0].traits["water_content"], value=50.0)},
         )
-        alone = Reference(replace(plot, species=(one,)))
+        alone = Reference(replace(plot, species=(species,)))
         assert quantity(alone, "water_content", 2.0) == pytest.approx(200.0 / 3.0)
 
 
@@ -121,7 +121,7 @@ def test_the_mean_and_spread_of_other_plots_leave_one_out():
 
 def test_the_field_counts_what_was_measured(plots):
     plot = plots[0]
-    found = field_values([plot])
+    field = field_values([plot])
     kept = [
         (s.cover, s.traits["leaf_mass_per_area"].value)
         for s in plot.species
@@ -129,8 +129,8 @@ def test_the_field_counts_what_was_measured(plots):
     ]
     total = sum(c for c, _ in kept)
     expected = sum(c * v for c, v in kept) / total if kept else np.nan
-    assert found.value["leaf_mass_per_area"][0] == pytest.approx(expected, nan_ok=True)
-    assert found.share["leaf_mass_per_area"][0] == pytest.approx(total / plot.listed_cover)
+    assert field.value["leaf_mass_per_area"][0] == pytest.approx(expected, nan_ok=True)
+    assert field.share["leaf_mass_per_area"][0] == pytest.approx(total / plot.listed_cover)
 
 
 def test_intervals_and_scores_by_hand(plots):
@@ -216,17 +216,17 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
     density = LogPosterior(
         predict, space, Data(view.names, shape, shape + 1), shape, (models[-1], parameters)
     )
-    seen = np.asarray(predicted_statistics(density, truth))
-    data = weigh_spectrum(view.names, seen, 0.01, gain=0.0, offset=1e-4)
-    found = infer_plot(predict, data, space, parameters, models[:-1], keep_nothing)
-    assert found.converged
-    assert found.misfit[1] < 0.5 * found.misfit[0]
-    off = (found.whitened - np.asarray(truth)) / np.sqrt(np.diagonal(found.covariance))
-    print(dict(zip(FREE, off.round(2))), found.misfit)
+    spectrum = np.asarray(predicted_statistics(density, truth))
+    data = weigh_spectrum(view.names, spectrum, 0.01, gain=0.0, offset=1e-4)
+    estimate = infer_plot(predict, data, space, parameters, models[:-1], keep_nothing)
+    assert estimate.converged
+    assert estimate.misfit[1] < 0.5 * estimate.misfit[0]
+    off = (estimate.whitened - np.asarray(truth)) / np.sqrt(np.diagonal(estimate.covariance))
+    print(dict(zip(FREE, off.round(2))), estimate.misfit)
     assert np.abs(off).max() < 3.0
-    known = dict(zip(FREE, found.constrained))
+    known = dict(zip(FREE, estimate.constrained))
     assert known["chlorophyll"] > 0.75
-    assert abs(found.whitened[list(FREE).index("chlorophyll")] + 1.5) < 0.7
+    assert abs(estimate.whitened[list(FREE).index("chlorophyll")] + 1.5) < 0.7
 
     u = truth * 0.5
     density = replace(density, context=(models[0], parameters))

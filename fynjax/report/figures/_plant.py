@@ -14,7 +14,7 @@ from fynjax.report.figures._style import style
 _COLOURS = {Organ.LEAF: "#3F7D2B", Organ.WOOD: "#6B4A2F", Organ.FLOWER: "#CC79A7"}
 _MOST_DRAWN = 20_000
 _THINNEST = 0.12
-"""Least width of a disc seen from its edge, per its length: that it can be seen."""
+"""Least width of a disc in the picture over its length, so that an edge-on disc is visible [-]."""
 
 
 def plant_figure(model: MeshPlant) -> Figure:

@@ -30,4 +30,4 @@ def sensor_section(measured: Measured, table: pd.DataFrame) -> Section:
             "Each metric of the real cloud with its error.",
         )
     rows = Table(table, f"{title}, real and simulated.", folded=True)
-    return Section(title, [measured.told, picture, rows])
+    return Section(title, [measured.description, picture, rows])

@@ -129,8 +129,8 @@ DEFAULT_TRAITS = {"leaf_mass_per_area": 200.0, "water_content": 52.0}
 """For a form of which the library has no measured species [g m-2, %]: a sclerophyllous leaf."""
 
 STANDING_DEAD = 0.5
-"""Share of the dead cover that stands, the rest is litter [-]. The tables do not tell the two
-apart, so neither is preferred."""
+"""Share of the dead cover that stands, the rest is litter [-]. The tables do not
+distinguish the two, so neither is preferred."""
 
 OPEN_GROUND_LITTER = 0.5
 """Share of the ground under litter where a plot shows no ground at all [-]."""

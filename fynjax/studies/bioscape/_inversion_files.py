@@ -250,8 +250,9 @@ def _how(resolution: Resolution, realisations: int) -> list[str]:
     return [
         f"Each plot is a square of {resolution.size_m:g} m that repeats itself, in voxels of "
         f"{100 * resolution.voxel_m:g} cm, with the species of its table. Parameters are those of "
-        "the whole plot, factors on what its tables say: a mean spectrum does not tell species "
-        "apart. They are fitted by least squares; intervals are of the Gaussian about the fit, "
+        "the whole plot, factors on what its tables say: a mean spectrum does not "
+        "distinguish species. They are fitted by least squares; intervals are of the Gaussian "
+        "about the fit, "
         f"and only sensitivity that {realisations} stand realisations share counts as information.",
         f"Errors of a spectrum: {100 * MODEL_SD:g} % in each band for itself, a gain and an offset "
         "common to all bands, and what flights over one plot differ by, pooled over the plots, "
