@@ -91,8 +91,8 @@ def test_a_staged_folder_arrives_whole_or_not_at_all(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert not target.exists()
-    assert list(target.parent.iterdir()) == []
-    target.mkdir()
+    assert list(tmp_path.iterdir()) == []  # not even the folders that it was to lie in
+    target.mkdir(parents=True)
     (target / "mine.txt").write_text("kept")
     (target / "a.txt").write_text("old")
     with staged_folder(target) as folder:
