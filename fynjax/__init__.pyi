@@ -27,5 +27,8 @@ from .leaf import LeafParameters as LeafParameters
 from .leaf import fit_leaf as fit_leaf
 from .leaf import prospect as prospect
 from .radiation import canopy_reflectance as canopy_reflectance
+from .scene import Placement as Placement
+from .scene import Scene as Scene
+from .scene import observe as observe
 
 __version__: str

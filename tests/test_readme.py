@@ -4,6 +4,7 @@ import re
 import runpy
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,12 +21,25 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
 
 
+def run_example(number: int, folder: Path) -> dict[str, Any]:
+    """Names that one of the README's Python examples leaves."""
+    script = folder / "example.py"
+    script.write_text(blocks("python")[number], "utf-8")
+    return runpy.run_path(str(script))
+
+
+def test_a_scene_from_a_table_is_seen_by_a_drone(tmp_path: Path) -> None:
+    source = blocks("python")[0]
+    assert sum(bool(line.strip()) for line in source.splitlines()) < 10
+    image = run_example(0, tmp_path)["image"].reflectance
+    assert image.shape == (4, 20, 20)
+    green, red, red_edge, nir = np.asarray(image.mean(axis=(1, 2)))
+    assert 0 < red < green < red_edge < nir < 0.6
+
+
 @pytest.mark.slow
-def test_python_example_runs_and_closes_the_energy(tmp_path: Path) -> None:
-    (source,) = blocks("python")
-    script = tmp_path / "example.py"
-    script.write_text(source, "utf-8")
-    names = runpy.run_path(str(script))
+def test_radiation_example_closes_the_energy(tmp_path: Path) -> None:
+    names = run_example(1, tmp_path)
     nadir, share, gradient = names["nadir"], names["share"], names["gradient"]
     closed = share.albedo + share.absorbed.sum(axis=1) + share.ground_absorbed
     np.testing.assert_allclose(closed, 1.0, atol=1e-4)
