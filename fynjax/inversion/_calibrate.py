@@ -42,7 +42,7 @@ class Calibration(eqx.Module):
     """The targets, their errors grown by what other plantings change."""
     ends: "Ends"
     """Where the search ended from each start."""
-    seconds: dict[str, float] = eqx.field(static=True)
+    seconds: dict[str, float]
     """Wall time of a full render, of a step of the search (a value and the gradient of every
     statistic, for least squares) and of the whole search, compilation included [s]."""
 

@@ -12,7 +12,7 @@ from fynjax.leaf._error_model import (
     estimate_error_model,
     independent_error_model,
 )
-from fynjax.leaf._fit import TRAIT_DISCREPANCY, LeafFit, fit_leaf
+from fynjax.leaf._fit import TRAIT_DISCREPANCY, LeafFit, LeafStatus, fit_leaf
 from fynjax.leaf._groups import LeafGroups, fit_leaf_groups
 from fynjax.leaf._measurement import (
     AbstractMeasurement,
@@ -46,6 +46,7 @@ __all__ = [
     "LeafParameters",
     "LeafPosterior",
     "LeafStack",
+    "LeafStatus",
     "ProspectVersion",
     "correct_detector_jumps",
     "default_error_model",

@@ -1,5 +1,6 @@
 """From spectra to leaf chemistry, transmittance and their uncertainty."""
 
+import enum
 from collections.abc import Sequence
 from typing import Any
 
@@ -7,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import NullProgress, Progress
@@ -50,6 +51,25 @@ spectra are of unknown geometry, reach two of three. The values of protein and C
 """
 
 
+class LeafStatus(enum.IntEnum):
+    """Whether a leaf's fit converged, or the first reason to doubt it."""
+
+    converged = 0
+    poor_fit = 1
+    at_bound = 2
+    max_steps = 3
+    failed = 4
+
+
+_SENTENCES = {
+    LeafStatus.converged: "converged",
+    LeafStatus.poor_fit: "converged, poor fit: unlike any leaf of the error model",
+    LeafStatus.at_bound: "at bound: ",
+    LeafStatus.max_steps: "not converged: iteration limit reached",
+    LeafStatus.failed: "failed: fewer than ten usable bands within 450-2400 nm",
+}
+
+
 class LeafFit(eqx.Module):
     """Parameters, spectra and uncertainties that `fit_leaf` estimates for each leaf."""
 
@@ -85,8 +105,20 @@ class LeafFit(eqx.Module):
     """Factor on the error covariance because the leaf fits worse than those it stems from [-]."""
     converged: Bool[np.ndarray, " leaf"]
     """Whether the iteration reached its tolerance."""
-    status: tuple[str, ...] = eqx.field(static=True)
-    """`converged`, or the reason to doubt the result, for each leaf."""
+    reason: Int[np.ndarray, " leaf"]
+    """`LeafStatus` of each leaf."""
+    at_bound: Bool[np.ndarray, "leaf parameter"]
+    """Whether a parameter is within 1 % of its range from its upper bound."""
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        """`converged`, or the reason to doubt the result, for each leaf."""
+        sentences = []
+        for code, at_bound in zip(self.reason, self.at_bound):
+            bounded = [name for name, at in zip(self.names, at_bound) if at]
+            listed = ", ".join(bounded) if code == LeafStatus.at_bound else ""
+            sentences.append(_SENTENCES[LeafStatus(code)] + listed)
+        return tuple(sentences)
 
 
 def _forward_substitution(system: Array, right: Array) -> Array:
@@ -308,18 +340,11 @@ def assemble(
     square = np.where(use, (np.where(use, data, 0.0) - got["recorded"]) ** 2, 0.0)
     rmse = np.sqrt(square.sum((1, 2)) / np.maximum(use.sum((1, 2)), 1))
     at_bound = (got["x"] > bounds[:, 1] - 0.01 * width) & np.isin(names, free)
-    status = []
-    for i in range(len(data)):
-        if few[i]:
-            status.append("failed: fewer than ten usable bands within 450-2400 nm")
-        elif not got["converged"][i]:
-            status.append("not converged: iteration limit reached")
-        elif at_bound[i].any():
-            status.append(f"at bound: {', '.join(np.array(names)[at_bound[i]])}")
-        elif got["inflation"][i] > _POOR_FIT:
-            status.append("converged, poor fit: unlike any leaf of the error model")
-        else:
-            status.append("converged")
+    reason = np.select(
+        [few, ~got["converged"], at_bound.any(1), got["inflation"] > _POOR_FIT],
+        [LeafStatus.failed, LeafStatus.max_steps, LeafStatus.at_bound, LeafStatus.poor_fit],
+        LeafStatus.converged,
+    )
     for key in ("x", "recorded", "corrected", "variance"):
         got[key][few] = np.nan
     spread = np.sqrt(np.einsum("npp->np", covariance))
@@ -343,5 +368,6 @@ def assemble(
         chi2=got["chi2"],
         inflation=got["inflation"],
         converged=got["converged"] & ~few,
-        status=tuple(status),
+        reason=reason,
+        at_bound=at_bound[:, chosen],
     )  # fmt: skip

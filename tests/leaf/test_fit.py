@@ -1,5 +1,6 @@
 """The inversion: recovery, calibration on leaves drawn from the error model, real leaves."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +13,7 @@ from fynjax.leaf import (
     LeafOverBackground,
     LeafParameters,
     LeafStack,
+    LeafStatus,
     correct_detector_jumps,
     default_error_model,
     fit_leaf,
@@ -222,6 +224,11 @@ def test_a_glitch_hidden_by_its_bin_is_no_water_band_and_a_soil_is_no_leaf():
         assert abs(other / plain - 1) < 0.1, trait
     assert fit.status[:2] == ("converged", "converged")
     assert "poor fit" in fit.status[2]
+    assert fit.reason.tolist() == [LeafStatus.converged, LeafStatus.converged, LeafStatus.poor_fit]
+    # Fits with other outcomes have the same structure, so that what takes one compiles once.
+    doubted = eqx.tree_at(lambda f: f.reason, fit, np.full(3, LeafStatus.failed))
+    assert jax.tree.structure(doubted) == jax.tree.structure(fit)
+    assert all(sentence.startswith("failed") for sentence in doubted.status)
 
 
 @pytest.mark.slow
