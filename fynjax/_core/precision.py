@@ -32,7 +32,7 @@ def require_double_precision(what: str) -> None:
 
     **Raises:** `InputError` if JAX is limited to 32 bits.
     """
-    if not jax.config.jax_enable_x64:
+    if not jax.config.read("jax_enable_x64"):
         raise InputError(
             f"{what} needs numbers of 64 bits, but JAX is set to 32. Leave out the environment "
             'variable JAX_ENABLE_X64=0, or call jax.config.update("jax_enable_x64", True)'
