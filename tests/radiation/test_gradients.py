@@ -99,7 +99,7 @@ def test_derivatives_at_the_default_tolerance():
         assert got == pytest.approx(want, rel=near)
 
 
-@pytest.fixture(scope="module", params=["periodic", "open"])
+@pytest.fixture(scope="module", params=["periodic", pytest.param("open", marks=pytest.mark.study)])
 def scene(request):
     return with_options(request.param)
 
