@@ -29,7 +29,7 @@ from fynjax.assembly import build_plot
 from fynjax.inversion import COARSE, coarser
 from fynjax.io.instruments import load_lidar, load_sensor
 from fynjax.io.plot import example_folder, read_plot
-from fynjax.scene import Placement, PlotAir, aim, observe, replant
+from fynjax.scene import Placement, PlotAir, aim, observe, stand_realisation
 
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer pixels and channels
 SIDE = 2.0 if FAST else 6.0  # m
@@ -225,7 +225,7 @@ def figures(scene, parameters):
 first = figures(scene, table)
 others = []
 for seed in range(1, 5):
-    others.append(list(figures(replant(scene, seed), table).values()))
+    others.append(list(figures(stand_realisation(scene, seed), table).values()))
 chance = np.std([list(first.values()), *others], axis=0, ddof=1)
 
 erica = plot.taxa.index("Erica irregularis")

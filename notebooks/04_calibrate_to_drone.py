@@ -36,7 +36,7 @@ from fynjax.inversion import (
 from fynjax.io.instruments import load_sensor
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.metrics import image_statistics
-from fynjax.scene import named_values, replant
+from fynjax.scene import named_values, stand_realisation
 
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer steps
 SIDE = 2.0 if FAST else 4.0  # m
@@ -48,7 +48,7 @@ PIXEL = 0.1 if FAST else 0.05  # m
 # The table is that of the plot burnt in 2006. In truth there is less of *Erica*, more of
 # *Indigofera*, the leaves hold a third less chlorophyll, and there is less litter on the ground.
 # The real plants also stand elsewhere than those of the simulation, for nobody measured where each
-# stands: `replant` draws other places.
+# stands: `stand_realisation` draws other places.
 
 # %%
 plot = read_plot(example_folder() / "plot.toml")
@@ -71,7 +71,7 @@ truth = eqx.tree_at(
 
 drone = aim_without_air(plot, scene, table, load_sensor("mavic_3m"))
 render = eqx.filter_jit(lambda scene, parameters: drone.observe(scene, parameters).reflectance)
-measured = render(replant(scene, 99), truth)
+measured = render(stand_realisation(scene, 99), truth)
 
 # %% [markdown]
 # ## What is compared
@@ -257,8 +257,8 @@ plt.show()
 # %%
 print("Hardly seen at all, for instance:")
 for direction in fit.weakly_constrained_directions(2):
-    told = [f"{w:+.2f} {short(n)}" for n, w in direction.items() if abs(w) > 0.1]
-    print("  ", " with ".join(told))
+    terms = [f"{w:+.2f} {short(n)}" for n, w in direction.items() if abs(w) > 0.1]
+    print("  ", " with ".join(terms))
 best = {n: float(w) for n, w in zip(space.names, np.asarray(fit.modes)[0]) if abs(w) > 0.25}
 print("Best seen:", " with ".join(f"{w:+.2f} {short(n)}" for n, w in best.items()))
 

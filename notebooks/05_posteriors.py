@@ -41,7 +41,7 @@ from fynjax.inversion import (
 )
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.leaf import LeafParameters, fit_leaf, prospect, sample_leaf_posterior
-from fynjax.scene import replant
+from fynjax.scene import stand_realisation
 
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # shorter chains, a smaller plot
 
@@ -215,7 +215,7 @@ def render(values, scene):
 measure = jax.jit(render)
 truth = jnp.array([0.85, 0.75, 0.5])
 middle = space.prior
-measured = measure(truth, replant(scene, 99))
+measured = measure(truth, stand_realisation(scene, 99))
 
 # %% [markdown]
 # ## A stand-in for the renderer
@@ -248,7 +248,7 @@ def predict(values):
     return jnp.exp(powers(space.whitened(values)) @ coefficients)
 
 
-plantings = jnp.stack([measure(middle, replant(scene, seed)) for seed in range(1, 17)])
+plantings = jnp.stack([measure(middle, stand_realisation(scene, seed)) for seed in range(1, 17)])
 data = weigh_targets(
     statistics, np.asarray(measured), 0.02, sd=np.asarray(measured) * np.hypot(0.02, wrong)
 )

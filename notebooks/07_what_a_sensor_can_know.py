@@ -14,7 +14,7 @@
 # From which pixel size on does a species vanish from the data, and do more bands bring it back? No
 # algorithm can do better than the Cramér-Rao bound: the slopes of what a sensor measures, against
 # its errors, limit how well any unbiased method can know a cover. Where that bound exceeds the
-# cover itself, the species cannot be told from absent.
+# cover itself, the species cannot be distinguished from absent.
 
 # %%
 import dataclasses
@@ -78,7 +78,7 @@ found = sweep_sensors(
     bands=BANDS,
     noise=(0.01,),
     error=0.01,
-    replants=8 if FAST else 11,
+    stand_realisations=8 if FAST else 11,
 )
 by = {(setting.gsd, setting.bands): information for setting, information in found}
 print(f"{len(found)} sensors, {len(space.names)} parameters")
@@ -117,7 +117,7 @@ ax.set(
     xlabel="size of a pixel on the ground [m]",
     ylabel=f"bound on the cover / cover ({CEILING:g} or more at the top)",
     ylim=(None, 1.5 * CEILING),
-    title=f"{most} bands: {kept} of {len(shown)} species can be told from absent at some size",
+    title=f"{most} bands: {kept} of {len(shown)} species can be distinguished at some size",
 )
 ax.set_xticks(GSD, [f"{gsd:g}" for gsd in GSD])
 ax.minorticks_off()
@@ -200,14 +200,14 @@ plt.show()
 
 
 # %%
-def told(direction):
+def sentence(direction):
     parts = sorted(direction.items(), key=lambda item: -abs(item[1]))[:3]
     return ", ".join(f"{n.removeprefix('species.')} {w:+.2f}" for n, w in parts)
 
 
-print("seen best: ", told(dict(zip(fine.names, fine.modes[0].tolist()))))
+print("best known: ", sentence(dict(zip(fine.names, fine.modes[0].tolist()))))
 for direction in fine.weakly_constrained_directions()[:2]:
-    print("not at all:", told(direction))
+    print("not known: ", sentence(direction))
 
 # %% [markdown]
 # ## Two sensors, or a better look at the ground?
@@ -233,7 +233,7 @@ for i in order:
 # chosen, and a model that is right. What it calls lost is lost for data of this kind; what it calls
 # known still needs a method that reaches it. And it is measured on a few plantings: a slope that
 # these do not prove counts as none. So a finer pixel may look worse than a coarser one by chance;
-# more `replants` and a larger plot smooth that out.
+# more `stand_realisations` and a larger plot smooth that out.
 #
 # **For your own data**: your `plot.toml`, pixels and bands of the cameras you can choose from,
 # their noise. `sun_zenith=(20, 40, 60)` asks when to fly. `fynjax information plot.toml` does the

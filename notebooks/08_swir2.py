@@ -321,8 +321,8 @@ for name, (function, right_value, plausible, _, _) in suspects.items():
     spectrum, slope = function(right_value + 0.1 * way)
     change = np.asarray(slopes_of_figures(spectrum) @ slope) * way
     by_slope[name] = change[0]
-    told = f"{needed / change[0]:8.1f} ways" if change[0] < 0 else "  wrong sign"
-    print(f"{name:<24}{change[0]:>+9.4f}{change[1]:>+8.1f}°{change[2]:>+9.3f}{told:>12}")
+    text = f"{needed / change[0]:8.1f} ways" if change[0] < 0 else "  wrong sign"
+    print(f"{name:<24}{change[0]:>+9.4f}{change[1]:>+8.1f}°{change[2]:>+9.3f}{text:>12}")
 
 # %% [markdown]
 # ## What finite changes say
@@ -390,12 +390,12 @@ for name, (*_, unit) in suspects.items():
         share = (mean[k - 1] - SIMULATED) / (mean[k - 1] - mean[k])
         at = values[k - 1] + share * (values[k] - values[k - 1])
         angle, r = rows[k - 1, 1:] + share * (rows[k, 1:] - rows[k - 1, 1:])
-        told = f"{at:.3g} {unit}"
+        text = f"{at:.3g} {unit}"
     else:
         k = int(np.argmin(mean))
         angle, r = rows[k, 1:]
-        told = f"not reached: {mean[k]:.3f} at {values[k]:.3g}"
-    print(f"{name:<18}{told:<38}{angle:>7.0f}°{r:>8.3f}")
+        text = f"not reached: {mean[k]:.3f} at {values[k]:.3g}"
+    print(f"{name:<18}{text:<38}{angle:>7.0f}°{r:>8.3f}")
 print(f"{'as printed':<18}{'':<38}{printed.spectral_angle:>7.0f}°{printed.correlation:>8.3f}")
 
 # %% [markdown]

@@ -192,8 +192,8 @@ def image_target(plot: Plot, path: Path, progress: Progress) -> Measured:
         keep = _used(plot, read.names, "the target's rows")
         names = [read.names[i] for i in keep]
         data = weigh_targets(names, read.value[keep], share, sd=read.sd[keep])
-    told = f"{path.name}: {len(data.names)} statistics of a drone's image."
-    return Measured("image", path, data, drone_view(plot, data.names), told, extra)
+    description = f"{path.name}: {len(data.names)} statistics of a drone's image."
+    return Measured("image", path, data, drone_view(plot, data.names), description, extra)
 
 
 def drone_view(
@@ -246,7 +246,7 @@ def spectrum_target(plot: Plot, path: Path, progress: Progress) -> Measured:
         data = weigh_spectrum(names, value, share, noise=noise, sampling=sampling)
     except InputError as error:
         raise InputError(str(error), file=path) from error
-    told = (
+    description = (
         f"{path.name}: {sample.description()} Their mean is compared in {len(bands)} bands, "
         f"{bands.centre[0]:.0f} to {bands.centre[-1]:.0f} nm outside the water windows, at the "
         "full width of the bands. Errors: "
@@ -259,7 +259,7 @@ def spectrum_target(plot: Plot, path: Path, progress: Progress) -> Measured:
     def view_of(scene: Scene, parameters: PlotParameters) -> AbstractView:
         return spectrum_view(bands, scene, parameters)
 
-    return Measured("spectrum", path, data, view_of, told, extra, (grid, mean), bands)
+    return Measured("spectrum", path, data, view_of, description, extra, (grid, mean), bands)
 
 
 def reflectance_noise(
@@ -327,12 +327,14 @@ def structure_target(plot: Plot, path: Path, seed: int, progress: Progress) -> M
     view = structure_view(names, settings, grain=grain, pulses=pulses)
     value, sd = (np.array([values[name][k] for name in names]) for k in (0, 1))
     data = weigh_structure(view.names, value, plot.calibration.target_sd, sd=np.nan_to_num(sd))
-    told = (
+    description = (
         f"{path.name}: {len(names)} structure metrics in cells of {grain:g} m, {pulses:.3g} "
         f"returns a square metre. Errors: of sampling by {how}, and what the smooth metrics of "
         "the voxels are off by."
     )
-    return Measured("structure", path, data, lambda *_: view, told, {**extra, "grain_m": grain})
+    return Measured(
+        "structure", path, data, lambda *_: view, description, {**extra, "grain_m": grain}
+    )
 
 
 def structure_settings(plot: Plot) -> tuple[StructureSettings, tuple[float, ...]]:

@@ -19,7 +19,14 @@ from fynjax.inversion._search import COARSE, CalibrationSettings, End, Search, s
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
 from fynjax.inversion._views import AbstractView, ImageView
 from fynjax.radiation import Accuracy
-from fynjax.scene import AimedSensor, PlotParameters, Scene, fitted_accuracy, named_values, replant
+from fynjax.scene import (
+    AimedSensor,
+    PlotParameters,
+    Scene,
+    fitted_accuracy,
+    named_values,
+    stand_realisation,
+)
 
 
 class Calibration(eqx.Module):
@@ -170,12 +177,12 @@ def calibrate_plot(
     result, grown = best.fit, data
     realisations = range(1, settings.stand_realisations + 1)
     if realisations and np.isfinite(np.asarray(result.jacobian)).all():
-        plantings = [replant(scene, s) for s in realisations]
+        plantings = [stand_realisation(scene, s) for s in realisations]
         clock, done = time.perf_counter(), search.done
         looked = [search.look(best.plot, planted)[0] for planted in plantings]
         if search.done > done:
             seconds["render_s"] = (time.perf_counter() - clock) / (search.done - done)
-        slopes = [search.slopes(best.u, replant(search.quick, s)) for s in realisations]
+        slopes = [search.slopes(best.u, stand_realisation(search.quick, s)) for s in realisations]
         deviations = jnp.stack(looked) - best.statistics
         grown = data.with_scatter(deviations)
         result = result.marginal(deviations, jnp.stack(slopes))

@@ -25,7 +25,7 @@ from fynjax.scene import (
     PlotParameters,
     Scene,
     aim,
-    replant,
+    stand_realisation,
     with_values,
 )
 from fynjax.sensors import BandSet, Sensor
@@ -78,7 +78,7 @@ def sweep_sensors(
     noise: Sequence[float] = (0.01,),
     sun_zenith: Sequence[float] | None = None,
     error: float = 0.01,
-    replants: int = 4,
+    stand_realisations: int = 4,
     draws: int = 4,
     coarse: Accuracy = COARSE,
     seed: int = 0,
@@ -89,8 +89,9 @@ def sweep_sensors(
     What a sensor gives are statistics of its image: of each band the mean and, with four pixels or
     more, the standard deviation; with 25 or more also the quantiles 10, 50 and 90 %. Errors are
     the noise of the pixels, an error of `error` times each statistic (calibration, the model),
-    and where the plants stand: that is nobody's knowledge, so it is measured on `replants` other
-    plantings as in `calibrate_plot`, and only slopes that all plantings share are information.
+    and where the plants stand: nobody measured that, so it is estimated from as many other
+    `stand_realisations` as in `calibrate_plot`; only sensitivity that realisations share is
+    information.
 
     Each planting and sun is rendered once with its derivatives by forward mode, in the finest
     pixels and the sensor's bands; coarser pixels and wider bands are averages of those. Light has
@@ -111,11 +112,14 @@ def sweep_sensors(
     Raises `InputError` for settings that do not fit scene or sensor.
     """
     fine = min(gsd)
-    steps = _check(scene, len(sensor.bands), gsd, bands, noise, replants)
+    steps = _check(scene, len(sensor.bands), gsd, bands, noise, stand_realisations)
     progress = NullProgress() if progress is None else progress
     quick = coarser(scene)
     placement = dataclasses.replace(placement or Placement(), pixel=fine)
-    plantings = [quick, *(replant(quick, one) for one in range(1, replants + 1))]
+    plantings = [
+        quick,
+        *(stand_realisation(quick, one) for one in range(1, stand_realisations + 1)),
+    ]
     centre = np.asarray(parameters.light.sun_zenith, float)
     suns = [float(centre)] if sun_zenith is None else [float(s) for s in sun_zenith]
     at = space.physical(jnp.zeros(len(space.names)))
@@ -151,15 +155,15 @@ def _check(
     gsd: Sequence[float],
     bands: Sequence[int],
     noise: Sequence[float],
-    replants: int,
+    stand_realisations: int,
 ) -> list[int]:
     """Finest pixels on the side of each pixel."""
     if not gsd or not bands or not noise or min(gsd) <= 0 or min(noise) <= 0:
         raise InputError("`gsd`, `bands` and `noise` must be given and positive")
-    if replants < 2:
+    if stand_realisations < 2:
         raise InputError(
-            "slopes that plantings share need three of them: `replants` must be at least 2, but is "
-            f"{replants}"
+            "expected at least 2 `stand_realisations`, which with the stand itself are the three that "
+            f"shared slopes need, but got {stand_realisations}"
         )
     fine = min(gsd)
     steps = [round(size / fine) for size in gsd]

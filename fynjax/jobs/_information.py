@@ -85,7 +85,7 @@ def information(
         noise=noise,
         sun_zenith=sun_zenith,
         error=error,
-        replants=realisations,
+        stand_realisations=realisations,
         seed=run.seed,
         progress=run.progress,
     )

@@ -40,7 +40,7 @@ from fynjax.scene._scene import (
     SceneSpecies,
     build_scene,
     ground_at,
-    replant,
+    stand_realisation,
 )
 from fynjax.scene._spectra import Spectrum, background_spectrum, band_wavelengths
 from fynjax.scene._table import USUAL_LEAF, species_parameters
@@ -92,7 +92,7 @@ __all__ = [
     "parameter_reference",
     "projected_cover",
     "random_patches",
-    "replant",
     "species_parameters",
+    "stand_realisation",
     "with_values",
 ]

@@ -380,7 +380,7 @@ def build_scene(
     return eqx.tree_at(lambda s: s.planting, scene, planting)
 
 
-def replant(scene: Scene, seed: int) -> Scene:
+def stand_realisation(scene: Scene, seed: int) -> Scene:
     """The same plot with other plants standing: each species fills its sites in another order.
 
     The sites held ready stay, and with them the pattern of a probability map.

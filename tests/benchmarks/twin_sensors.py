@@ -57,7 +57,7 @@ from fynjax.inversion import (
 from fynjax.inversion._views import look
 from fynjax.io.plot import Plot, example_folder, read_plot
 from fynjax.metrics import BANDS
-from fynjax.scene import PlotParameters, Scene, replant, with_values
+from fynjax.scene import PlotParameters, Scene, stand_realisation, with_values
 from fynjax.sensors import BandSet, shipped_sensor
 
 STATISTICS = tuple(f"{layer}.{kind}" for layer in (*BANDS, "NDVI") for kind in ("mean", "std"))
@@ -198,7 +198,7 @@ def twin(
     random = np.random.default_rng([seed, 2006])
     truth = random.normal(size=len(space.names)).clip(-2.0, 2.0)
     plot = with_values(parameters, scene.taxa, space.named(jnp.asarray(truth)))
-    seen = observe(replant(scene, 1000 + seed), plot)
+    seen = observe(stand_realisation(scene, 1000 + seed), plot)
     cells = max(1, int(options.size / GRAIN) ** 2)
     measured = {
         name: noisy(targets(view, np.asarray(seen[name], float), zenith, cells), random)
@@ -218,7 +218,7 @@ def twin(
             CalibrationSettings(
                 stride=options.stride,
                 max_steps=options.steps,
-                stand_realisations=options.replants,
+                stand_realisations=options.stand_realisations,
             ),
         )
         fit = found.fit
@@ -311,7 +311,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--bands", type=int, default=28, help="of the spectrometer")
     parser.add_argument("--stride", type=int, default=4, help="of the drone's pixels in the search")
     parser.add_argument("--steps", type=int, default=8)
-    parser.add_argument("--replants", type=int, default=4)
+    parser.add_argument("--stand-realisations", type=int, default=4)
     parser.add_argument("--few", action="store_true", help="free the dominant species alone")
     parser.add_argument("--draws", type=float, default=0.0, help="effective, by emcee")
     parser.add_argument("--sensors", help="only this combination, such as 'MSI + LiDAR'")

@@ -106,7 +106,12 @@ def swept():
     space = dataclasses.replace(
         space, upper=space.upper.at[space.names.index("light.sun_zenith")].set(60.0)
     )
-    options = {"gsd": [0.1, 0.8, 1.6], "bands": [1, 4], "noise": [0.01, 0.3], "replants": 2}
+    options = {
+        "gsd": [0.1, 0.8, 1.6],
+        "bands": [1, 4],
+        "noise": [0.01, 0.3],
+        "stand_realisations": 2,
+    }
     found = sweep_sensors(model, parameters, space, SENSOR, Placement(50.0), **options)
     return model, parameters, space, found, options
 
@@ -146,7 +151,7 @@ def test_the_ground_is_seen_in_most_bands_and_noise_blurs_it(swept):
         ({"gsd": [0.1, 0.25]}, "multiples of the finest"),
         ({"gsd": [3.2]}, "larger than the plot"),
         ({"bands": [3]}, "must divide 4"),
-        ({"replants": 1}, "at least 2"),
+        ({"stand_realisations": 1}, "at least 2"),
         ({"noise": []}, "must be given"),
     ],
 )

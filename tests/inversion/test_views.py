@@ -32,7 +32,7 @@ from fynjax.inversion import (
 from fynjax.inversion._views import _projections
 from fynjax.metrics import STRUCTURE_METRICS, voxel_structure
 from fynjax.radiation import parallel_rays, reflectance_factor, solve_light
-from fynjax.scene import replant, with_values
+from fynjax.scene import stand_realisation, with_values
 from fynjax.sensors import BandSet
 from tests.scene.plots import TAXA, densities, drone, small_parameters, small_plot
 
@@ -141,7 +141,7 @@ def test_a_second_forward_model_of_the_same_shapes_compiles_nothing(plot, views)
 
     at, results = space.prior, []
     other = with_values(parameters, TAXA, {"ground.brightness": jnp.asarray(0.5)})
-    for plant, start in ((model, parameters), (replant(model, 1), other)):
+    for plant, start in ((model, parameters), (stand_realisation(model, 1), other)):
         quick, cheap = search_form(plant, start, views[1:2], accuracy=ACCURACY)
         results.append(predict(PlotForward(start, space.names, cheap), at, quick))
     assert traced == [1]
@@ -293,7 +293,7 @@ def test_a_checkpoint_of_another_calibration_is_refused(sums, tmp_path):
     other = Data(data.names, data.value.at[0].mul(1.001), data.sd)
     for changed, options in (
         ((model, start, other, space), {}),
-        ((replant(model, 1), start, data, space), {}),
+        ((stand_realisation(model, 1), start, data, space), {}),
         (sums, {"max_steps": 5}),
     ):
         with pytest.raises(InputError, match="checkpoint is of another run"):

@@ -17,7 +17,7 @@ from fynjax.scene import (
     hard_scene,
     height_profile,
     projected_cover,
-    replant,
+    stand_realisation,
 )
 from tests.scene.plots import densities, small_parameters, small_plot
 
@@ -75,7 +75,7 @@ def test_the_hard_scene_is_the_soft_one_without_softness(seed: int) -> None:
     parameters = small_parameters()
     model = small_plot(softness=0.0, softness_plants=0.0, rotation_spread=[8.0, 0.0, 20.0])
     if seed:
-        model = replant(model, seed)
+        model = stand_realisation(model, seed)
     hard = hard_scene(dataclasses.replace(model, softness=0.25, softness_plants=1.0), parameters)
     soft, whole = (np.asarray(densities(m, parameters)) for m in (model, hard))
     np.testing.assert_allclose(whole, soft, rtol=1e-12, atol=1e-12)
