@@ -162,8 +162,8 @@ def _check(
         raise InputError("`gsd`, `bands` and `noise` must be given and positive")
     if stand_realisations < 2:
         raise InputError(
-            "expected at least 2 `stand_realisations`, which with the stand itself are the three that "
-            f"shared slopes need, but got {stand_realisations}"
+            "expected `stand_realisations` to be at least 2 (three with the stand itself), but got "
+            f"{stand_realisations}"
         )
     fine = min(gsd)
     steps = [round(size / fine) for size in gsd]

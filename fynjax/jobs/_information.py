@@ -134,10 +134,10 @@ def bound_table(
                     "unit": unit,
                     "value": factor * value[i],
                     "prior_sd": factor * bounds.prior_sd[i],
-                    "alone": factor * bounds.conditional[i],
+                    "conditional": factor * bounds.conditional[i],
                     "bound": factor * bounds.bound[i],
-                    "unaided": factor * bounds.joint[i],
-                    "with_prior": factor * bounds.bayesian[i],
+                    "joint": factor * bounds.joint[i],
+                    "bayesian": factor * bounds.bayesian[i],
                     "constrained": bounds.constrained[i],
                 }
             )
