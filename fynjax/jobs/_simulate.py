@@ -146,8 +146,9 @@ def _chosen_air(plot: Plot, atmosphere: str | Path | None) -> Air:
 
 
 def _check(plot: Plot, instrument: Sensor, air: Air, noisy: bool, products: Sequence[str]) -> None:
-    if strange := [p for p in products if p not in PRODUCTS] or not products:
-        raise InputError(f"expected products among {', '.join(PRODUCTS)}, but got {strange}")
+    if not products or any(product not in PRODUCTS for product in products):
+        got = ", ".join(products) or "none"
+        raise InputError(f"expected products among {', '.join(PRODUCTS)}, but got {got}")
     if air.model == "none":
         if plot.sensor.panels and _is_own(plot, instrument):
             raise InputError("expected an atmosphere: panels calibrate radiance", file=plot.file)

@@ -63,7 +63,6 @@ class PanelsInPicture(eqx.Module):
         known, doubt = jnp.asarray(self.reflectance), jnp.asarray(self.reflectance_sd)
         signal = jnp.where(transparent, mean, known)
         sd = jnp.where(transparent, mean_sd, 0.0)
-        sd = jnp.where(transparent, mean_sd, 0.0)
         if len(signal) == 1:
             unknown = jnp.where(transparent, known[0] / signal[0] * haze, 0.0)
             return one_panel_line(

@@ -34,7 +34,13 @@ from fynjax.scene._optics import inclination, optical_classes
 from fynjax.scene._parameters import GroundParameters, LightParameters, PlotParameters
 from fynjax.scene._planting import Planting, draw_planting, leafy_species, no_plants
 from fynjax.scene._spectra import Spectrum, background_spectrum, band_wavelengths
-from fynjax.scene._table import SCENE_COLUMNS, species_parameters, table_rows, table_values
+from fynjax.scene._table import (
+    SCENE_COLUMNS,
+    check_leaves,
+    species_parameters,
+    table_rows,
+    table_values,
+)
 from fynjax.sensors import BandSet
 from fynjax.sensors.air import clear_sky_diffuse_fraction
 
@@ -155,6 +161,7 @@ class Scene(eqx.Module):
         (16, (4, 4))
         """
         rows, leaves = table_rows(table), {} if leaves is None else leaves
+        check_leaves(leaves, [row["taxon"] for row in rows])
         forms = [row["growth_form"] for row in rows]
         optics = [
             None if form == "deadwood" else leaves.get(row["taxon"], leaves.get("*"))

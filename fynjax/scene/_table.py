@@ -115,6 +115,18 @@ def table_rows(table: Any) -> list[dict[str, Any]]:
     return rows
 
 
+def check_leaves(leaves: Mapping[str, Mapping[str, float]], taxa: Sequence[str]) -> None:
+    """Raises `InputError` for leaves of a taxon that is not in the table, and for leaves that lack
+    one of PROSPECT's parameters or have another."""
+    for taxon, leaf in leaves.items():
+        if taxon not in (*taxa, "*"):
+            raise InputError(f"expected leaves of {', '.join(taxa)} or '*', but got {taxon!r}")
+        if set(leaf) != set(LEAF_FIELDS):
+            raise InputError(
+                f"leaves of {taxon!r}: expected {', '.join(LEAF_FIELDS)}, but got {', '.join(leaf)}"
+            )
+
+
 def table_values(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[float | None]]:
     """The parameters that rows of a species table state, in their units; None where they do not."""
     return {

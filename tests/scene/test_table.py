@@ -77,3 +77,12 @@ LEAF = {
 def test_a_row_that_cannot_serve_is_named(change, words):
     with pytest.raises(InputError, match=words):
         Scene.from_table([TABLE[0] | change, TABLE[1]], size_m=2.0)
+
+
+@pytest.mark.parametrize(
+    ("leaves", "words"),
+    [({"Erica irregulars": LEAF}, "'Erica irregulars'"), ({"*": {"water": 0.02}}, "chlorophyll")],
+)
+def test_leaves_that_belong_to_no_plant_are_refused(leaves, words):
+    with pytest.raises(InputError, match=words):
+        Scene.from_table(TABLE, size_m=2.0, leaves=leaves)
