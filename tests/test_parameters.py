@@ -257,9 +257,8 @@ def test_every_consumer_follows_records_that_move(tmp_path):
 
 
 def test_what_is_assumed_of_leaves_and_forms_lies_within_the_bounds():
-    from fynjax.assembly import USUAL_LEAF
     from fynjax.canopy import FORM_DEFAULTS
-    from fynjax.scene import LEAF_FIELDS, PARAMETERS
+    from fynjax.scene import LEAF_FIELDS, PARAMETERS, USUAL_LEAF
     from fynjax.studies.bioscape._assumed import pigments
 
     assert tuple(USUAL_LEAF) == LEAF_FIELDS
