@@ -1,7 +1,8 @@
 """Checks, and files to read, that several test files share."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,22 @@ def assert_gradients(
         f"AD and differences disagree by {worst.max():.2e} at {worst.argmax()}"
     )
     np.testing.assert_allclose(forward, reverse, rtol=1e-8, atol=1e-12 * np.abs(reverse).max())
+
+
+@contextmanager
+def compilations() -> Iterator[list[str]]:
+    """Names of the programs that are compiled, or fetched from the cache on disk, inside."""
+    names: list[str] = []
+
+    def listen(event: str, duration: float, **details: Any) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            names.append(str(details.get("fun_name", "")))
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        yield names
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
 
 
 def write_raster(

@@ -48,8 +48,10 @@ _COVER_HEADERS = {
     "counted_percent": "counted",
     "crowns_percent": "crowns in full",
     "species_percent": "ground under the species",
-    "seen_percent": "seen from above",
+    "visible_percent": "visible from above",
 }
+
+_area_density = eqx.filter_jit(Scene.area_density)
 
 
 class BuildResult(JobResult):
@@ -123,7 +125,7 @@ def build(
                 instances, hard, parameters, max_triangles=max_triangles, seed=chosen
             )
     with run.stage("Fill the voxels", "voxels"):
-        density = eqx.filter_jit(lambda m, p: m.area_density(p))(hard, parameters)
+        density = _area_density(hard, parameters)
         jax.block_until_ready(density)
     memory = peak_memory_mib()
     run.seconds["build"] = run.seconds["plants"] + run.seconds["voxels"]
@@ -229,7 +231,7 @@ def cover_table(
         "counted_percent": cover.crowns * share,
         "crowns_percent": cover.crowns,
         "species_percent": cover.species,
-        "seen_percent": cover.seen,
+        "visible_percent": cover.visible,
     }
     table = pd.DataFrame(
         {

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import jax
+import equinox as eqx
 import numpy as np
 import pandas as pd
 import xarray as xr
@@ -15,6 +15,8 @@ from fynjax.io.raster import image_array
 from fynjax.jobs._render import plant_counts
 from fynjax.metrics import BANDS, STRUCTURE_METRICS, image_statistics
 from fynjax.scene import PARAMETERS, AimedSensor, Scene, named_values, parameter_kind
+
+_statistics = eqx.filter_jit(image_statistics)
 
 
 def parameter_table(calibration: Calibration) -> pd.DataFrame:
@@ -68,13 +70,12 @@ def statistic_table(calibration: Calibration, reference: Reference) -> pd.DataFr
     drawn = [n for view in calibration.views if isinstance(view, ImageView) for n in view.names]
     drawn += extra
     of_image = np.isin(names, drawn)
-    compute = jax.jit(lambda image: image_statistics(image, drawn))
     for column in ("before", "after"):
         image = getattr(calibration, f"image_{column}")
         values = np.full(len(names), np.nan)
         values[: len(data.names)] = getattr(calibration, f"statistics_{column}")
         if image is not None:
-            values[of_image] = np.asarray(compute(image), float)
+            values[of_image] = np.asarray(_statistics(image, drawn), float)
         table[column] = values
     table["reference"] = [reference.simulated.get(n, np.nan) for n in names]
     for column in ("before", "after", "reference"):

@@ -23,11 +23,10 @@ from fynjax.jobs._run import Run
 from fynjax.metrics import BANDS, vegetation_indices
 from fynjax.report.figures import composites, index_histograms, quick_looks, spectrum_figure
 from fynjax.report.pages import Page, Part, Picture, Section, Table
-from fynjax.scene import AimedSensor, Scene
+from fynjax.scene import AimedSensor, PlotParameters, Scene
 
 SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR")
 """Vegetation indices whose histograms are drawn."""
-
 
 _FEW_BANDS = 8
 """Most bands whose means the headline lists."""
@@ -69,9 +68,8 @@ def render(
     with run.stage("Build the plot", "build"):
         scene, parameters = build_plot(read, seed=run.seed)
         camera = aim_without_air(read, scene, parameters, instrument)
-    measure = eqx.filter_jit(lambda c, s, p: (c.observe(s, p).reflectance, s.counts(p)))
     with run.stage("Render", "render"):
-        image, counts = jax.block_until_ready(measure(camera, scene, parameters))
+        image, counts = jax.block_until_ready(_measure(camera, scene, parameters))
     check_finite(image, read)
     with run.stage("Write"):
         _write(run, read, scene, camera, np.asarray(image), np.asarray(counts))
@@ -88,6 +86,13 @@ def render(
             for band, value in means.items()
         ],
     )
+
+
+@eqx.filter_jit
+def _measure(
+    camera: AimedSensor, scene: Scene, parameters: PlotParameters
+) -> tuple[Float[Array, "band y x"], Float[Array, " species"]]:
+    return camera.observe(scene, parameters).reflectance, scene.counts(parameters)
 
 
 def _write(

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Array
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
@@ -165,20 +166,24 @@ def _check(plot: Plot, instrument: Sensor, air: Air, noisy: bool, products: Sequ
 
 
 def _measure(
-    aimed: AimedSensor, scene: Scene, parameters: PlotParameters, key: int | None, job: Run
+    aimed: AimedSensor, scene: Scene, parameters: PlotParameters, seed: int | None, job: Run
 ) -> Observation:
-    """The observation; times of compiling and of measuring apart."""
+    """The observation, with the noise of `seed`; times of compiling and of measuring apart."""
     # The air is the same for all bands and pixels: its table need not be compiled with them.
     aimed = dataclasses.replace(aimed, air=aimed.check(parameters))
-
-    def run(aimed: AimedSensor, scene: Scene, parameters: PlotParameters) -> Observation:
-        return aimed.observe(scene, parameters, key=key)
-
-    observe: Any = eqx.filter_jit(run)
+    key = None if seed is None else jax.random.key(seed)
+    observe: Any = _observe
     with job.timed("compile_bands"):
-        compiled = observe.lower(aimed, scene, parameters).compile()
+        compiled = observe.lower(aimed, scene, parameters, key).compile()
     with job.timed("bands"):
-        return jax.block_until_ready(compiled(aimed, scene, parameters))
+        return jax.block_until_ready(compiled(aimed, scene, parameters, key))
+
+
+@eqx.filter_jit
+def _observe(
+    aimed: AimedSensor, scene: Scene, parameters: PlotParameters, key: Array | None
+) -> Observation:
+    return aimed.observe(scene, parameters, key=key)
 
 
 def _cubes(

@@ -28,7 +28,7 @@ def run_record(
 ) -> dict[str, Any]:
     """What made the product, for `run.json`."""
     camera, accuracy = aimed.sensor.camera, aimed.accuracy
-    optics = optical_pixel(instrument, aimed.sensor_height)
+    optics = optical_pixel(instrument, float(aimed.sensor_height))
     frame, angles = frame_of(camera), {}
     if frame is not None:
         angles = {"tilt_deg": frame.tilt, "heading_deg": frame.heading}
@@ -52,7 +52,7 @@ def run_record(
             "kind": type(camera).__name__,
             "bands": len(instrument.bands),
             "bands_simulated": len(aimed.sensor.bands),
-            "altitude_m": aimed.sensor_height,
+            "altitude_m": float(aimed.sensor_height),
             "pixel_m": aimed.pixel,
             "pixel_of_the_optics_m": optics,
             "rows_columns": list(aimed.shape),
@@ -60,7 +60,7 @@ def run_record(
             **{k: float(v) for k, v in angles.items()},
             "point_spread": aimed.sensor.psf is not None,
             "noise": bool(noisy),
-            "pixels_averaged_in_noise": aimed.averaged,
+            "pixels_averaged_in_noise": float(aimed.averaged),
             "reflectance_by": "the known air" if aimed.panels is None else "panels",
         },
         "atmosphere": {

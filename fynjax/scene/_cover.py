@@ -21,8 +21,8 @@ class ProjectedCover:
     table add up. May exceed 1."""
     species: Float[np.ndarray, " species"]
     """Ground under at least one crown of the species [-]: overlap within it counts once."""
-    seen: Float[np.ndarray, " species"]
-    """Ground over which a crown of the species is the tallest [-]: what is seen from above. Sums
+    visible: Float[np.ndarray, " species"]
+    """Ground over which a crown of the species is the tallest [-]: what is visible from above. Sums
     to `total`."""
     total: float
     """Ground under at least one crown of any species [-]."""
@@ -86,10 +86,10 @@ def projected_cover(
     )
     covered = top >= 0
     top[covered] = order[top[covered]]
-    seen = np.bincount(instances.species[top[covered]], minlength=len(instances.taxa))
+    visible = np.bincount(instances.species[top[covered]], minlength=len(instances.taxa))
     cells = nx * ny
     return ProjectedCover(
-        crowns / cells, union / cells, seen / cells, float(covered.mean()), top, float(cell)
+        crowns / cells, union / cells, visible / cells, float(covered.mean()), top, float(cell)
     )
 
 

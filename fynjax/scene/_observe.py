@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.math import real_array
 from fynjax.radiation import (
     AbstractRays,
     Accuracy,
@@ -67,23 +68,32 @@ SAMPLES = 2
 _VOXELS = 20_000_000  # times bands that are rendered at once
 
 
+def _number(value: Any) -> Array | None:
+    return None if value is None else real_array(value)
+
+
 class PlotAir(eqx.Module):
-    """A clear atmosphere over a plot; the sun and the aerosol are those of its parameters."""
+    """A clear atmosphere over a plot; the sun and the aerosol are those of its parameters.
+
+    Numbers are leaves: another value of one compiles nothing anew.
+    """
 
     model: Literal["table", "clear-sky"] = eqx.field(static=True, default="table")
     """'table': `tabulated_atmosphere` (6S); 'clear-sky': `clear_sky_atmosphere` (SPCTRL2)."""
-    water_vapour: float | Float[Array, ""] = 1.5
+    water_vapour: float | Float[Array, ""] = eqx.field(converter=real_array, default=1.5)
     """[g cm-2]"""
-    ozone: float | Float[Array, ""] = 0.3
+    ozone: float | Float[Array, ""] = eqx.field(converter=real_array, default=0.3)
     """[cm-atm]"""
-    pressure: float | Float[Array, ""] = 1013.25
+    pressure: float | Float[Array, ""] = eqx.field(converter=real_array, default=1013.25)
     """[hPa]"""
-    solar_factor: float | Float[Array, ""] = 1.0
+    solar_factor: float | Float[Array, ""] = eqx.field(converter=real_array, default=1.0)
     """Sunlight of the day over that at one astronomical unit [-]."""
-    aerosol: float | Float[Array, ""] | None = None
+    aerosol: float | Float[Array, ""] | None = eqx.field(converter=_number, default=None)
     """Optical depth of aerosol at 550 nm [-]; None: that of the plot's parameters."""
 
-    def clear_air(self, light: LightParameters, sensor_height: float) -> ClearAir:
+    def clear_air(
+        self, light: LightParameters, sensor_height: float | Float[Array, ""]
+    ) -> ClearAir:
         """The model's parameters for a sensor `sensor_height` over the ground [m]."""
         zenith = jnp.asarray(light.sun_zenith)
         values = (
@@ -97,7 +107,9 @@ class PlotAir(eqx.Module):
         )
         return ClearAir(*(jnp.asarray(v, zenith.dtype) for v in values))
 
-    def atmosphere(self, light: LightParameters, sensor_height: float) -> Atmosphere:
+    def atmosphere(
+        self, light: LightParameters, sensor_height: float | Float[Array, ""]
+    ) -> Atmosphere:
         """The air below and above a sensor `sensor_height` over the ground [m]."""
         air = self.clear_air(light, sensor_height)
         return tabulated_atmosphere(air) if self.model == "table" else clear_sky_atmosphere(air)
@@ -154,13 +166,13 @@ class AimedSensor(eqx.Module):
     """Rows and columns of the image."""
     origin: tuple[float, float] = eqx.field(static=True)
     """South-west corner of the image from that of the scene [m]."""
-    sensor_height: float = eqx.field(static=True)
+    sensor_height: Float[Array, ""]
     """Of the sensor above the ground, for the air [m]."""
     margin: int = eqx.field(static=True)
     """Pixels around the image that `rays` has on top, for the point spread."""
     fine: tuple[int, int] | None = eqx.field(static=True)
     """Rows and columns of rays over the scene where pixels are wider than voxels; else None."""
-    averaged: float = eqx.field(static=True)
+    averaged: Float[Array, ""]
     """The sensor's own pixels, by its optics, that a pixel is the mean of; at least 1. Its noise is
     as much lower."""
     panels: PanelsInPicture | None = None
@@ -205,7 +217,8 @@ class AimedSensor(eqx.Module):
         if key is not None and self.sensor.noise is not None:
             noise = self.sensor.noise
             radiance = noise.draw(key, radiance[..., back], averaged=self.averaged)[..., order]
-        transparent, measured, doubt = is_transparent(by_band)[back], radiance[..., back], None
+        transparent, measured = is_transparent(by_band)[back], radiance[..., back]
+        reflectance_sd = None
         if self.panels is None:
             calibrated = surface_reflectance(by_band, radiance, mean[order])[..., back]
         else:
@@ -220,12 +233,12 @@ class AimedSensor(eqx.Module):
             )
             calibrated = jnp.where(transparent, line.reflectance(measured), 0.0)
             sd = jnp.where(transparent, line.standard_deviation(measured, noise_sd), 0.0)
-            doubt = jnp.moveaxis(sd, -1, 0)
+            reflectance_sd = jnp.moveaxis(sd, -1, 0)
         return Observation(
             jnp.moveaxis(calibrated, -1, 0),
             jnp.moveaxis(measured, -1, 0),
             transparent,
-            doubt,
+            reflectance_sd,
             residual,
         )
 
@@ -237,16 +250,15 @@ class AimedSensor(eqx.Module):
         """
         if self.air is None:
             return None
-        found = self.air
+        curves = self.air
         if isinstance(self.air, PlotAir):
             known = self.air.clear_air(parameters.light, self.sensor_height)
             if self.air.model == "table":
                 check_within_table(known)
-            make = eqx.filter_jit(PlotAir.atmosphere)
-            found = make(self.air, parameters.light, self.sensor_height)
-        assert isinstance(found, Atmosphere)
-        self.sensor.bands.weights(found.wavelength)
-        return found
+            curves = _atmosphere(self.air, parameters.light, self.sensor_height)
+        assert isinstance(curves, Atmosphere)
+        self.sensor.bands.weights(curves.wavelength)
+        return curves
 
     def _air_of_bands(
         self, air: PlotAir | Atmosphere, light: LightParameters, dtype: str
@@ -256,8 +268,7 @@ class AimedSensor(eqx.Module):
             curves = air.atmosphere(light, self.sensor_height)
         assert isinstance(curves, Atmosphere)
         bands = self.sensor.bands.select(_sorting(self.sensor)[0].tolist())
-        found = band_atmosphere(curves, bands)
-        return jax.tree.map(lambda v: v.astype(dtype), found)
+        return jax.tree.map(lambda v: v.astype(dtype), band_atmosphere(curves, bands))
 
     def image(
         self, voxels: VoxelScene
@@ -268,21 +279,21 @@ class AimedSensor(eqx.Module):
         """
         light = solve_light(voxels, self.accuracy)
         chunk = min(max(_VOXELS // int(np.prod(voxels.shape)), 8), 32)
-        seen = reflectance_factor(light, self.rays, chunk=chunk)
-        mean = seen.mean(axis=(1, 2))
+        factor = reflectance_factor(light, self.rays, chunk=chunk)
+        edge = slice(self.margin, -self.margin or None)
+        within = factor[:, edge, edge]  # the margin repeats pixels of the scene's other side
+        mean = within.mean(axis=(1, 2))
         psf = self.sensor.psf
         if self.fine is None:
-            if psf is not None:
-                edge = slice(self.margin, -self.margin or None)
-                seen = psf.blur(seen)[:, edge, edge]
-            return seen, mean, light.residual
+            image = within if psf is None else psf.blur(factor)[:, edge, edge]
+            return image, mean, light.residual
         sides = tuple(n * voxels.horizontal for n in voxels.shape[1:])
         shares = []
         for axis, count, start, cells, length in zip(
             ("y", "x"), self.shape, self.origin[::-1], self.fine, sides, strict=True
         ):
             centres = start + (np.arange(count) + 0.5) * self.pixel
-            kernel = None if psf is None else psf.kernel(axis, seen.dtype)  # type: ignore[arg-type]
+            kernel = None if psf is None else psf.kernel(axis, factor.dtype)  # type: ignore[arg-type]
             share = footprint_shares(
                 centres,
                 self.pixel,
@@ -291,8 +302,8 @@ class AimedSensor(eqx.Module):
                 periodic=voxels.boundary == "periodic",
                 kernel=kernel,
             )
-            shares.append(share.astype(seen.dtype))
-        image = jnp.einsum("pr,brc,qc->bpq", shares[0], seen, shares[1], optimize="optimal")
+            shares.append(share.astype(factor.dtype))
+        image = jnp.einsum("pr,brc,qc->bpq", shares[0], factor, shares[1], optimize="optimal")
         return image, mean, light.residual
 
     def sampled(self, stride: int) -> "AimedSensor":
@@ -333,8 +344,19 @@ class AimedSensor(eqx.Module):
 
 
 def fitted_accuracy(accuracy: Accuracy, scene: Scene, parameters: PlotParameters) -> Accuracy:
-    """`accuracy` with blocks that divide the grid of a scene and, if that is open, room for its sun
-    to stand 5 degrees lower than it does."""
+    """Accuracy of the light that fits the grid of a scene.
+
+    **Arguments:**
+
+    - `accuracy`: as asked for.
+    - `scene`: whose grid the blocks of `accuracy.coarsening` are to divide.
+    - `parameters`: of which the sun counts, where the scene is open.
+
+    **Returns:** `accuracy` with blocks that divide the grid and, of an open scene without a stated
+    margin, room for the sun to stand 5 degrees lower than it does.
+
+    **Raises:** `InputError` where that sun is traced.
+    """
     nx, ny, nz = scene.grid.shape
     high, wide = accuracy.coarsening or (2, 2)
     while nx % wide or ny % wide:
@@ -343,10 +365,20 @@ def fitted_accuracy(accuracy: Accuracy, scene: Scene, parameters: PlotParameters
         high -= 1
     margin = accuracy.margin
     if scene.boundary == "open" and margin is None:
+        _check_known("the sun over an open scene", parameters.light.sun_zenith)
         lowest = min(float(parameters.light.sun_zenith) + 5.0, 85.0)
         columns = nz * scene.grid.vertical_size / scene.grid.horizontal_size
         margin = int(np.ceil(columns * np.tan(np.deg2rad(lowest))))
     return dataclasses.replace(accuracy, coarsening=(high, wide), margin=margin)
+
+
+def _check_known(what: str, values: Any) -> None:
+    """Raise `InputError` where any of `values` is traced."""
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values)):
+        raise InputError(
+            f"{what} must be known, but is traced: call `aim` before the transformation, and "
+            "`observe` of the sensor that it aims inside"
+        )
 
 
 @jax.ensure_compile_time_eval()
@@ -378,6 +410,8 @@ def aim(
     a sensor that is not above the plants, and values out of range. Sensor, terrain and, of an open
     scene, the sun must be known: aim before a transformation, observe inside.
     """
+    _check_known("a camera", sensor.camera)
+    _check_known("the terrain of a scene", scene.terrain)
     placement = Placement() if placement is None else placement
     if panels and air is None:
         raise InputError("expected an atmosphere: panels calibrate radiance")
@@ -424,7 +458,7 @@ def aim(
         rays,
         x=rays.x - base * rays.slope_x,
         y=rays.y - base * rays.slope_y,
-        altitude=rays.altitude + base,
+        altitude=np.inf,  # checked above; static, it would compile anew for each height
     )
     # Rays that cross several voxels in a layer are cut into as many pieces.
     slope = float(jnp.tan(jnp.arccos(jnp.min(rays.cosine))))
@@ -439,10 +473,10 @@ def aim(
         pixel=pixel,
         shape=(rows, columns),
         origin=(west, south),
-        sensor_height=float(height),
+        sensor_height=real_array(height),
         margin=margin,
         fine=(ny, nx) if wide else None,
-        averaged=max(1.0, (pixel / optics) ** 2),
+        averaged=real_array(max(1.0, (pixel / optics) ** 2)),
         panels=panels_in_picture(panels, (rows, columns), pixel, (west, south)) if panels else None,
     )
 
@@ -465,7 +499,7 @@ class LidarObservation(eqx.Module):
 
 
 def observe_lidar(
-    scene: Scene, parameters: PlotParameters, lidar: Lidar, *, noise: bool = True, seed: int = 0
+    scene: Scene, parameters: PlotParameters, lidar: Lidar, *, noise: bool = False, seed: int = 0
 ) -> LidarObservation:
     """Fly a LiDAR over a scene: its pulses, their waveforms and returns.
 
@@ -489,6 +523,9 @@ def observe_lidar(
     electrons = received_electrons(lidar, beams, waveforms.total, key=counting if noise else None)
     returns = detect_returns(lidar, beams, np.asarray(electrons), waveforms)
     return LidarObservation(voxels, beams, sublayers, waveforms, electrons, returns)
+
+
+_atmosphere = eqx.filter_jit(PlotAir.atmosphere)
 
 
 @eqx.filter_jit

@@ -32,10 +32,10 @@ def height_profile(
     layer = np.clip(np.searchsorted(edges, z, side="right") - 1, 0, len(edges) - 2)
     cell = species[plant] * (len(edges) - 1) + layer
     crown = np.pi / 4.0 * diameter**2 / np.asarray(hard.branches)[species]
-    seen = np.asarray(own.leaf_area_index, float) * (1.0 - np.asarray(own.shoot_clumping, float))
+    outer = np.asarray(own.leaf_area_index, float) * (1.0 - np.asarray(own.shoot_clumping, float))
     volume = float(np.prod(hard.grid.extent[:2])) * np.diff(edges)
     profiles = []
-    for organ, index in ((Organ.LEAF, seen), (Organ.WOOD, np.asarray(own.wood_area_index, float))):
+    for organ, index in ((Organ.LEAF, outer), (Organ.WOOD, np.asarray(own.wood_area_index, float))):
         area = (crown * index[species])[plant] * np.asarray(planting.shapes.area_fraction)[part]
         area[np.asarray(planting.shapes.organ)[part] != organ] = 0.0
         sums = np.bincount(cell, area, len(hard.taxa) * (len(edges) - 1))

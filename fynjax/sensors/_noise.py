@@ -48,20 +48,25 @@ class AbstractNoise(eqx.Module):
         """Standard deviation of one pixel [W m-2 sr-1 µm-1]."""
 
     def standard_deviation(
-        self, radiance: Float[Array, "*batch band"], *, averaged: float = 1.0
+        self, radiance: Float[Array, "*batch band"], *, averaged: float | Float[Array, ""] = 1.0
     ) -> Float[Array, "*batch band"]:
         """Standard deviation of the mean of `averaged` pixels [W m-2 sr-1 µm-1]."""
-        return self.pixel_deviation(_floating(radiance)) / math.sqrt(averaged)
+        deviation = self.pixel_deviation(_floating(radiance))
+        return deviation / jnp.sqrt(jnp.asarray(averaged, deviation.dtype))
 
     def covariance(
-        self, radiance: Float[Array, "*batch band"], *, averaged: float = 1.0
+        self, radiance: Float[Array, "*batch band"], *, averaged: float | Float[Array, ""] = 1.0
     ) -> Float[Array, "*batch band band"]:
         """Covariance of the bands of the mean of `averaged` pixels [(W m-2 sr-1 µm-1)²]."""
         variance = self.standard_deviation(radiance, averaged=averaged) ** 2
         return variance[..., None] * jnp.eye(variance.shape[-1], dtype=variance.dtype)
 
     def draw(
-        self, key: Array | int, radiance: Float[Array, "*batch band"], *, averaged: float = 1.0
+        self,
+        key: Array | int,
+        radiance: Float[Array, "*batch band"],
+        *,
+        averaged: float | Float[Array, ""] = 1.0,
     ) -> Float[Array, "*batch band"]:
         """Noisy radiance [W m-2 sr-1 µm-1] of means of `averaged` pixels: the same for the same key
         (or seed) and shape.

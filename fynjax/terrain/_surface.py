@@ -142,8 +142,8 @@ def fill(
     outside = int((_beyond_hull(points[:, :2], centres) > _SLACK_CELLS * cell).sum())
     if outside > _MANY_OUTSIDE * cells:
         warnings.warn(
-            f"{100 * outside / cells:.0f} % of the plot's cells lie outside of all ground that was "
-            "seen; their heights continue the slope of the nearest ground, and may be wrong. "
+            f"{100 * outside / cells:.0f} % of the plot's cells lie outside of all measured ground "
+            "points; their heights continue the slope of the nearest ground, and may be wrong. "
             "Choose a smaller plot.",
             stacklevel=3,
         )
@@ -179,7 +179,7 @@ def _check_gaps(
     x, y = centres[worst] + corner
     far = float((distance > largest).mean())
     raise InputError(
-        f"expected ground within {largest:g} m of every cell, but none was seen within "
+        f"expected ground within {largest:g} m of every cell, but the nearest point is "
         f"{distance[worst]:.1f} m of ({x:.1f}, {y:.1f}); {100 * far:.1f} % of the cells to fill "
         "are so far from it. Does the file cover the plot? Choose a smaller plot, or allow a "
         "larger `largest_gap`."

@@ -49,8 +49,8 @@ def test_counts_are_those_of_equation_10_for_ten_seeds() -> None:
         assert instances.counts.tolist() == wanted.tolist()
         measured = projected_cover(instances, cell=0.01)
         cover.append(measured.crowns * (1.0 - packing))
-        assert measured.total == pytest.approx(measured.seen.sum(), abs=1e-12)
-        assert np.all(measured.seen <= measured.species + 1e-12)
+        assert measured.total == pytest.approx(measured.visible.sum(), abs=1e-12)
+        assert np.all(measured.visible <= measured.species + 1e-12)
         assert np.all(measured.species <= measured.crowns + 1e-12)
         # Overlap: places are nearly random, so ground stays bare as under a Boolean model, or a
         # little less; it varies with where the few large crowns stand.
@@ -159,7 +159,7 @@ def test_two_discs_overlap_in_a_lens() -> None:
     area = 16.0
     np.testing.assert_allclose(two.crowns * area, [disc, disc, 0.0], rtol=2e-3)
     np.testing.assert_allclose(two.species * area, [disc, disc, 0.0], rtol=2e-3)
-    np.testing.assert_allclose(two.seen * area, [disc - shared, disc, 0.0], rtol=4e-3)
+    np.testing.assert_allclose(two.visible * area, [disc - shared, disc, 0.0], rtol=4e-3)
     assert two.total * area == pytest.approx(2 * disc - shared, rel=2e-3)
     one = projected_cover(discs(**pair, species=[2, 2]), cell=0.005)
     np.testing.assert_allclose(one.crowns * area, [0, 0, 2 * disc], rtol=2e-3)

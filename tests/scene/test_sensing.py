@@ -1,6 +1,7 @@
 """A sensor over a plot: pixels on the ground, air, noise, calibration, derivatives."""
 
 import dataclasses
+import inspect
 
 import equinox as eqx
 import jax
@@ -10,7 +11,8 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.radiation import Accuracy, nadir_rays, reflectance_factor, solve_light
-from fynjax.scene import Ground, Placement, PlotAir, Spectrum, aim
+from fynjax.scene import AimedSensor, Ground, Placement, PlotAir, Spectrum, aim, observe_lidar
+from fynjax.scene import observe as observe_scene
 from fynjax.scene._panels import panels_in_picture
 from fynjax.scene._pixels import axis_pixels, footprint_shares
 from fynjax.sensors import (
@@ -24,7 +26,7 @@ from fynjax.sensors import (
     mavic_3m,
     shipped_sensor,
 )
-from tests.helpers import assert_gradients
+from tests.helpers import assert_gradients, compilations
 from tests.scene.plots import small_parameters, small_plot
 
 FAST = Accuracy(sublayers=1, levels=2, refine=False, tolerance=1e-9, iterations=200)
@@ -68,7 +70,7 @@ def test_pixels_of_a_hill_lie_where_the_map_has_them(model, drone, tilt):
         at_ground = getattr(high.rays, axis) + 0.5 * slope
         np.testing.assert_allclose(at_ground, getattr(level.rays, axis), atol=1e-9)
         assert np.abs(slope).max() > 0.01
-    assert high.rays.sensor_height == pytest.approx(30.5)
+    assert float(high.sensor.camera.position[2]) == pytest.approx(30.5)
 
 
 @pytest.mark.parametrize("width", [0.35, 1.0, 2.0, 7.3])
@@ -295,6 +297,54 @@ def test_an_oblique_view_is_followed_voxel_by_voxel(model, drone):
     assert np.all(np.asarray(tilted.rays.slope_x) < -1.0)
 
 
+def test_a_sweep_over_altitude_and_air_compiles_once(model, drone):
+    sensor = dataclasses.replace(drone, noise=CameraNoise(300.0, *NOISE[1], 32))
+    images = []
+    run = eqx.filter_jit(lambda a, s, p, key: a.observe(s, p, key=key).radiance)  # not compiled yet
+    for altitude, water in ((40.0, 0.5), (50.0, 0.5), (50.0, 3.0)):
+        air = PlotAir("clear-sky", water_vapour=water)
+        aimed = over(model, sensor, Placement(altitude, 0.1), air=air)
+        with compilations() as compiled:
+            images.append(run(aimed, model, small_parameters(), jax.random.key(0)))
+        assert bool(compiled) == (len(images) == 1)
+    assert not np.array_equal(images[0], images[1])
+    assert not np.array_equal(images[1], images[2])
+
+
+def test_mean_for_the_light_of_the_neighbourhood_counts_every_pixel_once(model, drone):
+    """A point spread takes pixels of the scene's other side; they are in its mean already."""
+    sensor = dataclasses.replace(drone, psf=PointSpread("gaussian", 3.0))
+    blurred, sharp = (
+        over(model, sensor, Placement(50.0, 0.1), point_spread=spread) for spread in (True, False)
+    )
+    assert blurred.margin > 0
+    voxels = model.voxels(small_parameters(), drone.bands)
+    image = eqx.filter_jit(AimedSensor.image)
+    (_, mean, _), (pixels, other, _) = (image(one, voxels) for one in (blurred, sharp))
+    np.testing.assert_allclose(mean, other, rtol=1e-6)  # their angles are interpolated
+    np.testing.assert_allclose(other, pixels.mean((1, 2)), rtol=1e-12)
+
+
+def test_what_must_be_known_is_said_before_tracing(model, drone):
+    parameters = small_parameters()
+    level = dataclasses.replace(model, boundary="open")
+    hill = dataclasses.replace(model, terrain=np.full(model.grid.shape[1::-1], 0.5))
+
+    def brightness(scene, parameters, camera=None):
+        sensor = drone if camera is None else dataclasses.replace(drone, camera=camera)
+        return observe_scene(scene, parameters, sensor, Placement(50.0, 0.1)).reflectance.mean()
+
+    for scene, names in ((level, "the sun over an open scene"), (hill, "the terrain of a scene")):
+        with pytest.raises(InputError, match=f"{names} must be known.*call `aim` before"):
+            eqx.filter_jit(brightness)(scene, parameters)
+    with pytest.raises(InputError, match="a camera must be known"):
+        jax.jit(brightness)(model, parameters, drone.camera)
+    # As it says: aimed before, an open scene has derivatives inside.
+    aimed = over(level, drone, Placement(50.0, 0.1))
+    inside = lambda p: aimed.observe(level, p).reflectance.mean()  # noqa: E731
+    assert np.isfinite(eqx.filter_jit(inside)(parameters))
+
+
 def test_what_cannot_be_simulated_is_refused(model, drone):
     with pytest.raises(InputError, match=r"above the plants.* 0\.8.* but is at 0\.5 m"):
         over(model, drone, Placement(0.5, 0.1))
@@ -310,3 +360,10 @@ def test_what_cannot_be_simulated_is_refused(model, drone):
     low = eqx.tree_at(lambda p: p.light.sun_zenith, small_parameters(), jnp.asarray(88.0))
     with pytest.raises(InputError, match="`sun_zenith` must be within the table"):
         over(model, drone, air=PlotAir()).check(low)
+
+
+def test_noise_is_left_out_of_images_and_of_clouds_unless_asked_for():
+    defaults = [
+        inspect.signature(f).parameters["noise"].default for f in (observe_scene, observe_lidar)
+    ]
+    assert defaults == [False, False]

@@ -63,7 +63,7 @@ def plan_view(
         )
         axes.set(xlabel="East [m]", ylabel="North [m]", title=title, aspect="equal")
         _north(axes)
-        _legend(figure, instances, colours, cover.seen, cover.total)
+        _legend(figure, instances, colours, cover.visible, cover.total)
     return figure
 
 
