@@ -1,5 +1,7 @@
 """Errors a user can act on: what was expected, what came, where, and the likely slip."""
 
+import difflib
+from collections.abc import Iterable
 from pathlib import Path
 
 
@@ -28,6 +30,14 @@ class InputError(ValueError):
             where.append(f"column {column!r}" if isinstance(column, str) else f"column {column}")
         super().__init__(f"{', '.join(where)}: {message}" if where else message)
         self.file, self.row, self.column = file, row, column
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """' Did you mean ...?' for the nearest of `known` to `name`, or nothing if none is near."""
+    known = list(known)
+    lower = {k.lower(): k for k in known}
+    near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
+    return f" Did you mean {lower[near[0]]!r}?" if near else ""
 
 
 class MissingExtraError(ImportError):

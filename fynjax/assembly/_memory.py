@@ -6,10 +6,8 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.io.plot import Plot
-from fynjax.scene import element_count
+from fynjax.scene import PlantingRules, element_count
 
-_ROOM = 2.5
-"""Sites held ready for each plant, as `PlantingRules` has it."""
 _ELEMENT_BYTES = 80
 """Memory that an area element takes while a plot is built: measured at 100 m x 100 m."""
 
@@ -20,7 +18,7 @@ def check_memory(plot: Plot) -> None:
     for s in plot.species:
         crown = np.pi / 4.0 * s.diameter_m**2 * (1.0 - s.packing) * s.fill
         each = max(crown, s.minimum_object_area_m2 or 0.0)
-        count = _ROOM * (s.branches or 1) * area * s.cover / each
+        count = PlantingRules.room * (s.branches or 1) * area * s.cover / each
         elements += count * element_count(s.diameter_m, s.height_m, plot.voxel_m)
     try:
         there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30

@@ -21,6 +21,7 @@ from fynjax.scene._observe import (
     observe_lidar,
 )
 from fynjax.scene._parameters import (
+    FIXED_PARAMETERS,
     LEAF_FIELDS,
     PARAMETERS,
     GroundParameters,
@@ -50,6 +51,7 @@ enable_double_precision()
 __all__ = [
     "COVERS",
     "DRONE",
+    "FIXED_PARAMETERS",
     "LEAF_FIELDS",
     "PARAMETERS",
     "USUAL_LEAF",

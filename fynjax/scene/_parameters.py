@@ -256,6 +256,38 @@ PARAMETERS: dict[str, Parameter] = {
 """What is known of each kind of parameter of a plot, by the last word of its name."""
 
 
+FIXED_PARAMETERS: dict[str, Parameter] = {
+    "branches": Parameter(
+        symbol="n_b",
+        name="Branches",
+        unit="-",
+        lower=1.0,
+        upper=1000.0,
+        usual=(1.0, 30.0),
+        description="Branch models that make up one plant, a whole number.",
+    ),
+    "rotation_spread": Parameter(
+        symbol="sigma_rot",
+        name="Rotation spread",
+        unit="degree",
+        lower=0.0,
+        upper=90.0,
+        usual=(0.0, 30.0),
+        description="Spread of the tilt of the branches, sigma_rot of equation (5).",
+    ),
+    "minimum_area": Parameter(
+        symbol="A_min",
+        name="Least ground area",
+        unit="m2",
+        lower=0.0,
+        upper=100.0,
+        usual=(0.0, 1.0),
+        description="Ground area that one plant counts for at least.",
+    ),
+}
+"""What is fixed about a species of a scene, by its field of `SceneSpecies`: no fit changes it."""
+
+
 def parameter_kind(name: str) -> str:
     """Last word of a parameter's name, such as `cover` of `species.Erica irregularis.cover`."""
     return name.rsplit(".", 1)[-1]

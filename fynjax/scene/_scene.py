@@ -35,8 +35,8 @@ from fynjax.scene._parameters import GroundParameters, LightParameters, PlotPara
 from fynjax.scene._planting import Planting, draw_planting, leafy_species, no_plants
 from fynjax.scene._spectra import Spectrum, background_spectrum, band_wavelengths
 from fynjax.scene._table import (
-    SCENE_COLUMNS,
     check_leaves,
+    fixed_values,
     species_parameters,
     table_rows,
     table_values,
@@ -172,14 +172,9 @@ class Scene(eqx.Module):
             GroundParameters() if ground is None else ground,
             LightParameters() if light is None else light,
         )
-        species = []
-        for row in rows:
-            further: dict[str, Any] = {
-                field: float(row[column])
-                for column, field in SCENE_COLUMNS.items()
-                if column in row
-            }
-            species.append(SceneSpecies(row["taxon"], row["growth_form"], **further))
+        species = [
+            SceneSpecies(row["taxon"], row["growth_form"], **fixed_values(row)) for row in rows
+        ]
         extent = size_m if isinstance(size_m, tuple) else (size_m, size_m)
         scene = build_scene(
             species, parameters, extent=extent, voxel=voxel_m, seed=seed, boundary=boundary

@@ -1,16 +1,21 @@
 """From the rows of a species table to parameters, with the defaults of the growth forms."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.parameters import Parameter, parameters_of
 from fynjax.canopy import FORM_DEFAULTS
 from fynjax.leaf import LeafParameters
-from fynjax.scene._parameters import LEAF_FIELDS, PARAMETERS, SpeciesParameters
+from fynjax.scene._parameters import (
+    FIXED_PARAMETERS,
+    LEAF_FIELDS,
+    PARAMETERS,
+    SpeciesParameters,
+)
 
 USUAL_LEAF = {
     "structure": 1.8,
@@ -23,24 +28,24 @@ USUAL_LEAF = {
 }
 """Leaves of a species for which nothing is given: an evergreen, sclerophyllous leaf."""
 
-_COLUMNS = {
-    "cover_percent": "cover",
+COLUMNS = {
     "mean_diameter_cm": "diameter",
+    "cover_percent": "cover",
     "height_max_m": "height",
     "packing_percent": "packing",
     "fill_percent": "fill",
+    "branches": "branches",
+    "rotation_spread_deg": "rotation_spread",
     "leaf_area_index": "leaf_area_index",
+    "minimum_object_area_m2": "minimum_area",
     "wood_area_index": "wood_area_index",
     "shoot_clumping": "shoot_clumping",
 }
-"""Columns of a species table and the parameters that they hold."""
-_NEEDED = ("taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_max_m")
-SCENE_COLUMNS = {
-    "branches": "branches",
-    "rotation_spread_deg": "rotation_spread",
-    "minimum_object_area_m2": "minimum_area",
-}
-"""Further columns, and the fields of `SceneSpecies` that they are."""
+"""Columns of a species table that are numbers, and the parameters or fields of `SceneSpecies` that
+they hold."""
+_RECORDS = {column: (PARAMETERS | FIXED_PARAMETERS)[name] for column, name in COLUMNS.items()}
+_TEXTS = ("taxon", "growth_form")
+_NEEDED = (*_TEXTS, "mean_diameter_cm", "cover_percent", "height_max_m")
 
 
 def species_parameters(
@@ -71,7 +76,7 @@ def species_parameters(
 
     optics = [USUAL_LEAF if leaf is None else leaf for leaf in leaves]
     return (
-        SpeciesParameters(**{name: column(name) for name in _COLUMNS.values()}),
+        SpeciesParameters(**{name: column(name) for name in parameters_of(SpeciesParameters)}),
         LeafParameters.many(
             **{name: np.array([float(leaf[name]) for leaf in optics]) for name in LEAF_FIELDS}
         ),
@@ -82,42 +87,85 @@ def table_rows(table: Any) -> list[dict[str, Any]]:
     """Rows of a species table, a pandas frame or records, that were checked; empty cells are left
     out.
 
-    Raises `InputError` for a missing column or value, an unknown growth form, a taxon that is there
-    twice, and a value out of its parameter's bounds.
+    Raises `InputError` for what is no table, an unknown column, a missing value, text where a
+    number should be or the other way round, an unknown growth form, a taxon that is there twice,
+    and a value out of its parameter's bounds.
     """
-    records = table.to_dict("records") if hasattr(table, "to_dict") else list(table)
-    rows: list[dict[str, Any]] = []
-    for number, record in enumerate(records, start=1):
-        row = {name: value for name, value in record.items() if not _empty(value)}
-        if missing := [name for name in _NEEDED if name not in row]:
-            raise InputError(f"expected a value of {missing[0]!r}", row=number, column=missing[0])
-        if row["growth_form"] not in FORM_DEFAULTS:
+    import pandas as pd  # late: the command line need not wait for it
+
+    try:
+        frame = pd.DataFrame(table).astype(object)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"expected a species table, a pandas frame or records, but got {table!r:.60}"
+        ) from error
+    known = (*_TEXTS, *COLUMNS)
+    for name in frame.columns:
+        if name not in known:
             raise InputError(
-                f"expected a growth form among {', '.join(FORM_DEFAULTS)}, but got "
-                f"{row['growth_form']!r}",
-                row=number,
-                column="growth_form",
+                f"unknown column.{did_you_mean(str(name), known)} Known: {', '.join(known)}",
+                column=str(name),
             )
-        if any(row["taxon"] == other["taxon"] for other in rows):
-            raise InputError(f"{row['taxon']!r} is there twice", row=number, column="taxon")
-        for column, name in _COLUMNS.items():
-            factor = column_factor(column)
-            low, high = PARAMETERS[name].lower * factor, PARAMETERS[name].upper * factor
-            if column in row and not low <= row[column] <= high:
-                raise InputError(
-                    f"expected {low:g} to {high:g}, but got {row[column]}",
-                    row=number,
-                    column=column,
-                )
+    rows: list[dict[str, Any]] = []
+    for number, record in enumerate(frame.where(frame.notna(), None).to_dict("records"), start=1):
+        row = {str(name): value for name, value in record.items() if value is not None}
+        _check_row(row, number, [other["taxon"] for other in rows])
         rows.append(row)
     if not rows:
         raise InputError("expected a species table with rows, but it has none")
     return rows
 
 
+def _check_row(row: Mapping[str, Any], number: int, earlier: Sequence[str]) -> None:
+    of_taxon = f" of {row['taxon']!r}" if "taxon" in row else ""
+    for name in _NEEDED:
+        if name not in row:
+            raise InputError(
+                f"expected the {name}{of_taxon}, but it is empty", row=number, column=name
+            )
+    for name in _TEXTS:
+        if not isinstance(row[name], str) or not row[name].strip():
+            raise InputError(
+                f"expected the {name} as text, but got {row[name]!r}", row=number, column=name
+            )
+    if row["growth_form"] not in FORM_DEFAULTS:
+        raise InputError(
+            f"expected a growth form{of_taxon} among {', '.join(FORM_DEFAULTS)}, but got "
+            f"{row['growth_form']!r}.{did_you_mean(row['growth_form'], FORM_DEFAULTS)}",
+            row=number,
+            column="growth_form",
+        )
+    if row["taxon"] in earlier:
+        raise InputError(f"{row['taxon']!r} is there twice", row=number, column="taxon")
+    for name, record in _RECORDS.items():
+        if name in row:
+            _check_number(row[name], record, of_taxon, shown=True, row=number, column=name)
+    if row.get("branches", 1) % 1:
+        raise InputError(
+            f"expected a whole number of branches{of_taxon}, but got {row['branches']}",
+            row=number,
+            column="branches",
+        )
+
+
+def _check_number(
+    value: Any, record: Parameter, of_taxon: str, *, shown: bool = False, **where: Any
+) -> None:
+    what = f"{record.name[0].lower()}{record.name[1:]}{of_taxon}"
+    try:
+        amount = None if isinstance(value, str | bool | np.bool_) else float(value)
+    except (TypeError, ValueError):
+        amount = None
+    if amount is None:
+        raise InputError(f"expected {what} as a number, but got {value!r}", **where)
+    stated = (record.shown_unit, record.shown_factor) if shown else None
+    record.check(amount, what, stated, **where)
+
+
 def check_leaves(leaves: Mapping[str, Mapping[str, float]], taxa: Sequence[str]) -> None:
-    """Raises `InputError` for leaves of a taxon that is not in the table, and for leaves that lack
-    one of PROSPECT's parameters or have another."""
+    """Raises `InputError` for leaves of a taxon that is not in the table, for leaves that lack one
+    of PROSPECT's parameters or have another, and for values that are no numbers or out of
+    bounds."""
     for taxon, leaf in leaves.items():
         if taxon not in (*taxa, "*"):
             raise InputError(f"expected leaves of {', '.join(taxa)} or '*', but got {taxon!r}")
@@ -125,23 +173,26 @@ def check_leaves(leaves: Mapping[str, Mapping[str, float]], taxa: Sequence[str])
             raise InputError(
                 f"leaves of {taxon!r}: expected {', '.join(LEAF_FIELDS)}, but got {', '.join(leaf)}"
             )
+        for name, value in leaf.items():
+            _check_number(value, PARAMETERS[name], f" of {taxon!r}", column=name)
 
 
 def table_values(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[float | None]]:
     """The parameters that rows of a species table state, in their units; None where they do not."""
     return {
         name: [
-            None if column not in row else float(row[column]) / column_factor(column)
+            None if column not in row else float(row[column]) / _RECORDS[column].shown_factor
             for row in rows
         ]
-        for column, name in _COLUMNS.items()
+        for column, name in COLUMNS.items()
+        if name in PARAMETERS
     }
 
 
-def column_factor(column: str) -> float:
-    """What a column's numbers are of the parameter's in its unit: 100 for percent and cm."""
-    return 100.0 if column.endswith(("_percent", "_cm")) else 1.0
-
-
-def _empty(value: Any) -> bool:
-    return value is None or (isinstance(value, float) and math.isnan(value))
+def fixed_values(row: Mapping[str, Any]) -> dict[str, Any]:
+    """What a row of a species table states of the fields of `SceneSpecies`, in their units."""
+    return {
+        name: float(row[column])
+        for column, name in COLUMNS.items()
+        if name in FIXED_PARAMETERS and column in row
+    }

@@ -13,7 +13,9 @@ import xarray as xr
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
+from fynjax.canopy import table1_2006
 from fynjax.cli._build import build
+from fynjax.io.instruments import _scene_mesh
 from tests.helpers import assert_valid_summary
 
 app = typer.Typer()
@@ -69,7 +71,7 @@ def test_the_files_of_a_build_agree(plot: Path, tmp_path: Path) -> None:
     full = 100.0 * disc.groupby(plants.taxon).sum() / 4.0
     for taxon in wanted:
         assert cover.crowns_percent[taxon] == pytest.approx(full[taxon], rel=0.02)
-    assert cover.species_percent["all"] == pytest.approx(cover.seen_percent["all"], abs=1e-3)
+    assert cover.species_percent["all"] == pytest.approx(cover.visible_percent["all"], abs=1e-3)
     assert cover.counted_percent["Euclea racemosa"] == pytest.approx(0.8 * full.iloc[1], rel=0.02)
 
     with xr.open_dataset(out / "voxels.nc") as voxels:
@@ -106,6 +108,17 @@ def test_what_cannot_be_built(
 ) -> None:
     with pytest.raises(InputError, match=word):
         run(plot, "--output", tmp_path / "out", *options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_growth_form_without_known_leaves_has_no_mesh(
+    plot: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = table1_2006()
+    monkeypatch.setattr(_scene_mesh, "table1_2006", lambda: table[table.growth_form != "deadwood"])
+    (tmp_path / "species.csv").write_text(SPECIES.replace("Deadwood", "Old trunk"))
+    with pytest.raises(InputError, match=r"neither 'Old trunk' nor .* growth form 'deadwood'"):
+        run(plot, "--output", tmp_path / "out", "--mesh")
     assert not (tmp_path / "out").exists()
 
 

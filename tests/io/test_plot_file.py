@@ -10,12 +10,7 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.assembly._ground import plot_ground
 from fynjax.canopy import FORM_DEFAULTS, table1_2006
-from fynjax.io.plot import (
-    GROWTH_FORMS,
-    example_folder,
-    read_plot,
-    read_statistics,
-)
+from fynjax.io.plot import SpeciesRow, example_folder, read_plot, read_statistics
 from fynjax.io.plot._plot_file import shipped_growth_forms
 from fynjax.scene import LEAF_FIELDS
 
@@ -48,13 +43,17 @@ def test_example_is_table_1_of_the_paper(folder, shared_data):
     np.testing.assert_allclose(plot.cover, [r["cover_percent"] / 100 for r in table])
     np.testing.assert_allclose(plot.height_m, [r["height_max_m"] for r in table])
     assert plot.size_m == (10.0, 10.0)
-    assert {s.growth_form for s in plot.species} == set(GROWTH_FORMS)
+    assert {s.taxon: s.growth_form for s in plot.species} == shipped_growth_forms()
 
 
 def test_example_is_the_table_that_the_canopy_ships():
     shipped = table1_2006().set_index("taxon")["growth_form"].to_dict()
     assert shipped_growth_forms() == shipped
-    assert set(GROWTH_FORMS) == set(FORM_DEFAULTS)
+
+
+def test_a_species_table_takes_every_growth_form_that_the_canopy_has():
+    choice, _ = SpeciesRow.model_json_schema()["properties"]["growth_form"]["anyOf"]
+    assert choice["enum"] == list(FORM_DEFAULTS)
 
 
 def test_example_statistics_are_table_4_of_the_paper(folder, shared_data):

@@ -2,6 +2,7 @@
 
 import jax
 import numpy as np
+import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
@@ -48,13 +49,13 @@ def test_a_table_gives_the_scene_and_the_image_of_its_plot_file(built, tmp_path)
 
 
 def test_a_frame_is_as_good_as_records_and_leaves_are_by_taxon(built):
-    pd = pytest.importorskip("pandas")
     leaf = {**LEAF, "chlorophyll": 60.0}
-    frame = pd.DataFrame(TABLE).assign(packing_percent=[5.0, np.nan])
+    frame = pd.DataFrame(TABLE).assign(packing_percent=[5.0, np.nan], branches=[pd.NA, 3])
     scene, parameters = Scene.from_table(
         frame, size_m=(2.0, 2.0), leaves={"Restio eleocharis": leaf}
     )
     assert scene.taxa == built[0].taxa
+    assert scene.branches == (1.0, 3.0)
     np.testing.assert_allclose(parameters.leaf.chlorophyll, [40.0, 60.0])
     np.testing.assert_allclose(parameters.species.packing, [0.05, 0.0])
 
@@ -70,7 +71,22 @@ LEAF = {
     [
         ({"growth_form": "palm"}, "row 1, column 'growth_form'.*'palm'"),
         ({"height_max_m": None}, "row 1, column 'height_max_m'"),
-        ({"cover_percent": 130}, "row 1, column 'cover_percent'.*0 to 100, but got 130"),
+        (
+            {"cover_percent": 130},
+            "row 1, column 'cover_percent'.*'Erica irregularis' from 0 to 100 %, but got 130",
+        ),
+        ({"branches": 0}, "column 'branches'.*branches of 'Erica irregularis' from 1 to 1000"),
+        ({"branches": 2.5}, "column 'branches'.*whole number.*but got 2.5"),
+        ({"rotation_spread_deg": -3}, "'rotation_spread_deg'.*from 0 to 90 degree, but got -3"),
+        ({"minimum_object_area_m2": 1e4}, "'minimum_object_area_m2'.*from 0 to 100 m2"),
+        ({"packing_percent": "much"}, "'packing_percent'.*as a number, but got 'much'"),
+        ({"mean_diameter_cm": "40"}, "row 1, column 'mean_diameter_cm'.*but got '40'"),
+        ({"leaf_area_index": True}, "'leaf_area_index'.*as a number, but got True"),
+        ({"leaf_area_index": [1, 2]}, "'leaf_area_index'.*as a number, but got"),
+        ({"height_max_m": pd.NA}, "'height_max_m'.*of 'Erica irregularis', but it is empty"),
+        ({"taxon": 7}, "row 1, column 'taxon'.*as text, but got 7"),
+        ({"growth_form": "tussok"}, "Did you mean 'tussock'"),
+        ({"cover_percnt": 30}, "'cover_percnt': unknown column. Did you mean 'cover_percent'"),
         ({"taxon": "Restio eleocharis"}, "row 2, column 'taxon'.*twice"),
     ],
 )
@@ -81,8 +97,22 @@ def test_a_row_that_cannot_serve_is_named(change, words):
 
 @pytest.mark.parametrize(
     ("leaves", "words"),
-    [({"Erica irregulars": LEAF}, "'Erica irregulars'"), ({"*": {"water": 0.02}}, "chlorophyll")],
+    [
+        ({"Erica irregulars": LEAF}, "'Erica irregulars'"),
+        ({"*": {"water": 0.02}}, "chlorophyll"),
+        (
+            {"*": LEAF | {"water": 200.0}},
+            r"column 'water': expected equivalent water thickness of '\*' from",
+        ),
+        ({"*": LEAF | {"water": None}}, r"as a number, but got None"),
+    ],
 )
 def test_leaves_that_belong_to_no_plant_are_refused(leaves, words):
     with pytest.raises(InputError, match=words):
         Scene.from_table(TABLE, size_m=2.0, leaves=leaves)
+
+
+@pytest.mark.parametrize(("table", "words"), [("species.csv", "frame or records"), ([], "rows")])
+def test_what_is_no_table_is_refused(table, words):
+    with pytest.raises(InputError, match=words):
+        Scene.from_table(table, size_m=2.0)

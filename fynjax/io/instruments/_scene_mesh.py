@@ -36,8 +36,9 @@ def scene_meshes(
     **Returns:** for each species its mesh [m], or `None` where it has no plants; and the number of
     triangles of all plants.
 
-    **Raises:** `InputError` with both numbers where the plants need more than `max_triangles`.
-    Warns where a taxon is not in table 1 and another of its growth form stands in for it.
+    **Raises:** `InputError` with both numbers where the plants need more than `max_triangles`, and
+    for a growth form that no taxon of table 1 has. Warns where a taxon is
+    not in table 1 and another of its growth form stands in for it.
     """
     counts = instances.counts
     least = int(counts.sum()) * LEAST_TRIANGLES
@@ -80,7 +81,13 @@ def _known(taxon: str, form: str) -> str:
     table = table1_2006()
     if taxon in set(table.taxon):
         return taxon
-    stand_in = str(table.taxon[table.growth_form == form].iloc[0])
+    alike = table.taxon[table.growth_form == form]
+    if alike.empty:
+        raise InputError(
+            f"table 1 has neither {taxon!r} nor another taxon of the growth form {form!r}, so that "
+            "the size of its leaves is not known: build without meshes"
+        )
+    stand_in = str(alike.iloc[0])
     warnings.warn(
         f"the mesh of {taxon!r} is that of {stand_in!r}, of the same growth form: leaf sizes are "
         "known for the taxa of table 1 alone",

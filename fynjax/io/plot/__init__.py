@@ -3,7 +3,6 @@
 from fynjax.io.plot._parameter_values import with_parameter_table
 from fynjax.io.plot._place import Place, plot_place
 from fynjax.io.plot._plot import (
-    GROWTH_FORMS,
     Air,
     Calibration,
     Ground,
@@ -34,7 +33,6 @@ from fynjax.io.plot._sensor import (
 from fynjax.io.plot._statistics import TargetStatistics, read_statistics, read_structure
 
 __all__ = [
-    "GROWTH_FORMS",
     "Air",
     "Calibration",
     "Ground",

@@ -3,12 +3,10 @@
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fynjax.io.plot._rows import GrowthForm
 from fynjax.scene import PARAMETERS, parameter_kind
 from fynjax.sensors import Panel
 
@@ -37,7 +35,7 @@ class Species:
     height_m: float
     """Greatest height [m]."""
     growth_form: str
-    """One of `GROWTH_FORMS`."""
+    """A key of `fynjax.canopy.FORM_DEFAULTS`."""
     leaf: LeafSource | None
     """Leaf optics; `None` where the plot has no leaf table, and for deadwood."""
     packing: float
@@ -238,7 +236,3 @@ class Plot:
     def height_m(self) -> Floats:
         """Greatest height of each species [m]."""
         return np.array([s.height_m for s in self.species])
-
-
-GROWTH_FORMS: tuple[str, ...] = get_args(GrowthForm)
-"""Growth forms a species table may name."""

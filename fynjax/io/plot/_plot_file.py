@@ -10,16 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.io.plot._plot import (
-    GROWTH_FORMS,
-    Calibration,
-    Floats,
-    Ground,
-    LeafSource,
-    Plot,
-    Sky,
-    Species,
-)
+from fynjax.canopy import FORM_DEFAULTS
+from fynjax.io.plot._plot import Calibration, Floats, Ground, LeafSource, Plot, Sky, Species
 from fynjax.io.plot._plot_tables import COVER_FRACTIONS, PlotFile
 from fynjax.io.plot._rows import LeafRow, SkyRow, SpeciesRow
 from fynjax.io.plot._sensor import DRONE, plot_air, plot_sensor, plot_sun
@@ -92,7 +84,7 @@ def _growth_form(row: SpeciesRow, shipped: dict[str, str], path: Path, number: i
         raise InputError(
             f"expected a growth form for {row.taxon!r}, which is not in the shipped table."
             f"{did_you_mean(row.taxon, shipped)} Add a column growth_form with one of "
-            f"{', '.join(GROWTH_FORMS)}.",
+            f"{', '.join(FORM_DEFAULTS)}.",
             file=path,
             row=number,
             column="growth_form",

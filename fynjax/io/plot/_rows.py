@@ -1,18 +1,19 @@
 """Rows of the tables a user writes, as pydantic models: species, leaves, statistics, sky."""
 
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
+from fynjax.canopy import FORM_DEFAULTS
 from fynjax.io.text import Slip, Strict, number, optional_quantity, quantity
-from fynjax.scene import PARAMETERS
+from fynjax.scene import FIXED_PARAMETERS, PARAMETERS
 
-GrowthForm = Literal[
-    "upright_ericoid", "rounded_shrub", "tussock", "broad_leaved", "climber", "deadwood"
-]
-"""Shapes a plant can have."""
+if TYPE_CHECKING:
+    GrowthForm = str
+else:  # the names as a choice: in errors, and as an enumeration of the schema
+    GrowthForm = Literal[tuple(FORM_DEFAULTS)]
 
-
+_BRANCHES = FIXED_PARAMETERS["branches"]
 _OF_THE_FORM = "that of the growth form if left out"
 
 
@@ -43,24 +44,16 @@ class SpeciesRow(Strict):
     fill_percent: float | None = optional_quantity(PARAMETERS["fill"])
     branches: int | None = Field(
         default=None,
-        description="Branch models that make up one plant [-].",
-        ge=1,
-        le=1000,
+        description=f"{_BRANCHES.name} [-]. {_BRANCHES.description}",
+        ge=int(_BRANCHES.lower),
+        le=int(_BRANCHES.upper),
         json_schema_extra={"unit": "-"},
     )
-    rotation_spread_deg: float | None = number(
-        "Spread of the tilt of the branches, sigma_rot of equation (5)",
-        "degree",
-        default=None,
-        ge=0,
-        le=90,
-    )
+    rotation_spread_deg: float | None = quantity(FIXED_PARAMETERS["rotation_spread"], default=None)
     leaf_area_index: float | None = quantity(
         PARAMETERS["leaf_area_index"], default=None, note=_OF_THE_FORM
     )
-    minimum_object_area_m2: float | None = number(
-        "Least ground area that one plant counts for", "m2", default=None, ge=0, le=100
-    )
+    minimum_object_area_m2: float | None = quantity(FIXED_PARAMETERS["minimum_area"], default=None)
     wood_area_index: float | None = quantity(
         PARAMETERS["wood_area_index"], default=None, note=_OF_THE_FORM
     )

@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, did_you_mean
 from fynjax.io.text._tables import existing_file
-from fynjax.io.text._validate import did_you_mean
 
 
 def shipped_or_own(

@@ -9,8 +9,8 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from fynjax._core.errors import InputError
-from fynjax.io.text._validate import did_you_mean, first_error, sentence
+from fynjax._core.errors import InputError, did_you_mean
+from fynjax.io.text._validate import first_error, sentence
 
 Row = TypeVar("Row", bound=BaseModel)
 

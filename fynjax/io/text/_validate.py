@@ -1,24 +1,15 @@
 """From a pydantic complaint to one sentence: what was expected, what came, the likely slip."""
 
-import difflib
 import types
 import typing
-from collections.abc import Iterable
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from fynjax._core.errors import did_you_mean
 from fynjax.io.text._strict import Strict
-
-
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """' Did you mean ...?' for the nearest of `known` to `name`, or nothing if none is near."""
-    known = list(known)
-    lower = {k.lower(): k for k in known}
-    near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
-    return f" Did you mean {lower[near[0]]!r}?" if near else ""
 
 
 def _bounds(field: FieldInfo) -> str:
