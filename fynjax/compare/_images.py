@@ -18,20 +18,17 @@ from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.io.raster import RasterFile, open_raster
 from fynjax.metrics import BANDS
+from fynjax.sensors import mavic_3m
 
 FEW_PIXELS = 30
 """Compared pixels below which distributions say nothing."""
 
-# Names of each band in the wild, and the wavelengths [nm] that are taken for it: lowest, highest,
-# wanted.
-_KNOWN: dict[str, tuple[frozenset[str], tuple[float, float, float]]] = {
-    "green": (frozenset({"green", "g", "grn"}), (530.0, 585.0, 560.0)),
-    "red": (frozenset({"red", "r"}), (625.0, 690.0, 650.0)),
-    "red_edge": (frozenset({"red_edge", "rededge", "re", "edge"}), (700.0, 750.0, 730.0)),
-    "nir": (
-        frozenset({"nir", "n", "near_infrared", "nearinfrared", "nir1"}),
-        (780.0, 900.0, 860.0),
-    ),
+# Names of each band in the wild, and the range of wavelengths [nm] that are taken for it.
+_KNOWN: dict[str, tuple[frozenset[str], tuple[float, float]]] = {
+    "green": (frozenset({"green", "g", "grn"}), (530.0, 585.0)),
+    "red": (frozenset({"red", "r"}), (625.0, 690.0)),
+    "red_edge": (frozenset({"red_edge", "rededge", "re", "edge"}), (700.0, 750.0)),
+    "nir": (frozenset({"nir", "n", "near_infrared", "nearinfrared", "nir1"}), (780.0, 900.0)),
 }
 
 
@@ -277,8 +274,10 @@ def _find_bands(
         return [data[k] for k in at], tuple(labels[k] for k in at), "names"
     waves = file.wavelengths[np.array(data) - 1]
     near: dict[str, int] = {}
-    for band, (_, (low, high, wanted)) in _KNOWN.items():
-        inside = [(abs(w - wanted), k) for k, w in enumerate(waves) if low <= w <= high]
+    drone = mavic_3m()
+    centres = dict(zip(drone.names, drone.centre, strict=True))
+    for band, (_, (low, high)) in _KNOWN.items():
+        inside = [(abs(w - centres[band]), k) for k, w in enumerate(waves) if low <= w <= high]
         if inside:
             near[band] = min(inside)[1]
     if set(near) == set(BANDS):

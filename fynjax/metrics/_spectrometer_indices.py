@@ -26,8 +26,9 @@ SPECTROMETER_BANDS: dict[str, tuple[float, float]] = {
     "R705": (700.0, 710.0),
     "R750": (745.0, 755.0),
 }
-"""Wavelengths that a spectrum is averaged over [nm]: the drone camera's bands, so that its indices
-and the spectrometer's are the same quantities; blue as RedEdge-3 has it; and two narrow bands."""
+"""Wavelengths that a spectrum is averaged over [nm]: those of the drone camera `mavic_3m`, so that
+its indices and the spectrometer's are the same quantities; blue as RedEdge-3 has it; and two narrow
+bands."""
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,12 @@ from rasterio import Affine
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress
+from fynjax.compare import _images
 from fynjax.compare._drone import compare_drone_images
 from fynjax.compare._images import DroneImage, read_drone_image, thinning
 from fynjax.io.raster import write_geotiff
+from fynjax.metrics import BANDS
+from fynjax.sensors import BandSet
 from tests.helpers import write_raster
 
 PLACE = Affine(0.05, 0, 100.0, 0, -0.05, 200.0)
@@ -58,6 +61,18 @@ def test_bands_are_found_by_name_wavelength_option_and_order(tmp_path: Path) -> 
     ):
         with pytest.raises(InputError, match=word):
             read(tmp_path / path, **options)
+
+
+def test_of_two_bands_the_one_nearer_to_the_drone_camera_is_taken(tmp_path, monkeypatch) -> None:
+    path, image = tmp_path / "two.tif", values()
+    write_geotiff(
+        path, image[[0, 1, 2, 2, 3]], list("abcde"), pixel_m=0.05,
+        wavelengths=[560, 650, 717, 741, 860],
+    )  # fmt: skip
+    assert read(path).taken[2] == "741 nm"
+    moved = BandSet(BANDS, (560.0, 650.0, 720.0, 860.0), (32.0,) * 4)
+    monkeypatch.setattr(_images, "mavic_3m", lambda: moved)
+    assert read(path).taken[2] == "717 nm"
 
 
 def test_scaled_integers_no_data_border_and_saturation(tmp_path: Path) -> None:

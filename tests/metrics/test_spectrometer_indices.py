@@ -14,6 +14,7 @@ from fynjax.metrics import (
     SPECTROMETER_INDICES,
     spectrometer_indices,
 )
+from fynjax.sensors import mavic_3m
 from tests.helpers import assert_gradients
 
 GRID = np.arange(400.0, 1000.0, 5.0)
@@ -115,3 +116,9 @@ def test_published_facts_equal_the_transcription(shared_data) -> None:  # type: 
         assert (row.lower, row.upper) == pytest.approx((low / 100, high / 100))
         assert (row.simulated_higher is True) == (name in figure["percent_differences"])
     assert set(SPECTROMETER_INDICES) == set(figure["named"]) - {"MEVI", "SARE"}
+
+
+def test_bands_of_the_drone_camera_are_those_of_its_file():
+    drone = mavic_3m()
+    for letter, centre, width in zip(("G", "R", "RE", "N"), drone.centre, drone.fwhm, strict=True):
+        assert SPECTROMETER_BANDS[letter] == (centre - width / 2, centre + width / 2)
