@@ -4,12 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import rasterio
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress
 from fynjax.compare import read_drone_image, read_spectra_sample
 from fynjax.io.instruments import load_lidar, load_sensor
 from fynjax.io.micasense import read_capture
@@ -19,7 +19,7 @@ from fynjax.terrain import read_terrain
 
 
 def drone_image(path: Path) -> Any:
-    return read_drone_image(path, NullProgress())
+    return read_drone_image(path)
 
 
 def map_of_a_plot(path: Path) -> Any:
@@ -33,7 +33,7 @@ def map_of_a_plot(path: Path) -> Any:
         ("image-914-image.tif", lambda path: read_band_stack([path])),
         ("image-914-image.tif", read_cube),
         ("cubehdr-5-reflectance.hdr", read_cube),
-        ("cubehdr-5-reflectance.hdr", lambda p: read_spectra_sample([p], NullProgress())),
+        ("cubehdr-5-reflectance.hdr", lambda p: read_spectra_sample([p])),
         ("cubenc-2-product.nc", read_cube),
         ("rededge-18-IMG_0001_1.tif", lambda path: read_capture("IMG_0001", [path])),
         ("prob-631-prob.tif", map_of_a_plot),
@@ -57,6 +57,16 @@ def test_a_damaged_file_is_named(shared_data: Path, name: str, read: Callable[[P
 def test_a_library_whose_header_took_44_seconds_is_read(shared_data: Path) -> None:
     spectra = read_spectra(shared_data / "damaged" / "envilib-214-lib.hdr")
     assert [spectrum.name for spectrum in spectra] == ["a", "b", "c"]
+
+
+@pytest.mark.parametrize(("number", "missing"), [(96, 51), (897, 61)])
+def test_numbers_that_no_instrument_gives_are_missing(shared_data, number, missing):
+    """Infinite, or up to 1e286, also in the water bands, where noise may be of any size."""
+    (spectrum,) = read_spectra(shared_data / "damaged" / f"asd-{number}-ribb00001.asd")
+    values = spectrum.reflectance
+    assert np.isnan(values).sum() == missing
+    assert np.nanmax(np.abs(values)) < 1e4
+    assert f"{missing} impossible values of reflectance set to missing" in spectrum.meta["repairs"]
 
 
 @pytest.mark.parametrize(

@@ -107,7 +107,7 @@ def read_asd(path: str | Path, data: bytes | None = None) -> Spectrum:
     }
     if kind == "raw":
         note(meta, "reflectance formed as raw target over white reference")
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         ratio = np.where(dead, np.nan, target / white)
     if dead.any():
         note(meta, f"{int(dead.sum())} bands with zero white reference set to missing")

@@ -11,6 +11,8 @@ from fynjax._core.errors import InputError
 # Bands where an outdoor spectrum is noise: no check looks there, and the fit can leave them out.
 WATER_WINDOWS = ((1340.0, 1420.0), (1790.0, 1970.0), (2400.0, 2600.0))
 _LOWEST, _HIGHEST = -0.02, 1.05
+# No ratio of two counts of 16 bits, be they noise, is larger.
+_LARGEST_RATIO = 65535.0
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,8 @@ def _checked(
             "the unit '%' in the header",
             file=file,
         )
-    wrong = finite & looked_at & ((values < _LOWEST) | (values > _HIGHEST))
+    known = ~np.isnan(values)
+    wrong = known & looked_at & ~((values >= _LOWEST) & (values <= _HIGHEST))
     if wrong.sum() > 0.05 * shown.size:
         low, high = float(shown.min()), float(shown.max())
         hint = "negative" if low < _LOWEST else "above one"
@@ -67,6 +70,7 @@ def _checked(
             f"{high:.4g} and is {hint} in {wrong.sum()} bands; was the white reference right?",
             file=file,
         )
+    wrong |= known & ~(np.abs(values) <= _LARGEST_RATIO)
     if wrong.any():
         values = np.where(wrong, np.nan, values)
         note(meta, f"{wrong.sum()} impossible values of {what} set to missing")
