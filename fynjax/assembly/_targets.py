@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 from fynjax.assembly._forward import image_view
 from fynjax.compare import read_drone_image, read_spectra_sample
 from fynjax.compare.structure import ComparisonSettings, cloud_structure
@@ -147,7 +147,6 @@ def read_targets(
 
     In the order of `KINDS`. Raises `InputError` for two of a kind, and as the readers.
     """
-    progress = NullProgress() if progress is None else progress
     found: dict[Kind, Measured] = {}
     for path in map(Path, paths):
         existing_file(path, "an image, a spectrum, a point cloud or a table of their statistics")
@@ -176,12 +175,12 @@ def _used(plot: Plot, names: Sequence[str], what: str) -> list[int]:
     return keep
 
 
-def image_target(plot: Plot, path: Path, progress: Progress) -> Measured:
+def image_target(plot: Plot, path: Path, progress: Progress | None = None) -> Measured:
     """The statistics of a drone's image (GeoTIFF) or of a table (CSV)."""
     share = plot.calibration.target_sd
     extra: dict[str, Any] = {}
     if path.suffix.lower() in (".tif", ".tiff"):
-        image = read_drone_image(path, progress, most_pixels=None)
+        image = read_drone_image(path, most_pixels=None, progress=progress)
         names = [IMAGE_STATISTICS[i] for i in _used(plot, IMAGE_STATISTICS, "the statistics")]
         clean = jnp.asarray(np.where(image.mask, image.values, 0.0))
         value = np.asarray(image_statistics(clean, names, jnp.asarray(image.mask)))
@@ -208,9 +207,9 @@ def drone_view(
 # -- spectra ----------------------------------------------------------------------------------
 
 
-def spectrum_target(plot: Plot, path: Path, progress: Progress) -> Measured:
+def spectrum_target(plot: Plot, path: Path, progress: Progress | None = None) -> Measured:
     """The mean of a file's spectra or pixels, in some thirty bands outside the water windows."""
-    sample = read_spectra_sample([path], progress)
+    sample = read_spectra_sample([path], progress=progress)
     grid = sample.wavelength
     count, mean = len(sample.values), sample.values.mean(axis=0)
     try:
@@ -287,7 +286,9 @@ def reflectance_noise(
 # -- clouds -----------------------------------------------------------------------------------
 
 
-def structure_target(plot: Plot, path: Path, seed: int, progress: Progress) -> Measured:
+def structure_target(
+    plot: Plot, path: Path, seed: int, progress: Progress | None = None
+) -> Measured:
     """Structure metrics of a cloud, or of a table of them (CSV)."""
     settings, grains = structure_settings(plot)
     extra: dict[str, Any]

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
 
-from fynjax._core.progress import Progress
+from fynjax._core.progress import NullProgress, Progress
 from fynjax.compare._images import FEW_PIXELS, DroneImage
 from fynjax.compare._published_tables import bands_2006, table4_2006
 from fynjax.metrics import (
@@ -54,7 +54,7 @@ class DroneComparison:
 
 
 def compare_drone_images(
-    real: DroneImage, simulated: DroneImage, progress: Progress
+    real: DroneImage, simulated: DroneImage, *, progress: Progress | None = None
 ) -> DroneComparison:
     """Compare bands and vegetation indices of two images by the distributions of their pixels.
 
@@ -65,11 +65,12 @@ def compare_drone_images(
 
     - `real`, `simulated`: reflectance [band, y, x] in four bands [-], as of `read_drone_image`;
       they may differ in size and place.
-    - `progress`: is advanced once for each index.
+    - `progress`: is advanced once for each index; nothing is reported by default.
 
     **Returns:** a `DroneComparison`: means, standard deviations, histogram intersections and
     Kolmogorov-Smirnov distances beside those of the paper, and notes.
     """
+    progress = NullProgress() if progress is None else progress
     samples = (real.pixels, simulated.pixels)
     published = table4_2006()
     rows, full, shown = [], [], []

@@ -89,11 +89,11 @@ class DroneImage:
 
 def read_drone_image(
     path: str | Path,
-    progress: Progress,
     *,
     bands: Sequence[str] | None = None,
     saturation: float | None = None,
     most_pixels: int | None = 1_000_000,
+    progress: Progress | None = None,
 ) -> DroneImage:
     """Read green, red, red edge and near infrared of an image, in blocks of rows.
 
@@ -101,7 +101,6 @@ def read_drone_image(
 
     - `path`: any raster that GDAL reads. Its scale and offset tags are applied, no scale is
       guessed.
-    - `progress`: is advanced once for each block.
     - `bands`: what each band of the file is, in its order, such as "blue", "green", "red", "nir",
       "red_edge"; any other name is a band that is not used. If not given, bands are known by
       their names, else by their wavelengths, else, of exactly four bands without either, by the
@@ -110,6 +109,7 @@ def read_drone_image(
       of integers the largest value of their type always is, unless it is their no-data value.
     - `most_pixels`: of a larger image every k-th row and column is read, with the smallest k that
       gives no more; `None` reads all.
+    - `progress`: is advanced once for each block; nothing is reported by default.
 
     **Returns:** a `DroneImage`: reflectance [-] of the pixels that are compared.
 
@@ -119,7 +119,6 @@ def read_drone_image(
 
     >>> import pathlib, tempfile
     >>> import numpy as np
-    >>> from fynjax._core.progress import NullProgress
     >>> from fynjax.compare import read_drone_image
     >>> from fynjax.io.raster import write_geotiff
     >>> levels = np.linspace(0.9, 1.1, 900).reshape(30, 30)
@@ -128,7 +127,7 @@ def read_drone_image(
     ...     path = pathlib.Path(folder) / "drone.tif"
     ...     picture = [level * levels for level in bands.values()]
     ...     write_geotiff(path, picture, list(bands), pixel_m=0.1)
-    ...     image = read_drone_image(path, NullProgress())
+    ...     image = read_drone_image(path)
     >>> image.chosen_by, image.pixels.shape
     ('names', (4, 900))
     """

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
+from fynjax._core.progress import NullProgress, Progress
 from fynjax._core.spectral import check_wavelength
 from fynjax.compare._images import thinning
 from fynjax.io.raster import open_raster
@@ -59,9 +59,9 @@ class SpectraSample:
 
 def read_spectra_sample(
     paths: Sequence[str | Path],
-    progress: Progress,
     *,
     most_spectra: int = 20_000,
+    progress: Progress | None = None,
 ) -> SpectraSample:
     """Read the spectra of one or several files, all on one grid of wavelengths.
 
@@ -77,14 +77,15 @@ def read_spectra_sample(
     **Arguments:**
 
     - `paths`: the files.
-    - `progress`: is advanced once for each block of rows.
     - `most_spectra`: of a cube with more pixels every k-th row and column is read.
+    - `progress`: is advanced once for each block of rows; nothing is reported by default.
 
     **Returns:** a `SpectraSample`: wavelengths [nm] and reflectance [spectrum, wavelength] [-].
 
     **Raises:** `InputError` for files that are missing or cut short, have no wavelengths, differ in
     their grids, are no fractions, or leave nothing to compare.
     """
+    progress = NullProgress() if progress is None else progress
     files = tuple(Path(path) for path in paths)
     parts = [_read(path, most_spectra, progress) for path in files]
     grid, _, fwhm, step = parts[0]

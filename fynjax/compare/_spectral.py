@@ -80,7 +80,6 @@ def compare_spectra(
 
     >>> import pathlib, tempfile
     >>> import numpy as np
-    >>> from fynjax._core.progress import NullProgress
     >>> from fynjax.compare import compare_spectra, read_spectra_sample
     >>> header = "wavelength,a,b\n"
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -89,7 +88,7 @@ def compare_spectra(
     ...         rows = [f"{w},{w / 5e3 + offset},{w / 4e3 + offset}" for w in range(450, 1001, 10)]
     ...         path = pathlib.Path(folder) / f"{name}.csv"
     ...         _ = path.write_text(header + "\n".join(rows))
-    ...         samples.append(read_spectra_sample([path], NullProgress()))
+    ...         samples.append(read_spectra_sample([path]))
     >>> comparison = compare_spectra(*samples)
     >>> comparison.regions.set_index("region")["rmse"].round(3).to_dict()
     {'full': 0.02, 'vnir': 0.02}

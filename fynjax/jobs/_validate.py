@@ -190,27 +190,27 @@ def validate(
     if data.simulated_drone:
         simulated = read_drone_image(
             data.simulated_drone,
-            run.progress,
             bands=simulated_bands,
             saturation=saturation,
             most_pixels=most_pixels,
+            progress=run.progress,
         )
         if str(data.real_drone) == PUBLISHED:
             drone = compare_with_published(simulated)
         else:
             real = read_drone_image(
                 data.real_drone or "",
-                run.progress,
                 bands=real_bands,
                 saturation=saturation,
                 most_pixels=most_pixels,
+                progress=run.progress,
             )
-            drone = compare_drone_images(real, simulated, run.progress)
+            drone = compare_drone_images(real, simulated, progress=run.progress)
     spectra: SpectralComparison | None = None
     if data.simulated_spectra:
         spectra = compare_spectra(
-            read_spectra_sample(data.real_spectra, run.progress),
-            read_spectra_sample(data.simulated_spectra, run.progress),
+            read_spectra_sample(data.real_spectra, progress=run.progress),
+            read_spectra_sample(data.simulated_spectra, progress=run.progress),
             method=matching,
             windows=windows,
         )

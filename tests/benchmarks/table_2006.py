@@ -18,7 +18,6 @@ import laspy
 import numpy as np
 import pandas as pd
 
-from fynjax._core.progress import NullProgress
 from fynjax.compare import table5_2006
 from fynjax.compare._images import read_drone_image
 from fynjax.compare._published import compare_with_published, wins
@@ -100,7 +99,7 @@ def _simulate(plot: Path, folder: Path) -> None:
 
 
 def _drone(folder: Path) -> pd.DataFrame:
-    image = read_drone_image(folder / "drone" / "image.tif", NullProgress())
+    image = read_drone_image(folder / "drone" / "image.tif")
     table = compare_with_published(image).statistics
     keep = ["statistic", "status", "real", "dirsig", "dirsig_abs_error_percent", "simulated"]
     return table[keep].assign(sensor="drone")

@@ -7,7 +7,6 @@ import pytest
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress
 from fynjax.compare import _images
 from fynjax.compare._drone import compare_drone_images
 from fynjax.compare._images import DroneImage, read_drone_image, thinning
@@ -26,7 +25,7 @@ def values(rows: int = 30, columns: int = 20) -> np.ndarray:
 
 
 def read(path: Path, **options) -> DroneImage:  # type: ignore[no-untyped-def]
-    return read_drone_image(path, NullProgress(), **options)
+    return read_drone_image(path, **options)
 
 
 def test_bands_are_found_by_name_wavelength_option_and_order(tmp_path: Path) -> None:
@@ -138,5 +137,5 @@ def test_too_few_pixels_for_distributions_are_told(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match=r"one\.tif: 1 pixels are compared, which is too few"):
         one = read(path)
     large = read(write_raster(tmp_path / "large.tif", values(), transform=PLACE))
-    said = " ".join(compare_drone_images(large, one, NullProgress()).notes)
+    said = " ".join(compare_drone_images(large, one).notes)
     assert "Only 1 pixels of the simulated image" in said

@@ -8,7 +8,6 @@ import xarray as xr
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress
 from fynjax.compare._spectra import SpectraSample, read_spectra_sample
 from fynjax.io.raster import image_array, write_geotiff, write_run
 from tests.helpers import write_raster
@@ -23,7 +22,7 @@ def cube() -> np.ndarray:
 
 
 def read(*paths: Path, **options) -> SpectraSample:  # type: ignore[no-untyped-def]
-    return read_spectra_sample(paths, NullProgress(), **options)
+    return read_spectra_sample(paths, **options)
 
 
 def write_envi(path: Path, values: np.ndarray, **header: str) -> Path:

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress
 from fynjax.assembly._targets import image_target
 from fynjax.inversion import weigh_targets
 from fynjax.io.plot import example_folder, read_plot
@@ -27,6 +26,6 @@ def test_a_stated_error_is_kept():
 def test_the_example_table_is_a_target_of_the_example_plot():
     """What the README has a new user type."""
     plot = read_plot(example_folder() / "plot.toml")
-    data = image_target(plot, example_folder() / "statistics.csv", NullProgress()).data
+    data = image_target(plot, example_folder() / "statistics.csv").data
     assert data.names[:2] == ("green.mean", "red.mean")
     assert float(data.sd[0]) == pytest.approx(0.0003)

@@ -6,7 +6,6 @@ import rasterio
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress
 from fynjax.compare import DroneImage, read_drone_image
 from fynjax.io.raster import read_cube, write_geotiff
 from tests.helpers import write_raster
@@ -28,7 +27,7 @@ def write(path, image, **options):
 
 
 def read_image(path) -> DroneImage:
-    return read_drone_image(path, NullProgress())
+    return read_drone_image(path)
 
 
 def test_rasterio_sees_north_up_places_names_and_tags(tmp_path, image):

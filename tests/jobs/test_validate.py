@@ -10,7 +10,6 @@ import xarray as xr
 from scipy import stats
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress
 from fynjax.compare._drone import DroneComparison, compare_drone_images
 from fynjax.compare._images import read_drone_image
 from fynjax.compare._spectra import SpectraSample, read_spectra_sample
@@ -48,9 +47,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def drone(folder: Path) -> DroneComparison:
-    quiet = NullProgress()
-    real, simulated = (read_drone_image(folder / f"{n}.tif", quiet) for n in ("real", "simulated"))
-    return compare_drone_images(real, simulated, quiet)
+    real, simulated = (read_drone_image(folder / f"{n}.tif") for n in ("real", "simulated"))
+    return compare_drone_images(real, simulated)
 
 
 def written(name: str, image: np.ndarray) -> np.ndarray:
@@ -186,7 +184,7 @@ def test_spectra_that_reach_no_index(wave: np.ndarray, folder: Path, tmp_path: P
 def test_a_constant_spectrum_has_no_line(folder: Path, tmp_path: Path) -> None:
     """Also where bringing it onto other bands has rounded it."""
     fine = np.arange(390.0, 2470.0, 3.0)
-    x = read_spectra_sample([folder / "real.csv"], NullProgress()).values.mean(axis=0)
+    x = read_spectra_sample([folder / "real.csv"]).values.mean(axis=0)
     x = x[spectral_mask(WAVE)]
     degrees = np.degrees(np.arccos(x.sum() / np.sqrt(x.size) / np.linalg.norm(x)))
     for level, angle in ((0.3, f"angle {degrees:.1f}°"), (0.0, "angle undefined")):
