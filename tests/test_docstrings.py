@@ -16,6 +16,7 @@ import fynjax
 import fynjax.radiation
 
 COMPLETE = (
+    "fynjax.assembly",
     "fynjax.canopy",
     "fynjax.compare",
     "fynjax.io",
@@ -24,6 +25,7 @@ COMPLETE = (
     "fynjax.metrics",
     "fynjax.radiation",
     "fynjax.report",
+    "fynjax.scene",
     "fynjax.sensors",
     "fynjax.studies",
     "fynjax.terrain",

@@ -35,9 +35,15 @@ AREA_INDICES = {"leaf_area_index": Organ.LEAF, "wood_area_index": Organ.WOOD}
 def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[Scene, PlotParameters]:
     """The scene of a plot and its parameters as the files state them.
 
-    Fits PROSPECT to the measured spectra that the leaf table names. `seed` replaces the plot
-    file's. Raises `InputError` for a spectrum or map that cannot be used, and where the plants find
-    no room.
+    Fits PROSPECT to the measured spectra that the leaf table names.
+
+    **Arguments:**
+
+    - `plot`: as `read_plot` gives it.
+    - `seed`: of everything random; the plot file's if left out.
+
+    **Raises:** `InputError` for a spectrum or map that cannot be used, and where the plants find no
+    room on the plot or in memory.
     """
     seed = plot.seed if seed is None else seed
     check_memory(plot)
@@ -117,8 +123,14 @@ def plot_parameters(
 ) -> PlotParameters:
     """The parameters that a plot's files state, defaults of the growth forms filled in.
 
-    `fractions` of litter, char and rock replace those of the plot file; `plants`, the models of
-    species that have one, give the leaf and wood area that the tables leave out.
+    **Arguments:**
+
+    - `plot`: as `read_plot` gives it.
+    - `fractions`: of litter, char and rock [-]; those of the plot file if left out.
+    - `plants`: models of the species that have one, which give the leaf and wood area that the
+      tables leave out.
+
+    **Raises:** `InputError` for a leaf spectrum that cannot be used.
     """
     litter, char, rock = plot.ground.fractions if fractions is None else fractions
     models = [None] * len(plot.species) if plants is None else plants

@@ -27,7 +27,16 @@ class Prepared(NamedTuple):
 
 
 def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
-    """Build a plot and its free parameters; `free` patterns replace those of its file."""
+    """Build a plot and its free parameters.
+
+    **Arguments:**
+
+    - `plot`: as `read_plot` gives it.
+    - `free`: patterns of the names of the parameters to be free; those of the plot file if `None`.
+    - `seed`: of everything random.
+
+    **Raises:** `InputError` as `build_plot`, and as `free_space`.
+    """
     scene, parameters = build_plot(plot, seed=seed)
     patterns = plot.calibration.free if free is None else tuple(free)
     space = free_space(scene, parameters, patterns, plot.calibration.relative_sd)
@@ -39,7 +48,13 @@ def image_view(
 ) -> ImageView:
     """Statistics of the image that a plot's drone takes, from where its file has it.
 
-    Raises `InputError` as `drone_sensor` and `aim_without_air`.
+    **Arguments:**
+
+    - `plot`: as `read_plot` gives it.
+    - `scene`, `parameters`: of the plot, from `build_plot`.
+    - `statistics`: names such as `nir.mean` or `NDVI.std`.
+
+    **Raises:** `InputError` as `drone_sensor` and `aim_without_air`.
     """
     sensor = drone_sensor(plot)
     return ImageView(tuple(statistics), aim_without_air(plot, scene, parameters, sensor))
@@ -51,13 +66,19 @@ def batch_for_device() -> int | None:
 
 
 def shown_unit(name: str) -> tuple[str, str, float]:
-    """Kind, unit as field crews write it, and the factor to it, of a parameter."""
+    """Kind, unit as field crews write it, and the factor to it, of the parameter called `name`."""
     kind = parameter_kind(name)
     return kind, PARAMETERS[kind].shown_unit, PARAMETERS[kind].shown_factor
 
 
 def parameter_columns(names: Sequence[str], columns: dict[str, Any]) -> pd.DataFrame:
-    """A table of parameters: name, kind, unit, and columns converted to that unit."""
+    """A table of parameters: name, kind, unit, and columns converted to that unit.
+
+    **Arguments:**
+
+    - `names`: of the parameters.
+    - `columns`: values of the parameters, in their own units, by the name of the column.
+    """
     units = [shown_unit(name) for name in names]
     factor = np.array([f for _, _, f in units])
     return pd.DataFrame(

@@ -61,7 +61,7 @@ def read_plant(path: Path, form: str) -> MeshPlant:
         raise InputError(
             f"expected a plant {'with' if leafy else 'without'} leaves for the growth form "
             f"{form!r}, but this one has {'none' if leafy else 'some'}. Do the names of its "
-            "materials say what they are? `fynjax plant --materials` tells them.",
+            "materials say what they are? `fynjax plant --materials` states them.",
             file=path,
         )
     return plant

@@ -8,7 +8,7 @@ from fynjax.io.plot import Air, Plot, optical_pixel, sensor_altitude, visible_se
 from fynjax.scene import AimedSensor, Placement, PlotAir, PlotParameters, Scene, aim
 from fynjax.sensors import Atmosphere, OrthographicCamera, Sensor
 
-_DISAGREE = 0.02  # share by which a pixel may differ from the optics before that is told
+_DISAGREE = 0.02  # share by which a pixel may differ from the optics without a warning
 
 
 def aim_at_plot(
@@ -24,13 +24,23 @@ def aim_at_plot(
 ) -> AimedSensor:
     """A sensor over the scene of a plot, from where the plot file has it.
 
-    **Arguments:** `instrument`, from `load_sensor`; `altitude` above the ground and `pixel` on it
-    [m], and `air`, instead of the plot file's; `quiet`, without warnings. What the plot file says
-    of its sensor counts where the two have the same name.
+    What the plot file says of its sensor counts where `instrument` has the same name. Bands that
+    the spectra of a plot do not cover are left out.
 
-    Bands that the spectra of a plot do not cover are left out. Warns where altitude and pixel are
-    both given and the optics disagree; the pixel is used. Raises `InputError` as
-    `fynjax.scene.aim` and where the air does not reach to the sun of `parameters`.
+    **Arguments:**
+
+    - `plot`: as `read_plot` gives it.
+    - `scene`, `parameters`: of the plot, from `build_plot`.
+    - `instrument`: from `load_sensor`.
+    - `altitude`: above the ground, and `pixel`: on it [m], instead of the plot file's.
+    - `air`: instead of the plot file's.
+    - `quiet`: without warnings.
+
+    **Returns:** an `AimedSensor`. Warns where altitude and pixel are both given and the optics
+    disagree (the pixel is used), and where the plot is wider than an image of the sensor.
+
+    **Raises:** `InputError` as `fynjax.scene.aim` and where the air does not reach to the sun of
+    `parameters`.
     """
     own = plot.sensor if plot.sensor.name == instrument.name else None
     if own is not None:
@@ -84,7 +94,16 @@ def aim_without_air(
     plot: Plot, scene: Scene, parameters: PlotParameters, instrument: Sensor
 ) -> AimedSensor:
     """A sensor over the scene of a plot as its file has it, for reflectance under the plot's own
-    sky: what `render` shows and a calibration compares."""
+    sky: what `render` shows and a calibration compares.
+
+    **Arguments:**
+
+    - `plot`: as `read_plot` gives it.
+    - `scene`, `parameters`: of the plot, from `build_plot`.
+    - `instrument`: from `load_sensor`.
+
+    **Raises:** `InputError` as `aim_at_plot`.
+    """
     return aim_at_plot(
         plot,
         scene,

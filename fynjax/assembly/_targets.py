@@ -145,7 +145,16 @@ def read_targets(
 ) -> tuple[Measured, ...]:
     """Read what a plot is to be calibrated to: one measurement of each kind at most.
 
-    In the order of `KINDS`. Raises `InputError` for two of a kind, and as the readers.
+    **Arguments:**
+
+    - `plot`: as `read_plot` gives it.
+    - `paths`: files of images, spectra, point clouds, or tables of their statistics.
+    - `seed`: of the resampling of a cloud's cells.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** what was measured: image, spectrum, structure, those that there are.
+
+    **Raises:** `InputError` for two of a kind, and as the readers.
     """
     found: dict[Kind, Measured] = {}
     for path in map(Path, paths):
@@ -198,8 +207,15 @@ def image_target(plot: Plot, path: Path, progress: Progress | None = None) -> Me
 def drone_view(
     plot: Plot, statistics: Sequence[str]
 ) -> Callable[[Scene, PlotParameters], AbstractView]:
-    """The view of a plot's drone, of a scene to be given later. Raises `InputError` for a sensor
-    that makes no drone's image."""
+    """The view of a plot's drone, of a scene to be given later.
+
+    **Arguments:**
+
+    - `plot`: as `read_plot` gives it.
+    - `statistics`: names such as `nir.mean` or `NDVI.std`.
+
+    **Raises:** `InputError` for a sensor that makes no drone's image.
+    """
     drone_sensor(plot)
     return lambda scene, parameters: image_view(plot, scene, parameters, statistics)
 

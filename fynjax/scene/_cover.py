@@ -96,7 +96,7 @@ def projected_cover(
 def crown_centres(
     instances: Instances,
 ) -> tuple[Float[np.ndarray, " plant"], Float[np.ndarray, " plant"]]:
-    """x and y above which the middles of the plants' axes are [m]."""
+    """x and y of the middles of the axes of `instances` [m]: where their crowns are centred."""
     lean = 0.5 * instances.height * np.sin(np.deg2rad(instances.tilt))
     turn = np.deg2rad(instances.azimuth)
     return instances.x + lean * np.sin(turn), instances.y + lean * np.cos(turn)

@@ -65,7 +65,16 @@ def random_patches(
     """Relative density of soil and of each cover, in patches with soft edges [-].
 
     The logarithm is a Gaussian random field, independent for each kind: white noise smoothed by a
-    Gaussian of standard deviation `scale` / 2 [voxel columns]. The same seed gives the same field.
+    Gaussian.
+
+    **Arguments:**
+
+    - `shape`: rows and columns of voxels.
+    - `scale`: width of a patch [voxel columns], above 0: twice the Gaussian's standard deviation.
+    - `periodic`: whether the field repeats itself beyond its sides; it is mirrored otherwise.
+    - `seed`: the same seed gives the same field.
+
+    **Returns:** soil, then `COVERS`, each above 0. Not differentiable.
     """
     noise = np.random.default_rng([seed, 307]).standard_normal((len(COVERS) + 1, *shape))
     mode = "wrap" if periodic else "reflect"

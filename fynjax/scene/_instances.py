@@ -47,26 +47,38 @@ class Instances:
         return np.bincount(self.species, minlength=len(self.taxa))
 
 
-def hard_counts(model: Scene, parameters: PlotParameters) -> Int[np.ndarray, " species"]:
+def hard_counts(scene: Scene, parameters: PlotParameters) -> Int[np.ndarray, " species"]:
     """Whole number of plants of each species, eq. (10) with its ceiling [-].
 
-    Counted in the precision of `parameters`: give them in 64-bit, as the reader of plot files
-    does where JAX's 64-bit numbers are on.
+    **Arguments:**
+
+    - `scene`: whose extent counts, and what it fixes about the species.
+    - `parameters`: of the plot. Plants are counted in their precision: give them in 64-bit, as the
+      reader of plot files does where JAX's 64-bit numbers are on.
+
+    Not differentiable; `Scene.counts` is.
     """
-    count = np.asarray(model.counts(parameters), float)
+    count = np.asarray(scene.counts(parameters), float)
     return np.asarray(hard_count(count, np.ones(len(count))))
 
 
-def hard_instances(model: Scene, parameters: PlotParameters) -> Instances:
+def hard_instances(scene: Scene, parameters: PlotParameters) -> Instances:
     """The plants of the hard scene, as many of each species as eq. (10) says.
 
-    They are the first plants of the model's planting: their places, turns and sizes are those of
+    They are the first plants of the scene's planting: their places, turns and sizes are those of
     the soft scene, to which they are the limit.
 
-    Raises `InputError` where a species has fewer sites held ready than plants.
+    **Arguments:**
+
+    - `scene`: in which the plants are chosen.
+    - `parameters`: of the plot: covers and sizes.
+
+    **Raises:** `InputError` where a species has fewer sites held ready than plants.
+
+    Not differentiable.
     """
-    planting = model.planting
-    chosen = np.flatnonzero(_standing(model, parameters))
+    planting = scene.planting
+    chosen = np.flatnonzero(_standing(scene, parameters))
     species, place = np.asarray(planting.species)[chosen], np.asarray(planting.place)[chosen]
     order = np.lexsort((place, species))
     species, chosen = species[order], chosen[order]
@@ -76,12 +88,12 @@ def hard_instances(model: Scene, parameters: PlotParameters) -> Instances:
         for name in ("diameter", "height")
     }
     return Instances(
-        model.taxa,
-        model.grid.extent[:2],
+        scene.taxa,
+        scene.grid.extent[:2],
         species,
         foot[:, 0],
         foot[:, 1],
-        np.asarray(ground_at(model, planting.foot[chosen]), float),
+        np.asarray(ground_at(scene, planting.foot[chosen]), float),
         np.asarray(planting.azimuth, float)[chosen],
         np.asarray(planting.tilt, float)[chosen],
         own["diameter"] * np.asarray(planting.size, float)[chosen],
@@ -89,27 +101,34 @@ def hard_instances(model: Scene, parameters: PlotParameters) -> Instances:
     )
 
 
-def hard_scene(model: Scene, parameters: PlotParameters) -> Scene:
+def hard_scene(scene: Scene, parameters: PlotParameters) -> Scene:
     """The plot with the plants of `hard_instances` and no spare ones.
 
     These plants stand whatever a cover is later set to; everything else follows the parameters as
     before. A fraction of the area elements is left, and the memory with it.
+
+    **Arguments:**
+
+    - `scene`: with the plants held ready.
+    - `parameters`: of the plot, by which plants are chosen.
+
+    **Raises:** `InputError` as `hard_instances`.
     """
-    planting = model.planting.only(_standing(model, parameters))
-    hard = eqx.tree_at(lambda m: m.planting, model, planting)
+    planting = scene.planting.only(_standing(scene, parameters))
+    hard = eqx.tree_at(lambda m: m.planting, scene, planting)
     return dataclasses.replace(hard, softness=0.0, softness_plants=0.0)
 
 
-def _standing(model: Scene, parameters: PlotParameters) -> np.ndarray:
+def _standing(scene: Scene, parameters: PlotParameters) -> np.ndarray:
     """Mask of the plants of the hard scene."""
-    count = hard_counts(model, parameters)
-    species = np.asarray(model.planting.species)
+    count = hard_counts(scene, parameters)
+    species = np.asarray(scene.planting.species)
     ready = np.bincount(species, minlength=len(count))
     short = np.flatnonzero(ready < count)
     if short.size:
         one = short[0]
         raise InputError(
-            f"{model.taxa[one]!r} is to have {count[one]} plants, but {ready[one]} sites are held "
+            f"{scene.taxa[one]!r} is to have {count[one]} plants, but {ready[one]} sites are held "
             "ready: build the scene with these parameters, or with more `room`"
         )
-    return np.asarray(model.planting.place) < count[species]
+    return np.asarray(scene.planting.place) < count[species]

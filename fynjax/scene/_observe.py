@@ -125,7 +125,7 @@ class Observation(eqx.Module):
     radiance: Float[Array, "band y x"] | None
     """At the sensor, with its noise if that was drawn [W m-2 sr-1 um-1]; None without air."""
     transparent: Bool[Array, " band"]
-    """Where the air lets the ground be seen."""
+    """Where the air lets the ground's light through."""
     reflectance_sd: Float[Array, "band y x"] | None
     """Standard deviation of a reflectance by panels, of line and noise; None without panels [-]."""
     residual: Float[Array, " band"]
@@ -397,18 +397,23 @@ def aim(
 
     **Arguments:**
 
+    - `scene`: whose extent, heights and boundary count.
     - `parameters`: of which the sun counts, where the scene is open.
+    - `sensor`: from `fynjax.sensors.shipped_sensor` or a file.
     - `placement`: of the sensor and its pixels; left out, as its file has them.
     - `air`: between scene and sensor; None for reflectance alone.
-    - `panels`: to be seen in the picture and to calibrate by, with sharp edges. For a sensor in
-      air.
+    - `panels`: that lie in the picture and calibrate it, with sharp edges. For a sensor in air.
     - `point_spread`: whether the optics blur.
     - `accuracy`: of the light; left out, that of a drone's image.
 
     As many whole pixels as the scene holds lie in its middle; a periodic scene smaller than a pixel
-    fills one, for it goes on for ever. Raises `InputError` for an open scene smaller than a pixel,
-    a sensor that is not above the plants, and values out of range. Sensor, terrain and, of an open
-    scene, the sun must be known: aim before a transformation, observe inside.
+    fills one, for it goes on for ever.
+
+    Camera, terrain and, of an open scene, the sun must be known: aim before a transformation,
+    observe inside.
+
+    **Raises:** `InputError` for an open scene smaller than a pixel, a sensor that is not above the
+    plants, values out of range, and what is traced but must be known.
     """
     _check_known("a camera", sensor.camera)
     _check_known("the terrain of a scene", scene.terrain)
@@ -503,12 +508,19 @@ def observe_lidar(
 ) -> LidarObservation:
     """Fly a LiDAR over a scene: its pulses, their waveforms and returns.
 
-    **Arguments:** `noise`, whether the receiver is noisy; `seed`, of the places of the pulses, the
-    leaves that they hit, which are always drawn, and the noise.
+    **Arguments:**
 
-    Single scattering, see `lidar_waveforms`. A cloud is that of whole plants: give it the scene of
-    `hard_scene`. Not differentiable, as returns are found one by one; `lidar_waveforms` is. Raises
-    `InputError` as `Lidar.beams`.
+    - `scene`, `parameters`: as of `observe`. A cloud is that of whole plants: give it the scene of
+      `hard_scene`.
+    - `lidar`: from `fynjax.sensors` or a file, which says where it flies.
+    - `noise`: whether the receiver is noisy.
+    - `seed`: of the places of the pulses, the leaves that they hit, which are always drawn, and the
+      noise.
+
+    **Raises:** `InputError` as `Lidar.beams`.
+
+    Single scattering, see `lidar_waveforms`. Not differentiable, as returns are found one by one;
+    `lidar_waveforms` is.
     """
     voxels = _voxels(scene, parameters, lidar.bands)
     beams = lidar.beams(
@@ -589,8 +601,8 @@ def observe(
     **Returns:** an `Observation`, or a `LidarObservation`. An image is differentiable in
     `parameters`. A second call with the same shapes compiles nothing.
 
-    Raises `InputError` as `aim`, `AimedSensor.observe` and `observe_lidar`, and for a placement or
-    options of a LiDAR.
+    **Raises:** `InputError` as `aim`, `AimedSensor.observe` and `observe_lidar`, and for a
+    placement or options of a LiDAR.
     """
     if isinstance(sensor, Lidar):
         if placement is not None or options:

@@ -289,7 +289,7 @@ FIXED_PARAMETERS: dict[str, Parameter] = {
 
 
 def parameter_kind(name: str) -> str:
-    """Last word of a parameter's name, such as `cover` of `species.Erica irregularis.cover`."""
+    """Last word of a parameter's `name`, such as `cover` of `species.Erica irregularis.cover`."""
     return name.rsplit(".", 1)[-1]
 
 
@@ -334,6 +334,11 @@ def parameter_reference() -> "pd.DataFrame":
 def named_values(parameters: PlotParameters, taxa: tuple[str, ...]) -> dict[str, Array]:
     """Every parameter by name, such as `species.Restio eleocharis.cover`, as scalars.
 
+    **Arguments:**
+
+    - `parameters`: of a plot.
+    - `taxa`: names of its species, as `Scene.taxa`.
+
     Leaf parameters are `species.<taxon>.leaf.<field>`; the rest `ground.<field>` and
     `light.<field>`. `with_values` is the inverse.
     """
@@ -353,7 +358,16 @@ def named_values(parameters: PlotParameters, taxa: tuple[str, ...]) -> dict[str,
 def with_values(
     parameters: PlotParameters, taxa: tuple[str, ...], values: dict[str, Array]
 ) -> PlotParameters:
-    """`parameters` with the named `values` in place of its own. Differentiable in both."""
+    """`parameters` with the named `values` in place of its own.
+
+    **Arguments:**
+
+    - `parameters`: of a plot.
+    - `taxa`: names of its species, as `Scene.taxa`.
+    - `values`: any of the parameters by name (`named_values`), each in its unit.
+
+    Differentiable in `parameters` and `values`.
+    """
     named = named_values(parameters, taxa) | values
 
     def vector(prefix: str, field: str, like: Array) -> Array:

@@ -131,9 +131,26 @@ def draw_planting(
     seed: int,
     dtype: str,
 ) -> Planting:
-    """Draw sites, orientations and sizes; see `build_scene` and `PlantingRules` for the arguments.
+    """Draw sites, orientations and sizes of the plants of a scene.
 
-    Raises `InputError` where a species finds no room on the plot.
+    **Arguments:**
+
+    - `forms`: growth form of each species, keys of `fynjax.canopy.FORM_DEFAULTS`.
+    - `wanted`: real number of plants of each [-], 0 or more.
+    - `diameter`, `height`: mean crown diameter and greatest height of each [m].
+    - `rotation_spread`: standard deviation of the plants' lean, of each [degrees].
+    - `models`: shape of the plants of each; None is that of the growth form.
+    - `taxa`: names of the species, for errors.
+    - `extent`: (east-west, north-south) sides of the plot [m].
+    - `voxel`: edge of a voxel [m], by which the area elements of a plant are counted.
+    - `periodic`: whether the plot repeats itself.
+    - `probability`, `room`, `size_variation`: as `PlantingRules` has them.
+    - `seed`: of everything random.
+    - `dtype`: floating type of the planting.
+
+    **Raises:** `InputError` where a species finds no room on the plot.
+
+    Not differentiable: the scene is, in the parameters.
     """
     needed = np.ceil(room * wanted).astype(int) + np.where(wanted > 0, 4, 0)
     # A disk radius that leaves a tenth more points than plants; Bridson packs 0.6 / r2 of them.
@@ -221,7 +238,7 @@ def _together(shapes: list[PlantModel], dtype: str) -> tuple[PlantModel, list[np
 
 
 def leafy_species(forms: Sequence[str]) -> dict[int, int]:
-    """Optical class of the leaves of each species that has leaves."""
+    """Optical class of the leaves of each species that has leaves, of `forms` of the species."""
     with_leaves = [i for i, form in enumerate(forms) if FORM_DEFAULTS[form].leaf_area_index > 0]
     return {species: index for index, species in enumerate(with_leaves)}
 
@@ -235,7 +252,10 @@ def no_plants(dtype: str) -> Planting:
 
 
 def element_count(diameter: float, height: float, voxel: float) -> int:
-    """Area elements of a plant: about one for every two voxels that its crown touches, since
-    thousands of plants stand on a plot."""
+    """Area elements of a plant of a crown `diameter` and `height` in voxels of edge `voxel` [m].
+
+    About one for every two voxels that its crown touches, since thousands of plants stand on a
+    plot; 16 to 3000.
+    """
     touched = (diameter / voxel + 0.5) ** 2 * (height / voxel + 0.5)
     return int(np.clip(np.ceil(touched / 2), 16, 3000))

@@ -13,11 +13,14 @@ def height_profile(
 ) -> Float[np.ndarray, "organ species layer"]:
     """Mean area density of leaves and of wood of each species in layers of height [m2 m-3].
 
-    **Arguments:** `hard` is a model whose plants all stand, as `hard_scene` gives; `edges` are the
-    layers' borders, rising [m]. What lies outside counts for the nearest layer.
+    **Arguments:**
 
-    **Returns:** leaves, then wood; one-sided area that is seen from outside the shoots, as in
-    `Scene.area_density`, per volume of the plot's layer.
+    - `hard`: a scene whose plants all stand, as `hard_scene` gives.
+    - `parameters`: of the plot.
+    - `edges`: borders of the layers, rising [m]. What lies outside counts for the nearest layer.
+
+    **Returns:** leaves, then wood; one-sided area that is visible from outside the shoots, as in
+    `Scene.area_density`, per volume of the plot's layer. Not differentiable.
     """
     planting = hard.planting
     species, own = np.asarray(planting.species), parameters.species

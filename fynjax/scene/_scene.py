@@ -298,7 +298,7 @@ class Scene(eqx.Module):
 
 
 def ground_at(scene: Scene, foot: Float[Array, "plant 2"]) -> Float[Array, " plant"]:
-    """Height of the ground under plants at `foot` [m]."""
+    """Height of the ground of `scene` under plants at `foot` [m], above its lowest."""
     if scene.terrain is None:
         return jnp.zeros(foot.shape[0], foot.dtype)
     ny, nx = scene.terrain.shape
@@ -329,10 +329,15 @@ def build_scene(
     - `parameters`: the plot as described; gives the number of sites to hold ready.
     - `extent`: (east-west, north-south) sides of the plot [m].
     - `voxel`: edge of a voxel [m]; must divide the sides.
+    - `seed`: of everything random; the same seed gives the same plants.
+    - `boundary`: "periodic" repeats the plot for ever, "open" does not.
     - `rules`, `ground`, `terrain`, `sky`: see `PlantingRules` and `Scene`; left out, even planting
       on level, shipped ground under a clear sky.
+    - `dtype`: floating type that the scene is computed in.
 
-    Raises `InputError` where the plants do not fit.
+    **Raises:** `InputError` where the plants do not fit, or voxels do not divide the sides.
+
+    Not differentiable: the parameters come in again where the scene is observed.
     """
     rules = PlantingRules() if rules is None else rules
     size = parameters.species
@@ -385,7 +390,10 @@ def build_scene(
 def stand_realisation(scene: Scene, seed: int) -> Scene:
     """The same plot with other plants standing: each species fills its sites in another order.
 
-    The sites held ready stay, and with them the pattern of a probability map.
+    **Arguments:**
+
+    - `scene`: of which the sites held ready stay, and with them the pattern of a probability map.
+    - `seed`: of the order.
     """
     planting = scene.planting
     species, place = np.asarray(planting.species), np.array(planting.place)
