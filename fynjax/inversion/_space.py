@@ -5,6 +5,8 @@ counted from the prior's centre in units of the prior's width: the prior is then
 u, and all parameters have the same scale whatever their units.
 """
 
+import math
+import warnings
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -89,8 +91,14 @@ class ParameterSpace(eqx.Module):
 
 _ROOM: dict[str, tuple[float, float]] = {"cover": (0.3, 1.8), "diameter": (0.65, 1.6)}
 """Factors on cover and diameter between which the sites held ready for plants suffice."""
-_FROM_BOUND, _SD_AT_BOUND = 0.02, 0.1
-"""Prior of a value that lies on its bound: how far inside, and how wide [usual range]."""
+_INSET = 0.02
+"""How far inside its bound the prior of a value there is centred [usual range]."""
+_WIDEST = math.sqrt(2.0)
+"""Largest standard deviation of a logit-normal distribution that has one mode wherever its centre
+is. With z = m + s u the modes solve z - m = s^2 tanh(z / 2). The right side is at most s^2 / 2
+steep, so that there is one solution up to s^2 = 2."""
+_ROUNDING = 1e-6
+"""A value so near its bound lies on it [usual range]."""
 
 
 def make_space(values: dict[str, float], relative_sd: dict[str, float]) -> ParameterSpace:
@@ -98,14 +106,24 @@ def make_space(values: dict[str, float], relative_sd: dict[str, float]) -> Param
 
     Covers and diameters are bounded closer where the plants held ready would not suffice.
 
-    **Arguments:** `values`, the prior centre by name, in the parameters' own units; `relative_sd`,
-    the prior's standard deviation over its centre, by name. A value on its bound (dry soil, a leaf
-    without anthocyanins) can be no centre of a distribution within the bounds: the centre is 2 %
-    of the usual range inside, and a standard deviation of zero becomes a tenth of that range.
+    A prior is logit-normal between the bounds of its parameter. One whose width, of z at the
+    centre, exceeds sqrt(2) can have two modes, with most of its mass at the bounds. Such a prior
+    is fitted into its bounds: its centre moves to 2 % of the usual range inside where it is nearer
+    to a bound, and its standard deviation is cut to the widest with one mode, sqrt(2) times the
+    product of the distances to the two bounds over the range. So is that of a value on its bound
+    (dry soil, a leaf without anthocyanins), whose stated standard deviation, a share of the value,
+    may be zero. A warning names the parameters with their stated and their fitted priors.
+
+    **Arguments:**
+
+    - `values`: the prior's centre by name, in the parameters' own units, within the bounds.
+    - `relative_sd`: the prior's standard deviation over its centre by name, positive [-].
+
+    **Returns:** `ParameterSpace`, its parameters in the order of `values`.
 
     **Raises:** `InputError` for a value outside its bounds, and a parameter that has no prior.
     """
-    bounds, priors, widths = [], [], []
+    columns, fitted = [], []
     for name, value in values.items():
         kind = parameter_kind(name)
         record = PARAMETERS.get(kind)
@@ -118,25 +136,45 @@ def make_space(values: dict[str, float], relative_sd: dict[str, float]) -> Param
         if kind in _ROOM and value > 0:
             low, high = max(low, _ROOM[kind][0] * value), min(high, _ROOM[kind][1] * value)
             usual = min(usual, high - low)
-        centre = value
-        if not low < value < high:
-            centre = low + _FROM_BOUND * usual if value <= low else high - _FROM_BOUND * usual
-        sd = relative_sd[name] * abs(value)
-        bounds.append((low, high))
-        priors.append(centre)
-        widths.append(sd if sd > 0 else _SD_AT_BOUND * usual)
-    limits = np.asarray(bounds, float).reshape(-1, 2)
-    return ParameterSpace(
-        tuple(values),
-        jnp.asarray(limits[:, 0]),
-        jnp.asarray(limits[:, 1]),
-        jnp.asarray(priors),
-        jnp.asarray(widths),
-    )
+        stated = relative_sd[name] * abs(value)
+        centre, sd = _fitted_prior(value, stated, (low, high), usual)
+        if (centre, sd) != (value, stated):
+            shown = [record.shown_factor * number for number in (value, stated, centre, sd)]
+            change = "{:g} (sd {:.3g}) to {:g} (sd {:.3g})".format(*shown)
+            unit = "" if record.shown_unit == "-" else f" {record.shown_unit}"
+            fitted.append(f"{name} from {change}{unit}")
+        columns.append((low, high, centre, sd))
+    if fitted:
+        warnings.warn(
+            f"priors moved or narrowed, since their bounds do not hold them: {'; '.join(fitted)}",
+            stacklevel=2,
+        )
+    limits = np.asarray(columns, float).reshape(-1, 4)
+    return ParameterSpace(tuple(values), *map(jnp.asarray, limits.T))
+
+
+def _fitted_prior(
+    value: float, sd: float, bounds: tuple[float, float], usual: float
+) -> tuple[float, float]:
+    """Centre and standard deviation of a prior with one mode between its bounds."""
+    low, high = bounds
+
+    def widest(centre: float) -> float:
+        return _WIDEST * (centre - low) * (high - centre) / (high - low)
+
+    if min(value - low, high - value) <= _ROUNDING * usual:
+        sd = math.inf
+    if sd <= widest(value):
+        return value, sd
+    centre = min(max(value, low + _INSET * usual), high - _INSET * usual)
+    return centre, min(sd, widest(centre))
 
 
 def match_names(names: Sequence[str], patterns: Sequence[str]) -> list[str]:
-    """Names that fit one of the shell-style patterns; `InputError` for a pattern without any."""
+    """The `names` that fit one of the shell-style `patterns`, in their order.
+
+    **Raises:** `InputError` for a pattern that fits none.
+    """
     from fnmatch import fnmatchcase
 
     for pattern in patterns:

@@ -35,14 +35,61 @@ def test_slope_is_the_derivative(space):
     np.testing.assert_allclose(jnp.diagonal(jacobian), space.slope(u), rtol=1e-12)
 
 
-def test_a_value_on_its_bound_gets_a_prior_inside():
-    space = make_space(
-        {"ground.moisture": 0.0, "a.fill": 1.0, "a.leaf.structure": 0.8}, dict.fromkeys(
-            ("ground.moisture", "a.fill", "a.leaf.structure"), 0.3
-        ),
-    )  # fmt: skip
-    np.testing.assert_allclose(space.prior, [0.02, 0.99, 0.84], rtol=1e-6)
-    np.testing.assert_allclose(space.prior_sd, [0.1, 0.3, 0.24], rtol=1e-6)
+def modes(space):
+    """Number of maxima of each prior's density over the parameter's own values."""
+    u = jnp.linspace(-8.0, 8.0, 4001)
+    counts = []
+    for i in range(len(space.names)):
+        at = jnp.zeros((u.size, len(space.names))).at[:, i].set(u)
+        slope = jax.vmap(space.slope)(at)[:, i]
+        rise = np.diff(np.asarray(-0.5 * u**2 - jnp.log(slope)))
+        counts.append(int(((rise[:-1] > 0) & (rise[1:] <= 0)).sum()))
+    return counts
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "centre", "sd"),
+    [
+        ("ground.moisture", 0.0, 0.02, np.sqrt(2) * 0.02 * 0.98),
+        ("a.fill", 1.0, 0.99, np.sqrt(2) * 0.98 * 0.01 / 0.99),
+        ("a.fill", 1.0 - 1e-7, 0.99, np.sqrt(2) * 0.98 * 0.01 / 0.99),
+        ("a.fill", 0.995, 0.99, np.sqrt(2) * 0.98 * 0.01 / 0.99),
+        ("a.fill", 0.9, 0.9, np.sqrt(2) * 0.89 * 0.1 / 0.99),
+        ("a.leaf.structure", 0.8, 0.84, np.sqrt(2) * 0.04 * 4.16 / 4.2),
+        ("ground.litter_fraction", 0.85, 0.85, np.sqrt(2) * 0.85 * 0.15),
+    ],
+)
+def test_a_prior_that_its_bounds_do_not_hold_is_fitted_to_one_mode_and_named(
+    name, value, centre, sd
+):
+    with pytest.warns(UserWarning, match=rf"{name} from .* to "):
+        space = make_space({name: value}, {name: 0.3})
+    np.testing.assert_allclose(space.prior, [centre], rtol=1e-6)
+    np.testing.assert_allclose(space.prior_sd, [sd], rtol=1e-6)
+    assert modes(space) == [1]
+
+
+def test_a_prior_that_its_bounds_hold_stays():
+    """Also where it is near a bound: char of 1 % of the ground is known to a third of that."""
+    values = {"ground.char_fraction": 0.01, "a.fill": 0.7, "a.cover": 0.9}
+    space = make_space(values, {"ground.char_fraction": 0.3, "a.fill": 0.2, "a.cover": 0.1})
+    np.testing.assert_allclose(space.prior, [0.01, 0.7, 0.9], rtol=1e-9)
+    np.testing.assert_allclose(space.prior_sd, [0.003, 0.14, 0.09], rtol=1e-9)
+    assert modes(space) == [1, 1, 1]
+
+
+def test_a_logit_normal_prior_has_two_modes_beyond_the_widest():
+    ends = jnp.zeros(2), jnp.ones(2)
+    sd = jnp.array([0.99, 1.05]) * np.sqrt(2) / 4
+    assert modes(ParameterSpace(("a", "b"), *ends, jnp.full(2, 0.5), sd)) == [1, 2]
+
+
+def test_the_warning_has_the_units_of_files():
+    with pytest.warns(UserWarning, match=r"a\.fill from 100 \(sd 30\) to 99 \(sd 1\.4\) %; ground"):
+        make_space(
+            {"a.fill": 1.0, "ground.moisture": 0.0},
+            dict.fromkeys(("a.fill", "ground.moisture"), 0.3),
+        )
 
 
 @pytest.mark.parametrize(
