@@ -78,11 +78,22 @@ def free_space(
     free: Sequence[str],
     relative_sd: Callable[[str], float],
 ) -> ParameterSpace:
-    """The free parameters of a plot by name pattern, such as `species.*.cover`.
+    """The free parameters of a plot by name pattern, with priors about their present values.
 
     Parameters without effect (leaves of deadwood, the moisture of a soil and the aerosol of a sky
-    that were given) and covers of zero, of species, char or rock, are left out. `relative_sd`
-    gives the prior's standard deviation over its centre.
+    that were given) and covers of zero, of species, char or rock, are left out. A prior that does
+    not lie between its bounds is moved or narrowed, with a warning (`make_space`).
+
+    **Arguments:**
+
+    - `scene`, `parameters`: the plot.
+    - `free`: patterns of names, such as "species.*.cover".
+    - `relative_sd`: gives the prior's standard deviation over its centre by name [-].
+
+    **Returns:** `ParameterSpace`.
+
+    **Raises:** `InputError` for a pattern that fits no name, a parameter that cannot be free, and a
+    value outside its bounds.
     """
     values = {k: float(v) for k, v in named_values(parameters, scene.taxa).items()}
     chosen = [
@@ -130,12 +141,14 @@ def calibrate_plot(
 
     Where exactly each plant stands nobody measured, and the scene leaves it to chance. What that
     does to the statistics and their slopes is measured at the estimate on other stand
-    realisations, and the uncertainty allows for it (`FitResult.marginal`). All sensors see the
+    realisations, and the uncertainty allows for it (`FitResult.marginal`). All sensors observe the
     same plants.
 
     **Arguments:**
 
+    - `scene`, `parameters`: the plot; parameters that are not free keep these values.
     - `data`: the statistics of all views, one after the other (`join_data`).
+    - `space`: the free parameters with their priors.
     - `views`: what each sensor yields of `scene`.
     - `settings`: of the search.
     - `start`: whitened coordinates to start from; the prior's centre by default.
@@ -143,8 +156,12 @@ def calibrate_plot(
       it had not been interrupted; `forget_journal` removes it.
     - `report`: called with the stage, the objective and its gradient's norm.
 
-    Raises `InputError` for views that do not yield the data's statistics, a start at which these
-    are not finite, a checkpoint of another calibration, and where JAX is limited to 32 bits.
+    **Returns:** `Calibration`. Its `fit` is that of the best start, `loss`, `gradient_norm` and
+    `steps` those of all its rounds. Where no round improves on a start, that is the estimate:
+    converged if a round ended there within the tolerance, `FitStatus.no_gain` if not.
+
+    **Raises:** `InputError` for views that do not yield the data's statistics, a start at which
+    these are not finite, a checkpoint of another calibration, and where JAX is limited to 32 bits.
     """
     require_double_precision("`calibrate_plot`")
     settings = CalibrationSettings() if settings is None else settings
@@ -162,7 +179,7 @@ def calibrate_plot(
     journal = None
     if checkpoint is not None:
         signed = (scene, parameters, data, space, views, first, drawn)
-        journal = Journal(checkpoint, signature(signed, (settings,)))
+        journal = Journal(checkpoint, signature(signed, settings))
     cheap = search_form(
         scene, parameters, views, stride=settings.stride, accuracy=settings.accuracy
     )
@@ -187,7 +204,10 @@ def calibrate_plot(
         grown = data.with_scatter(deviations)
         result = result.marginal(deviations, jnp.stack(slopes))
     result = dataclasses.replace(
-        result, loss=np.concatenate(best.losses), gradient_norm=np.concatenate(best.norms)
+        result,
+        loss=np.concatenate(best.losses),
+        gradient_norm=np.concatenate(best.norms),
+        steps=jnp.asarray(sum(map(len, best.losses))),
     )
     seconds["step_s"] = float(np.median(np.diff(search.times))) if len(search.times) > 1 else np.nan
     origin = ends[0]
@@ -233,7 +253,14 @@ def search_form(
 ) -> tuple[Scene, tuple[AbstractView, ...]]:
     """What a fit searches with: the scene in thick layers, and cheaper forms of its views.
 
-    **Arguments:** `stride`, of a drone's pixels; `accuracy`, of the light.
+    **Arguments:**
+
+    - `scene`, `parameters`: the plot.
+    - `views`: what each sensor yields of `scene`.
+    - `stride`: every so many pixels of a drone's image are rendered along each axis.
+    - `accuracy`: of the light.
+
+    **Returns:** the scene, and the views of it.
     """
     quick = coarser(scene)
     fitted = fitted_accuracy(accuracy, quick, parameters)
@@ -241,7 +268,7 @@ def search_form(
 
 
 def coarser(scene: Scene) -> Scene:
-    """The scene in layers of twice the thickness, where their number is even."""
+    """The `scene` in layers of twice the thickness, where their number is even."""
     grid = scene.grid
     nx, ny, nz = grid.shape
     thick = 2 if nz % 2 == 0 else 1

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from fynjax._core.checkpoint import Keep, keep_nothing
 from fynjax._core.errors import InputError
@@ -46,12 +46,13 @@ def fit(
     report: Callable[[float, float], None] | None = None,
     context: tuple[Any, ...] = (),
     keep: Keep = keep_nothing,
+    known: tuple[Array, Array] | None = None,
 ) -> FitResult:
     """Find the most probable parameters.
 
     **Arguments:**
 
-    - `predict`: the forward model.
+    - `predict`: the forward model, of values in their own units [free] and `context`; traceable.
     - `data`, `space`: statistics with their errors; free parameters with their priors.
     - `solver`: "least_squares", Levenberg-Marquardt by optimistix, which takes the Jacobian at
       each of a few steps; "lbfgsb", quasi-Newton by SciPy through jaxopt, which takes one gradient
@@ -68,6 +69,8 @@ def fit(
     - `report`: called with the objective and the norm of its gradient at each evaluation.
     - `context`: further arguments of `predict`.
     - `keep`: how a step is done, such as by a `Journal`, which keeps what it returned.
+    - `known`: statistics, offset included, and Jacobian [statistic, free] at `start`, if they are
+      computed already: "least_squares" with `report` or `keep` then does not compute them again.
 
     **Returns:** `FitResult`. A stop without convergence, a loss or slope that is not finite, and
     parameters that nothing depends on are stated in its `status`, not raised.
@@ -98,6 +101,8 @@ def fit(
     shift = jnp.zeros_like(data.value) if offset is None else jnp.asarray(offset)
     u = jnp.zeros(len(space.names)) if start is None else jnp.asarray(start, float)
     density = LogPosterior(predict, space, data, shift, context)
+    if not (isinstance(solver, str) and solver == "least_squares"):
+        known = None  # others may evaluate more than the start in their first step
     if isinstance(solver, str):
         if solver not in _NAMED:
             raise InputError(f"`solver` must be one of {_NAMED} or an object, but is {solver!r}")
@@ -123,7 +128,7 @@ def fit(
         predicted, jacobian = keep(lambda: statistics_and_jacobian(density, u))
     elif watched:
         u, predicted, jacobian, status = _run_watched(
-            density, stepper(solver), u, max_steps, note, keep
+            density, stepper(solver), u, max_steps, note, keep, known
         )
     else:
         run = _run if traced else _run_compiled
@@ -140,7 +145,7 @@ def fit(
 def predicted_statistics(
     density: LogPosterior, u: Float[Array, " free"]
 ) -> Float[Array, " statistic"]:
-    """What the model predicts at whitened coordinates, compiled."""
+    """What the model of `density` predicts at whitened coordinates `u`, compiled."""
     return density.statistics(u)
 
 
@@ -148,7 +153,7 @@ def predicted_statistics(
 def statistics_and_jacobian(
     density: LogPosterior, u: Float[Array, " free"]
 ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
-    """Statistics at whitened coordinates and their derivatives by these, compiled."""
+    """Statistics of `density` at whitened coordinates `u` and their slopes by `u`, compiled."""
     return density.jacobian(u)
 
 
@@ -156,7 +161,7 @@ def statistics_and_jacobian(
 def objective_and_gradient(
     density: LogPosterior, u: Float[Array, " free"]
 ) -> tuple[Float[Array, ""], Float[Array, " free"]]:
-    """Minus the log posterior density at whitened coordinates and its gradient, compiled."""
+    """Minus the log posterior `density` at whitened coordinates `u` and its gradient, compiled."""
     return jax.value_and_grad(lambda u: -density(u))(u)
 
 
@@ -176,19 +181,55 @@ def evaluate(
 # -- The loop over steps --------------------------------------------------------------------
 
 
+class _Evaluated(eqx.Module):
+    """A density whose statistics and Jacobian may be known where the next step takes them."""
+
+    density: LogPosterior
+    known: Bool[Array, ""]
+    statistics: Float[Array, " statistic"]
+    slopes: Float[Array, "statistic free"]
+
+    @property
+    def data(self) -> Data:
+        return self.density.data
+
+    def jacobian(self, u: Array) -> tuple[Array, Array]:
+        return jax.lax.cond(
+            self.known,
+            lambda: (self.statistics, self.slopes),
+            lambda: self.density.jacobian(u),
+        )
+
+    def __call__(self, u: Array) -> Array:
+        return self.density(u)
+
+
 @eqx.filter_jit
-def step(density: LogPosterior, method: AbstractStepper, u: Array, state: Any) -> Any:
+def step(density: Any, method: AbstractStepper, u: Array, state: Any) -> Any:
     """One step of a solver: all that a least-squares fit that is watched compiles."""
     return method.step(density, u, state)
 
 
-def _step(density: LogPosterior, method: AbstractStepper, u: Array, state: Any, keep: Keep) -> Any:
+def _step(
+    density: LogPosterior,
+    method: AbstractStepper,
+    u: Array,
+    state: Any,
+    keep: Keep,
+    known: tuple[Array, Array] | None = None,
+) -> Any:
     """A step whose arrays `keep` may take from an earlier run."""
     arrays, rest = eqx.partition((u, state), eqx.is_array)
     structure = jax.tree.structure(arrays)
+    if known is None:
+        size = density.data.value.size
+        values, slopes = jnp.zeros(size, u.dtype), jnp.zeros((size, u.size), u.dtype)
+    else:
+        values, slopes = known
+    problem = _Evaluated(density, jnp.asarray(known is not None), values, slopes)
 
     def do() -> tuple[Array, ...]:
-        u, state, figures, status = step(density, method, *eqx.combine(arrays, rest))
+        u, state, figures, status = step(problem, method, *eqx.combine(arrays, rest))
         return *figures, status._value, *jax.tree.leaves(eqx.filter((u, state), eqx.is_array))
 
     loss, norm, code, *leaves = keep(do)
@@ -203,18 +244,20 @@ def _run_watched(
     max_steps: int,
     note: Callable[[Figures], None],
     keep: Keep,
+    known: tuple[Array, Array] | None,
 ) -> tuple[Array, Array, Array, FitStatus]:
     """Step by step, so that it can be watched, stopped between steps and taken up again."""
     state = method.start(density, u)
     for _ in range(max_steps):
-        u, state, figures, status = _step(density, method, u, state, keep)
+        u, state, figures, status = _step(density, method, u, state, keep, known)
+        known = None  # was at the start
         note(figures)
         if bool(status != FitStatus.max_steps):
             break
-    known: tuple[Array, ...] | None = method.statistics(state)
-    if known is None:
-        known = keep(lambda: statistics_and_jacobian(density, u))
-    predicted, jacobian = known
+    reached: tuple[Array, ...] | None = method.statistics(state)
+    if reached is None:
+        reached = keep(lambda: statistics_and_jacobian(density, u))
+    predicted, jacobian = reached
     return u, predicted, jacobian, status
 
 

@@ -100,7 +100,7 @@ class FitResult(eqx.Module):
     status: Any
     """Why the fit stopped, a `FitStatus`."""
     steps: Int[Array, ""]
-    """Evaluations it took."""
+    """Evaluations it took, as many as `loss` has: those of all rounds in a calibration."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -125,7 +125,7 @@ class FitResult(eqx.Module):
             return f"{slope} is not finite; the estimate is of no use."
         count = f"{int(self.steps)} step" + ("s" if int(self.steps) != 1 else "")
         if bool(self.status == FitStatus.max_steps):
-            sentence = f"Stopped at the limit of {count}."
+            sentence = f"Stopped at the limit of steps, after {count}."
         elif bool(self.converged):
             sentence = f"Converged after {count}."
         else:

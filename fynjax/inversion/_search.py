@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from fynjax._core.checkpoint import Keep
 from fynjax._core.errors import InputError
 from fynjax.inversion._fit import evaluate, fit
-from fynjax.inversion._fit_result import Data, FitResult, FitStatus
+from fynjax.inversion._fit_result import Data, FitResult, FitStatus, fit_result
 from fynjax.inversion._log_posterior import LogPosterior
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import AbstractView, PlotForward, look
@@ -152,23 +152,24 @@ class Search:
                 "start. Is the sun near the horizon, or a parameter at the end of its range?"
             )
         image = images[0] if images else None
-        predicted = self._evaluate(u, self.quick)[0]
-        losses: list[np.ndarray] = []
-        norms: list[np.ndarray] = []
-        best: dict[str, Any] = {
-            "objective": self._objective(u, statistics), "u": u, "plot": before, "image": image,
-            "statistics": statistics, "offset": statistics - predicted,
-        }  # fmt: skip
+        predicted, jacobian = self._evaluate(u, self.quick)
+        begin = fit_result(
+            self._space, self._data, u, statistics, jacobian, FitStatus.no_gain, 0, np.empty((0, 2))
+        )
         origin: dict[str, Any] = {
             "before": before,
             "image_before": image,
             "statistics_before": statistics,
         }
-        offset_before, result = statistics - predicted, None
-        common: dict[str, Any] = {"context": (self.quick,), "keep": self._keep}
+        best: dict[str, Any] = {
+            "objective": self._objective(u, statistics), "u": u, "plot": before, "image": image,
+            "statistics": statistics, "offset": statistics - predicted, "fit": begin,
+        }  # fmt: skip
+        losses: list[np.ndarray] = []
+        norms: list[np.ndarray] = []
         for turn in range(settings.rounds):
             offset = statistics - predicted
-            found = fit(
+            result = fit(
                 self._predict,
                 self._data,
                 self._space,
@@ -178,45 +179,82 @@ class Search:
                 start=u,
                 offset=offset,
                 report=partial(self._note, f"{stage}round {turn + 1}"),
-                **common,
+                context=(self.quick,),
+                keep=self._keep,
+                known=(statistics, jacobian),
             )
-            losses.append(np.asarray(found.loss))
-            norms.append(np.asarray(found.gradient_norm))
-            if not _finite(found):
-                if result is not None:
-                    found = dataclasses.replace(result, status=found.status)
-                result = found
+            losses.append(np.asarray(result.loss))
+            norms.append(np.asarray(result.gradient_norm))
+            if bool(result.status == FitStatus.not_finite):
                 break
-            u, predicted = found.whitened, found.predicted - offset
+            u, predicted, jacobian = result.whitened, result.predicted - offset, result.jacobian
             plot = self._plot(u)
             statistics, *images = self.look(plot)
             reached = self._objective(u, statistics)
             # The quick scene's best need not be the full scene's.
             if reached < best["objective"]:
-                result = found
                 best = {
                     "objective": reached, "u": u, "plot": plot,
                     "image": images[0] if images else None, "statistics": statistics,
-                    "offset": statistics - predicted,
+                    "offset": statistics - predicted, "fit": result,
                 }  # fmt: skip
-        if result is None:
-            result = fit(
-                self._predict, self._data, self._space, start=best["u"], max_steps=1,
-                offset=offset_before, **common,
-            )  # fmt: skip
-            result = dataclasses.replace(result, status=FitStatus.no_gain)
-        return End(**best, **origin, fit=result, losses=losses, norms=norms)
+            elif bool(result.converged) and _same(u, best["u"], settings.tolerance):
+                best["fit"] = dataclasses.replace(best["fit"], status=result.status)
+        return End(**best, **origin, losses=losses, norms=norms)
 
 
-def _finite(found: FitResult) -> bool:
-    return all(np.isfinite(a).all() for a in (found.loss, found.predicted, found.jacobian))
+def _same(u: Array, other: Array, tolerance: float) -> bool:
+    """Whether coordinates agree to the tolerance at which a search ends."""
+    return bool(jnp.all(jnp.abs(u - other) <= tolerance * (1.0 + jnp.abs(other))))
 
 
-def signature(signed: Any, settings: tuple[Any, ...]) -> str:
-    """Differs where anything differs that a calibration follows from."""
-    total = hashlib.sha256(f"{version('fynjax')} {settings}".encode())
-    leaves, structure = jax.tree.flatten(signed)
-    total.update(str(structure).encode())
-    for leaf in leaves:
-        total.update(np.ascontiguousarray(leaf).tobytes())
+def signature(*signed: Any) -> str:
+    """A hash of all that a calibration follows from.
+
+    It is the same in every process, and differs where a type, an array, a number, a text or a
+    function within `signed` does. Functions are known by their names and what they close over.
+
+    **Arguments:** `signed`, any values; modules, dataclasses and containers are taken apart.
+
+    **Returns:** 64 hexadecimal digits.
+    """
+    total = hashlib.sha256()
+    entered: set[int] = set()
+
+    def add(value: Any) -> None:
+        total.update(f"|{type(value).__module__}.{type(value).__qualname__}:".encode())
+        if isinstance(value, jax.Array | np.ndarray):
+            array = np.ascontiguousarray(value)
+            total.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
+            return
+        parts = _parts(value)
+        if parts is None:
+            total.update(repr(value).encode())
+        elif id(value) not in entered:  # a function may close over itself
+            entered.add(id(value))
+            total.update(f"{len(parts)}".encode())
+            for part in parts:
+                add(part)
+            entered.remove(id(value))
+
+    add((version("fynjax"), signed))
     return total.hexdigest()
+
+
+def _parts(value: Any) -> Sequence[Any] | None:
+    """What a value is made of; None for a number, a text and the like, which `repr` shows whole."""
+    if isinstance(value, list | tuple):
+        return value
+    if isinstance(value, set | frozenset):
+        return sorted(value, key=repr)
+    if isinstance(value, dict):
+        return [*value.keys(), *value.values()]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return [getattr(value, field.name, None) for field in dataclasses.fields(value)]
+    if isinstance(value, partial):
+        return [value.func, value.args, value.keywords]
+    if callable(value):
+        cells = getattr(value, "__closure__", None) or ()
+        names = [getattr(value, name, "") for name in ("__module__", "__qualname__")]
+        return [*names, *(cell.cell_contents for cell in cells)]
+    return list(vars(value).items()) if hasattr(value, "__dict__") else None

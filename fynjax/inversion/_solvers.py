@@ -1,7 +1,8 @@
 """Solvers of optimistix and jaxopt behind one interface: a step, and what it says of itself.
 
-A problem is a `LogPosterior` over whitened coordinates u. What a solver sees has its derivatives
-attached: an evaluation takes each once, and the Jacobian comes back for the uncertainty.
+A problem is a `LogPosterior` over whitened coordinates u. What a solver evaluates has its
+derivatives attached: an evaluation takes each once, and the Jacobian comes back for the
+uncertainty.
 """
 
 import abc
@@ -217,13 +218,14 @@ def run_scipy(
     )
     reach = jnp.full_like(start, _REACH)
     u, state = ready.run(start, (-reach, reach)) if bounded else ready.run(start)
-    u = jnp.asarray(u)
-    loss, gradient = objective_and_gradient(u)
-    if not np.isfinite(float(loss)):
+    if not np.isfinite(float(state.fun_val)):
         return start, FitStatus.not_finite
-    norm = float(jnp.linalg.norm(gradient))
-    tolerance = 1e-3 if solver.tol is None else solver.tol
-    if bool(state.success) and norm <= 10 * tolerance * np.sqrt(start.size):
-        return u, FitStatus.successful
-    ended = int(state.iter_num) >= max_steps
-    return u, FitStatus.max_steps if ended else FitStatus.no_gain
+    limits = [options[name] for name in ("maxfun", "maxfev") if name in options]
+    if bool(state.success):
+        far = bounded and bool(jnp.max(jnp.abs(u)) >= _REACH)
+        status = FitStatus.at_bound if far else FitStatus.successful
+    elif int(state.iter_num) >= max_steps or int(state.num_fun_eval) >= min(limits, default=np.inf):
+        status = FitStatus.max_steps
+    else:
+        status = FitStatus.no_gain
+    return jnp.asarray(u), status

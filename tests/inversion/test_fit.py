@@ -139,6 +139,33 @@ def test_the_reason_is_enumerated():
     assert fit(bent, BENT, SPACE, max_steps=1).status == FitStatus.max_steps
 
 
+def scipy_solver(**options):
+    return jaxopt.ScipyBoundedMinimize(fun=jnp.sum, method="l-bfgs-b", options=options)
+
+
+def test_why_scipy_stopped_is_kept():
+    def status(**options):
+        return fit(bent, BENT, SPACE, solver=scipy_solver(**options), max_steps=100).status
+
+    assert status(maxfun=3) == FitStatus.max_steps
+    assert status(ftol=0.1) == FitStatus.flat  # converged: the third parameter is flat
+    assert status(gtol=1e-6) == FitStatus.flat
+    far = dataclasses.replace(BENT, value=1e3 * BENT.value)
+    assert fit(bent, far, SPACE, solver="lbfgsb", max_steps=100).status == FitStatus.at_bound
+
+
+def test_scipy_evaluates_its_end_once_more_for_the_jacobian():
+    calls = []
+
+    def counted(x):
+        jax.debug.callback(lambda: calls.append(1))
+        return bent(x)
+
+    result = fit(counted, BENT, SPACE, solver="lbfgsb", max_steps=20)
+    jax.effects_barrier()
+    assert len(calls) == int(result.steps) + 1
+
+
 def test_a_fit_that_is_traced_cannot_be_watched():
     def estimate(value, **options):
         return fit(predict, Data(DATA.names, value, DATA.sd), SPACE, **options).estimate
@@ -209,7 +236,7 @@ def test_slopes_by_chance_are_no_knowledge():
     assert repeated.well_constrained() == ("a.cover",)
 
 
-def test_of_a_hundred_slopes_by_chance_hardly_one_is_called_seen():
+def test_of_a_hundred_slopes_by_chance_hardly_one_is_called_constrained():
     draw = np.random.default_rng(11)
     names, free = tuple(f"s{i}" for i in range(4)), tuple(f"p{i}.cover" for i in range(3))
     space = ParameterSpace(free, *(jnp.full(3, v) for v in (-1e4, 1e4, 1.0, 1.0)))
@@ -260,17 +287,17 @@ def test_an_offset_is_part_of_the_prediction():
     np.testing.assert_allclose(shifted.estimate, plain.estimate, rtol=1e-6)
 
 
-def test_progress_is_told_and_falls():
-    told = []
-    result = fit(predict, DATA, SPACE, report=lambda loss, norm: told.append((loss, norm)))
-    assert len(told) == len(result.loss) > 1
-    assert told[-1][0] <= told[0][0]
+def test_progress_is_reported_and_falls():
+    reported = []
+    result = fit(predict, DATA, SPACE, report=lambda loss, norm: reported.append((loss, norm)))
+    assert len(reported) == len(result.loss) > 1
+    assert reported[-1][0] <= reported[0][0]
 
 
 def test_too_few_steps_are_not_called_converged():
     result = fit(lambda x: jnp.exp(predict(x) / 4), DATA, SPACE, max_steps=1)
     assert not result.converged
-    assert "limit of 1 step." in result.explanation
+    assert "limit of steps, after 1 step." in result.explanation
 
 
 def test_a_model_that_is_not_finite_ends_in_a_status():

@@ -3,7 +3,9 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import jaxopt
 import numpy as np
 import pytest
 
@@ -14,14 +16,17 @@ from fynjax.inversion import (
     AbstractView,
     CalibrationSettings,
     Data,
+    FitStatus,
     ImageView,
     LogPosterior,
     PlotForward,
+    _search,
     calibrate_plot,
     free_space,
     join_data,
     predicted_statistics,
     search_form,
+    signature,
     spectrum_view,
     statistics_and_jacobian,
     structure_view,
@@ -238,8 +243,8 @@ def stop_after(count):
     """A report that interrupts at its `count`-th call."""
     calls = []
 
-    def report(*told):
-        calls.append(told)
+    def report(*reported):
+        calls.append(reported)
         if len(calls) == count:
             raise Stop
 
@@ -258,9 +263,9 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(sums, whole, tmp_path,
         calibrated(sums, checkpoint=folder, report=stop_after(count))
     steps = len(list(folder.glob("*.npz")))
     assert steps >= 2 + count
-    told = []
-    found = calibrated(sums, checkpoint=folder, report=lambda *args: told.append(args))
-    assert len(told) == len(whole.fit.loss)
+    reported = []
+    found = calibrated(sums, checkpoint=folder, report=lambda *args: reported.append(args))
+    assert len(reported) == len(whole.fit.loss)
     for name in ("estimate", "sd", "loss", "predicted", "covariance"):
         expected = getattr(whole.fit, name)
         np.testing.assert_allclose(getattr(found.fit, name), expected, rtol=1e-6, atol=1e-12)
@@ -357,6 +362,92 @@ def test_a_parameter_that_nothing_depends_on_is_named(sums):
     assert "No statistic depends on ground.brightness: flat" in found.fit.explanation
     i = found.fit.names.index("ground.brightness")
     assert float(found.fit.estimate[i]) == pytest.approx(float(space.prior[i]))
+
+
+@pytest.fixture
+def fits(monkeypatch):
+    """What each fit of a search returned."""
+    results, real = [], _search.fit
+
+    def recorded(*arguments, **options):
+        results.append(real(*arguments, **options))
+        return results[-1]
+
+    monkeypatch.setattr(_search, "fit", recorded)
+    return results
+
+
+def test_a_loss_that_is_not_finite_on_the_way_does_not_spoil_the_end(sums, whole, monkeypatch):
+    real = _search.fit
+
+    def overshooting(*arguments, **options):
+        result = real(*arguments, **options)
+        return dataclasses.replace(result, loss=np.append(np.inf, result.loss[1:]))
+
+    monkeypatch.setattr(_search, "fit", overshooting)
+    found = calibrated(sums)
+    np.testing.assert_allclose(found.fit.estimate, whole.fit.estimate, rtol=1e-6)
+    assert found.fit.status == whole.fit.status
+
+
+def test_a_search_that_starts_at_its_optimum_has_converged(sums, fits):
+    model, start, data, space = sums
+    value = jnp.asarray(Sums().predict(model, start), float)
+    same = Data(data.names, value, data.sd)
+    found = calibrated((model, start, same, space))
+    assert found.fit.converged
+    np.testing.assert_allclose(found.fit.whitened, 0.0, atol=1e-9)
+    assert int(found.fit.steps) == len(found.fit.loss) == sum(len(fit.loss) for fit in fits)
+
+
+class Misleading(Sums):
+    """Its cheap form falls where the full one rises."""
+
+    def for_search(self, scene, accuracy, stride):
+        return dataclasses.replace(self, lack=-2.0)
+
+
+def test_a_search_without_gain_ends_at_its_start_without_another_fit(sums, fits):
+    found = calibrated(sums, Misleading(), rounds=1)
+    assert len(fits) == 1
+    assert found.fit.status == FitStatus.no_gain
+    np.testing.assert_allclose(found.fit.whitened, 0.0)
+    np.testing.assert_allclose(found.fit.predicted, found.statistics_before)
+    np.testing.assert_allclose(found.statistics_after, found.statistics_before)
+
+
+COUNTED = []
+
+
+class Counted(Sums):
+    """Counts the evaluations of its cheap form."""
+
+    def observe(self, model, parameters):
+        if self.lack != 0.0:
+            jax.debug.callback(lambda: COUNTED.append(1))
+        return super().observe(model, parameters)
+
+
+def test_a_round_begins_with_the_jacobian_that_is_known(sums):
+    COUNTED.clear()
+    found = calibrated(sums, Counted(), rounds=2, stand_realisations=2)
+    jax.effects_barrier()
+    # One at the start, and one a stand realisation at the end.
+    assert len(COUNTED) == 1 + (len(found.fit.loss) - 2) + 2
+
+
+def test_a_signature_is_of_what_solvers_are_made_of():
+    def settings(tol, scale=1.0):
+        solver = jaxopt.LBFGSB(fun=lambda x: scale * x.sum(), tol=tol)
+        return CalibrationSettings(solver=solver)
+
+    assert signature(settings(1e-3)) == signature(settings(1e-3))
+    assert signature(settings(1e-3)) != signature(settings(1e-4))
+    assert signature(settings(1e-3)) != signature(settings(1e-3, 2.0))
+    long = np.arange(5000.0)
+    other = np.where(long == 2500.0, 0.0, long)
+    assert signature({"a": long}) == signature({"a": long.copy()}) != signature({"a": other})
+    assert signature(1, 2) != signature(1, 3)
 
 
 @pytest.mark.study

@@ -46,8 +46,7 @@ def test_an_image_that_the_plot_explains_already_is_not_made_worse(rendered, tmp
     same = calibrate(folder / "plot.toml", folder / "render" / "image.tif", tmp_path, seed=0)
     assert misfit(same, "before") < 1e-3
     assert misfit(same, "after") <= misfit(same, "before") + 1e-9
-    assert not same.converged
-    assert "No step improved" in same.status
+    assert same.converged
 
 
 @pytest.mark.slow

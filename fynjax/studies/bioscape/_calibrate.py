@@ -153,7 +153,7 @@ def calibrate_plots(
     inputs = sorted([*folder.glob("*.csv"), *folder.glob("*.json")])
     inputs += [] if traits is None else [Path(traits)]
     settings = (resolution, realisations, seed, [p.name for p in read], FREE, len(bands))
-    journal = Journal(checkpoint, signature((), (*settings, [file_hash(p) for p in inputs])))
+    journal = Journal(checkpoint, signature(settings, [file_hash(p) for p in inputs]))
     estimates: dict[str, list[Estimate]] = {p.name: [] for p in priors}
     with run.stage("Infer", total=len(priors) * len(read)):
         for prior in priors:
