@@ -19,6 +19,7 @@ COMPLETE = (
     "fynjax.assembly",
     "fynjax.canopy",
     "fynjax.compare",
+    "fynjax.inversion",
     "fynjax.io",
     "fynjax.jobs",
     "fynjax.leaf",

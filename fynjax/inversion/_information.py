@@ -23,7 +23,7 @@ class Information(eqx.Module):
     """Bound where every other parameter is known; infinite where the data say nothing."""
     joint: Float[np.ndarray, " free"]
     """Cramér-Rao bound where nothing is known of any parameter; infinite for one that takes part
-    in a direction which the data cannot see."""
+    in a direction to which the data are not sensitive."""
     bound: Float[np.ndarray, " free"]
     """Cramér-Rao bound from the data where the others are known as well as their priors: what the
     data add on this one."""
@@ -41,8 +41,8 @@ class Information(eqx.Module):
         return 1.0 - (self.bayesian / self.prior_sd) ** 2
 
     def weakly_constrained_directions(self, below: float = 0.01) -> list[dict[str, float]]:
-        """Directions with less information than `below`, in prior units: the sensor cannot see
-        them. Least seen first, main members only."""
+        """Directions with less information than `below`, in prior units; least first, main members
+        only."""
         hidden = self.modes[self.information < below][::-1]
         return main_members(self.names, hidden)
 
@@ -62,7 +62,9 @@ def fisher_information(
     - `covariance` of its errors; or, where they are independent, their variances [observation].
     - `prior_sd`: standard deviations of the parameters' priors, in their own units.
 
-    Raises `InputError` for shapes that do not match, and a covariance that is not positive.
+    **Returns:** `Information`.
+
+    **Raises:** `InputError` for shapes that do not match, and a covariance that is not positive.
     """
     slopes, noise = np.asarray(jacobian, float), np.asarray(covariance, float)
     count = slopes.shape[0]

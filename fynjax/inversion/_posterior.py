@@ -71,6 +71,7 @@ def sample_posterior(
     - `predictive`: draws whose statistics are computed.
     - `checkpoint`: file that keeps the chain (HDF5 for "emcee", extra `posterior`). A run that was
       interrupted or killed goes on from it, and ends as if it had not been.
+    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `Posterior`. Its `status` says whether the chain converged, and names directions
     that the data say nothing about. A posterior that is not finite gives no draws and the reason.

@@ -48,10 +48,17 @@ def local_sensitivity(
 ) -> LocalSensitivity:
     """Jacobian and elasticities of `predict` at the parameters `at`, in their own units.
 
-    **Arguments:** `predict` and `context` as `fit` has them; `names` of the parameters; `metrics`,
-    names of what it predicts; `mode`, "forward", "reverse" or "auto": the one of fewer runs.
+    **Arguments:**
 
-    Raises `InputError` if the numbers of names differ from those of values.
+    - `predict`, `context`: as `fit` has them.
+    - `names`: of the parameters.
+    - `metrics`: names of what `predict` gives.
+    - `at`: the parameters, in their own units.
+    - `mode`: of differentiation, "forward", "reverse" or "auto": the one of fewer runs.
+
+    **Returns:** `LocalSensitivity`.
+
+    **Raises:** `InputError` if the numbers of names differ from those of values.
     """
     point = jnp.asarray(at, float)
     if point.shape != (len(names),):
@@ -139,10 +146,19 @@ def sobol_indices(
 
     Saltelli's design on scrambled Sobol points: `samples` times (parameters + 2) runs.
 
-    **Arguments:** `predict`, `space`, `context` as `fit` has them; `metrics`, names of what it
-    predicts; `over`, "prior" or "bounds"; `samples`, a power of two; `seed`; `batch`, runs at once.
+    **Arguments:**
 
-    Raises `InputError` for `samples` that is no power of two, and where a metric is not finite.
+    - `predict`, `space`, `context`: as `fit` has them.
+    - `metrics`: names of what `predict` gives.
+    - `over`: "prior", or "bounds" for an even distribution between these.
+    - `samples`: a power of two.
+    - `seed`: of the design and the bootstrap.
+    - `batch`: runs computed at once; what the memory holds by default.
+    - `progress`: where to report the runs; nowhere by default.
+
+    **Returns:** `SobolIndices`.
+
+    **Raises:** `InputError` for `samples` that is no power of two, and a metric that is not finite.
     """
     require("SALib", "sensitivity")
     from SALib.analyze import sobol as analysis
@@ -202,7 +218,13 @@ def derivative_measures(
     is the Poincaré constant of the parameter's distribution: 1 / pi^2 for an even one of unit
     range, 1 for a unit normal one (Sobol and Kucherenko 2009; Lamboni et al. 2013).
 
-    **Arguments:** those of `sobol_indices`. Takes `samples` runs with their Jacobians.
+    **Arguments:** `predict`, `space`, `metrics`, `over`, `samples`, `context`, `seed`, `batch` and
+    `progress` as `sobol_indices` has them. Takes `samples` runs with their Jacobians.
+
+    **Returns:** `DerivativeMeasures`.
+
+    **Raises:** `InputError` for `samples` that is no power of two, and where a metric or a slope is
+    not finite.
     """
     _check(over, samples)
     model = _OverUnits(predict, space, context, over)

@@ -50,7 +50,17 @@ class SensorSetting(NamedTuple):
 
 
 def even_bands(count: int, lowest: float, highest: float) -> BandSet:
-    """Adjacent box-shaped bands of equal width from `lowest` to `highest` [nm]."""
+    """Adjacent box-shaped bands of equal width.
+
+    **Arguments:**
+
+    - `count`: number of bands, at least 1.
+    - `lowest`, `highest`: where the first begins and the last ends, between 400 and 2500 nm.
+
+    **Returns:** `BandSet`, its bands named by their centres.
+
+    **Raises:** `InputError` for other numbers.
+    """
     if count < 1 or not 400.0 < lowest < highest < 2500.0:
         raise InputError(
             "expected one band or more between 400 and 2500 nm, but got "
@@ -107,9 +117,16 @@ def sweep_sensors(
     - `bands`: numbers of bands, which divide the sensor's number; they share its range.
     - `noise`: of a pixel, over its reflectance [-].
     - `sun_zenith`: [degrees]; the plot's own if left out.
+    - `error`: standard deviation of a further error of every statistic, relative [-].
+    - `stand_realisations`: at least 2.
     - `draws`: realisations of the noise.
+    - `coarse`: accuracy of the light.
+    - `seed`: of the noise.
+    - `progress`: where to report the stages; nowhere by default.
 
-    Raises `InputError` for settings that do not fit scene or sensor.
+    **Returns:** each setting with its bounds, by sun, then pixel, number of bands and noise.
+
+    **Raises:** `InputError` for settings that do not fit scene or sensor.
     """
     fine = min(gsd)
     steps = _check(scene, len(sensor.bands), gsd, bands, noise, stand_realisations)
@@ -118,12 +135,12 @@ def sweep_sensors(
     placement = dataclasses.replace(placement or Placement(), pixel=fine)
     plantings = [
         quick,
-        *(stand_realisation(quick, one) for one in range(1, stand_realisations + 1)),
+        *(stand_realisation(quick, i) for i in range(1, stand_realisations + 1)),
     ]
     centre = np.asarray(parameters.light.sun_zenith, float)
     suns = [float(centre)] if sun_zenith is None else [float(s) for s in sun_zenith]
     at = space.physical(jnp.zeros(len(space.names)))
-    found = []
+    bounds = []
     for sun in suns:
         lit = eqx.tree_at(lambda p: p.light.sun_zenith, parameters, jnp.asarray(sun))
         # A free zenith starts from this sun too, not from its prior's.
@@ -134,19 +151,19 @@ def sweep_sensors(
         with progress.stage(f"Render, sun at {sun:g} degrees", len(plantings)):
             images = []
             for planted in plantings:
-                measured = _image_and_slopes(camera, planted, lit, space.names, here)
-                images.append(jax.device_get(measured))
+                rendered = _image_and_slopes(camera, planted, lit, space.names, here)
+                images.append(jax.device_get(rendered))
                 progress.advance()
         with progress.stage("Bounds", len(steps) * len(bands) * len(noise)):
             for step, size in zip(steps, gsd):
                 for count in bands:
-                    seen = [_degrade(image, slopes, step, count) for image, slopes in images]
+                    measured = [_degrade(image, slopes, step, count) for image, slopes in images]
                     for level in noise:
-                        information, pixels = _bounds(seen, space, level, error, draws, seed)
+                        information, pixels = _bounds(measured, space, level, error, draws, seed)
                         setting = SensorSetting(float(size), count, float(level), sun, pixels)
-                        found.append((setting, information))
+                        bounds.append((setting, information))
                         progress.advance()
-    return found
+    return bounds
 
 
 def _check(
@@ -225,41 +242,41 @@ def _statistics(
             parts.append(quantiles(band, jnp.asarray(_SHARES, band.dtype)))
         return jnp.concatenate(parts)
 
-    return jax.vmap(lambda one: jax.vmap(of_band)(image * one).ravel())(noisy)
+    return jax.vmap(lambda noise: jax.vmap(of_band)(image * noise).ravel())(noisy)
 
 
 @jax.jit
 def _statistics_and_slopes(image: Array, slopes: Array, noisy: Array) -> tuple[Array, Array]:
     """Of the noisy images, and the slopes of their mean."""
-    found, push = jax.linearize(lambda x: _statistics(x, noisy), image)
+    values, push = jax.linearize(lambda x: _statistics(x, noisy), image)
     columns = jax.lax.map(lambda t: push(t).mean(axis=0), jnp.moveaxis(slopes, -1, 0))
-    return found, columns.T
+    return values, columns.T
 
 
 def _bounds(
-    seen: Sequence[tuple[np.ndarray, np.ndarray]],
+    images: Sequence[tuple[np.ndarray, np.ndarray]],
     space: ParameterSpace,
     noise: float,
     error: float,
     draws: int,
     seed: int,
 ) -> tuple[Information, int]:
-    shape = seen[0][0].shape
+    shape = images[0][0].shape
     random = np.random.default_rng(seed)
     noisy = jnp.asarray(1.0 + noise * random.normal(size=(draws, *shape)))
-    values, slopes, own = [], [], []
-    for image, change in seen:
+    values, slopes, variances = [], [], []
+    for image, change in images:
         every, slope = _statistics_and_slopes(
             jnp.asarray(image, float), jnp.asarray(change, float), noisy
         )
         values.append(every.mean(axis=0))
         slopes.append(slope)
-        own.append(every.var(axis=0, ddof=1))
+        variances.append(every.var(axis=0, ddof=1))
     value = values[0]
-    sd = jnp.sqrt(jnp.stack(own).mean(axis=0) + (error * jnp.abs(value)) ** 2)
+    sd = jnp.sqrt(jnp.stack(variances).mean(axis=0) + (error * jnp.abs(value)) ** 2)
     names = tuple(f"s{i}" for i in range(value.size))
     data = Data(names, value, sd).with_scatter(jnp.stack(values[1:]) - value)
     scale = space.slope(jnp.zeros(len(space.names)))
-    whitened = jnp.stack([data.whiten(one * scale) for one in slopes])
+    whitened = jnp.stack([data.whiten(jacobian * scale) for jacobian in slopes])
     matrix = np.asarray(repeated_information(whitened))
     return bounds_of(space.names, matrix, np.asarray(scale, float)), int(np.prod(shape[1:]))

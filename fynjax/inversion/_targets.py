@@ -41,9 +41,16 @@ def weigh_targets(
     ratio of two bands repeat one measurement: a group of n has its errors widened by sqrt(n). So
     are those of the three bands' shares, although they hold two ratios.
 
-    **Arguments:** `names`, such as "NDVI.mean"; `value`, what was measured; `relative_sd`, above 0.
+    **Arguments:**
 
-    Raises `InputError` if `relative_sd` is not positive or a value is not finite.
+    - `names`: such as "NDVI.mean".
+    - `value`: what was measured.
+    - `relative_sd`: standard deviation over the value where none is stated, positive [-].
+    - `sd`: stated standard deviations, in the units of `value`, NaN for none.
+
+    **Returns:** `Data` with independent errors.
+
+    **Raises:** `InputError` if `relative_sd` is not positive or a value is not finite.
     """
     _check_share(relative_sd)
     keys = []
@@ -76,11 +83,22 @@ def weigh_spectrum(
 ) -> Data:
     """A mean spectrum as targets, with errors that its bands share.
 
-    Band i is off by `noise` i and by the share `relative_sd` of its value, each band for itself;
-    by a factor of 1 +- `gain`, and a reflectance of `offset`, that are the same in all bands; and
-    as `sampling`, the covariance of the mean (of pixels: theirs over their number).
+    The errors of noise and of the model are independent between bands; those of gain and offset
+    are the same in all bands.
 
-    Raises `InputError` if `relative_sd` is not positive or a value is not finite.
+    **Arguments:**
+
+    - `names`: of the bands' statistics, as `spectrum_names` gives them.
+    - `value`: reflectance [-].
+    - `relative_sd`: standard deviation of the model's error over the value, positive [-].
+    - `noise`: standard deviation of each band's noise [-]; none by default.
+    - `sampling`: covariance of the mean (of pixels: theirs over their number); none by default.
+    - `gain`: standard deviation of a factor on all bands [-].
+    - `offset`: standard deviation of a reflectance added to all bands [-].
+
+    **Returns:** `Data` with correlated errors.
+
+    **Raises:** `InputError` if `relative_sd` is not positive or a value is not finite.
     """
     _check_share(relative_sd)
     own = (relative_sd * value) ** 2 + (0.0 if noise is None else noise**2)
@@ -109,10 +127,18 @@ def weigh_structure(
 ) -> Data:
     """Structure metrics of a cloud as targets.
 
-    To the sampling error `sd` (0 where it is not known) comes the share `relative_sd` of a value,
-    or `STRUCTURE_SD` if that is more.
+    **Arguments:**
 
-    Raises `InputError` if `relative_sd` is not positive or a value is not finite.
+    - `names`: such as "lidar.rugosity".
+    - `value`: what was measured, each in its own unit.
+    - `relative_sd`: standard deviation of the model's error over the value, positive [-];
+      `STRUCTURE_SD` if that is more.
+    - `sd`: standard deviation of the sampling error, in the units of `value`; 0 where it is not
+      known.
+
+    **Returns:** `Data` with independent errors.
+
+    **Raises:** `InputError` if `relative_sd` is not positive or a value is not finite.
     """
     _check_share(relative_sd)
     share = max(relative_sd, STRUCTURE_SD)
@@ -121,7 +147,7 @@ def weigh_structure(
 
 
 def join_data(parts: Sequence[Data]) -> Data:
-    """Targets of several sensors as one; the errors of different sensors are independent."""
+    """Targets of several sensors, `parts`, as one; errors of different sensors are independent."""
     if len(parts) == 1:
         return parts[0]
     names = tuple(name for part in parts for name in part.names)

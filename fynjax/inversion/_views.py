@@ -122,14 +122,23 @@ _SEARCH_COLUMNS = 3
 
 
 def spectrum_names(bands: BandSet) -> tuple[str, ...]:
-    """Names of the statistics of a mean spectrum."""
+    """Names of the statistics of a mean spectrum in `bands`, such as "spectrum.550nm"."""
     return tuple(f"{SPECTRUM}.{centre:.10g}nm" for centre in bands.centre)
 
 
 def nadir_imager(
     bands: BandSet, scene: Scene, parameters: PlotParameters, accuracy: Accuracy | None = None
 ) -> AimedSensor:
-    """A sensor of `bands` that looks straight down on a scene, a pixel a voxel column."""
+    """A sensor that looks straight down on a plot, a pixel a voxel column.
+
+    **Arguments:**
+
+    - `bands`: of the sensor.
+    - `scene`, `parameters`: the plot.
+    - `accuracy`: of the light; as `aim` has it by default.
+
+    **Returns:** `AimedSensor`.
+    """
     half = 0.5 * scene.grid.horizontal_size
     camera = OrthographicCamera((-half, -half, half, half), 2.0 * half)
     sensor = Sensor("nadir", bands, camera)
@@ -139,14 +148,22 @@ def nadir_imager(
 def spectrum_view(
     bands: BandSet, scene: Scene, parameters: PlotParameters, accuracy: Accuracy | None = None
 ) -> SpectrumView:
-    """The view of a spectrometer with `bands` of a scene; `accuracy` of the light, as `aim` has
-    it."""
+    """The view that a spectrometer has of a plot from straight above: its mean spectrum.
+
+    **Arguments:**
+
+    - `bands`: of the spectrometer.
+    - `scene`, `parameters`: the plot.
+    - `accuracy`: of the light; as `aim` has it by default.
+
+    **Returns:** `SpectrumView`.
+    """
     imager = nadir_imager(bands, scene, parameters, accuracy)
     return SpectrumView(spectrum_names(bands), imager)
 
 
 class StructureView(AbstractView):
-    """Structure metrics that a LiDAR from above is expected to see (`voxel_structure`).
+    """Structure metrics that a LiDAR from above is expected to measure (`voxel_structure`).
 
     Means over the cells of the plot. What a leaf hides of a beam is by the inclination of its
     species' leaves. `structure_view` makes one.
@@ -194,8 +211,17 @@ def structure_view(
     grain: float = 2.0,
     pulses: float = 100.0,
 ) -> StructureView:
-    """The view of a LiDAR: some of `STRUCTURE_METRICS`, in cells of `grain` [m], by `pulses` for
-    each square metre [m-2]."""
+    """The view that a LiDAR has of a plot: metrics of its structure.
+
+    **Arguments:**
+
+    - `metrics`: some of `STRUCTURE_METRICS`.
+    - `settings`: what the metrics are; the defaults of `StructureSettings` if left out.
+    - `grain`: side of a cell [m]; whole canopy cells, and these whole voxels.
+    - `pulses`: for each square metre [m-2].
+
+    **Returns:** `StructureView`.
+    """
     names = tuple(f"{LIDAR}.{metric}" for metric in metrics)
     return StructureView(names, settings or StructureSettings(), grain, pulses)
 
@@ -219,9 +245,9 @@ def look(
     views: Sequence[AbstractView], scene: Scene, parameters: PlotParameters
 ) -> tuple[Array, ...]:
     """The statistics of all views, then the images of those that make one."""
-    seen = [view.observe(scene, parameters) for view in views]
-    images = [image for image, _ in seen if image is not None]
-    return joined([values.astype(float) for _, values in seen]), *images
+    observed = [view.observe(scene, parameters) for view in views]
+    images = [image for image, _ in observed if image is not None]
+    return joined([values.astype(float) for _, values in observed]), *images
 
 
 def joined(parts: Sequence[Array]) -> Array:

@@ -14,7 +14,7 @@ from fynjax._core.progress import Progress
 from fynjax.io.micasense import (
     AlignedCapture,
     Capture,
-    PanelSeen,
+    PanelView,
     aligned_radiance,
     find_captures,
     panel_reflectance,
@@ -232,7 +232,7 @@ def _panels(
     panels: Sequence[str | Path],
     areas: Sequence[str],
     light: str | None,
-) -> list[PanelSeen]:
+) -> list[PanelView]:
     if light == "sensor" and not panels:
         return []
     if panels:
@@ -253,7 +253,7 @@ def _panels(
 
 
 def _line(
-    panels: Sequence[PanelSeen], known: Sequence[NDArray[np.float64]], light: str, panel_sd: float
+    panels: Sequence[PanelView], known: Sequence[NDArray[np.float64]], light: str, panel_sd: float
 ) -> EmpiricalLine:
     """The line through the panels, under the light of the first one's picture."""
     first = panels[0].capture
@@ -303,7 +303,7 @@ def _light_ratio(capture: Capture, first: Capture) -> NDArray[np.float64]:
 def _line_of(
     capture: Capture,
     line: EmpiricalLine | None,
-    panels: Sequence[PanelSeen],
+    panels: Sequence[PanelView],
     light: str,
     light_sd: float,
 ) -> tuple[EmpiricalLine, NDArray[np.float64] | None]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fynjax.io.micasense import AlignedCapture, Capture, PanelSeen
+from fynjax.io.micasense import AlignedCapture, Capture, PanelView
 from fynjax.io.raster import Cube
 from fynjax.jobs._result import Number, Record
 from fynjax.sensors import EmpiricalLine
@@ -139,7 +139,7 @@ def _by_band(names: Sequence[str], values: Sequence[float] | NDArray[np.float64]
 
 
 def panel_sentences(
-    panels: Sequence[PanelSeen], known: Sequence[NDArray[np.float64]], light: str
+    panels: Sequence[PanelView], known: Sequence[NDArray[np.float64]], light: str
 ) -> list[str]:
     """What the reflectance rests on."""
     if not panels:
@@ -158,7 +158,7 @@ def panel_sentences(
     ]
 
 
-def panel_summary(panel: PanelSeen, known: NDArray[np.float64]) -> PanelSummary:
+def panel_summary(panel: PanelView, known: NDArray[np.float64]) -> PanelSummary:
     """What is recorded of a panel; `known` is its reflectance in each band."""
     return PanelSummary(
         capture=panel.capture.name,

@@ -9,14 +9,14 @@ from fynjax.io.micasense._capture import (
     read_capture,
     same_capture,
 )
-from fynjax.io.micasense._panel import PanelSeen, panel_reflectance, read_panel
+from fynjax.io.micasense._panel import PanelView, panel_reflectance, read_panel
 
 enable_double_precision()
 
 __all__ = [
     "AlignedCapture",
     "Capture",
-    "PanelSeen",
+    "PanelView",
     "aligned_radiance",
     "find_captures",
     "panel_reflectance",

@@ -28,7 +28,7 @@ _ALIKE = 0.15
 
 
 @dataclass(frozen=True)
-class PanelSeen:
+class PanelView:
     """Where a panel lies in all bands of a capture, and its radiance there."""
 
     capture: Capture
@@ -126,7 +126,7 @@ def _of_file(path: Path, capture: Capture) -> Float[np.ndarray, " band"]:
         raise InputError(str(error), file=path) from error
 
 
-def read_panel(capture: Capture, area: NDArray[np.float64] | None = None) -> PanelSeen:
+def read_panel(capture: Capture, area: NDArray[np.float64] | None = None) -> PanelView:
     """Read the radiance of a panel in every band of a capture.
 
     **Arguments:**
@@ -136,7 +136,7 @@ def read_panel(capture: Capture, area: NDArray[np.float64] | None = None) -> Pan
       every band (the lenses show a near panel some pixels apart). If not given, it is what the
       camera states, or else the brightest even square near the middle (`find_panel`).
 
-    **Returns:** a `PanelSeen`: its area, and mean and spread of its radiance [W m-2 sr-1 um-1].
+    **Returns:** a `PanelView`: its area, and mean and spread of its radiance [W m-2 sr-1 um-1].
 
     **Raises:** `InputError` where there is no panel, or it is saturated, uneven, or at another
     place in some band.
@@ -165,7 +165,7 @@ def read_panel(capture: Capture, area: NDArray[np.float64] | None = None) -> Pan
         _read(picture, corners, capture, k)
         for k, (picture, corners) in enumerate(zip(pictures, areas, strict=True))
     ]
-    return PanelSeen(
+    return PanelView(
         capture,
         tuple(areas),
         how,

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
-from fynjax.io.micasense import PanelSeen
+from fynjax.io.micasense import PanelView
 from fynjax.io.raster import Cube
 from fynjax.report.figures._style import VERMILION, style
 
@@ -80,7 +80,7 @@ def capture_figure(cube: Cube, title: str, *, pixels: bool) -> Figure:
     return figure
 
 
-def panel_figure(panels: Sequence[PanelSeen], known: Sequence[NDArray[np.float64]]) -> Figure:
+def panel_figure(panels: Sequence[PanelView], known: Sequence[NDArray[np.float64]]) -> Figure:
     """Every panel in every band, with the outline of the pixels that were read.
 
     **Arguments:** `panels`, the panels in their captures; `known`, for each panel its known
@@ -104,7 +104,7 @@ def panel_figure(panels: Sequence[PanelSeen], known: Sequence[NDArray[np.float64
     return figure
 
 
-def _draw_panel(axes: Axes, panel: PanelSeen, k: int, known: float) -> None:
+def _draw_panel(axes: Axes, panel: PanelView, k: int, known: float) -> None:
     band = panel.capture.bands[k]
     step = max(1, max(band.counts.shape) // _THIN)
     rows, columns = band.counts.shape
