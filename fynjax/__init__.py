@@ -3,7 +3,8 @@
 `import fynjax as fx` is quick: what follows is imported when it is first used.
 
 - `fx.Scene.from_table`, `fx.observe`: a scene from a species table, and what a sensor measures.
-- `fx.LeafParameters`, `fx.prospect`, `fx.fit_leaf`: leaf optics, forward and backward.
+- `fx.Leaf` (short for `fx.LeafParameters`), `fx.prospect`, `fx.fit_leaf`: leaf optics, forward and
+  backward.
 - `fx.canopy_reflectance`: a uniform canopy in one line.
 - `fx.read_plot`, `fx.sensor`: a plot, and a sensor or LiDAR, from files or by a shipped name.
 - `fx.calibrate`, `fx.posterior`: what the commands of these names do, from Python.

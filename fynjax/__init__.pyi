@@ -23,6 +23,7 @@ from .inversion import fit as fit
 from .io.plot import read_plot as read_plot
 from .jobs import calibrate as calibrate
 from .jobs import posterior as posterior
+from .leaf import Leaf as Leaf
 from .leaf import LeafParameters as LeafParameters
 from .leaf import fit_leaf as fit_leaf
 from .leaf import prospect as prospect

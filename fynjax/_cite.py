@@ -16,9 +16,10 @@ class _Source:
     year: int | None = None
     volume: str | None = None
     pages: str | None = None
+    doi: str | None = None
 
     def bibtex(self) -> str:
-        fields = ("author", "title", "journal", "year", "volume", "pages")
+        fields = ("author", "title", "journal", "year", "volume", "pages", "doi")
         known = [(name, getattr(self, name)) for name in fields]
         lines = [f"  {name} = {{{value}}}," for name, value in known if value is not None]
         return "\n".join([f"@article{{{self.key},", *lines, "}"])
@@ -35,21 +36,22 @@ _SOURCES: dict[str, _Source] = {
     "prospect": _Source(
         "jacquemoud1990", "Jacquemoud, S. and Baret, F.",
         "PROSPECT: A model of leaf optical properties spectra", _RSE, 1990, "34", "75--91",
+        "10.1016/0034-4257(90)90100-Z",
     ),
     "prospect-5": _Source(
         "feret2008", "F{\\'e}ret, J.-B. and others",
         "PROSPECT-4 and 5: Advances in the leaf optical properties model separating "
-        "photosynthetic pigments", _RSE, 2008, "112", "3030--3043",
+        "photosynthetic pigments", _RSE, 2008, "112", "3030--3043", "10.1016/j.rse.2008.02.012",
     ),
     "prospect-d": _Source(
         "feret2017", "F{\\'e}ret, J.-B. and others",
         "PROSPECT-D: Towards modeling leaf optical properties through a complete lifecycle",
-        _RSE, 2017, "193", "204--215",
+        _RSE, 2017, "193", "204--215", "10.1016/j.rse.2017.03.004",
     ),
     "prospect-pro": _Source(
         "feret2021", "F{\\'e}ret, J.-B. and others",
         "PROSPECT-PRO for estimating content of nitrogen-containing leaf proteins and other "
-        "carbon-based constituents", _RSE, 2021, "252", "112173",
+        "carbon-based constituents", _RSE, 2021, "252", "112173", "10.1016/j.rse.2020.112173",
     ),
     "shoots": _Source(
         "smolander2003", "Smolander, S. and Stenberg, P.",
@@ -60,22 +62,25 @@ _SOURCES: dict[str, _Source] = {
         "rahman1993", "Rahman, H. and Pinty, B. and Verstraete, M. M.",
         "Coupled surface-atmosphere reflectance (CSAR) model: 2. Semiempirical surface model "
         "usable with NOAA advanced very high resolution radiometer data",
-        "Journal of Geophysical Research", 1993, "98", "20791--20801",
+        "Journal of Geophysical Research", 1993, "98", "20791--20801", "10.1029/93JD02072",
     ),
     "6s": _Source(
         "vermote1997", "Vermote, E. F. and others",
         "Second Simulation of the Satellite Signal in the Solar Spectrum, 6S: an overview",
         "IEEE Transactions on Geoscience and Remote Sensing", 1997, "35", "675--686",
+        "10.1109/36.581987",
     ),
     "spctrl2": _Source(
         "bird1986", "Bird, R. E. and Riordan, C.",
         "Simple solar spectral model for direct and diffuse irradiance on horizontal and tilted "
         "planes at the Earth's surface for cloudless atmospheres",
         "Journal of Climate and Applied Meteorology", 1986, "25", "87--97",
+        "10.1175/1520-0450(1986)025<0087:SSSMFD>2.0.CO;2",
     ),
     "emcee": _Source(
         "foremanmackey2013", "Foreman-Mackey, D. and others", "emcee: The MCMC Hammer",
         "Publications of the Astronomical Society of the Pacific", 2013, "125", "306--312",
+        "10.1086/670067",
     ),
     "nuts": _Source(
         "hoffman2014", "Hoffman, M. D. and Gelman, A.",

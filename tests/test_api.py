@@ -1,6 +1,7 @@
 """`import fynjax as fx`: quick, and every name is there."""
 
 import inspect
+import re
 import subprocess
 import sys
 
@@ -20,10 +21,13 @@ def test_the_import_is_light():
 
 
 def test_every_name_is_there_and_described():
-    assert {"read_plot", "fit", "calibrate", "posterior", "LeafParameters", "prospect", "fit_leaf",
-            "sensor", "errors", "cite", "canopy_reflectance"} <= set(fx.__all__)  # fmt: skip
+    assert {
+        *("read_plot", "fit", "calibrate", "posterior", "Leaf", "LeafParameters", "prospect"),
+        *("fit_leaf", "sensor", "errors", "cite", "canopy_reflectance"),
+    } <= set(fx.__all__)
     for name in fx.__all__:
         assert inspect.getdoc(getattr(fx, name)), name
+    assert fx.Leaf is fx.LeafParameters
     with pytest.raises(AttributeError):
         _ = fx.nothing
 
@@ -54,6 +58,9 @@ def test_citations_are_entries_of_bibtex_each_once():
     keys = [line for line in every.splitlines() if line.startswith("@")]
     assert len(keys) == len(set(keys)) >= 10
     assert every.count("{") == every.count("}")
+    pages = re.findall(r"pages = \{(.*)\}", every)
+    assert all(re.fullmatch(r"\d+(--\d+)?", numbers) for numbers in pages)
+    assert len(re.findall(r"doi = \{10\.\d{4}/\S+\}", every)) == every.count("doi = ") >= 8
     assert fx.cite("prospect-d") in fx.cite("PROSPECT-D", "prospect-d")
     for year in ("1990", "2008", "2017", "2021"):
         assert f"year = {{{year}}}" in fx.cite("prospect")

@@ -22,7 +22,7 @@ from fynjax.leaf._measurement import (
     LeafStack,
     transmittance_from_two_readings,
 )
-from fynjax.leaf._parameters import LEAF_PARAMETERS, LeafParameters
+from fynjax.leaf._parameters import LEAF_PARAMETERS, Leaf, LeafParameters
 from fynjax.leaf._posterior import LeafPosterior, sample_leaf_posterior
 from fynjax.leaf._problem import FitDomain
 from fynjax.leaf._prospect import LeafOptics, interface_transmissivity, prospect
@@ -38,6 +38,7 @@ __all__ = [
     "ErrorModel",
     "FitDomain",
     "IntegratingSphere",
+    "Leaf",
     "LeafClip",
     "LeafFit",
     "LeafGroups",

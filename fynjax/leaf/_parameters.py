@@ -198,3 +198,6 @@ class LeafParameters(eqx.Module):
 LEAF_PARAMETERS = parameters_of(LeafParameters)
 """Name, unit, bounds, default and prior of each parameter of a leaf. A leaf fit searches between
 the bounds, with the wide prior of leaves at large."""
+
+Leaf = LeafParameters
+"""Short name of `LeafParameters`."""

@@ -36,8 +36,8 @@ class LeafPosterior(eqx.Module):
     """T of the leaf at each draw, with a draw of the model's error that the data leave [-]."""
     effective_size: Float[np.ndarray, " leaf"]
     """Effective number of draws behind the least mixed parameter."""
-    status: tuple[str, ...] = eqx.field(static=True)
-    """`converged`, or why the draws may not be the posterior."""
+    status: np.ndarray
+    """Text [leaf]: `converged`, or why the draws may not be the posterior."""
 
 
 def _log_density(
@@ -153,7 +153,7 @@ def sample_leaf_posterior(
             picked = flat[random.integers(0, len(flat), draws)]
             samples[i], spectra[i] = _finish(setup, problems, i, columns, picked, random)
             progress.advance(1)
-    return LeafPosterior(setup.free, samples, spectra, sizes, tuple(status))
+    return LeafPosterior(setup.free, samples, spectra, sizes, np.array(status))
 
 
 def _finish(

@@ -170,7 +170,7 @@ def posterior_dataset(
         {"units": "1", "long_name": "leaf transmittance"},
     )
     variables["effective_size"] = ("leaf", drawn.effective_size, {"units": "1"})
-    variables["status"] = ("leaf", np.array(drawn.status, dtype=object))
+    variables["status"] = ("leaf", drawn.status.astype(object))
     variables["file"] = ("leaf", np.array(list(files), dtype=object))
     wavelength = ("wavelength", fit.wavelength, {"units": "nm", "long_name": "bin centre"})
     return xr.Dataset(
