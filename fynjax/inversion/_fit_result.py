@@ -237,7 +237,7 @@ def fit_result(
     u: Float[Array, " free"],
     predicted: Float[Array, " statistic"],
     jacobian: Float[Array, "statistic free"],
-    status: FitStatus,
+    status: Any,
     steps: Any,
     trace: Float[Array | np.ndarray, "evaluation 2"],
 ) -> FitResult:
