@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.optimize import brentq
 
 from fynjax._core.errors import InputError
 from fynjax.scene import PARAMETERS, parameter_kind
@@ -93,10 +94,6 @@ _ROOM: dict[str, tuple[float, float]] = {"cover": (0.3, 1.8), "diameter": (0.65,
 """Factors on cover and diameter between which the sites held ready for plants suffice."""
 _INSET = 0.02
 """How far inside its bound the prior of a value there is centred [usual range]."""
-_WIDEST = math.sqrt(2.0)
-"""Largest standard deviation of a logit-normal distribution that has one mode wherever its centre
-is. With z = m + s u the modes solve z - m = s^2 tanh(z / 2). The right side is at most s^2 / 2
-steep, so that there is one solution up to s^2 = 2."""
 _ROUNDING = 1e-6
 """A value so near its bound lies on it [usual range]."""
 
@@ -106,13 +103,13 @@ def make_space(values: dict[str, float], relative_sd: dict[str, float]) -> Param
 
     Covers and diameters are bounded closer where the plants held ready would not suffice.
 
-    A prior is logit-normal between the bounds of its parameter. One whose width, of z at the
-    centre, exceeds sqrt(2) can have two modes, with most of its mass at the bounds. Such a prior
-    is fitted into its bounds: its centre moves to 2 % of the usual range inside where it is nearer
-    to a bound, and its standard deviation is cut to the widest with one mode, sqrt(2) times the
-    product of the distances to the two bounds over the range. So is that of a value on its bound
-    (dry soil, a leaf without anthocyanins), whose stated standard deviation, a share of the value,
-    may be zero. A warning names the parameters with their stated and their fitted priors.
+    A prior is logit-normal between the bounds of its parameter. One that is too wide has two modes,
+    with most of its mass at the bounds. Such a prior is fitted into its bounds: its centre moves to
+    2 % of the usual range inside where it is nearer to a bound, and its standard deviation is cut
+    to the largest with one mode: that of z is sqrt(2) halfway between the bounds, and 2.9 at 1 % of
+    their distance. So is that of a value on its bound (dry soil, a leaf without anthocyanins),
+    whose stated standard deviation, a share of the value, may be zero. A warning names the
+    parameters with their stated and their fitted priors.
 
     **Arguments:**
 
@@ -158,16 +155,27 @@ def _fitted_prior(
 ) -> tuple[float, float]:
     """Centre and standard deviation of a prior with one mode between its bounds."""
     low, high = bounds
-
-    def widest(centre: float) -> float:
-        return _WIDEST * (centre - low) * (high - centre) / (high - low)
-
-    if min(value - low, high - value) <= _ROUNDING * usual:
-        sd = math.inf
-    if sd <= widest(value):
+    on_bound = min(value - low, high - value) <= _ROUNDING * usual
+    if not on_bound and sd <= _widest(value, bounds):
         return value, sd
     centre = min(max(value, low + _INSET * usual), high - _INSET * usual)
-    return centre, min(sd, widest(centre))
+    widest = _widest(centre, bounds)
+    return centre, widest if on_bound else min(sd, widest)
+
+
+def _widest(centre: float, bounds: tuple[float, float]) -> float:
+    """Largest standard deviation of a logit-normal prior that has one mode.
+
+    With z normal about m with standard deviation s, the modes solve z - m = s^2 tanh(z / 2). The
+    right side is steepest, s^2 / 2, at z = 0: up to s^2 = 2 there is one solution wherever m is.
+    Beyond, a second one appears where the two sides touch, at tanh(z / 2) = t with
+    s^2 (1 - t^2) = 2, that is where |m| = 2 t / (1 - t^2) - 2 artanh t.
+    """
+    low, high = bounds
+    share = (centre - low) / (high - low)
+    m = abs(math.log(share) - math.log1p(-share))
+    t = brentq(lambda t: 2.0 * t / (1.0 - t**2) - 2.0 * math.atanh(t) - m, 0.0, 1.0 - 1e-9)
+    return math.sqrt(2.0 / (1.0 - t**2)) * share * (1.0 - share) * (high - low)
 
 
 def match_names(names: Sequence[str], patterns: Sequence[str]) -> list[str]:
