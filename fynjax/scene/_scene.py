@@ -149,8 +149,10 @@ class Scene(eqx.Module):
           the usual leaf.
         - `ground`, `light`: left out, their defaults.
 
-        What is left out is as in a plot file. Raises `InputError` for a table that cannot be used,
-        and as `build_scene`.
+        What is left out is as in a plot file.
+
+        **Raises:** `InputError` with row, taxon and column for a cell that cannot be used, for an
+        unknown column and unknown leaves, and as `build_scene`.
 
         **Example:**
 
