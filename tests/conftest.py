@@ -1,5 +1,6 @@
 """Fixtures shared by all tests: 64-bit JAX and the place of the reference data."""
 
+import gc
 import os
 import tempfile
 from collections.abc import Iterator
@@ -16,6 +17,10 @@ os.environ.setdefault(
     "XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 )
 enable_double_precision()  # also for the packages that set nothing, such as `fynjax.radiation`
+
+
+# Tracing makes many objects and few cycles: the collector's usual rhythm takes a tenth of the time.
+gc.set_threshold(50_000, 20, 20)
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -48,6 +53,13 @@ def forget_compiled() -> Iterator[None]:
     """Frees what a file's tests have compiled, which else grows to many gigabytes."""
     yield
     jax.clear_caches()
+    gc.collect()
+
+
+def pytest_collection_finish() -> None:
+    """What is imported by now stays: the collector need not look at it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
