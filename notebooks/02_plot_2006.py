@@ -27,6 +27,7 @@ import numpy as np
 
 from fynjax.canopy import FORM_DEFAULTS, hard_count, instance_area, table1_2006, target_area
 from fynjax.leaf import LeafParameters
+from fynjax.radiation import Accuracy
 from fynjax.scene import (
     GroundParameters,
     LightParameters,
@@ -39,9 +40,10 @@ from fynjax.scene import (
 )
 from fynjax.sensors import shipped_sensor
 
-FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer pixels
+FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer pixels, coarser light
 SIDE = 2.5 if FAST else 10.0  # m
 PIXEL = 0.1 if FAST else 0.025  # m
+LIGHT = Accuracy(sublayers=1, levels=2, azimuths=4, refine=False) if FAST else None
 
 # %% [markdown]
 # ## The table
@@ -164,18 +166,19 @@ plt.show()
 
 
 # %%
-drone = aim(scene, parameters, shipped_sensor("mavic_3m"), Placement(altitude=50.0, pixel=PIXEL))
+over = Placement(altitude=50.0, pixel=PIXEL)
+drone = aim(scene, parameters, shipped_sensor("mavic_3m"), over, accuracy=LIGHT)
 
 
 @eqx.filter_jit
 @partial(eqx.filter_value_and_grad, has_aux=True)
-def mean_ndvi(parameters):
+def mean_ndvi(parameters, drone, scene):
     image = drone.observe(scene, parameters).reflectance  # [band, y, x], y to the north
     _, red, _, nir = image
     return jnp.mean((nir - red) / (nir + red)), image
 
 
-(value, image), slope = mean_ndvi(parameters)
+(value, image), slope = mean_ndvi(parameters, drone, scene)
 image = np.asarray(image)
 for name, band in zip(drone.sensor.bands.names, image):
     print(f"{name:<10} mean {band.mean():.3f}   standard deviation {band.std():.3f}")
@@ -226,7 +229,7 @@ for factor in factors:
     moved = eqx.tree_at(
         lambda p: p.species.cover, parameters, jnp.asarray(np.where(living, factor * cover, cover))
     )
-    values.append(float(mean_ndvi(moved)[0][0]))
+    values.append(float(mean_ndvi(moved, drone, scene)[0][0]))
 along = float(jnp.sum(slope.species.cover * jnp.where(living, jnp.asarray(cover), 0.0)))
 fig, ax = plt.subplots(figsize=(6, 4), layout="constrained")
 total = 100 * factors * cover[living].sum()
