@@ -233,7 +233,7 @@ def sweep(
         outside, emitted, attenuation, shares = hemisphere
         means, leaving, ended = [], [], []
         for (group, steps), cells in zip(coarse.groups, attenuation):
-            move = jnp.asarray(coarse.moves(group, steps), dtype)
+            move = coarse.moves(group, steps)
             lengths = jnp.asarray(coarse.lengths(group, steps), dtype)[:, None, None, None]
             around, from_ground = outside[group], entering[group]
             # A step begins with its whole move: half a move back puts its middle on the path.
@@ -242,7 +242,7 @@ def sweep(
             def layer(
                 radiance: Array,
                 cell: tuple[Any, ...],
-                move: Array = move,
+                move: np.ndarray = move,
                 lengths: Array = lengths,
                 steps: int = steps,
                 around: Array = around,
@@ -319,11 +319,15 @@ def sweep(
 
 def _shift(
     radiance: Float[Array, "level azimuth y x"],
-    move: Float[Array, "xy level azimuth"],
+    move: np.ndarray,
     outside: Float[Array, "level azimuth"],
     boundary: str,
 ) -> Float[Array, "level azimuth y x"]:
-    """Move each ordinate's layer by `move` (at most one cell) along x and y, linearly."""
+    """Move each ordinate's layer by `move` (at most one cell) along x and y, linearly.
+
+    `move` [xy, level, azimuth] is known when the program is made: its shares are constants of it.
+    """
+    move = move.astype(radiance.dtype)[..., None, None]
     for axis, share in ((3, move[0]), (2, move[1])):
         size = radiance.shape[axis]
         part = lambda of, start, size=size, axis=axis: jax.lax.slice_in_dim(  # noqa: E731
@@ -338,10 +342,9 @@ def _shift(
         padded = jax.lax.optimization_barrier(
             jnp.concatenate([ends[0], radiance, ends[1]], axis=axis)
         )
-        share = share[:, :, None, None]
         radiance = (
-            part(padded, 0) * jnp.maximum(share, 0)
-            + part(padded, 1) * (1 - jnp.abs(share))
-            + part(padded, 2) * jnp.maximum(-share, 0)
+            part(padded, 0) * np.maximum(share, 0)
+            + part(padded, 1) * (1 - np.abs(share))
+            + part(padded, 2) * np.maximum(-share, 0)
         )
     return radiance
