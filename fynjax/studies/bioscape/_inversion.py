@@ -339,6 +339,7 @@ def infer_plot(
             tolerance=0.02,
             context=densities[0].context,
             offset=offset,
+            report=lambda *_: None,  # step by step: `evaluate` then needs no program of its own
         )
         others = [
             evaluate(replace(density, data=grown), result.whitened) for density in densities[1:]
