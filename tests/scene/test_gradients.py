@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from fynjax.metrics import image_statistics
-from fynjax.radiation import Accuracy
 from fynjax.scene import named_values, with_values
 from tests.scene.plots import TAXA, drone, small_parameters, small_plot
 
@@ -26,15 +25,13 @@ STATISTICS = (
     "NormR.mean",
     "nir.q50",
 )
-# Few directions of the light, solved tightly and refined: the program is half as long to compile.
-ACCURACY = Accuracy(lattice=1, sublayers=1, levels=1, azimuths=4, tolerance=1e-11, iterations=200)
 WEIGHTS = np.random.default_rng(5).normal(size=len(STATISTICS))
 
 
 @pytest.fixture(scope="module")
 def metric():
     scene, parameters = small_plot(), small_parameters()
-    camera = drone(scene, ACCURACY)
+    camera = drone(scene)
     names = tuple(named_values(parameters, TAXA))
     start = jnp.stack(list(named_values(parameters, TAXA).values()))
 

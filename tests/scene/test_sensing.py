@@ -29,7 +29,9 @@ from fynjax.sensors import (
 from tests.helpers import assert_gradients, compilations
 from tests.scene.plots import small_parameters, small_plot
 
-FAST = Accuracy(sublayers=1, levels=2, refine=False, tolerance=1e-9, iterations=200)
+FAST = Accuracy(
+    lattice=1, sublayers=1, levels=1, azimuths=4, refine=False, tolerance=1e-9, iterations=200
+)
 NOISE = ((1e14, 0.0), (8000.0, 4.0))
 """Full well and read noise of a camera without noise, and of one with; the same program."""
 observe = eqx.filter_jit(lambda a, s, p, key=None, air=None: a.observe(s, p, key=key, air=air))
