@@ -43,7 +43,7 @@ from tests.scene.plots import TAXA, densities, drone, small_parameters, small_pl
 
 BANDS = BandSet(("a", "b", "c"), (550.0, 860.0, 1650.0), (20.0, 20.0, 20.0))
 FREE = ("species.Erica irregularis.cover", "species.*.height", "*irregularis.leaf.water")
-ACCURACY = dataclasses.replace(COARSE, coarsening=(2, 2), tolerance=1e-11, iterations=200)
+ACCURACY = dataclasses.replace(COARSE, coarsening=(2, 2), levels=1, tolerance=1e-11, iterations=200)
 
 
 @pytest.fixture(scope="module")
