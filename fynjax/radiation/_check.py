@@ -323,7 +323,7 @@ def check_memory(
     scene: VoxelScene,
     ordinates: int,
     factor: tuple[int, int],
-    refine: bool,
+    finer: tuple[int, int] | None,
     width: int | None = None,
 ) -> None:
     """Raise `InputError` where the diffuse light would not fit in the memory of this machine.
@@ -343,7 +343,9 @@ def check_memory(
         voxels = layers * columns
         cells = voxels / (factor[0] * factor[1] ** 2)
         densities = 3 * scene.area_density.shape[0] * voxels * size
-        finest = (bands + _FINE_FIELDS) * field * voxels if refine else bands * field * cells
+        finest = bands * field * cells
+        if finer is not None:
+            finest = (bands + _FINE_FIELDS) * field * voxels / (finer[0] * finer[1] ** 2)
         return densities + _COARSE_FIELDS * field * cells + finest
 
     rows, columns = (ny, nx) if width is None else (width, width)

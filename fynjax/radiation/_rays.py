@@ -81,10 +81,16 @@ class AbstractRays(eqx.Module):
 
     @abc.abstractmethod
     def sampler(
-        self, height: Array, lattice: Lattice, offset: tuple[Array, Array] | None = None
+        self,
+        height: Array,
+        lattice: Lattice,
+        offset: tuple[Array, Array] | None = None,
+        *,
+        smooth: bool = False,
     ) -> Callable[[Array], Array]:
         """How a pixel's footprint at `height` [m] averages a field [..., y, x] on `lattice`,
-        whose corner lies at minus `offset` [m]."""
+        whose corner lies at minus `offset` [m]. `smooth`: the field is linear between the centres
+        of its cells, in place of the same all over a cell."""
 
     def sine_to(self, vector: Float[Array, " 3"]) -> Float[Array, "row column"]:
         """Sine of the angle between a unit vector and the ray [-]."""
@@ -155,12 +161,23 @@ class RayLattice(AbstractRays):
         return middle / jnp.linalg.norm(middle)
 
     def sampler(
-        self, height: Array, lattice: Lattice, offset: tuple[Array, Array] | None = None
+        self,
+        height: Array,
+        lattice: Lattice,
+        offset: tuple[Array, Array] | None = None,
+        *,
+        smooth: bool = False,
     ) -> Callable[[Array], Array]:
         right, up = (0.0, 0.0) if offset is None else offset
-        width = self.footprint
         spacing, boundary = lattice.spacing, lattice.boundary
+        # The mean over a cell's width of what is even in cells is linear between their centres.
+        width = max(self.footprint, spacing) if smooth else self.footprint
         x, y = self.x + height * self.slope_x + right, self.y + height * self.slope_y + up
+        if smooth and boundary == "open":
+            x, y = (
+                _inside(place, count * spacing, width)
+                for place, count in ((x, lattice.columns), (y, lattice.rows))
+            )
         columns = axis_weights(x, width, lattice.columns, spacing, boundary)
         rows = axis_weights(y, width, lattice.rows, spacing, boundary)
         return lambda field: sample(field, rows, columns)
@@ -220,14 +237,25 @@ class RayField(AbstractRays):
         return flat.reshape(*flat.shape[:-1], *self.shape)
 
     def sampler(
-        self, height: Array, lattice: Lattice, offset: tuple[Array, Array] | None = None
+        self,
+        height: Array,
+        lattice: Lattice,
+        offset: tuple[Array, Array] | None = None,
+        *,
+        smooth: bool = False,
     ) -> Callable[[Array], Array]:
         right, up = (0.0, 0.0) if offset is None else offset
-        width = jnp.minimum(self.width, lattice.spacing)
-        axes = (
+        spacing = jnp.full_like(self.width, lattice.spacing)
+        width = spacing if smooth else jnp.minimum(self.width, spacing)
+        axes = [
             (self.y + height * self.slope_y + up, lattice.rows),
             (self.x + height * self.slope_x + right, lattice.columns),
-        )
+        ]
+        if smooth and lattice.boundary == "open":
+            axes = [
+                (_inside(place, count * lattice.spacing, lattice.spacing), count)
+                for place, count in axes
+            ]
         (row, row_share), (column, column_share) = (
             _two_cells(place, width, count, lattice) for place, count in axes
         )
@@ -243,6 +271,13 @@ class RayField(AbstractRays):
             return jnp.moveaxis(total, -1, 0).reshape(*field.shape[:-2], *self.shape)
 
         return gather
+
+
+def _inside(centre: Array, length: float, width: float) -> Array:
+    """Centres of intervals of `width` within a line of `length` [m]: beyond its ends a field goes
+    on as it is there."""
+    half = 0.5 * min(width, length)
+    return jnp.clip(centre, half, length - half)
 
 
 def _two_cells(

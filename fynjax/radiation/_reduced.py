@@ -41,6 +41,11 @@ class ReducedField(eqx.Module):
     residual: Float[Array, " band"]
     """What the equation of the source leaves over, relative to the source [-]."""
 
+    def factor(self, scene: VoxelScene) -> tuple[int, int]:
+        """Voxels in one cell, in height and in width."""
+        _, depth, _, width = self.transport.shape
+        return scene.shape[0] // depth, scene.shape[2] // width
+
     def bands(self, start: Int[Array, ""] | int, size: int) -> DiffuseField:
         """The field of `size` bands from `start` on, which may be a traced value.
 

@@ -21,18 +21,20 @@ from fynjax.radiation._sun import SunField
 def solve_refined(
     scene: VoxelScene,
     sun: SunField,
+    finer: tuple[int, int],
     factor: tuple[int, int],
     ordinates: Ordinates,
     tolerance: float,
     iterations: int,
 ) -> DiffuseField:
-    """Solve for the diffuse field in each band on the coarse grid, and follow it on the fine one.
+    """Solve for the diffuse field in each band on the coarse grid, and follow it on a finer one.
 
-    Memory is that of the fine field of all bands. Differentiable: the derivative is that of
-    these very steps.
+    `factor` and `finer` are the voxels (in height and width) in a cell of either. Memory is that
+    of the finer field of all bands. Differentiable: the derivative is that of these very steps.
     """
     coarse, coarse_bands = prepare_transport(scene, sun, factor, ordinates)
-    fine, fine_bands = prepare_transport(scene, sun, (1, 1), ordinates)
+    fine, fine_bands = prepare_transport(scene, sun, finer, ordinates)
+    factor = factor[0] // finer[0], factor[1] // finer[1]
 
     def solve_band(bands: tuple[Bands, Bands]) -> DiffuseField:
         low, high = bands

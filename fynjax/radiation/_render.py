@@ -34,14 +34,17 @@ from fynjax.radiation._terrain import with_adjacent_ground
 class Accuracy(eqx.Module):
     """How finely the light is resolved. All fields are static; each may be refined alone."""
 
-    lattice: int = eqx.field(static=True, default=2)
-    """Sunbeams along the edge of a voxel."""
+    lattice: int | None = eqx.field(static=True, default=None)
+    """Sunbeams along the edge of a voxel. By default 2, and 1 where voxels are 5 cm or less."""
     sublayers: int | None = eqx.field(static=True, default=None)
     """Pieces a layer is cut in along beams and rays. By default so many that a beam or ray stays
     within a voxel; two where its direction is a traced value."""
+    cell: float = eqx.field(static=True, default=0.2)
+    """Edge of the cells of the coarse grid, on which the diffuse light is solved for [m]; two
+    voxels at least, where they fit. Finer voxels do not buy finer diffuse light."""
     coarsening: tuple[int, int] | None = eqx.field(static=True, default=None)
-    """Voxels (in height, in width) in a cell of the coarse grid, on which the diffuse light is
-    solved for; the second must divide the grid. By default 2, where they fit."""
+    """Voxels (in height, in width) in such a cell, in place of `cell`; the second must divide the
+    grid."""
     levels: int = eqx.field(static=True, default=3)
     """Zenith angles of the diffuse light per hemisphere."""
     azimuths: int = eqx.field(static=True, default=6)
@@ -51,7 +54,7 @@ class Accuracy(eqx.Module):
     iterations: int = eqx.field(static=True, default=100)
     """Most iterations of the diffuse solve."""
     refine: bool = eqx.field(static=True, default=True)
-    """Follow the last flight of the diffuse light on the voxels themselves."""
+    """Follow the last flight of the diffuse light on finer cells: mostly half as wide."""
     solves: int | None = eqx.field(static=True, default=25)
     """Most bands that are solved for. The light of more is reduced to that of so many (and not
     refined). None: solve every band."""
@@ -60,9 +63,9 @@ class Accuracy(eqx.Module):
     zenith; must be given where the sun is a traced value."""
 
     def __check_init__(self) -> None:
-        for name in ("lattice", "levels", "azimuths", "iterations"):
+        for name in ("levels", "azimuths", "iterations"):
             check_whole(f"accuracy.{name}", getattr(self, name))
-        for name, least in (("sublayers", 1), ("solves", 1), ("margin", 0)):
+        for name, least in (("lattice", 1), ("sublayers", 1), ("solves", 1), ("margin", 0)):
             if getattr(self, name) is not None:
                 check_whole(f"accuracy.{name}", getattr(self, name), least)
         if self.coarsening is not None:
@@ -73,6 +76,10 @@ class Accuracy(eqx.Module):
                 )
             for factor in self.coarsening:
                 check_whole("accuracy.coarsening", factor)
+        if not (isinstance(self.cell, Real) and 0 < self.cell < math.inf):
+            raise InputError(
+                f"`accuracy.cell` must be a positive length [m], but is {short(self.cell)}"
+            )
         if not (isinstance(self.tolerance, Real) and 0 < self.tolerance < 1):
             raise InputError(
                 "`accuracy.tolerance` must be a number in (0, 1), a share of the source, but is "
@@ -143,7 +150,7 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
             "must be level"
         )
     _check_sky(scene, accuracy)
-    factor, reduced, refined = check_fit(scene, accuracy)
+    factor, reduced, finer = check_fit(scene, accuracy)
     missing = -scene.shape[0] % factor[0]
     if missing:
         above = ((0, 0), (0, missing), (0, 0), (0, 0))
@@ -155,14 +162,15 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
         scene = eqx.tree_at(lambda s: s.ground, scene, ground)
     aspect = scene.vertical / scene.horizontal
     sublayers = accuracy.sublayers or pieces(scene.illumination.sun_zenith, aspect)
-    sun = trace_sun(scene, accuracy.lattice, sublayers, sun_margin(scene, accuracy))
+    lattice = accuracy.lattice or (1 if scene.horizontal <= _FINE else 2)
+    sun = trace_sun(scene, lattice, sublayers, sun_margin(scene, accuracy))
     how = (factor, accuracy.ordinates, accuracy.tolerance, accuracy.iterations)
     diffuse: DiffuseField | ReducedField
     if reduced:
         check_reducible(scene)
         diffuse = solve_reduced(scene, sun, *how, solves=accuracy.solves or 0)
-    elif refined:
-        diffuse = solve_refined(scene, sun, *how)
+    elif finer is not None:
+        diffuse = solve_refined(scene, sun, finer, *how)
     else:
         diffuse = solve_diffuse(scene, sun, *how)
     return Light(scene, sun, diffuse, accuracy)
@@ -184,25 +192,44 @@ def _check_sky(scene: VoxelScene, accuracy: Accuracy) -> None:
         )
 
 
+_FINE = 0.05
+"""Edge of a voxel whose sunbeams need not be closer than the voxels [m]."""
+
+
 def check_fit(
     scene: VoxelScene, accuracy: Accuracy, width: int | None = None
-) -> tuple[tuple[int, int], bool, bool]:
-    """Coarsening of the grid, whether bands are reduced and whether their light is refined.
+) -> tuple[tuple[int, int], bool, tuple[int, int] | None]:
+    """Voxels in a cell of the coarse grid, whether bands are reduced, and the voxels in a cell on
+    which the light is refined; None: nowhere.
 
     Raises `InputError` where the grid, or the square of `width` voxels that is solved at once,
     cannot be coarsened so or does not fit in memory.
     """
     ny, nx = scene.shape[1:] if width is None else (width, width)
-    factor = _coarsening(ny, nx, accuracy)
+    factor = _coarsening(scene, ny, nx, accuracy)
     reduced = accuracy.solves is not None and scene.illumination.sun.shape[0] > accuracy.solves
-    refined = accuracy.refine and factor != (1, 1) and not reduced
-    check_memory(scene, len(accuracy.ordinates.weights), factor, refined, width)
-    return factor, reduced, refined
+    finer = None
+    if accuracy.refine and factor != (1, 1) and not reduced:
+        finer = factor[0] // _least_divisor(factor[0]), factor[1] // _least_divisor(factor[1])
+    check_memory(scene, len(accuracy.ordinates.weights), factor, finer, width)
+    return factor, reduced, finer
 
 
-def _coarsening(ny: int, nx: int, accuracy: Accuracy) -> tuple[int, int]:
+def _least_divisor(number: int) -> int:
+    """The least divisor above 1; of 1 itself, 1."""
+    return next((n for n in range(2, number + 1) if number % n == 0), 1)
+
+
+def _coarsening(scene: VoxelScene, ny: int, nx: int, accuracy: Accuracy) -> tuple[int, int]:
     if accuracy.coarsening is None:
-        return 2, 2 if ny % 2 == nx % 2 == 0 else 1
+        high, wide = (
+            max(2, 2 * round(accuracy.cell / (2 * size) + 1e-6))
+            for size in (scene.vertical, scene.horizontal)
+        )
+        # Layers are added on top as they are needed; columns must fit.
+        fitting = [n for n in range(1, wide + 1) if ny % n == nx % n == 0]
+        even = [n for n in fitting if n % 2 == 0]
+        return high, max(even or fitting)
     for size, axis in ((ny, "y"), (nx, "x")):
         if size % accuracy.coarsening[1]:
             raise InputError(
@@ -279,30 +306,8 @@ def render(light: Light, rays: AbstractRays, *, chunk: int = 8) -> Radiance:
     aspect = light.scene.vertical / light.scene.horizontal
     steepest = jnp.rad2deg(jnp.arccos(jnp.min(rays.cosine)))
     sublayers = light.accuracy.sublayers or pieces(steepest, aspect)
-    return _render(light, rays, sublayers, chunk)
-
-
-def _render(light: Light, rays: AbstractRays, sublayers: int, chunk: int = 8) -> Radiance:
-    scene, diffuse, ordinates = light.scene, light.diffuse, light.accuracy.ordinates
-    if isinstance(diffuse, DiffuseField):
-        return render_rays(scene, light.sun, diffuse, rays, ordinates, sublayers)
-    count = scene.illumination.sun.shape[0]
-    size = min(chunk, count)
-
-    def render_chunk(start: Array) -> Radiance:
-        field = diffuse.bands(start, size)
-        return render_rays(scene.bands(start, size), light.sun, field, rays, ordinates, sublayers)
-
-    # The last chunk ends with the last band and repeats some of the one before.
-    starts = np.minimum(np.arange(0, count, size), count - size)
-    kept = np.concatenate([np.arange(a, min(a + size, count)) for a in range(0, count, size)])
-    place_in_chunk = kept - np.repeat(starts, size)[: len(kept)] + 0
-    chunks = jax.lax.map(render_chunk, jnp.asarray(starts))
-    chunk_of_band = np.arange(len(kept)) // size
-    pick = lambda field: field[chunk_of_band, place_in_chunk]  # noqa: E731
-    return Radiance(
-        pick(chunks.sunlit_leaves), pick(chunks.diffuse_leaves), pick(chunks.ground), chunks.gap[0]
-    )
+    ordinates = light.accuracy.ordinates
+    return render_rays(light.scene, light.sun, light.diffuse, rays, ordinates, sublayers, chunk)
 
 
 def reflectance_factor(
@@ -369,7 +374,7 @@ def directional_reflectance(
            [0.07, 0.37]], dtype=float64)
     """
     zenith, azimuth = _views(view_zenith, view_azimuth, light.scene.area_density.dtype)
-    scene, lattice = light.scene, light.accuracy.lattice
+    scene, lattice = light.scene, light.sun.per_voxel
     width = scene.horizontal / lattice
     _, ny, nx = scene.shape
     dtype = scene.area_density.dtype
@@ -381,7 +386,10 @@ def directional_reflectance(
 
     def mean_reflectance(angles: tuple[Array, Array]) -> Array:
         rays = parallel_rays(x, y, width, *angles)
-        return jnp.pi * _render(light, rays, sublayers).total.mean(axis=(1, 2)) / incident
+        radiance = render_rays(
+            scene, light.sun, light.diffuse, rays, light.accuracy.ordinates, sublayers, chunk=8
+        )
+        return jnp.pi * radiance.total.mean(axis=(1, 2)) / incident
 
     return jax.lax.map(mean_reflectance, (zenith, azimuth))
 
