@@ -228,6 +228,8 @@ def _check_values(scene: VoxelScene) -> None:
     check_range("ground", scene.ground, 0.0, 1.0)
     for name in ("reflectance", "transmittance"):
         check_range(f"classes.{name}", getattr(classes, name), 0.0, 1.0)
+    if scene.structure is not None:
+        check_range("structure [m2 m-3]", scene.structure, 0.0, math.inf)
     for name in ("sun", "sky"):
         check_range(f"illumination.{name}", getattr(sun, name), 0.0, math.inf)
     if not np.all(np.asarray(sun.sun) + np.asarray(sun.sky) > 0):
@@ -306,6 +308,14 @@ def _check_options(scene: VoxelScene, n_band: int) -> None:
                     f"`ground_shape.{name}` must have one value for each of the {n_band} bands, "
                     f"but has shape {value.shape}"
                 )
+    if scene.structure is not None:
+        fine = scene.structure.shape
+        times = [n / m for n, m in zip(fine, scene.shape)] if len(fine) == 3 else [0.5]
+        if any(n < 1 or n != int(n) for n in times) or times[1] != times[2]:
+            raise InputError(
+                "`structure` must have a whole number of finer voxels to each of the grid's "
+                f"{scene.shape}, as many along y as along x, but has shape {fine}"
+            )
     if terrain is not None and terrain.shape != scene.shape[1:]:
         raise InputError(
             f"`terrain` must have one height for each voxel column, {scene.shape[1:]}, but has "
@@ -343,6 +353,8 @@ def check_memory(
         voxels = layers * columns
         cells = voxels / (factor[0] * factor[1] ** 2)
         densities = 3 * scene.area_density.shape[0] * voxels * size
+        high, wide = scene.structure_factor
+        densities += _SUN_FIELDS * high * wide**2 * voxels * size
         finest = bands * field * cells
         if finer is not None:
             finest = (bands + _FINE_FIELDS) * field * voxels / (finer[0] * finer[1] ** 2)
@@ -385,8 +397,9 @@ def _smaller(scene: VoxelScene, coarsening: int, fits: Callable[[int], bool]) ->
     )
 
 
-_COARSE_FIELDS, _FINE_FIELDS = 18, 8
-"""Fields of one band that the solver, and the refinement, hold at once."""
+_COARSE_FIELDS, _FINE_FIELDS, _SUN_FIELDS = 18, 8, 5
+"""Fields of one band that the solver, and the refinement, hold at once; and of the finest voxels
+along the sun's beams."""
 
 
 def _memory() -> int | None:

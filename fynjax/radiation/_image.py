@@ -8,6 +8,7 @@ pixel views in each layer of the diffuse field. Leaf optics and light then enter
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -17,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.math import mean_transmittance
-from fynjax.radiation._blocks import upsample
+from fynjax.radiation._blocks import block_mean, upsample
 from fynjax.radiation._hotspot import POINT_WEIGHTS, POINTS, kinds, overlaps
 from fynjax.radiation._multiple import DiffuseField
 from fynjax.radiation._ordinates import Ordinates
@@ -204,30 +205,37 @@ def _look(
     # The diffuse light is that sent towards the middle of the view. Elsewhere the same leaves have
     # another projected area, and their radiance changes in proportion to it.
     in_middle = jnp.stack([a.projection(rays.central[2]) for a in classes.angles]).astype(dtype)
-    turning = projection / in_middle[:, None, None]
     owner = jnp.asarray(classes.angle_of_class)
+    projection = projection[owner]
+    turning = projection / in_middle[owner][:, None, None]
     cosine = rays.cosine
-    step = scene.vertical / sublayers
+    high, wide = scene.structure_factor
+    thickness = scene.vertical / high
+    step = thickness / sublayers
     path = step / cosine
     towards_sun = jnp.concatenate([sun.slope, jnp.ones(1, dtype)]) * sun.cosine
     overlap = overlaps(classes, rays, towards_sun, step)
-    members = [_members(classes, kind) for kind in kinds(classes)]
+    members = jnp.asarray([_members(classes, kind) for kind in kinds(classes)], dtype)
     voxels = Lattice(ny, nx, scene.horizontal, scene.boundary)
+    finest = Lattice(ny * wide, nx * wide, scene.horizontal / wide, scene.boundary)
 
     def beams(height: Array) -> Callable[[Array], Array]:
         """Sampler of a plane of `sun.depth`."""
         return rays.sampler(height, sun.lattice(scene), sun.offset(height, scene))
 
-    def piece(carry: tuple[Any, ...], at: tuple[Any, ...]) -> tuple[tuple[Any, ...], None]:
+    def piece(
+        mixture: tuple[Array, Array], carry: tuple[Any, ...], at: tuple[Any, ...]
+    ) -> tuple[tuple[Any, ...], None]:
+        turned, member = mixture
         depth, above, sunlit, viewed, states, end = carry
         density, plane, height, terrain = at
         # The piece begins at `height` and lies above it; the sun's depth is linear between planes.
-        area = rays.sampler(height + 0.5 * step, voxels)(density)
-        along = jnp.sum(area * projection[owner], axis=0) * path
+        area = rays.sampler(height + 0.5 * step, finest)(density)
+        along = jnp.sum(area * turned, axis=0) * path
         below = beams(height)(plane)
         crossed = along + below - above
         if overlap:
-            common = [jnp.tensordot(m, area, axes=1) for m in members]
+            common = [jnp.einsum("c...,crx->rx", m, area) for m in member]
             shared = _sum_points([o.at_points(s, a) for o, s, a in zip(overlap, states, common)])
             weight = jnp.zeros_like(depth)
             for share, portion, extra in zip(POINTS, POINT_WEIGHTS, shared):
@@ -243,7 +251,7 @@ def _look(
             mean = mean * (1.0 - blocked)
             weight = weight * (1.0 - blocked) * beams(height + step)(unshaded)
         sunlit = sunlit + weight * path * area
-        viewed = viewed + mean * path * turning[owner] * area
+        viewed = viewed + mean * path * area
         depth = depth + along
         if terrain is not None:
             # The ray ends on the ground by the largest share of it that it has met.
@@ -253,17 +261,24 @@ def _look(
             end = now, gap + ended, through + ended * lit_share
         return (depth, below, sunlit, viewed, states, end), None
 
-    def layer(carry: tuple[Any, ...], at: tuple[Any, ...]) -> tuple[tuple[Any, ...], None]:
+    def layer(
+        mixture: tuple[Array, Array], carry: tuple[Any, ...], at: tuple[Any, ...]
+    ) -> tuple[tuple[Any, ...], None]:
         density, bottom, top, height, terrain = at
         if sublayers == 1:
             terrain = jax.tree.map(lambda field: field[0], terrain)
-            return piece(carry, (density, bottom, height, terrain))
+            return piece(mixture, carry, (density, bottom, height, terrain))
         share = (jnp.arange(sublayers, dtype=dtype) / sublayers)[:, None, None]
         planes = bottom + share * (top - bottom)
         heights = height + step * jnp.arange(sublayers, dtype=dtype)
-        pieces = planes, heights, terrain
-        one = lambda carry, at: piece(carry, (density, *at))  # noqa: E731
-        return jax.lax.scan(jax.checkpoint(one), carry, pieces, reverse=True)
+        one = lambda carry, at: piece(mixture, carry, (density, *at))  # noqa: E731
+        return jax.lax.scan(jax.checkpoint(one), carry, (planes, heights, terrain), reverse=True)
+
+    def mixed(composition: Array, height: Array) -> Float[Array, "class row column"]:
+        """Share of each class in the area that a pixel meets in a slab [-]."""
+        area = rays.sampler(height, voxels)(composition)
+        total = area.sum(axis=0)
+        return jnp.where(total > 0, area / jnp.where(total > 0, total, 1.0), 0.0)
 
     none = jnp.zeros(rays.shape, dtype)
     no_area = jnp.zeros((len(classes.angle_of_class), *rays.shape), dtype)
@@ -271,13 +286,26 @@ def _look(
 
     def slab(carry: tuple[Any, ...], at: tuple[Any, ...]) -> tuple[tuple[Any, ...], Any]:
         (depth, above, sunlit, states, blocked), sums = carry
-        inside, height, scattered = at
+        inside, composition, height, scattered = at
         end = (blocked, none, none) if hilly else None
-        start = (depth, above, sunlit, no_area, states, end)
+        if composition is None:
+            mixture = projection, members.reshape(*members.shape, 1, 1)
+            start = (depth, above, sunlit, no_area, states, end)
+        else:
+            # Within a slab its classes are mixed alike: only their total is followed.
+            share = mixed(composition, height)
+            turned = jnp.sum(share * projection, axis=0, keepdims=True)
+            mixture = turned, jnp.einsum("kc,crx->krx", members, share)[:, None]
+            start = (depth, above, none[None], none[None], states, end)
         # Recomputing a layer in the backward pass keeps memory to one layer's arrays.
-        (depth, above, sunlit, viewed, states, end), _ = jax.lax.scan(
-            jax.checkpoint(layer), start, inside, reverse=True
+        (depth, above, lit_area, viewed, states, end), _ = jax.lax.scan(
+            jax.checkpoint(partial(layer, mixture)), start, inside, reverse=True
         )
+        if composition is None:
+            sunlit = lit_area
+        else:
+            sunlit, viewed = sunlit + share * lit_area, share * viewed
+        viewed = viewed * turning
         ground = None
         if end is not None:
             blocked = end[0]
@@ -289,18 +317,24 @@ def _look(
         return (carry, lit.add(sums, met, scattered)), None
 
     count = nz // layers
-    by_slab = lambda field: field.reshape(count, layers, *field.shape[1:])  # noqa: E731
-    heights = (jnp.arange(nz) * scene.vertical).astype(dtype)
+    by_slab = lambda field: field.reshape(count, -1, *field.shape[1:])  # noqa: E731
+    heights = (jnp.arange(nz * high) * thickness).astype(dtype)
     terrain = None
     if hilly:
-        fine = (jnp.arange(nz * sublayers) * step).astype(dtype)
+        fine = (jnp.arange(nz * high * sublayers) * step).astype(dtype)
         covering = covered(scene, fine).at[0].set(1.0)  # nothing falls out of the grid
         terrain = jax.tree.map(
-            lambda field: by_slab(field.reshape(nz, sublayers, *field.shape[1:])),
+            lambda field: by_slab(field.reshape(nz * high, sublayers, *field.shape[1:])),
             (covering, unshaded_beams(scene, sun, fine + step)),
         )
+    composition = None
+    if scene.structure is None:
+        density = jnp.moveaxis(scene.area_density, 1, 0)
+    else:
+        density = scene.structure[:, None]
+        composition = jnp.moveaxis(block_mean(scene.area_density, (layers, 1)), 1, 0)
     inside = (
-        by_slab(jnp.moveaxis(scene.area_density, 1, 0)),
+        by_slab(density),
         by_slab(sun.depth[:-1]),
         by_slab(sun.depth[1:]),
         by_slab(heights),
@@ -314,7 +348,7 @@ def _look(
     ((depth, at_ground, sunlit, states, _), sums), slabs = jax.lax.scan(
         jax.checkpoint(slab),
         start,
-        (inside, middles, None if lit is None else lit.scattered),
+        (inside, composition, middles, None if lit is None else lit.scattered),
         reverse=True,
     )
     gap = jnp.exp(-depth)
@@ -353,10 +387,9 @@ def _radiance(
     return first, sums[0], ground
 
 
-def _members(classes: OpticalClasses, kind: tuple[int, int]) -> Float[Array, " class"]:
+def _members(classes: OpticalClasses, kind: tuple[int, int]) -> list[float]:
     """One for the classes of a kind (distribution of normals, leaf size), else zero."""
-    pairs = zip(classes.angle_of_class, classes.sizes)
-    return jnp.asarray([float(pair == kind) for pair in pairs], classes.reflectance.dtype)
+    return [float(pair == kind) for pair in zip(classes.angle_of_class, classes.sizes)]
 
 
 def _sum_points(per_kind: list[list[Array]]) -> list[Array]:

@@ -1,5 +1,6 @@
 """The public entry point of the radiation layer."""
 
+import dataclasses
 import math
 from numbers import Real
 from typing import Any
@@ -154,15 +155,22 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
     missing = -scene.shape[0] % factor[0]
     if missing:
         above = ((0, 0), (0, missing), (0, 0), (0, 0))
-        scene = eqx.tree_at(lambda s: s.area_density, scene, jnp.pad(scene.area_density, above))
+        fine = None
+        if scene.structure is not None:
+            fine = jnp.pad(
+                scene.structure, ((0, missing * scene.structure_factor[0]), (0, 0), (0, 0))
+            )
+        density = jnp.pad(scene.area_density, above)
+        scene = dataclasses.replace(scene, area_density=density, structure=fine)
     if scene.terrain is not None:
         ordinates = accuracy.ordinates
         down, flux = ordinates.vectors[: len(ordinates.vectors) // 2], ordinates.fluxes.ravel()
         ground = with_adjacent_ground(scene, down, flux)
         scene = eqx.tree_at(lambda s: s.ground, scene, ground)
-    aspect = scene.vertical / scene.horizontal
-    sublayers = accuracy.sublayers or pieces(scene.illumination.sun_zenith, aspect)
-    lattice = accuracy.lattice or (1 if scene.horizontal <= _FINE else 2)
+    sublayers = accuracy.sublayers or pieces(scene.illumination.sun_zenith, aspect(scene))
+    lattice = accuracy.lattice or (
+        1 if scene.horizontal / scene.structure_factor[1] <= _FINE else 2
+    )
     sun = trace_sun(scene, lattice, sublayers, sun_margin(scene, accuracy))
     how = (factor, accuracy.ordinates, accuracy.tolerance, accuracy.iterations)
     diffuse: DiffuseField | ReducedField
@@ -240,6 +248,12 @@ def _coarsening(scene: VoxelScene, ny: int, nx: int, accuracy: Accuracy) -> tupl
     return accuracy.coarsening
 
 
+def aspect(scene: VoxelScene) -> float:
+    """Height over width of the finest voxels."""
+    high, wide = scene.structure_factor
+    return scene.vertical / high / (scene.horizontal / wide)
+
+
 def pieces(zenith: Array, aspect: float) -> int:
     """Pieces of a layer in each of which a ray moves sideways by no more than a voxel."""
     if isinstance(zenith, jax.core.Tracer):
@@ -303,9 +317,8 @@ def render(light: Light, rays: AbstractRays, *, chunk: int = 8) -> Radiance:
             f"the sensor must stand above the grid, which is {light.scene.height:g} m high, but "
             f"is at {rays.sensor_height:g} m: rays begin above the canopy"
         )
-    aspect = light.scene.vertical / light.scene.horizontal
     steepest = jnp.rad2deg(jnp.arccos(jnp.min(rays.cosine)))
-    sublayers = light.accuracy.sublayers or pieces(steepest, aspect)
+    sublayers = light.accuracy.sublayers or pieces(steepest, aspect(light.scene))
     ordinates = light.accuracy.ordinates
     return render_rays(light.scene, light.sun, light.diffuse, rays, ordinates, sublayers, chunk)
 
@@ -380,8 +393,7 @@ def directional_reflectance(
     dtype = scene.area_density.dtype
     x = ((jnp.arange(nx * lattice) + 0.5) * width).astype(dtype)
     y = ((jnp.arange(ny * lattice) + 0.5) * width).astype(dtype)
-    aspect = scene.vertical / scene.horizontal
-    sublayers = light.accuracy.sublayers or pieces(zenith, aspect)
+    sublayers = light.accuracy.sublayers or pieces(zenith, aspect(scene))
     incident = scene.illumination.incident
 
     def mean_reflectance(angles: tuple[Array, Array]) -> Array:

@@ -85,12 +85,23 @@ class VoxelScene(eqx.Module):
     terrain: Float[Array, "y x"] | None = None
     """Height of the ground above the bottom of the grid at the centre of each voxel column [m],
     linear between centres. None: flat, at the bottom. Plants stand on it, inside the grid."""
+    structure: Float[Array, "Z Y X"] | None = None
+    """Area per volume of all classes together on finer voxels, a whole number of them along each
+    edge of the grid's [m2 m-3]: how the leaves lie within a voxel. Sun and sight follow it; its
+    mean over a voxel is the sum of `area_density`. None: leaves fill a voxel evenly."""
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """Voxels along z, y, x."""
         z, y, x = self.area_density.shape[1:]
         return z, y, x
+
+    @property
+    def structure_factor(self) -> tuple[int, int]:
+        """Finest voxels along an edge of the grid's, in height and in width."""
+        if self.structure is None:
+            return 1, 1
+        return self.structure.shape[0] // self.shape[0], self.structure.shape[2] // self.shape[2]
 
     @property
     def height(self) -> float:

@@ -4,6 +4,8 @@ All sun rays are parallel: in a lattice that is sheared along with them every be
 and the optical depth is a cumulative sum down it, free of step-by-step numerical diffusion.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,6 +13,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.geometry import direction
 from fynjax._core.math import mean_transmittance
+from fynjax.radiation._blocks import block_mean, spread
 from fynjax.radiation._rays import Lattice
 from fynjax.radiation._resample import axis_weights, sample
 from fynjax.radiation._scene import VoxelScene
@@ -56,68 +59,110 @@ class SunField(eqx.Module):
 def trace_sun(scene: VoxelScene, per_voxel: int, sublayers: int, margin: int) -> SunField:
     """Optical depth and mean transmittance towards the sun. Differentiable in everything.
 
-    `margin` [voxels] widens the lattice so that in an open scene each voxel is on a beam.
+    `per_voxel` beams lie along an edge of the finest voxels. `margin` [voxels of the grid] widens
+    the lattice so that in an open scene each voxel is on a beam.
     """
-    nz, ny, nx = scene.shape
+    _, ny, nx = scene.shape
     dtype = scene.area_density.dtype
     towards = direction(scene.illumination.sun_zenith, scene.illumination.sun_azimuth).astype(dtype)
     cosine = towards[2]
     slope = towards[:2] / cosine
-    by_angle = scene.classes.total_by_angle(scene.area_density)
-    projection = jnp.stack([angle.projection(cosine) for angle in scene.classes.angles])
-    extinction = jnp.einsum("a,azyx->zyx", projection.astype(dtype), by_angle)
-
-    width = scene.horizontal / per_voxel
-    pad = margin * per_voxel
-    columns, rows = _beams(scene, per_voxel, margin)
+    extinction = _extinction(scene, cosine)
+    factor = scene.structure_factor
+    # All that follows counts beams along an edge of the voxels of the grid itself.
+    fine, per_voxel = per_voxel, per_voxel * factor[1]
+    width, pad = scene.horizontal / per_voxel, margin * per_voxel
+    layers = extinction.shape[0]
+    thickness = scene.height / layers
 
     # The path through a layer is split in sub-layers, each sampled where the beam is at its
     # middle: a slant beam changes voxel within a layer.
-    step = scene.vertical / sublayers
-    heights = ((jnp.arange(nz * sublayers) + 0.5) * step).astype(dtype).reshape(nz, sublayers)
-
-    def weigh(points: Array, shifts: Array, count: int) -> Array:
-        """[z, point, cell]"""
-        return jax.vmap(
-            lambda shift: axis_weights(
-                points + shift, width, count, scene.horizontal, scene.boundary
-            )
-        )(shifts)
-
-    depths, weights = [], []
-    for sub in range(sublayers):
-        wx = weigh(columns, heights[:, sub] * slope[0], nx)
-        wy = weigh(rows, heights[:, sub] * slope[1], ny)
-        crossed = jnp.einsum("zry,zyx,zcx->zrc", wy, extinction, wx, optimize="optimal")
-        depths.append(crossed * (step / cosine))
-        weights.append((wy, wx))
-    pieces = jnp.stack(depths, axis=1).reshape(nz * sublayers, *depths[0].shape[1:])
-    below = jnp.cumsum(pieces[::-1], axis=0)[::-1]  # depth at the bottom of each piece
-    above = below - pieces
-    mean = jnp.exp(-above) * mean_transmittance(pieces)
-    mean = mean.reshape(nz, sublayers, *mean.shape[1:])
-    interfaces = jnp.concatenate([below[::sublayers], jnp.zeros_like(below[:1])])
+    step = thickness / sublayers
+    heights = ((jnp.arange(layers * sublayers) + 0.5) * step).astype(dtype)
+    unshaded = None
     if scene.terrain is not None:
-        tops = heights.ravel() + 0.5 * step
-        mean = mean * _unshaded(scene, slope, (columns, rows), width, tops).reshape(mean.shape)
-    # The transpose of the sampling: light found on the beams goes back to the voxels that the
-    # beams crossed, so that what the voxels take is what the beams lose.
-    voxel = jnp.asarray(
-        sum(
-            jnp.einsum("zry,zrc,zcx->zyx", wy, mean[:, sub], wx, optimize="optimal")
-            for sub, (wy, wx) in enumerate(weights)
-        )
-    ) / (sublayers * per_voxel**2)
+        beams = _beams(scene, per_voxel, margin)
+        unshaded = _unshaded(scene, slope, beams, width, heights + 0.5 * step)
+    by_layer = lambda field: field.reshape(layers, sublayers, *field.shape[1:])  # noqa: E731
+
+    def layer(above: Array, at: tuple[Any, ...]) -> tuple[Array, tuple[Array, Array]]:
+        field, heights, unshaded = at
+        field = jnp.pad(jnp.repeat(jnp.repeat(field, fine, axis=0), fine, axis=1), pad)
+        voxels = jnp.zeros_like(field)
+        for sub in reversed(range(sublayers)):
+            shift = heights[sub] * slope / width
+            crossed = _move(field, shift, scene.boundary) * (step / cosine)
+            mean = jnp.exp(-above) * mean_transmittance(crossed)
+            if unshaded is not None:
+                mean = mean * unshaded[sub]
+            # The transpose of the sampling: light found on the beams goes back to the voxels that
+            # the beams crossed, so that what the voxels take is what the beams lose.
+            voxels = voxels + _move(mean, -shift, scene.boundary)
+            above = above + crossed
+        return above, (above, _inner_mean(voxels, pad, fine) / sublayers)
+
+    start = jnp.zeros((ny * per_voxel + 2 * pad, nx * per_voxel + 2 * pad), dtype)
+    _, (depth, voxel) = jax.lax.scan(
+        jax.checkpoint(layer),
+        start,
+        (extinction, by_layer(heights), None if unshaded is None else by_layer(unshaded)),
+        reverse=True,
+    )
+    interfaces = jnp.concatenate([depth, start[None]])
+    if scene.structure is not None:
+        # Weighted so that the leaves of a voxel take what its beams lose.
+        taken, area = block_mean(jnp.stack([extinction * voxel, extinction]), factor)
+        even = block_mean(voxel, factor)
+        voxel = jnp.where(area > 0, taken / jnp.where(area > 0, area, 1.0), even)
     if scene.terrain is None:
-        beams = jnp.exp(-interfaces[0])
-        beams = beams[pad : beams.shape[0] - pad, pad : beams.shape[1] - pad]
-        on_ground = beams.reshape(ny, per_voxel, nx, per_voxel).mean(axis=(1, 3))
+        on_ground = _inner_mean(jnp.exp(-interfaces[0]), pad, per_voxel)
         return SunField(interfaces, voxel, on_ground, None, cosine, slope, pad, per_voxel)
     steps = max(margin, 2) if scene.boundary == "open" else max(ny, nx)
     incidence = sun_on_ground(scene, towards, steps)
     field = SunField(interfaces, voxel, incidence, incidence, cosine, slope, pad, per_voxel)
     on_ground = incidence * _canopy_above_ground(field, scene)
     return eqx.tree_at(lambda f: f.on_ground, field, on_ground)
+
+
+def _extinction(scene: VoxelScene, cosine: Array) -> Float[Array, "Z Y X"]:
+    """Projected area per volume towards the sun, on the finest voxels [m2 m-3]."""
+    dtype = scene.area_density.dtype
+    by_angle = scene.classes.total_by_angle(scene.area_density)
+    projection = jnp.stack([angle.projection(cosine) for angle in scene.classes.angles])
+    projected = jnp.einsum("a,azyx->zyx", projection.astype(dtype), by_angle)
+    if scene.structure is None:
+        return projected
+    total = by_angle.sum(axis=0)
+    share = jnp.where(total > 0, projected / jnp.where(total > 0, total, 1.0), 0.0)
+    return spread(share, scene.structure_factor) * scene.structure
+
+
+def _move(
+    field: Float[Array, "row column"], shift: Float[Array, " xy"], boundary: str
+) -> Float[Array, "row column"]:
+    """The field at `shift` cells from each of its points, linear between them; nothing lies beyond
+    its ends where they are open. With minus the shift it is the transpose."""
+    for axis, by in ((1, shift[0]), (0, shift[1])):
+        size = field.shape[axis]
+        whole = jnp.floor(jax.lax.stop_gradient(by))
+        share = by - whole
+        if boundary == "periodic":
+            padded, start = jnp.concatenate([field, field, field], axis), whole.astype(int) % size
+        else:
+            ends = [(size, size) if a == axis else (0, 0) for a in (0, 1)]
+            padded, start = jnp.pad(field, ends), whole.astype(int) + size
+        near, far = (
+            jax.lax.dynamic_slice_in_dim(padded, start + more, size, axis) for more in (0, 1)
+        )
+        field = (1.0 - share) * near + share * far
+    return field
+
+
+def _inner_mean(field: Float[Array, "row column"], pad: int, size: int) -> Float[Array, "y x"]:
+    """Means over blocks of `size` points, without the `pad` points at each end."""
+    inner = field[pad : field.shape[0] - pad, pad : field.shape[1] - pad]
+    rows, columns = inner.shape
+    return inner.reshape(rows // size, size, columns // size, size).mean(axis=(1, 3))
 
 
 def _beams(
@@ -165,9 +210,9 @@ def _unshaded(
 
 def _canopy_above_ground(sun: SunField, scene: VoxelScene) -> Float[Array, "y x"]:
     """Transmittance of the canopy towards the sun, from the ground of each voxel column."""
-    nz, ny, nx = scene.shape
+    _, ny, nx = scene.shape
     dtype = sun.depth.dtype
-    heights = (jnp.arange(nz + 1) * scene.vertical).astype(dtype)
+    heights = jnp.linspace(0.0, scene.height, sun.depth.shape[0], dtype=dtype)
     x = ((jnp.arange(nx) + 0.5) * scene.horizontal).astype(dtype)
     y = ((jnp.arange(ny) + 0.5) * scene.horizontal).astype(dtype)
     below = covered(scene, heights)

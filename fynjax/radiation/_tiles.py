@@ -20,7 +20,15 @@ from fynjax._core.errors import InputError
 from fynjax.radiation._check import check_scene, check_whole, concrete, default_rim
 from fynjax.radiation._image import Radiance
 from fynjax.radiation._rays import RayLattice
-from fynjax.radiation._render import Accuracy, check_fit, pieces, render, solve_light, sun_margin
+from fynjax.radiation._render import (
+    Accuracy,
+    aspect,
+    check_fit,
+    pieces,
+    render,
+    solve_light,
+    sun_margin,
+)
 from fynjax.radiation._scene import VoxelScene
 
 
@@ -91,8 +99,7 @@ def render_tiles(
     width = tile + 2 * rim
     accuracy = Accuracy() if accuracy is None else accuracy
     check_fit(scene, accuracy, width)
-    aspect = scene.vertical / scene.horizontal
-    sublayers = accuracy.sublayers or pieces(scene.illumination.sun_zenith, aspect)
+    sublayers = accuracy.sublayers or pieces(scene.illumination.sun_zenith, aspect(scene))
     accuracy = dataclasses.replace(
         accuracy, margin=sun_margin(scene, accuracy), sublayers=sublayers
     )
@@ -102,9 +109,10 @@ def render_tiles(
     def render_tile(place: Array, surrounded: VoxelScene, rays: RayLattice) -> Radiance:
         row, column = place[0], place[1]
 
-        def cut(field: Array) -> Array:
-            field = jax.lax.dynamic_slice_in_dim(field, row * tile, width, -2)
-            return jax.lax.dynamic_slice_in_dim(field, column * tile, width, -1)
+        def cut(field: Array, times: int) -> Array:
+            wide = width * times
+            field = jax.lax.dynamic_slice_in_dim(field, row * tile * times, wide, -2)
+            return jax.lax.dynamic_slice_in_dim(field, column * tile * times, wide, -1)
 
         part = _with_maps(surrounded, cut)
         pixels = lambda axis, at, size: jax.lax.dynamic_slice_in_dim(axis, at * size, size)  # noqa: E731
@@ -180,13 +188,16 @@ def _check_cover(axis: str, centres: Array, length: float) -> None:
         )
 
 
-def _with_maps(scene: VoxelScene, change: Callable[[Array], Array]) -> VoxelScene:
-    """The scene with its maps over y and x changed."""
+def _with_maps(scene: VoxelScene, change: Callable[[Array, int], Array]) -> VoxelScene:
+    """The scene with its maps over y and x changed; `change` also takes the number of their cells
+    along a voxel."""
+    times = scene.structure_factor[1]
     return dataclasses.replace(
         scene,
-        area_density=change(scene.area_density),
-        ground=change(scene.ground_map),
-        terrain=None if scene.terrain is None else change(scene.terrain),
+        area_density=change(scene.area_density, 1),
+        structure=None if scene.structure is None else change(scene.structure, times),
+        ground=change(scene.ground_map, 1),
+        terrain=None if scene.terrain is None else change(scene.terrain, 1),
     )
 
 
@@ -194,8 +205,9 @@ def _surrounded(scene: VoxelScene, rim: int) -> VoxelScene:
     """The scene with a rim: of itself, or of nothing where its sides are open."""
     mode = "wrap" if scene.boundary == "periodic" else "constant"
 
-    def widen(field: Array) -> Array:
+    def widen(field: Array, times: int) -> Array:
         before = [(0, 0)] * (field.ndim - 2)
-        return jnp.pad(field, [*before, (rim, rim), (rim, rim)], mode=mode)
+        sides = (rim * times, rim * times)
+        return jnp.pad(field, [*before, sides, sides], mode=mode)
 
     return _with_maps(scene, widen)
