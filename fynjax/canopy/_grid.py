@@ -109,14 +109,14 @@ def deposit(
     grid: VoxelGrid,
     n_classes: int,
     *,
+    width: float | None = None,
     boundary: Literal["periodic", "open"] = "periodic",
 ) -> Float[Array, "class z y x"]:
     """Area density that area elements give to a grid [m2 m-3].
 
-    Cloud-in-cell (Hockney and Eastwood 1988): each element is shared among the eight nearest voxels
-    in proportion to their nearness (the overlap of a voxel-sized box around the element with each
-    of them), so that the area on the grid is the area planted, at any resolution, and its centre of
-    mass stays.
+    Each element is a box of leaves that is shared among the voxels it overlaps, so that the area
+    on the grid is the area planted, at any resolution. A box as large as a voxel is the
+    cloud-in-cell of Hockney and Eastwood (1988).
 
     **Arguments:**
 
@@ -125,20 +125,23 @@ def deposit(
     - `class_index`: optical class of each, 0 to n_classes - 1.
     - `grid`: the voxels.
     - `n_classes`: number of optical classes.
+    - `width`: edge of the box [m], at most that of a voxel or a whole multiple of it. With the same
+      width, a coarse grid holds the means of a finer one. None: a voxel's edges, where the centre
+      of mass stays.
     - `boundary`: "periodic" wraps sideways. "open" drops what falls outside: an element at the
       very edge keeps half, as if the grid were a window in a larger one, so that the densities
       of neighbouring windows add up to the whole.
 
-    Upwards and downwards nothing is lost: elements below the bottom or above the top layer's
-    centre go to that layer.
+    Upwards and downwards nothing is lost: what lies below the bottom or above the top goes to the
+    layer there.
 
     **Returns:** the density of each class in each voxel, in the dtype of `positions` and `area`.
 
     Differentiable in `area` (linear) and in `positions` (once, piecewise: the slope jumps where
-    an element crosses a voxel centre).
+    a box's face crosses a voxel's).
 
-    **Raises:** `InputError` for another `boundary`, a class index out of range (if it is known
-    before tracing), or a grid of more than 2^31 values.
+    **Raises:** `InputError` for another `boundary`, a `width` that does not go with the voxels, a
+    class index out of range (if it is known before tracing), or a grid of more than 2^31 values.
 
     >>> import jax.numpy as jnp
     >>> from fynjax.canopy import VoxelGrid, deposit
@@ -168,35 +171,77 @@ def deposit(
     _check_classes(class_index, n_classes)
 
     dtype = jnp.result_type(positions, area)
-    low, high, share = [], [], []
     sizes = (grid.horizontal_size, grid.horizontal_size, grid.vertical_size)
-    for axis in range(3):
-        scaled = (positions[:, axis] - grid.origin[axis]) / sizes[axis] - 0.5
-        floor = jnp.floor(scaled)
-        low.append(floor.astype(jnp.int32))
-        high.append(low[axis] + 1)
-        share.append((scaled - floor).astype(dtype))
+    times = tuple(_boxes(width, size) for size in sizes)
+    # A box over several voxels is the mean of voxel-sized ones side by side: the first is
+    # deposited, on a grid that reaches beyond the ends, and the field then averaged.
+    beyond = tuple(
+        0 if count == 1 or (axis < 2 and boundary == "periodic") else count
+        for axis, count in enumerate(times)
+    )
+    counts = tuple(count + 2 * more for count, more in zip(grid.shape, beyond, strict=True))
+    indices, shares = [], []
+    for axis, (size, boxes) in enumerate(zip(sizes, times, strict=True)):
+        part = 1.0 if width is None else min(width / size, 1.0)
+        start = (positions[:, axis] - grid.origin[axis]) / size - 0.5 * part * boxes
+        floor = jnp.floor(start)
+        over = jnp.clip((start - floor - (1.0 - part)) / part, 0.0, 1.0).astype(dtype)
+        low = floor.astype(jnp.int32) + beyond[axis]
+        rule = "clamp" if axis == 2 else boundary
+        index, share = _neighbours(low, low + 1, over, counts[axis], rule)
+        indices.append(index)
+        shares.append(share)
 
-    x_index, x_share = _neighbours(low[0], high[0], share[0], nx, boundary)
-    y_index, y_share = _neighbours(low[1], high[1], share[1], ny, boundary)
-    z_index, z_share = _neighbours(low[2], high[2], share[2], nz, "clamp")
-
-    index, part = [], []
+    nx, ny, nz = counts
+    index, part_of_area = [], []
     amount = area.astype(dtype) / jnp.asarray(grid.voxel_volume, dtype)
     layer_of_class = jnp.asarray(class_index, jnp.int32) * nz
-    for z, z_part in zip(z_index, z_share, strict=True):
-        for y, y_part in zip(y_index, y_share, strict=True):
+    for z, z_part in zip(indices[2], shares[2], strict=True):
+        for y, y_part in zip(indices[1], shares[1], strict=True):
             row = ((layer_of_class + z) * ny + y) * nx
             row_part = amount * z_part * y_part
-            for x, x_part in zip(x_index, x_share, strict=True):
+            for x, x_part in zip(indices[0], shares[0], strict=True):
                 index.append(row + x)
-                part.append(row_part * x_part)
+                part_of_area.append(row_part * x_part)
     # One flat scatter with an element's eight shares side by side; see bench_canopy.py.
-    density = jnp.zeros(size, dtype)
+    density = jnp.zeros(n_classes * nx * ny * nz, dtype)
     density = density.at[jnp.stack(index, axis=-1).ravel()].add(
-        jnp.stack(part, axis=-1).ravel(), mode="drop"
+        jnp.stack(part_of_area, axis=-1).ravel(), mode="drop"
     )
-    return density.reshape(n_classes, nz, ny, nx)
+    density = density.reshape(n_classes, nz, ny, nx)
+    for axis in range(3):
+        if times[axis] > 1:
+            density = _widen(density, 3 - axis, times[axis], beyond[axis], fold=axis == 2)
+    return density
+
+
+def _boxes(width: float | None, size: float) -> int:
+    """Voxels along the edge of a box of `width`; 1 where it is no wider than one."""
+    if width is None:
+        return 1
+    times = width / size
+    if not (width > 0 and (times <= 1 + 1e-6 or abs(times - round(times)) < 1e-6 * times)):
+        raise InputError(
+            f"`width` must be positive, and at most the edge of a voxel or a whole multiple of it, "
+            f"but is {width} m for voxels of {size} m"
+        )
+    return max(1, round(times))
+
+
+def _widen(density: Array, axis: int, boxes: int, beyond: int, *, fold: bool) -> Array:
+    """Mean of a field and of itself moved by 1, 2, ... voxels up an axis; without the voxels
+    `beyond` the ends, whose content goes to the ends with `fold`."""
+    moved = sum((jnp.roll(density, by, axis) for by in range(1, boxes)), start=density) / boxes
+    if beyond == 0:
+        return moved
+    size = moved.shape[axis] - 2 * beyond
+    below, inside, above = jnp.split(moved, [beyond, beyond + size], axis)
+    if fold:
+        first, last = [(0, 0)] * density.ndim, [(0, 0)] * density.ndim
+        first[axis], last[axis] = (0, size - 1), (size - 1, 0)
+        inside = inside + jnp.pad(below.sum(axis, keepdims=True), first)
+        inside = inside + jnp.pad(above.sum(axis, keepdims=True), last)
+    return inside
 
 
 def _neighbours(

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.math import mean_transmittance
-from fynjax.radiation._blocks import block_mean, upsample
+from fynjax.radiation._blocks import upsample
 from fynjax.radiation._hotspot import POINT_WEIGHTS, POINTS, kinds, overlaps
 from fynjax.radiation._multiple import DiffuseField
 from fynjax.radiation._ordinates import Ordinates
@@ -60,13 +60,12 @@ class _GroundInView(NamedTuple):
 
 
 class _Slab(NamedTuple):
-    """What the rays meet between two heights: a layer of the diffuse field."""
+    """What the rays meet between two heights, close enough for its classes to be mixed alike."""
 
     height: Array
     """Of its middle [m]."""
-    viewed: Float[Array, "class row column"]
-    """Area of each class within a pixel, times the gap to the sensor, per area across the ray; as
-    if the leaves were turned towards the middle of the view [-]."""
+    viewed: Float[Array, "row column"]
+    """Path through it times the gap to the sensor, per mean area of its voxels [m]."""
     ground: _GroundInView | None
     """Terrain within it; None: level ground, below the last."""
 
@@ -81,6 +80,17 @@ class _View(NamedTuple):
     gap: Float[Array, "row column"]
 
 
+class _Cut(NamedTuple):
+    """How the layers are cut for one sensor."""
+
+    sublayers: int
+    """Pieces of a layer of the finest voxels."""
+    pieces: int
+    """Pieces of a slab."""
+    slabs: int
+    """Slabs of a cell of the diffuse light."""
+
+
 def render_rays(
     scene: VoxelScene,
     sun: SunField,
@@ -90,50 +100,67 @@ def render_rays(
     sublayers: int,
     chunk: int,
 ) -> Radiance:
-    """Radiance along each ray, in `sublayers` pieces of each layer of voxels.
+    """Radiance along each ray, in `sublayers` pieces of each layer of the finest voxels.
 
     `chunk` bands of a reduced field are held at once. Differentiable in everything but the
     lattice's integers.
     """
-    factor = diffuse.factor(scene)
-    # The field is interpolated in height to this many slabs a cell, each of so many layers.
-    finer = next((n for n in range(2, factor[0] + 1) if factor[0] % n == 0), 1)
-    layers = factor[0] // finer
-    if isinstance(diffuse, ReducedField):
-        view, slabs = _look(scene, sun, rays, sublayers, layers, None)
-        count = scene.illumination.sun.shape[0]
-        size = min(chunk, count)
+    cut = _cut(scene, diffuse.factor(scene), sublayers)
+    composition = _composition(scene, cut)
+    if isinstance(diffuse, DiffuseField):
+        lit = _Lit.create(scene, sun, diffuse, rays, ordinates, composition, cut)
+        view, sums = _look(scene, sun, rays, composition, cut, lit)
+        return Radiance(*_radiance(scene, sun, rays, lit, view, sums), view.gap)
+    view, slabs = _look(scene, sun, rays, composition, cut, None)
+    count = scene.illumination.sun.shape[0]
+    size = min(chunk, count)
 
-        def radiance_of(start: Array) -> tuple[Array, ...]:
-            part, field = scene.bands(start, size), diffuse.bands(start, size)
-            lit = _Lit.create(part, sun, field, rays, finer, ordinates)
-            none = jnp.zeros((size, *rays.shape), view.gap.dtype)
-            return _radiance(part, sun, rays, lit, view, lit.add_all((none, none), slabs))
+    def radiance_of(start: Array) -> tuple[Array, ...]:
+        part, field = scene.bands(start, size), diffuse.bands(start, size)
+        lit = _Lit.create(part, sun, field, rays, ordinates, composition, cut)
+        none = jnp.zeros((size, *rays.shape), view.gap.dtype)
+        return _radiance(part, sun, rays, lit, view, lit.add_all((none, none), slabs))
 
-        # The last chunk ends with the last band and repeats some of the one before.
-        starts = np.minimum(np.arange(0, count, size), count - size)
-        parts = jax.lax.map(jax.checkpoint(radiance_of), jnp.asarray(starts))
-        place = np.arange(count)
-        chunk_of_band = place // size
-        kept = chunk_of_band * size + place - starts[chunk_of_band]
-        leaves, more, ground = (p.reshape(-1, *p.shape[2:])[kept] for p in parts)
-        return Radiance(leaves, more, ground, view.gap)
-    lit = _Lit.create(scene, sun, diffuse, rays, finer, ordinates)
-    view, sums = _look(scene, sun, rays, sublayers, layers, lit)
-    return Radiance(*_radiance(scene, sun, rays, lit, view, sums), view.gap)
+    # The last chunk ends with the last band and repeats some of the one before.
+    starts = np.minimum(np.arange(0, count, size), count - size)
+    parts = jax.lax.map(jax.checkpoint(radiance_of), jnp.asarray(starts))
+    place = np.arange(count)
+    chunk_of_band = place // size
+    kept = chunk_of_band * size + place - starts[chunk_of_band]
+    leaves, more, ground = (p.reshape(-1, *p.shape[2:])[kept] for p in parts)
+    return Radiance(leaves, more, ground, view.gap)
+
+
+def _cut(scene: VoxelScene, factor: tuple[int, int], sublayers: int) -> _Cut:
+    """Slabs of one piece where leaves fill the voxels evenly. Else of several: rays that cross a
+    finest voxel sideways in `sublayers` pieces at most must stay in the voxels of the grid."""
+    high, wide = scene.structure_factor
+    in_cell = factor[0] * high * sublayers
+    if scene.structure is None:
+        return _Cut(sublayers, 1, in_cell)
+    most = max(1, min(in_cell // 2, high * sublayers, wide * sublayers // 2))
+    pieces = max(n for n in range(1, most + 1) if (high * sublayers) % n == 0)
+    return _Cut(sublayers, pieces, in_cell // pieces)
+
+
+def _composition(scene: VoxelScene, cut: _Cut) -> Float[Array, "slab class y x"]:
+    """Area per volume of each class in the slabs [m2 m-3]."""
+    density = jnp.moveaxis(scene.area_density, 1, 0)
+    return jnp.repeat(density, scene.structure_factor[0] * cut.sublayers // cut.pieces, axis=0)
 
 
 class _Lit(eqx.Module):
     """The diffuse light of some bands as the slabs meet it, and the ground's own radiance."""
 
-    scattered: Float[Array, "slab kind angle band Y X"]
-    """Radiance per viewed area and per reflectance or transmittance (the two kinds), towards the
-    middle of the view, on the cells of the diffuse field."""
+    scattered: Float[Array, "slab angle band y x"]
+    """Radiance per length that the leaves of each voxel scatter towards the middle of the view,
+    for each distribution of their normals; all in one for parallel rays."""
+    turning: Float[Array, "angle row column"]
+    """Projected area towards a pixel over that towards the middle of the view [-]."""
     ground: "_GroundLight"
-    classes: OpticalClasses
     rays: AbstractRays
-    cells: Lattice = eqx.field(static=True)
     voxels: Lattice = eqx.field(static=True)
+    smooth: bool = eqx.field(static=True)
 
     @classmethod
     def create(
@@ -142,31 +169,27 @@ class _Lit(eqx.Module):
         sun: SunField,
         diffuse: DiffuseField,
         rays: AbstractRays,
-        finer: int,
         ordinates: Ordinates,
+        composition: Float[Array, "slab class y x"],
+        cut: _Cut,
     ) -> "_Lit":
         factor = diffuse.factor(scene)
         _, ny, nx = scene.shape
+        projection = pixel_projection(scene.classes.angles, rays)
+        in_middle = [a.projection(rays.central[2]) for a in scene.classes.angles]
+        scattered = _scattered(scene, diffuse, rays.central, ordinates, composition, cut)
+        turning = projection / jnp.stack(in_middle).astype(projection.dtype)[:, None, None]
+        if projection.shape[1:] == (1, 1):  # parallel rays
+            scattered = scattered.sum(axis=1, keepdims=True)
+            turning = jnp.ones_like(turning[:1])
         return cls(
-            _scattered(scene.classes, diffuse, rays.central, finer, ordinates),
+            scattered,
+            turning,
             _ground_light(scene, sun, diffuse, rays, factor, ordinates),
-            scene.classes,
             rays,
-            Lattice(ny // factor[1], nx // factor[1], scene.horizontal * factor[1], scene.boundary),
             Lattice(ny, nx, scene.horizontal, scene.boundary),
+            scene.structure is not None,
         )
-
-    def leaves(self, scattered: Array, slab: _Slab) -> Float[Array, "band row column"]:
-        """Radiance that the leaves of a slab scatter out of its part of `scattered`."""
-        field = self.rays.sampler(slab.height, self.cells, smooth=True)(scattered)
-        optics = jnp.stack([self.classes.reflectance, self.classes.transmittance])
-        owner = np.asarray(self.classes.angle_of_class)
-        total = jnp.zeros(field.shape[2:], field.dtype)
-        for angle in range(len(self.classes.angles)):
-            mine = np.flatnonzero(owner == angle)
-            area = jnp.einsum("kcb,crx->kbrx", optics[:, mine], slab.viewed[mine])
-            total = total + jnp.sum(area * field[:, angle], axis=0)
-        return total
 
     def on_ground(self, ground: _GroundInView) -> Float[Array, "band row column"]:
         """Radiance of the ground in view."""
@@ -176,7 +199,10 @@ class _Lit(eqx.Module):
 
     def add(self, sums: tuple[Array, Array], slab: _Slab, scattered: Array) -> tuple[Array, Array]:
         """Radiance of leaves and ground, with that of one more slab."""
-        leaves = sums[0] + self.leaves(scattered, slab)
+        # The source is that towards the middle of the view. Elsewhere the same leaves have
+        # another projected area, and their radiance changes in proportion to it.
+        field = self.rays.sampler(slab.height, self.voxels, smooth=self.smooth)(scattered)
+        leaves = sums[0] + slab.viewed * jnp.sum(self.turning[:, None] * field, axis=0)
         return leaves, sums[1] if slab.ground is None else sums[1] + self.on_ground(slab.ground)
 
     def add_all(self, sums: tuple[Array, Array], slabs: _Slab) -> tuple[Array, Array]:
@@ -185,37 +211,36 @@ class _Lit(eqx.Module):
         return jax.lax.scan(jax.checkpoint(one), sums, (slabs, self.scattered))[0]
 
 
+_LITTLE = 1e-6
+"""Area per volume below which leaves count as spread evenly [m2 m-3]: with none of them in a voxel
+the derivative is that of the first."""
+
+
 def _look(
     scene: VoxelScene,
     sun: SunField,
     rays: AbstractRays,
-    sublayers: int,
-    layers: int,
+    composition: Float[Array, "slab class y x"],
+    cut: _Cut,
     lit: _Lit | None,
 ) -> tuple[_View, Any]:
-    """Follow the rays down, through slabs of `layers` layers.
+    """Follow the rays down through the slabs.
 
     Returns what they view and, with `lit`, the radiance of leaves and terrain out of the diffuse
     light; without it the `_Slab`s, stacked along a first axis.
     """
-    nz, ny, nx = scene.shape
+    _, ny, nx = scene.shape
     classes = scene.classes
     dtype = scene.area_density.dtype
-    projection = pixel_projection(classes.angles, rays)
-    # The diffuse light is that sent towards the middle of the view. Elsewhere the same leaves have
-    # another projected area, and their radiance changes in proportion to it.
-    in_middle = jnp.stack([a.projection(rays.central[2]) for a in classes.angles]).astype(dtype)
-    owner = jnp.asarray(classes.angle_of_class)
-    projection = projection[owner]
-    turning = projection / in_middle[owner][:, None, None]
+    projection = pixel_projection(classes.angles, rays)[jnp.asarray(classes.angle_of_class)]
     cosine = rays.cosine
-    high, wide = scene.structure_factor
-    thickness = scene.vertical / high
-    step = thickness / sublayers
+    wide = scene.structure_factor[1]
+    count = len(composition) * cut.pieces
+    step = scene.height / count
     path = step / cosine
     towards_sun = jnp.concatenate([sun.slope, jnp.ones(1, dtype)]) * sun.cosine
     overlap = overlaps(classes, rays, towards_sun, step)
-    members = jnp.asarray([_members(classes, kind) for kind in kinds(classes)], dtype)
+    members = [_members(classes, kind) for kind in kinds(classes)]
     voxels = Lattice(ny, nx, scene.horizontal, scene.boundary)
     finest = Lattice(ny * wide, nx * wide, scene.horizontal / wide, scene.boundary)
 
@@ -224,24 +249,28 @@ def _look(
         return rays.sampler(height, sun.lattice(scene), sun.offset(height, scene))
 
     def piece(
-        mixture: tuple[Array, Array], carry: tuple[Any, ...], at: tuple[Any, ...]
+        mixture: tuple[Any, ...], carry: tuple[Any, ...], at: tuple[Any, ...]
     ) -> tuple[tuple[Any, ...], None]:
-        turned, member = mixture
+        total, turned, common = mixture
         depth, above, sunlit, viewed, states, end = carry
-        density, plane, height, terrain = at
+        structure, plane, height, terrain = at
         # The piece begins at `height` and lies above it; the sun's depth is linear between planes.
-        area = rays.sampler(height + 0.5 * step, finest)(density)
-        along = jnp.sum(area * turned, axis=0) * path
+        length = path
+        if structure is not None:
+            # Its area over the voxels' mean, which the mixture is counted in.
+            here = rays.sampler(height + 0.5 * step, finest)(structure)
+            length = path * ((here + _LITTLE) / (total + _LITTLE))
+        along = turned * length
         below = beams(height)(plane)
         crossed = along + below - above
         if overlap:
-            common = [jnp.einsum("c...,crx->rx", m, area) for m in member]
-            shared = _sum_points([o.at_points(s, a) for o, s, a in zip(overlap, states, common)])
+            areas = [area * (length / path) for area in common]
+            shared = _sum_points([o.at_points(s, a) for o, s, a in zip(overlap, states, areas)])
             weight = jnp.zeros_like(depth)
             for share, portion, extra in zip(POINTS, POINT_WEIGHTS, shared):
                 weight = weight + portion * jnp.exp(extra - crossed * share)
             weight = jnp.exp(-depth - above) * weight
-            states = tuple(o.advance(s, a) for o, s, a in zip(overlap, states, common))
+            states = tuple(o.advance(s, a) for o, s, a in zip(overlap, states, areas))
         else:
             weight = jnp.exp(-depth - above) * mean_transmittance(crossed)
         mean = jnp.exp(-depth) * mean_transmittance(along)
@@ -250,8 +279,7 @@ def _look(
             blocked, gap, through = end
             mean = mean * (1.0 - blocked)
             weight = weight * (1.0 - blocked) * beams(height + step)(unshaded)
-        sunlit = sunlit + weight * path * area
-        viewed = viewed + mean * path * area
+        sunlit, viewed = sunlit + weight * length, viewed + mean * length
         depth = depth + along
         if terrain is not None:
             # The ray ends on the ground by the largest share of it that it has met.
@@ -261,94 +289,58 @@ def _look(
             end = now, gap + ended, through + ended * lit_share
         return (depth, below, sunlit, viewed, states, end), None
 
-    def layer(
-        mixture: tuple[Array, Array], carry: tuple[Any, ...], at: tuple[Any, ...]
-    ) -> tuple[tuple[Any, ...], None]:
-        density, bottom, top, height, terrain = at
-        if sublayers == 1:
-            terrain = jax.tree.map(lambda field: field[0], terrain)
-            return piece(mixture, carry, (density, bottom, height, terrain))
-        share = (jnp.arange(sublayers, dtype=dtype) / sublayers)[:, None, None]
-        planes = bottom + share * (top - bottom)
-        heights = height + step * jnp.arange(sublayers, dtype=dtype)
-        one = lambda carry, at: piece(mixture, carry, (density, *at))  # noqa: E731
-        return jax.lax.scan(jax.checkpoint(one), carry, (planes, heights, terrain), reverse=True)
-
-    def mixed(composition: Array, height: Array) -> Float[Array, "class row column"]:
-        """Share of each class in the area that a pixel meets in a slab [-]."""
-        area = rays.sampler(height, voxels)(composition)
-        total = area.sum(axis=0)
-        return jnp.where(total > 0, area / jnp.where(total > 0, total, 1.0), 0.0)
-
     none = jnp.zeros(rays.shape, dtype)
-    no_area = jnp.zeros((len(classes.angle_of_class), *rays.shape), dtype)
     hilly = scene.terrain is not None
 
     def slab(carry: tuple[Any, ...], at: tuple[Any, ...]) -> tuple[tuple[Any, ...], Any]:
         (depth, above, sunlit, states, blocked), sums = carry
-        inside, composition, height, scattered = at
-        end = (blocked, none, none) if hilly else None
-        if composition is None:
-            mixture = projection, members.reshape(*members.shape, 1, 1)
-            start = (depth, above, sunlit, no_area, states, end)
+        pieces, mixed, height, scattered = at
+        area = rays.sampler(height, voxels, smooth=scene.structure is not None)(mixed)
+        turned = jnp.sum(area * projection, axis=0)
+        common = [jnp.tensordot(jnp.asarray(m, dtype), area, axes=1) for m in members]
+        mixture = area.sum(axis=0), turned, common if overlap else []
+        start = (depth, above, none, none, states, (blocked, none, none) if hilly else None)
+        one = partial(piece, mixture)
+        if cut.pieces == 1:
+            ended, _ = one(start, jax.tree.map(lambda field: field[0], pieces))
         else:
-            # Within a slab its classes are mixed alike: only their total is followed.
-            share = mixed(composition, height)
-            turned = jnp.sum(share * projection, axis=0, keepdims=True)
-            mixture = turned, jnp.einsum("kc,crx->krx", members, share)[:, None]
-            start = (depth, above, none[None], none[None], states, end)
-        # Recomputing a layer in the backward pass keeps memory to one layer's arrays.
-        (depth, above, lit_area, viewed, states, end), _ = jax.lax.scan(
-            jax.checkpoint(partial(layer, mixture)), start, inside, reverse=True
-        )
-        if composition is None:
-            sunlit = lit_area
-        else:
-            sunlit, viewed = sunlit + share * lit_area, share * viewed
-        viewed = viewed * turning
+            ended, _ = jax.lax.scan(jax.checkpoint(one), start, pieces, reverse=True)
+        depth, above, lit_path, viewed, states, end = ended
         ground = None
         if end is not None:
             blocked = end[0]
-            ground = _GroundInView(height - 0.5 * layers * scene.vertical, *end[1:])
+            ground = _GroundInView(height - 0.5 * step * cut.pieces, *end[1:])
         met = _Slab(height, viewed, ground)
-        carry = depth, above, sunlit, states, blocked
+        carry = depth, above, sunlit + lit_path * area, states, blocked
         if lit is None:
             return (carry, sums), met
         return (carry, lit.add(sums, met, scattered)), None
 
-    count = nz // layers
-    by_slab = lambda field: field.reshape(count, -1, *field.shape[1:])  # noqa: E731
-    heights = (jnp.arange(nz * high) * thickness).astype(dtype)
+    by_slab = lambda field: field.reshape(-1, cut.pieces, *field.shape[1:])  # noqa: E731
+    heights = (jnp.arange(count) * step).astype(dtype)
     terrain = None
     if hilly:
-        fine = (jnp.arange(nz * high * sublayers) * step).astype(dtype)
-        covering = covered(scene, fine).at[0].set(1.0)  # nothing falls out of the grid
-        terrain = jax.tree.map(
-            lambda field: by_slab(field.reshape(nz * high, sublayers, *field.shape[1:])),
-            (covering, unshaded_beams(scene, sun, fine + step)),
-        )
-    composition = None
-    if scene.structure is None:
-        density = jnp.moveaxis(scene.area_density, 1, 0)
-    else:
-        density = scene.structure[:, None]
-        composition = jnp.moveaxis(block_mean(scene.area_density, (layers, 1)), 1, 0)
-    inside = (
-        by_slab(density),
-        by_slab(sun.depth[:-1]),
-        by_slab(sun.depth[1:]),
-        by_slab(heights),
-        terrain,
+        covering = covered(scene, heights).at[0].set(1.0)  # nothing falls out of the grid
+        terrain = by_slab(covering), by_slab(unshaded_beams(scene, sun, heights + step))
+    structure = None
+    if scene.structure is not None:
+        structure = by_slab(jnp.repeat(scene.structure, cut.sublayers, axis=0))
+    planes = _planes(sun.depth, cut.sublayers)
+    pieces = structure, by_slab(planes[:-1]), by_slab(heights), terrain
+    middles = heights[:: cut.pieces] + 0.5 * step * cut.pieces
+    dark = jnp.zeros((0 if lit is None else classes.reflectance.shape[1], *rays.shape), dtype)
+    start = (
+        none,
+        beams(jnp.asarray(scene.height, dtype))(planes[-1]),
+        jnp.zeros((len(classes.angle_of_class), *rays.shape), dtype),
+        tuple(o.start(rays.shape) for o in overlap),
+        none,
     )
-    middles = ((jnp.arange(count) + 0.5) * layers * scene.vertical).astype(dtype)
-    n_band = 0 if lit is None else classes.reflectance.shape[1]
-    dark = jnp.zeros((n_band, *rays.shape), dtype)
-    top = beams(jnp.asarray(scene.height, dtype))(sun.depth[-1])
-    start = (none, top, no_area, tuple(o.start(rays.shape) for o in overlap), none), (dark, dark)
+    # Recomputing a slab in the backward pass keeps memory to one slab's arrays.
     ((depth, at_ground, sunlit, states, _), sums), slabs = jax.lax.scan(
         jax.checkpoint(slab),
-        start,
-        (inside, composition, middles, None if lit is None else lit.scattered),
+        (start, (dark, dark)),
+        (pieces, composition, middles, None if lit is None else lit.scattered),
         reverse=True,
     )
     gap = jnp.exp(-depth)
@@ -433,27 +425,48 @@ def _ground_light(
     return _GroundLight(direct, towards, received * soil / jnp.pi)
 
 
+def _planes(
+    depth: Float[Array, "interface row column"], sublayers: int
+) -> Float[Array, "plane row column"]:
+    """Depth on the planes between pieces, linear between the layers' interfaces."""
+    if sublayers == 1:
+        return depth
+    shares = (jnp.arange(sublayers, dtype=depth.dtype) / sublayers)[:, None, None]
+    between = depth[:-1, None] * (1 - shares) + depth[1:, None] * shares
+    return jnp.concatenate([between.reshape(-1, *depth.shape[1:]), depth[-1:]])
+
+
 def _scattered(
-    classes: OpticalClasses,
+    scene: VoxelScene,
     diffuse: DiffuseField,
     towards: Float[Array, " 3"],
-    finer: int,
     ordinates: Ordinates,
-) -> Float[Array, "slab kind angle band Y X"]:
-    """Radiance towards the sensor per viewed area, and per reflectance or transmittance.
+    composition: Float[Array, "slab class y x"],
+    cut: _Cut,
+) -> Float[Array, "slab angle band y x"]:
+    """Radiance per length that leaves scatter towards the sensor out of the diffuse field.
 
-    The field is smooth and comes from the coarse grid, interpolated in height to `finer` slabs a
-    cell; the leaf area it meets is that of the voxels.
+    The field is smooth and comes from the coarse grid; the leaf area it meets is that of the
+    voxels.
     """
-    dtype = diffuse.intensity.dtype
+    classes, dtype = scene.classes, diffuse.intensity.dtype
     vectors = jnp.asarray(ordinates.vectors, dtype)
     weights = jnp.asarray(ordinates.weights, dtype)
-    shares = []
-    for angle in classes.angles:
+    times = cut.slabs, diffuse.factor(scene)[1]
+    sources = []
+    for index, angle in enumerate(classes.angles):
+        mine = np.flatnonzero(np.asarray(classes.angle_of_class) == index)
         projection = angle.projection(towards[2]).astype(dtype)
-        for kind in area_scattering(angle, vectors, towards[None]):
+        total = jnp.zeros((), dtype)
+        for kind, optics in zip(
+            area_scattering(angle, vectors, towards[None]),
+            (classes.reflectance, classes.transmittance),
+        ):
             share = kind[:, 0] * weights / jnp.pi
-            shares.append(share * (projection / jnp.sum(share)))
-    share = jnp.stack(shares).reshape(len(classes.angles), 2, -1)
-    field = jnp.einsum("ako,bozyx->kabzyx", share, diffuse.intensity)
-    return jnp.moveaxis(upsample(field, (finer, 1), "open"), 3, 0)
+            share = share * (projection / jnp.sum(share))
+            field = jnp.einsum("o,bozyx->bzyx", share, diffuse.intensity)
+            field = upsample(field, times, scene.boundary)
+            area = jnp.einsum("cb,scyx->sbyx", optics[mine], composition[:, mine])
+            total = total + area * jnp.moveaxis(field, 1, 0)
+        sources.append(total)
+    return jnp.stack(sources, axis=1)

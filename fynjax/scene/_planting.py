@@ -258,4 +258,4 @@ def element_count(diameter: float, height: float, voxel: float) -> int:
     plot; 16 to 3000.
     """
     touched = (diameter / voxel + 0.5) ** 2 * (height / voxel + 0.5)
-    return int(np.clip(np.ceil(touched / 2), 16, 3000))
+    return int(np.clip(np.ceil(touched / 2), 16, 20000))

@@ -6,7 +6,8 @@ the scene is built. The same plants then stand in the same places whatever the p
 that what a sensor measures is a smooth, repeatable function of the parameters.
 """
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -16,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax._core.errors import InputError
 from fynjax.canopy import (
     FORM_DEFAULTS,
     AbstractLeafAngle,
@@ -46,6 +48,9 @@ from fynjax.sensors.air import clear_sky_diffuse_fraction
 
 _EVEN_LAYERS = 2
 """Layers of a scene are a multiple of this: the light is solved in pairs of them."""
+_COMPOSITION = 0.1
+"""Edge of the voxels in which the classes are kept apart, where sun and sight follow the structure
+on finer ones [m]."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,12 @@ class PlantingRules:
     """The same in plants, added to it; 0 with `softness` 0 is the hard scene of eq. (10)."""
     flowering: float = 0.0
     """Share of full bloom [-]."""
+    tuft: float = 0.05
+    """Edge of the smallest clump of foliage that is resolved [m]: within it leaves lie at random.
+    An assumption, about the length of a fynbos shoot's leafy tip."""
+    structure: float | None = None
+    """Edge of the voxels on which sun and sight follow the plants [m], at most. None: those of the
+    scene, filled evenly, which hides gaps but costs less."""
 
 
 class Scene(eqx.Module):
@@ -113,6 +124,11 @@ class Scene(eqx.Module):
     """The same in plants, added to it; 0 with `softness` 0 is the hard scene of eq. (10)."""
     flowering: float = eqx.field(static=True)
     """Share of full bloom [-]."""
+    tuft: float = eqx.field(static=True)
+    """Edge of the smallest clump of foliage that is resolved [m]."""
+    finer: int = eqx.field(static=True)
+    """Finest voxels along an edge of one of the grid's: sun and sight follow the plants on them.
+    0: leaves fill the grid's evenly."""
     ground: Ground
     """Spectra of soil and covers, and where they lie."""
     terrain: Float[np.ndarray, "y x"] | None
@@ -204,6 +220,33 @@ class Scene(eqx.Module):
 
     def area_density(self, parameters: PlotParameters) -> Float[Array, "class z y x"]:
         """Area per volume of each optical class: the species' leaves, then wood, then flowers."""
+        positions, area = self._elements(parameters)
+        return self._deposit(positions, area, self.grid, by_class=True)
+
+    def structure(self, parameters: PlotParameters) -> Float[Array, "Z Y X"] | None:
+        """Area per volume of all classes on the finest voxels; None where these are the grid's."""
+        if self.finer == 0:
+            return None
+        positions, area = self._elements(parameters)
+        shape = tuple(n * self.finer for n in self.grid.shape)
+        sizes = (self.grid.horizontal_size / self.finer, self.grid.vertical_size / self.finer)
+        return self._deposit(positions, area, VoxelGrid(shape, *sizes), by_class=False)[0]
+
+    def _deposit(
+        self, positions: Array, area: Array, grid: VoxelGrid, *, by_class: bool
+    ) -> Float[Array, "class z y x"]:
+        classes, width = self.planting.optical_class, None
+        if not by_class:
+            classes = jnp.zeros_like(classes)
+        if self.finer:
+            width = self.tuft
+        count = len(leafy_species(self.forms)) + 2 if by_class else 1
+        return deposit(positions, area, classes, grid, count, width=width, boundary=self.boundary)
+
+    def _elements(
+        self, parameters: PlotParameters
+    ) -> tuple[Float[Array, "element 3"], Float[Array, " element"]]:
+        """Places [m] and areas [m2] of all area elements."""
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
         species, planting = parameters.species, self.planting
         owner = planting.species
@@ -225,17 +268,13 @@ class Scene(eqx.Module):
         area = jnp.stack([leaf, crown * species.wood_area_index[owner], flower], axis=-1)
         plant = planting.plant
         foot = jnp.pad(ground_at(self, planting.foot)[:, None], ((0, 0), (2, 0)))
-        return deposit(
+        positions = (
             planting.site
             + foot[plant]
             + diameter[plant][:, None] * planting.per_diameter
-            + height[plant][:, None] * planting.per_height,
-            area[plant, planting.organ] * planting.fraction,
-            planting.optical_class,
-            self.grid,
-            len(leafy_species(self.forms)) + 2,
-            boundary=self.boundary,
+            + height[plant][:, None] * planting.per_height
         )
+        return positions, area[plant, planting.organ] * planting.fraction
 
     def voxels(self, parameters: PlotParameters, bands: BandSet) -> VoxelScene:
         """What the radiation layer renders: area, optics, ground and light of `parameters`,
@@ -256,16 +295,43 @@ class Scene(eqx.Module):
             self.sky.check(min(bands.centre), max(bands.centre))
             share = jnp.asarray(self.sky.at(wavelength), self.dtype)
         sky = average @ share
+        grid, columns = self.grid, lambda field: field
+        if self.finer:
+            grid, columns = self._coarser()
+        positions, area = self._elements(parameters)
+        terrain = None if self.terrain is None else jnp.asarray(self.terrain, self.dtype)
         return VoxelScene(
-            self.area_density(parameters),
+            self._deposit(positions, area, grid, by_class=True),
             classes,
-            self.ground_map(parameters, bands),
+            columns(self.ground_map(parameters, bands)),
             Illumination(light.sun_zenith, light.sun_azimuth, 1.0 - sky, sky),
-            self.grid.horizontal_size,
-            self.grid.vertical_size,
+            grid.horizontal_size,
+            grid.vertical_size,
             self.boundary,
-            terrain=None if self.terrain is None else jnp.asarray(self.terrain, self.dtype),
+            terrain=None if terrain is None else columns(terrain),
+            structure=self.structure(parameters),
         )
+
+    def _coarser(self) -> tuple[VoxelGrid, Callable[[Array], Array]]:
+        """The grid of the classes where the structure has one of its own, and how a map over the
+        plot's voxel columns becomes one over its columns."""
+        nx, ny, nz = self.grid.shape
+        size = max(self.grid.horizontal_size, self.grid.vertical_size)
+        most = max(1, int(_COMPOSITION / size + 1e-6))
+        times = max(n for n in range(1, most + 1) if nx % n == ny % n == nz % n == 0)
+        grid = VoxelGrid(
+            (nx // times, ny // times, nz // times),
+            self.grid.horizontal_size * times,
+            self.grid.vertical_size * times,
+        )
+
+        def mean(field: Array) -> Array:
+            if field.ndim < 2:
+                return field
+            cut = field.reshape(*field.shape[:-2], ny // times, times, nx // times, times)
+            return cut.mean(axis=(-3, -1))
+
+        return grid, mean
 
     def ground_map(self, parameters: PlotParameters, bands: BandSet) -> Float[Array, " band *yx"]:
         """Reflectance of the ground in `bands` [-]: of all of it, or of each voxel column where its
@@ -347,7 +413,11 @@ def build_scene(
     if terrain is not None:
         top += float(np.max(terrain))
     grid = VoxelGrid.cover(extent, top, voxel)
-    layers = -(-grid.shape[2] // _EVEN_LAYERS) * _EVEN_LAYERS
+    # Where the structure is followed, its cells need whole numbers of layers.
+    even = (
+        _EVEN_LAYERS * max(1, int(_COMPOSITION / voxel + 1e-6)) if rules.structure else _EVEN_LAYERS
+    )
+    layers = -(-grid.shape[2] // even) * even
     forms = tuple(one.form for one in species)
     spread = tuple(one.rotation_spread for one in species)
     plants = tuple(one.plant for one in species)
@@ -364,6 +434,8 @@ def build_scene(
         softness=rules.softness,
         softness_plants=rules.softness_plants,
         flowering=rules.flowering,
+        tuft=rules.tuft,
+        finer=_finer(voxel, rules),
         ground=Ground() if ground is None else ground,
         terrain=terrain,
         sky=sky,
@@ -378,7 +450,7 @@ def build_scene(
         plants,
         taxa=scene.taxa,
         extent=extent,
-        voxel=voxel,
+        voxel=voxel if rules.structure is None else rules.tuft,
         periodic=boundary == "periodic",
         probability=rules.probability,
         room=rules.room,
@@ -387,6 +459,27 @@ def build_scene(
         dtype=dtype,
     )
     return eqx.tree_at(lambda s: s.planting, scene, planting)
+
+
+def _finer(voxel: float, rules: PlantingRules) -> int:
+    """Finest voxels along the edge of one of the grid's; 0 where leaves fill these evenly."""
+    if rules.structure is None:
+        return 0
+    if not (rules.structure > 0 and rules.tuft > 0):
+        raise InputError(
+            f"`structure` and `tuft` must be positive lengths [m], but are {rules.structure} and "
+            f"{rules.tuft}"
+        )
+    finer = max(1, math.ceil(voxel / rules.structure - 1e-6))
+    # A tuft is as wide as a whole number of the finest voxels, or no wider than one.
+    for count in range(finer, 4 * finer + 1):
+        times = rules.tuft * count / voxel
+        if times <= 1 or abs(times - round(times)) < 1e-6:
+            return count
+    raise InputError(
+        f"no finest voxels divide both the voxels of {voxel} m and tufts of {rules.tuft} m: take "
+        "voxels that are a simple multiple of the tufts, or `structure` None"
+    )
 
 
 def stand_realisation(scene: Scene, seed: int) -> Scene:
