@@ -98,14 +98,16 @@ def render_rays(
     rays: AbstractRays,
     ordinates: Ordinates,
     sublayers: int,
+    lean: float,
     chunk: int,
 ) -> Radiance:
-    """Radiance along each ray, in `sublayers` pieces of each layer of the finest voxels.
+    """Radiance along each ray, in `sublayers` pieces of each layer of the finest voxels, of which
+    a ray crosses `lean` sideways in a layer, at most.
 
     `chunk` bands of a reduced field are held at once. Differentiable in everything but the
     lattice's integers.
     """
-    cut = _cut(scene, diffuse.factor(scene), sublayers)
+    cut = _cut(scene, diffuse.factor(scene), sublayers, lean)
     composition = _composition(scene, cut)
     if isinstance(diffuse, DiffuseField):
         lit = _Lit.create(scene, sun, diffuse, rays, ordinates, composition, cut)
@@ -131,15 +133,16 @@ def render_rays(
     return Radiance(leaves, more, ground, view.gap)
 
 
-def _cut(scene: VoxelScene, factor: tuple[int, int], sublayers: int) -> _Cut:
-    """Slabs of one piece where leaves fill the voxels evenly. Else of several: rays that cross a
-    finest voxel sideways in `sublayers` pieces at most must stay in the voxels of the grid."""
+def _cut(scene: VoxelScene, factor: tuple[int, int], sublayers: int, lean: float) -> _Cut:
+    """Slabs of one piece where leaves fill the voxels evenly. Else of as many as a ray crosses
+    half a voxel of the grid sideways in, or a layer."""
     high, wide = scene.structure_factor
     in_cell = factor[0] * high * sublayers
     if scene.structure is None:
         return _Cut(sublayers, 1, in_cell)
-    most = max(1, min(in_cell // 2, high * sublayers, wide * sublayers // 2))
-    pieces = max(n for n in range(1, most + 1) if (high * sublayers) % n == 0)
+    layer = high * sublayers
+    most = 0.5 * wide * sublayers / lean if lean > 0 else layer
+    pieces = max(n for n in range(1, layer + 1) if layer % n == 0 and n <= max(most, 1.0))
     return _Cut(sublayers, pieces, in_cell // pieces)
 
 

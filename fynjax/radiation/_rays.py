@@ -23,7 +23,10 @@ from fynjax.radiation._check import (
     check_whole,
     concrete,
 )
-from fynjax.radiation._resample import axis_weights, sample
+from fynjax.radiation._resample import axis_weights, nearest_cells, sample, sample_near
+
+_NEAR, _MANY = 3, 64
+"""Cells under a pixel up to which, and along a lattice from which on, they are read one by one."""
 
 
 class Lattice(NamedTuple):
@@ -178,9 +181,18 @@ class RayLattice(AbstractRays):
                 _inside(place, count * spacing, width)
                 for place, count in ((x, lattice.columns), (y, lattice.rows))
             )
-        columns = axis_weights(x, width, lattice.columns, spacing, boundary)
-        rows = axis_weights(y, width, lattice.rows, spacing, boundary)
-        return lambda field: sample(field, rows, columns)
+        axes = (
+            (y, width, lattice.rows, spacing, boundary),
+            (x, width, lattice.columns, spacing, boundary),
+        )
+
+        def average(field: Array) -> Array:
+            # One field of many cells is read where it is wanted; of several, a product is cheaper.
+            if field.ndim == 2 and width <= _NEAR * spacing and min(field.shape) >= _MANY:
+                return sample_near(field, *(nearest_cells(*axis) for axis in axes))
+            return sample(field, *(axis_weights(*axis) for axis in axes))
+
+        return average
 
 
 class RayField(AbstractRays):

@@ -1,5 +1,6 @@
 """The public entry point of the radiation layer."""
 
+import contextlib
 import dataclasses
 import math
 from numbers import Real
@@ -258,8 +259,15 @@ def pieces(zenith: Array, aspect: float) -> int:
     """Pieces of a layer in each of which a ray moves sideways by no more than a voxel."""
     if isinstance(zenith, jax.core.Tracer):
         return 2
+    return max(1, min(8, math.ceil(_lean(zenith, aspect) - 1e-6)))
+
+
+def _lean(zenith: Array, aspect: float) -> float:
+    """Voxels that the most slanted ray crosses sideways in a layer; two where it is traced."""
+    if isinstance(zenith, jax.core.Tracer):
+        return 2.0
     steepest = float(np.max(np.asarray(zenith), initial=0.0))
-    return max(1, min(8, math.ceil(aspect * math.tan(math.radians(min(steepest, 89.0))) - 1e-6)))
+    return aspect * math.tan(math.radians(min(steepest, 89.0)))
 
 
 def sun_margin(scene: VoxelScene, accuracy: Accuracy) -> int:
@@ -317,10 +325,26 @@ def render(light: Light, rays: AbstractRays, *, chunk: int = 8) -> Radiance:
             f"the sensor must stand above the grid, which is {light.scene.height:g} m high, but "
             f"is at {rays.sensor_height:g} m: rays begin above the canopy"
         )
-    steepest = jnp.rad2deg(jnp.arccos(jnp.min(rays.cosine)))
-    sublayers = light.accuracy.sublayers or pieces(steepest, aspect(light.scene))
-    ordinates = light.accuracy.ordinates
-    return render_rays(light.scene, light.sun, light.diffuse, rays, ordinates, sublayers, chunk)
+    # Rays that are known stay so inside `jit`, lest all layers be cut as for slanted ones.
+    with jax.ensure_compile_time_eval() if concrete(rays) else contextlib.nullcontext():
+        steepest = jnp.rad2deg(jnp.arccos(jnp.min(rays.cosine)))
+    return _render(light, rays, steepest, chunk)
+
+
+def _render(light: Light, rays: AbstractRays, steepest: Array, chunk: int) -> Radiance:
+    """`render` for rays whose zenith angle is `steepest` at most [degrees]."""
+    across = aspect(light.scene)
+    sublayers = light.accuracy.sublayers or pieces(steepest, across)
+    return render_rays(
+        light.scene,
+        light.sun,
+        light.diffuse,
+        rays,
+        light.accuracy.ordinates,
+        sublayers,
+        _lean(steepest, across),
+        chunk,
+    )
 
 
 def reflectance_factor(
@@ -393,14 +417,11 @@ def directional_reflectance(
     dtype = scene.area_density.dtype
     x = ((jnp.arange(nx * lattice) + 0.5) * width).astype(dtype)
     y = ((jnp.arange(ny * lattice) + 0.5) * width).astype(dtype)
-    sublayers = light.accuracy.sublayers or pieces(zenith, aspect(scene))
     incident = scene.illumination.incident
 
     def mean_reflectance(angles: tuple[Array, Array]) -> Array:
         rays = parallel_rays(x, y, width, *angles)
-        radiance = render_rays(
-            scene, light.sun, light.diffuse, rays, light.accuracy.ordinates, sublayers, chunk=8
-        )
+        radiance = _render(light, rays, zenith, chunk=8)
         return jnp.pi * radiance.total.mean(axis=(1, 2)) / incident
 
     return jax.lax.map(mean_reflectance, (zenith, azimuth))

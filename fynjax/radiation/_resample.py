@@ -5,8 +5,11 @@ horizontal plane in a rectangular lattice. A layer is then sampled by one small 
 no gathers, and the derivative is the transposed product.
 """
 
+import math
+
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 
 def axis_weights(
@@ -35,6 +38,41 @@ def axis_weights(
     else:
         total = overlap(centres)
     return total * (spacing / width)
+
+
+def nearest_cells(
+    centres: Float[Array, " point"], width: float, count: int, spacing: float, boundary: str
+) -> tuple[Int[Array, "near point"], Float[Array, "near point"]]:
+    """The same as the cells that the interval of `width` around each centre may touch, and its
+    share in each: for wide grids that single fields are sampled from."""
+    near = math.ceil(width / spacing - 1e-6) + 1
+    low = (centres - 0.5 * width) / spacing
+    first = jnp.floor(jax.lax.stop_gradient(low))
+    start = low - first
+    cell = jnp.arange(near, dtype=centres.dtype)[:, None]
+    length = width / spacing
+    share = jnp.clip(start + length - cell, 0.0, 1.0) - jnp.clip(start - cell, 0.0, 1.0)
+    index = first.astype(int) + jnp.arange(near)[:, None]
+    if boundary == "periodic":
+        return index % count, share / length
+    inside = (index >= 0) & (index < count)
+    return jnp.clip(index, 0, count - 1), jnp.where(inside, share, 0.0) / length
+
+
+def sample_near(
+    field: Float[Array, "y x"],
+    rows: tuple[Int[Array, "near row"], Float[Array, "near row"]],
+    columns: tuple[Int[Array, "near column"], Float[Array, "near column"]],
+) -> Float[Array, "row column"]:
+    """Sample one field from the cells of `nearest_cells` along each axis."""
+    by_row = sum(
+        (share[:, None] * field[index] for index, share in zip(*rows)),
+        start=jnp.zeros((), field.dtype),
+    )
+    return sum(
+        (share * by_row[:, index] for index, share in zip(*columns)),
+        start=jnp.zeros((), field.dtype),
+    )
 
 
 def sample(
