@@ -75,6 +75,7 @@ def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[Scene, PlotParam
             probability=_probability(plot),
             softness=plot.softness,
             softness_plants=plot.softness_plants,
+            structure=plot.structure_m,
         ),
         ground=plot_ground(plot, patches),
         terrain=ground_heights(plot),

@@ -15,11 +15,12 @@ _ELEMENT_BYTES = 80
 def check_memory(plot: Plot) -> None:
     """Refuse a plot whose plants this machine has no memory for, before it runs out of it."""
     area, elements = float(np.prod(plot.size_m)), 0.0
+    resolved = plot.voxel_m if plot.structure_m is None else PlantingRules.tuft
     for s in plot.species:
         crown = np.pi / 4.0 * s.diameter_m**2 * (1.0 - s.packing) * s.fill
         each = max(crown, s.minimum_object_area_m2 or 0.0)
         count = PlantingRules.room * (s.branches or 1) * area * s.cover / each
-        elements += count * element_count(s.diameter_m, s.height_m, plot.voxel_m)
+        elements += count * element_count(s.diameter_m, s.height_m, resolved)
     try:
         there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     except (AttributeError, ValueError, OSError):  # not every system tells

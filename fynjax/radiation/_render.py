@@ -41,9 +41,6 @@ class Accuracy(eqx.Module):
     sublayers: int | None = eqx.field(static=True, default=None)
     """Pieces a layer is cut in along beams and rays. By default so many that a beam or ray stays
     within a voxel; two where its direction is a traced value."""
-    cell: float = eqx.field(static=True, default=0.2)
-    """Edge of the cells of the coarse grid, on which the diffuse light is solved for [m]; two
-    voxels at least, where they fit. Finer voxels do not buy finer diffuse light."""
     coarsening: tuple[int, int] | None = eqx.field(static=True, default=None)
     """Voxels (in height, in width) in such a cell, in place of `cell`; the second must divide the
     grid."""
@@ -63,6 +60,9 @@ class Accuracy(eqx.Module):
     margin: int | None = eqx.field(static=True, default=None)
     """Voxels by which the sunbeams' lattice exceeds an open scene. By default from the sun's
     zenith; must be given where the sun is a traced value."""
+    cell: float = eqx.field(static=True, default=0.2)
+    """Edge of the cells of the coarse grid, on which the diffuse light is solved for [m]; two
+    voxels at least, where they fit. Finer voxels do not buy finer diffuse light."""
 
     def __check_init__(self) -> None:
         for name in ("levels", "azimuths", "iterations"):
@@ -263,9 +263,7 @@ def pieces(zenith: Array, aspect: float) -> int:
 
 
 def _lean(zenith: Array, aspect: float) -> float:
-    """Voxels that the most slanted ray crosses sideways in a layer; two where it is traced."""
-    if isinstance(zenith, jax.core.Tracer):
-        return 2.0
+    """Voxels that the most slanted ray crosses sideways in a layer."""
     steepest = float(np.max(np.asarray(zenith), initial=0.0))
     return aspect * math.tan(math.radians(min(steepest, 89.0)))
 
@@ -342,7 +340,7 @@ def _render(light: Light, rays: AbstractRays, steepest: Array, chunk: int) -> Ra
         rays,
         light.accuracy.ordinates,
         sublayers,
-        _lean(steepest, across),
+        float(sublayers) if isinstance(steepest, jax.core.Tracer) else _lean(steepest, across),
         chunk,
     )
 

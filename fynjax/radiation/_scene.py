@@ -9,6 +9,10 @@ from jaxtyping import Array, Float
 from fynjax.canopy import AbstractLeafAngle
 from fynjax.radiation._ground import RahmanPintyVerstraete
 
+LITTLE = 1e-6
+"""Area per volume below which leaves count as spread evenly in a voxel [m2 m-3]: where there are
+none, the derivative is that of the first."""
+
 
 class OpticalClasses(eqx.Module):
     """Optical properties of what fills the voxels: one class for each kind of surface."""

@@ -16,7 +16,7 @@ from fynjax._core.math import mean_transmittance
 from fynjax.radiation._blocks import block_mean, spread
 from fynjax.radiation._rays import Lattice
 from fynjax.radiation._resample import axis_weights, sample
-from fynjax.radiation._scene import VoxelScene
+from fynjax.radiation._scene import LITTLE, VoxelScene
 from fynjax.radiation._terrain import covered, sun_on_ground
 
 
@@ -132,9 +132,8 @@ def _extinction(scene: VoxelScene, cosine: Array) -> Float[Array, "Z Y X"]:
     projected = jnp.einsum("a,azyx->zyx", projection.astype(dtype), by_angle)
     if scene.structure is None:
         return projected
-    total = by_angle.sum(axis=0)
-    share = jnp.where(total > 0, projected / jnp.where(total > 0, total, 1.0), 0.0)
-    return spread(share, scene.structure_factor) * scene.structure
+    share = projected / (by_angle.sum(axis=0) + LITTLE)
+    return spread(share, scene.structure_factor) * (scene.structure + LITTLE)
 
 
 def _move(

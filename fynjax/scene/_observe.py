@@ -59,12 +59,13 @@ from fynjax.sensors import (
     tabulated_atmosphere,
 )
 
-DRONE = Accuracy(sublayers=1, coarsening=(2, 2), levels=2, refine=False)
+DRONE = Accuracy(sublayers=1, levels=2, refine=False)
 """Accuracy of a drone's image, seen from close to nadir under a high sun: the default."""
 _AT_550 = (550.0 / 500.0) ** -1.14
 """Optical depth of aerosol at 550 nm over that at 500 nm, by Ångström's law as SPCTRL2 has it."""
 SAMPLES = 2
-"""Rays along the edge of a voxel where pixels are wider than voxels."""
+"""Rays along the edge of a voxel where pixels are wider than voxels; with a finer structure there
+is one to each of its own."""
 _VOXELS = 20_000_000  # times bands that are rendered at once
 
 
@@ -358,18 +359,21 @@ def fitted_accuracy(accuracy: Accuracy, scene: Scene, parameters: PlotParameters
     **Raises:** `InputError` where that sun is traced.
     """
     nx, ny, nz = scene.grid.shape
-    high, wide = accuracy.coarsening or (2, 2)
-    while nx % wide or ny % wide:
-        wide -= 1
-    while nz % high:
-        high -= 1
+    blocks = accuracy.coarsening
+    if blocks is not None:
+        high, wide = blocks
+        while nx % wide or ny % wide:
+            wide -= 1
+        while nz % high:
+            high -= 1
+        blocks = high, wide
     margin = accuracy.margin
     if scene.boundary == "open" and margin is None:
         _check_known("the sun over an open scene", parameters.light.sun_zenith)
         lowest = min(float(parameters.light.sun_zenith) + 5.0, 85.0)
         columns = nz * scene.grid.vertical_size / scene.grid.horizontal_size
         margin = int(np.ceil(columns * np.tan(np.deg2rad(lowest))))
-    return dataclasses.replace(accuracy, coarsening=(high, wide), margin=margin)
+    return dataclasses.replace(accuracy, coarsening=blocks, margin=margin)
 
 
 def _check_known(what: str, values: Any) -> None:
@@ -442,11 +446,13 @@ def aim(
     psf = sensor.psf if point_spread else None
     if psf is not None:  # its reach must be known inside transformations
         psf = dataclasses.replace(psf, radius=psf.reach())
-    wide = pixel > max(scene.grid.horizontal_size, 1e-9) * (1.0 + 1e-6)
+    samples = scene.finer or SAMPLES
+    resolved = scene.grid.horizontal_size / max(scene.finer, 1)
+    wide = pixel > max(resolved, 1e-9) * (1.0 + 1e-6)
     margin = psf.reach() if psf is not None and periodic and not wide else 0
     if wide:
-        ny, nx = (SAMPLES * n for n in scene.grid.shape[1::-1])
-        spacing = scene.grid.horizontal_size / SAMPLES
+        ny, nx = (samples * n for n in scene.grid.shape[1::-1])
+        spacing = scene.grid.horizontal_size / samples
         axes = [(np.arange(n) + 0.5) * spacing for n in (nx, ny)]
     else:
         spacing = pixel

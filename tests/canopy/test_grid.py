@@ -238,3 +238,69 @@ def test_bad_deposits() -> None:
         deposit(positions, area, classes, grid, 2)
     with pytest.raises(InputError, match="larger voxels"):
         deposit(positions, area, classes, VoxelGrid((9999, 9999, 99), 0.1, 0.1), 3)
+
+
+@pytest.mark.parametrize("boundary", ["periodic", "open"])
+def test_boxes_of_one_width_give_coarse_grids_the_means_of_fine_ones(boundary: str) -> None:
+    rng = np.random.default_rng(4)
+    positions = jnp.asarray(rng.random((200, 3)) * [1.0, 0.8, 0.4])
+    area, classes = jnp.asarray(rng.random(200)), jnp.asarray(rng.integers(0, 2, 200))
+    fine, coarse = (
+        deposit(
+            positions,
+            area,
+            classes,
+            VoxelGrid((round(1.0 / size), round(0.8 / size), round(0.4 / size)), size, size),
+            2,
+            width=0.1,
+            boundary=boundary,
+        )
+        for size in (0.05, 0.2)
+    )
+    blocks = fine.reshape(2, 2, 4, 4, 4, 5, 4).mean(axis=(2, 4, 6))
+    np.testing.assert_allclose(blocks, coarse, atol=1e-12)
+    if boundary == "periodic":
+        assert float(coarse.sum() * 0.2**3) == pytest.approx(float(area.sum()), rel=1e-12)
+
+
+def test_a_box_spreads_over_the_voxels_that_it_covers() -> None:
+    grid = VoxelGrid((6, 6, 6), 0.1, 0.1)
+    density = deposit(
+        jnp.array([[0.33, 0.25, 0.3]]), jnp.ones(1), jnp.zeros(1, int), grid, 1, width=0.3
+    )[0]
+    share = density * 0.1**3
+    np.testing.assert_allclose(
+        share.sum(axis=(0, 1)), [0, 0.2 / 3, 1 / 3, 1 / 3, 0.8 / 3, 0], atol=1e-12
+    )
+    np.testing.assert_allclose(share.sum(axis=(0, 2)), [0, 1 / 3, 1 / 3, 1 / 3, 0, 0], atol=1e-12)
+
+
+def test_slopes_of_wide_and_narrow_boxes() -> None:
+    rng = np.random.default_rng(6)
+    positions, area = jnp.asarray(rng.random((40, 3)) * 0.8), jnp.asarray(rng.random(40))
+    towards, weights = jnp.asarray(rng.standard_normal((40, 3))), rng.random((1, 4, 4, 4))
+    for width in (0.08, 0.4):
+
+        def loss(by: float, width: float = width) -> jax.Array:
+            field = deposit(
+                positions + by * towards,
+                area,
+                jnp.zeros(40, int),
+                VoxelGrid((4, 4, 4), 0.2, 0.2),
+                1,
+                width=width,
+            )
+            return (weights * field).sum()
+
+        step = 1e-7
+        difference = (loss(step) - loss(-step)) / (2 * step)
+        assert float(jax.grad(loss)(0.0)) == pytest.approx(float(difference), rel=1e-4)
+
+
+def test_a_width_that_does_not_go_with_the_voxels_is_refused() -> None:
+    for width in (0.15, 0.0, -1.0):
+        with pytest.raises(InputError, match="whole multiple"):
+            deposit(
+                jnp.zeros((1, 3)), jnp.ones(1), jnp.zeros(1, int), VoxelGrid((4, 4, 4), 0.1, 0.1),
+                1, width=width,
+            )  # fmt: skip

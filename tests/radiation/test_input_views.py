@@ -32,6 +32,7 @@ ACCURACIES = {
     "coarsening": (0, 2, (2, 0), (0, 2), (2, 1.5), (2,), [2, 2]),
     "tolerance": (0.0, -1e-4, 1.0, math.nan, math.inf, "small", None),
     "refine": ("no", None, 0),
+    "cell": (0.0, -0.1, math.nan, math.inf, "small", None),
 }
 
 
@@ -44,7 +45,7 @@ def test_accuracy_refused(name, value):
 
 
 def test_accuracy_accepted():
-    Accuracy(1, 1, (1, 1), 1, 1, 1e-12, 1, False, 1, 0)
+    Accuracy(1, 1, (1, 1), 1, 1, 1e-12, 1, False, 1, 0, 0.5)
     Accuracy(solves=None, sublayers=None, coarsening=None, margin=None)
 
 

@@ -190,6 +190,9 @@ class Plot:
     """East-west and north-south side [m]; a whole number of voxels."""
     voxel_m: float
     """Side of a voxel [m]."""
+    structure_m: float | None
+    """Largest side of the voxels on which sun and sight follow the plants [m]; `None`: leaves fill
+    the plot's voxels evenly."""
     boundary: str
     """'periodic' or 'open'."""
     species: tuple[Species, ...]

@@ -284,6 +284,7 @@ def read_plot(path: str | Path) -> Plot:
         name=parsed.plot.name,
         size_m=size,
         voxel_m=parsed.plot.voxel_m,
+        structure_m=parsed.plot.structure_m,
         boundary=parsed.plot.boundary,
         species=tuple(species),
         probability_map=map_path,

@@ -31,6 +31,14 @@ class PlotTable(Strict):
         json_schema_extra={"unit": "m"},
     )
     voxel_m: float = number("Side of a voxel", "m", default=0.1, ge=0.01, le=2)
+    structure_m: float | None = number(
+        "Largest side of the voxels on which sun and sight follow the plants; left out: voxel_m, "
+        "which hides gaps",
+        "m",
+        default=None,
+        ge=0.005,
+        le=2,
+    )
     boundary: Literal["periodic", "open"] = Field(
         default="periodic",
         description="'periodic' repeats the plot for ever; 'open' stands alone on bare ground.",

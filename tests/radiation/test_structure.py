@@ -1,0 +1,166 @@
+"""Sun and sight on a structure finer than the voxels of the classes."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax.errors import InputError
+from fynjax.radiation import (
+    Accuracy,
+    directional_reflectance,
+    fluxes,
+    parallel_rays,
+    render,
+    solve_light,
+    voxel_scene,
+)
+
+FAST = Accuracy(levels=1, azimuths=4, tolerance=1e-9)
+
+
+def scene_of(density, *, zenith=0.0, times=2, seed=3, **changes):
+    """Two classes in voxels of 0.2 m, their leaves in random halves of them, and the structure."""
+    density = np.asarray(density, float)
+    total = density.sum(axis=0)
+    fine = np.repeat(np.repeat(np.repeat(total, times, 0), times, 1), times, 2)
+    weights = np.random.default_rng(seed).random(fine.shape) ** 3
+    blocks = [n for size in total.shape for n in (size, times)]
+    mean = weights.reshape(blocks).mean(axis=(1, 3, 5))
+    weights /= np.repeat(np.repeat(np.repeat(mean, times, 0), times, 1), times, 2)
+    even = voxel_scene(
+        area_density=jnp.asarray(density),
+        reflectance=jnp.array([[0.05, 0.45], [0.2, 0.3]]),
+        transmittance=jnp.array([[0.03, 0.45], [0.0, 0.0]]),
+        leaf_angles=["spherical", "erectophile"],
+        voxel=(0.2, 0.2, 0.2),
+        ground=jnp.array([0.2, 0.3]),
+        sun_zenith=zenith,
+        sun_azimuth=90.0,
+        **changes,
+    )
+    return even, dataclasses.replace(even, structure=jnp.asarray(fine * weights))
+
+
+def shrubs(size=6, layers=4, seed=1):
+    rng = np.random.default_rng(seed)
+    filled = rng.random((1, layers, size, size)) > 0.4
+    return rng.random((2, layers, size, size)) * 6.0 * filled
+
+
+def fine_rays(scene, zenith=0.0, per_voxel=2):
+    x = (jnp.arange(scene.shape[2] * per_voxel) + 0.5) * (scene.horizontal / per_voxel)
+    return parallel_rays(x, x, scene.horizontal / per_voxel, zenith, 90.0)
+
+
+def test_the_gap_is_that_of_the_fine_columns():
+    density = shrubs()
+    density[1] = 0.0  # spherical leaves: G is 1/2 everywhere
+    even, structured = scene_of(density)
+    gap = render(solve_light(structured, FAST), fine_rays(structured)).gap
+    columns = 0.5 * np.asarray(structured.structure).sum(axis=0) * 0.1
+    np.testing.assert_allclose(gap, np.exp(-columns), rtol=1e-6)
+    np.testing.assert_allclose(
+        solve_light(structured, FAST).sun.on_ground.mean(), np.exp(-columns).mean(), rtol=1e-6
+    )
+    filled = render(solve_light(even, FAST), fine_rays(even)).gap
+    assert float(filled.mean()) < 0.97 * float(gap.mean())
+
+
+@pytest.mark.parametrize("zenith", [25.0, 55.0])
+def test_slanted_beams_lose_what_paths_through_the_structure_do(zenith):
+    """Points followed one by one through the boxes of the structure."""
+    density = shrubs()
+    density[1] = 0.0
+    _, structured = scene_of(density, zenith=zenith)
+    fine = np.asarray(structured.structure)
+    rng, steps = np.random.default_rng(5), 1600
+    start = rng.random((4000, 2)) * 1.2
+    height = (np.arange(steps) + 0.5) * (structured.height / steps)
+    # The sun stands in the east.
+    x = (start[:, :1] + height * np.tan(np.radians(zenith))) % 1.2
+    cells = (height / 0.1).astype(int), (start[:, 1:] / 0.1).astype(int), (x / 0.1).astype(int)
+    depth = 0.5 * fine[cells].sum(axis=1) * (structured.height / steps)
+    expected = np.exp(-depth / np.cos(np.radians(zenith)))
+    light = solve_light(structured, dataclasses.replace(FAST, lattice=4))
+    error = expected.std() / np.sqrt(len(expected))
+    got = float(light.sun.on_ground.mean())
+    # Besides chance: beams are a quarter of a voxel wide.
+    assert abs(got - expected.mean()) < 3 * error + 0.01 * expected.mean()
+    from_there = render(light, fine_rays(structured, zenith, per_voxel=8)).gap.mean()
+    assert float(from_there) == pytest.approx(got, rel=0.01)
+
+
+def test_energy_is_closed():
+    _, structured = scene_of(shrubs(), zenith=35.0, sky=jnp.array([0.3, 0.1]))
+    share = fluxes(solve_light(structured, FAST))
+    total = share.albedo + share.absorbed.sum(axis=1) + share.ground_absorbed
+    np.testing.assert_allclose(total, 1.0, atol=1e-5)
+
+
+def test_an_even_structure_changes_nothing():
+    density = np.repeat(shrubs()[:, :, :1, :1], 6, axis=2).repeat(6, axis=3)
+    even, _ = scene_of(density, zenith=35.0)
+    total = even.area_density.sum(axis=0)
+    fine = jnp.repeat(jnp.repeat(jnp.repeat(total, 2, 0), 2, 1), 2, 2)
+    plain, structured = (
+        directional_reflectance(solve_light(scene, FAST), jnp.array([0.0, 50.0]), 200.0)
+        for scene in (even, dataclasses.replace(even, structure=fine))
+    )
+    # Finer layers integrate the light between them a little differently.
+    np.testing.assert_allclose(structured, plain, rtol=4e-3)
+
+
+def test_derivatives_are_those_of_differences():
+    even, structured = scene_of(shrubs(4, 2), zenith=35.0)
+    rng = np.random.default_rng(7)
+    towards = [
+        jnp.asarray(rng.standard_normal(a.shape)) for a in (even.area_density, structured.structure)
+    ]
+
+    def loss(by):
+        moved = dataclasses.replace(
+            structured,
+            area_density=structured.area_density * (1.0 + by[0] * towards[0]),
+            structure=structured.structure * (1.0 + by[1] * towards[1]),
+        )
+        radiance = render(
+            solve_light(moved, dataclasses.replace(FAST, lattice=1)), fine_rays(moved, 20.0)
+        )
+        return (radiance.total**2).mean()
+
+    loss = jax.jit(loss)
+    slope = jax.grad(loss)(jnp.zeros(2))
+    step = 1e-5
+    for i, unit in enumerate(np.eye(2)):
+        difference = (loss(step * unit) - loss(-step * unit)) / (2 * step)
+        assert float(slope[i]) == pytest.approx(float(difference), rel=1e-4)
+    # Where nothing stands, the first leaf has its derivative too.
+    bare = dataclasses.replace(
+        structured,
+        area_density=jnp.zeros_like(structured.area_density),
+        structure=jnp.zeros_like(structured.structure),
+    )
+    grow = lambda by: render(  # noqa: E731
+        solve_light(
+            dataclasses.replace(
+                bare,
+                area_density=bare.area_density + by * even.area_density,
+                structure=bare.structure + by * structured.structure,
+            ),
+            dataclasses.replace(FAST, lattice=1),
+        ),
+        fine_rays(bare),
+    ).total.mean()
+    grow = jax.jit(grow)
+    difference = (grow(1e-5) - grow(0.0)) / 1e-5
+    assert float(jax.grad(grow)(0.0)) == pytest.approx(float(difference), rel=1e-2)
+
+
+def test_a_structure_that_does_not_divide_the_voxels_is_refused():
+    even, _ = scene_of(shrubs())
+    for shape in ((4, 6, 9), (4, 12, 6), (5, 6, 6), (4, 6)):
+        with pytest.raises(InputError, match="whole number of finer voxels"):
+            solve_light(dataclasses.replace(even, structure=jnp.zeros(shape)), FAST)

@@ -1,0 +1,80 @@
+"""Plants followed on voxels finer than those of the classes."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax.errors import InputError
+from fynjax.radiation import Accuracy, nadir_rays, render, solve_light
+from fynjax.sensors import shipped_sensor
+from tests.scene.plots import drone, reflectance, small_parameters, small_plot
+
+LIGHT = Accuracy(levels=1, azimuths=4)
+
+
+def image(scene, parameters):
+    x = (jnp.arange(64) + 0.5) * 0.025
+    rays = nadir_rays(x, x, 0.025, (0.8, 0.8, 50.0))
+    bands = shipped_sensor("mavic_3m").bands
+    radiance = render(solve_light(scene.voxels(parameters, bands), LIGHT), rays)
+    return jnp.append(jnp.pi * radiance.total.mean(axis=(1, 2)), radiance.gap.mean())
+
+
+image = eqx.filter_jit(image)
+
+
+def test_gap_and_image_do_not_depend_on_the_voxel():
+    parameters = small_parameters()
+    filled, coarse, fine, limit = (
+        np.asarray(image(small_plot(voxel=voxel, structure=structure), parameters))
+        for voxel, structure in ((0.1, None), (0.1, 0.025), (0.05, 0.025), (0.1, 0.0125))
+    )
+    np.testing.assert_allclose(coarse, fine, rtol=2e-3)
+    np.testing.assert_allclose(coarse, limit, rtol=0.015)
+    assert np.log(filled[-1]) < 1.1 * np.log(limit[-1])  # too dense by a tenth and more
+
+
+def test_structure_holds_the_area_of_the_classes():
+    scene, parameters = small_plot(structure=0.025), small_parameters()
+    voxels = scene.voxels(parameters, shipped_sensor("mavic_3m").bands)
+    total = np.asarray(voxels.area_density).sum(axis=0)
+    nz, ny, nx = total.shape
+    blocks = np.asarray(voxels.structure).reshape(nz, 4, ny, 4, nx, 4).mean(axis=(1, 3, 5))
+    np.testing.assert_allclose(blocks, total, atol=1e-9 * total.max())
+
+
+def test_derivatives_of_cover_and_diameter_are_those_of_differences():
+    scene, parameters = small_plot(structure=0.025), small_parameters()
+
+    def loss(by):
+        species = parameters.species
+        moved = eqx.tree_at(
+            lambda p: (p.species.cover, p.species.diameter),
+            parameters,
+            (species.cover * (1.0 + by[0]), species.diameter * (1.0 + by[1])),
+        )
+        return (image(scene, moved) ** 2).sum()
+
+    slope = jax.grad(loss)(jnp.zeros(2))
+    for i, unit in enumerate(np.eye(2)):
+        difference = (loss(1e-6 * unit) - loss(-1e-6 * unit)) / 2e-6
+        assert float(slope[i]) == pytest.approx(float(difference), rel=1e-4)
+
+
+def test_the_drones_camera_sees_single_crowns_sharper():
+    parameters = small_parameters()
+    even, structured = (
+        reflectance(drone(scene, pixel=0.025), scene, parameters)
+        for scene in (small_plot(), small_plot(structure=0.025))
+    )
+    assert structured.shape == even.shape
+    assert float(structured[3].std()) > 1.05 * float(even[3].std())
+
+
+def test_tufts_must_go_with_the_voxels():
+    with pytest.raises(InputError, match="positive lengths"):
+        small_plot(structure=-0.1)
+    with pytest.raises(InputError, match="no finest voxels divide"):
+        small_plot(structure=0.025, tuft=0.0317)
