@@ -181,16 +181,16 @@ def deposit(
     )
     counts = tuple(count + 2 * more for count, more in zip(grid.shape, beyond, strict=True))
     indices, shares = [], []
-    for axis, (size, boxes) in enumerate(zip(sizes, times, strict=True)):
-        part = 1.0 if width is None else min(width / size, 1.0)
-        start = (positions[:, axis] - grid.origin[axis]) / size - 0.5 * part * boxes
+    for axis, (edge, boxes) in enumerate(zip(sizes, times, strict=True)):
+        part = 1.0 if width is None else min(width / edge, 1.0)
+        start = (positions[:, axis] - grid.origin[axis]) / edge - 0.5 * part * boxes
         floor = jnp.floor(start)
         over = jnp.clip((start - floor - (1.0 - part)) / part, 0.0, 1.0).astype(dtype)
         low = floor.astype(jnp.int32) + beyond[axis]
         rule = "clamp" if axis == 2 else boundary
-        index, share = _neighbours(low, low + 1, over, counts[axis], rule)
-        indices.append(index)
-        shares.append(share)
+        pair = _neighbours(low, low + 1, over, counts[axis], rule)
+        indices.append(pair[0])
+        shares.append(pair[1])
 
     nx, ny, nz = counts
     index, part_of_area = [], []

@@ -228,9 +228,9 @@ class Scene(eqx.Module):
         if self.finer == 0:
             return None
         positions, area = self._elements(parameters)
-        shape = tuple(n * self.finer for n in self.grid.shape)
+        nx, ny, nz = (n * self.finer for n in self.grid.shape)
         sizes = (self.grid.horizontal_size / self.finer, self.grid.vertical_size / self.finer)
-        return self._deposit(positions, area, VoxelGrid(shape, *sizes), by_class=False)[0]
+        return self._deposit(positions, area, VoxelGrid((nx, ny, nz), *sizes), by_class=False)[0]
 
     def _deposit(
         self, positions: Array, area: Array, grid: VoxelGrid, *, by_class: bool
