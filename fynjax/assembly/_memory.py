@@ -20,7 +20,9 @@ def check_memory(plot: Plot) -> None:
         crown = np.pi / 4.0 * s.diameter_m**2 * (1.0 - s.packing) * s.fill
         each = max(crown, s.minimum_object_area_m2 or 0.0)
         count = PlantingRules.room * (s.branches or 1) * area * s.cover / each
-        elements += count * element_count(s.diameter_m, s.height_m, resolved)
+        elements += count * element_count(
+            s.diameter_m, s.height_m, resolved, structured=plot.structure_m is not None
+        )
     try:
         there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     except (AttributeError, ValueError, OSError):  # not every system tells

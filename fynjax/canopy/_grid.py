@@ -188,7 +188,9 @@ def deposit(
         over = jnp.clip((start - floor - (1.0 - part)) / part, 0.0, 1.0).astype(dtype)
         low = floor.astype(jnp.int32) + beyond[axis]
         rule = "clamp" if axis == 2 else boundary
-        pair = _neighbours(low, low + 1, over, counts[axis], rule)
+        # The last from which a box does not reach round to the other end.
+        last = counts[axis] - boxes + 1 if beyond[axis] else counts[axis]
+        pair = _neighbours(low, low + 1, over, last, rule)
         indices.append(pair[0])
         shares.append(pair[1])
 

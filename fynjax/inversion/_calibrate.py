@@ -268,11 +268,12 @@ def search_form(
 
 
 def coarser(scene: Scene) -> Scene:
-    """The `scene` in layers of twice the thickness, where their number is even."""
+    """The `scene` in layers of twice the thickness, where their number is even, evenly filled."""
     grid = scene.grid
     nx, ny, nz = grid.shape
     thick = 2 if nz % 2 == 0 else 1
     return dataclasses.replace(
         scene,
         grid=VoxelGrid((nx, ny, nz // thick), grid.horizontal_size, thick * grid.vertical_size),
+        finer=0,
     )

@@ -41,6 +41,7 @@ def run_record(
             "name": plot.name,
             "size_m": list(plot.size_m),
             "voxel_m": plot.voxel_m,
+            "structure_m": plot.structure_m,
             "boundary": plot.boundary,
             "sun_zenith_deg": plot.sun.zenith_deg,
             "sun_azimuth_deg": plot.sun.azimuth_deg,

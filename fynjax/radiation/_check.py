@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax.radiation._blocks import block_mean
 from fynjax.radiation._ground import RahmanPintyVerstraete
 from fynjax.radiation._scene import VoxelScene
 
@@ -230,6 +231,14 @@ def _check_values(scene: VoxelScene) -> None:
         check_range(f"classes.{name}", getattr(classes, name), 0.0, 1.0)
     if scene.structure is not None:
         check_range("structure [m2 m-3]", scene.structure, 0.0, math.inf)
+        mean = np.asarray(block_mean(scene.structure, scene.structure_factor))
+        total = np.asarray(scene.area_density).sum(axis=0)
+        if np.abs(mean - total).max() > 1e-3 * max(total.max(), 1e-3):
+            raise InputError(
+                "the mean of `structure` over a voxel must be the sum of `area_density` over the "
+                f"classes, but they differ by up to {np.abs(mean - total).max():.3g} m2 m-3: was "
+                "one of them changed alone?"
+            )
     for name in ("sun", "sky"):
         check_range(f"illumination.{name}", getattr(sun, name), 0.0, math.inf)
     if not np.all(np.asarray(sun.sun) + np.asarray(sun.sky) > 0):

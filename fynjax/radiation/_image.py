@@ -25,7 +25,7 @@ from fynjax.radiation._ordinates import Ordinates
 from fynjax.radiation._phase import area_scattering
 from fynjax.radiation._rays import AbstractRays, Lattice, pixel_projection
 from fynjax.radiation._reduced import ReducedField
-from fynjax.radiation._scene import LITTLE, OpticalClasses, VoxelScene
+from fynjax.radiation._scene import OpticalClasses, VoxelScene
 from fynjax.radiation._sun import SunField, unshaded_beams
 from fynjax.radiation._terrain import covered
 
@@ -257,7 +257,7 @@ def _look(
         if structure is not None:
             # Its area over the voxels' mean, which the mixture is counted in.
             here = rays.sampler(height + 0.5 * step, finest)(structure)
-            length = path * ((here + LITTLE) / (total + LITTLE))
+            length = path * scene.relative_density(here, total)
         along = turned * length
         below = beams(height)(plane)
         crossed = along + below - above

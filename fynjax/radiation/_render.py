@@ -235,6 +235,8 @@ def _coarsening(scene: VoxelScene, ny: int, nx: int, accuracy: Accuracy) -> tupl
             max(2, 2 * round(accuracy.cell / (2 * size) + 1e-6))
             for size in (scene.vertical, scene.horizontal)
         )
+        # A low canopy keeps its profile.
+        high = min(high, max(2, 2 * round(scene.shape[0] / 16)))
         # Layers are added on top as they are needed; columns must fit.
         fitting = [n for n in range(1, wide + 1) if ny % n == nx % n == 0]
         even = [n for n in fitting if n % 2 == 0]

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from fynjax.canopy import AbstractLeafAngle
 from fynjax.radiation._ground import RahmanPintyVerstraete
 
-LITTLE = 1e-6
+_LITTLE = 1e-6
 """Area per volume below which leaves count as spread evenly in a voxel [m2 m-3]: where there are
 none, the derivative is that of the first."""
 
@@ -106,6 +106,15 @@ class VoxelScene(eqx.Module):
         if self.structure is None:
             return 1, 1
         return self.structure.shape[0] // self.shape[0], self.structure.shape[2] // self.shape[2]
+
+    @staticmethod
+    def relative_density(structure: Array, total: Array) -> Array:
+        """Area per volume of the finest voxels over that of the grid's, of all classes together
+        [-]; 1 where both are empty, so that the derivative there is that of the first leaf.
+
+        **Arguments:** `structure`, `total`: both, sampled at the same places [m2 m-3].
+        """
+        return (structure + _LITTLE) / (total + _LITTLE)
 
     @property
     def height(self) -> float:

@@ -16,7 +16,7 @@ from fynjax._core.math import mean_transmittance
 from fynjax.radiation._blocks import block_mean, spread
 from fynjax.radiation._rays import Lattice
 from fynjax.radiation._resample import axis_weights, sample
-from fynjax.radiation._scene import LITTLE, VoxelScene
+from fynjax.radiation._scene import VoxelScene
 from fynjax.radiation._terrain import covered, sun_on_ground
 
 
@@ -132,8 +132,8 @@ def _extinction(scene: VoxelScene, cosine: Array) -> Float[Array, "Z Y X"]:
     projected = jnp.einsum("a,azyx->zyx", projection.astype(dtype), by_angle)
     if scene.structure is None:
         return projected
-    share = projected / (by_angle.sum(axis=0) + LITTLE)
-    return spread(share, scene.structure_factor) * (scene.structure + LITTLE)
+    total, projected = spread(jnp.stack([by_angle.sum(axis=0), projected]), scene.structure_factor)
+    return projected * scene.relative_density(scene.structure, total)
 
 
 def _move(

@@ -173,6 +173,8 @@ class AimedSensor(eqx.Module):
     """Pixels around the image that `rays` has on top, for the point spread."""
     fine: tuple[int, int] | None = eqx.field(static=True)
     """Rows and columns of rays over the scene where pixels are wider than voxels; else None."""
+    samples: int = eqx.field(static=True)
+    """Of these, along the edge of a voxel."""
     averaged: Float[Array, ""]
     """The sensor's own pixels, by its optics, that a pixel is the mean of; at least 1. Its noise is
     as much lower."""
@@ -311,7 +313,7 @@ class AimedSensor(eqx.Module):
         """The same with every `stride`-th pixel along each axis, without blur: a fair sample of the
         image at a fraction of its cost. Where pixels are wider than voxels, all of them, from one
         ray a voxel. Panels are left out."""
-        step = stride if self.fine is None else SAMPLES
+        step = stride if self.fine is None else self.samples
         rows, columns = (
             slice(self.margin, self.margin + n if self.fine is None else None, step)
             for n in self.shape
@@ -340,6 +342,7 @@ class AimedSensor(eqx.Module):
             shape=shape,
             margin=0,
             fine=fine,
+            samples=1,
             panels=None,
         )
 
@@ -358,7 +361,8 @@ def fitted_accuracy(accuracy: Accuracy, scene: Scene, parameters: PlotParameters
 
     **Raises:** `InputError` where that sun is traced.
     """
-    nx, ny, nz = scene.grid.shape
+    grid = scene.class_grid
+    nx, ny, nz = grid.shape
     blocks = accuracy.coarsening
     if blocks is not None:
         high, wide = blocks
@@ -371,7 +375,7 @@ def fitted_accuracy(accuracy: Accuracy, scene: Scene, parameters: PlotParameters
     if scene.boundary == "open" and margin is None:
         _check_known("the sun over an open scene", parameters.light.sun_zenith)
         lowest = min(float(parameters.light.sun_zenith) + 5.0, 85.0)
-        columns = nz * scene.grid.vertical_size / scene.grid.horizontal_size
+        columns = grid.extent[2] / grid.horizontal_size
         margin = int(np.ceil(columns * np.tan(np.deg2rad(lowest))))
     return dataclasses.replace(accuracy, coarsening=blocks, margin=margin)
 
@@ -446,7 +450,7 @@ def aim(
     psf = sensor.psf if point_spread else None
     if psf is not None:  # its reach must be known inside transformations
         psf = dataclasses.replace(psf, radius=psf.reach())
-    samples = scene.finer or SAMPLES
+    samples = max(scene.finer, SAMPLES)
     resolved = scene.grid.horizontal_size / max(scene.finer, 1)
     wide = pixel > max(resolved, 1e-9) * (1.0 + 1e-6)
     margin = psf.reach() if psf is not None and periodic and not wide else 0
@@ -487,6 +491,7 @@ def aim(
         sensor_height=real_array(height),
         margin=margin,
         fine=(ny, nx) if wide else None,
+        samples=samples,
         averaged=real_array(max(1.0, (pixel / optics) ** 2)),
         panels=panels_in_picture(panels, (rows, columns), pixel, (west, south)) if panels else None,
     )

@@ -123,7 +123,8 @@ def draw_planting(
     *,
     taxa: Sequence[str],
     extent: tuple[float, float],
-    voxel: float,
+    resolved: float,
+    structured: bool,
     periodic: bool,
     probability: Float[np.ndarray, "y x"] | None,
     room: float,
@@ -142,7 +143,7 @@ def draw_planting(
     - `models`: shape of the plants of each; None is that of the growth form.
     - `taxa`: names of the species, for errors.
     - `extent`: (east-west, north-south) sides of the plot [m].
-    - `voxel`: edge of a voxel [m], by which the area elements of a plant are counted.
+    - `resolved`, `structured`: as `element_count` has them.
     - `periodic`: whether the plot repeats itself.
     - `probability`, `room`, `size_variation`: as `PlantingRules` has them.
     - `seed`: of everything random.
@@ -186,7 +187,8 @@ def draw_planting(
                 "stature": (0.6 + 0.4 * rng.random(n)).astype(dtype),
             }
         )
-        number, model = element_count(diameter[i], height[i], voxel), models[i]
+        number = element_count(diameter[i], height[i], resolved, structured=structured)
+        model = models[i]
         if model is None:
             shapes.append(plant_model(form, number, seed=seed + i))
         else:
@@ -251,11 +253,19 @@ def no_plants(dtype: str) -> Planting:
     return Planting(index, none, pair, none, none, none, none, index, index, shapes, index)
 
 
-def element_count(diameter: float, height: float, voxel: float) -> int:
-    """Area elements of a plant of a crown `diameter` and `height` in voxels of edge `voxel` [m].
+def element_count(
+    diameter: float, height: float, resolved: float, *, structured: bool = False
+) -> int:
+    """Area elements of a plant.
 
-    About one for every two voxels that its crown touches, since thousands of plants stand on a
-    plot; 16 to 3000.
+    **Arguments:**
+
+    - `diameter`, `height`: of its crown [m].
+    - `resolved`: edge of the boxes in which its leaf area is resolved [m].
+    - `structured`: whether sun and sight follow it on voxels finer than the plot's.
+
+    **Returns:** about one for every two boxes that its crown touches, since thousands of plants
+    stand on a plot; 16 to 3000, with a structure to 20 000.
     """
-    touched = (diameter / voxel + 0.5) ** 2 * (height / voxel + 0.5)
-    return int(np.clip(np.ceil(touched / 2), 16, 20000))
+    touched = (diameter / resolved + 0.5) ** 2 * (height / resolved + 0.5)
+    return int(np.clip(np.ceil(touched / 2), 16, 20_000 if structured else 3000))

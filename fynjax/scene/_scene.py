@@ -7,7 +7,7 @@ that what a sensor measures is a smooth, repeatable function of the parameters.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -48,6 +48,7 @@ from fynjax.sensors.air import clear_sky_diffuse_fraction
 
 _EVEN_LAYERS = 2
 """Layers of a scene are a multiple of this: the light is solved in pairs of them."""
+_MOST_VOXELS = 2**31 - 1
 _COMPOSITION = 0.1
 """Edge of the voxels in which the classes are kept apart, where sun and sight follow the structure
 on finer ones [m]."""
@@ -224,24 +225,36 @@ class Scene(eqx.Module):
         return self._deposit(positions, area, self.grid, by_class=True)
 
     def structure(self, parameters: PlotParameters) -> Float[Array, "Z Y X"] | None:
-        """Area per volume of all classes on the finest voxels; None where these are the grid's."""
+        """Area per volume of all classes on the finest voxels; None where leaves fill the grid's
+        evenly.
+
+        **Arguments:** `parameters`, of the plot.
+        """
         if self.finer == 0:
             return None
         positions, area = self._elements(parameters)
-        nx, ny, nz = (n * self.finer for n in self.grid.shape)
-        sizes = (self.grid.horizontal_size / self.finer, self.grid.vertical_size / self.finer)
-        return self._deposit(positions, area, VoxelGrid((nx, ny, nz), *sizes), by_class=False)[0]
+        return self._deposit(positions, area, self._finest(), by_class=False)[0]
+
+    def _finest(self) -> VoxelGrid:
+        nx, ny, nz = (n * max(self.finer, 1) for n in self.grid.shape)
+        sizes = (self.grid.horizontal_size, self.grid.vertical_size)
+        return VoxelGrid((nx, ny, nz), *(size / max(self.finer, 1) for size in sizes))
 
     def _deposit(
         self, positions: Array, area: Array, grid: VoxelGrid, *, by_class: bool
     ) -> Float[Array, "class z y x"]:
-        classes, width = self.planting.optical_class, None
-        if not by_class:
-            classes = jnp.zeros_like(classes)
-        if self.finer:
-            width = self.tuft
+        classes = self.planting.optical_class
         count = len(leafy_species(self.forms)) + 2 if by_class else 1
-        return deposit(positions, area, classes, grid, count, width=width, boundary=self.boundary)
+        fits = self.finer and _holds(grid, self.tuft)
+        return deposit(
+            positions,
+            area,
+            classes if by_class else jnp.zeros_like(classes),
+            grid,
+            count,
+            width=self.tuft if fits else None,
+            boundary=self.boundary,
+        )
 
     def _elements(
         self, parameters: PlotParameters
@@ -295,9 +308,7 @@ class Scene(eqx.Module):
             self.sky.check(min(bands.centre), max(bands.centre))
             share = jnp.asarray(self.sky.at(wavelength), self.dtype)
         sky = average @ share
-        grid, columns = self.grid, lambda field: field
-        if self.finer:
-            grid, columns = self._coarser()
+        grid, columns = self.class_grid, self._columns
         positions, area = self._elements(parameters)
         terrain = None if self.terrain is None else jnp.asarray(self.terrain, self.dtype)
         return VoxelScene(
@@ -312,26 +323,27 @@ class Scene(eqx.Module):
             structure=self.structure(parameters),
         )
 
-    def _coarser(self) -> tuple[VoxelGrid, Callable[[Array], Array]]:
-        """The grid of the classes where the structure has one of its own, and how a map over the
-        plot's voxel columns becomes one over its columns."""
-        nx, ny, nz = self.grid.shape
+    @property
+    def class_grid(self) -> VoxelGrid:
+        """The grid on which `voxels` keeps the classes apart: where sun and sight follow the plants
+        on finer voxels, whole voxels of the plot's together, up to 10 cm."""
+        grid, times = self.grid, self._together()
+        nx, ny, nz = (n // times for n in grid.shape)
+        return VoxelGrid((nx, ny, nz), grid.horizontal_size * times, grid.vertical_size * times)
+
+    def _together(self) -> int:
         size = max(self.grid.horizontal_size, self.grid.vertical_size)
-        most = max(1, int(_COMPOSITION / size + 1e-6))
-        times = max(n for n in range(1, most + 1) if nx % n == ny % n == nz % n == 0)
-        grid = VoxelGrid(
-            (nx // times, ny // times, nz // times),
-            self.grid.horizontal_size * times,
-            self.grid.vertical_size * times,
-        )
+        most = int(_COMPOSITION / size + 1e-6) if self.finer else 1
+        return max(n for n in range(1, max(most, 1) + 1) if not any(m % n for m in self.grid.shape))
 
-        def mean(field: Array) -> Array:
-            if field.ndim < 2:
-                return field
-            cut = field.reshape(*field.shape[:-2], ny // times, times, nx // times, times)
-            return cut.mean(axis=(-3, -1))
-
-        return grid, mean
+    def _columns(self, field: Array) -> Array:
+        """Mean of a map over the plot's voxel columns in those of `class_grid`."""
+        times = self._together()
+        if field.ndim < 2:
+            return field
+        *bands, ny, nx = field.shape
+        cut = field.reshape(*bands, ny // times, times, nx // times, times)
+        return cut.mean(axis=(-3, -1))
 
     def ground_map(self, parameters: PlotParameters, bands: BandSet) -> Float[Array, " band *yx"]:
         """Reflectance of the ground in `bands` [-]: of all of it, or of each voxel column where its
@@ -441,6 +453,8 @@ def build_scene(
         sky=sky,
         dtype=dtype,
     )
+    if scene.finer:
+        _check_structure(scene)
     planting = draw_planting(
         forms,
         np.asarray(scene.counts(parameters)),
@@ -450,7 +464,8 @@ def build_scene(
         plants,
         taxa=scene.taxa,
         extent=extent,
-        voxel=voxel if rules.structure is None else rules.tuft,
+        resolved=voxel if rules.structure is None else rules.tuft,
+        structured=rules.structure is not None,
         periodic=boundary == "periodic",
         probability=rules.probability,
         room=rules.room,
@@ -472,14 +487,41 @@ def _finer(voxel: float, rules: PlantingRules) -> int:
         )
     finer = max(1, math.ceil(voxel / rules.structure - 1e-6))
     # A tuft is as wide as a whole number of the finest voxels, or no wider than one.
-    for count in range(finer, 4 * finer + 1):
-        times = rules.tuft * count / voxel
-        if times <= 1 or abs(times - round(times)) < 1e-6:
+    for count in range(finer, 2 * finer + 1):
+        if _fits(voxel / count, rules.tuft):
             return count
     raise InputError(
-        f"no finest voxels divide both the voxels of {voxel} m and tufts of {rules.tuft} m: take "
-        "voxels that are a simple multiple of the tufts, or `structure` None"
+        f"no finest voxels of {rules.structure} m or little less divide both the voxels of "
+        f"{voxel} m and tufts of {rules.tuft} m: take voxels that are a simple multiple of the "
+        "tufts, such as 0.1 m, or leave `structure` out"
     )
+
+
+def _fits(edge: float, tuft: float) -> bool:
+    times = tuft / edge
+    return times <= 1 + 1e-6 or abs(times - round(times)) < 1e-6 * times
+
+
+def _holds(grid: VoxelGrid, tuft: float) -> bool:
+    """Whether a tuft is no wider than a voxel, or as wide as a whole number of them."""
+    return all(_fits(edge, tuft) for edge in (grid.horizontal_size, grid.vertical_size))
+
+
+def _check_structure(scene: Scene) -> None:
+    """Raise `InputError` for a structure that cannot be: too many voxels, or tufts that do not go
+    with the voxels of its classes."""
+    count = int(np.prod([float(n) for n in scene.grid.shape])) * max(scene.finer, 1) ** 3
+    if count > _MOST_VOXELS:
+        raise InputError(
+            f"`structure` asks for {count:.3g} of the finest voxels, but at most "
+            f"{_MOST_VOXELS:.3g} can be indexed: take a larger `structure` or a smaller plot"
+        )
+    grid = scene.class_grid
+    if not _holds(grid, scene.tuft):
+        raise InputError(
+            f"voxels of {grid.horizontal_size:g} m hold no whole number of tufts of "
+            f"{scene.tuft:g} m: take voxels of 0.05 or 0.1 m, or leave `structure` out"
+        )
 
 
 def stand_realisation(scene: Scene, seed: int) -> Scene:

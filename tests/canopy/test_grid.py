@@ -275,6 +275,17 @@ def test_a_box_spreads_over_the_voxels_that_it_covers() -> None:
     np.testing.assert_allclose(share.sum(axis=(0, 2)), [0, 1 / 3, 1 / 3, 1 / 3, 0, 0], atol=1e-12)
 
 
+@pytest.mark.parametrize(("height", "layer"), [(3.0, 3), (2.2, 3), (-1.0, 0), (-0.6, 0)])
+def test_a_wide_box_beyond_an_end_stays_at_that_end(height: float, layer: int) -> None:
+    grid = VoxelGrid((4, 4, 4), 0.5, 0.5)
+    positions = jnp.array([[1.0, 1.0, height]])
+    density = deposit(positions, jnp.ones(1), jnp.zeros(1, int), grid, 1, width=1.0)[0]
+    share = np.asarray(density.sum(axis=(1, 2)) * grid.voxel_volume)
+    assert share[layer] == pytest.approx(1.0 if abs(height - 1.0) > 1.5 else share[layer])
+    assert share.sum() == pytest.approx(1.0)
+    assert share[3 - layer] == 0.0
+
+
 def test_slopes_of_wide_and_narrow_boxes() -> None:
     rng = np.random.default_rng(6)
     positions, area = jnp.asarray(rng.random((40, 3)) * 0.8), jnp.asarray(rng.random(40))

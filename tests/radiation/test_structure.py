@@ -159,6 +159,13 @@ def test_derivatives_are_those_of_differences():
     assert float(jax.grad(grow)(0.0)) == pytest.approx(float(difference), rel=1e-2)
 
 
+def test_a_structure_that_is_not_that_of_the_classes_is_refused():
+    _, structured = scene_of(shrubs())
+    denser = dataclasses.replace(structured, area_density=2.0 * structured.area_density)
+    with pytest.raises(InputError, match="changed alone"):
+        solve_light(denser, FAST)
+
+
 def test_a_structure_that_does_not_divide_the_voxels_is_refused():
     even, _ = scene_of(shrubs())
     for shape in ((4, 6, 9), (4, 12, 6), (5, 6, 6), (4, 6)):

@@ -73,8 +73,18 @@ def test_the_drones_camera_sees_single_crowns_sharper():
     assert float(structured[3].std()) > 1.05 * float(even[3].std())
 
 
+@pytest.mark.parametrize(("voxel", "structure"), [(0.1, 0.02), (0.04, 0.025), (0.08, 0.025)])
+def test_other_voxels_hold_the_same_area(voxel, structure):
+    scene, parameters = small_plot(voxel=voxel, structure=structure), small_parameters()
+    voxels = scene.voxels(parameters, shipped_sensor("mavic_3m").bands)
+    fine = float(voxels.structure.mean()) * voxels.height
+    plot = scene.area_density(parameters)
+    whole = float(plot.sum(axis=0).mean()) * scene.grid.extent[2]
+    assert fine == pytest.approx(whole, rel=1e-9)
+
+
 def test_tufts_must_go_with_the_voxels():
     with pytest.raises(InputError, match="positive lengths"):
         small_plot(structure=-0.1)
-    with pytest.raises(InputError, match="no finest voxels divide"):
+    with pytest.raises(InputError, match="no finest voxels"):
         small_plot(structure=0.025, tuft=0.0317)

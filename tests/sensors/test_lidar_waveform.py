@@ -55,6 +55,33 @@ def test_returns_of_a_slab_follow_the_gap_law(lidar, angle):
     assert float(canopy.sum() + ground) == pytest.approx(len(beams))
 
 
+def test_beams_follow_a_structure_finer_than_the_voxels():
+    scene = slab(3.0)
+    even = dataclasses.replace(scene, structure=fine_voxels(scene.area_density[0]))
+    columns = np.random.default_rng(8).random((1, 8, 8)) ** 4
+    columns /= columns.reshape(4, 2, 4, 2).mean(axis=(1, 3)).repeat(2, 0).repeat(2, 1)
+    uneven = dataclasses.replace(even, structure=even.structure * columns)
+    lidar = scanner(line_offsets=(0.0,), pulse_density=4000.0)
+    beams = lidar.beams(EXTENT, top=scene.height)
+    edges = np.linspace(0.0, 1.2, 9)
+    plain, alike, structured = (
+        expected_returns(one, beams, edges) for one in (scene, even, uneven)
+    )
+    np.testing.assert_allclose(alike[0], plain[0], rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(alike[1], plain[1], rtol=1e-5)
+    # Each pencil averages over its width: between voxels filled evenly and lines without one.
+    lines = np.exp(-0.5 * 3.0 * columns / cosines(beams).mean()).mean()
+    assert 1.5 * float(plain[1]) < float(structured[1]) < len(beams) * lines
+    np.testing.assert_allclose(structured[0].sum() + structured[1], len(beams))
+
+
+def fine_voxels(density):
+    """Half as large."""
+    for axis in range(3):
+        density = jnp.repeat(density, 2, axis)
+    return density
+
+
 @pytest.mark.parametrize("lidar", [flash(), scanner(line_offsets=(150.0,), pulse_density=200.0)])
 def test_energy_of_a_slab_counts_the_gap_once(lidar):
     """Leaves: the integral of rho Gamma exp(-G u s) over the path; ground: rho cos exp(-tau)."""

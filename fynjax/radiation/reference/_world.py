@@ -95,6 +95,11 @@ def plain(values: Any, kind: Any = np.float64) -> np.ndarray:
 def build_world(scene: VoxelScene, band: int) -> World:
     """The turbid medium of `scene`; `InputError` if it is none."""
     check_scene(scene)
+    if scene.structure is not None:
+        raise InputError(
+            "the Monte Carlo traces voxels filled evenly, but the scene has a `structure`: give "
+            "it the scene on the structure's own voxels"
+        )
     classes = scene.classes
     n_band = classes.reflectance.shape[-1]
     if not 0 <= band < n_band:

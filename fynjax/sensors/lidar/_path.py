@@ -121,17 +121,28 @@ def trace_pencils(
     projection = jnp.stack([a.projection(cosine).astype(dtype) for a in angles])
     back = jnp.stack([backscatter(a, cosine).astype(dtype) for a in angles])
     lattice = Lattice(ny, nx, scene.horizontal, scene.boundary)
-    length = scene.vertical / sublayers / cosine
+    structure, (high, wide) = scene.structure, scene.structure_factor
+    if structure is not None:
+        finest = Lattice(ny * wide, nx * wide, scene.horizontal / wide, scene.boundary)
+        fields = jnp.concatenate([fields, scene.area_density.sum(axis=0)[None]])
+    per_layer = high * sublayers
+    length = scene.vertical / per_layer / cosine
 
     def piece(_: None, number: Array) -> tuple[None, tuple[Array, Array]]:
-        layer = nz - 1 - number // sublayers
-        height = (nz - (number + 0.5) / sublayers) * scene.vertical
+        height = ((nz - (number + 0.5) / per_layer) * scene.vertical).astype(dtype)
+        layer = nz - 1 - number // per_layer
         here = jax.lax.dynamic_index_in_dim(fields, layer, 1, keepdims=False)
-        met = rays.sampler(height.astype(dtype), lattice)(here)[:, 0]
+        met = rays.sampler(height, lattice, smooth=structure is not None)(here)[:, 0]
+        if structure is not None:
+            # The classes are mixed as in the voxel; how much there is of them is the structure's.
+            layer = nz * high - 1 - number // sublayers
+            fine = jax.lax.dynamic_index_in_dim(structure, layer, 0, keepdims=False)
+            total = rays.sampler(height, finest)(fine)[0]
+            met = met[:-1] * scene.relative_density(total, met[-1])
         stop, send = jnp.split(met, 2)
         return None, (jnp.sum(projection * stop, axis=0), jnp.sum(back * send, axis=0))
 
-    _, (stop, send) = jax.lax.scan(piece, None, jnp.arange(nz * sublayers))
+    _, (stop, send) = jax.lax.scan(piece, None, jnp.arange(nz * per_layer))
     height, cosine_in, column = _ground(scene, foot, slopes, towards)
     ground = scene.ground_map[0].ravel()[column] * cosine_in
     return PencilPaths(
