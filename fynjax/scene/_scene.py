@@ -236,9 +236,9 @@ class Scene(eqx.Module):
         return self._deposit(positions, area, self._finest(), by_class=False)[0]
 
     def _finest(self) -> VoxelGrid:
-        nx, ny, nz = (n * max(self.finer, 1) for n in self.grid.shape)
-        sizes = (self.grid.horizontal_size, self.grid.vertical_size)
-        return VoxelGrid((nx, ny, nz), *(size / max(self.finer, 1) for size in sizes))
+        grid, times = self.grid, max(self.finer, 1)
+        nx, ny, nz = (n * times for n in grid.shape)
+        return VoxelGrid((nx, ny, nz), grid.horizontal_size / times, grid.vertical_size / times)
 
     def _deposit(
         self, positions: Array, area: Array, grid: VoxelGrid, *, by_class: bool

@@ -18,7 +18,7 @@ from fynjax.radiation import (
     voxel_scene,
 )
 
-FAST = Accuracy(levels=1, azimuths=4, tolerance=1e-9)
+FAST = Accuracy(levels=1, azimuths=4, tolerance=1e-9, refine=False)
 
 
 def scene_of(density, *, zenith=0.0, times=2, seed=3, **changes):
@@ -95,7 +95,7 @@ def test_slanted_beams_lose_what_paths_through_the_structure_do(zenith):
 
 def test_energy_is_closed():
     _, structured = scene_of(shrubs(), zenith=35.0, sky=jnp.array([0.3, 0.1]))
-    share = fluxes(solve_light(structured, FAST))
+    share = fluxes(solve_light(structured, dataclasses.replace(FAST, refine=True)))
     total = share.albedo + share.absorbed.sum(axis=1) + share.ground_absorbed
     np.testing.assert_allclose(total, 1.0, atol=1e-5)
 

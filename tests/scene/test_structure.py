@@ -11,7 +11,7 @@ from fynjax.radiation import Accuracy, nadir_rays, render, solve_light
 from fynjax.sensors import shipped_sensor
 from tests.scene.plots import drone, reflectance, small_parameters, small_plot
 
-LIGHT = Accuracy(levels=1, azimuths=4)
+LIGHT = Accuracy(levels=1, azimuths=4, refine=False)
 
 
 def image(scene, parameters):
