@@ -3,8 +3,8 @@
 Down each ray, a layer contributes the light it scatters times the gap to the sensor. For direct
 sunlight scattered once, the gaps to sun and sensor are integrated along the ray as a product of
 exponentials. Extinction does not depend on the band, so the way down is followed once for all
-bands: it leaves the sunlit area of each class within a pixel, and the area of each class that the
-pixel views in each layer of the diffuse field. Leaf optics and light then enter linearly.
+bands: it leaves the sunlit area of each class within a pixel, and for each slab of layers the path
+in view. Leaf optics and light then enter linearly.
 """
 
 from collections.abc import Callable

@@ -14,9 +14,11 @@ from fynjax.radiation import (
     fluxes,
     parallel_rays,
     render,
+    render_tiles,
     solve_light,
     voxel_scene,
 )
+from fynjax.radiation._resample import axis_weights, nearest_cells, sample, sample_near
 
 FAST = Accuracy(levels=1, azimuths=4, tolerance=1e-9, refine=False)
 
@@ -100,9 +102,10 @@ def test_energy_is_closed():
     np.testing.assert_allclose(total, 1.0, atol=1e-5)
 
 
-def test_an_even_structure_changes_nothing():
+@pytest.mark.parametrize("changes", [{}, {"leaf_diameter": 0.05}])
+def test_an_even_structure_changes_nothing(changes):
     density = np.repeat(shrubs()[:, :, :1, :1], 6, axis=2).repeat(6, axis=3)
-    even, _ = scene_of(density, zenith=35.0)
+    even, _ = scene_of(density, zenith=35.0, **changes)
     total = even.area_density.sum(axis=0)
     fine = jnp.repeat(jnp.repeat(jnp.repeat(total, 2, 0), 2, 1), 2, 2)
     plain, structured = (
@@ -111,6 +114,36 @@ def test_an_even_structure_changes_nothing():
     )
     # Finer layers integrate the light between them a little differently.
     np.testing.assert_allclose(structured, plain, rtol=4e-3)
+
+
+def test_tiles_cut_the_structure_where_they_cut_the_voxels():
+    _, structured = scene_of(shrubs(16, 2), zenith=20.0)
+    whole, tiles = (
+        function(structured, fine_rays(structured)).gap
+        for function in (
+            lambda scene, rays: render(solve_light(scene, FAST), rays),
+            lambda scene, rays: render_tiles(scene, rays, FAST, tile=8, rim=4),
+        )
+    )
+    np.testing.assert_allclose(tiles, whole, rtol=1e-6)
+
+
+@pytest.mark.parametrize("boundary", ["periodic", "open"])
+@pytest.mark.parametrize("width", [0.3, 1.0, 1.7, 2.5])
+def test_cells_read_one_by_one_give_what_the_product_gives(boundary, width):
+    rng = np.random.default_rng(2)
+    field = jnp.asarray(rng.random((13, 17)))
+    rows, columns = jnp.asarray(rng.uniform(-2.0, 15.0, 9)), jnp.asarray(rng.uniform(-2.0, 19.0, 7))
+    axes = (rows, width, 13, 1.0, boundary), (columns, width, 17, 1.0, boundary)
+    product = sample(field, *(axis_weights(*axis) for axis in axes))
+    single = sample_near(field, *(nearest_cells(*axis) for axis in axes))
+    np.testing.assert_allclose(single, product, atol=1e-12)
+
+    def total(by):
+        return (sample_near(field, *(nearest_cells(a[0] + by, *a[1:]) for a in axes)) ** 2).sum()
+
+    difference = (total(1e-6) - total(-1e-6)) / 2e-6
+    assert float(jax.grad(total)(0.0)) == pytest.approx(float(difference), rel=1e-4, abs=1e-8)
 
 
 def test_derivatives_are_those_of_differences():
