@@ -7,6 +7,7 @@ from fynjax.canopy._angles import (
     TabulatedLeafAngle,
     TrigonometricLeafAngle,
     leaf_angle,
+    projections,
 )
 from fynjax.canopy._counts import (
     CrownPacking,
@@ -79,6 +80,7 @@ __all__ = [
     "plant_model_from_points",
     "poisson_disk",
     "projected_area",
+    "projections",
     "random_orientation",
     "read_plant_mesh",
     "read_scan",

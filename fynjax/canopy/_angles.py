@@ -5,6 +5,7 @@ normal from the vertical, with the integral of g over [0, 90°] equal to one.
 """
 
 import abc
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,6 +20,16 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 _INCLINATION = 0.25 * np.pi * (_NODES + 1.0)
 _INCLINATION_WEIGHT = 0.25 * np.pi * _WEIGHTS
 _AZIMUTHS = 96
+
+
+def _unit_normals() -> np.ndarray:
+    azimuth = (np.arange(_AZIMUTHS) + 0.5) * (2 * np.pi / _AZIMUTHS)
+    sine, cosine = np.sin(_INCLINATION)[:, None], np.cos(_INCLINATION)[:, None]
+    around = sine * np.sin(azimuth), sine * np.cos(azimuth)
+    return np.stack([*around, np.broadcast_to(cosine, around[0].shape)], axis=-1).reshape(-1, 3)
+
+
+_NORMALS = _unit_normals()
 
 
 class AbstractLeafAngle(eqx.Module):
@@ -39,33 +50,49 @@ class AbstractLeafAngle(eqx.Module):
         Differentiable in `cos_zenith` and in the parameters of the distribution. Ross (1981),
         with Nilson's (1971) closed form of the integral over the leaf's azimuth.
         """
-        mu = jnp.abs(jnp.asarray(cos_zenith))[..., None]
-        leaf = jnp.asarray(_INCLINATION, mu.dtype)
-        density = self.inclination_density(leaf) * jnp.asarray(_INCLINATION_WEIGHT, mu.dtype)
-        density = density / jnp.sum(density)
-        straight = mu * jnp.cos(leaf)
-        # |sin| through a guarded root: its slope is infinite at the zenith.
-        sine = jnp.sqrt(jnp.maximum(1.0 - mu**2, 1e-12)) * jnp.sin(leaf)
-        partly = sine > straight  # both sides face the ray as the azimuth turns
-        ratio = jnp.where(partly, straight / jnp.where(partly, sine, 1.0), 0.0)
-        root = jnp.sqrt(1.0 - ratio**2)
-        turned = 2.0 / jnp.pi * (sine * root + straight * jnp.arcsin(ratio))
-        return jnp.sum(density * jnp.where(partly, turned, straight), axis=-1)
+        return _projection(self._weights()[None], jnp.asarray(cos_zenith))[0]
+
+    def _weights(self) -> Float[Array, " node"]:
+        """Share of the leaf area at each node of the inclination."""
+        weight = self.inclination_density(jnp.asarray(_INCLINATION)) * _INCLINATION_WEIGHT
+        return weight / jnp.sum(weight)
 
     def normals(self) -> tuple[Float[Array, "normal 3"], Float[Array, " normal"]]:
         """Quadrature over the leaf normals of the upper hemisphere: unit vectors, weights.
 
         The weights sum to one.
         """
-        leaf = jnp.asarray(_INCLINATION)
-        weight = self.inclination_density(leaf) * jnp.asarray(_INCLINATION_WEIGHT)
-        weight = weight / jnp.sum(weight)
-        azimuth = (np.arange(_AZIMUTHS) + 0.5) * (2 * np.pi / _AZIMUTHS)
-        x = jnp.sin(leaf)[:, None] * np.sin(azimuth)
-        y = jnp.sin(leaf)[:, None] * np.cos(azimuth)
-        z = jnp.broadcast_to(jnp.cos(leaf)[:, None], x.shape)
-        vectors = jnp.stack([x, y, z], axis=-1).reshape(-1, 3)
-        return vectors, jnp.repeat(weight / _AZIMUTHS, _AZIMUTHS)
+        return jnp.asarray(_NORMALS), jnp.repeat(self._weights() / _AZIMUTHS, _AZIMUTHS)
+
+
+def projections(
+    angles: Sequence[AbstractLeafAngle], cos_zenith: Float[Array, "*n"]
+) -> Float[Array, " angle *n"]:
+    """`AbstractLeafAngle.projection` of several distributions at once [-].
+
+    **Arguments:** `angles`, the distributions; `cos_zenith`, as there.
+    """
+    cos_zenith = jnp.asarray(cos_zenith)
+    spherical = [isinstance(angle, SphericalLeafAngle) for angle in angles]
+    weights = [angle._weights() for angle, even in zip(angles, spherical) if not even]
+    each = iter(_projection(jnp.stack(weights), cos_zenith) if weights else ())
+    return jnp.stack([jnp.full_like(cos_zenith, 0.5) if even else next(each) for even in spherical])
+
+
+def _projection(
+    weights: Float[Array, " angle node"], cos_zenith: Float[Array, "*n"]
+) -> Float[Array, " angle *n"]:
+    mu = jnp.abs(cos_zenith)[..., None]
+    leaf = jnp.asarray(_INCLINATION, mu.dtype)
+    straight = mu * jnp.cos(leaf)
+    # |sin| through a guarded root: its slope is infinite at the zenith.
+    sine = jnp.sqrt(jnp.maximum(1.0 - mu**2, 1e-12)) * jnp.sin(leaf)
+    partly = sine > straight  # both sides face the ray as the azimuth turns
+    ratio = jnp.where(partly, straight / jnp.where(partly, sine, 1.0), 0.0)
+    root = jnp.sqrt(1.0 - ratio**2)
+    turned = 2.0 / jnp.pi * (sine * root + straight * jnp.arcsin(ratio))
+    kernel = jnp.where(partly, turned, straight)
+    return jnp.tensordot(weights.astype(mu.dtype), kernel, axes=((1,), (kernel.ndim - 1,)))
 
 
 class SphericalLeafAngle(AbstractLeafAngle):

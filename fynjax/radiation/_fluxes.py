@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax.canopy import projections
 from fynjax.radiation._blocks import block_mean, spread
 from fynjax.radiation._multiple import DiffuseField, ground_shape
 from fynjax.radiation._render import Light
@@ -115,8 +116,8 @@ def _irradiance_on_leaves(
     cosines = jnp.asarray(np.abs(ordinates.vectors[:, 2]), dtype)
     weights = jnp.asarray(ordinates.weights, dtype)
     beam = scene.illumination.sun / light.sun.cosine
-    to_sun = jnp.stack([a.projection(light.sun.cosine) for a in angles]).astype(dtype)
-    projection = jnp.stack([a.projection(cosines) for a in angles]).astype(dtype)
+    to_sun = projections(angles, light.sun.cosine).astype(dtype)
+    projection = projections(angles, cosines).astype(dtype)
     return beam[:, None] * to_sun, jnp.einsum(
         "ao,bozyx->bazyx", projection * weights, field.intensity
     )

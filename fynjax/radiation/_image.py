@@ -18,11 +18,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.math import mean_transmittance
+from fynjax.canopy import projections
 from fynjax.radiation._blocks import upsample
 from fynjax.radiation._hotspot import POINT_WEIGHTS, POINTS, kinds, overlaps
 from fynjax.radiation._multiple import DiffuseField
 from fynjax.radiation._ordinates import Ordinates
-from fynjax.radiation._phase import area_scattering
+from fynjax.radiation._phase import area_scattering_of
 from fynjax.radiation._rays import AbstractRays, Lattice, pixel_projection
 from fynjax.radiation._reduced import ReducedField
 from fynjax.radiation._scene import OpticalClasses, VoxelScene
@@ -179,9 +180,9 @@ class _Lit(eqx.Module):
         factor = diffuse.factor(scene)
         _, ny, nx = scene.shape
         projection = pixel_projection(scene.classes.angles, rays)
-        in_middle = [a.projection(rays.central[2]) for a in scene.classes.angles]
+        in_middle = projections(scene.classes.angles, rays.central[2])
         scattered = _scattered(scene, diffuse, rays.central, ordinates, composition, cut)
-        turning = projection / jnp.stack(in_middle).astype(projection.dtype)[:, None, None]
+        turning = projection / in_middle.astype(projection.dtype)[:, None, None]
         if projection.shape[1:] == (1, 1):  # parallel rays
             scattered = scattered.sum(axis=1, keepdims=True)
             turning = jnp.ones_like(turning[:1])
@@ -364,8 +365,7 @@ def _radiance(
 
     def phase(vectors: Array) -> Array:
         """[reflection or transmission, angle, n]"""
-        pairs = [area_scattering(angle, travel[None], vectors) for angle in classes.angles]
-        return jnp.stack([jnp.stack([r[0] for r, _ in pairs]), jnp.stack([t[0] for _, t in pairs])])
+        return jnp.stack(area_scattering_of(classes.angles, travel[None], vectors))[:, :, 0]
 
     reflect, transmit = rays.angular(phase)
     beam = scene.illumination.sun.astype(dtype) / sun.cosine / jnp.pi
@@ -452,16 +452,15 @@ def _scattered(
     weights = jnp.asarray(ordinates.weights, dtype)
     times = cut.slabs, diffuse.factor(scene)[1]
     sources = []
-    for index, angle in enumerate(classes.angles):
+    shares = jnp.stack(area_scattering_of(classes.angles, vectors, towards[None]))[..., 0] * weights
+    projection = projections(classes.angles, towards[2]).astype(dtype)
+    shares = shares * (projection / shares.sum(axis=-1))[..., None]  # [kind, angle, ordinate]
+    for index in range(len(classes.angles)):
         mine = np.flatnonzero(np.asarray(classes.angle_of_class) == index)
-        projection = angle.projection(towards[2]).astype(dtype)
         total = jnp.zeros((), dtype)
-        for kind, optics in zip(
-            area_scattering(angle, vectors, towards[None]),
-            (classes.reflectance, classes.transmittance),
+        for share, optics in zip(
+            shares[:, index], (classes.reflectance, classes.transmittance), strict=True
         ):
-            share = kind[:, 0] * weights / jnp.pi
-            share = share * (projection / jnp.sum(share))
             field = jnp.einsum("o,bozyx->bzyx", share, diffuse.intensity)
             field = upsample(field, times, scene.boundary)
             area = jnp.einsum("cb,scyx->sbyx", optics[mine], composition[:, mine])

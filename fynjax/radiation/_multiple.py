@@ -7,6 +7,7 @@ through the iterations.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -14,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from fynjax.canopy import projections
 from fynjax.radiation._blocks import block_mean
 from fynjax.radiation._ordinates import (
     Coarse,
@@ -23,9 +25,15 @@ from fynjax.radiation._ordinates import (
     sky_radiance,
     sweep,
 )
-from fynjax.radiation._phase import area_scattering
+from fynjax.radiation._phase import area_scattering_of
 from fynjax.radiation._scene import OpticalClasses, VoxelScene
 from fynjax.radiation._sun import SunField
+
+Lit = tuple[
+    Float[Array, "ordinate z y x"], Float[Array, "downward y x"], Float[Array, "y x"]
+]  # fmt: skip
+"""Light of one band as a sweep returns it: mean radiance in each cell, radiance that falls on the
+ground, upward flux at the top."""
 
 
 class DiffuseField(eqx.Module):
@@ -58,14 +66,10 @@ def scattering_matrices(
     """
     vectors = jnp.asarray(ordinates.vectors, incoming.dtype)
     weights = jnp.asarray(ordinates.weights, incoming.dtype)
-    reflected: list[Array] = []
-    transmitted: list[Array] = []
-    for angle in classes.angles:
-        projection = angle.projection(incoming[:, 2]).astype(incoming.dtype)
-        for kind, into in zip(area_scattering(angle, incoming, vectors), (reflected, transmitted)):
-            scaled = kind / jnp.pi
-            into.append(scaled * (projection / (scaled @ weights))[:, None])
-    return jnp.stack(reflected), jnp.stack(transmitted)
+    projection = projections(classes.angles, incoming[:, 2]).astype(incoming.dtype)
+    scaled = jnp.stack(area_scattering_of(classes.angles, incoming, vectors)) / jnp.pi
+    reflected, transmitted = scaled * (projection / (scaled @ weights))[..., None]
+    return reflected, transmitted
 
 
 class Bands(eqx.Module):
@@ -129,13 +133,17 @@ class Transport(eqx.Module):
         """Light that leaves send along each ordinate, out of the light along all."""
         # Matrix products on flat cells: [ordinate, ordinate] x [ordinate, cell].
         flat = intensity.reshape(intensity.shape[0], -1)
-        total = jnp.zeros_like(flat)
         # Copied to every ordinate by a product, whose derivative is one too: the sum over
         # ordinates that the compiler makes of a plain product's takes as long as all the rest.
         every = jnp.ones((flat.shape[0], 1), flat.dtype)
-        for matrices, kind in zip(self.phase, areas):
-            for matrix, area in zip(matrices, kind):
-                total = total + (every @ area[None]) * (matrix @ flat)
+
+        def one(total: Array, at: tuple[Array, Array]) -> tuple[Array, None]:
+            matrix, area = at
+            return total + (every @ area[None]) * (matrix @ flat), None
+
+        pairs = self.phase.reshape(-1, *self.phase.shape[2:]), areas.reshape(-1, flat.shape[1])
+        # Recomputed in the backward pass, a product for each pair need not be kept.
+        total, _ = jax.lax.scan(jax.checkpoint(one), jnp.zeros_like(flat), pairs)
         return total.reshape(intensity.shape)
 
     def from_sun(self, band: Bands) -> Float[Array, "ordinate z y x"]:
@@ -157,12 +165,10 @@ class Transport(eqx.Module):
         """
         return sweep(self.coarse, source, sky, ground, sun * self.reached, shape)
 
-    def respond(
-        self, source: Float[Array, "ordinate z y x"], band: Bands
-    ) -> Float[Array, "ordinate z y x"]:
-        """Intensity that `source` makes without sun and sky."""
+    def respond(self, source: Float[Array, "ordinate z y x"], band: Bands) -> Lit:
+        """The light that `source` makes without sun and sky, as `light` returns it."""
         dark = jnp.zeros_like(band.sky), jnp.zeros_like(band.sun)
-        return self.light(source, *dark, band.ground, band.shape)[0]
+        return self.light(source, *dark, band.ground, band.shape)
 
     def sent(
         self, band: Bands, intensity: Float[Array, "ordinate z y x"]
@@ -170,14 +176,27 @@ class Transport(eqx.Module):
         """What leaves send of one band: out of the diffuse light, and of the sun's."""
         return self.scatter(self.areas(self.density, band), intensity) + self.from_sun(band)
 
+    def operator(self, band: Bands) -> Callable[[Array], Array]:
+        """What a source leaves over of itself, once the light it makes is scattered."""
+        areas = self.areas(self.density, band)
+        return lambda source: source - self.scatter(areas, self.respond(source, band)[0])
+
     def solve(
         self, band: Bands, tolerance: float, iterations: int, transposed: float | None = None
-    ) -> Float[Array, "ordinate z y x"]:
-        """Source of one band; arguments as in `solve_for`."""
+    ) -> tuple[Float[Array, "ordinate z y x"], Lit]:
+        """Source of one band, and the light that it makes together with sun and sky; arguments as
+        in `solve_for`."""
+        fixed, constant = jax.lax.stop_gradient((self, band))
         nothing = jnp.zeros(self.shape, self.density.dtype)
-        first, _, _ = self.light(nothing, band.sky, band.sun, band.ground, band.shape)
-        right = self.sent(band, first)
-        return self.solve_for(band, right, tolerance, iterations, transposed)
+        first, _, _ = fixed.light(
+            nothing, constant.sky, constant.sun, constant.ground, constant.shape
+        )
+        right = fixed.sent(constant, first)
+        source = _solve(fixed.operator(constant), right, tolerance, iterations)
+        lit = self.light(source, band.sky, band.sun, band.ground, band.shape)
+        return self.complete(
+            band, source, lit, self.from_sun(band), tolerance, iterations, transposed
+        )
 
     def solve_for(
         self,
@@ -185,24 +204,43 @@ class Transport(eqx.Module):
         right: Float[Array, "ordinate z y x"],
         tolerance: float | Float[Array, ""],
         iterations: int,
-        transposed: float | None = None,
-    ) -> Float[Array, "ordinate z y x"]:
-        """Source that `right` becomes when its light is scattered on and on.
+        transposed: float,
+    ) -> tuple[Float[Array, "ordinate z y x"], Lit]:
+        """Source that `right` becomes when its light is scattered on and on, and that light.
 
-        What is left over is `tolerance` times `right` at most; in the solve that the derivative
-        takes, `transposed` times, if given.
+        What is left over is `tolerance` times `right` at most; in the solve of the transposed
+        equation, which the derivative takes, `transposed` times.
         """
-        areas = self.areas(self.density, band)
+        fixed, constant = jax.lax.stop_gradient((self, band))
+        operator = fixed.operator(constant)
+        source = _solve(operator, jax.lax.stop_gradient(right), tolerance, iterations)
+        lit = self.respond(source, band)
+        return self.complete(band, source, lit, right, tolerance, iterations, transposed)
 
-        def operator(source: Array) -> Array:
-            return source - self.scatter(areas, self.respond(source, band))
+    def complete(
+        self,
+        band: Bands,
+        source: Float[Array, "ordinate z y x"],
+        lit: Lit,
+        emitted: Float[Array, "ordinate z y x"],
+        tolerance: float | Float[Array, ""],
+        iterations: int,
+        transposed: float | None = None,
+    ) -> tuple[Float[Array, "ordinate z y x"], Lit]:
+        """A constant solution of source = scattered light + `emitted`, and its light `lit`, with
+        the derivative of the equation.
 
+        The derivative takes one sweep at the solution and one solve, whatever the iterations of
+        the solution were.
+        """
+        left_over = self.scatter(self.areas(self.density, band), lit[0]) + emitted - source
         backward = tolerance if transposed is None else transposed
-        return _solve(operator, right, tolerance, backward, iterations)
+        more, lit_more = _completion(iterations, self, band, left_over, tolerance, backward)
+        return source + more, jax.tree.map(jnp.add, lit, lit_more)
 
-    def field(self, band: Bands, source: Float[Array, "ordinate z y x"]) -> DiffuseField:
-        """The light of one band that a source makes together with sun and sky."""
-        intensity, falling, top = self.light(source, band.sky, band.sun, band.ground, band.shape)
+    def field(self, band: Bands, source: Float[Array, "ordinate z y x"], lit: Lit) -> DiffuseField:
+        """The light of one band, `lit`, that a source makes together with sun and sky."""
+        intensity, falling, top = lit
         flux = jnp.asarray(self.coarse.ordinates.fluxes.ravel(), falling.dtype)
         received = jax.lax.stop_gradient(self.sent(band, intensity))
         residual = relative_size(received - jax.lax.stop_gradient(source), received)
@@ -270,34 +308,53 @@ def solve_diffuse(
     transport, bands = prepare_transport(scene, sun, factor, ordinates)
 
     def solve_band(band: Bands) -> DiffuseField:
-        return transport.field(band, transport.solve(band, tolerance, iterations))
+        return transport.field(band, *transport.solve(band, tolerance, iterations))
 
     return jax.lax.map(solve_band, bands)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _completion(
+    iterations: int,
+    transport: Transport,
+    band: Bands,
+    left_over: Array,
+    tolerance: float | Float[Array, ""],
+    transposed: float | Float[Array, ""],
+) -> tuple[Array, Lit]:
+    """What the solution and its light lack for `left_over`: nothing, but for the derivative."""
+    dark = jax.eval_shape(transport.respond, left_over, band)
+    return jnp.zeros_like(left_over), jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), dark)
+
+
+@_completion.defjvp
+def _completion_derivative(
+    iterations: int, at: tuple[Any, ...], change: tuple[Any, ...]
+) -> tuple[Any, Any]:
+    transport, band, _, tolerance, transposed = jax.lax.stop_gradient(at)
+    operator = transport.operator(band)
+
+    def solve_to(tolerance: float | Float[Array, ""]) -> Callable[..., Array]:
+        return lambda matvec, right: _solve(matvec, right, tolerance, iterations)
+
+    source = jax.lax.custom_linear_solve(
+        operator, change[2], solve_to(tolerance), transpose_solve=solve_to(transposed)
+    )
+    return _completion(iterations, *at), (source, transport.respond(source, band))
 
 
 def _solve(
     operator: Callable[[Array], Array],
     right: Array,
     tolerance: float | Float[Array, ""],
-    transposed: float | Float[Array, ""],
     iterations: int,
 ) -> Array:
-    """Solve operator(x) = right, differentiably."""
-
-    def solve_to(tolerance: float | Float[Array, ""]) -> Callable[..., Array]:
-        goal = jax.lax.stop_gradient(jnp.asarray(tolerance, right.dtype))
-
-        def solve(matvec: Callable[[Array], Array], right: Array) -> Array:
-            # Light is in any unit: squares of very large or small numbers would leave the range.
-            largest = jnp.max(jnp.abs(right))
-            unit = jnp.where(largest > 0, largest, 1.0)
-            return unit * _gcr(matvec, right / unit, goal, iterations)
-
-        return solve
-
-    return jax.lax.custom_linear_solve(
-        operator, right, solve_to(tolerance), transpose_solve=solve_to(transposed)
-    )
+    """Solve operator(x) = right. Not differentiable."""
+    goal = jnp.asarray(tolerance, right.dtype)
+    # Light is in any unit: squares of very large or small numbers would leave the range.
+    largest = jnp.max(jnp.abs(right))
+    unit = jnp.where(largest > 0, largest, 1.0)
+    return unit * _gcr(operator, right / unit, goal, iterations)
 
 
 _KEPT = 6

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.math import mean_emission, mean_transmittance
+from fynjax.canopy import projections
 from fynjax.radiation._scene import Illumination, VoxelScene
 from fynjax.radiation._terrain import exposure, ground_in_cells
 
@@ -162,7 +163,7 @@ def coarse_grid(
     attenuation = []
     for levels, steps in _groups(ordinates, dz / dx):
         cosine = jnp.asarray(ordinates.cosine[levels], density.dtype)
-        projection = jnp.stack([a.projection(cosine) for a in scene.classes.angles])
+        projection = projections(scene.classes.angles, cosine)
         along = projection.astype(density.dtype) * (dz / (steps * cosine))
         depth = jnp.einsum("al,azyx->zlyx", along, by_angle)[:, :, None]
         attenuation.append((jnp.exp(-depth), mean_transmittance(depth), mean_emission(depth)))

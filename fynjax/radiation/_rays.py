@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.geometry import direction
-from fynjax.canopy import AbstractLeafAngle
+from fynjax.canopy import AbstractLeafAngle, projections
 from fynjax.radiation._check import (
     check_attitude,
     check_camera,
@@ -478,6 +478,4 @@ def pixel_projection(
     angles: tuple[AbstractLeafAngle, ...], rays: AbstractRays
 ) -> Float[Array, "angle row column"]:
     """G of each distribution towards each pixel."""
-    return rays.angular(
-        lambda v: jnp.stack([a.projection(v[:, 2]).astype(v.dtype) for a in angles])
-    )
+    return rays.angular(lambda v: projections(angles, v[:, 2]).astype(v.dtype))

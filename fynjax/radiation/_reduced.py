@@ -64,7 +64,9 @@ def _field(
     band: Bands,
     coefficients: Float[Array, " vector"],
 ) -> DiffuseField:
-    return transport.field(band, jnp.tensordot(coefficients, basis, axes=1))
+    source = jnp.tensordot(coefficients, basis, axes=1)
+    lit = transport.light(source, band.sky, band.sun, band.ground, band.shape)
+    return transport.field(band, source, lit)
 
 
 def solve_reduced(
@@ -104,19 +106,9 @@ def solve_reduced(
         skies, sky = _mixture(bands.sky, 1 if pattern.ndim == 2 else min(materials, count))
     lights = jnp.concatenate([sky, bands.sun[:, None]], axis=1)
     chosen = _choose(transport, bands, soil, lights, min(solves, count))
-    constant, solved = jax.lax.stop_gradient((transport, bands[chosen]))
-    sources = jax.lax.map(lambda band: constant.solve(band, tolerance, iterations), solved)
-
-    def with_derivative(at: tuple[Bands, Array]) -> Array:
-        # Differentiating the solve itself would keep its sweeps in memory for every band. Here
-        # only the solution is kept: the right-hand side is zero, but for its derivative.
-        band, source = at
-        intensity, _, _ = transport.light(source, band.sky, band.sun, band.ground, band.shape)
-        change = transport.sent(band, intensity) - source
-        change = change - jax.lax.stop_gradient(change)
-        return source + transport.solve_for(band, change, tolerance, iterations)
-
-    sources = jax.lax.map(jax.checkpoint(with_derivative), (bands[chosen], sources))
+    sources = jax.lax.map(
+        lambda band: transport.solve(band, tolerance, iterations)[0], bands[chosen]
+    )
     basis, missing = _orthonormal(sources)
     system = _assemble(transport, bands, basis, missing, grounds, skies)
     coefficients = jax.lax.map(

@@ -10,6 +10,7 @@ import math
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from fynjax.radiation._blocks import block_mean, spread, upsample
 from fynjax.radiation._multiple import Bands, DiffuseField, prepare_transport, relative_size
@@ -36,27 +37,30 @@ def solve_refined(
     fine, fine_bands = prepare_transport(scene, sun, finer, ordinates)
     factor = factor[0] // finer[0], factor[1] // finer[1]
 
+    @jax.checkpoint  # the finer fields of one band are recomputed in its backward pass
+    def last_flight(band: Bands, field: Array) -> tuple[Array, ...]:
+        source = fine.sent(band, upsample(field, factor, scene.boundary))
+        intensity, falling, top = fine.light(source, band.sky, band.sun, band.ground, band.shape)
+        left_over = fine.sent(band, intensity) - source
+        right = block_mean(left_over, factor)
+        return intensity, falling, top, right, relative_size(left_over, source)
+
     def solve_band(bands: tuple[Bands, Bands]) -> DiffuseField:
         low, high = bands
         flux = jnp.asarray(ordinates.fluxes.ravel(), scene.area_density.dtype)
         # What a loose first solve lacks, the second finds in what is left over.
-        start = coarse.solve(low, math.sqrt(tolerance), iterations, 10 * tolerance)
-        field = coarse.light(start, low.sky, low.sun, low.ground, low.shape)
-        source = fine.sent(high, upsample(field[0], factor, scene.boundary))
-        intensity, falling, top = fine.light(source, high.sky, high.sun, high.ground, high.shape)
-        left_over = fine.sent(high, intensity) - source
-        right = block_mean(left_over, factor)
+        start, field = coarse.solve(low, math.sqrt(tolerance), iterations, 10 * tolerance)
+        intensity, falling, top, right, residual = last_flight(high, field[0])
         # A tenth, for leaves that lose nothing: an error is scattered on and on.
         # Never looser than that, since a tangent is solved as its value is.
         share = 0.1 * jnp.minimum(relative_size(start, right), 100.0)
-        missing = coarse.solve_for(low, right, tolerance * share, iterations, 10 * tolerance)
-        dark = jnp.zeros_like(low.sky), jnp.zeros_like(low.sun)
-        more, more_falling, more_top = coarse.light(missing, *dark, low.ground, low.shape)
+        _, (more, more_falling, more_top) = coarse.solve_for(
+            low, right, tolerance * share, iterations, 10 * tolerance
+        )
         # Cell by cell, so that what the leaves take of it is what the coarse grid has them take:
         # energy closes.
         intensity = intensity + spread(more, factor)
         falling = falling + spread(more_falling[:, None], (1, factor[1]))[:, 0]
-        residual = relative_size(left_over, source)
         return DiffuseField(
             intensity,
             falling,

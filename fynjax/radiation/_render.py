@@ -127,8 +127,9 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
     **Raises:** `InputError` for shapes that do not go together and, outside `jit`, for values out
     of range.
 
-    Differentiable, in forward and reverse mode, in every array of `scene`; the derivative of the
-    diffuse field is one solve with the transposed operator.
+    Differentiable once, in forward and reverse mode, in every array of `scene`; the derivative of
+    the diffuse field is one solve with the transposed operator. (A second derivative would miss
+    terms.)
 
     >>> import jax.numpy as jnp
     >>> from fynjax.radiation import solve_light, voxel_scene

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.geometry import direction
 from fynjax._core.math import mean_transmittance
+from fynjax.canopy import projections
 from fynjax.radiation._blocks import block_mean, spread
 from fynjax.radiation._rays import Lattice
 from fynjax.radiation._resample import axis_weights, sample
@@ -128,7 +129,7 @@ def _extinction(scene: VoxelScene, cosine: Array) -> Float[Array, "Z Y X"]:
     """Projected area per volume towards the sun, on the finest voxels [m2 m-3]."""
     dtype = scene.area_density.dtype
     by_angle = scene.classes.total_by_angle(scene.area_density)
-    projection = jnp.stack([angle.projection(cosine) for angle in scene.classes.angles])
+    projection = projections(scene.classes.angles, cosine)
     projected = jnp.einsum("a,azyx->zyx", projection.astype(dtype), by_angle)
     if scene.structure is None:
         return projected

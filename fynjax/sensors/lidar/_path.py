@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from fynjax._core.math import mean_transmittance
-from fynjax.canopy import AbstractLeafAngle
+from fynjax.canopy import AbstractLeafAngle, projections
 from fynjax.radiation import Lattice, RayField, VoxelScene
 
 _BISECTIONS = 30
@@ -118,7 +118,7 @@ def trace_pencils(
         (width * platform / cosine)[None],
     )
     angles = scene.classes.angles
-    projection = jnp.stack([a.projection(cosine).astype(dtype) for a in angles])
+    projection = projections(angles, cosine).astype(dtype)
     back = jnp.stack([backscatter(a, cosine).astype(dtype) for a in angles])
     lattice = Lattice(ny, nx, scene.horizontal, scene.boundary)
     structure, (high, wide) = scene.structure, scene.structure_factor
