@@ -16,6 +16,7 @@ from fynjax.canopy._counts import (
     instance_area,
     modelled_diameter,
     projected_area,
+    share_from_above,
     soft_count,
     target_area,
 )
@@ -84,6 +85,7 @@ __all__ = [
     "random_orientation",
     "read_plant_mesh",
     "read_scan",
+    "share_from_above",
     "site_weight",
     "soft_count",
     "soft_weights",

@@ -156,6 +156,27 @@ def soft_count(
     return jnp.asarray(branches * target_area / projected_area)
 
 
+def share_from_above(crowns: Any) -> Any:
+    """Share of the area of crowns that is seen from above where they stand at random [-].
+
+    **Arguments:**
+
+    - `crowns`: area of all crowns over that of the ground, t [m2 m-2], 0 or more.
+
+    **Returns:** (1 - exp(-t)) / t: crowns at random cover 1 - exp(-t) of the ground (Boolean
+    model, Matheron 1975). 1 without crowns. Differentiable, at 0 too, with slope -1/2.
+
+    >>> from fynjax.canopy import share_from_above
+    >>> round(float(share_from_above(2.0)), 4)
+    0.4323
+    """
+    crowns = jnp.asarray(crowns)
+    few = crowns < 1e-3  # the next term of the series is t^4 / 120
+    some = jnp.where(few, 1.0, crowns)
+    series = 1.0 - crowns / 2.0 + crowns**2 / 6.0 - crowns**3 / 24.0
+    return jnp.where(few, series, -jnp.expm1(-some) / some)
+
+
 def hard_count(
     target_area: Any, projected_area: Any, branches: Any = 1
 ) -> Int[np.ndarray, "*species"] | int:

@@ -87,10 +87,11 @@ class FormDefaults:
     """What a growth form assumes where the user gives nothing. Assumptions, not measurements."""
 
     leaf_area_index: float
-    """One-sided area of leaves (or of green culms and threads) per ground area of the crown
-    [m2 m-2]."""
+    """One-sided area of leaves (or of green culms and threads) over the ground area of its crowns
+    as seen from above [m2 m-2]."""
     wood_area_index: float
-    """Half the surface of the wood per ground area of the crown [m2 m-2]."""
+    """Half the surface of the wood over the ground area of its crowns as seen from above
+    [m2 m-2]."""
     flower_fraction: float
     """Flower area at full bloom per leaf area [-]."""
     shoot_clumping: float

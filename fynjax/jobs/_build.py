@@ -1,6 +1,7 @@
 """What `fynjax build` does: the hard scene of a plot, its cover, its voxels and its pictures."""
 
 import dataclasses
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -35,11 +36,13 @@ from fynjax.scene import (
     PlotParameters,
     ProjectedCover,
     Scene,
+    StandArea,
     hard_instances,
     hard_scene,
     height_profile,
     leafy_species,
     projected_cover,
+    stand_area,
 )
 
 _VIEW_TRIANGLES = 20_000_000
@@ -51,6 +54,13 @@ _COVER_HEADERS = {
     "visible_percent": "visible from above",
 }
 
+_STAND_HEADERS = {
+    "leaf_area_index": "leaf area index",
+    "wood_area_index": "wood area index",
+    "leaf_mass_g_m2": "leaf mass",
+}
+_STAND_UNITS = {"leaf_area_index": "m2 m-2", "wood_area_index": "m2 m-2", "leaf_mass_g_m2": "g m-2"}
+
 _area_density = eqx.filter_jit(Scene.area_density)
 
 
@@ -61,6 +71,10 @@ class BuildResult(JobResult):
     size_m: tuple[float, float]
     plants: dict[str, int]
     cover: Rows = Field(description="Rows of cover.csv.")
+    stand: Rows = Field(description="Rows of stand.csv.")
+    gap_fraction: float = Field(
+        description="Share of the ground seen from straight above, between leaves and stems [-]."
+    )
     build_memory_mib: float = Field(description="Largest memory before pictures and meshes [MiB].")
     triangles: int | None = None
 
@@ -133,12 +147,15 @@ def build(
     with run.stage("Measure the cover", "cover"):
         cover = projected_cover(instances, cell=cell, periodic=periodic)
         table = cover_table(read, parameters, instances, real, cover)
+        area = stand_area(hard, parameters)
+        stand = stand_table(hard.taxa, area)
     record = run.record(read.inputs)
     with run.stage("Write", "write"):
         run.table(
             "instances.csv", instance_table(instances), "every plant: place, turn, size", None
         )
         run.table("cover.csv", table, "cover of each species, asked and measured", "%.4f")
+        run.table("stand.csv", stand, "leaf and wood area and leaf mass", "%.4f")
         voxels = run.path("voxels.nc", "area density of each optical class, NetCDF")
         write_run(voxels, voxel_dataset(hard, density), record)
         del density
@@ -177,15 +194,18 @@ def build(
             obj = run.path("scene.obj", f"the plants as {triangles} triangles, metres")
             write_scene_mesh(obj, instances, meshes, colours)
             run.path("scene.mtl", "their materials")
-    headline = _headline(read, instances, table)
+    headline = _headline(read, instances, table, area)
     run.total()
-    run.page(_page(run, read, table, headline, pictures, memory, record))
+    run.page(_page(run, read, table, stand, headline, pictures, memory, record))
     return run.result(
         BuildResult,
         headline=headline,
         size_m=read.size_m,
         plants=dict(zip(instances.taxa, instances.counts.tolist())),
         cover=table,
+        stand=stand,
+        gap_fraction=area.gap,
+        warnings=area.warnings(),
         build_memory_mib=memory,
         triangles=None if meshes is None else triangles,
     )
@@ -247,6 +267,21 @@ def cover_table(
     return table
 
 
+def stand_table(taxa: Sequence[str], area: StandArea) -> pd.DataFrame:
+    """Leaf and wood area over the ground of the plot and mass of the leaves, of each species and
+    of all."""
+    table = pd.DataFrame(
+        {
+            "taxon": taxa,
+            "leaf_area_index": area.leaf,
+            "wood_area_index": area.wood,
+            "leaf_mass_g_m2": area.leaf_mass,
+        }
+    )
+    whole = {"taxon": "all"} | table.drop(columns="taxon").sum().to_dict()
+    return pd.concat([table, pd.DataFrame([whole])], ignore_index=True)
+
+
 def instance_table(instances: Instances) -> pd.DataFrame:
     """Every plant, with units in the names of the columns."""
     return pd.DataFrame(
@@ -299,7 +334,7 @@ def voxel_dataset(scene: Scene, density: Any) -> xr.Dataset:
     )
 
 
-def _headline(plot: Plot, instances: Instances, table: pd.DataFrame) -> list[str]:
+def _headline(plot: Plot, instances: Instances, table: pd.DataFrame, area: StandArea) -> list[str]:
     species, whole = table.iloc[:-1], table.iloc[-1]
     worst = (species.counted_percent - species.asked_percent).abs().max()
     lx, ly = plot.size_m
@@ -311,6 +346,9 @@ def _headline(plot: Plot, instances: Instances, table: pd.DataFrame) -> list[str
         f"{100 - whole.species_percent:.1f} % of the ground bare.",
         f"Cover counted as eq. (10) does is within {worst:.2f} % of the ground of what was asked, "
         "for every species.",
+        f"Over the ground of the plot: leaf area {area.leaf.sum():.2f} and wood area "
+        f"{area.wood.sum():.2f} m2 m-2, leaves of {area.leaf_mass.sum():.0f} g m-2. From straight "
+        f"above {100 * area.gap:.1f} % of the ground shows between leaves and stems.",
     ]
 
 
@@ -318,6 +356,7 @@ def _page(
     run: Run,
     plot: Plot,
     table: pd.DataFrame,
+    stand: pd.DataFrame,
     headline: list[str],
     pictures: list[Picture],
     memory: float,
@@ -338,6 +377,13 @@ def _page(
         headers=_COVER_HEADERS,
         units=dict.fromkeys(_COVER_HEADERS, "%"),
     )
+    areas = Table(
+        stand,
+        "Area and leaf mass over the ground of the plot: one-sided area of leaves, half of the "
+        "surface of wood; dry mass.",
+        headers=_STAND_HEADERS,
+        units=_STAND_UNITS,
+    )
     times = run.times(f"Wall time; peak memory of the build {memory:.0f} MiB.", folded=True)
-    parts: list[Part] = [" ".join(headline[1:]), *pictures, cover, times]
+    parts: list[Part] = [" ".join(headline[1:]), *pictures, cover, areas, times]
     return Page(f"Scene: {plot.name}", headline[0], [Section("", parts)], keys, record)

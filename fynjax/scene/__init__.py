@@ -44,6 +44,7 @@ from fynjax.scene._scene import (
     stand_realisation,
 )
 from fynjax.scene._spectra import Spectrum, background_spectrum, band_wavelengths
+from fynjax.scene._stand import StandArea, stand_area
 from fynjax.scene._table import USUAL_LEAF, species_parameters
 
 enable_double_precision()
@@ -72,6 +73,7 @@ __all__ = [
     "SceneSpecies",
     "SpeciesParameters",
     "Spectrum",
+    "StandArea",
     "aim",
     "background_spectrum",
     "band_wavelengths",
@@ -95,6 +97,7 @@ __all__ = [
     "projected_cover",
     "random_patches",
     "species_parameters",
+    "stand_area",
     "stand_realisation",
     "with_values",
 ]

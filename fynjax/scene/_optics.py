@@ -57,15 +57,20 @@ def optical_classes(
     transmittance = jnp.concatenate(
         [transmittance[:-1], jnp.zeros_like(bark)[None], transmittance[-1:]]
     )
+    return OpticalClasses(reflectance, transmittance, *class_angles(forms, leaf_angles))
+
+
+def class_angles(
+    forms: Sequence[str], leaf_angles: Sequence[AbstractLeafAngle | None]
+) -> tuple[tuple[AbstractLeafAngle, ...], tuple[int, ...]]:
+    """The distinct inclinations of a plot, and for each optical class the place of its own."""
     keys: list[int | str] = []
-    for i in leafy.tolist():
+    for i in leafy_species(forms):
         keys.append(FORM_DEFAULTS[forms[i]].leaf_angle if leaf_angles[i] is None else i)
     keys += ["spherical", "spherical"]
     distinct = tuple(dict.fromkeys(keys))
     own = [leaf_angles[key] if isinstance(key, int) else leaf_angle(key) for key in distinct]
-    return OpticalClasses(
-        reflectance,
-        transmittance,
+    return (
         tuple(angle for angle in own if angle is not None),
         tuple(distinct.index(key) for key in keys),
     )

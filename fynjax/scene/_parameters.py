@@ -107,25 +107,28 @@ class SpeciesParameters(eqx.Module):
     )
     leaf_area_index: Float[Array, " species"] = parameter_field(
         symbol="LAI",
-        name="Leaf area index of the crown",
+        name="Leaf area index of the crowns",
         unit="m2 m-2",
         lower=0.0,
         upper=20.0,
         usual=(0.5, 4.0),
         relative_sd=0.3,
-        description="One-sided leaf area over the crown's own ground area. Leaves at random "
-        "would let a share exp(-20/2) = 5e-5 of the light through at the upper bound.",
+        description="One-sided leaf area over the ground area of the crowns as seen from above: "
+        "where crowns overlap it counts once. Crowns are taken to stand at random, so that the "
+        "share (1 - exp(-t)) / t of them is seen from above, with t the area of all crowns over "
+        "that of the plot. Leaves at random would let a share exp(-20/2) = 5e-5 of the light "
+        "through at the upper bound.",
     )
     wood_area_index: Float[Array, " species"] = parameter_field(
         symbol="WAI",
-        name="Wood area index of the crown",
+        name="Wood area index of the crowns",
         unit="m2 m-2",
         lower=0.0,
         upper=20.0,
         usual=(0.0, 1.5),
         relative_sd=0.3,
-        description="One-sided wood area, half of its surface, over the crown's own ground area; "
-        "bounded as the leaf area index.",
+        description="One-sided wood area, half of its surface, over the ground area of the crowns "
+        "as seen from above; counted and bounded as the leaf area index.",
     )
     shoot_clumping: Float[Array, " species"] = parameter_field(
         symbol="p",

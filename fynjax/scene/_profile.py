@@ -34,7 +34,7 @@ def height_profile(
     z = across[plant] * position[part, 1] + along[plant] * position[part, 2]
     layer = np.clip(np.searchsorted(edges, z, side="right") - 1, 0, len(edges) - 2)
     cell = species[plant] * (len(edges) - 1) + layer
-    crown = np.pi / 4.0 * diameter**2 / np.asarray(hard.branches)[species]
+    crown = np.asarray(hard.crown_areas(parameters), float) * float(hard.crown_share(parameters))
     outer = np.asarray(own.leaf_area_index, float) * (1.0 - np.asarray(own.shoot_clumping, float))
     volume = float(np.prod(hard.grid.extent[:2])) * np.diff(edges)
     profiles = []

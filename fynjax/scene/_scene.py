@@ -26,13 +26,14 @@ from fynjax.canopy import (
     VoxelGrid,
     deposit,
     instance_area,
+    share_from_above,
     site_weight,
     soft_count,
     target_area,
 )
 from fynjax.radiation import Illumination, VoxelScene
 from fynjax.scene._ground import COVERS, Ground, ground_shares
-from fynjax.scene._optics import inclination, optical_classes
+from fynjax.scene._optics import class_angles, inclination, optical_classes
 from fynjax.scene._parameters import GroundParameters, LightParameters, PlotParameters
 from fynjax.scene._planting import Planting, draw_planting, leafy_species, no_plants
 from fynjax.scene._spectra import Spectrum, background_spectrum, band_wavelengths
@@ -216,8 +217,32 @@ class Scene(eqx.Module):
             jnp.asarray(self.minimum_area),
         )
         each = instance_area(species.diameter, species.height, packing)
-        plot = float(np.prod(self.grid.extent[:2]))
-        return soft_count(target_area(plot, species.cover), each, np.asarray(self.branches))
+        target = target_area(self._ground_area, species.cover)
+        return soft_count(target, each, np.asarray(self.branches))
+
+    @property
+    def _ground_area(self) -> float:
+        return float(np.prod(self.grid.extent[:2]))
+
+    def crown_areas(self, parameters: PlotParameters) -> Float[Array, " plant"]:
+        """Ground area of the crown of every plant, as far as it stands [m2]. Differentiable."""
+        species, planting = parameters.species, self.planting
+        owner = planting.species
+        weight = site_weight(
+            self.counts(parameters).astype(self.dtype)[owner],
+            planting.place,
+            width=self.softness_plants,
+            softness=self.softness,
+        )
+        diameter = species.diameter.astype(self.dtype)[owner] * planting.size
+        crown = weight * jnp.pi / 4.0 * diameter**2
+        return crown / jnp.asarray(self.branches, self.dtype)[owner]
+
+    def crown_share(self, parameters: PlotParameters) -> Float[Array, ""]:
+        """Share of the crowns that is seen from above, where all stand at random [-]: what the
+        areas of leaves and wood over crowns, as stated, count. Differentiable; see
+        `fynjax.canopy.share_from_above`."""
+        return share_from_above(jnp.sum(self.crown_areas(parameters)) / self._ground_area)
 
     def area_density(self, parameters: PlotParameters) -> Float[Array, "class z y x"]:
         """Area per volume of each optical class: the species' leaves, then wood, then flowers."""
@@ -234,6 +259,21 @@ class Scene(eqx.Module):
             return None
         positions, area = self._elements(parameters)
         return self._deposit(positions, area, self._finest(), by_class=False)[0]
+
+    def gap_fraction(self, parameters: PlotParameters) -> Float[Array, ""]:
+        """Share of the ground that is seen from straight above, between leaves and stems [-].
+
+        **Arguments:** `parameters`, of the plot. Differentiable.
+        """
+        positions, area = self._elements(parameters)
+        angles, angle_of_class = class_angles(self.forms, self.leaf_angles)
+        down = jnp.stack([angle.projection(jnp.asarray(1.0)) for angle in angles])
+        down = down.astype(self.dtype)[jnp.asarray(angle_of_class)]
+        finest = self._finest()
+        columns = VoxelGrid((*finest.shape[:2], 1), finest.horizontal_size, finest.extent[2])
+        projected = area * down[self.planting.optical_class]
+        density = self._deposit(positions, projected, columns, by_class=False)
+        return jnp.mean(jnp.exp(-density * columns.vertical_size))
 
     def _finest(self) -> VoxelGrid:
         grid, times = self.grid, max(self.finer, 1)
@@ -263,16 +303,10 @@ class Scene(eqx.Module):
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
         species, planting = parameters.species, self.planting
         owner = planting.species
-        weight = site_weight(
-            self.counts(parameters).astype(self.dtype)[owner],
-            planting.place,
-            width=self.softness_plants,
-            softness=self.softness,
-        )
         diameter = species.diameter[owner] * planting.size
         height = species.height[owner] * planting.stature
-        crown = weight * jnp.pi / 4.0 * diameter**2
-        crown = crown / jnp.asarray(self.branches, self.dtype)[owner]
+        # Area is stated of crowns as seen from above: what overlaps does not carry it twice.
+        crown = self.crown_areas(parameters) * self.crown_share(parameters)
         leaf = crown * species.leaf_area_index[owner]
         bloom = np.array([FORM_DEFAULTS[form].flower_fraction for form in self.forms])
         flower = leaf * jnp.asarray(self.flowering * bloom, self.dtype)[owner]

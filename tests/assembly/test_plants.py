@@ -51,9 +51,11 @@ def test_area_and_angles_of_a_plot_are_those_of_the_plant(made, tmp_path, name):
         got = float(angle.projection(np.array(cosine)))
         assert got == pytest.approx(float(want.projection(np.array(cosine))), rel=0.02)
     density = np.asarray(eqx.filter_jit(lambda m, p: m.area_density(p))(model, parameters))
-    # Leaf area of the voxels: the index over the crowns of whole plants, less what shoots hide.
+    # Leaf area of the voxels: the index over the crowns of whole plants as seen from above, less
+    # what shoots hide.
     count = int(np.ceil(float(model.counts(parameters)[0])))
     crowns = np.pi / 4 * 0.6**2 * (np.asarray(model.planting.size)[:count] ** 2).sum()
+    crowns = 4.0 * (1 - np.exp(-crowns / 4.0))
     seen = 1 - float(parameters.species.shoot_clumping[0])
     assert density[0].sum() * 1e-3 == pytest.approx(index * crowns * seen, rel=0.05)
 

@@ -15,6 +15,7 @@ from fynjax.canopy import (
     instance_area,
     modelled_diameter,
     projected_area,
+    share_from_above,
     soft_count,
     table1_2006,
     target_area,
@@ -93,3 +94,14 @@ def test_counts_are_differentiable() -> None:
 def test_impossible_areas(target: float, area: float, word: str) -> None:
     with pytest.raises(InputError, match=word):
         hard_count(target, area)
+
+
+def test_share_of_crowns_seen_from_above() -> None:
+    """(1 - exp(-t)) / t with its limit, in one piece where the series takes over."""
+    crowns = np.array([1e-9, 9.99e-4, 1.001e-3, 0.3, 2.0, 30.0])
+    np.testing.assert_allclose(share_from_above(crowns), -np.expm1(-crowns) / crowns, rtol=1e-13)
+    slope = jax.grad(lambda t: share_from_above(t))
+    assert float(share_from_above(0.0)) == 1.0
+    assert float(slope(0.0)) == -0.5
+    assert float(slope(9.99e-4)) == pytest.approx(float(slope(1.001e-3)), abs=1e-6)
+    assert_gradients(share_from_above, jnp.array([0.3, 2.0, 10.0]), rtol=1e-7)

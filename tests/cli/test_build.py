@@ -82,7 +82,19 @@ def test_the_files_of_a_build_agree(plot: Path, tmp_path: Path) -> None:
         assert names == ["Euclea racemosa, leaf", "wood", "flower"]
         leaf = float(density.isel({"class": 0}).sum()) * 1e-3
     euclea = disc[plants.taxon == "Euclea racemosa"].sum()
-    assert leaf == pytest.approx(3.5 * (1 - 0.2) * euclea, rel=1e-3)
+    every = disc.sum() / 4.0
+    seen = euclea * (1 - np.exp(-every)) / every  # crowns overlap
+    assert leaf == pytest.approx(3.5 * (1 - 0.2) * seen, rel=1e-3)
+    stand = pd.read_csv(out / "stand.csv").set_index("taxon")
+    assert stand.leaf_area_index["all"] == pytest.approx(3.5 * seen / 4.0, abs=1e-3)
+    deadwood = disc[plants.taxon == "Deadwood"].sum() * seen / euclea
+    assert stand.wood_area_index["all"] * 4.0 == pytest.approx(
+        0.5 * seen + 0.8 * deadwood, abs=1e-3
+    )
+    assert stand.leaf_mass_g_m2["all"] == pytest.approx(200.0 * 3.5 * seen / 4.0, rel=1e-3)
+    gap = summary["gap_fraction"]
+    assert f"{100 * gap:.1f} %" in " ".join(summary["headline"])
+    assert 1 - every < gap < 1.0
 
     scene = trimesh.load(out / "scene.obj", process=False)
     pieces = list(scene.geometry.values())

@@ -84,6 +84,8 @@ def test_the_hard_scene_is_the_soft_one_without_softness(seed: int) -> None:
     # And of the instances' own sizes: leaf area of each species, in closed form.
     instances = hard_instances(model, parameters)
     crown = np.bincount(instances.species, np.pi / 4.0 * instances.diameter**2)
+    every = crown.sum() / 1.6**2
+    crown *= (1.0 - np.exp(-every)) / every  # those seen from above, as the Boolean model has it
     own = parameters.species
     leaf = crown * np.asarray(own.leaf_area_index * (1.0 - own.shoot_clumping))
     found = whole.sum(axis=(1, 2, 3)) * model.grid.voxel_volume

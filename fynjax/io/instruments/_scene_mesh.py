@@ -52,6 +52,8 @@ def scene_meshes(
         np.clip(max_triangles // max(int(counts.sum()), 1), LEAST_TRIANGLES, _MOST_PER_PLANT)
     )
     species = parameters.species
+    # The area of a plant among others, whose crowns overlap its own.
+    share = float(scene.crown_share(parameters))
     meshes: list[PlantMesh | None] = []
     for taxon_index, (taxon, form) in enumerate(zip(scene.taxa, scene.forms)):
         if counts[taxon_index] == 0:
@@ -62,8 +64,8 @@ def scene_meshes(
             seed + taxon_index,
             diameter=float(species.diameter[taxon_index]),
             height=float(species.height[taxon_index]),
-            leaf_area_index=float(species.leaf_area_index[taxon_index]),
-            wood_area_index=float(species.wood_area_index[taxon_index]),
+            leaf_area_index=share * float(species.leaf_area_index[taxon_index]),
+            wood_area_index=share * float(species.wood_area_index[taxon_index]),
             flowering=scene.flowering,
             max_triangles=each,
         )

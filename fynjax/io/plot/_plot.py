@@ -49,9 +49,9 @@ class Species:
     minimum_object_area_m2: float | None
     """Least ground area that one plant counts for [m2]."""
     leaf_area_index: float | None
-    """One-sided leaf area over crown area [m2 m-2]."""
+    """One-sided leaf area over the area of the crowns as seen from above [m2 m-2]."""
     wood_area_index: float | None
-    """One-sided wood area over crown area [m2 m-2]."""
+    """One-sided wood area over the area of the crowns as seen from above [m2 m-2]."""
     plant: Path | None
     """Mesh or area elements of one plant; `None` takes the shape of the growth form."""
     shoot_clumping: float | None

@@ -60,7 +60,9 @@ class SpeciesRow(Strict):
     plant: str | None = Field(
         default=None,
         description="Mesh of one plant (OBJ, PLY, STL, GLB; metres), or the elements.csv that "
-        "`fynjax plant` writes; a path from the table's folder. Left out: the growth form's shape.",
+        "`fynjax plant` writes; a path from the table's folder. Its areas over its crown are "
+        "the area indices where the table leaves these out, and count once where crowns overlap, "
+        "as these do. Left out: the growth form's shape.",
     )
     shoot_clumping: float | None = quantity(
         PARAMETERS["shoot_clumping"], default=None, note=_OF_THE_FORM

@@ -1,0 +1,74 @@
+"""How much area and leaf mass stands on a plot, and how much of its ground is seen from above."""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from fynjax.scene._parameters import PlotParameters
+from fynjax.scene._scene import Scene
+
+SPARSEST, DENSEST = 0.4, 5.1
+"""Stand leaf area of shrublands lies between [m2 m-2]: that of deserts, 1.3, less its standard
+deviation, and that of temperate evergreen forest, 5.1 to 6.7 (Asner, Scurlock and Hicke 2003,
+Global Ecology and Biogeography 12:191)."""
+HEAVIEST = 1100.0
+"""All dry mass above ground of mature fynbos is 1100 to 1500 g m-2 (Kruger 1977, Bothalia
+12:301; Rutherford 1978: at most 1431); its leaves weigh less."""
+
+
+_gap_fraction = eqx.filter_jit(Scene.gap_fraction)
+
+
+@dataclass(frozen=True)
+class StandArea:
+    """One-sided areas over the ground of a whole plot."""
+
+    leaf: Float[np.ndarray, " species"]
+    """Leaf area index of the stand, of each species [m2 m-2]."""
+    wood: Float[np.ndarray, " species"]
+    """Wood area index, of each species [m2 m-2]."""
+    leaf_mass: Float[np.ndarray, " species"]
+    """Dry mass of that leaf area [g m-2]."""
+    gap: float
+    """Share of the ground that is seen from straight above [-]."""
+
+    def warnings(self) -> list[str]:
+        """What lies outside shrublands' usual ranges, in sentences; nothing of a bare plot."""
+        leaf, mass = float(self.leaf.sum()), float(self.leaf_mass.sum())
+        found = []
+        if leaf > 0.0 and not SPARSEST <= leaf <= DENSEST:
+            found.append(
+                f"a stand leaf area index of {leaf:.2g} m2 m-2 is not that of a shrubland: deserts "
+                "have 1.3 (sd 0.9), temperate evergreen forests 5.1 to 6.7 (Asner et al. 2003)"
+            )
+        if mass > HEAVIEST:
+            found.append(
+                f"leaves of {mass:.0f} g m-2 weigh as much as all that stands above ground in "
+                "mature fynbos, 1100 to 1500 g m-2 (Kruger 1977; Rutherford 1978)"
+            )
+        return found
+
+
+def stand_area(scene: Scene, parameters: PlotParameters) -> StandArea:
+    """Areas, leaf mass and gap of a plot.
+
+    **Arguments:**
+
+    - `scene`: with the plants; the hard scene for those of eq. (10).
+    - `parameters`: of the plot.
+
+    Not differentiable; `Scene.area_density` and `Scene.gap_fraction` are.
+    """
+    own, plot = parameters.species, float(np.prod(scene.grid.extent[:2]))
+    crowns = np.bincount(
+        np.asarray(scene.planting.species),
+        np.asarray(scene.crown_areas(parameters), float),
+        len(scene.taxa),
+    )
+    seen = crowns * float(scene.crown_share(parameters)) / plot
+    leaf = seen * np.asarray(own.leaf_area_index, float)
+    mass = leaf * np.asarray(parameters.leaf.dry_matter, float) * 1e4
+    wood = seen * np.asarray(own.wood_area_index, float)
+    return StandArea(leaf, wood, mass, float(_gap_fraction(scene, parameters)))
