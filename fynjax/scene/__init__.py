@@ -43,7 +43,12 @@ from fynjax.scene._scene import (
     ground_at,
     stand_realisation,
 )
-from fynjax.scene._spectra import Spectrum, background_spectrum, band_wavelengths
+from fynjax.scene._spectra import (
+    Spectrum,
+    background_spectrum,
+    band_wavelengths,
+    mixed_surroundings,
+)
 from fynjax.scene._stand import StandArea, stand_area
 from fynjax.scene._table import USUAL_LEAF, species_parameters
 
@@ -89,6 +94,7 @@ __all__ = [
     "hard_scene",
     "height_profile",
     "leafy_species",
+    "mixed_surroundings",
     "named_values",
     "observe",
     "observe_lidar",

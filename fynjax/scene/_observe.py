@@ -188,12 +188,15 @@ class AimedSensor(eqx.Module):
         *,
         key: Array | int | None = None,
         air: PlotAir | Atmosphere | None = None,
+        surroundings: Float[Array, " band"] | None = None,
     ) -> Observation:
-        """What the sensor measures. Differentiable in `parameters` and `air`.
+        """What the sensor measures. Differentiable in `parameters`, `air`, `surroundings`.
 
         **Arguments:** `key`, JAX key or seed of the noise, none if left out; `air`, instead of the
-        object's own. Raises `InputError` for noise without air or without a noise model, and for
-        air that does not cover the bands.
+        object's own; `surroundings`, reflectance in the sensor's bands of the land beyond the
+        plot, whose light air scatters into the picture [-], left out the mean of the plot (the
+        neighbourhood is more of the same). Raises `InputError` for noise without air or without a
+        noise model, and for air that does not cover the bands.
         """
         air = self.air if air is None else air
         if key is not None and (air is None or self.sensor.noise is None):
@@ -207,6 +210,11 @@ class AimedSensor(eqx.Module):
             return Observation(image, None, every, None, residual)
         by_band = self._air_of_bands(air, parameters.light, scene.dtype)
         order, back = _sorting(self.sensor)
+        if surroundings is not None and jnp.shape(surroundings) != order.shape:
+            raise InputError(
+                f"`surroundings` must have one value for each of the {order.size} bands, but has "
+                f"shape {jnp.shape(surroundings)}."
+            )
         total = by_band.direct + by_band.diffuse
         sky = (by_band.diffuse / jnp.maximum(total, jnp.finfo(total.dtype).tiny))[back]
         voxels = eqx.tree_at(
@@ -216,14 +224,15 @@ class AimedSensor(eqx.Module):
         if self.panels is not None:
             image = self.panels.laid_on(image)
         pixels = jnp.moveaxis(image, 0, -1)[..., order]
-        radiance = at_sensor_radiance(by_band, pixels, mean[order])
+        around = (mean if surroundings is None else jnp.asarray(surroundings, mean.dtype))[order]
+        radiance = at_sensor_radiance(by_band, pixels, around)
         if key is not None and self.sensor.noise is not None:
             noise = self.sensor.noise
             radiance = noise.draw(key, radiance[..., back], averaged=self.averaged)[..., order]
         transparent, measured = is_transparent(by_band)[back], radiance[..., back]
         reflectance_sd = None
         if self.panels is None:
-            calibrated = surface_reflectance(by_band, radiance, mean[order])[..., back]
+            calibrated = surface_reflectance(by_band, radiance, around)[..., back]
         else:
             noise_sd: Array | float = 0.0
             if key is not None and self.sensor.noise is not None:
@@ -232,7 +241,7 @@ class AimedSensor(eqx.Module):
                 jnp.moveaxis(measured, -1, 0),
                 transparent,
                 noise_sd=jnp.moveaxis(jnp.broadcast_to(noise_sd, measured.shape), -1, 0),
-                haze=at_sensor_radiance(by_band, jnp.zeros_like(mean))[back],
+                haze=at_sensor_radiance(by_band, jnp.zeros_like(around), around)[back],
             )
             calibrated = jnp.where(transparent, line.reflectance(measured), 0.0)
             sd = jnp.where(transparent, line.standard_deviation(measured, noise_sd), 0.0)

@@ -45,7 +45,7 @@ class PanelsInPicture(eqx.Module):
         """The empirical line from a picture of radiance, or the line through zero of one panel.
 
         `noise_sd` is that of single pixels, which few pixels of a panel do not show themselves.
-        `haze` is the radiance of the air alone: what one panel cannot tell, and is therefore
+        `haze` is the radiance over a black pixel: what one panel cannot tell, and is therefore
         unsure by. Both in the unit of the radiance.
 
         In bands whose air is not `transparent` the panels cannot be told apart, and the line is of

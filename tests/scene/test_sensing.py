@@ -153,27 +153,33 @@ def bare(soil, **changes):
 
 @pytest.mark.parametrize("kind", ["table", "clear-sky"])
 def test_even_panels_come_back_through_the_air(kind):
-    """And their radiance is that of the spectrum itself, band by band."""
+    """And their radiance is that of the spectrum itself, band by band; with the plot's own mean
+    around it, and amid brighter land."""
     camera = OrthographicCamera((-0.2, -0.2, 0.2, 0.2), 0.4)
     sensor = Sensor("panel", PANELS, camera, psf=PointSpread("gaussian", 1.0))
     air = PlotAir(kind, water_vapour=2.0)
+    land = None if kind == "table" else jnp.full(5, 0.3)
     run = None
     for soil in (0.05, 0.5):
         model, parameters = bare(soil)
         sensing = over(model, sensor, air=air)
-        run = eqx.filter_jit(lambda a, s, p: a.observe(s, p)) if run is None else run
-        seen = run(sensing, model, parameters)
+        run = run or eqx.filter_jit(lambda a, s, p, x: a.observe(s, p, surroundings=x))
+        seen = run(sensing, model, parameters, land)
         clear = np.asarray(seen.transparent)
         assert clear.tolist() == [True, True, True, False, True]
         assert seen.reflectance.shape == (5, 4, 4)
         np.testing.assert_allclose(seen.reflectance[clear], soil, rtol=1e-3)
         assert np.all(np.asarray(seen.reflectance)[~clear] == 0.0)
         curves = air.atmosphere(parameters.light, sensing.sensor_height)
-        spectrum = at_sensor_radiance(curves, jnp.full(len(curves.wavelength), soil))
+        grid = (len(curves.wavelength),)
+        around = soil if land is None else 0.3
+        spectrum = at_sensor_radiance(curves, jnp.full(grid, soil), jnp.full(grid, around))
         truth = PANELS.average(curves.wavelength, spectrum)
         np.testing.assert_allclose(
             seen.radiance, np.broadcast_to(truth[:, None, None], (5, 4, 4)), rtol=1e-3
         )
+    with pytest.raises(InputError, match="each of the 5 bands"):
+        sensing.observe(model, parameters, surroundings=jnp.ones(4))
 
 
 def test_panels_in_the_picture_calibrate_it():
@@ -241,6 +247,10 @@ def test_noise_is_seeded_and_as_large_as_its_model_says(model, drone):
         for n in (none, noise)
     )  # fmt: skip
     clean = observe(quiet, model, small_parameters(), jax.random.key(0))
+    pixels, light = (jnp.moveaxis(v, 0, -1) for v in (clean.reflectance, clean.radiance))
+    bands = quiet._air_of_bands(quiet.air, small_parameters().light, model.dtype)
+    around = pixels.mean((0, 1))  # more of the same plot
+    np.testing.assert_allclose(light, at_sensor_radiance(bands, pixels, around), rtol=1e-5)
     first, again, other = (
         observe(sensing, model, small_parameters(), jax.random.key(k)) for k in (1, 1, 2)
     )
@@ -251,7 +261,6 @@ def test_noise_is_seeded_and_as_large_as_its_model_says(model, drone):
     )  # m, of its pixel
     assert 0.02 < own < 0.03
     many = (0.1 / own) ** 2  # which a pixel here is the mean of
-    light = jnp.moveaxis(clean.radiance, 0, -1)
     sd = np.moveaxis(noise.standard_deviation(light), -1, 0) / np.sqrt(many)
     scaled = (np.asarray(first.radiance) - clean.radiance) / sd
     assert scaled.std() == pytest.approx(1.0, abs=0.08)  # 1024 draws: 2.2 % is one deviation

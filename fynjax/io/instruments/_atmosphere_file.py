@@ -18,10 +18,14 @@ _KINDS = {
     "wavelength": "length",
     "direct": "irradiance",
     "diffuse": "irradiance",
+    "upward_direct": "share",
+    "upward_diffuse": "share",
     "upward_transmittance": "share",
     "path_radiance": "radiance",
     "spherical_albedo": "share",
 }
+_TOTAL = "upward_transmittance"
+_APART = ("upward_direct", "upward_diffuse")
 _EXAMPLES = {
     "length": "nm",
     "irradiance": "W m-2 um-1",
@@ -43,12 +47,18 @@ def read_atmosphere(path: str | Path) -> Atmosphere:
     A CSV file has one header row, `name [unit]` in each column, and rows in increasing wavelength;
     a NetCDF file has variables of the same names with an attribute `units`:
 
-        wavelength [nm], direct [W m-2 um-1], diffuse [W m-2 um-1], upward_transmittance [1],
-        path_radiance [W m-2 sr-1 um-1], spherical_albedo [1]
+        wavelength [nm], direct [W m-2 um-1], diffuse [W m-2 um-1], upward_direct [1],
+        upward_diffuse [1], path_radiance [W m-2 sr-1 um-1], spherical_albedo [1]
 
-    `direct` and `diffuse` are irradiances of a horizontal black ground. Irradiance and radiance
-    may be in W, mW or µW, m-2 or cm-2, nm-1 or µm-1, written with exponents or with `/`; shares
-    as fractions or in %. Lines that start with `#` are skipped.
+    `direct` and `diffuse` are irradiances of a horizontal black ground; `upward_direct` and
+    `upward_diffuse` the transmittances from ground to sensor, unscattered and scattered (those of
+    `fynjax.sensors.Atmosphere`). A file may have their sum alone instead, `upward_transmittance`:
+    all of it then counts as direct, so that the surroundings light the ground by way of the
+    spherical albedo but send no light into the line of sight, and dark pixels among bright ones are
+    too dark.
+
+    Irradiance and radiance may be in W, mW or µW, m-2 or cm-2, nm-1 or µm-1, written with exponents
+    or with `/`; shares as fractions or in %. Lines that start with `#` are skipped.
 
     **Arguments:**
 
@@ -57,15 +67,16 @@ def read_atmosphere(path: str | Path) -> Atmosphere:
     **Returns:** a `fynjax.sensors.air.Atmosphere` on the wavelengths of the file, in the units
     above.
 
-    **Raises:** `InputError` with file, row and column: a missing curve, a missing or unknown unit,
-    wavelengths in µm or out of order, a value that is no number, negative, or impossibly large.
+    **Raises:** `InputError` with file, row and column: a missing curve, the sum of the upward
+    transmittances beside its parts, a missing or unknown unit, wavelengths in µm or out of order, a
+    value that is no number, negative, or impossibly large.
 
     >>> import pathlib, tempfile
     >>> from fynjax.io.instruments import read_atmosphere
-    >>> text = '''wavelength [nm],direct [W/m2/nm],diffuse [W/m2/nm],upward_transmittance [%],\
-    ... path_radiance [W m-2 sr-1 um-1],spherical_albedo
-    ... 500,1.20,0.30,80,25,0.10
-    ... 900,0.80,0.05,92,3,0.02'''
+    >>> text = '''wavelength [nm],direct [W/m2/nm],diffuse [W/m2/nm],upward_direct [%],\
+    ... upward_diffuse [%],path_radiance [W m-2 sr-1 um-1],spherical_albedo
+    ... 500,1.20,0.30,72,8,25,0.10
+    ... 900,0.80,0.05,89,3,3,0.02'''
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = pathlib.Path(folder) / "air.csv"
     ...     _ = path.write_text(text)
@@ -79,25 +90,38 @@ def read_atmosphere(path: str | Path) -> Atmosphere:
         columns, rows = _from_netcdf(path)
     else:
         columns, rows = _from_csv(path)
-    missing = [name for name in _KINDS if name not in columns]
+    parts = [name for name in _APART if name in columns]
+    if parts and _TOTAL in columns:
+        raise InputError(
+            f"expected {_TOTAL!r} or its parts {_APART[0]!r} and {_APART[1]!r}, but the file has "
+            "both: leave one out",
+            file=path,
+            column=_TOTAL,
+        )
+    left_out = (_TOTAL,) if parts else _APART
+    wanted = [name for name in _KINDS if name not in left_out]
+    missing = [name for name in wanted if name not in columns]
     if missing:
         near = did_you_mean(missing[0], [name for name in columns if name not in _KINDS])
-        hint = (
-            " A column of zeros leaves the light between ground and air out."
-            if missing[0] == "spherical_albedo"
-            else ""
-        )
+        hints = {
+            "spherical_albedo": " A column of zeros leaves the light between ground and air out.",
+            _TOTAL: f" Or give its parts, {_APART[0]!r} and {_APART[1]!r}.",
+        }
+        hint = hints.get(missing[0], "")
         raise InputError(
             f"expected a curve {missing[0]!r}, but the file has {', '.join(columns)}.{near}{hint}",
             file=path,
             column=missing[0],
         )
-    curves = {name: _converted(name, *columns[name], rows, path) for name in _KINDS}
+    curves = {name: _converted(name, *columns[name], rows, path) for name in wanted}
     try:
         check_wavelength(curves["wavelength"])
     except InputError as error:
         raise InputError(str(error), file=path, column="wavelength") from error
     wavelength = curves.pop("wavelength")
+    if _TOTAL in curves:
+        curves["upward_direct"] = curves.pop(_TOTAL)
+        curves["upward_diffuse"] = np.zeros_like(wavelength)
     return Atmosphere(tuple(wavelength), **{k: jnp.asarray(v) for k, v in curves.items()})
 
 

@@ -14,6 +14,7 @@ from fynjax.sensors.air._sixs_table import check_within_table, table_limits, tab
 from fynjax.sensors.air._sky import clear_sky_diffuse_fraction
 from fynjax.sensors.air._spectrl2 import clear_sky_atmosphere
 from fynjax.sensors.air._sun import SunPosition, sun_position
+from fynjax.sensors.air._surroundings import mean_surroundings
 
 __all__ = [
     "SPACE",
@@ -27,6 +28,7 @@ __all__ = [
     "clear_sky_diffuse_fraction",
     "ground_irradiance",
     "is_transparent",
+    "mean_surroundings",
     "sun_position",
     "surface_reflectance",
     "table_limits",

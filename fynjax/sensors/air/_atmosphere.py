@@ -1,4 +1,4 @@
-"""The air between sun, ground and sensor, as four curves and a spherical albedo."""
+"""The air between sun, ground and sensor, as five curves and a spherical albedo."""
 
 import math
 from typing import Any
@@ -17,7 +17,14 @@ from fynjax.sensors._bands import BandSet
 SPACE = 100_000.0
 """Height of a sensor above all air [m]."""
 
-_CURVES = ("direct", "diffuse", "upward_transmittance", "path_radiance", "spherical_albedo")
+_CURVES = (
+    "direct",
+    "diffuse",
+    "upward_direct",
+    "upward_diffuse",
+    "path_radiance",
+    "spherical_albedo",
+)
 
 
 def _wavelengths(values: Any) -> tuple[float, ...]:
@@ -38,8 +45,12 @@ class Atmosphere(eqx.Module):
     """Irradiance of a horizontal plane on the ground by the sun [W m-2 um-1]."""
     diffuse: Float[Array, " wavelength"] = eqx.field(converter=real_array)
     """Irradiance of the ground by the sky [W m-2 um-1]."""
-    upward_transmittance: Float[Array, " wavelength"] = eqx.field(converter=real_array)
-    """Share of the ground's radiance that reaches the sensor, scattered light included [-]."""
+    upward_direct: Float[Array, " wavelength"] = eqx.field(converter=real_array)
+    """Share of a pixel's radiance that reaches the sensor unscattered [-]."""
+    upward_diffuse: Float[Array, " wavelength"] = eqx.field(converter=real_array)
+    """Radiance that a wide ground sends into the line of sight by way of the air's scattering, over
+    its own radiance [-]. It comes from the surroundings: within some hundred metres to kilometres,
+    see `mean_surroundings`."""
     path_radiance: Float[Array, " wavelength"] = eqx.field(converter=real_array)
     """Radiance that the air itself sends to the sensor [W m-2 sr-1 um-1]."""
     spherical_albedo: Float[Array, " wavelength"] = eqx.field(converter=real_array)
@@ -53,6 +64,11 @@ class Atmosphere(eqx.Module):
                     f"`{name}` must have one value for each of the {grid.size} wavelengths, but "
                     f"has shape {shape}. For many atmospheres use `jax.vmap`."
                 )
+
+    @property
+    def upward_transmittance(self) -> Float[Array, " wavelength"]:
+        """Share of a wide ground's radiance that reaches the sensor, direct and diffuse [-]."""
+        return self.upward_direct + self.upward_diffuse
 
 
 class ClearAir(eqx.Module):
@@ -131,20 +147,24 @@ def ground_irradiance(
 def at_sensor_radiance(
     atmosphere: Atmosphere,
     reflectance: Float[Array, "*batch wavelength"],
-    background: Float[Array, "*batch wavelength"] | None = None,
+    surroundings: Float[Array, "*batch wavelength"] | None = None,
 ) -> Float[Array, "*batch wavelength"]:
     """Radiance at the sensor over a ground of given reflectance [W m-2 sr-1 um-1].
 
-    L = path + T_up rho E / (pi (1 - S rho)), for example Vermote et al. (1997), eq. 8 and 16.
+    L = path + E / pi (T_direct rho + T_diffuse rho_around) / (1 - S rho_around), E the irradiance
+    over a black ground: Vermote et al. (1997), IEEE Transactions on Geoscience and Remote Sensing
+    35, 675-686.
 
     **Arguments:**
 
     - `atmosphere`: of one sun and one sensor.
-    - `reflectance`: of the pixel (reflectance factor towards the sensor, fraction) on the
+    - `reflectance`: rho of the pixel (reflectance factor towards the sensor, fraction) on the
       atmosphere's wavelengths, its last axis.
-    - `background`: reflectance of the wide surroundings that light the pixel by way of the air; the
-      pixel's own if left out. Light that the surroundings send into the line of sight (adjacency)
-      is not separated from the pixel's.
+    - `surroundings`: rho_around, the reflectance of the wide surroundings, which light the pixel
+      and the line of sight by way of the air (adjacency), on the same wavelengths. Left out, the
+      pixel's own: the ground is uniform. Of a picture, its mean, or `mean_surroundings` by
+      distance; of a single target in a country that is not known,
+      `fynjax.scene.mixed_surroundings`.
 
     Differentiable, to any order, in all arguments.
 
@@ -154,20 +174,25 @@ def at_sensor_radiance(
     ...     wavelength=(560.0, 860.0),
     ...     direct=jnp.array([1200.0, 700.0]),
     ...     diffuse=jnp.array([250.0, 60.0]),
-    ...     upward_transmittance=jnp.array([0.85, 0.95]),
+    ...     upward_direct=jnp.array([0.75, 0.9]),
+    ...     upward_diffuse=jnp.array([0.1, 0.05]),
     ...     path_radiance=jnp.array([25.0, 5.0]),
     ...     spherical_albedo=jnp.array([0.11, 0.05]),
     ... )
-    >>> radiance = at_sensor_radiance(atmosphere, jnp.array([0.06, 0.35]))
-    >>> radiance.round(1)
+    >>> dark = jnp.array([0.06, 0.35])
+    >>> at_sensor_radiance(atmosphere, dark).round(1)
     Array([48.7, 86.9], dtype=float64)
-    >>> surface_reflectance(atmosphere, radiance).round(6)
+    >>> radiance = at_sensor_radiance(atmosphere, dark, jnp.array([0.16, 0.35]))
+    >>> radiance.round(1)
+    Array([53.7, 86.9], dtype=float64)
+    >>> surface_reflectance(atmosphere, radiance, jnp.array([0.16, 0.35])).round(6)
     Array([0.06, 0.35], dtype=float64)
     """
     reflectance = _on_grid(atmosphere, reflectance, "reflectance")
-    around = reflectance if background is None else _on_grid(atmosphere, background, "background")
-    lit = ground_irradiance(atmosphere, around) * reflectance / jnp.pi
-    return atmosphere.path_radiance + atmosphere.upward_transmittance * lit
+    around = surroundings if surroundings is not None else reflectance
+    around = _on_grid(atmosphere, around, "surroundings")
+    upward = atmosphere.upward_direct * reflectance + atmosphere.upward_diffuse * around
+    return atmosphere.path_radiance + upward * ground_irradiance(atmosphere, around) / jnp.pi
 
 
 def is_transparent(atmosphere: Atmosphere, threshold: float = 0.01) -> Float[Array, " wavelength"]:
@@ -188,20 +213,22 @@ def is_transparent(atmosphere: Atmosphere, threshold: float = 0.01) -> Float[Arr
 def surface_reflectance(
     atmosphere: Atmosphere,
     radiance: Float[Array, "*batch wavelength"],
-    background: Float[Array, "*batch wavelength"] | None = None,
+    surroundings: Float[Array, "*batch wavelength"] | None = None,
     *,
     threshold: float = 0.01,
     opaque: float = 0.0,
 ) -> Float[Array, "*batch wavelength"]:
     """Reflectance of the ground from radiance at the sensor [-]: inverts `at_sensor_radiance`.
 
-    y = pi (L - path) / (T_up E), rho = y / (1 + S y), or y (1 - S background).
+    With y = pi (L - path) / E: rho = y / (T_direct + T_diffuse + S y) of a uniform ground, or
+    (y (1 - S rho_around) - T_diffuse rho_around) / T_direct.
 
     **Arguments:**
 
     - `atmosphere`: of one sun and one sensor.
     - `radiance`: L at the sensor [W m-2 sr-1 um-1], wavelengths on the last axis.
-    - `background`: reflectance of the wide surroundings [-]; the pixel's own if left out.
+    - `surroundings`: rho_around, reflectance of the wide surroundings [-]; the pixel's own if left
+      out. With it the direct transmittance must be above zero where the air is not opaque.
     - `threshold`: where the air is opaque, see `is_transparent`.
     - `opaque`: value where the air is opaque and the ground cannot be observed.
 
@@ -210,23 +237,26 @@ def surface_reflectance(
     """
     radiance = _on_grid(atmosphere, radiance, "radiance")
     clear = is_transparent(atmosphere, threshold)
-    signal = atmosphere.upward_transmittance * (atmosphere.direct + atmosphere.diffuse)
-    signal = jnp.where(clear, signal, 1.0)  # the branch not taken must be finite too
-    scaled = jnp.pi * (radiance - atmosphere.path_radiance) / signal
+    # The branch not taken must be finite too.
+    black = jnp.where(clear, atmosphere.direct + atmosphere.diffuse, 1.0)
+    scaled = jnp.pi * (radiance - atmosphere.path_radiance) / black
     scaled = jnp.where(clear, scaled, 0.0)
-    if background is None:
-        value = scaled / (1.0 + atmosphere.spherical_albedo * scaled)
+    if surroundings is None:
+        upward = jnp.where(clear, atmosphere.upward_transmittance, 1.0)
+        value = scaled / (upward + atmosphere.spherical_albedo * scaled)
     else:
-        around = _on_grid(atmosphere, background, "background")
-        value = scaled * (1.0 - atmosphere.spherical_albedo * around)
+        around = _on_grid(atmosphere, surroundings, "surroundings")
+        coupled = scaled * (1.0 - atmosphere.spherical_albedo * around)
+        upward = jnp.where(clear, atmosphere.upward_direct, 1.0)
+        value = (coupled - atmosphere.upward_diffuse * around) / upward
     return jnp.where(clear, value, jnp.asarray(opaque, value.dtype))
 
 
 def band_atmosphere(atmosphere: Atmosphere, bands: BandSet) -> Atmosphere:
     """The atmosphere of a sensor's bands, for ground whose reflectance is even within a band.
 
-    Irradiances and path radiance are band averages; the transmittance is weighted with the light
-    it passes on, the spherical albedo with what reaches the sensor. With it, images in bands can
+    Irradiances and path radiance are band averages; the transmittances are weighted with the light
+    they pass on, the spherical albedo with what reaches the sensor. With it, images in bands can
     go to radiance and back without their spectra. Averaging the radiance itself
     (`bands.average(atmosphere.wavelength, radiance)`) is exact and to be preferred where the
     spectrum is known.
@@ -248,11 +278,13 @@ def band_atmosphere(atmosphere: Atmosphere, bands: BandSet) -> Atmosphere:
     ground_signal = atmosphere.upward_transmittance * total
     # Opaque bands have no light to weight with: then any weight serves.
     tiny = jnp.finfo(total.dtype).tiny ** 0.5
+    on_ground = average(total) + tiny
     return Atmosphere(
         bands.centre,
         average(atmosphere.direct),
         average(atmosphere.diffuse),
-        average(ground_signal) / (average(total) + tiny),
+        average(atmosphere.upward_direct * total) / on_ground,
+        average(atmosphere.upward_diffuse * total) / on_ground,
         average(atmosphere.path_radiance),
         average(atmosphere.spherical_albedo * ground_signal) / (average(ground_signal) + tiny),
     )

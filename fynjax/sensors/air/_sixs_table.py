@@ -25,6 +25,10 @@ from fynjax.sensors.air._atmosphere import Atmosphere, ClearAir
 
 _AIR_SCALE_HEIGHT = 8.0  # km; aerosol, of 2 km, is then a polynomial of the share of air below
 _GAS_SCALE_HEIGHT = 4.0  # between those of water vapour and air
+_AEROSOL_SCALE_HEIGHT = 2.0  # km, of 6SV
+# Pressure of the standard atmosphere over that of the ground, (1 - height / 44.33 km) ** 5.256.
+_TOP = 44.33
+_BAROMETRIC_EXPONENT = 5.256
 _SMALL = 1e-6  # keeps logarithms finite where 6SV prints zero
 
 Constants = NDArray[np.float64]
@@ -200,11 +204,13 @@ def check_within_table(air: ClearAir, path: str | Path | None = None) -> None:
 def tabulated_atmosphere(air: ClearAir, path: str | Path | None = None) -> Atmosphere:
     """Atmosphere interpolated in a table of 6SV, every 2.5 nm from 400 to 2500 nm.
 
-    All five curves, for a nadir sensor at any height. Sunlight is that of the table's solar
-    spectrum (shipped: TSIS-1) times `air.solar_factor`. The upward transmittance is the sensor's
-    gain per light on the ground, whose absorption lines are dark already, and may exceed that of
-    unfiltered light. Aerosol is one type (shipped: 6SV's continental). Pressure changes scattering
-    by air, and oxygen, carbon dioxide and methane in proportion.
+    All curves, for a nadir sensor at any height. Sunlight is that of the table's solar spectrum
+    (shipped: TSIS-1) times `air.solar_factor`. The upward transmittances are the sensor's gain per
+    light on the ground, whose absorption lines are dark already, and may exceed that of unfiltered
+    light. Their sum is 6SV's; direct is what the optical depths below the sensor leave (air as in
+    the standard atmosphere, aerosol with 6SV's scale height of 2 km), diffuse the rest, and gas
+    dims both alike, as in 6SV. Aerosol is one type (shipped: 6SV's continental). Pressure changes
+    scattering by air, and oxygen, carbon dioxide and methane in proportion.
 
     **Arguments:**
 
@@ -265,6 +271,12 @@ def tabulated_atmosphere(air: ClearAir, path: str | Path | None = None) -> Atmos
     def fine(values: Array) -> Float[Array, " wavelength"]:
         return jnp.exp(constant(table.to_fine) @ jnp.log(jnp.maximum(values, _SMALL)))
 
+    air_below = 1.0 - jnp.maximum(1.0 - height / _TOP, 0.0) ** _BAROMETRIC_EXPONENT
+    haze_below = -jnp.expm1(-height / _AEROSOL_SCALE_HEIGHT)
+    extinction = fine(constant(table.extinction)) * air.aerosol_optical_depth
+    depth_below = air_below * fine(lower + thinner * (upper - lower)) + haze_below * extinction
+    upward_direct = jnp.exp(-depth_below - (both - down))
+    scattered = depth_below - share * fine(curve("up", layer)[0])
     path_all, path_air = (fine(v) / cosine * share for v in curve("path", layer, sun))
     solar = constant(table.solar) * air.solar_factor
     on_top = solar * cosine
@@ -274,7 +286,8 @@ def tabulated_atmosphere(air: ClearAir, path: str | Path | None = None) -> Atmos
         tuple(table.wavelength),
         on_top * jnp.exp(-fine(depth) / cosine - down),
         on_top * fine(diffuse) * jnp.exp(-down),
-        jnp.exp(-share * fine(curve("up", layer)[0]) - (both - down)),
+        upward_direct,
+        upward_direct * jnp.expm1(scattered),
         on_top * reflectance / jnp.pi,
         fine(curve("albedo")[0]),
     )

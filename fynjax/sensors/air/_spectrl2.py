@@ -115,12 +115,12 @@ def aerosol_albedo(wavelength: Float[Array, " wavelength"]) -> Float[Array, " wa
 def clear_sky_atmosphere(air: ClearAir) -> Atmosphere:
     """Atmosphere by SPCTRL2 at its 122 wavelengths, 300 to 4000 nm.
 
-    The light on the ground and the sky's albedo are the model's. It has no sensor; the last two
-    curves extend it by the same optical depths: the upward transmittance is that of the vertical
-    path below the sensor, with the light scattered forward kept; the path radiance is single
-    scattering of the sun below the sensor. They are good for a sensor near the ground, where both
-    are small; for high ones use `tabulated_atmosphere`. Between the model's wavelengths (19 nm
-    apart, up to 90 nm in the near infrared) curves are meant to be linear.
+    The light on the ground and the sky's albedo are the model's. It has no sensor; the other
+    curves extend it by the same optical depths: the upward transmittances are those of the vertical
+    path below the sensor, diffuse the light that is scattered forward; the path radiance is single
+    scattering of the sun below the sensor. They are good for a sensor near the ground, where path
+    radiance and scattering are small; for high ones use `tabulated_atmosphere`. Between the model's
+    wavelengths (19 nm apart, up to 90 nm in the near infrared) curves are meant to be linear.
 
     **Arguments:**
 
@@ -182,7 +182,8 @@ def clear_sky_atmosphere(air: ClearAir) -> Atmosphere:
     )
     albedo = aerosol_albedo(wavelength)
     air_up, aerosol_up = rayleigh * below[0], aerosol * below[1]
-    upward = light_kept_upward(air_up, aerosol_up, albedo)
+    unscattered = jnp.exp(-air_up - aerosol_up)
+    forward = light_kept_upward(air_up, aerosol_up, albedo) - unscattered
     # Phase functions at the angle between sunbeam and upward path: Rayleigh, Henyey-Greenstein.
     phase_air = 0.75 * (1.0 + cosine**2)
     phase_aerosol = (1.0 - _ASYMMETRY**2) / (1.0 + _ASYMMETRY**2 + 2.0 * _ASYMMETRY * cosine) ** 1.5
@@ -191,12 +192,14 @@ def clear_sky_atmosphere(air: ClearAir) -> Atmosphere:
     path_depth = path_depth + 0.5 * (air_up + aerosol_up)
     path = (air_up * phase_air + albedo * aerosol_up * phase_aerosol) * jnp.exp(-path_depth)
     both_gases = jnp.exp(-gases(*both))
+    # Lines already dark on the way down cannot take away light again on the way up.
+    gases_up = both_gases / jnp.exp(-gases(*down))
     return Atmosphere(
         tuple(_table()["wavelength"]),
         on_ground * light.direct,
         on_ground * light.diffuse,
-        # Lines already dark on the way down cannot take away light again on the way up.
-        upward * both_gases / jnp.exp(-gases(*down)),
+        unscattered * gases_up,
+        forward * gases_up,
         on_top * both_gases * path / (4.0 * jnp.pi),
         light.albedo * jnp.exp(-sky_gas),
     )
