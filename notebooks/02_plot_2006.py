@@ -100,6 +100,7 @@ parameters = PlotParameters(
         leaf_area_index=jnp.array([FORM_DEFAULTS[form].leaf_area_index for form in forms]),
         wood_area_index=jnp.array([FORM_DEFAULTS[form].wood_area_index for form in forms]),
         shoot_clumping=jnp.array([FORM_DEFAULTS[form].shoot_clumping for form in forms]),
+        dead_fraction=jnp.array([FORM_DEFAULTS[form].dead_fraction for form in forms]),
     ),
     leaf=LeafParameters.many(
         chlorophyll=every(40.0),

@@ -25,6 +25,7 @@ COLUMNS = {
     "leaf_area_index": ("species_table_row", "leaf_area_index"),
     "wood_area_index": ("species_table_row", "wood_area_index"),
     "shoot_clumping": ("species_table_row", "shoot_clumping"),
+    "dead_fraction": ("species_table_row", "dead_fraction"),
     "structure": ("leaf_table_row", "structure"),
     "chlorophyll": ("leaf_table_row", "chlorophyll"),
     "carotenoids": ("leaf_table_row", "carotenoids"),
@@ -99,12 +100,15 @@ def check_fits():
     for kind, record in PARAMETERS.items():
         name = full_name(kind)
         value = 0.1 * record.lower + 0.9 * record.upper
-        if record.relative_sd is None:
+        if record.prior_sd(value) is None:
             with pytest.raises(InputError, match="cannot be free"):
                 make_space({name: value}, {name: 0.1})
             continue
         sd = plain.relative_sd(name)
         assert sd == record.relative_sd, kind
+        if record.sd is not None:
+            own = make_space({name: float(np.mean(record.usual))}, {name: None})
+            np.testing.assert_allclose(own.prior_sd[0], record.sd, rtol=1e-6)
         narrow = 0.05  # a wider prior so near the upper bound would be narrowed
         space = make_space({name: value}, {name: narrow})
         np.testing.assert_allclose(space.prior[0], value, rtol=1e-6)
@@ -138,7 +142,6 @@ def check_fits():
         ("soil_brightness", "brightness"),
         ("soil_moisture", "moisture"),
         ("litter", "litter_fraction"),
-        ("wood_brightness", "wood_brightness"),
     ):
         assert (FREE[name].lower, FREE[name].upper) == (
             PARAMETERS[kind].lower,
@@ -225,6 +228,8 @@ def moved(field):
             record["default"] += 0.0625 * (high - record["default"]) + 0.015625 * (high - low)
         if record.get("relative_sd") is not None:
             record["relative_sd"] *= 1.25
+        if record.get("sd") is not None:
+            record["sd"] *= 1.25
         if record.get("population") is not None:
             centre, sd = record["population"]
             record["population"] = (centre + 0.0625 * (high - centre), 0.75 * sd)
@@ -263,7 +268,7 @@ def test_what_is_assumed_of_leaves_and_forms_lies_within_the_bounds():
     from fynjax.studies.bioscape._assumed import pigments
 
     assert tuple(USUAL_LEAF) == LEAF_FIELDS
-    of_forms = ("leaf_area_index", "wood_area_index", "shoot_clumping")
+    of_forms = ("leaf_area_index", "wood_area_index", "shoot_clumping", "dead_fraction")
     assumed = [USUAL_LEAF, *(pigments(form) for form in FORM_DEFAULTS)]
     assumed += [{kind: getattr(d, kind) for kind in of_forms} for d in FORM_DEFAULTS.values()]
     for values in assumed:

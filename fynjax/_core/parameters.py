@@ -42,8 +42,10 @@ class Parameter:
     default: float | None = None
     """Value where nothing is stated; None where there is none, or it is that of the growth form."""
     relative_sd: float | None = None
-    """Standard deviation of the prior over the value that a plot's tables state; None where the
-    parameter cannot be free."""
+    """Standard deviation of the prior over the value that a plot's tables state."""
+    sd: float | None = None
+    """Standard deviation of the prior where it does not grow with the value [unit], instead of
+    `relative_sd`; without either the parameter cannot be free."""
     population: tuple[float, float] | None = None
     """Centre of the prior where no value is stated, and its standard deviation over that."""
     shown: tuple[str, float] | None = None
@@ -65,6 +67,13 @@ class Parameter:
     def shown_factor(self) -> float:
         """Factor from `unit` to `shown_unit`."""
         return 1.0 if self.shown is None else self.shown[1]
+
+    def prior_sd(self, value: float) -> float | None:
+        """Standard deviation of the prior about `value` [unit]; None where the parameter cannot be
+        free."""
+        if self.sd is not None or self.relative_sd is None:
+            return self.sd
+        return self.relative_sd * abs(value)
 
     def contains(self, value: float) -> bool:
         """Whether `value` lies within the bounds, these included."""

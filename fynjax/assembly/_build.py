@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.assembly._ground import cover_patches, ground_heights, plot_ground
+from fynjax.assembly._ground import cover_patches, dead_tissue, ground_heights, plot_ground
 from fynjax.assembly._memory import check_memory
 from fynjax.assembly._plants import read_plant
 from fynjax.canopy import MeshPlant, Organ
@@ -78,6 +78,7 @@ def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[Scene, PlotParam
             structure=plot.structure_m,
         ),
         ground=plot_ground(plot, patches),
+        dead_tissue=dead_tissue(plot),
         terrain=ground_heights(plot),
         sky=_sky(plot),
     )
@@ -146,7 +147,10 @@ def plot_parameters(
             values.append(value)
         return values
 
-    given = ("cover", "packing", "fill", "leaf_area_index", "wood_area_index", "shoot_clumping")
+    given = (
+        *("cover", "packing", "fill", "leaf_area_index", "wood_area_index"),
+        *("shoot_clumping", "dead_fraction"),
+    )
     stated = {name: column(name) for name in given}
     stated |= {"diameter": column("diameter_m"), "height": column("height_m")}
     species, leaf = species_parameters(

@@ -1,4 +1,5 @@
-"""The ground of a plot from its files: spectra of soil and covers, and where the covers lie."""
+"""The ground of a plot from its files: spectra of soil and covers, and where the covers lie; the
+spectrum of dead tissue."""
 
 from pathlib import Path
 
@@ -22,6 +23,11 @@ def plot_ground(plot: Plot, patches: Float64[np.ndarray, "kind y x"] | None) -> 
         cover: read(path, cover) for cover, path in zip(COVERS, plot.ground.spectra, strict=True)
     }
     return Ground(soil=read(plot.ground.spectrum, "soil"), patches=patches, **covers)
+
+
+def dead_tissue(plot: Plot) -> Spectrum | None:
+    """The user's spectrum of dead tissue in live shoots, where there is one."""
+    return None if plot.dead_tissue is None else _one_spectrum(plot.dead_tissue, "dead tissue")
 
 
 def cover_patches(plot: Plot, seed: int) -> Float64[np.ndarray, "kind y x"] | None:

@@ -72,11 +72,15 @@ class Ends(eqx.Module):
     """Ends that differ: in some parameter by more than its posterior standard deviation."""
 
 
+_OF_LEAVES = ("leaf_area_index", "shoot_clumping", "dead_fraction")
+"""Parameters of a species that have no effect without leaves."""
+
+
 def free_space(
     scene: Scene,
     parameters: PlotParameters,
     free: Sequence[str],
-    relative_sd: Callable[[str], float],
+    relative_sd: Callable[[str], float | None],
 ) -> ParameterSpace:
     """The free parameters of a plot by name pattern, with priors about their present values.
 
@@ -88,7 +92,8 @@ def free_space(
 
     - `scene`, `parameters`: the plot.
     - `free`: patterns of names, such as "species.*.cover".
-    - `relative_sd`: gives the prior's standard deviation over its centre by name [-].
+    - `relative_sd`: gives the prior's standard deviation over its centre by name [-], or None for
+      that of the parameter's record.
 
     **Returns:** `ParameterSpace`.
 
@@ -111,7 +116,7 @@ def _without_effect(name: str, scene: Scene, parameters: PlotParameters) -> bool
         if float(parameters.species.cover[i]) == 0.0:
             return True
         leafless = float(parameters.species.leaf_area_index[i]) == 0.0
-        of_leaves = (".leaf." in name, name.endswith(("leaf_area_index", "shoot_clumping")))
+        of_leaves = (".leaf." in name, name.endswith(_OF_LEAVES))
         return leafless and any(of_leaves)
     if name in ("ground.char_fraction", "ground.rock_fraction"):
         return float(getattr(parameters.ground, name.split(".")[1])) == 0.0

@@ -7,7 +7,7 @@ u, and all parameters have the same scale whatever their units.
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -98,7 +98,7 @@ _ROUNDING = 1e-6
 """A value so near its bound lies on it [usual range]."""
 
 
-def make_space(values: dict[str, float], relative_sd: dict[str, float]) -> ParameterSpace:
+def make_space(values: dict[str, float], relative_sd: Mapping[str, float | None]) -> ParameterSpace:
     """The space of the parameters in `values`, within the bounds of `fynjax.scene.PARAMETERS`.
 
     Covers and diameters are bounded closer where the plants held ready would not suffice.
@@ -114,7 +114,8 @@ def make_space(values: dict[str, float], relative_sd: dict[str, float]) -> Param
     **Arguments:**
 
     - `values`: the prior's centre by name, in the parameters' own units, within the bounds.
-    - `relative_sd`: the prior's standard deviation over its centre by name, positive [-].
+    - `relative_sd`: the prior's standard deviation over its centre by name, positive [-]; None
+      takes that of the parameter's record.
 
     **Returns:** `ParameterSpace`, its parameters in the order of `values`.
 
@@ -124,8 +125,8 @@ def make_space(values: dict[str, float], relative_sd: dict[str, float]) -> Param
     for name, value in values.items():
         kind = parameter_kind(name)
         record = PARAMETERS.get(kind)
-        if record is None or record.relative_sd is None:
-            free = [k for k, known in PARAMETERS.items() if known.relative_sd is not None]
+        if record is None or record.prior_sd(value) is None:
+            free = [k for k, known in PARAMETERS.items() if known.prior_sd(1.0) is not None]
             raise InputError(f"{name} cannot be free: only {', '.join(free)} can")
         record.check(value, f"the prior of {name}")
         low, high = record.lower, record.upper
@@ -133,7 +134,8 @@ def make_space(values: dict[str, float], relative_sd: dict[str, float]) -> Param
         if kind in _ROOM and value > 0:
             low, high = max(low, _ROOM[kind][0] * value), min(high, _ROOM[kind][1] * value)
             usual = min(usual, high - low)
-        stated = relative_sd[name] * abs(value)
+        relative = relative_sd[name]
+        stated = record.prior_sd(value) if relative is None else relative * abs(value)
         centre, sd = _fitted_prior(value, stated, (low, high), usual)
         if (centre, sd) != (value, stated):
             shown = [record.shown_factor * number for number in (value, stated, centre, sd)]

@@ -55,11 +55,12 @@ _COVER_HEADERS = {
 }
 
 _STAND_HEADERS = {
-    "leaf_area_index": "leaf area index",
+    "leaf_area_index": "live leaf area index",
+    "dead_area_index": "dead tissue in live shoots",
     "wood_area_index": "wood area index",
     "leaf_mass_g_m2": "leaf mass",
 }
-_STAND_UNITS = {"leaf_area_index": "m2 m-2", "wood_area_index": "m2 m-2", "leaf_mass_g_m2": "g m-2"}
+_STAND_UNITS = dict.fromkeys(_STAND_HEADERS, "m2 m-2") | {"leaf_mass_g_m2": "g m-2"}
 
 _area_density = eqx.filter_jit(Scene.area_density)
 
@@ -155,7 +156,7 @@ def build(
             "instances.csv", instance_table(instances), "every plant: place, turn, size", None
         )
         run.table("cover.csv", table, "cover of each species, asked and measured", "%.4f")
-        run.table("stand.csv", stand, "leaf and wood area and leaf mass", "%.4f")
+        run.table("stand.csv", stand, "leaf, dead and wood area, leaf mass", "%.4f")
         voxels = run.path("voxels.nc", "area density of each optical class, NetCDF")
         write_run(voxels, voxel_dataset(hard, density), record)
         del density
@@ -268,12 +269,13 @@ def cover_table(
 
 
 def stand_table(taxa: Sequence[str], area: StandArea) -> pd.DataFrame:
-    """Leaf and wood area over the ground of the plot and mass of the leaves, of each species and
-    of all."""
+    """Leaf, dead and wood area over the ground of the plot and mass of the leaves, of each species
+    and of all."""
     table = pd.DataFrame(
         {
             "taxon": taxa,
             "leaf_area_index": area.leaf,
+            "dead_area_index": area.dead,
             "wood_area_index": area.wood,
             "leaf_mass_g_m2": area.leaf_mass,
         }
@@ -346,9 +348,10 @@ def _headline(plot: Plot, instances: Instances, table: pd.DataFrame, area: Stand
         f"{100 - whole.species_percent:.1f} % of the ground bare.",
         f"Cover counted as eq. (10) does is within {worst:.2f} % of the ground of what was asked, "
         "for every species.",
-        f"Over the ground of the plot: leaf area {area.leaf.sum():.2f} and wood area "
-        f"{area.wood.sum():.2f} m2 m-2, leaves of {area.leaf_mass.sum():.0f} g m-2. From straight "
-        f"above {100 * area.gap:.1f} % of the ground shows between leaves and stems.",
+        f"Over the ground of the plot: live leaf area {area.leaf.sum():.2f}, dead tissue of live "
+        f"shoots {area.dead.sum():.2f}, wood {area.wood.sum():.2f} m2 m-2; leaves, live and dead, "
+        f"of {area.leaf_mass.sum():.0f} g m-2. From straight above {100 * area.gap:.1f} % of the "
+        "ground shows between leaves and stems.",
     ]
 
 
@@ -379,8 +382,8 @@ def _page(
     )
     areas = Table(
         stand,
-        "Area and leaf mass over the ground of the plot: one-sided area of leaves, half of the "
-        "surface of wood; dry mass.",
+        "Area and leaf mass over the ground of the plot: one-sided area of leaves and of the dead "
+        "tissue among them, half of the surface of wood; dry mass of leaves, live and dead.",
         headers=_STAND_HEADERS,
         units=_STAND_UNITS,
     )

@@ -33,11 +33,13 @@ def optical_classes(
     average: Float[Array, "band wavelength"],
     wavelength: Float[np.ndarray, " wavelength"],
     leaf_angles: Sequence[AbstractLeafAngle | None],
+    dead_tissue: Float[np.ndarray, " wavelength"],
 ) -> OpticalClasses:
     """Reflectance, transmittance and inclination of each optical class of a plot.
 
     `average` makes bands of spectra on `wavelength`; `leaf_angles` holds the inclinations of the
-    species that have their own, and None for those of their form. Differentiable in `parameters`.
+    species that have their own, and None for those of their form; `dead_tissue` is the reflectance
+    of the dead part of live shoots, which is opaque. Differentiable in `parameters`.
     """
     dtype = average.dtype
     leafy = np.array(list(leafy_species(forms)), int)
@@ -45,13 +47,22 @@ def optical_classes(
     petal = jax.tree.map(lambda x: jnp.asarray(x, dtype), _PETAL)
     leaves = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), leaves, petal)
     optics = jax.vmap(lambda leaf: prospect(leaf, wavelength))(leaves)
-    clumping = jnp.pad(parameters.species.shoot_clumping[leafy], (0, 1))[:, None]
-    reflectance, transmittance = (
-        spectrum @ average.T
-        for spectrum in _shoot_optics(optics.reflectance, optics.transmittance, clumping)
+    clumping, dead = (
+        jnp.pad(values[leafy], (0, 1))[:, None]  # petals have neither
+        for values in (parameters.species.shoot_clumping, parameters.species.dead_fraction)
     )
-    bark = average @ jnp.asarray(background_spectrum("bark", wavelength), dtype)
-    bark = jnp.clip(parameters.ground.wood_brightness * bark, 0.0, 1.0)
+    bark, tissue = (
+        jnp.clip(parameters.ground.wood_brightness * jnp.asarray(spectrum, dtype), 0.0, 1.0)
+        for spectrum in (background_spectrum("bark", wavelength), dead_tissue)
+    )
+    # Light meets the live and the dead area of a shoot alike, before the shoot lets it go.
+    shoots = _shoot_optics(
+        (1.0 - dead) * optics.reflectance + dead * tissue,
+        (1.0 - dead) * optics.transmittance,
+        clumping,
+    )
+    reflectance, transmittance = (spectrum @ average.T for spectrum in shoots)
+    bark = average @ bark
     # Class order: leaves of the species, wood, flowers.
     reflectance = jnp.concatenate([reflectance[:-1], bark[None], reflectance[-1:]])
     transmittance = jnp.concatenate(

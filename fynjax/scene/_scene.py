@@ -137,6 +137,8 @@ class Scene(eqx.Module):
     """Height of the ground in the voxel columns above the bottom of the grid [m]; None: level."""
     sky: Spectrum | None
     """Diffuse over global irradiance [-], instead of the clear-sky model."""
+    dead_tissue: Spectrum | None
+    """Reflectance of dead tissue in live shoots; None: that of bark."""
     dtype: str = eqx.field(static=True)
 
     @classmethod
@@ -327,12 +329,19 @@ class Scene(eqx.Module):
         """What the radiation layer renders: area, optics, ground and light of `parameters`,
         averaged over `bands`. Differentiable in `parameters`.
 
-        Raises `InputError` where a spectrum of the ground or the sky does not cover the bands.
+        Raises `InputError` where a spectrum of ground, sky or dead tissue does not cover the bands.
         """
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
         wavelength = band_wavelengths(bands)
         average = jnp.asarray(bands.weights(wavelength), self.dtype)
-        classes = optical_classes(self.forms, parameters, average, wavelength, self.leaf_angles)
+        if self.dead_tissue is None:
+            dead = background_spectrum("bark", wavelength)
+        else:
+            self.dead_tissue.check(min(bands.centre), max(bands.centre))
+            dead = self.dead_tissue.at(wavelength)
+        classes = optical_classes(
+            self.forms, parameters, average, wavelength, self.leaf_angles, dead
+        )
         light = parameters.light
         if self.sky is None:
             share = clear_sky_diffuse_fraction(
@@ -433,6 +442,7 @@ def build_scene(
     ground: Ground | None = None,
     terrain: Float[np.ndarray, "y x"] | None = None,
     sky: Spectrum | None = None,
+    dead_tissue: Spectrum | None = None,
     dtype: str = "float32",
 ) -> Scene:
     """Draw what is random about a scene, once.
@@ -445,8 +455,8 @@ def build_scene(
     - `voxel`: edge of a voxel [m]; must divide the sides.
     - `seed`: of everything random; the same seed gives the same plants.
     - `boundary`: "periodic" repeats the plot for ever, "open" does not.
-    - `rules`, `ground`, `terrain`, `sky`: see `PlantingRules` and `Scene`; left out, even planting
-      on level, shipped ground under a clear sky.
+    - `rules`, `ground`, `terrain`, `sky`, `dead_tissue`: see `PlantingRules` and `Scene`; left out,
+      even planting on level, shipped ground under a clear sky, dead tissue as bark.
     - `dtype`: floating type that the scene is computed in.
 
     **Raises:** `InputError` where the plants do not fit, or voxels do not divide the sides.
@@ -485,6 +495,7 @@ def build_scene(
         ground=Ground() if ground is None else ground,
         terrain=terrain,
         sky=sky,
+        dead_tissue=dead_tissue,
         dtype=dtype,
     )
     if scene.finer:

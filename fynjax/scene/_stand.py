@@ -26,22 +26,25 @@ class StandArea:
     """One-sided areas over the ground of a whole plot."""
 
     leaf: Float[np.ndarray, " species"]
-    """Leaf area index of the stand, of each species [m2 m-2]."""
+    """Live leaf area index of the stand, of each species [m2 m-2]."""
+    dead: Float[np.ndarray, " species"]
+    """Area index of the dead tissue in live shoots, of each species [m2 m-2]."""
     wood: Float[np.ndarray, " species"]
     """Wood area index, of each species [m2 m-2]."""
     leaf_mass: Float[np.ndarray, " species"]
-    """Dry mass of that leaf area [g m-2]."""
+    """Dry mass of leaves and dead tissue, both at the leaf mass per area of leaves [g m-2]."""
     gap: float
     """Share of the ground that is seen from straight above [-]."""
 
     def warnings(self) -> list[str]:
         """What lies outside shrublands' usual ranges, in sentences; nothing of a bare plot."""
-        leaf, mass = float(self.leaf.sum()), float(self.leaf_mass.sum())
+        leaf, mass = float((self.leaf + self.dead).sum()), float(self.leaf_mass.sum())
         found = []
         if leaf > 0.0 and not SPARSEST <= leaf <= DENSEST:
             found.append(
-                f"a stand leaf area index of {leaf:.2g} m2 m-2 is not that of a shrubland: deserts "
-                "have 1.3 (sd 0.9), temperate evergreen forests 5.1 to 6.7 (Asner et al. 2003)"
+                f"leaves, live and dead, of {leaf:.2g} m2 m-2 over the plot are not those of a "
+                "shrubland: deserts have 1.3 (sd 0.9), temperate evergreen forests 5.1 to 6.7 "
+                "(Asner et al. 2003)"
             )
         if mass > HEAVIEST:
             found.append(
@@ -68,7 +71,8 @@ def stand_area(scene: Scene, parameters: PlotParameters) -> StandArea:
         len(scene.taxa),
     )
     seen = crowns * float(scene.crown_share(parameters)) / plot
-    leaf = seen * np.asarray(own.leaf_area_index, float)
-    mass = leaf * np.asarray(parameters.leaf.dry_matter, float) * 1e4
+    shoots = seen * np.asarray(own.leaf_area_index, float)
+    dead = shoots * np.asarray(own.dead_fraction, float)
+    mass = shoots * np.asarray(parameters.leaf.dry_matter, float) * 1e4
     wood = seen * np.asarray(own.wood_area_index, float)
-    return StandArea(leaf, wood, mass, float(_gap_fraction(scene, parameters)))
+    return StandArea(shoots - dead, dead, wood, mass, float(_gap_fraction(scene, parameters)))

@@ -40,6 +40,7 @@ COLUMNS = {
     "minimum_object_area_m2": "minimum_area",
     "wood_area_index": "wood_area_index",
     "shoot_clumping": "shoot_clumping",
+    "dead_fraction": "dead_fraction",
 }
 """Columns of a species table that are numbers, and the parameters or fields of `SceneSpecies` that
 they hold."""

@@ -86,7 +86,8 @@ def test_the_files_of_a_build_agree(plot: Path, tmp_path: Path) -> None:
     seen = euclea * (1 - np.exp(-every)) / every  # crowns overlap
     assert leaf == pytest.approx(3.5 * (1 - 0.2) * seen, rel=1e-3)
     stand = pd.read_csv(out / "stand.csv").set_index("taxon")
-    assert stand.leaf_area_index["all"] == pytest.approx(3.5 * seen / 4.0, abs=1e-3)
+    assert stand.leaf_area_index["all"] == pytest.approx(0.75 * 3.5 * seen / 4.0, abs=1e-3)
+    assert stand.dead_area_index["all"] == pytest.approx(0.25 * 3.5 * seen / 4.0, abs=1e-3)
     deadwood = disc[plants.taxon == "Deadwood"].sum() * seen / euclea
     assert stand.wood_area_index["all"] * 4.0 == pytest.approx(
         0.5 * seen + 0.8 * deadwood, abs=1e-3

@@ -57,6 +57,7 @@ def truth() -> PlotParameters:
             leaf_area_index=default("leaf_area_index"),
             wood_area_index=default("wood_area_index"),
             shoot_clumping=default("shoot_clumping"),
+            dead_fraction=default("dead_fraction"),
         ),
         LeafParameters.many(
             structure=1.8,

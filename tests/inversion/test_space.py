@@ -118,3 +118,17 @@ def test_unknown_kinds_and_patterns_are_refused():
         match_names(["species.Erica.cover"], ["species.Eirca.*"])
     names = ["species.Erica.cover", "ground.moisture"]
     assert match_names(names, ["*.cover"]) == ["species.Erica.cover"]
+
+
+def test_the_prior_of_dead_tissue_is_as_wide_whatever_its_value():
+    """Its record states an absolute standard deviation; one over the value, if asked for, is."""
+    names = [f"{letter}.dead_fraction" for letter in "abcd"]
+    values = dict(zip(names, (0.45, 0.40, 0.30, 0.25), strict=True))
+    space = make_space(values, dict.fromkeys(names))
+    np.testing.assert_allclose(space.prior, list(values.values()))
+    np.testing.assert_allclose(space.prior_sd, 0.25)  # one mode each: none is narrowed
+    relative = make_space(values, dict.fromkeys(names, 0.1))
+    np.testing.assert_allclose(relative.prior_sd, 0.1 * relative.prior)
+    with pytest.warns(UserWarning, match=r"a\.dead_fraction from 0 "):
+        green = make_space({"a.dead_fraction": 0.0}, {"a.dead_fraction": None})
+    assert 0 < float(green.prior[0]) < 0.05

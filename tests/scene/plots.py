@@ -39,6 +39,7 @@ def small_parameters() -> PlotParameters:
             leaf_area_index=jnp.array([3.0, 2.0, 0.0]),
             wood_area_index=jnp.array([0.5, 0.05, 0.8]),
             shoot_clumping=jnp.array([0.4, 0.2, 0.0]),
+            dead_fraction=jnp.array([0.3, 0.45, 0.0]),
         ),
         LeafParameters.many(
             structure=jnp.array([1.8, 2.1, 1.5]),

@@ -71,7 +71,7 @@ def test_gradient_of_final_metrics_against_central_differences(metric):
     gradient = slope_of(start)
     scale = np.abs(gradient * np.asarray(start)).max()
     for i, name in enumerate(names):
-        if name.startswith("species.Deadwood.leaf"):
+        if name.startswith(("species.Deadwood.leaf", "species.Deadwood.dead_fraction")):
             assert gradient[i] == 0.0  # it has no leaves
     size = np.maximum(np.abs(np.asarray(start)), 1e-2)
     weights = np.random.default_rng(7).uniform(0.4, 1.0, len(names)) * (-1.0) ** np.arange(

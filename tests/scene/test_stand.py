@@ -48,9 +48,10 @@ def test_area_is_what_is_stated_of_the_ground_that_random_crowns_cover():
     assert stand.wood.sum() == pytest.approx(cover, abs=3 * error)
     on_grid = np.asarray(densities(hard, parameters)).sum(axis=(1, 2, 3)) * 1e-3
     assert on_grid[-2] / 1.6**2 == pytest.approx(stand.wood.sum(), rel=1e-9)
-    leaf = stand.leaf * (1 - np.asarray(parameters.species.shoot_clumping))
+    leaf = (stand.leaf + stand.dead) * (1 - np.asarray(parameters.species.shoot_clumping))
+    np.testing.assert_allclose(stand.dead, [0.3, 0.45, 0.0] * (stand.leaf + stand.dead), rtol=1e-6)
     np.testing.assert_allclose(on_grid[:2] / 1.6**2, leaf[:2], rtol=1e-9)
-    mass = 1e4 * stand.leaf @ np.asarray(parameters.leaf.dry_matter)
+    mass = 1e4 * (stand.leaf + stand.dead) @ np.asarray(parameters.leaf.dry_matter)
     assert stand.leaf_mass.sum() == pytest.approx(mass)
 
 
@@ -87,12 +88,14 @@ def test_area_and_gap_have_derivatives_in_cover_and_size():
 
 def test_a_stand_outside_the_range_of_shrublands_is_named():
     none = np.zeros(2)
-    stand = StandArea(np.array([2.0, 0.5]), none, np.array([400.0, 100.0]), 0.3)
+    stand = StandArea(
+        np.array([2.0, 0.5]), np.array([0.3, 0.0]), none, np.array([400.0, 100.0]), 0.3
+    )
     assert stand.warnings() == []
     dense = dataclasses.replace(stand, leaf=np.array([4.0, 2.0]))
-    assert "leaf area index of 6 m2" in dense.warnings()[0]
-    sparse = dataclasses.replace(stand, leaf=np.array([0.1, 0.0]))
+    assert "live and dead, of 6.3 m2" in dense.warnings()[0]
+    sparse = dataclasses.replace(stand, leaf=np.array([0.0, 0.05]))
     assert "deserts" in sparse.warnings()[0]
     heavy = dataclasses.replace(stand, leaf_mass=np.array([1100.0, 100.0]))
     assert "1200 g m-2" in heavy.warnings()[0]
-    assert dataclasses.replace(stand, leaf=none, leaf_mass=none).warnings() == []
+    assert dataclasses.replace(stand, leaf=none, dead=none, leaf_mass=none).warnings() == []

@@ -5,9 +5,15 @@ from typing import Annotated
 from pydantic import Field
 
 from fynjax.io.text import Strict, number
+from fynjax.scene import LEAF_FIELDS
 
-DEFAULT_FREE = ("species.*.cover", "species.*.diameter", "species.*.leaf.*", "ground.*")
-"""Patterns of parameters that a calibration frees by default."""
+DEFAULT_FREE = (
+    *(f"species.*.{kind}" for kind in ("cover", "diameter", "dead_fraction")),
+    *(f"species.*.leaf.{name}" for name in LEAF_FIELDS if name != "brown_pigments"),
+    *("ground.brightness", "ground.moisture", "ground.*_fraction"),
+)
+"""Patterns of parameters that a calibration frees by default. Brown pigments and the brightness of
+wood are not among them: what darkens and browns live shoots is their dead tissue."""
 
 
 class CalibrationTable(Strict):
@@ -32,7 +38,8 @@ class CalibrationTable(Strict):
     )
     priors: dict[str, Annotated[float, Field(gt=0, le=10)]] = Field(
         default_factory=dict,
-        description="Relative standard deviation of the prior, by pattern [-].",
+        description="Relative standard deviation of the prior, by pattern [-]. Left out: that of "
+        "the parameter, which for dead tissue in shoots is 0.25, whatever its value.",
     )
     max_iterations: int = Field(
         default=7, description="Most steps of the optimiser in a round [-].", ge=1, le=10000

@@ -56,6 +56,8 @@ class Species:
     """Mesh or area elements of one plant; `None` takes the shape of the growth form."""
     shoot_clumping: float | None
     """Probability that scattered light meets another leaf of the same shoot [-]."""
+    dead_fraction: float | None
+    """Share of the area of live shoots that is dead or woody tissue [-]."""
 
 
 @dataclass(frozen=True)
@@ -172,12 +174,13 @@ class Calibration:
         """Whether the target's statistic is to be used."""
         return any(fnmatchcase(statistic, pattern) for pattern in self.targets)
 
-    def relative_sd(self, name: str) -> float:
-        """Relative prior standard deviation of parameter `name` [-]; 0 where it has none."""
+    def relative_sd(self, name: str) -> float | None:
+        """Relative prior standard deviation of parameter `name` [-]; None where it has no prior, or
+        that of its record is absolute."""
         for pattern, sd in self.priors.items():
             if fnmatchcase(name, pattern):
                 return sd
-        return PARAMETERS[parameter_kind(name)].relative_sd or 0.0
+        return PARAMETERS[parameter_kind(name)].relative_sd
 
 
 @dataclass(frozen=True)
@@ -215,6 +218,8 @@ class Plot:
     calibration: Calibration
     inputs: tuple[Path, ...]
     """Every file that was read or is named, for the provenance record."""
+    dead_tissue: Path | None = None
+    """The user's spectrum of dead tissue in live shoots; `None` takes that of bark."""
     parameters: Path | None = None
     """Table of values that replace those above, for `build_plot`."""
     air: Air | None = None

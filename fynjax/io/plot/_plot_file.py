@@ -187,6 +187,7 @@ def read_plot(path: str | Path) -> Plot:
     leaf_path = named("plot", "leaf_table", parsed.plot.leaf_table, "a leaf table")
     map_path = named("plot", "probability_map", parsed.plot.probability_map, "a GeoTIFF")
     terrain_path = named("plot", "terrain", parsed.plot.terrain, "a GeoTIFF")
+    dead_path = named("plot", "dead_tissue", parsed.plot.dead_tissue, "a spectrum of dead tissue")
     sky_path = named("sky", "table", parsed.sky.table, "a sky table")
     own_soil = None if parsed.ground.soil in ("dry", "wet") else parsed.ground.soil
     soil_path = named("ground", "soil", own_soil, "'dry', 'wet' or a soil spectrum")
@@ -244,6 +245,7 @@ def read_plot(path: str | Path) -> Plot:
                 if row.plant
                 else None,
                 shoot_clumping=row.shoot_clumping,
+                dead_fraction=row.dead_fraction,
             )
         )
     sensor = plot_sensor(parsed.sensor, sensor_path, path, text)
@@ -270,7 +272,7 @@ def read_plot(path: str | Path) -> Plot:
     spectra = [leaf.spectrum for leaf in leaves.values()]
     inputs = (
         *(path, species_path, leaf_path, map_path, sky_path, soil_path, cover_map),
-        *(terrain_path, sensor_path, air_path, values_path),
+        *(terrain_path, sensor_path, air_path, values_path, dead_path),
         *cover_paths,
         *(entry.plant for entry in species),
         *spectra,
@@ -306,6 +308,7 @@ def read_plot(path: str | Path) -> Plot:
         seed=scene.seed,
         softness=scene.softness,
         softness_plants=scene.softness_plants,
+        dead_tissue=dead_path,
         parameters=values_path,
         calibration=Calibration(
             free=tuple(calibration.free),

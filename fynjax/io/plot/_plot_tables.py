@@ -50,6 +50,11 @@ class PlotTable(Strict):
         default=None,
         description="Leaf table; a path from this file's folder. Left out: usual leaves.",
     )
+    dead_tissue: str | None = Field(
+        default=None,
+        description="Spectrum of dead tissue in live shoots; a CSV file as for soil, a path from "
+        "this file's folder. Left out: bark.",
+    )
     probability_map: str | None = Field(
         default=None, description="GeoTIFF, 0 to 255: where plants are likely to stand."
     )

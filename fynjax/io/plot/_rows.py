@@ -67,6 +67,9 @@ class SpeciesRow(Strict):
     shoot_clumping: float | None = quantity(
         PARAMETERS["shoot_clumping"], default=None, note=_OF_THE_FORM
     )
+    dead_fraction: float | None = quantity(
+        PARAMETERS["dead_fraction"], default=None, note=_OF_THE_FORM
+    )
 
 
 def _per_area_slip(value: float) -> str | None:

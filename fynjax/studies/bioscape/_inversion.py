@@ -56,18 +56,17 @@ FREE: dict[str, Free] = {
     "cover": Free("factor on the crowns' cover of all live species", 0.2, 2.5, 1.0, 0.25),
     "standing_dead": Free("factor on the cover of dead plants that stand", 0.05, 2.2, 1.0, 0.5),
     "leaf_area_index": Free("factor on the leaf area of a crown", 0.2, 2.5, 1.0, 0.3),
+    "dead_fraction": Free("factor on the dead tissue of live shoots", 0.02, 2.2, 1.0, 0.6),
     "leaf_mass_per_area": Free("factor on dry matter, water in proportion", 0.2, 3.0, 1.0, 0.3),
     "water_per_dry_matter": Free("factor on water, dry matter as it is", 0.2, 3.0, 1.0, 0.3),
     "chlorophyll": Free("factor on chlorophyll and carotenoids", 0.1, 2.0, 1.0, 0.3),
-    "brown_pigments": Free("factor on brown pigments", 0.02, 8.0, 1.0, 0.7),
     "structure": Free("factor on PROSPECT's N", 0.6, 1.5, 1.0, 0.1),
     "soil_brightness": _of_the_ground("brightness", 1.0, 0.3),
     "soil_moisture": _of_the_ground("moisture", 0.2, 0.15),
     "litter": _of_the_ground("litter_fraction", 0.5, 0.2),
-    "wood_brightness": _of_the_ground("wood_brightness", 1.0, 0.3),
 }
 """Priors where the tables are the prior: covers to a quarter, as a crew sees them; the rest wide,
-assumed."""
+assumed. Dead tissue, at most all of a shoot, has the absolute sd of its record, 0.25, at 0.42."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +158,6 @@ class PlotSpectrumForward(eqx.Module):
             "structure": at["structure"],
             "chlorophyll": at["chlorophyll"],
             "carotenoids": at["chlorophyll"],
-            "brown_pigments": at["brown_pigments"],
             "dry_matter": mass,
             "water": mass * at["water_per_dry_matter"],
         }
@@ -169,6 +167,7 @@ class PlotSpectrumForward(eqx.Module):
                 species,
                 cover=species.cover * jnp.where(dead, at["standing_dead"], at["cover"]),
                 leaf_area_index=species.leaf_area_index * at["leaf_area_index"],
+                dead_fraction=species.dead_fraction * at["dead_fraction"],
             ),
             leaf=eqx.tree_at(
                 lambda l: [getattr(l, name) for name in factors],
@@ -180,7 +179,6 @@ class PlotSpectrumForward(eqx.Module):
                 brightness=at["soil_brightness"],
                 moisture=at["soil_moisture"],
                 litter_fraction=at["litter"],
-                wood_brightness=at["wood_brightness"],
             ),
         )
 

@@ -132,7 +132,7 @@ def slotted_parameters(plot: Plot, slots: tuple[str, ...]) -> PlotParameters:
         **{name: fill(getattr(species, name), [value] * count) for name, value in nothing.items()},
         **{
             name: fill(getattr(species, name), [getattr(FORM_DEFAULTS[f], name) for f in slots])
-            for name in ("leaf_area_index", "wood_area_index", "shoot_clumping")
+            for name in ("leaf_area_index", "wood_area_index", "shoot_clumping", "dead_fraction")
         },
     )
     usual = {name: fill(getattr(leaf, name), [v] * count) for name, v in USUAL_LEAF.items()}
