@@ -22,7 +22,12 @@ from fynjax.leaf._measurement import (
     LeafStack,
     transmittance_from_two_readings,
 )
-from fynjax.leaf._parameters import LEAF_PARAMETERS, Leaf, LeafParameters
+from fynjax.leaf._parameters import (
+    LEAF_PARAMETERS,
+    Leaf,
+    LeafParameters,
+    structure_from_dry_matter,
+)
 from fynjax.leaf._posterior import LeafPosterior, sample_leaf_posterior
 from fynjax.leaf._problem import FitDomain
 from fynjax.leaf._prospect import LeafOptics, interface_transmissivity, prospect
@@ -60,5 +65,6 @@ __all__ = [
     "layer_absorptance",
     "prospect",
     "sample_leaf_posterior",
+    "structure_from_dry_matter",
     "transmittance_from_two_readings",
 ]

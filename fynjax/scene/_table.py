@@ -9,7 +9,7 @@ import numpy as np
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.parameters import Parameter, parameters_of
 from fynjax.canopy import FORM_DEFAULTS
-from fynjax.leaf import LeafParameters
+from fynjax.leaf import LeafParameters, structure_from_dry_matter
 from fynjax.scene._parameters import (
     FIXED_PARAMETERS,
     LEAF_FIELDS,
@@ -18,7 +18,7 @@ from fynjax.scene._parameters import (
 )
 
 USUAL_LEAF = {
-    "structure": 1.8,
+    "structure": float(structure_from_dry_matter(0.02)),
     "chlorophyll": 40.0,
     "carotenoids": 9.0,
     "anthocyanins": 1.5,
@@ -26,7 +26,8 @@ USUAL_LEAF = {
     "water": 0.02,
     "dry_matter": 0.02,
 }
-"""Leaves of a species for which nothing is given: an evergreen, sclerophyllous leaf."""
+"""Leaves of a species for which nothing is given: an evergreen, sclerophyllous leaf, with the
+structure of leaves as heavy."""
 
 COLUMNS = {
     "mean_diameter_cm": "diameter",
@@ -62,7 +63,7 @@ def species_parameters(
     - `values`: of each parameter in `SpeciesParameters`, in its unit; None takes its default,
       or that of the growth form, as does a parameter that is left out.
     - `leaves`: PROSPECT-D parameters of each species by name (`LEAF_FIELDS`); None takes
-      `USUAL_LEAF`.
+      `USUAL_LEAF`, and a structure that is left out is that of leaves as heavy.
     """
 
     def column(name: str) -> Any:
@@ -75,13 +76,17 @@ def species_parameters(
         filled = zip(stated, usual, strict=True)
         return jnp.asarray([float(u if value is None else value) for value, u in filled])
 
-    optics = [USUAL_LEAF if leaf is None else leaf for leaf in leaves]
+    optics = [USUAL_LEAF if leaf is None else _with_structure(leaf) for leaf in leaves]
     return (
         SpeciesParameters(**{name: column(name) for name in parameters_of(SpeciesParameters)}),
         LeafParameters.many(
             **{name: np.array([float(leaf[name]) for leaf in optics]) for name in LEAF_FIELDS}
         ),
     )
+
+
+def _with_structure(leaf: Mapping[str, float]) -> Mapping[str, float]:
+    return {"structure": float(structure_from_dry_matter(leaf["dry_matter"]))} | dict(leaf)
 
 
 def table_rows(table: Any) -> list[dict[str, Any]]:
@@ -165,12 +170,12 @@ def _check_number(
 
 def check_leaves(leaves: Mapping[str, Mapping[str, float]], taxa: Sequence[str]) -> None:
     """Raises `InputError` for leaves of a taxon that is not in the table, for leaves that lack one
-    of PROSPECT's parameters or have another, and for values that are no numbers or out of
-    bounds."""
+    of PROSPECT's parameters other than structure or have another, and for values that are no
+    numbers or out of bounds."""
     for taxon, leaf in leaves.items():
         if taxon not in (*taxa, "*"):
             raise InputError(f"expected leaves of {', '.join(taxa)} or '*', but got {taxon!r}")
-        if set(leaf) != set(LEAF_FIELDS):
+        if set(leaf) | {"structure"} != set(LEAF_FIELDS):
             raise InputError(
                 f"leaves of {taxon!r}: expected {', '.join(LEAF_FIELDS)}, but got {', '.join(leaf)}"
             )

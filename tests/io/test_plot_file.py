@@ -82,7 +82,7 @@ def test_leaf_rows_fall_back_to_the_star_row(folder):
 
 
 def test_paths_start_from_the_file_not_from_the_working_folder(folder, monkeypatch, tmp_path):
-    edit(folder / "leaves.csv", "*,1.8,60,12,1.5,0.03,0.02,0.02,", "*,,,,,,,,spectra/leaf.csv")
+    edit(folder / "leaves.csv", "*,,60,12,1.5,0.03,0.02,0.02,", "*,,,,,,,,spectra/leaf.csv")
     (folder / "spectra").mkdir()
     (folder / "spectra" / "leaf.csv").write_text("wavelength_nm,reflectance\n400,0.1\n")
     monkeypatch.chdir(tmp_path)
@@ -226,7 +226,7 @@ def test_unknown_taxon_in_the_leaf_table_names_the_nearest(folder):
 LEAF_SLIPS = [
     ("0.05,0.05,", "0.05,500,", "dry_matter", r"g m-2\? In g cm-2 .* 0.05"),
     ("0.05,0.05,", "50,0.05,", "water", "g m-2"),
-    ("2.2,50,", "0.5,50,", "structure", "from 0.8 to 5"),
+    (",50,10", "0.5,50,10", "structure", "from 0.8 to 5"),
     ("0.05,0.05,", "0.05,0.05,leaf.asd", None, "got both"),
     ("0.05,0.05,", "0.05,,", None, "dry_matter is empty"),
 ]
@@ -244,7 +244,7 @@ def test_a_wrong_leaf_row_is_named(folder, old, new, column, words):
 
 def test_a_missing_spectrum_names_table_row_and_neighbour(folder):
     (folder / "leaf_1.csv").write_text("x")
-    edit(folder / "leaves.csv", "2.2,50,10,1.5,0.3,0.05,0.05,", ",,,,,,,leaf_2.csv")
+    edit(folder / "leaves.csv", ",50,10,1.5,0.3,0.05,0.05,", ",,,,,,,leaf_2.csv")
     with pytest.raises(InputError, match=r"'leaf_2.csv'.*Did you mean 'leaf_1.csv'") as caught:
         read_plot(folder / "plot.toml")
     assert caught.value.row == row_of(folder / "leaves.csv", "Restio")

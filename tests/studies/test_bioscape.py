@@ -123,7 +123,7 @@ def test_leaves_thicker_than_a_leaf_table_takes_are_cut(tables: Path, tmp_path: 
     leaf = read_plot(tmp_path / "B2" / "plot.toml").species[1].leaf
     assert leaf is not None
     assert leaf.parameters is not None
-    assert leaf.parameters["water"] == 0.2
+    assert leaf.parameters["water"] == 0.05
     assert "cut" in sources_of(tmp_path / "B2")["Carpobrotus edulis", "water"]["note"]
 
 
@@ -321,4 +321,5 @@ def test_real_leaves_lie_where_prospect_is_valid(shared_data: Path) -> None:
             assert species.shape.source != "default"
             leaf = leaf_parameters(species)
             assert 0.003 < leaf["dry_matter"] < 0.1
-            assert 0.005 < leaf["water"] <= 0.2
+            assert 0.005 < leaf["water"] <= 0.05
+            assert 1.2 < leaf["structure"] < 3.0

@@ -16,6 +16,7 @@ from fynjax.io.plot._plot_tables import COVER_FRACTIONS, PlotFile
 from fynjax.io.plot._rows import LeafRow, SkyRow, SpeciesRow
 from fynjax.io.plot._sensor import DRONE, plot_air, plot_sensor, plot_sun
 from fynjax.io.text import did_you_mean, existing_file, line_of, read_rows, read_toml
+from fynjax.leaf import structure_from_dry_matter
 from fynjax.scene import LEAF_FIELDS, PARAMETERS
 
 
@@ -110,6 +111,8 @@ def _read_leaves(path: Path, taxa: list[str]) -> dict[str, LeafSource]:
             sources[row.taxon] = LeafSource(None, spectrum)
         else:
             values = {name: _stated(getattr(row, name), name) for name in LEAF_FIELDS}
+            if row.structure is None:
+                values["structure"] = float(structure_from_dry_matter(values["dry_matter"]))
             sources[row.taxon] = LeafSource(values, None)
     return sources
 

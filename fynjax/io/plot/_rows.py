@@ -78,8 +78,8 @@ def _per_area_slip(value: float) -> str | None:
     return f"mg cm-2 or mm? Here it would be {value / 1000:g}." if value > 0 else None
 
 
-PROSPECT_REQUIRED = ("structure", "chlorophyll", "carotenoids", "water", "dry_matter")
-"""PROSPECT columns without a default: a row has all of them, or a spectrum."""
+PROSPECT_REQUIRED = ("chlorophyll", "carotenoids", "water", "dry_matter")
+"""PROSPECT columns that a row has all of, or a spectrum."""
 
 
 class LeafRow(Strict):
@@ -104,7 +104,9 @@ class LeafRow(Strict):
         description="Name as in the species table; '*' is every taxon without a row of its own.",
         min_length=1,
     )
-    structure: float | None = quantity(PARAMETERS["structure"], default=None)
+    structure: float | None = quantity(
+        PARAMETERS["structure"], default=None, note="that of leaves as heavy if left out"
+    )
     chlorophyll: float | None = quantity(PARAMETERS["chlorophyll"], default=None)
     carotenoids: float | None = quantity(PARAMETERS["carotenoids"], default=None)
     anthocyanins: float | None = optional_quantity(PARAMETERS["anthocyanins"])
@@ -117,7 +119,7 @@ class LeafRow(Strict):
 
     @model_validator(mode="after")
     def _one_source(self) -> "LeafRow":
-        given = [n for n in PROSPECT_REQUIRED if getattr(self, n) is not None]
+        given = [n for n in ("structure", *PROSPECT_REQUIRED) if getattr(self, n) is not None]
         if self.spectrum is not None and given:
             raise ValueError(
                 f"expected PROSPECT parameters or a spectrum, but got both ({given[0]!r} and "

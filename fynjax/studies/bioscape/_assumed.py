@@ -106,24 +106,28 @@ def plant_size(family: str, growth_form: str) -> PlantSize:
 
 
 def pigments(growth_form: str) -> dict[str, float]:
-    """PROSPECT's structure and pigments, in its units; those of the shipped plot's leaves.
+    """Pigments in PROSPECT's units; those of the shipped plot's leaves.
 
     Nitrogen is not turned into chlorophyll: how much of a leaf's nitrogen its chlorophyll holds
     is known for crops (Evans 1989, Oecologia 78:9), not for sclerophyllous leaves and culms.
     """
-    n, chlorophyll, carotenoids, anthocyanins, brown = {
-        TUFT: (2.2, 50.0, 10.0, 1.5, 0.3),
-        BROAD: (2.0, 65.0, 13.0, 1.5, 0.03),
-        TWINER: (2.0, 15.0, 5.0, 2.0, 0.3),
-    }.get(growth_form, (1.8, 60.0, 12.0, 1.5, 0.03))
+    chlorophyll, carotenoids, anthocyanins, brown = {
+        TUFT: (50.0, 10.0, 1.5, 0.3),
+        BROAD: (65.0, 13.0, 1.5, 0.03),
+        TWINER: (15.0, 5.0, 2.0, 0.3),
+    }.get(growth_form, (60.0, 12.0, 1.5, 0.03))
     return {
-        "structure": n,
         "chlorophyll": chlorophyll,
         "carotenoids": carotenoids,
         "anthocyanins": anthocyanins,
         "brown_pigments": brown,
     }
 
+
+MOST_WATER = 0.05
+"""Water of a leaf is at most this [cm]: that of the thickest leaves that PROSPECT was made with
+(LOPEX, Jacquemoud et al. 1996). Culms and succulent leaves hold more, deeper than the light comes
+that a layer of leaf cells sends back; PROSPECT would put all of it in its way."""
 
 DEFAULT_TRAITS = {"leaf_mass_per_area": 200.0, "water_content": 52.0}
 """For a form of which the library has no measured species [g m-2, %]: a sclerophyllous leaf."""

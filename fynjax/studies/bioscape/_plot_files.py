@@ -11,9 +11,17 @@ from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.io.text import write_text
 from fynjax.jobs import JobResult, Run
+from fynjax.leaf import structure_from_dry_matter
 from fynjax.scene import LEAF_FIELDS, PARAMETERS
 from fynjax.sensors import sun_position
-from fynjax.studies.bioscape._assumed import CLOSED_COVER, DOME, PLOT_SIDE_M, pigments, plant_size
+from fynjax.studies.bioscape._assumed import (
+    CLOSED_COVER,
+    DOME,
+    MOST_WATER,
+    PLOT_SIDE_M,
+    pigments,
+    plant_size,
+)
 from fynjax.studies.bioscape._plots import BioscapePlot, BioscapeSpecies, Visit, read_bioscape
 from fynjax.studies.bioscape._traits import SOURCES
 
@@ -29,6 +37,8 @@ _TRAIT_UNITS = {
     "nitrogen": "mg g-1", "carbon": "mg g-1",
 }  # fmt: skip
 _ASSUMED = "growth form default"
+_FROM_MASS = "from leaf mass per area"
+_MOST = {"water": MOST_WATER, "dry_matter": PARAMETERS["dry_matter"].upper}
 
 
 def _per_area(species: BioscapeSpecies) -> dict[str, float]:
@@ -43,17 +53,17 @@ def leaf_parameters(species: BioscapeSpecies) -> dict[str, float]:
 
     Dry matter is the leaf mass per projected area over the shape's `area_ratio`; water is that
     times w / (1 - w), with w the share of water in the fresh mass (1 g of water is 1 cm3). Values
-    above PROSPECT's bounds, of the thickest succulents, become those: `beyond_prospect` names
-    them. Structure and pigments are those of the growth form.
+    above what PROSPECT can mean, of culms and succulents, are cut to that: `beyond_prospect` names
+    them. Structure is that of leaves as heavy, pigments are those of the growth form.
     """
-    return pigments(species.shape.growth_form) | {
-        name: min(value, PARAMETERS[name].upper) for name, value in _per_area(species).items()
-    }
+    mass = {name: min(value, _MOST[name]) for name, value in _per_area(species).items()}
+    structure = float(structure_from_dry_matter(mass["dry_matter"]))
+    return {"structure": structure} | pigments(species.shape.growth_form) | mass
 
 
 def beyond_prospect(species: BioscapeSpecies) -> dict[str, float]:
-    """Values above PROSPECT's bounds that `leaf_parameters` cuts, by parameter."""
-    return {n: v for n, v in _per_area(species).items() if v > PARAMETERS[n].upper}
+    """Values above what PROSPECT can mean, which `leaf_parameters` cuts, by parameter."""
+    return {n: v for n, v in _per_area(species).items() if v > _MOST[n]}
 
 
 def mean_leaf(plot: BioscapePlot) -> dict[str, float]:
@@ -193,7 +203,8 @@ def _leaves_csv(plot: BioscapePlot) -> str:
     notes = (
         "Dry matter and water from leaf mass per area and water content, per half of the leaf's",
         "surface: the library's area is projected, and a rolled leaf or culm has pi/2 as much.",
-        "Structure and pigments are assumed. sources.csv says what was measured of which species.",
+        "Structure is that of leaves as heavy, pigments are assumed. sources.csv says what was",
+        "measured of which species.",
     )
     leaves = [(s.taxon, leaf_parameters(s)) for s in plot.species]
     if plot.other_cover > 0:
@@ -219,14 +230,14 @@ def _sources(plot: BioscapePlot) -> list[tuple[Any, ...]]:
             note = f"as {s.library_name}" if renamed else ""
             rows.append((s.taxon, trait, sourced.value, _TRAIT_UNITS[trait], sourced.source, note))
         for name, value in leaf.items():
-            source = _ASSUMED
+            source = _FROM_MASS if name == "structure" else _ASSUMED
             if name in ("water", "dry_matter"):
                 water = s.traits["water_content"].source
                 source = lma.source if name == "dry_matter" else max(
                     lma.source, water, key=SOURCES.index
                 )  # fmt: skip
             above = beyond_prospect(s).get(name)
-            note = "" if above is None else f"cut from {above:.4g}, which PROSPECT does not take"
+            note = "" if above is None else f"cut from {above:.4g}, more than PROSPECT can mean"
             rows.append((s.taxon, name, value, PARAMETERS[name].unit, source, note))
     if plot.other_cover > 0:
         cover = plot.other_cover * 100
@@ -340,21 +351,22 @@ def run_bioscape(
         for source in SOURCES
     }
     named = ", ".join(f"{100 * v:.1f} % {k}" for k, v in shares.items() if v > 0)
-    cut = {
-        f"{s.taxon}: expected {name} of at most {PARAMETERS[name].upper:g} "
-        f"{PARAMETERS[name].unit}, but its traits give {value:.4g}; its leaf is written with the "
-        "largest"
-        for plot in read
-        for s in plot.species
-        for name, value in beyond_prospect(s).items()
-    }
+    cut = []
+    for name, most in _MOST.items():
+        thick = {s.taxon for p in read for s in p.species if name in beyond_prospect(s)}
+        if thick:
+            cut.append(
+                f"{name} of {len(thick)} species is more than PROSPECT can mean, and cut to "
+                f"{most:g} {PARAMETERS[name].unit} (sources.csv has what their traits give): "
+                f"{', '.join(sorted(thick))}"
+            )
     return run.result(
         BioscapeResult,
         headline=[
             f"{len(read)} plots with {len({s.taxon for p in read for s in p.species})} species.",
             f"Leaf mass per area by cover: {named}.",
         ],
-        warnings=sorted(cut),
+        warnings=cut,
         plots=[plot.name for plot in read],
         cover_share_by_trait_source=shares,
     )
