@@ -79,6 +79,7 @@ def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[Scene, PlotParam
         ),
         ground=plot_ground(plot, patches),
         dead_tissue=dead_tissue(plot),
+        hot_spot=plot.hot_spot,
         terrain=ground_heights(plot),
         sky=_sky(plot),
     )

@@ -102,36 +102,38 @@ class FormDefaults:
     `FORM_DEFAULTS`."""
     leaf_angle: str
     """Distribution of the leaf normals (`leaf_angle`)."""
+    leaf_diameter: float
+    """Diameter of a round leaf that makes the same hot spot [m]; see `FORM_DEFAULTS`."""
     description: str
     """The shape, in words."""
 
 
 FORM_DEFAULTS: dict[str, FormDefaults] = {
     "upright_ericoid": FormDefaults(
-        2.5, 0.40, 0.05, 0.5, 0.40, "erectophile",
+        2.5, 0.40, 0.05, 0.5, 0.40, "erectophile", 0.002,
         "Broom-like: crown widens upwards to 70 % of the height, foliage towards the top and the "
         "outside on ascending shoots, small leaves pressed along them.",
     ),
     "rounded_shrub": FormDefaults(
-        3.0, 0.50, 0.05, 0.4, 0.30, "spherical",
+        3.0, 0.50, 0.05, 0.4, 0.30, "spherical", 0.005,
         "Dome resting near the ground, foliage in its outer shell, many fine stems.",
     ),
     "tussock": FormDefaults(
-        2.0, 0.05, 0.03, 0.2, 0.45, "erectophile",
+        2.0, 0.05, 0.03, 0.2, 0.45, "erectophile", 0.002,
         "Leafless green culms that fan out from a small base and arch over; counted as leaf. "
         "Dead sheaths at the base are wood, spikelets at the tips are flowers.",
     ),
     "broad_leaved": FormDefaults(
-        3.5, 0.50, 0.01, 0.2, 0.25, "plagiophile",
+        3.5, 0.50, 0.01, 0.2, 0.25, "plagiophile", 0.025,
         "Ellipsoidal crown on a few stout stems, foliage in its outer shell, oblique leaves.",
     ),
     "climber": FormDefaults(
-        1.5, 0.0, 0.0, 0.2, 0.30, "planophile",
+        1.5, 0.0, 0.0, 0.2, 0.30, "planophile", 0.002,
         "Shallow mat of green threads (counted as leaf) draped over the upper part of its height, "
         "falling towards its rim; no wood and no visible flowers.",
     ),
     "deadwood": FormDefaults(
-        0.0, 0.80, 0.0, 0.0, 0.0, "spherical",
+        0.0, 0.80, 0.0, 0.0, 0.0, "spherical", 0.005,
         "Bare stems and branches from the base, upright to leaning far outwards; wood only.",
     ),
 }  # fmt: skip
@@ -139,7 +141,10 @@ FORM_DEFAULTS: dict[str, FormDefaults] = {
 0.5 to 4 that shrub crowns commonly show; all are starting values for a calibration. The shares of
 dead tissue are near those with which the spectra of 18 BioSCape plots agree best when each form has
 one value (0.43 in tussocks, 0.35 in ericoid, 0.25 in broad-leaved shrubs, 0.29 in domes); that of
-climbers is assumed."""
+climbers is assumed. Leaf diameters are the roots of length times width of the taxa of each form in
+`data/leaf_sizes.csv`, which has a source each (ericoid 2.2 mm but for Clutia, domes 1.8 to 6.7,
+broad leaves 17 and 33), and 2 mm for culms and threads 1.2 mm thick, the mean chord across
+them."""
 
 _CROWNS = {
     "upright_ericoid": Crown(0.12, 0.70, 1.6, 2.5, height_power=1.0, shell_power=1.0),

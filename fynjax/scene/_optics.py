@@ -25,6 +25,8 @@ from fynjax.scene._spectra import background_spectrum
 _PETAL = LeafParameters.many(
     structure=2.0, chlorophyll=0.0, carotenoids=0.5, anthocyanins=1.0, water=0.008, dry_matter=0.003
 )
+_OTHER_DIAMETER = 0.005
+"""Of twigs and petals, for the hot spot: an assumption [m]."""
 
 
 def optical_classes(
@@ -34,12 +36,14 @@ def optical_classes(
     wavelength: Float[np.ndarray, " wavelength"],
     leaf_angles: Sequence[AbstractLeafAngle | None],
     dead_tissue: Float[np.ndarray, " wavelength"],
+    hot_spot: bool = False,
 ) -> OpticalClasses:
     """Reflectance, transmittance and inclination of each optical class of a plot.
 
     `average` makes bands of spectra on `wavelength`; `leaf_angles` holds the inclinations of the
     species that have their own, and None for those of their form; `dead_tissue` is the reflectance
-    of the dead part of live shoots, which is opaque. Differentiable in `parameters`.
+    of the dead part of live shoots, which is opaque; with `hot_spot` leaves have the diameters of
+    their forms. Differentiable in `parameters`.
     """
     dtype = average.dtype
     leafy = np.array(list(leafy_species(forms)), int)
@@ -68,7 +72,20 @@ def optical_classes(
     transmittance = jnp.concatenate(
         [transmittance[:-1], jnp.zeros_like(bark)[None], transmittance[-1:]]
     )
-    return OpticalClasses(reflectance, transmittance, *class_angles(forms, leaf_angles))
+    angles = class_angles(forms, leaf_angles)
+    if not hot_spot:
+        return OpticalClasses(reflectance, transmittance, *angles)
+    leaf = [FORM_DEFAULTS[forms[i]].leaf_diameter for i in leafy.tolist()]
+    diameter, size_of_class = np.unique(
+        [*leaf, _OTHER_DIAMETER, _OTHER_DIAMETER], return_inverse=True
+    )
+    return OpticalClasses(
+        reflectance,
+        transmittance,
+        *angles,
+        leaf_diameter=jnp.asarray(diameter, dtype),
+        size_of_class=tuple(size_of_class.tolist()),
+    )
 
 
 def class_angles(

@@ -139,6 +139,9 @@ class Scene(eqx.Module):
     """Diffuse over global irradiance [-], instead of the clear-sky model."""
     dead_tissue: Spectrum | None
     """Reflectance of dead tissue in live shoots; None: that of bark."""
+    hot_spot: bool = eqx.field(static=True)
+    """Whether leaves have the size of their form: what the sun lights is then seen the better, the
+    nearer sun and sight are. False: points, which have no hot spot."""
     dtype: str = eqx.field(static=True)
 
     @classmethod
@@ -340,7 +343,7 @@ class Scene(eqx.Module):
             self.dead_tissue.check(min(bands.centre), max(bands.centre))
             dead = self.dead_tissue.at(wavelength)
         classes = optical_classes(
-            self.forms, parameters, average, wavelength, self.leaf_angles, dead
+            self.forms, parameters, average, wavelength, self.leaf_angles, dead, self.hot_spot
         )
         light = parameters.light
         if self.sky is None:
@@ -443,6 +446,7 @@ def build_scene(
     terrain: Float[np.ndarray, "y x"] | None = None,
     sky: Spectrum | None = None,
     dead_tissue: Spectrum | None = None,
+    hot_spot: bool = False,
     dtype: str = "float32",
 ) -> Scene:
     """Draw what is random about a scene, once.
@@ -457,6 +461,7 @@ def build_scene(
     - `boundary`: "periodic" repeats the plot for ever, "open" does not.
     - `rules`, `ground`, `terrain`, `sky`, `dead_tissue`: see `PlantingRules` and `Scene`; left out,
       even planting on level, shipped ground under a clear sky, dead tissue as bark.
+    - `hot_spot`: whether leaves have the size of their form, see `Scene`.
     - `dtype`: floating type that the scene is computed in.
 
     **Raises:** `InputError` where the plants do not fit, or voxels do not divide the sides.
@@ -496,6 +501,7 @@ def build_scene(
         terrain=terrain,
         sky=sky,
         dead_tissue=dead_tissue,
+        hot_spot=hot_spot,
         dtype=dtype,
     )
     if scene.finer:

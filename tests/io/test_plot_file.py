@@ -378,3 +378,27 @@ def test_a_soil_that_cannot_serve_is_named(folder, content, words):
     edit(folder / "plot.toml", "moisture = 0.5", "")
     with pytest.raises(InputError, match=words):
         plot_ground(read_plot(folder / "plot.toml"), None).soil.check(500.0, 950.0)
+
+
+def test_dead_tissue_hot_spot_and_structure_of_leaves(folder):
+    plain = read_plot(folder / "plot.toml")
+    assert (plain.species[0].dead_fraction, plain.dead_tissue, plain.hot_spot) == (
+        None,
+        None,
+        False,
+    )
+    heavy = plain.species[7].leaf.parameters  # Restio, 500 g m-2
+    assert heavy["structure"] == pytest.approx(500.0**0.275 * np.exp(-0.689))
+    (folder / "dead.csv").write_text("wavelength_nm,reflectance\n400,0.1\n2500,0.4\n")
+    lines = 'leaf_table = "leaves.csv"\ndead_tissue = "dead.csv"\nhot_spot = true'
+    edit(folder / "plot.toml", 'leaf_table = "leaves.csv"', lines)
+    edit(folder / "species.csv", ",packing_percent\n", ",packing_percent,dead_fraction\n")
+    edit(folder / "species.csv", "upright_ericoid,50\n", "upright_ericoid,50,0.7\n")
+    plot = read_plot(folder / "plot.toml")
+    assert plot.hot_spot
+    assert plot.dead_tissue in plot.inputs
+    assert [one.dead_fraction for one in plot.species[:2]] == [0.7, None]
+    edit(folder / "species.csv", "50,0.7\n", "50,70\n")
+    with pytest.raises(InputError, match=r"from 0 to 1, but got 70|between 0 and 1|70") as caught:
+        read_plot(folder / "plot.toml")
+    assert caught.value.column == "dead_fraction"

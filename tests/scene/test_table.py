@@ -48,6 +48,13 @@ def test_a_table_gives_the_scene_and_the_image_of_its_plot_file(built, tmp_path)
     np.testing.assert_allclose(image, of_file(camera, *from_files), rtol=1e-5)
 
 
+def test_structure_that_is_left_out_is_that_of_leaves_as_heavy():
+    leaf = {name: value for name, value in LEAF.items() if name != "structure"}
+    leaves = {"*": leaf | {"dry_matter": 0.01}}
+    _, parameters = Scene.from_table(TABLE, size_m=2.0, leaves=leaves)
+    np.testing.assert_allclose(parameters.leaf.structure, np.exp(0.275 * np.log(100.0) - 0.689))
+
+
 def test_a_frame_is_as_good_as_records_and_leaves_are_by_taxon(built):
     leaf = {**LEAF, "chlorophyll": 60.0}
     frame = pd.DataFrame(TABLE).assign(packing_percent=[5.0, np.nan], branches=[pd.NA, 3])

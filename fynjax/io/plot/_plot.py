@@ -220,6 +220,8 @@ class Plot:
     """Every file that was read or is named, for the provenance record."""
     dead_tissue: Path | None = None
     """The user's spectrum of dead tissue in live shoots; `None` takes that of bark."""
+    hot_spot: bool = False
+    """Whether leaves have the size of their growth form."""
     parameters: Path | None = None
     """Table of values that replace those above, for `build_plot`."""
     air: Air | None = None

@@ -312,6 +312,7 @@ def read_plot(path: str | Path) -> Plot:
         softness=scene.softness,
         softness_plants=scene.softness_plants,
         dead_tissue=dead_path,
+        hot_spot=parsed.plot.hot_spot,
         parameters=values_path,
         calibration=Calibration(
             free=tuple(calibration.free),

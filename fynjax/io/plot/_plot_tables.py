@@ -55,6 +55,11 @@ class PlotTable(Strict):
         description="Spectrum of dead tissue in live shoots; a CSV file as for soil, a path from "
         "this file's folder. Left out: bark.",
     )
+    hot_spot: bool = Field(
+        default=False,
+        description="Whether leaves have the size of their growth form, which brightens the plot "
+        "where sensor and sun are in the same direction; takes longer.",
+    )
     probability_map: str | None = Field(
         default=None, description="GeoTIFF, 0 to 255: where plants are likely to stand."
     )

@@ -50,11 +50,13 @@ _ASSUMED = (
     "Measured: cover of live and dead vegetation, soil and rock; cover of the species; leaf mass "
     "per area and water content of a species, or the mean of its genus, family or growth form. "
     "Assumed, and the same for all plots: growth form, crown size, leaf area, leaf angles, "
-    "pigments, the spectra of soil, litter and bark, level ground, and a view from straight above. "
-    "The folder of each plot says of every number where it is from (sources.csv). No number was "
-    "fitted to a measured spectrum. One choice was made after a look at three of them (Cape "
-    "Peninsula plots T068, T072, T094): dead plants that stand have the spectrum of bark, where "
-    "PROSPECT with brown pigments was tried before.",
+    "pigments, the dead tissue of live shoots, the spectra of soil, litter and bark, level ground, "
+    "and a view from straight above. The folder of each plot says of every number where it is "
+    "from (sources.csv). Some choices were made with spectra of 18 of BioSCape's plots in sight, "
+    "and are no test on these: that live shoots have dead tissue, and how much, by growth form "
+    "(0.25 to 0.45, near a fit to the 18); and, after a look at T068, T072 and T094, that dead "
+    "plants that stand have the spectrum of bark. No other number was fitted to a measured "
+    "spectrum.",
     "A measured spectrum is the mean of the flights over the plot; the sun is that of the flight "
     "in the middle, by its height. Where no table names a flight the sun is assumed at 30 degrees "
     "zenith in the north.",
