@@ -392,8 +392,10 @@ def test_dead_tissue_hot_spot_and_structure_of_leaves(folder):
     (folder / "dead.csv").write_text("wavelength_nm,reflectance\n400,0.1\n2500,0.4\n")
     lines = 'leaf_table = "leaves.csv"\ndead_tissue = "dead.csv"\nhot_spot = true'
     edit(folder / "plot.toml", 'leaf_table = "leaves.csv"', lines)
+    text = (folder / "species.csv").read_text(encoding="utf-8").replace("50\n", "50,\n")
+    (folder / "species.csv").write_text(text.replace("deadwood,0", "deadwood,0,"))
     edit(folder / "species.csv", ",packing_percent\n", ",packing_percent,dead_fraction\n")
-    edit(folder / "species.csv", "upright_ericoid,50\n", "upright_ericoid,50,0.7\n")
+    edit(folder / "species.csv", "upright_ericoid,50,\n", "upright_ericoid,50,0.7\n")
     plot = read_plot(folder / "plot.toml")
     assert plot.hot_spot
     assert plot.dead_tissue in plot.inputs
