@@ -125,7 +125,8 @@ def make_space(values: dict[str, float], relative_sd: Mapping[str, float | None]
     for name, value in values.items():
         kind = parameter_kind(name)
         record = PARAMETERS.get(kind)
-        if record is None or record.prior_sd(value) is None:
+        own = None if record is None else record.prior_sd(value)
+        if record is None or own is None:
             free = [k for k, known in PARAMETERS.items() if known.prior_sd(1.0) is not None]
             raise InputError(f"{name} cannot be free: only {', '.join(free)} can")
         record.check(value, f"the prior of {name}")
@@ -135,7 +136,7 @@ def make_space(values: dict[str, float], relative_sd: Mapping[str, float | None]
             low, high = max(low, _ROOM[kind][0] * value), min(high, _ROOM[kind][1] * value)
             usual = min(usual, high - low)
         relative = relative_sd[name]
-        stated = record.prior_sd(value) if relative is None else relative * abs(value)
+        stated = own if relative is None else relative * abs(value)
         centre, sd = _fitted_prior(value, stated, (low, high), usual)
         if (centre, sd) != (value, stated):
             shown = [record.shown_factor * number for number in (value, stated, centre, sd)]
