@@ -1,4 +1,5 @@
-"""Dead tissue in live shoots: what it is mixed of, its limits, its energy and its spectrum."""
+"""Dead tissue in live shoots: what it is mixed of, its limits, its energy and its spectrum; and the
+sizes of leaves."""
 
 import dataclasses
 
@@ -101,3 +102,14 @@ def test_a_spectrum_of_the_user_must_cover_the_bands():
     model = small_plot(dead_tissue=wide)
     given = model.voxels(with_dead(1.0, 1.0, 0.0), mavic_3m()).classes.reflectance
     np.testing.assert_allclose(given[1], 0.27 * 0.8 / (1 - 0.2 * 0.27), rtol=1e-9)
+
+
+def test_leaves_have_the_size_of_their_form_where_a_hot_spot_is_asked_for():
+    plain, sized = (
+        small_plot(hot_spot=asked).voxels(small_parameters(), mavic_3m()).classes
+        for asked in (False, True)
+    )
+    assert plain.leaf_diameter is None
+    diameters = np.asarray(sized.leaf_diameter)[list(sized.sizes)]
+    np.testing.assert_allclose(diameters, [0.005, 0.002, 0.005, 0.005])  # dome, tussock; the rest
+    np.testing.assert_allclose(sized.reflectance, plain.reflectance)
