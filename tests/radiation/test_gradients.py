@@ -212,3 +212,22 @@ def test_finite_at_the_edge(what, scene):
     assert np.isfinite(value(at))
     for leaf in jax.tree.leaves(slope(at)):
         assert np.all(np.isfinite(leaf))
+
+
+@pytest.mark.study
+def test_the_gradient_takes_at_most_three_times_the_memory_of_the_image():
+    """In refined light: what the compiled programs say that they need."""
+    scene = patchy(shape=(16, 48, 48))
+    rays = nadir_rays(
+        jnp.linspace(0.1, 4.7, 64), jnp.linspace(0.1, 4.7, 64), 0.07, (2.0, 2.0, 50.0)
+    )
+
+    def mean(density):
+        at = dataclasses.replace(scene, area_density=density)
+        return jnp.mean(reflectance_factor(solve_light(at), rays))
+
+    image, gradient = (
+        jax.jit(of).lower(scene.area_density).compile().memory_analysis().temp_size_in_bytes
+        for of in (mean, jax.value_and_grad(mean))
+    )
+    assert gradient < 3.0 * image
