@@ -215,7 +215,7 @@ def test_finite_at_the_edge(what, scene):
 
 
 @pytest.mark.study
-def test_the_gradient_takes_at_most_three_times_the_memory_of_the_image():
+def test_the_memory_of_a_gradient_is_some_twice_that_of_its_image():
     """In refined light: what the compiled programs say that they need."""
     scene = patchy(shape=(16, 48, 48))
     rays = nadir_rays(
@@ -230,4 +230,4 @@ def test_the_gradient_takes_at_most_three_times_the_memory_of_the_image():
         jax.jit(of).lower(scene.area_density).compile().memory_analysis().temp_size_in_bytes
         for of in (mean, jax.value_and_grad(mean))
     )
-    assert gradient < 3.0 * image
+    assert gradient < 2.5 * image  # 2.1 measured, 2.9 without recomputing the finer fields
