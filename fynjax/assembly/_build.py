@@ -82,6 +82,7 @@ def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[Scene, PlotParam
         hot_spot=plot.hot_spot,
         terrain=ground_heights(plot),
         sky=_sky(plot),
+        sky_pattern=plot.sky.pattern,
     )
     # After the planting: places are held ready as for the tables, so that plants stay where a
     # calibration had them.

@@ -22,7 +22,9 @@ def plot_ground(plot: Plot, patches: Float64[np.ndarray, "kind y x"] | None) -> 
     covers = {
         cover: read(path, cover) for cover, path in zip(COVERS, plot.ground.spectra, strict=True)
     }
-    return Ground(soil=read(plot.ground.spectrum, "soil"), patches=patches, **covers)
+    return Ground(
+        soil=read(plot.ground.spectrum, "soil"), patches=patches, shape=plot.ground.rpv, **covers
+    )
 
 
 def dead_tissue(plot: Plot) -> Spectrum | None:

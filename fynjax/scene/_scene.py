@@ -31,7 +31,7 @@ from fynjax.canopy import (
     soft_count,
     target_area,
 )
-from fynjax.radiation import Illumination, VoxelScene
+from fynjax.radiation import Illumination, RahmanPintyVerstraete, VoxelScene
 from fynjax.scene._ground import COVERS, Ground, ground_shares
 from fynjax.scene._optics import class_angles, inclination, optical_classes
 from fynjax.scene._parameters import GroundParameters, LightParameters, PlotParameters
@@ -137,6 +137,8 @@ class Scene(eqx.Module):
     """Height of the ground in the voxel columns above the bottom of the grid [m]; None: level."""
     sky: Spectrum | None
     """Diffuse over global irradiance [-], instead of the clear-sky model."""
+    sky_pattern: Float[np.ndarray, "zenith azimuth"] | None
+    """Where the sky is bright, as of `fynjax.radiation.Illumination`; None: alike everywhere."""
     dead_tissue: Spectrum | None
     """Reflectance of dead tissue in live shoots; None: that of bark."""
     hot_spot: bool = eqx.field(static=True)
@@ -357,14 +359,20 @@ class Scene(eqx.Module):
         grid, columns = self.class_grid, self._columns
         positions, area = self._elements(parameters)
         terrain = None if self.terrain is None else jnp.asarray(self.terrain, self.dtype)
+        pattern = None if self.sky_pattern is None else jnp.asarray(self.sky_pattern, self.dtype)
+        shape = None
+        if self.ground.shape is not None:
+            alike = (jnp.full(len(sky), value, self.dtype) for value in self.ground.shape)
+            shape = RahmanPintyVerstraete(*alike)
         return VoxelScene(
             self._deposit(positions, area, grid, by_class=True),
             classes,
             columns(self.ground_map(parameters, bands)),
-            Illumination(light.sun_zenith, light.sun_azimuth, 1.0 - sky, sky),
+            Illumination(light.sun_zenith, light.sun_azimuth, 1.0 - sky, sky, pattern),
             grid.horizontal_size,
             grid.vertical_size,
             self.boundary,
+            ground_shape=shape,
             terrain=None if terrain is None else columns(terrain),
             structure=self.structure(parameters),
         )
@@ -445,6 +453,7 @@ def build_scene(
     ground: Ground | None = None,
     terrain: Float[np.ndarray, "y x"] | None = None,
     sky: Spectrum | None = None,
+    sky_pattern: Float[np.ndarray, "zenith azimuth"] | None = None,
     dead_tissue: Spectrum | None = None,
     hot_spot: bool = False,
     dtype: str = "float32",
@@ -459,8 +468,9 @@ def build_scene(
     - `voxel`: edge of a voxel [m]; must divide the sides.
     - `seed`: of everything random; the same seed gives the same plants.
     - `boundary`: "periodic" repeats the plot for ever, "open" does not.
-    - `rules`, `ground`, `terrain`, `sky`, `dead_tissue`: see `PlantingRules` and `Scene`; left out,
-      even planting on level, shipped ground under a clear sky, dead tissue as bark.
+    - `rules`, `ground`, `terrain`, `sky`, `sky_pattern`, `dead_tissue`: see `PlantingRules` and
+      `Scene`; left out, even planting on level, shipped ground under a clear, even sky, dead tissue
+      as bark.
     - `hot_spot`: whether leaves have the size of their form, see `Scene`.
     - `dtype`: floating type that the scene is computed in.
 
@@ -500,6 +510,7 @@ def build_scene(
         ground=Ground() if ground is None else ground,
         terrain=terrain,
         sky=sky,
+        sky_pattern=sky_pattern,
         dead_tissue=dead_tissue,
         hot_spot=hot_spot,
         dtype=dtype,

@@ -18,6 +18,7 @@ from fynjax.io.plot._plot_tables import PlotFile
 from fynjax.io.plot._rows import (
     LeafRow,
     ParameterRow,
+    SkyPatternRow,
     SkyRow,
     SpeciesRow,
     StatisticRow,
@@ -44,6 +45,7 @@ __all__ = [
     "PlotFile",
     "Sensor",
     "Sky",
+    "SkyPatternRow",
     "SkyRow",
     "Species",
     "SpeciesRow",

@@ -82,6 +82,9 @@ class Sky:
     """Wavelengths of the table [nm], rising."""
     diffuse_fraction: Floats | None
     """Diffuse over global irradiance [-]."""
+    pattern: Floats | None = None
+    """Relative radiance [zenith, azimuth] at even steps from 0 to 90 degrees and from north round
+    clockwise; `None`: the same from everywhere."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,8 @@ class Ground:
     """Width of the patches in which they lie [m]; 0 mixes them alike."""
     map: Path | None
     """Raster of the shares of litter, char and rock."""
+    rpv: tuple[float, float, float] | None = None
+    """k, theta and rho_c of the ground's angular shape; `None`: alike in all directions."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from fynjax._core.errors import InputError
 from fynjax.canopy import FORM_DEFAULTS
 from fynjax.io.plot._plot import Calibration, Floats, Ground, LeafSource, Plot, Sky, Species
 from fynjax.io.plot._plot_tables import COVER_FRACTIONS, PlotFile
-from fynjax.io.plot._rows import LeafRow, SkyRow, SpeciesRow
+from fynjax.io.plot._rows import LeafRow, SkyPatternRow, SkyRow, SpeciesRow
 from fynjax.io.plot._sensor import DRONE, plot_air, plot_sensor, plot_sun
 from fynjax.io.text import did_you_mean, existing_file, line_of, read_rows, read_toml
 from fynjax.leaf import structure_from_dry_matter
@@ -153,6 +153,27 @@ def _read_sky(path: Path) -> tuple[Floats, Floats]:
     return wavelength, np.array([row.diffuse_fraction for _, row in rows])
 
 
+def _read_sky_pattern(path: Path) -> Floats:
+    """Radiance [zenith, azimuth] on the even grid of a pattern."""
+    rows = [row for _, row in read_rows(path, SkyPatternRow, "a pattern of the sky")]
+    zenith = np.unique([row.zenith_deg for row in rows])
+    azimuth = np.unique([row.azimuth_deg for row in rows])
+    even = len(zenith) > 1 and np.allclose(zenith, np.linspace(0.0, 90.0, len(zenith)), atol=1e-3)
+    around = np.allclose(azimuth, np.arange(len(azimuth)) * 360.0 / len(azimuth), atol=1e-3)
+    places = {(row.zenith_deg, row.azimuth_deg) for row in rows}
+    if not (even and around and len(places) == len(rows) == len(zenith) * len(azimuth)):
+        raise InputError(
+            "expected every pair of even zenith angles from 0 to 90 degrees and even azimuths from "
+            f"0 on once, 360 left out, but got {len(rows)} rows with {len(zenith)} zenith angles "
+            f"and {len(azimuth)} azimuths",
+            file=path,
+        )
+    if not any(row.radiance > 0 for row in rows):
+        raise InputError("expected some light, but every radiance is 0", file=path)
+    ordered = sorted(rows, key=lambda row: (row.zenith_deg, row.azimuth_deg))
+    return np.array([row.radiance for row in ordered]).reshape(len(zenith), len(azimuth))
+
+
 def as_plot(plot: Plot | str | Path) -> Plot:
     """`plot` as it is, or read from its file by `read_plot`, whose errors are raised."""
     return plot if isinstance(plot, Plot) else read_plot(plot)
@@ -192,6 +213,14 @@ def read_plot(path: str | Path) -> Plot:
     terrain_path = named("plot", "terrain", parsed.plot.terrain, "a GeoTIFF")
     dead_path = named("plot", "dead_tissue", parsed.plot.dead_tissue, "a spectrum of dead tissue")
     sky_path = named("sky", "table", parsed.sky.table, "a sky table")
+    pattern_path = named("sky", "pattern", parsed.sky.pattern, "a pattern of the sky")
+    if parsed.ground.rpv is not None and parsed.plot.terrain is not None:
+        raise InputError(
+            "expected rpv or a terrain, but got both: ground with a shape of its own must be level",
+            file=path,
+            row=line_of(text, ("ground", "rpv")),
+            column="ground.rpv",
+        )
     own_soil = None if parsed.ground.soil in ("dry", "wet") else parsed.ground.soil
     soil_path = named("ground", "soil", own_soil, "'dry', 'wet' or a soil spectrum")
 
@@ -276,6 +305,7 @@ def read_plot(path: str | Path) -> Plot:
     inputs = (
         *(path, species_path, leaf_path, map_path, sky_path, soil_path, cover_map),
         *(terrain_path, sensor_path, air_path, values_path, dead_path),
+        pattern_path,
         *cover_paths,
         *(entry.plant for entry in species),
         *spectra,
@@ -296,7 +326,12 @@ def read_plot(path: str | Path) -> Plot:
         terrain=terrain_path,
         map_origin_m=parsed.plot.map_origin_m,
         sun=plot_sun(parsed.sun, path, text),
-        sky=Sky(parsed.sky.aerosol_optical_depth, wavelength, diffuse),
+        sky=Sky(
+            parsed.sky.aerosol_optical_depth,
+            wavelength,
+            diffuse,
+            None if pattern_path is None else _read_sky_pattern(pattern_path),
+        ),
         ground=Ground(
             soil_path,
             parsed.ground.brightness,
@@ -305,6 +340,7 @@ def read_plot(path: str | Path) -> Plot:
             (cover_paths[0], cover_paths[1], cover_paths[2]),
             parsed.ground.patch_m,
             cover_map,
+            parsed.ground.rpv,
         ),
         sensor=sensor,
         air=plot_air(air, air_path),

@@ -138,9 +138,27 @@ class SkyTable(Strict):
     table: str | None = Field(
         default=None, description="CSV with wavelength_nm, diffuse_fraction; replaces the model."
     )
+    pattern: str | None = Field(
+        default=None,
+        description="CSV with zenith_deg, azimuth_deg, radiance: where the sky is bright, in any "
+        "unit, on an even grid. Left out: the same from everywhere.",
+    )
 
 
 COVER_FRACTIONS = ("litter_fraction", "char_fraction", "rock_fraction")
+
+
+def _is_a_shape(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    k, theta, rho_c = value
+    if not (0.1 <= k <= 2 and -0.9 <= theta <= 0.9 and 0 <= rho_c <= 2):
+        raise ValueError(
+            "expected k of 0.1 to 2, theta of -0.9 to 0.9 and rho_c of 0 to 2, but got "
+            f"{k:g}, {theta:g}, {rho_c:g}"
+        )
+    return value
+
+
+Shape = Annotated[tuple[float, float, float], AfterValidator(_is_a_shape)]
 
 
 class GroundTable(Strict):
@@ -177,6 +195,13 @@ class GroundTable(Strict):
         default=None,
         description="GeoTIFF with bands litter, char, rock (any of them): shares of 0 to 1 in "
         "their places, instead of fractions and patches.",
+    )
+
+    rpv: Shape | None = Field(
+        default=None,
+        description="k, theta and rho_c of Rahman, Pinty and Verstraete (1993): how the ground "
+        "reflects more in some directions; the spectra are then its amplitude rho_0. Not with a "
+        "terrain. Left out: alike in all directions.",
     )
 
     @model_validator(mode="after")

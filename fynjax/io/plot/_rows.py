@@ -194,6 +194,17 @@ class StructureRow(Strict):
     )
 
 
+class SkyPatternRow(Strict):
+    """One direction of a pattern of the sky."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        "zenith_deg": lambda v: "Is it the elevation?" if v > 90 else None
+    }
+    zenith_deg: float = number("From straight up", "degree", ge=0, le=90)
+    azimuth_deg: float = number("Clockwise from north", "degree", ge=0, lt=360)
+    radiance: float = number("Of the sky, in any unit", "-", ge=0)
+
+
 class SkyRow(Strict):
     """One row of a sky table."""
 
