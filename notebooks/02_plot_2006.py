@@ -75,11 +75,11 @@ for taxon, number, ground in zip(table.taxon, count, each):
 # %% [markdown]
 # ## The scene
 #
-# What the table does not say has to be assumed, and is stated: leaf and wood area per crown, the
-# clumping of leaves on shoots and leaf angles come from the growth form, one leaf chemistry serves
-# all species, the ground is dry soil with 30 % litter, the sun stands 28° from the zenith in the
-# north. Where plants may stand, how they are turned and which are larger is drawn once, from the
-# seed.
+# What the table does not say has to be assumed, and is stated: leaf and wood area of crowns, the
+# dead tissue and the clumping of their shoots and leaf angles come from the growth form, one leaf
+# chemistry serves all species, the ground is dry soil with 30 % litter, the sun stands 28° from
+# the zenith in the north. Where plants may stand, how they are turned and which are larger is
+# drawn once, from the seed.
 
 # %%
 taxa, forms = tuple(table.taxon), tuple(table.growth_form)

@@ -78,7 +78,8 @@ def fit(
     Without `report` and `keep` the fit can be compiled by `jax.jit` and mapped by `jax.vmap`, over
     data, priors, start or context; not with "lbfgsb" and the solvers of SciPy. The estimate is
     differentiable once in data, priors, offset and context, by the implicit function theorem with
-    the Hessian of the objective.
+    the Hessian of the objective; only nearly where the model itself can be differentiated once, as
+    light in a canopy (`fynjax.radiation.solve_light`).
 
     **Raises:** `InputError` for an unknown solver, a fit that cannot be traced, and where JAX is
     limited to 32 bits.

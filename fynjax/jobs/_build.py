@@ -107,8 +107,9 @@ def build(
     - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `BuildResult`. Writes tables of the plants and of the cover of each species, the
-    area density in voxels (`voxels.nc`), pictures and a page into `output`, and with `mesh` the
-    scene as `scene.obj` and `scene.mtl`.
+    area density in voxels (`voxels.nc`), areas, leaf mass and gap of the stand (`stand.csv`),
+    pictures and a page into `output`, and with `mesh` the scene as `scene.obj` and `scene.mtl`.
+    Warns of areas outside what shrublands have.
 
     **Raises:** `InputError` as `read_plot`, for maps that do not cover the plot, and for a mesh of
     too many triangles; `MissingExtraError` for meshes in the picture without PyVista.

@@ -322,7 +322,7 @@ def _completion(
     tolerance: float | Float[Array, ""],
     transposed: float | Float[Array, ""],
 ) -> tuple[Array, Lit]:
-    """What the solution and its light lack for `left_over`: nothing, but for the derivative."""
+    """Zero, with the derivative of the source and the light that `left_over` makes."""
     dark = jax.eval_shape(transport.respond, left_over, band)
     return jnp.zeros_like(left_over), jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), dark)
 
@@ -331,6 +331,7 @@ def _completion(
 def _completion_derivative(
     iterations: int, at: tuple[Any, ...], change: tuple[Any, ...]
 ) -> tuple[Any, Any]:
+    # Constants here: the derivative is right once, a second one misses terms.
     transport, band, _, tolerance, transposed = jax.lax.stop_gradient(at)
     operator = transport.operator(band)
 

@@ -106,9 +106,17 @@ def solve_reduced(
         skies, sky = _mixture(bands.sky, 1 if pattern.ndim == 2 else min(materials, count))
     lights = jnp.concatenate([sky, bands.sun[:, None]], axis=1)
     chosen = _choose(transport, bands, soil, lights, min(solves, count))
-    sources = jax.lax.map(
-        lambda band: transport.solve(band, tolerance, iterations)[0], bands[chosen]
-    )
+    constant, solved = jax.lax.stop_gradient((transport, bands[chosen]))
+    sources = jax.lax.map(lambda band: constant.solve(band, tolerance, iterations)[0], solved)
+
+    def with_derivative(at: tuple[Bands, Array]) -> Array:
+        # The sweep at the solution is recomputed, lest it be kept for every band.
+        band, source = at
+        lit = transport.light(source, band.sky, band.sun, band.ground, band.shape)
+        sun = transport.from_sun(band)
+        return transport.complete(band, source, lit, sun, tolerance, iterations)[0]
+
+    sources = jax.lax.map(jax.checkpoint(with_derivative), (bands[chosen], sources))
     basis, missing = _orthonormal(sources)
     system = _assemble(transport, bands, basis, missing, grounds, skies)
     coefficients = jax.lax.map(

@@ -128,8 +128,8 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
     of range.
 
     Differentiable once, in forward and reverse mode, in every array of `scene`; the derivative of
-    the diffuse field is one solve with the transposed operator. (A second derivative would miss
-    terms.)
+    the diffuse field is one solve with the transposed operator. A second derivative
+    (`jax.hessian`) would miss terms: take Gauss-Newton steps, or differences of the gradient.
 
     >>> import jax.numpy as jnp
     >>> from fynjax.radiation import solve_light, voxel_scene

@@ -151,9 +151,10 @@ class SpeciesParameters(eqx.Module):
         usual=(0.0, 0.8),
         sd=0.25,
         description="Share of the one-sided area of live shoots that is dead or woody: old leaves "
-        "and culms, sheaths, bracts, twigs. It reflects as bark or as the spectrum that a plot "
-        "file gives, lets no light through, and shares the shoot's clumping. The prior's standard "
-        "deviation is absolute: fits to 18 plots ask for anything from 0 to 0.9 (sd 0.29).",
+        "and culms, sheaths, bracts, twigs. It reflects as bark, or as the spectrum that a plot "
+        "file gives, times the wood brightness, lets no light through, and shares the shoot's "
+        "clumping. The prior's standard deviation is absolute: fits to 18 plots ask for anything "
+        "from 0 to 0.9 (sd 0.29).",
     )
 
 

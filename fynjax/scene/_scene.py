@@ -171,7 +171,7 @@ class Scene(eqx.Module):
         - `seed`: of everything random.
         - `boundary`: "periodic" repeats the plot for ever, "open" does not.
         - `leaves`: PROSPECT-D parameters by taxon, in PROSPECT's units; "*" is any other. Left out,
-          the usual leaf; a structure that is left out is that of leaves as heavy.
+          the usual leaf; a structure that is left out follows from dry matter.
         - `ground`, `light`: left out, their defaults.
 
         What is left out is as in a plot file.

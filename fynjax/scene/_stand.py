@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from fynjax.canopy import Organ
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._scene import Scene
 
@@ -39,19 +40,19 @@ class StandArea:
     def warnings(self) -> list[str]:
         """What lies outside shrublands' usual ranges, in sentences; nothing of a bare plot."""
         leaf, mass = float((self.leaf + self.dead).sum()), float(self.leaf_mass.sum())
-        found = []
+        messages = []
         if leaf > 0.0 and not SPARSEST <= leaf <= DENSEST:
-            found.append(
-                f"leaves, live and dead, of {leaf:.2g} m2 m-2 over the plot are not those of a "
-                "shrubland: deserts have 1.3 (sd 0.9), temperate evergreen forests 5.1 to 6.7 "
-                "(Asner et al. 2003)"
+            messages.append(
+                f"the area of leaves, live and dead, of {leaf:.2f} m2 m-2 over the plot is outside "
+                f"{SPARSEST:g} to {DENSEST:g}, between deserts (1.3, sd 0.9) and temperate "
+                "evergreen forests (5.1 to 6.7; Asner et al. 2003)"
             )
         if mass > HEAVIEST:
-            found.append(
+            messages.append(
                 f"leaves of {mass:.0f} g m-2 weigh as much as all that stands above ground in "
                 "mature fynbos, 1100 to 1500 g m-2 (Kruger 1977; Rutherford 1978)"
             )
-        return found
+        return messages
 
 
 def stand_area(scene: Scene, parameters: PlotParameters) -> StandArea:
@@ -64,15 +65,18 @@ def stand_area(scene: Scene, parameters: PlotParameters) -> StandArea:
 
     Not differentiable; `Scene.area_density` and `Scene.gap_fraction` are.
     """
-    own, plot = parameters.species, float(np.prod(scene.grid.extent[:2]))
-    crowns = np.bincount(
-        np.asarray(scene.planting.species),
-        np.asarray(scene.crown_areas(parameters), float),
-        len(scene.taxa),
-    )
-    seen = crowns * float(scene.crown_share(parameters)) / plot
-    shoots = seen * np.asarray(own.leaf_area_index, float)
-    dead = shoots * np.asarray(own.dead_fraction, float)
+    species, planting = parameters.species, scene.planting
+    plot = float(np.prod(scene.grid.extent[:2]))
+    crowns = np.asarray(scene.crown_areas(parameters), float) * float(scene.crown_share(parameters))
+    # Only organs that a plant's shape has carry area.
+    plant, organ = np.asarray(planting.plant), np.asarray(planting.organ)
+    bears = np.bincount(
+        np.asarray(planting.species)[plant] * len(Organ) + organ,
+        np.asarray(planting.fraction, float) * crowns[plant] / plot,
+        len(scene.taxa) * len(Organ),
+    ).reshape(-1, len(Organ))
+    shoots = bears[:, Organ.LEAF] * np.asarray(species.leaf_area_index, float)
+    dead = shoots * np.asarray(species.dead_fraction, float)
     mass = shoots * np.asarray(parameters.leaf.dry_matter, float) * 1e4
-    wood = seen * np.asarray(own.wood_area_index, float)
+    wood = bears[:, Organ.WOOD] * np.asarray(species.wood_area_index, float)
     return StandArea(shoots - dead, dead, wood, mass, float(_gap_fraction(scene, parameters)))

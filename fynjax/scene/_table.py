@@ -27,7 +27,7 @@ USUAL_LEAF = {
     "dry_matter": 0.02,
 }
 """Leaves of a species for which nothing is given: an evergreen, sclerophyllous leaf, with the
-structure of leaves as heavy."""
+structure that follows from dry matter."""
 
 COLUMNS = {
     "mean_diameter_cm": "diameter",
@@ -63,7 +63,7 @@ def species_parameters(
     - `values`: of each parameter in `SpeciesParameters`, in its unit; None takes its default,
       or that of the growth form, as does a parameter that is left out.
     - `leaves`: PROSPECT-D parameters of each species by name (`LEAF_FIELDS`); None takes
-      `USUAL_LEAF`, and a structure that is left out is that of leaves as heavy.
+      `USUAL_LEAF`, and a structure that is left out follows from dry matter.
     """
 
     def column(name: str) -> Any:

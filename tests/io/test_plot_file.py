@@ -401,6 +401,6 @@ def test_dead_tissue_hot_spot_and_structure_of_leaves(folder):
     assert plot.dead_tissue in plot.inputs
     assert [one.dead_fraction for one in plot.species[:2]] == [0.7, None]
     edit(folder / "species.csv", "50,0.7\n", "50,70\n")
-    with pytest.raises(InputError, match=r"from 0 to 1, but got 70|between 0 and 1|70") as caught:
+    with pytest.raises(InputError, match=r"0.*1.*got 70") as caught:
         read_plot(folder / "plot.toml")
     assert caught.value.column == "dead_fraction"

@@ -52,6 +52,16 @@ def test_the_lines_that_the_example_leaves_out_reach_the_light(plot):
     assert plot.parent / "pattern.csv" in read_plot(plot).inputs
 
 
+def test_dead_tissue_and_leaf_sizes_of_a_plot_file_reach_the_scene(plot):
+    rows = "wavelength_nm,reflectance\n400,0.2\n2500,0.6\n"
+    (plot.parent / "dead.csv").write_text(rows, encoding="utf-8")
+    change(plot, "# dead_tissue =", "dead_tissue =")
+    change(plot, "# hot_spot =", "hot_spot =")
+    scene, _ = build_plot(read_plot(plot))
+    np.testing.assert_allclose(scene.dead_tissue.at(np.array([400.0, 1450.0])), [0.2, 0.4])
+    assert scene.hot_spot
+
+
 def test_lidar_meets_ground_of_that_shape(plot):
     scene, parameters = build_plot(read_plot(plot))
     change(plot, "rpv =", "# rpv =")

@@ -55,6 +55,18 @@ def test_area_is_what_is_stated_of_the_ground_that_random_crowns_cover():
     assert stand.leaf_mass.sum() == pytest.approx(mass)
 
 
+def test_organs_that_a_shape_lacks_have_no_area():
+    """Deadwood bears no leaves, whatever its leaf area index."""
+    leafless = eqx.tree_at(
+        lambda p: p.species.leaf_area_index, crowded(), jnp.array([2.0, 2.0, 2.0])
+    )
+    model = small_plot(softness=0.0, softness_plants=0.0)
+    deadwood = model.forms.index("deadwood")
+    stand = stand_area(model, leafless)
+    assert stand.leaf[deadwood] == stand.dead[deadwood] == stand.leaf_mass[deadwood] == 0.0
+    assert stand.wood[deadwood] > 0.0
+
+
 def test_the_gap_is_that_of_the_columns():
     """Beer's law straight down, by hand; and finer voxels keep gaps that coarse ones fill."""
     parameters, model = crowded(), small_plot()
@@ -93,7 +105,7 @@ def test_a_stand_outside_the_range_of_shrublands_is_named():
     )
     assert stand.warnings() == []
     dense = dataclasses.replace(stand, leaf=np.array([4.0, 2.0]))
-    assert "live and dead, of 6.3 m2" in dense.warnings()[0]
+    assert "live and dead, of 6.30 m2" in dense.warnings()[0]
     sparse = dataclasses.replace(stand, leaf=np.array([0.0, 0.05]))
     assert "deserts" in sparse.warnings()[0]
     heavy = dataclasses.replace(stand, leaf_mass=np.array([1100.0, 100.0]))

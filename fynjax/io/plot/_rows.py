@@ -105,7 +105,7 @@ class LeafRow(Strict):
         min_length=1,
     )
     structure: float | None = quantity(
-        PARAMETERS["structure"], default=None, note="that of leaves as heavy if left out"
+        PARAMETERS["structure"], default=None, note="computed from dry matter if left out"
     )
     chlorophyll: float | None = quantity(PARAMETERS["chlorophyll"], default=None)
     carotenoids: float | None = quantity(PARAMETERS["carotenoids"], default=None)

@@ -145,9 +145,10 @@ def trace_pencils(
     _, (stop, send) = jax.lax.scan(piece, None, jnp.arange(nz * per_layer))
     height, cosine_in, column = _ground(scene, foot, slopes, towards)
     ground = scene.ground_map[0].ravel()[column] * cosine_in
-    if scene.ground_shape is not None:
-        back = lambda sight: scene.ground_shape.shape(-sight[None], sight[None])[0, 0, 0]  # noqa: E731
-        ground = ground * jax.vmap(back)(towards)
+    shape = scene.ground_shape
+    if shape is not None:
+        factors = [shape.shape(-sight[None], sight[None])[0, 0, 0] for sight in towards]
+        ground = ground * jnp.stack(factors)
     return PencilPaths(
         stop * length,
         send * length,

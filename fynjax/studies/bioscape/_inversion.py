@@ -167,7 +167,7 @@ class PlotSpectrumForward(eqx.Module):
                 species,
                 cover=species.cover * jnp.where(dead, at["standing_dead"], at["cover"]),
                 leaf_area_index=species.leaf_area_index * at["leaf_area_index"],
-                dead_fraction=species.dead_fraction * at["dead_fraction"],
+                dead_fraction=jnp.minimum(species.dead_fraction * at["dead_fraction"], 1.0),
             ),
             leaf=eqx.tree_at(
                 lambda l: [getattr(l, name) for name in factors],

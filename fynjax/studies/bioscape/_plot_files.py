@@ -54,7 +54,7 @@ def leaf_parameters(species: BioscapeSpecies) -> dict[str, float]:
     Dry matter is the leaf mass per projected area over the shape's `area_ratio`; water is that
     times w / (1 - w), with w the share of water in the fresh mass (1 g of water is 1 cm3). Values
     above what PROSPECT can mean, of culms and succulents, are cut to that: `beyond_prospect` names
-    them. Structure is that of leaves as heavy, pigments are those of the growth form.
+    them. Structure follows from dry matter, pigments are those of the growth form.
     """
     mass = {name: min(value, _MOST[name]) for name, value in _per_area(species).items()}
     structure = float(structure_from_dry_matter(mass["dry_matter"]))
@@ -203,7 +203,7 @@ def _leaves_csv(plot: BioscapePlot) -> str:
     notes = (
         "Dry matter and water from leaf mass per area and water content, per half of the leaf's",
         "surface: the library's area is projected, and a rolled leaf or culm has pi/2 as much.",
-        "Structure is that of leaves as heavy, pigments are assumed. sources.csv says what was",
+        "Structure follows from dry matter, pigments are assumed. sources.csv says what was",
         "measured of which species.",
     )
     leaves = [(s.taxon, leaf_parameters(s)) for s in plot.species]

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax._core.errors import InputError
 from fynjax.assembly import plot_parameters
 from fynjax.canopy import FORM_DEFAULTS, VoxelGrid
 from fynjax.inversion import nadir_imager
@@ -74,8 +75,17 @@ def build_scenes(
     """A scene and the parameters of each plot, all of one shape and tree.
 
     `seeds` draw the places of each plot's plants; `room` and `softness` as `PlantingRules` has
-    them: a scene whose covers shall be differentiated needs both.
+    them: a scene whose covers shall be differentiated needs both. Raises `InputError` for a plot
+    with a spectrum of dead tissue or a hot spot.
     """
+    for plot in plots:
+        if plot.dead_tissue is not None or plot.hot_spot:
+            raise InputError(
+                "expected plots that share the shipped spectrum of dead tissue and leaves without "
+                "size, but this one states dead_tissue or hot_spot: leave both out where many "
+                "plots are compared",
+                file=plot.file,
+            )
     slots = slots_of(plots)
     built = [
         _build(plot, slots, resolution, seed, room, softness)
