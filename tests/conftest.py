@@ -12,9 +12,12 @@ import pytest
 from fynjax._core.precision import enable_double_precision
 
 # Tests compile much and run little. So they compile in a quarter of the time; what comes out runs
-# a little slower. Read when JAX is first used; the children of a test inherit it.
+# a little slower. One piece of code a program: to split it for several cores costs more.
+# Read when JAX is first used; the children of a test inherit it.
 os.environ.setdefault(
-    "XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+    "XLA_FLAGS",
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+    " --xla_cpu_parallel_codegen_split_count=1",
 )
 enable_double_precision()  # also for the packages that set nothing, such as `fynjax.radiation`
 

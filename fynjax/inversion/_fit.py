@@ -99,7 +99,8 @@ def fit(
     require_double_precision("`fit`")
     if max_steps < 1:
         raise InputError(f"`max_steps` must be at least 1, but is {max_steps}")
-    shift = jnp.zeros_like(data.value) if offset is None else jnp.asarray(offset)
+    # In 64 bits also for data in 32: else `evaluate` and `fit` compile a step each.
+    shift = jnp.zeros(data.value.shape) if offset is None else jnp.asarray(offset, float)
     u = jnp.zeros(len(space.names)) if start is None else jnp.asarray(start, float)
     density = LogPosterior(predict, space, data, shift, context)
     if not (isinstance(solver, str) and solver == "least_squares"):

@@ -124,7 +124,7 @@ class Search:
         return self._evaluate(u, quick)[1]
 
     def _evaluate(self, u: Array, quick: Scene) -> tuple[Array, Array]:
-        none = jnp.zeros_like(self._data.value)
+        none = jnp.zeros(self._data.value.shape)
         density = LogPosterior(self._predict, self._space, self._data, none, (quick,))
         return evaluate(density, u, self._keep)
 

@@ -287,6 +287,21 @@ def test_an_offset_is_part_of_the_prediction():
     np.testing.assert_allclose(shifted.estimate, plain.estimate, rtol=1e-6)
 
 
+def test_an_offset_in_other_bits_than_the_data_compiles_nothing_again():
+    traced = []
+
+    def counted(x):
+        traced.append(1)
+        return predict(x)
+
+    single = Data(DATA.names, *(jnp.asarray(x, jnp.float32) for x in (DATA.value, DATA.sd)))
+    counts = []
+    for offset in (None, jnp.zeros(4), jnp.zeros(4, jnp.float32)):
+        fit(counted, single, SPACE, offset=offset, max_steps=1, report=lambda *_: None)
+        counts.append(len(traced))
+    assert counts[0] == counts[1] == counts[2]
+
+
 def test_progress_is_reported_and_falls():
     reported = []
     result = fit(predict, DATA, SPACE, report=lambda loss, norm: reported.append((loss, norm)))
