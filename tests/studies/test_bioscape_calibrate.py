@@ -212,10 +212,9 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
         "leaf_mass_per_area": 1.0, "water_per_dry_matter": -1.0, "chlorophyll": -1.5,
     }  # fmt: skip
     truth = jnp.asarray(list(at.values()))
-    shape = jnp.zeros(len(centre))
-    density = LogPosterior(
-        predict, space, Data(view.names, shape, shape + 1), shape, (models[-1], parameters)
-    )
+    zero = jnp.zeros(len(centre))
+    blank = Data(view.names, zero, zero + 1, jnp.eye(len(centre)))  # as `weigh_spectrum` has it
+    density = LogPosterior(predict, space, blank, zero, (models[-1], parameters))
     spectrum = np.asarray(predicted_statistics(density, truth))
     data = weigh_spectrum(view.names, spectrum, 0.01, gain=0.0, offset=1e-4)
     estimate = infer_plot(predict, data, space, parameters, models[:-1], keep_nothing)
@@ -229,7 +228,7 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
     assert abs(estimate.whitened[list(FREE).index("chlorophyll")] + 1.5) < 0.7
 
     u = truth * 0.5
-    density = replace(density, context=(models[0], parameters))
+    density = replace(density, data=data, context=(models[0], parameters))
     value, slope = evaluate(density, u)
     np.testing.assert_allclose(value, predicted_statistics(density, u), rtol=1e-5)
     weights = np.cos(np.arange(len(centre)))
