@@ -149,47 +149,29 @@ def test_cells_read_one_by_one_give_what_the_product_gives(boundary, width):
 def test_derivatives_are_those_of_differences():
     even, structured = scene_of(shrubs(4, 2), zenith=35.0)
     rng = np.random.default_rng(7)
-    towards = [
-        jnp.asarray(rng.standard_normal(a.shape)) for a in (even.area_density, structured.structure)
-    ]
 
-    def loss(by):
-        moved = dataclasses.replace(
-            structured,
-            area_density=structured.area_density * (1.0 + by[0] * towards[0]),
-            structure=structured.structure * (1.0 + by[1] * towards[1]),
-        )
-        radiance = render(
-            solve_light(moved, dataclasses.replace(FAST, lattice=1)), fine_rays(moved, 20.0)
-        )
-        return (radiance.total**2).mean()
+    @jax.jit
+    @jax.value_and_grad
+    def loss(by, start, towards):
+        area, structure = (a + b * d for a, b, d in zip(start, by, towards))
+        moved = dataclasses.replace(structured, area_density=area, structure=structure)
+        light = solve_light(moved, dataclasses.replace(FAST, lattice=1))
+        return (render(light, fine_rays(moved, 20.0)).total ** 2).mean()
 
-    loss = jax.jit(loss)
-    slope = jax.grad(loss)(jnp.zeros(2))
+    start = structured.area_density, structured.structure
+    towards = tuple(a * jnp.asarray(rng.standard_normal(a.shape)) for a in start)
+    _, slope = loss(jnp.zeros(2), start, towards)
     step = 1e-5
     for i, unit in enumerate(np.eye(2)):
-        difference = (loss(step * unit) - loss(-step * unit)) / (2 * step)
+        ends = [loss(k * step * unit, start, towards)[0] for k in (1, -1)]
+        difference = (ends[0] - ends[1]) / (2 * step)
         assert float(slope[i]) == pytest.approx(float(difference), rel=1e-4)
     # Where nothing stands, the first leaf has its derivative too.
-    bare = dataclasses.replace(
-        structured,
-        area_density=jnp.zeros_like(structured.area_density),
-        structure=jnp.zeros_like(structured.structure),
-    )
-    grow = lambda by: render(  # noqa: E731
-        solve_light(
-            dataclasses.replace(
-                bare,
-                area_density=bare.area_density + by * even.area_density,
-                structure=bare.structure + by * structured.structure,
-            ),
-            dataclasses.replace(FAST, lattice=1),
-        ),
-        fine_rays(bare),
-    ).total.mean()
-    grow = jax.jit(grow)
-    difference = (grow(1e-5) - grow(0.0)) / 1e-5
-    assert float(jax.grad(grow)(0.0)) == pytest.approx(float(difference), rel=1e-2)
+    bare = tuple(map(jnp.zeros_like, start))
+    grown = even.area_density, structured.structure
+    dark, slope = loss(jnp.zeros(2), bare, grown)
+    difference = (loss(jnp.full(2, step), bare, grown)[0] - dark) / step
+    assert float(slope.sum()) == pytest.approx(float(difference), rel=1e-2)
 
 
 def test_a_structure_that_is_not_that_of_the_classes_is_refused():

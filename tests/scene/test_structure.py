@@ -66,7 +66,7 @@ def test_derivatives_of_cover_and_diameter_are_those_of_differences():
 def test_the_drones_camera_sees_single_crowns_sharper():
     parameters = small_parameters()
     even, structured = (
-        reflectance(drone(scene, pixel=0.025), scene, parameters)
+        reflectance(drone(scene, LIGHT, pixel=0.025), scene, parameters)
         for scene in (small_plot(), small_plot(structure=0.025))
     )
     assert structured.shape == even.shape
