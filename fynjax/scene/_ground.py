@@ -44,7 +44,8 @@ class Ground(eqx.Module):
     """Relative density of soil, litter, char and rock in the voxel columns; None: mixed alike."""
     shape: tuple[float, float, float] | None = eqx.field(static=True, default=None)
     """k, theta and rho_c of `fynjax.radiation.RahmanPintyVerstraete`, alike in all bands, of level
-    ground whose spectra are the amplitude; None: it reflects alike in all directions."""
+    ground whose spectra are measured from above, lit from 45 degrees; None: it reflects alike in
+    all directions."""
 
     def cover_spectra(self, wavelength: Float[np.ndarray, " wavelength"]) -> Any:
         """Reflectance of litter, char and rock [cover, wavelength] at whole `wavelength` [nm] [-].

@@ -360,14 +360,17 @@ class Scene(eqx.Module):
         positions, area = self._elements(parameters)
         terrain = None if self.terrain is None else jnp.asarray(self.terrain, self.dtype)
         pattern = None if self.sky_pattern is None else jnp.asarray(self.sky_pattern, self.dtype)
-        shape = None
+        ground, shape = columns(self.ground_map(parameters, bands)), None
         if self.ground.shape is not None:
             alike = (jnp.full(len(sky), value, self.dtype) for value in self.ground.shape)
             shape = RahmanPintyVerstraete(*alike)
+            # Spectra of ground are measured from above, lit from 45 degrees: there they stay.
+            measured = jnp.array([[[0.5**0.5, 0.0, -(0.5**0.5)]], [[0.0, 0.0, 1.0]]], self.dtype)
+            ground = ground / shape.shape(*measured).reshape(-1, *(1,) * (ground.ndim - 1))
         return VoxelScene(
             self._deposit(positions, area, grid, by_class=True),
             classes,
-            columns(self.ground_map(parameters, bands)),
+            ground,
             Illumination(light.sun_zenith, light.sun_azimuth, 1.0 - sky, sky, pattern),
             grid.horizontal_size,
             grid.vertical_size,

@@ -79,7 +79,12 @@ def test_lidar_meets_ground_of_that_shape(plot):
     # Straight back: no distance between the tangent points, a phase angle of zero.
     cosine, k, theta, rho_c = -float(slant[2]), 0.8, -0.1, 0.3
     expected = (2 * cosine**3) ** (k - 1) * (1 - theta**2) / (1 + theta) ** 3 * (2 - rho_c)
-    assert float(paths[0].ground[0] / paths[1].ground[0]) == pytest.approx(expected, rel=1e-5)
+    # The spectrum is what is measured from above, lit from 45 degrees: one unit between tangents.
+    half = 0.5**0.5
+    measured = (half * (1 + half)) ** (k - 1) * (1 - theta**2) * (1 + (1 - rho_c) / 2)
+    measured /= (1 + 2 * theta * half + theta**2) ** 1.5
+    ratio = float(paths[0].ground[0] / paths[1].ground[0])
+    assert ratio == pytest.approx(expected / measured, rel=1e-5)
     assert isinstance(scene.voxels(parameters, bands).ground_shape, RahmanPintyVerstraete)
 
 

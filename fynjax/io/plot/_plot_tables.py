@@ -200,8 +200,8 @@ class GroundTable(Strict):
     rpv: Shape | None = Field(
         default=None,
         description="k, theta and rho_c of Rahman, Pinty and Verstraete (1993): how the ground "
-        "reflects more in some directions; the spectra are then its amplitude rho_0. Not with a "
-        "terrain. Left out: alike in all directions.",
+        "reflects more in some directions. The spectra are what is measured from above under light "
+        "from 45 degrees. Not with a terrain. Left out: alike in all directions.",
     )
 
     @model_validator(mode="after")
