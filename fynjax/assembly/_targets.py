@@ -283,6 +283,8 @@ def reflectance_noise(
     """Noise of AVIRIS-NG in reflectance [-], of the mean of `averaged` pixels, in a clear sky.
 
     Each of `bands` has the noise of the instrument's nearest one, as files of spectra have none.
+    The surroundings have the same reflectance and no noise of their own: they are the mean of many
+    pixels.
     """
     with warnings.catch_warnings():  # on its pixel, which does not matter here
         warnings.simplefilter("ignore", UserWarning)
@@ -294,7 +296,7 @@ def reflectance_noise(
     noise = RadiometricNoise(a, b, c, integrations=sensor.noise.integrations)
     air = band_atmosphere(clear_sky_atmosphere(ClearAir(jnp.asarray(min(sun_zenith, 85.0)))), bands)
     at = jnp.asarray(reflectance)
-    slope = jax.grad(lambda r: jnp.sum(at_sensor_radiance(air, r)))(at)
+    slope = jax.grad(lambda r: jnp.sum(at_sensor_radiance(air, r, at)))(at)
     deviation = noise.standard_deviation(at_sensor_radiance(air, at), averaged=averaged)
     return np.asarray(deviation / slope)
 

@@ -6,6 +6,7 @@ normal from the vertical, with the integral of g over [0, 90°] equal to one.
 
 import abc
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -36,8 +37,19 @@ class AbstractLeafAngle(eqx.Module):
     """Distribution of leaf normals, symmetric in azimuth.
 
     Abstract: `SphericalLeafAngle`, `TrigonometricLeafAngle`, `EllipsoidalLeafAngle` and
-    `TabulatedLeafAngle` are the kinds, `leaf_angle` makes one by its name.
+    `TabulatedLeafAngle` are the kinds, `leaf_angle` makes one by its name. A kind of your own
+    states its `inclination_density` and nothing else: `projection` and `normals` follow from it,
+    and are computed for many kinds at once. A class that defines either is refused (`TypeError`).
     """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        anew = sorted({"projection", "normals"} & vars(cls).keys())
+        if anew and cls.__module__ != __name__:
+            raise TypeError(
+                f"`{cls.__name__}` must not define {' and '.join(anew)}: these follow from "
+                "`inclination_density`, from which many distributions are computed at once"
+            )
 
     @abc.abstractmethod
     def inclination_density(self, inclination: Float[Array, "*n"]) -> Float[Array, "*n"]:

@@ -161,20 +161,25 @@ def share_from_above(crowns: Any) -> Any:
 
     **Arguments:**
 
-    - `crowns`: area of all crowns over that of the ground, t [m2 m-2], 0 or more.
+    - `crowns`: area of each crown over that of the ground, a_i [m2 m-2], 0 or more. One that is as
+      large as the ground or larger hides all others.
 
-    **Returns:** (1 - exp(-t)) / t: crowns at random cover 1 - exp(-t) of the ground (Boolean
-    model, Matheron 1975). 1 without crowns. Differentiable, at 0 too, with slope -1/2.
+    **Returns:** (1 - product of (1 - a_i)) / sum of a_i: the part of the ground that no crown
+    covers is the product of what each leaves free. Of many small crowns it is (1 - exp(-t)) / t
+    with t the sum (Boolean model, Matheron 1975); of a single one 1, as without crowns.
+    Differentiable; the slope is zero where no crown stands.
 
+    >>> import jax.numpy as jnp
     >>> from fynjax.canopy import share_from_above
-    >>> round(float(share_from_above(2.0)), 4)
-    0.4323
+    >>> round(float(share_from_above(jnp.full(10, 0.2))), 4)  # in all twice the ground
+    0.4463
     """
     crowns = jnp.asarray(crowns)
-    few = crowns < 1e-3  # the next term of the series is t^4 / 120
-    some = jnp.where(few, 1.0, crowns)
-    series = 1.0 - crowns / 2.0 + crowns**2 / 6.0 - crowns**3 / 24.0
-    return jnp.where(few, series, -jnp.expm1(-some) / some)
+    total = jnp.sum(crowns)
+    stands = total > 0.0
+    most = 1.0 - jnp.finfo(crowns.dtype).eps  # of the whole ground: finite in log and slope
+    free = jnp.sum(jnp.log1p(-jnp.minimum(crowns, most)))
+    return jnp.where(stands, -jnp.expm1(free) / jnp.where(stands, total, 1.0), 1.0)
 
 
 def hard_count(

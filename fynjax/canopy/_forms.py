@@ -90,45 +90,47 @@ class FormDefaults:
     """One-sided area of leaves (or of green culms and threads) over the ground area of its crowns
     as seen from above [m2 m-2]."""
     wood_area_index: float
-    """Half the surface of the wood over the ground area of its crowns as seen from above
-    [m2 m-2]."""
+    """Half the surface of stems and branches below the shoots, and of dead stubs at the base, over
+    the ground area of its crowns as seen from above [m2 m-2]."""
     flower_fraction: float
     """Flower area at full bloom per leaf area [-]."""
     shoot_clumping: float
     """Probability that light which a leaf scatters meets another leaf of its shoot [-], as far
     as the voxels do not show it. 0.44 is a pine shoot (Smolander and Stenberg 2005)."""
     dead_fraction: float
-    """Share of the one-sided area of live shoots that is dead or woody tissue [-]; see
-    `FORM_DEFAULTS`."""
+    """Share of the one-sided area of live shoots that is dead or woody [-]: old leaves and bracts,
+    dead culms and sheaths on live ones, the twig that bears the leaves; see `FORM_DEFAULTS`."""
     leaf_angle: str
     """Distribution of the leaf normals (`leaf_angle`)."""
     leaf_diameter: float
-    """Diameter of a round leaf that makes the same hot spot [m]; see `FORM_DEFAULTS`."""
+    """Four times the area of a leaf's outline over its perimeter [m]: the diameter of a round leaf,
+    and of the disc whose overlap with itself falls as fast when it is shifted a little, so that it
+    makes the same hot spot."""
     description: str
     """The shape, in words."""
 
 
 FORM_DEFAULTS: dict[str, FormDefaults] = {
     "upright_ericoid": FormDefaults(
-        2.5, 0.40, 0.05, 0.5, 0.40, "erectophile", 0.002,
+        2.5, 0.40, 0.05, 0.5, 0.40, "erectophile", 0.0015,
         "Broom-like: crown widens upwards to 70 % of the height, foliage towards the top and the "
         "outside on ascending shoots, small leaves pressed along them.",
     ),
     "rounded_shrub": FormDefaults(
-        3.0, 0.50, 0.05, 0.4, 0.30, "spherical", 0.005,
+        3.0, 0.50, 0.05, 0.4, 0.30, "spherical", 0.004,
         "Dome resting near the ground, foliage in its outer shell, many fine stems.",
     ),
     "tussock": FormDefaults(
-        2.0, 0.05, 0.03, 0.2, 0.45, "erectophile", 0.002,
+        2.0, 0.05, 0.03, 0.2, 0.45, "erectophile", 0.0024,
         "Leafless green culms that fan out from a small base and arch over; counted as leaf. "
-        "Dead sheaths at the base are wood, spikelets at the tips are flowers.",
+        "Dead stubs at the base are wood, spikelets at the tips are flowers.",
     ),
     "broad_leaved": FormDefaults(
-        3.5, 0.50, 0.01, 0.2, 0.25, "plagiophile", 0.025,
+        3.5, 0.50, 0.01, 0.2, 0.25, "plagiophile", 0.023,
         "Ellipsoidal crown on a few stout stems, foliage in its outer shell, oblique leaves.",
     ),
     "climber": FormDefaults(
-        1.5, 0.0, 0.0, 0.2, 0.30, "planophile", 0.002,
+        1.5, 0.0, 0.0, 0.2, 0.30, "planophile", 0.0024,
         "Shallow mat of green threads (counted as leaf) draped over the upper part of its height, "
         "falling towards its rim; no wood and no visible flowers.",
     ),
@@ -141,10 +143,10 @@ FORM_DEFAULTS: dict[str, FormDefaults] = {
 0.5 to 4 that shrub crowns commonly show; all are starting values for a calibration. The shares of
 dead tissue are near those with which the spectra of 18 BioSCape plots agree best when each form has
 one value (0.43 in tussocks, 0.35 in ericoid, 0.25 in broad-leaved shrubs, 0.29 in domes); that of
-climbers is assumed. Leaf diameters are the roots of length times width of the taxa of each form in
-`data/leaf_sizes.csv`, which has a source each (ericoid 2.2 mm but for Clutia, domes 1.8 to 6.7,
-broad leaves 17 and 33), and 2 mm for culms and threads 1.2 mm thick, the mean chord across
-them."""
+climbers is assumed. Leaf diameters are the means over the taxa of each form in
+`data/leaf_sizes.csv`, which has a source each, but for Clutia, whose leaves are those of no ericoid
+shrub; outlines are taken for rectangles, culms and threads for strips. That of deadwood is
+assumed."""
 
 _CROWNS = {
     "upright_ericoid": Crown(0.12, 0.70, 1.6, 2.5, height_power=1.0, shell_power=1.0),

@@ -26,8 +26,8 @@ class OpticalClasses(eqx.Module):
     angle_of_class: tuple[int, ...] = eqx.field(static=True)
     """For each class, the place of its distribution in `angles`."""
     leaf_diameter: Float[Array, " size"] | None = None
-    """Diameters of leaves, taken for round [m]: they make the hot spot. None: points, which
-    have none."""
+    """Diameters of leaves, taken for round [m]; of others four times area over perimeter. They make
+    the hot spot. None: points, which have none."""
     size_of_class: tuple[int, ...] | None = eqx.field(static=True, default=None)
     """For each class, the place of its diameter in `leaf_diameter`; by default all the first."""
 

@@ -115,9 +115,9 @@ class SpeciesParameters(eqx.Module):
         relative_sd=0.3,
         description="One-sided leaf area over the ground area of the crowns as seen from above: "
         "where crowns overlap it counts once. Crowns are taken to stand at random, so that the "
-        "share (1 - exp(-t)) / t of them is seen from above, with t the area of all crowns over "
-        "that of the plot. Leaves at random would let a share exp(-20/2) = 5e-5 of the light "
-        "through at the upper bound.",
+        "share (1 - product of (1 - a)) / sum of a of them is seen from above, with a the area of "
+        "each crown over that of the plot. Leaves at random would let a share exp(-20/2) = 5e-5 of "
+        "the light through at the upper bound.",
     )
     wood_area_index: Float[Array, " species"] = parameter_field(
         symbol="WAI",
@@ -127,8 +127,10 @@ class SpeciesParameters(eqx.Module):
         upper=20.0,
         usual=(0.0, 1.5),
         relative_sd=0.3,
-        description="One-sided wood area, half of its surface, over the ground area of the crowns "
-        "as seen from above; counted and bounded as the leaf area index.",
+        description="One-sided area of wood, half of its surface, over the ground area of the "
+        "crowns as seen from above; counted and bounded as the leaf area index. Wood is stems and "
+        "branches below the leafy shoots, and the dead stubs at the base of a tussock; what is "
+        "dead or woody on the shoots themselves is dead tissue.",
     )
     shoot_clumping: Float[Array, " species"] = parameter_field(
         symbol="p",
@@ -151,10 +153,11 @@ class SpeciesParameters(eqx.Module):
         usual=(0.0, 0.8),
         sd=0.25,
         description="Share of the one-sided area of live shoots that is dead or woody: old leaves "
-        "and culms, sheaths, bracts, twigs. It reflects as bark, or as the spectrum that a plot "
-        "file gives, times the wood brightness, lets no light through, and shares the shoot's "
-        "clumping. The prior's standard deviation is absolute: fits to 18 plots ask for anything "
-        "from 0 to 0.9 (sd 0.29).",
+        "and bracts, dead culms and the sheaths on live ones, the twig that bears the leaves. "
+        "Stems and branches below the shoots are wood. It reflects as bark, or as the spectrum "
+        "that a plot file gives, times the wood brightness, lets no light through, and shares the "
+        "shoot's clumping. The prior's standard deviation is absolute: fits to 18 plots ask for "
+        "anything from 0 to 0.9 (sd 0.29).",
     )
 
 

@@ -158,6 +158,8 @@ class Scene(eqx.Module):
         leaves: Mapping[str, Mapping[str, float]] | None = None,
         ground: GroundParameters | None = None,
         light: LightParameters | None = None,
+        dead_tissue: Spectrum | None = None,
+        hot_spot: bool = False,
     ) -> tuple["Scene", PlotParameters]:
         """A scene and its parameters from a species table, without any file.
 
@@ -173,6 +175,9 @@ class Scene(eqx.Module):
         - `leaves`: PROSPECT-D parameters by taxon, in PROSPECT's units; "*" is any other. Left out,
           the usual leaf; a structure that is left out follows from dry matter.
         - `ground`, `light`: left out, their defaults.
+        - `dead_tissue`: reflectance of the dead tissue in live shoots, `Spectrum.of(wavelength,
+          values, what)`; left out, that of bark.
+        - `hot_spot`: whether leaves have the size of their form, see `Scene`.
 
         What is left out is as in a plot file.
 
@@ -204,7 +209,14 @@ class Scene(eqx.Module):
         ]
         extent = size_m if isinstance(size_m, tuple) else (size_m, size_m)
         scene = build_scene(
-            species, parameters, extent=extent, voxel=voxel_m, seed=seed, boundary=boundary
+            species,
+            parameters,
+            extent=extent,
+            voxel=voxel_m,
+            seed=seed,
+            boundary=boundary,
+            dead_tissue=dead_tissue,
+            hot_spot=hot_spot,
         )
         return scene, parameters
 
@@ -249,7 +261,7 @@ class Scene(eqx.Module):
         """Share of the crowns that is seen from above, where all stand at random [-]: what the
         areas of leaves and wood over crowns, as stated, count. Differentiable; see
         `fynjax.canopy.share_from_above`."""
-        return share_from_above(jnp.sum(self.crown_areas(parameters)) / self._ground_area)
+        return share_from_above(self.crown_areas(parameters) / self._ground_area)
 
     def area_density(self, parameters: PlotParameters) -> Float[Array, "class z y x"]:
         """Area per volume of each optical class: the species' leaves, then wood, then flowers."""

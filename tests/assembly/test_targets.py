@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -19,7 +20,8 @@ from fynjax.io.plot._rows import StructureRow
 from fynjax.io.plot._statistics import read_structure
 from fynjax.io.raster import Cube, write_cube_geotiff
 from fynjax.metrics import STRUCTURE_METRICS
-from fynjax.sensors import BandSet
+from fynjax.sensors import BandSet, RadiometricNoise, at_sensor_radiance, shipped_sensor
+from fynjax.sensors.air import ClearAir, band_atmosphere, clear_sky_atmosphere
 from tests.small import write_plot
 
 WAVELENGTH = np.arange(380.0, 2501.0, 5.0)
@@ -191,6 +193,21 @@ def test_noise_falls_with_the_number_of_pixels():
     bands = BandSet(("a", "b"), (550.0, 2200.0), (6.0, 6.0))
     one, many = (reflectance_noise(bands, np.array([0.1, 0.2]), 30.0, averaged=n) for n in (1, 25))
     np.testing.assert_allclose(many, one / 5.0)
+
+
+def test_noise_of_a_pixel_leaves_its_surroundings_as_they_are():
+    """The step in reflectance that moves the pixel's radiance by its noise, the rest held."""
+    bands = BandSet(("a", "b"), (450.0, 2200.0), (6.0, 6.0))
+    value = jnp.array([0.3, 0.2])
+    noise = reflectance_noise(bands, np.asarray(value), 50.0)
+    air = band_atmosphere(clear_sky_atmosphere(ClearAir(jnp.asarray(50.0))), bands)
+    moved = at_sensor_radiance(air, value + noise, value) - at_sensor_radiance(air, value)
+    sensor = shipped_sensor("aviris_ng")
+    nearest = [np.abs(np.subtract(sensor.bands.centre, centre)).argmin() for centre in bands.centre]
+    a, b, c = (getattr(sensor.noise, name)[np.array(nearest)] for name in "abc")
+    instrument = RadiometricNoise(a, b, c, integrations=sensor.noise.integrations)
+    deviation = instrument.standard_deviation(at_sensor_radiance(air, value))
+    np.testing.assert_allclose(moved, deviation, rtol=1e-6)
 
 
 def test_read_structure_fills_in(tmp_path):

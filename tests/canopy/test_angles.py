@@ -13,6 +13,7 @@ from fynjax.canopy import (
     TabulatedLeafAngle,
     TrigonometricLeafAngle,
     leaf_angle,
+    projections,
 )
 from tests.helpers import assert_gradients
 
@@ -201,3 +202,16 @@ def test_single_precision_stays_single(name):
 def test_an_unknown_name_is_refused():
     with pytest.raises(InputError, match=r"`name`.*spherical.*'Planophile'"):
         leaf_angle("Planophile")
+
+
+def test_a_kind_with_a_projection_of_its_own_is_refused():
+    """It would be left out wherever many kinds are computed at once."""
+
+    class Level(AbstractLeafAngle):
+        def inclination_density(self, inclination):
+            return jnp.exp(-50.0 * inclination)
+
+    np.testing.assert_allclose(projections([Level()], jnp.array([1.0])), 1.0, atol=2e-3)
+    for name in ("projection", "normals"):
+        with pytest.raises(TypeError, match=f"must not define {name}"):
+            type("Own", (Level,), {name: lambda self: None})

@@ -96,12 +96,30 @@ def test_impossible_areas(target: float, area: float, word: str) -> None:
         hard_count(target, area)
 
 
+def covered_by_discs(area, throws, points, rng):
+    """Mean and standard error of the share of a periodic unit square under discs at random."""
+    places = rng.uniform(size=(throws, 1, len(area), 2))
+    apart = np.abs(rng.uniform(size=(throws, points, 1, 2)) - places)
+    apart = np.minimum(apart, 1.0 - apart)
+    inside = ((apart**2).sum(axis=-1) < area / np.pi).any(axis=-1).mean(axis=1)
+    return inside.mean(), inside.std() / np.sqrt(throws)
+
+
 def test_share_of_crowns_seen_from_above() -> None:
-    """(1 - exp(-t)) / t with its limit, in one piece where the series takes over."""
-    crowns = np.array([1e-9, 9.99e-4, 1.001e-3, 0.3, 2.0, 30.0])
-    np.testing.assert_allclose(share_from_above(crowns), -np.expm1(-crowns) / crowns, rtol=1e-13)
-    slope = jax.grad(lambda t: share_from_above(t))
-    assert float(share_from_above(0.0)) == 1.0
-    assert float(slope(0.0)) == -0.5
-    assert float(slope(9.99e-4)) == pytest.approx(float(slope(1.001e-3)), abs=1e-6)
-    assert_gradients(share_from_above, jnp.array([0.3, 2.0, 10.0]), rtol=1e-7)
+    """A few large crowns against discs thrown on a torus, many small ones against their limit."""
+    area = np.array([0.2, 0.35, 0.1, 0.4, 0.05])
+    cover, error = covered_by_discs(area, 3000, 60, np.random.default_rng(0))
+    assert error < 0.003
+    assert float(share_from_above(area)) * area.sum() == pytest.approx(cover, abs=3 * error)
+    assert 1 - np.exp(-area.sum()) < cover - 6 * error  # what many small ones would cover
+    assert float(share_from_above(np.full(50_000, 4e-5))) == pytest.approx(-np.expm1(-2) / 2, 1e-4)
+    assert float(share_from_above(np.array([0.2, 0.0]))) == pytest.approx(1.0, rel=1e-12)
+
+
+def test_share_of_crowns_has_slopes_up_to_crowns_as_large_as_the_ground() -> None:
+    assert float(share_from_above(jnp.zeros(3))) == 1.0
+    assert_gradients(share_from_above, jnp.array([0.3, 0.02, 0.7]), rtol=1e-7)
+    for edge in ([0.0, 0.0], [1.0, 0.3], [2.5, 0.0]):
+        value, slope = jax.value_and_grad(share_from_above)(jnp.array(edge))
+        assert float(value) * sum(edge) == pytest.approx(min(sum(edge), 1.0))
+        assert np.isfinite(slope).all()

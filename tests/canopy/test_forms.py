@@ -3,10 +3,19 @@
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import FORM_DEFAULTS, Organ, PlantModel, leaf_angle, plant_model
+from fynjax.canopy import (
+    FORM_DEFAULTS,
+    Organ,
+    PlantModel,
+    leaf_angle,
+    leaf_sizes,
+    plant_model,
+    table1_2006,
+)
 
 FORMS = list(FORM_DEFAULTS)
 
@@ -133,3 +142,13 @@ def test_bad_forms() -> None:
         plant_model("tree", 10, seed=0)
     with pytest.raises(InputError, match="at least 3"):
         plant_model("tussock", 2, seed=0)
+
+
+def test_sizes_of_leaves_are_those_of_the_shipped_taxa() -> None:
+    """Four times area over perimeter of strips and rectangles, mean over the taxa of a form."""
+    sizes = leaf_sizes().merge(table1_2006()[["taxon", "growth_form"]], on="taxon")
+    sizes = sizes[(sizes.organ_form != "none") & (sizes.taxon != "Clutia alaternoides")]
+    length = pd.to_numeric(sizes.length_mm).fillna(np.inf)
+    across = 2.0 / (1.0 / length + 1.0 / pd.to_numeric(sizes.width_mm))
+    for form, mean in across.groupby(sizes.growth_form).mean().items():
+        assert FORM_DEFAULTS[str(form)].leaf_diameter == pytest.approx(mean / 1e3, rel=0.06)

@@ -23,15 +23,13 @@ def crowded():
 
 
 def covered_by_random_discs(area, side, throws, points, rng):
-    """Mean and standard error of the share of a periodic square that discs cover, as many of each
-    as a Poisson process of its mean number has."""
+    """Mean and standard error of the share of a periodic square that discs cover."""
     share = []
     for _ in range(throws):
-        chosen = np.repeat(area, rng.poisson(1.0, len(area)))
-        places, tests = rng.uniform(0, side, (len(chosen), 2)), rng.uniform(0, side, (points, 2))
+        places, tests = rng.uniform(0, side, (len(area), 2)), rng.uniform(0, side, (points, 2))
         apart = np.abs(tests[:, None] - places)
         apart = np.minimum(apart, side - apart)
-        inside = (apart**2).sum(axis=-1) < chosen / np.pi
+        inside = (apart**2).sum(axis=-1) < area / np.pi
         share.append(inside.any(axis=1).mean())
     return np.mean(share), np.std(share) / np.sqrt(throws)
 

@@ -9,7 +9,7 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.assembly import aim_without_air, build_plot
 from fynjax.io.plot import plot_instrument, read_plot
-from fynjax.scene import Placement, Scene, observe
+from fynjax.scene import Placement, Scene, Spectrum, observe
 from fynjax.sensors import shipped_sensor
 from tests.small import write_plot
 
@@ -46,6 +46,16 @@ def test_a_table_gives_the_scene_and_the_image_of_its_plot_file(built, tmp_path)
     assert image.shape == (4, 20, 20)
     of_file = eqx.filter_jit(lambda view, *plot: view.observe(*plot).reflectance)
     np.testing.assert_allclose(image, of_file(camera, *from_files), rtol=1e-5)
+
+
+def test_a_table_takes_dead_tissue_and_sizes_of_leaves(built):
+    grey = Spectrum.of(np.array([400.0, 1000.0]), np.array([0.3, 0.3]), "dead tissue")
+    table = [TABLE[0] | {"dead_fraction": 0.7}, TABLE[1]]
+    scene, parameters = Scene.from_table(table, size_m=2.0, dead_tissue=grey, hot_spot=True)
+    np.testing.assert_allclose(parameters.species.dead_fraction, [0.7, 0.45])
+    assert eqx.tree_equal(scene.dead_tissue, grey)
+    assert scene.hot_spot
+    assert not built[0].hot_spot
 
 
 def test_structure_that_is_left_out_is_that_of_leaves_as_heavy():

@@ -255,6 +255,30 @@ def test_reflectance_and_back():
     )
 
 
+def test_air_without_direct_light_hides_the_pixel_but_not_its_surroundings():
+    """Haze in the second band; without surroundings its diffuse light still tells the ground."""
+    haze = Atmosphere(
+        (500.0, 600.0, 700.0),
+        direct=jnp.full(3, 1000.0),
+        diffuse=jnp.full(3, 300.0),
+        upward_direct=jnp.array([0.7, 1e-9, 0.8]),
+        upward_diffuse=jnp.full(3, 0.1),
+        path_radiance=jnp.full(3, 10.0),
+        spherical_albedo=jnp.full(3, 0.1),
+    )
+    around = jnp.full(3, 0.3)
+    radiance = at_sensor_radiance(haze, around)
+
+    @jax.value_and_grad
+    def back(radiance):
+        return surface_reflectance(haze, radiance, around, opaque=-1.0).sum()
+
+    np.testing.assert_allclose(surface_reflectance(haze, radiance), 0.3, rtol=1e-9)
+    total, slope = back(radiance)
+    assert float(total) == pytest.approx(0.3 - 1.0 + 0.3)
+    assert float(slope[1]) == 0.0
+
+
 def test_band_atmosphere_repeats_band_radiance():
     """Even reflectance within a band: exact but for the coupling, 1e-3 of the radiance."""
     air = some_atmosphere()

@@ -28,6 +28,7 @@ from fynjax.inversion import (
     weigh_spectrum,
 )
 from fynjax.scene import PARAMETERS, PlotParameters, Scene
+from fynjax.studies.bioscape._plot_files import leaf_parameters
 from fynjax.studies.bioscape._plots import BioscapePlot
 
 MODEL_SD = 0.05
@@ -100,13 +101,14 @@ class Reference:
         return mean * factor
 
     def water(self, factor: Any) -> Any:
-        """Water of the leaves, weighted with cover [% of fresh mass]."""
-        shares = [s.cover / self.plot.listed_cover for s in self.plot.species]
-        wet = [s.traits["water_content"].value / 100.0 for s in self.plot.species]
-        each = [
-            share * 100.0 * factor * w / (1.0 - w + factor * w) for share, w in zip(shares, wet)
-        ]
-        return sum(each)
+        """Water of the leaves, weighted with cover [% of fresh mass]: of leaves as planted, whose
+        water is at most what PROSPECT can mean."""
+        total: Any = 0.0
+        for s in self.plot.species:
+            leaf = leaf_parameters(s)
+            water = factor * leaf["water"]
+            total += s.cover / self.plot.listed_cover * water / (water + leaf["dry_matter"])
+        return 100.0 * total
 
 
 QUANTITIES: dict[str, tuple[str, str, str]] = {
