@@ -11,8 +11,8 @@ Tables = Annotated[
     Path,
     typer.Argument(
         metavar="FOLDER",
-        help="Folder with *CoverData.csv, *VegData.csv, *TraitLibrary.csv and, for place and "
-        "time, *VegCenters.csv.",
+        help="Folder with the tables as published, bioscape_veg_*_vYYYYMMDD.csv, or *CoverData.csv "
+        "and *VegData.csv; with *TraitLibrary.csv and, for place and time, *VegCenters.csv.",
     ),
 ]
 OnlyPlots = Annotated[

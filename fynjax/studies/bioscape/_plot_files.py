@@ -2,6 +2,8 @@
 
 import csv
 import io
+import math
+import statistics
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,6 +11,7 @@ from typing import Any, Literal
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
+from fynjax.canopy import instance_area, soft_count, target_area
 from fynjax.io.text import write_text
 from fynjax.jobs import JobResult, Run
 from fynjax.leaf import structure_from_dry_matter
@@ -22,7 +25,14 @@ from fynjax.studies.bioscape._assumed import (
     pigments,
     plant_size,
 )
-from fynjax.studies.bioscape._plots import BioscapePlot, BioscapeSpecies, Visit, read_bioscape
+from fynjax.studies.bioscape._plots import (
+    FORM_DEFAULT,
+    BioscapePlot,
+    BioscapeSpecies,
+    Visit,
+    read_bioscape,
+)
+from fynjax.studies.bioscape._published import is_published
 from fynjax.studies.bioscape._traits import SOURCES
 
 OTHER = "Other species"
@@ -32,11 +42,13 @@ DEAD = "Standing dead plants"
 """Taxon of the dead cover that stands: bare stems, as large as the dominant species, with the
 measured spectrum of bark. PROSPECT is no model of dead culms and stems."""
 
+CIRCLE_M2 = math.pi / 4.0 * PLOT_SIDE_M**2
+"""Area in which the crew counted: the circle [m2]."""
+
 _TRAIT_UNITS = {
     "leaf_mass_per_area": "g m-2 projected", "water_content": "% of fresh mass",
     "nitrogen": "mg g-1", "carbon": "mg g-1",
 }  # fmt: skip
-_ASSUMED = "growth form default"
 _FROM_MASS = "from leaf mass per area"
 _MOST = {"water": MOST_WATER, "dry_matter": PARAMETERS["dry_matter"].upper}
 
@@ -136,6 +148,7 @@ def _plot_toml(plot: BioscapePlot) -> str:
         "# Cover seen from above, in % of the plot:",
         f"#   live {plot.live * 100:g}, dead {plot.dead * 100:g}, bare soil {plot.soil * 100:g}, "
         f"bare rock {plot.rock * 100:g}",
+        *_field_notes(plot),
         "",
         "[plot]",
         f'name = "{_escaped(plot.name)}"',
@@ -151,11 +164,30 @@ def _plot_toml(plot: BioscapePlot) -> str:
         "[ground]",
         'soil = "dry"  # assumed; rock is taken to be as bright',
         f"litter_fraction = {plot.litter_fraction:.4f}  # dead over dead and bare cover, without "
-        "the dead that is read as standing",
+        "the dead that stands",
         f"# rock_fraction = {plot.rock:.4f}",
         "",
     ]
     return "\n".join(lines)
+
+
+def _field_notes(plot: BioscapePlot) -> list[str]:
+    notes = []
+    if plot.height is not None:
+        notes.append(f"# Vegetation is {plot.height:.3g} m high.")
+    if plot.age is not None:
+        notes.append(f"# Burnt {plot.age:.3g} years before.")
+    if plot.view is not None:
+        shares = ", ".join(
+            f"{word} {100 * plot.view.share(count)[0]:.0f}"
+            for word, count in (
+                ("live", sum(plot.view.live.values())),
+                ("dead", plot.view.dead),
+                ("bare", plot.view.bare),
+            )
+        )
+        notes.append(f"# Line intercepts, % of {plot.view.points} points from above: {shares}")
+    return notes
 
 
 def _escaped(text: str) -> str:
@@ -165,10 +197,11 @@ def _escaped(text: str) -> str:
 def _species_csv(plot: BioscapePlot) -> str:
     listed, packing = plot.listed_cover * 100, plot.packing * 100
     notes = [
-        f"Live cover of {plot.name} as the field crew noted it; the listed species sum to "
-        f"{listed:g} %.",
-        f"Live cover seen from above is {plot.live * 100:g} %, standing dead read as "
-        f"{plot.standing_dead * 100:g} %. Crowns are",
+        f"Cover of {plot.name} as the field crew noted it, live and where it was noted dead; the "
+        "listed",
+        f"species sum to {listed:g} % live. Live cover seen from above is {plot.live * 100:g} %, "
+        "standing dead",
+        f"read as {(plot.standing_dead + plot.dead_in_crowns) * 100:g} %. Crowns are",
         f"set at random: with {packing:.1f} % of each over others (packing_percent) they cover so "
         "much",
         f"together, or {CLOSED_COVER:.0%} at most.",
@@ -177,26 +210,42 @@ def _species_csv(plot: BioscapePlot) -> str:
             if plot.other_cover > 0
             else []
         ),
-        "Crown diameter and height were not measured: they are those of the growth form, and the",
-        "growth form is that of the genus or family. See sources.csv.",
+        "Growth forms are those of genera or families, as are crown diameters and heights where",
+        "they were not measured. See sources.csv.",
     ]
     header = (
         "taxon", "mean_diameter_cm", "cover_percent", "height_max_m", "growth_form",
-        "packing_percent",
+        "packing_percent", "dead_fraction",
     )  # fmt: skip
     rows = [
-        (s.taxon, s.size.crown_diameter_m, s.cover, s.size.height_m, s.shape.growth_form)
+        (
+            s.taxon,
+            s.size.crown_diameter_m,
+            s.crown_cover,
+            s.size.height_m,
+            s.shape.growth_form,
+            s.dead_fraction,
+        )
         for s in plot.species
     ]
     if plot.other_cover > 0:
-        size = plant_size("", DOME)
-        rows.append((OTHER, size.crown_diameter_m, plot.other_cover, size.height_m, DOME))
+        diameter, height = _other_size(plot)
+        rows.append((OTHER, diameter, plot.other_cover, height, DOME, None))
     if plot.standing_dead > 0:
         like = plot.dominant
         sizes = like.size.crown_diameter_m, plot.standing_dead, like.size.height_m
-        rows.append((DEAD, *sizes, "deadwood"))
-    cells = [(t, d * 100, c * 100, h, form, round(packing, 3)) for t, d, c, h, form in rows]
+        rows.append((DEAD, *sizes, "deadwood", None))
+    cells = [
+        (t, d * 100, c * 100, h, form, round(packing, 3), "" if dead is None else round(dead, 4))
+        for t, d, c, h, form, dead in rows
+    ]
     return "".join(f"# {note}\n" for note in notes) + _table([header, *cells])
+
+
+def _other_size(plot: BioscapePlot) -> tuple[float, float]:
+    """Crown diameter and height [m] of the species that are not listed."""
+    size = plant_size("", DOME)
+    return size.crown_diameter_m, size.height_m * plot.height_factor
 
 
 def _leaves_csv(plot: BioscapePlot) -> str:
@@ -219,10 +268,10 @@ def _sources(plot: BioscapePlot) -> list[tuple[Any, ...]]:
         leaf, lma = leaf_parameters(s), s.traits["leaf_mass_per_area"]
         renamed = s.library_name not in (None, s.taxon)
         rows += [
-            (s.taxon, "cover", s.cover * 100, "%", "measured", ""),
+            (s.taxon, "cover", s.cover * 100, "%", "measured", s.note.where),
+            *_dead_sources(s),
             (s.taxon, "growth_form", s.shape.growth_form, "-", f"assumed by {s.shape.source}", ""),
-            (s.taxon, "crown_diameter", s.size.crown_diameter_m, "m", _ASSUMED, s.size.source),
-            (s.taxon, "height", s.size.height_m, "m", _ASSUMED, s.size.source),
+            *_size_sources(s, plot),
             (s.taxon, "leaf_area_ratio", s.shape.area_ratio, "-", f"assumed by {s.shape.source}",
              "half of the surface over the projected area"),
         ]  # fmt: skip
@@ -230,7 +279,7 @@ def _sources(plot: BioscapePlot) -> list[tuple[Any, ...]]:
             note = f"as {s.library_name}" if renamed else ""
             rows.append((s.taxon, trait, sourced.value, _TRAIT_UNITS[trait], sourced.source, note))
         for name, value in leaf.items():
-            source = _FROM_MASS if name == "structure" else _ASSUMED
+            source = _FROM_MASS if name == "structure" else FORM_DEFAULT
             if name in ("water", "dry_matter"):
                 water = s.traits["water_content"].source
                 source = lma.source if name == "dry_matter" else max(
@@ -257,6 +306,80 @@ def _sources(plot: BioscapePlot) -> list[tuple[Any, ...]]:
     return rows
 
 
+def _dead_sources(species: BioscapeSpecies) -> list[tuple[Any, ...]]:
+    taxon, dead = species.taxon, species.note.dead_cover
+    if dead is None:
+        return []
+    return [
+        (taxon, "dead_cover", dead * 100, "%", "measured", species.note.where),
+        (taxon, "dead_fraction", species.dead_fraction, "-", "from dead cover",
+         "all of the dead cover, and of the live cover that of the growth form"),
+    ]  # fmt: skip
+
+
+def _size_sources(species: BioscapeSpecies, plot: BioscapePlot) -> list[tuple[Any, ...]]:
+    taxon, size, (of_diameter, of_height) = species.taxon, species.size, species.size_source
+    noted = species.note.where if of_diameter == "measured" else size.source
+    note = size.source
+    if plot.height is not None:
+        note = f"{note}; times {plot.height_factor:.4g}"
+    rows: list[tuple[Any, ...]] = [
+        (taxon, "crown_diameter", size.crown_diameter_m, "m", of_diameter, noted),
+        (taxon, "height", size.height_m, "m", of_height, note),
+    ]
+    if species.note.counted is not None:
+        rows.append((taxon, "count", species.note.counted, "-", "measured", species.note.where))
+    return rows
+
+
+def _count_rows(plot: BioscapePlot) -> list[tuple[Any, ...]]:
+    """Live plants counted in a plot, and those that eq. (10) makes of cover and diameter."""
+    rows = []
+    for s in plot.species:
+        if s.note.counted is None or s.note.diameter is None:
+            continue
+        each = float(instance_area(s.note.diameter, s.size.height_m))
+        expected = float(soft_count(target_area(CIRCLE_M2, s.cover), each))
+        ratio = s.note.counted / expected if expected > 0 else math.nan
+        clonal = "yes" if s.note.clonal else "no"
+        counted = s.note.counted
+        diameter = s.note.diameter
+        rows.append((plot.name, s.taxon, clonal, s.cover * 100, diameter, counted, expected, ratio))
+    return rows
+
+
+def _intercept_rows(plot: BioscapePlot) -> list[tuple[Any, ...]]:
+    """What line intercepts show from above, beside the covers that the crew judged."""
+    if plot.view is None:
+        return []
+    covers = {s.taxon: s.cover for s in plot.species}
+    kinds = [
+        ("live", sum(plot.view.live.values()), plot.live),
+        ("dead", plot.view.dead, plot.dead),
+        ("bare", plot.view.bare, plot.soil + plot.rock),
+        ("other", plot.view.other, None),
+        *((taxon, points, covers.get(taxon)) for taxon, points in sorted(plot.view.live.items())),
+    ]
+    return [
+        (
+            plot.name,
+            name,
+            points,
+            *(100 * value for value in plot.view.share(points)),
+            "" if cover is None else 100 * cover,
+        )
+        for name, points, cover in kinds
+    ]
+
+
+_COUNTS = (
+    "plot", "taxon", "clonal", "live_percent", "crown_diameter_m", "counted", "from_cover",
+    "counted_over_from_cover",
+)  # fmt: skip
+_INTERCEPTS = (
+    "plot", "shown", "points", "percent", "standard_error_percent", "crew_percent",
+)  # fmt: skip
+
 INDEX_COLUMNS = {
     "plot": "name, and name of the folder",
     "latitude_deg": "WGS84",
@@ -275,6 +398,15 @@ INDEX_COLUMNS = {
     "leaf_mass_per_area_g_m2": "mean of the listed species",
     "water_content_percent": "mean of the listed species",
     "nitrogen_mg_g": "mean of the listed species that have one",
+    "veg_height_m": "measured, mean",
+    "post_fire_age_years": "mean of the quadrants",
+    "diameter_measured_percent": "of the listed cover",
+    "dead_in_crowns_percent": "dead cover of the listed species",
+    "counted_over_from_cover": "median of species that are not clonal, see counts.csv",
+    "intercept_points": "of the line intercepts",
+    "intercept_live_percent": "from above",
+    "intercept_dead_percent": "from above",
+    "intercept_bare_percent": "from above",
     "remark": "the crew's",
 }
 """Columns of `plots.csv`; covers in % of the plot, means weighted with cover."""
@@ -283,7 +415,7 @@ INDEX_COLUMNS = {
 def _index_row(plot: BioscapePlot) -> list[Any]:
     visit, shares = plot.visit, plot.trait_shares()
     where = ("", "", "", 0) if visit is None else (
-        f"{visit.latitude:.6f}", f"{visit.longitude:.6f}", visit.times[0], len(visit.times)
+        f"{visit.latitude:.6f}", f"{visit.longitude:.6f}", (*visit.times, "")[0], len(visit.times)
     )  # fmt: skip
     covers = (plot.live, plot.dead, plot.soil, plot.rock, plot.listed_cover, plot.other_cover)
     means = (plot.weighted_mean(t) for t in ("leaf_mass_per_area", "water_content", "nitrogen"))
@@ -294,8 +426,34 @@ def _index_row(plot: BioscapePlot) -> list[Any]:
         *(c * 100 for c in (*covers, plot.packing)),
         *(shares.get(source, 0.0) * 100 for source in SOURCES),
         *("" if mean is None else mean for mean in means),
+        *("" if value is None else value for value in _field_values(plot)),
         "" if visit is None else visit.remark,
     ]
+
+
+def _field_values(plot: BioscapePlot) -> list[float | None]:
+    """What only the published tables have."""
+    view, listed = plot.view, plot.listed_cover
+    sized = sum(s.cover for s in plot.species if s.note.diameter is not None)
+    dead = any(s.note.dead_cover is not None for s in plot.species)
+    seen: list[float | None] = [None] * 4
+    if view is not None:
+        points = (sum(view.live.values()), view.dead, view.bare)
+        seen = [view.points, *(100 * view.share(count)[0] for count in points)]
+    return [
+        plot.height,
+        plot.age,
+        100 * sized / listed if listed > 0 else None,
+        100 * plot.dead_in_crowns if dead else None,
+        _median_ratio(_count_rows(plot)),
+        *seen,
+    ]
+
+
+def _median_ratio(counts: Sequence[tuple[Any, ...]]) -> float | None:
+    """Plants counted over those from cover, of species that are not clonal."""
+    ratios = [row[-1] for row in counts if row[2] == "no" and math.isfinite(row[-1])]
+    return statistics.median(ratios) if ratios else None
 
 
 class BioscapeResult(JobResult):
@@ -303,6 +461,11 @@ class BioscapeResult(JobResult):
 
     command: Literal["bioscape"] = "bioscape"
     plots: list[str]
+    counted_over_from_cover: float | None = None
+    """Plants counted over those that cover and diameter ask for, eq. (10): median of the species
+    that are not clonal [-]; none where the tables hold no counts."""
+    oddities: int = 0
+    """Rows of remarks.csv."""
     cover_share_by_trait_source: dict[str, float]
     """Share of the listed cover, over all plots, by the source of leaf mass per area [-]."""
 
@@ -316,6 +479,10 @@ def run_bioscape(
     progress: Progress | None = None,
 ) -> BioscapeResult:
     """Write a folder of plot files for each plot of BioSCape's tables, and `plots.csv`.
+
+    Of the published tables also `counts.csv` (plants counted, and those that eq. (10) makes of
+    cover and diameter), `intercepts.csv` (what line intercepts show from above, beside the crew's
+    covers) and `remarks.csv` (what is odd in the tables, with file and row, and how it was read).
 
     **Arguments:**
 
@@ -342,6 +509,18 @@ def run_bioscape(
     with run.stage("Write the plots"):
         index = _table([tuple(INDEX_COLUMNS), *map(_index_row, read)])
         write_text(run.path("plots.csv", "all plots, one a row"), index)
+        counts = [row for plot in read for row in _count_rows(plot)]
+        remarks = [r for plot in read for r in plot.remarks]
+        if is_published(Path(folder)):
+            for name, about, header, rows in (
+                ("counts.csv", "plants counted and from cover", _COUNTS, counts),
+                ("intercepts.csv", "line intercepts, the view from above", _INTERCEPTS,
+                 [row for plot in read for row in _intercept_rows(plot)]),
+                ("remarks.csv", "oddities of the tables, and how they were read",
+                 ("plot", "file", "row", "what"),
+                 [(r.plot, r.file, "" if r.row is None else r.row, r.what) for r in remarks]),
+            ):  # fmt: skip
+                write_text(run.path(name, about), _table([header, *rows]))
         for plot in read:
             write_plot_files(plot, run.folder / plot.name)
             run.path(f"{plot.name}/plot.toml", f"{len(plot.species)} species")
@@ -360,13 +539,28 @@ def run_bioscape(
                 f"{most:g} {PARAMETERS[name].unit} (sources.csv has what their traits give): "
                 f"{', '.join(sorted(thick))}"
             )
+    headline = [
+        f"{len(read)} plots with {len({s.taxon for p in read for s in p.species})} species.",
+        f"Leaf mass per area by cover: {named}.",
+    ]
+    ratio = _median_ratio(counts)
+    if ratio is not None:
+        headline.append(
+            f"Plants counted over those from cover and diameter (eq. 10): median {ratio:.2g}."
+        )
+    if remarks:
+        first = remarks[0]
+        at = first.file if first.row is None else f"{first.file}, row {first.row}"
+        cut.append(
+            f"{len(remarks)} oddities of the tables, with file and row in remarks.csv; the first: "
+            f"{at}, plot {first.plot}: {first.what}"
+        )
     return run.result(
         BioscapeResult,
-        headline=[
-            f"{len(read)} plots with {len({s.taxon for p in read for s in p.species})} species.",
-            f"Leaf mass per area by cover: {named}.",
-        ],
+        headline=headline,
         warnings=cut,
+        counted_over_from_cover=ratio,
+        oddities=len(remarks),
         plots=[plot.name for plot in read],
         cover_share_by_trait_source=shares,
     )

@@ -2,13 +2,15 @@
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
 from fynjax._core.errors import InputError
+from fynjax.canopy import FORM_DEFAULTS
 from fynjax.io.text import did_you_mean, existing_file
 from fynjax.studies.bioscape._assumed import (
+    DOME,
     OPEN_GROUND_LITTER,
     STANDING_DEAD,
     PlantShape,
@@ -16,6 +18,14 @@ from fynjax.studies.bioscape._assumed import (
     plant_shape,
     plant_size,
     random_packing,
+)
+from fynjax.studies.bioscape._published import (
+    FieldTables,
+    Remark,
+    SpeciesNote,
+    ViewFromAbove,
+    is_published,
+    read_published,
 )
 from fynjax.studies.bioscape._tables import (
     COVER,
@@ -31,6 +41,12 @@ from fynjax.studies.bioscape._tables import (
     read_foreign,
 )
 from fynjax.studies.bioscape._traits import Sourced, TraitLibrary, split_name
+
+FORM_DEFAULT = "growth form default"
+"""Source of a number that the tables do not state."""
+
+MEAN_STATURE = 0.8
+"""Mean height of planted plants over the greatest [-]: heights lie evenly between 0.6 and 1."""
 
 _TOLERANCE = 1.0
 """Covers of a plot may miss their sum by this [%]: crews round."""
@@ -54,6 +70,28 @@ class BioscapeSpecies:
     always; `nitrogen` and `carbon` [mg g-1] where the library has them."""
     library_name: str | None
     """Its name in the trait library, `None` if it is not there."""
+    note: SpeciesNote
+    """What the field tables say of it."""
+    size_source: tuple[str, str] = (FORM_DEFAULT, FORM_DEFAULT)
+    """Where crown diameter and height came from."""
+
+    @property
+    def crown_cover(self) -> float:
+        """Cover of its crowns, live and dead [-]."""
+        return self.cover + (self.note.dead_cover or 0.0)
+
+    @property
+    def dead_fraction(self) -> float | None:
+        """Share of its shoots that is dead tissue [-]; `None`, that of the growth form, where the
+        tables state no dead cover.
+
+        Dead cover is dead altogether; what the crew notes as live cover has the dead tissue in
+        its shoots that the growth form has.
+        """
+        if self.note.dead_cover is None:
+            return None
+        usual = FORM_DEFAULTS[self.shape.growth_form].dead_fraction
+        return 1.0 - (1.0 - usual) * self.cover / self.crown_cover
 
 
 @dataclass(frozen=True)
@@ -86,7 +124,15 @@ class BioscapePlot:
     species: tuple[BioscapeSpecies, ...]
     """As listed; the crews list species of 5 % and more."""
     visit: Visit | None
-    """`None` where no table of spectra names the plot."""
+    """`None` where no table of spectra or of places names the plot."""
+    height: float | None = None
+    """Mean height of the vegetation [m], where the tables state it."""
+    age: float | None = None
+    """Years since fire, where the tables state them."""
+    view: ViewFromAbove | None = None
+    """Line intercepts, where there are any."""
+    remarks: tuple[Remark, ...] = ()
+    """What is odd about the plot's rows, and how it was read."""
 
     @property
     def listed_cover(self) -> float:
@@ -99,23 +145,44 @@ class BioscapePlot:
         return max(0.0, self.live - self.listed_cover)
 
     @property
+    def dead_in_crowns(self) -> float:
+        """Dead cover of the listed species [-], as far as the plot's dead cover and what live
+        cover leaves free allow: what it covers from above."""
+        noted = sum(s.note.dead_cover or 0.0 for s in self.species)
+        return max(0.0, min(noted, self.dead, 1.0 - self.live))
+
+    @property
     def standing_dead(self) -> float:
         """Cover of dead plants that stand between the live ones [-], by `STANDING_DEAD`. Dead
-        cover that exceeds what the live leaves free is under them."""
+        cover that exceeds what the live leaves free is under them. 0 where the tables state the
+        dead cover of species, which then is in their crowns."""
+        if any(s.note.dead_cover is not None for s in self.species):
+            return 0.0
         return STANDING_DEAD * max(0.0, min(self.dead, 1.0 - self.live))
 
     @property
     def packing(self) -> float:
         """Share of a crown over other crowns [-] with which all crowns cover what is live or
         stands dead."""
-        crowns = self.listed_cover + self.other_cover + self.standing_dead
-        return random_packing(crowns, self.live + self.standing_dead)
+        crowns = sum(s.crown_cover for s in self.species) + self.other_cover + self.standing_dead
+        return random_packing(crowns, self.live + self.dead_in_crowns + self.standing_dead)
+
+    @property
+    def height_factor(self) -> float:
+        """Measured height of the vegetation over that of its crowns by growth form [-]."""
+        if self.height is None:
+            return 1.0
+        crowns = [(s.crown_cover, plant_size(s.family, s.shape.growth_form)) for s in self.species]
+        if self.other_cover > 0:
+            crowns.append((self.other_cover, plant_size("", DOME)))
+        mean = sum(c * s.height_m for c, s in crowns) / sum(c for c, _ in crowns)
+        return self.height / (MEAN_STATURE * mean)
 
     @property
     def litter_fraction(self) -> float:
         """Share of the ground under litter [-]: dead cover that does not stand, over it and bare
         cover."""
-        litter = self.dead - self.standing_dead
+        litter = self.dead - self.standing_dead - self.dead_in_crowns
         ground = litter + self.soil + self.rock
         return litter / ground if ground > 0 else OPEN_GROUND_LITTER
 
@@ -142,18 +209,29 @@ class BioscapePlot:
 def read_bioscape(
     folder: str | Path, plots: Sequence[str] | None = None, *, traits: str | Path | None = None
 ) -> list[BioscapePlot]:
-    """Read the plots of a folder of BioSCape's field tables (doi:10.5281/zenodo.14198989).
+    """Read the plots of a folder of BioSCape's field tables, in either of two forms.
+
+    The tables as published, `bioscape_veg_*_vYYYYMMDD`: `plot_summary` and `plot_species`, and if
+    they are there `quadrat_summary`, `quadrat_species`, `line_intercepts` (CSV) and `spatial`
+    (GeoPackage). They hold crown diameters, counts, dead cover of species and the height of the
+    vegetation, which are then taken from them: heights are those of the growth forms times one
+    factor, so that their mean over the crowns is the vegetation's; dead cover of a species is dead
+    tissue of its crowns. What is odd in them is in `BioscapePlot.remarks`.
+
+    Or the older extract of 24 plots (doi:10.5281/zenodo.14198989), without these.
 
     **Arguments:**
 
-    - `folder`: has a file `*CoverData.csv` (cover of live and dead vegetation, soil and rock by
-      plot, %), `*VegData.csv` (live cover by species and plot, %), `*TraitLibrary.csv` (mean
-      nitrogen, carbon [mg/g], leaf mass per area [g/m2] and water content [%] by species) and
-      perhaps `*VegCenters.csv` (place and flight times by plot). Other columns are skipped.
+    - `folder`: of the published tables, with a `*TraitLibrary.csv`; or has a file `*CoverData.csv`
+      (cover of live and dead vegetation, soil and rock by plot, %), `*VegData.csv` (live cover by
+      species and plot, %), `*TraitLibrary.csv` (mean nitrogen, carbon [mg/g], leaf mass per area
+      [g/m2] and water content [%] by species) and perhaps `*VegCenters.csv` (place and flight times
+      by plot). Other columns are skipped, and columns may stand in any order.
     - `plots`: names of the plots to read; all if left out.
     - `traits`: trait library, if it is not in the folder.
 
-    **Returns:** plots in the order of the cover table. A trait of a species without a measured
+    **Returns:** plots in the order of the cover table; of the published tables those with all
+    covers and a species. A trait of a species without a measured
     value is the mean of its genus, else family, else growth form in the library.
 
     **Raises:** `InputError` for a missing file, column or plot, a value that is no number or
@@ -163,53 +241,73 @@ def read_bioscape(
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError("expected a folder with BioSCape's tables, but there is none", file=folder)
-    cover_path, species_path = needed_table(folder, COVER), needed_table(folder, SPECIES)
+    if published := is_published(folder):
+        tables = read_published(folder)
+    else:
+        tables = _read_extract(folder)
     trait_path = (
         needed_table(folder, TRAITS) if traits is None else existing_file(traits, TRAITS[1])
     )
-    cover = _unique(read_foreign(cover_path, CoverRow, COVER[1]), cover_path)
-    listed = _species_by_plot(read_foreign(species_path, SpeciesCoverRow, SPECIES[1]), species_path)
     library = TraitLibrary(read_foreign(trait_path, TraitRow, TRAITS[1]), trait_path)
     visit_path = find_table(folder, VISITS)
     visits = {} if visit_path is None else _visits(visit_path)
+    for name, place in tables.place.items():
+        visits.setdefault(name, Visit(place.longitude, place.latitude, (), place.remark))
 
+    cover_path, species_path, cover = tables.summary, tables.species, tables.cover
+    column = "plot" if published else "Plot"
     if plots is None:
-        if strange := [name for name in listed if name not in cover]:
+        if strange := [name for name in tables.listed if name not in tables.named]:
             raise InputError(
                 f"expected a row for plot {strange[0]!r}, which {species_path.name} has, but there "
                 f"is none.{did_you_mean(strange[0], cover)}",
                 file=cover_path,
-                column="Plot",
+                column=column,
             )
         plots = list(cover)
+        if published:  # a plot may not have been surveyed to its end
+            plots = [name for name in cover if name in tables.listed]
+            if lacking := sorted(tables.named - set(plots)):
+                warnings.warn(
+                    f"{cover_path}: plots without covers or species are left out: "
+                    f"{', '.join(lacking)}",
+                    stacklevel=2,
+                )
     read = []
     for name in dict.fromkeys(plots):
         if name not in cover:
             raise InputError(
-                f"expected a row for plot {name!r}, but there is none.{did_you_mean(name, cover)}",
+                f"expected a row with covers for plot {name!r}, but there is none."
+                f"{did_you_mean(name, cover)}",
                 file=cover_path,
-                column="Plot",
+                column=column,
             )
-        where, row = cover[name]
-        if name not in listed:
+        if name not in tables.listed:
             raise InputError(
                 f"expected species of plot {name!r} in {species_path.name}, but there is none. "
                 "Without species there is nothing to plant.",
                 file=cover_path,
-                row=where,
-                column="Plot",
+                row=cover[name][0],
+                column=column,
             )
-        read.append(_plot(row, listed[name], library, visits.get(name), cover_path))
+        read.append(_plot(name, tables, library, visits.get(name)))
+    if not read:
+        raise InputError("expected a plot with covers and species, but there is none", file=folder)
     return read
 
 
+def _read_extract(folder: Path) -> FieldTables:
+    cover_path, species_path = needed_table(folder, COVER), needed_table(folder, SPECIES)
+    cover = _unique(read_foreign(cover_path, CoverRow, COVER[1]), cover_path)
+    rows = read_foreign(species_path, SpeciesCoverRow, SPECIES[1])
+    listed = _species_by_plot(rows, species_path)
+    return FieldTables(cover_path, species_path, cover, listed, set(cover))
+
+
 def _plot(
-    row: CoverRow,
-    listed: dict[str, SpeciesCoverRow],
-    library: TraitLibrary,
-    visit: Visit | None,
-    path: Path,
+    name: str, tables: FieldTables, library: TraitLibrary, visit: Visit | None
 ) -> BioscapePlot:
+    where, row = tables.cover[name]
     bare = row.PercentBareSoil + row.PercentBareRock
     total = bare + row.PercentDeadVegetation + row.PercentLiveVegetation
     if abs(total - 100) > _TOLERANCE:
@@ -219,35 +317,56 @@ def _plot(
             else "what is missing is read as ground like the rest"
         )
         warnings.warn(
-            f"{path}: the covers of plot {row.Plot!r} sum to {total:g} %, not 100 %; {reading}.",
+            f"{tables.summary}, row {where}: the covers of plot {name!r} sum to {total:g} %, not "
+            f"100 %; {reading}.",
             stacklevel=3,
         )
+        tables.remark(tables.summary, where, name, f"covers sum to {total:g} %; {reading}")
     species = []
-    for taxon, noted in listed.items():
+    for taxon, noted in tables.listed[name].items():
         genus = split_name(taxon)[0]
-        family = noted.Family or library.family(genus)
+        family = noted.family or library.family(genus)
         traits, library_name = library.lookup(taxon, family)
         shape = plant_shape(split_name(library_name or taxon)[0], family)
         species.append(
             BioscapeSpecies(
                 taxon=taxon,
                 family=family,
-                cover=noted.PercentCoverAlive / 100,
+                cover=noted.cover,
                 shape=shape,
                 size=plant_size(family, shape.growth_form),
                 traits=traits,
                 library_name=library_name,
+                note=noted,
             )
         )
-    return BioscapePlot(
-        name=row.Plot,
+    plot = BioscapePlot(
+        name=name,
         live=row.PercentLiveVegetation / 100,
         dead=row.PercentDeadVegetation / 100,
         soil=row.PercentBareSoil / 100,
         rock=row.PercentBareRock / 100,
         species=tuple(species),
         visit=visit,
+        height=tables.height.get(name),
+        age=tables.age.get(name),
+        view=tables.view.get(name),
+        remarks=tuple(remark for remark in tables.remarks if remark.plot == name),
     )
+    return replace(plot, species=tuple(_sized(s, plot) for s in species))
+
+
+def _sized(species: BioscapeSpecies, plot: BioscapePlot) -> BioscapeSpecies:
+    """With the sizes that the tables state in place of the growth form's."""
+    size, noted = species.size, species.note.diameter
+    height = FORM_DEFAULT if plot.height is None else "vegetation height, by growth form"
+    sized = replace(
+        size,
+        crown_diameter_m=size.crown_diameter_m if noted is None else noted,
+        height_m=size.height_m * plot.height_factor,
+    )
+    source = FORM_DEFAULT if noted is None else "measured", height
+    return replace(species, size=sized, size_source=source)
 
 
 def _unique(rows: list[tuple[int, CoverRow]], path: Path) -> dict[str, tuple[int, CoverRow]]:
@@ -266,7 +385,7 @@ def _unique(rows: list[tuple[int, CoverRow]], path: Path) -> dict[str, tuple[int
 
 def _species_by_plot(
     rows: list[tuple[int, SpeciesCoverRow]], path: Path
-) -> dict[str, dict[str, SpeciesCoverRow]]:
+) -> dict[str, dict[str, SpeciesNote]]:
     """Species of each plot. Rows that differ only in the family are the same row, joined twice."""
     if len(rows) > 1 and max(row.PercentCoverAlive for _, row in rows) <= 1:
         raise InputError(
@@ -294,9 +413,17 @@ def _species_by_plot(
         warnings.warn(
             f"{path}: rows {first} and {where} give {taxon!r} of plot {row.Plot!r} the same cover "
             f"and two families, {before.Family} and {row.Family}; it is counted once.",
-            stacklevel=3,
+            stacklevel=4,
         )
-    return plots
+    return {
+        plot: {
+            taxon: SpeciesNote(
+                f"{path.name}, row {row_of[plot, taxon]}", row.PercentCoverAlive / 100, row.Family
+            )
+            for taxon, row in taxa.items()
+        }
+        for plot, taxa in plots.items()
+    }
 
 
 def _visits(path: Path) -> dict[str, Visit]:

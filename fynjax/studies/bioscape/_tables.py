@@ -14,30 +14,33 @@ from fynjax.io.text import Slip, Strict, did_you_mean, first_error, number, read
 Row = TypeVar("Row", bound=BaseModel)
 
 
-def _not_available(value: Any) -> Any:
-    """R writes NA into an empty cell."""
+def not_available(value: Any) -> Any:
+    """`None` for NA, which R writes into an empty cell, and its like."""
     return None if str(value).strip().lower() in ("na", "nan", "none", "") else value
 
 
-OptionalNumber = Annotated[float | None, BeforeValidator(_not_available)]
-OptionalText = Annotated[str | None, BeforeValidator(_not_available)]
+OptionalNumber = Annotated[float | None, BeforeValidator(not_available)]
+OptionalText = Annotated[str | None, BeforeValidator(not_available)]
 
 
-def _percent(description: str) -> Any:
-    return number(description, "%", ge=0, le=100)
+def percent(description: str, default: Any = ...) -> Any:
+    """Field of a cover."""
+    return number(description, "%", default=default, ge=0, le=100)
 
 
 def _over_100(value: float) -> str | None:
     return "A decimal point lost?" if value > 100 else None
 
 
-class _Foreign(Strict):
+class TableRow(Strict):
     """A row of a table made elsewhere: other columns may stand beside those used here."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
+    columns: ClassVar[tuple[str, ...]] = ()
+    """Columns that must be there although their cells may be empty."""
 
 
-class CoverRow(_Foreign):
+class CoverRow(TableRow):
     """Cover of a plot."""
 
     slips: ClassVar[dict[str, Slip]] = {
@@ -45,13 +48,13 @@ class CoverRow(_Foreign):
         for name in ("BareSoil", "BareRock", "DeadVegetation", "LiveVegetation")
     }
     Plot: str = Field(description="Name of the plot.", min_length=1)
-    PercentBareSoil: float = _percent("Bare soil")
-    PercentBareRock: float = _percent("Bare rock")
-    PercentDeadVegetation: float = _percent("Dead vegetation")
-    PercentLiveVegetation: float = _percent("Live vegetation")
+    PercentBareSoil: float = percent("Bare soil")
+    PercentBareRock: float = percent("Bare rock")
+    PercentDeadVegetation: float = percent("Dead vegetation")
+    PercentLiveVegetation: float = percent("Live vegetation")
 
 
-class SpeciesCoverRow(_Foreign):
+class SpeciesCoverRow(TableRow):
     """Live cover of a species on a plot."""
 
     slips: ClassVar[dict[str, Slip]] = {
@@ -69,7 +72,7 @@ def _mass_slip(value: float) -> str | None:
     return f"mg cm-2? In g m-2 this is {value * 10:g}." if value < 20 else None
 
 
-class TraitRow(_Foreign):
+class TraitRow(TableRow):
     """Mean traits of a species."""
 
     slips: ClassVar[dict[str, Slip]] = {
@@ -96,7 +99,7 @@ class TraitRow(_Foreign):
     Mean_Water_Content: OptionalNumber = number("Water, share of fresh mass", "%", gt=1, le=97)
 
 
-class VisitRow(_Foreign):
+class VisitRow(TableRow):
     """Place and time of a spectrum of a plot."""
 
     BScpPID: str = Field(description="Name of the plot.", min_length=1)
@@ -151,7 +154,8 @@ def read_foreign(path: Path, model: type[Row], what: str) -> list[tuple[int, Row
     header = [name.strip() for name in next(lines, [])]
     known = model.model_fields
     for name, field in known.items():
-        if field.is_required() and name not in header:
+        needed = field.is_required() or name in getattr(model, "columns", ())
+        if needed and name not in header:
             near = did_you_mean(name, [h for h in header if h not in known])
             near = near.replace("Did you mean", "Is it").replace("?", " in this file?")
             few = ", ".join(header[:12]) + (", ..." if len(header) > 12 else "")

@@ -121,6 +121,14 @@ def _check_finite(spectra: Sequence[PlotSpectrum], read: Sequence[BioscapePlot])
             raise InputError(f"the simulated spectrum of plot {plot.name!r} is not finite")
 
 
+def _from_above(plot: BioscapePlot) -> dict[str, float]:
+    """Share of points of the line intercepts that show bare ground, with its standard error."""
+    if plot.view is None:
+        return {}
+    share, error = plot.view.share(plot.view.bare)
+    return {"intercept_bare_percent": 100 * share, "intercept_bare_se_percent": 100 * error}
+
+
 def plot_table(
     read: Sequence[BioscapePlot],
     files: Sequence[Plot],
@@ -139,6 +147,7 @@ def plot_table(
                 "dead_percent": 100 * plot.dead,
                 "bare_percent": 100 * (plot.soil + plot.rock),
                 "ground_seen_percent": 100 * float(spectrum.ground_seen),
+                **_from_above(plot),
                 "sun_zenith_deg": file.sun.zenith_deg,
                 "sun_azimuth_deg": file.sun.azimuth_deg,
                 "sun_from": "flight" if flights(plot.visit) else "assumed",

@@ -37,26 +37,29 @@ _UNITS = {
     "spectral_angle": "degree", "rmse": "-", "nrmse": "-", "correlation": "-",
     "relative_mean_difference": "-", "ground_seen_percent": "%", "live_percent": "%",
     "dead_percent": "%", "bare_percent": "%", "sun_zenith_deg": "degree",
-    "sun_azimuth_deg": "degree",
+    "sun_azimuth_deg": "degree", "intercept_bare_percent": "%", "intercept_bare_se_percent": "%",
 }  # fmt: skip
 _HEADERS = {
     "spectral_angle": "SAM", "rmse": "RMSE", "nrmse": "NRMSE", "correlation": "r",
     "relative_mean_difference": "mean, (sim − real) / real", "live_percent": "live",
     "dead_percent": "dead", "bare_percent": "bare", "ground_seen_percent": "ground seen, simulated",
     "sun_zenith_deg": "sun zenith", "sun_azimuth_deg": "sun azimuth",
+    "intercept_bare_percent": "bare, line intercepts",
+    "intercept_bare_se_percent": "its standard error",
     "level_share": "level", "contrast_share": "contrast", "shape_share": "shape",
 }  # fmt: skip
 _ASSUMED = (
     "Measured: cover of live and dead vegetation, soil and rock; cover of the species; leaf mass "
-    "per area and water content of a species, or the mean of its genus, family or growth form. "
-    "Assumed, and the same for all plots: growth form, crown size, leaf area, leaf angles, "
-    "pigments, the dead tissue of live shoots, the spectra of soil, litter and bark, level ground, "
-    "and a view from straight above. The folder of each plot says of every number where it is "
-    "from (sources.csv). Some choices were made with spectra of 18 of BioSCape's plots in sight, "
-    "and are no test on these: that live shoots have dead tissue, and how much, by growth form "
-    "(0.25 to 0.45, near a fit to the 18); and, after a look at T068, T072 and T094, that dead "
-    "plants that stand have the spectrum of bark. No other number was fitted to a measured "
-    "spectrum.",
+    "per area and water content of a species, or the mean of its genus, family or growth form; "
+    "from published tables also crown diameters, the height of the vegetation and the dead cover "
+    "of species. Assumed, and the same for all plots: growth form, else crown size, leaf area, "
+    "leaf angles, pigments, the dead tissue of live shoots, the spectra of soil, litter and bark, "
+    "level ground, and a view from straight above. The folder of each plot says of every number "
+    "where it is from (sources.csv). Some choices were made with spectra of 18 of BioSCape's plots "
+    "in sight, and are no test on these: that live shoots have dead tissue, and how much, by "
+    "growth form (0.25 to 0.45, near a fit to the 18); and, after a look at T068, T072 and T094, "
+    "that dead plants that stand have the spectrum of bark. No other number was fitted to a "
+    "measured spectrum.",
     "A measured spectrum is the mean of the flights over the plot; the sun is that of the flight "
     "in the middle, by its height. Where no table names a flight the sun is assumed at 30 degrees "
     "zenith in the north.",

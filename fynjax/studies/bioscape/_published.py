@@ -1,0 +1,458 @@
+"""The vegetation tables as BioSCape publishes them, with diameters, counts, heights, dead cover of
+species and line intercepts (BioSCape-io/BioSCape-terrestrial, `ornl_daac/README.md`).
+"""
+
+import re
+import sqlite3
+from collections import Counter
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field
+
+from fynjax._core.errors import InputError
+from fynjax.io.text import number
+from fynjax.studies.bioscape._tables import (
+    CoverRow,
+    OptionalText,
+    TableRow,
+    find_table,
+    needed_table,
+    not_available,
+    percent,
+    read_foreign,
+)
+
+SUMMARY = "bioscape_veg_plot_summary_v*.csv", "a table of cover by plot"
+SPECIES = "bioscape_veg_plot_species_v*.csv", "a table of species by plot"
+QUADRATS = "bioscape_veg_quadrat_summary_v*.csv", "a table of cover by quadrant"
+QUADRAT_SPECIES = "bioscape_veg_quadrat_species_v*.csv", "a table of species by quadrant"
+INTERCEPTS = "bioscape_veg_line_intercepts_v*.csv", "a table of line intercepts"
+PLACES = "bioscape_veg_spatial_v*.gpkg", "a GeoPackage of plot centres"
+
+_MISSING = -9999.0
+_OLDEST = 150.0
+"""A larger number of years since fire is a date's serial number, or a year."""
+_SMALLEST, _LARGEST = 1.0, 1000.0
+"""Crown diameters of plants [cm]: the bounds of a plot's parameter."""
+
+
+def _missing(value: Any) -> Any:
+    value = not_available(value)
+    try:
+        return None if value is not None and float(value) == _MISSING else value
+    except ValueError:
+        return value
+
+
+def _amount(description: str, unit: str, most: float | None = None) -> Any:
+    return number(description, unit, default=None, ge=0, le=most)
+
+
+Amount = Annotated[float | None, BeforeValidator(_missing)]
+"""A number, or -9999 where it is missing."""
+
+
+class SummaryRow(TableRow):
+    """Cover and height of a plot."""
+
+    columns = (
+        "percent_bare_soil",
+        "percent_bare_rock",
+        "percent_dead_vegetation",
+        "percent_live_vegetation",
+        "veg_height_mean_cm",
+    )
+    plot: str = Field(description="Name of the plot.", min_length=1)
+    percent_bare_soil: Amount = percent("Bare soil", None)
+    percent_bare_rock: Amount = percent("Bare rock", None)
+    percent_dead_vegetation: Amount = percent("Dead vegetation", None)
+    percent_live_vegetation: Amount = percent("Live vegetation", None)
+    veg_height_mean_cm: Amount = _amount("Height of the vegetation", "cm", 2000)
+
+
+class PlotSpeciesRow(TableRow):
+    """A species of a plot."""
+
+    columns = (
+        "accepted_genus",
+        "accepted_species",
+        "percent_cover_alive",
+        "percent_cover_dead",
+        "abundance_alive_count",
+        "mean_canopy_diameter_cm",
+        "clonal",
+    )
+    plot: str = Field(description="Name of the plot.", min_length=1)
+    accepted_genus: OptionalText = Field(default=None, description="Genus.")
+    accepted_species: OptionalText = Field(default=None, description="Epithet.")
+    genus_species_combo: OptionalText = Field(default=None, description="Both.")
+    percent_cover_alive: Amount = percent("Live cover", None)
+    percent_cover_dead: Amount = percent("Dead cover", None)
+    abundance_alive_count: Amount = _amount("Live plants counted", "-")
+    mean_canopy_diameter_cm: Amount = _amount("Mean crown diameter", "cm", _LARGEST)
+    clonal: OptionalText = Field(default=None, description="Whether it spreads by clones.")
+
+
+class QuadratRow(TableRow):
+    """Cover and age of a quadrant."""
+
+    columns = ("total_cover_check", "post_fire_age_years")
+    plot: str = Field(description="Name of the plot.", min_length=1)
+    quadrant: str = Field(description="NE, NW, SE or SW.", min_length=1)
+    total_cover_check: Amount = _amount("Sum of the covers", "%")
+    post_fire_age_years: OptionalText = Field(default=None, description="Years since fire, text.")
+
+
+class QuadratSpeciesRow(TableRow):
+    """A species of a quadrant, as far as it is compared."""
+
+    columns = ("accepted_genus", "accepted_species")
+    plot: str = Field(description="Name of the plot.", min_length=1)
+    quadrant: str = Field(description="NE, NW, SE or SW.", min_length=1)
+    accepted_genus: OptionalText = Field(default=None, description="Genus.")
+    accepted_species: OptionalText = Field(default=None, description="Epithet.")
+    genus_species_combo: OptionalText = Field(default=None, description="Both.")
+
+
+class InterceptRow(TableRow):
+    """What a point on a line across a plot shows from above."""
+
+    columns = ("accepted_genus", "accepted_species", "other_cover_type")
+    plot: str = Field(description="Name of the plot.", min_length=1)
+    line_transect: str = Field(description="NS or WE.", min_length=1)
+    metres_along_line: str = Field(description="0L to 10R.", min_length=1)
+    accepted_genus: OptionalText = Field(default=None, description="Genus.")
+    accepted_species: OptionalText = Field(default=None, description="Epithet.")
+    genus_species_combo: OptionalText = Field(default=None, description="Both.")
+    other_cover_type: OptionalText = Field(default=None, description="Bare, dead plant or other.")
+
+
+_COVERS = {
+    "percent_bare_soil": "PercentBareSoil",
+    "percent_bare_rock": "PercentBareRock",
+    "percent_dead_vegetation": "PercentDeadVegetation",
+    "percent_live_vegetation": "PercentLiveVegetation",
+}
+_BARE = ("bare soil", "bare rock", "bare soil and rock")
+_DEAD = "dead plant"
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something odd in a table, and how it was read."""
+
+    file: str
+    row: int | None
+    """Line of the file; None where it is about all of it."""
+    plot: str
+    what: str
+    """What it is and how it was read."""
+
+
+@dataclass(frozen=True)
+class SpeciesNote:
+    """What the tables say of a species on a plot; None where they do not."""
+
+    where: str
+    """File and row."""
+    cover: float
+    """Live cover [-]."""
+    family: str | None = None
+    dead_cover: float | None = None
+    """Dead cover [-]."""
+    diameter: float | None = None
+    """Mean crown diameter [m]."""
+    counted: float | None = None
+    """Live plants in the plot."""
+    clonal: bool = False
+
+
+@dataclass(frozen=True)
+class ViewFromAbove:
+    """Points of a plot's line intercepts, by what shows there from above."""
+
+    live: dict[str, int]
+    """Points on live plants of each taxon."""
+    dead: int
+    bare: int
+    other: int
+
+    @property
+    def points(self) -> int:
+        """All points."""
+        return sum(self.live.values()) + self.dead + self.bare + self.other
+
+    def share(self, points: int) -> tuple[float, float]:
+        """Share of the points [-] and its standard error, of points that are independent."""
+        share = points / self.points
+        return share, (share * (1.0 - share) / self.points) ** 0.5
+
+
+@dataclass(frozen=True)
+class Place:
+    """Centre of a plot."""
+
+    longitude: float
+    latitude: float
+    remark: str
+
+
+@dataclass
+class FieldTables:
+    """Field tables, plot by plot; those of the older extract end after `listed`."""
+
+    summary: Path
+    species: Path
+    cover: dict[str, tuple[int, CoverRow]] = field(default_factory=dict)
+    """Row and covers of each plot."""
+    listed: dict[str, dict[str, SpeciesNote]] = field(default_factory=dict)
+    """Species of each plot."""
+    named: set[str] = field(default_factory=set)
+    """Plots with a row, with covers or without."""
+    height: dict[str, float] = field(default_factory=dict)
+    """Mean height of the vegetation [m]."""
+    age: dict[str, float] = field(default_factory=dict)
+    """Years since fire, mean of the quadrants that state a number."""
+    view: dict[str, ViewFromAbove] = field(default_factory=dict)
+    """Line intercepts."""
+    place: dict[str, Place] = field(default_factory=dict)
+    """Centres of the plots."""
+    remarks: list[Remark] = field(default_factory=list)
+    """What is odd."""
+
+    def remark(self, path: Path, row: int | None, plot: str, what: str) -> None:
+        """Note that something is odd."""
+        self.remarks.append(Remark(path.name, row, plot, what))
+
+
+def is_published(folder: Path) -> bool:
+    """Whether a folder has the published tables."""
+    return find_table(folder, SUMMARY) is not None or find_table(folder, SPECIES) is not None
+
+
+def read_published(folder: Path) -> FieldTables:
+    """Read the published tables of a folder; those of quadrants, intercepts and places if there.
+
+    **Raises:** `InputError` for a missing table or column, two versions of one table, and a value
+    that is no number or out of range. Anything else that is odd becomes a `Remark`.
+    """
+    tables = FieldTables(needed_table(folder, SUMMARY), needed_table(folder, SPECIES))
+    _read_summary(tables)
+    _read_species(tables)
+    if (path := find_table(folder, QUADRATS)) is not None:
+        _read_quadrats(tables, path)
+    if (path := find_table(folder, QUADRAT_SPECIES)) is not None:
+        _compare_quadrat_species(tables, path)
+    if (path := find_table(folder, INTERCEPTS)) is not None:
+        _read_intercepts(tables, path)
+    if (path := find_table(folder, PLACES)) is not None:
+        tables.place = _read_places(path)
+    return tables
+
+
+def _read_summary(tables: FieldTables) -> None:
+    path, first = tables.summary, dict[str, int]()
+    for where, row in read_foreign(path, SummaryRow, SUMMARY[1]):
+        if row.plot in first:
+            raise InputError(
+                f"plot {row.plot!r} is there twice, first in row {first[row.plot]}",
+                file=path,
+                row=where,
+                column="plot",
+            )
+        first[row.plot] = where
+        tables.named.add(row.plot)
+        covers = {new: getattr(row, old) for old, new in _COVERS.items()}
+        if None in covers.values():
+            continue
+        tables.cover[row.plot] = where, CoverRow(Plot=row.plot, **covers)
+        if row.veg_height_mean_cm:
+            tables.height[row.plot] = row.veg_height_mean_cm / 100.0
+        else:
+            tables.remark(path, where, row.plot, "no height: heights are those of growth forms")
+
+
+def _read_species(tables: FieldTables) -> None:
+    path = tables.species
+    rows: dict[tuple[str, str], list[tuple[int, PlotSpeciesRow]]] = {}
+    for where, row in read_foreign(path, PlotSpeciesRow, SPECIES[1]):
+        taxon = _taxon(row)
+        if taxon is None:
+            raise InputError(
+                "expected accepted_genus or genus_species_combo, but both are empty",
+                file=path,
+                row=where,
+                column="accepted_genus",
+            )
+        if row.percent_cover_alive is None:
+            tables.remark(path, where, row.plot, f"no live cover of {taxon}: left out")
+        elif row.percent_cover_alive + (row.percent_cover_dead or 0.0) == 0:
+            tables.remark(path, where, row.plot, f"no cover of {taxon}, live or dead: left out")
+        else:
+            rows.setdefault((row.plot, taxon), []).append((where, row))
+    for (plot, taxon), several in rows.items():
+        if len(several) > 1:
+            numbers = " and ".join(str(where) for where, _ in several)
+            tables.remark(
+                path, several[-1][0], plot, f"{taxon} in rows {numbers}: covers and counts added"
+            )
+        note = _species_note(path, several)
+        sizes = [row.mean_canopy_diameter_cm for _, row in several]
+        if note.diameter is None:
+            tables.remark(
+                path, several[0][0], plot, f"no diameter of {taxon}: that of its growth form"
+            )
+        elif any(0 < (size or 0.0) < _SMALLEST for size in sizes):
+            tables.remark(
+                path,
+                several[0][0],
+                plot,
+                f"diameter of {taxon} below {_SMALLEST:g} cm: read as that",
+            )
+        tables.listed.setdefault(plot, {})[taxon] = note
+
+
+def _species_note(path: Path, several: list[tuple[int, PlotSpeciesRow]]) -> SpeciesNote:
+    """The rows of one species on one plot as one: covers and counts added, the diameter a mean
+    by cover."""
+    rows = [row for _, row in several]
+
+    def total(name: str) -> float | None:
+        values = [value for row in rows if (value := getattr(row, name)) is not None]
+        return sum(values) if values else None
+
+    sizes = [
+        ((row.percent_cover_alive or 0.0) + (row.percent_cover_dead or 0.0), size)
+        for row in rows
+        if (size := row.mean_canopy_diameter_cm)
+    ]
+    weight = sum(cover for cover, _ in sizes)
+    diameter = sum(cover * size for cover, size in sizes) / weight if weight else None
+    dead = total("percent_cover_dead")
+    return SpeciesNote(
+        where=f"{path.name}, row {', '.join(str(where) for where, _ in several)}",
+        cover=(total("percent_cover_alive") or 0.0) / 100.0,
+        dead_cover=None if dead is None else dead / 100.0,
+        diameter=None if diameter is None else max(diameter, _SMALLEST) / 100.0,
+        counted=total("abundance_alive_count"),
+        clonal=any((row.clonal or "").lower() in ("yes", "y", "true", "1") for row in rows),
+    )
+
+
+def _taxon(row: Any) -> str | None:
+    """Name of a row's plant, of the genus alone where that is all; None without any."""
+    parts = [p for p in (row.accepted_genus, row.accepted_species) if p is not None]
+    name = " ".join(parts) if row.accepted_genus is not None else row.genus_species_combo
+    return None if name is None else " ".join(name.replace("_", " ").split())
+
+
+def _read_quadrats(tables: FieldTables, path: Path) -> None:
+    ages: dict[str, list[float]] = {}
+    for where, row in read_foreign(path, QuadratRow, QUADRATS[1]):
+        total = row.total_cover_check
+        if total is not None and abs(total - 100.0) > 1.0:
+            tables.remark(
+                path, where, row.plot, f"covers of {row.quadrant} sum to {total:g} %: kept as noted"
+            )
+        text = row.post_fire_age_years
+        if text is None or _missing(text) is None:
+            continue
+        age = float(text) if re.fullmatch(r"\d+(\.\d*)?", text) else None
+        if age is None or age > _OLDEST:
+            tables.remark(
+                path,
+                where,
+                row.plot,
+                f"years since fire are {text!r}, no number of years: left out",
+            )
+        else:
+            ages.setdefault(row.plot, []).append(age)
+    tables.age = {plot: sum(values) / len(values) for plot, values in ages.items()}
+
+
+def _compare_quadrat_species(tables: FieldTables, path: Path) -> None:
+    """The plot's table holds the sums over the quadrants: a row that is there twice may count
+    twice in them."""
+    first: dict[tuple[str, str, str], int] = {}
+    for where, row in read_foreign(path, QuadratSpeciesRow, QUADRAT_SPECIES[1]):
+        taxon = _taxon(row)
+        key = row.plot, row.quadrant, taxon or ""
+        if taxon is not None and key in first:
+            tables.remark(
+                path,
+                where,
+                row.plot,
+                f"{taxon} of {row.quadrant} also in row {first[key]}: its sum over the plot is "
+                "taken as published",
+            )
+        first.setdefault(key, where)
+
+
+def _read_intercepts(tables: FieldTables, path: Path) -> None:
+    points: dict[str, list[tuple[int, InterceptRow]]] = {}
+    for where, row in read_foreign(path, InterceptRow, INTERCEPTS[1]):
+        points.setdefault(row.plot, []).append((where, row))
+    for plot, rows in points.items():
+        first: set[tuple[str, str]] = set()
+        repeated = 0
+        live: Counter[str] = Counter()
+        kinds: Counter[str] = Counter()
+        for where, row in rows:
+            place = row.line_transect, row.metres_along_line
+            repeated += place in first
+            first.add(place)
+            other, taxon = (row.other_cover_type or "").lower(), _taxon(row)
+            if other == _DEAD:
+                kinds["dead"] += 1
+            elif other in _BARE:
+                kinds["bare"] += 1
+            elif taxon is not None:
+                live[taxon] += 1
+            elif other:
+                kinds["other"] += 1
+                if other != "other":
+                    tables.remark(path, where, plot, f"{row.other_cover_type!r} counts as other")
+            else:
+                tables.remark(path, where, plot, "a point with neither plant nor cover: left out")
+        if repeated:
+            tables.remark(
+                path, None, plot, f"{repeated} of {len(rows)} points on places that are there twice"
+            )
+        if live or kinds:
+            tables.view[plot] = ViewFromAbove(
+                dict(live), kinds["dead"], kinds["bare"], kinds["other"]
+            )
+    for plot in tables.cover:
+        if plot not in tables.view:
+            tables.remark(path, None, plot, "no line intercepts")
+
+
+_PLACE_COLUMNS = ("bioscape_plot_id", "townsend_long", "townsend_lat", "quality_flag")
+
+
+def _read_places(path: Path) -> dict[str, Place]:
+    """Centres of the plots from the layer `plot_centers` of a GeoPackage, which is SQLite."""
+    try:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as base:
+            columns = [row[1] for row in base.execute("PRAGMA table_info(plot_centers)")]
+            if lacking := [name for name in _PLACE_COLUMNS if name not in columns]:
+                raise InputError(
+                    f"expected a layer plot_centers with {', '.join(_PLACE_COLUMNS)}, but "
+                    f"{', '.join(lacking)} is missing",
+                    file=path,
+                )
+            rows = base.execute(f"SELECT {', '.join(_PLACE_COLUMNS)} FROM plot_centers").fetchall()
+    except sqlite3.DatabaseError as error:
+        raise InputError(f"expected a GeoPackage (SQLite), but: {error}", file=path) from error
+    return {
+        str(plot): Place(float(x), float(y), "" if not_available(flag) is None else str(flag))
+        for plot, x, y, flag in rows
+        if _on_earth((x, 180.0), (y, 90.0))
+    }
+
+
+def _on_earth(*values: tuple[Any, float]) -> bool:
+    return all(isinstance(v, int | float) and abs(v) <= most for v, most in values)
