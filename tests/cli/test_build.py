@@ -83,7 +83,7 @@ def test_the_files_of_a_build_agree(plot: Path, tmp_path: Path) -> None:
         leaf = float(density.isel({"class": 0}).sum()) * 1e-3
     euclea = disc[plants.taxon == "Euclea racemosa"].sum()
     every = disc.sum() / 4.0
-    seen = euclea * (1 - np.exp(-every)) / every  # crowns overlap
+    seen = euclea * (1 - np.prod(1 - disc / 4.0)) / every  # crowns overlap
     assert leaf == pytest.approx(3.5 * (1 - 0.2) * seen, rel=1e-3)
     stand = pd.read_csv(out / "stand.csv").set_index("taxon")
     assert stand.leaf_area_index["all"] == pytest.approx(0.75 * 3.5 * seen / 4.0, abs=1e-3)

@@ -85,7 +85,8 @@ def test_the_hard_scene_is_the_soft_one_without_softness(seed: int) -> None:
     instances = hard_instances(model, parameters)
     crown = np.bincount(instances.species, np.pi / 4.0 * instances.diameter**2)
     every = crown.sum() / 1.6**2
-    crown *= (1.0 - np.exp(-every)) / every  # those seen from above, as the Boolean model has it
+    each = np.pi / 4.0 * instances.diameter**2 / 1.6**2
+    crown *= (1.0 - np.prod(1.0 - each)) / every  # those seen from above, at random
     own = parameters.species
     leaf = crown * np.asarray(own.leaf_area_index * (1.0 - own.shoot_clumping))
     found = whole.sum(axis=(1, 2, 3)) * model.grid.voxel_volume

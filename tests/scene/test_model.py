@@ -42,8 +42,9 @@ def test_hard_scene_plants_whole_plants_of_equation_10():
         np.asarray(planting.size)[np.asarray(planting.species) == i][: count[i]] for i in range(3)
     ]
     crowns = np.array([np.pi * r**2 * (s**2).sum() for r, s in zip(radius, size, strict=True)])
-    # Crowns overlap, and are stated as seen from above: the Boolean model.
-    seen = crowns * (1 - np.exp(-crowns.sum() / 1.6**2)) / (crowns.sum() / 1.6**2)
+    # Crowns overlap, and are stated as seen from above: each leaves its part of the ground free.
+    each = np.concatenate([np.pi * r**2 * s**2 for r, s in zip(radius, size, strict=True)])
+    seen = crowns * (1 - np.prod(1 - each / 1.6**2)) / (crowns.sum() / 1.6**2)
     found = leaf_area(model, parameters)
     assert found[0] == pytest.approx(3.0 * (1 - 0.4) * seen[0], rel=1e-9)
     assert found[-2] == pytest.approx(np.asarray(species.wood_area_index) @ seen, rel=1e-9)
@@ -105,7 +106,9 @@ def test_area_follows_the_parameters_at_any_resolution():
     parameters = small_parameters()
     areas = [leaf_area(small_plot(voxel=v), parameters) * (v / 0.1) ** 3 for v in (0.05, 0.1, 0.2)]
     cover = np.array([0.25, 0.15, 0.06]) / [0.9 * 0.9, 0.95 * 0.8, 0.98 * 0.95]  # packing and fill
-    crowns = 1.6**2 * cover[0] * (1 - np.exp(-cover.sum())) / cover.sum()  # seen from above
+    each = np.pi / 4 * np.asarray(parameters.species.diameter) ** 2 / 1.6**2  # of crowns, at random
+    free = np.prod((1 - each) ** (cover / each))
+    crowns = 1.6**2 * cover[0] * (1 - free) / cover.sum()  # seen from above
     for area in areas:
         # Sizes vary among plants; leaves of a shoot hide 0.4 of their area from outside.
         assert area[0] == pytest.approx(3.0 * 0.6 * crowns, rel=0.06)
