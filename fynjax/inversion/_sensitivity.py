@@ -86,7 +86,7 @@ def _slopes(predict: Predict, context: Any, point: Array, mode: str) -> tuple[Ar
 class _OverUnits(eqx.Module):
     """A forward model as a function of independent coordinates of known distribution."""
 
-    predict: Predict = eqx.field(static=True)
+    predict: Predict
     space: ParameterSpace
     context: tuple[Any, ...]
     over: Over = eqx.field(static=True)

@@ -138,12 +138,12 @@ def test_image_of_a_path_tracer(shared_data, monkeypatch):
     """
     module, want, _ = comparison(shared_data)
 
-    def even(angle, incoming, outgoing):
-        value = jnp.full((incoming.shape[0], outgoing.shape[0]), 0.125, incoming.dtype)
-        return value, value
+    def even(angles, incoming, outgoing):
+        shape = len(angles), incoming.shape[0], outgoing.shape[0]
+        return jnp.full(shape, 0.125, incoming.dtype), jnp.full(shape, 0.125, incoming.dtype)
 
-    monkeypatch.setattr("fynjax.radiation._multiple.area_scattering", even)
-    monkeypatch.setattr("fynjax.radiation._image.area_scattering", even)
+    monkeypatch.setattr("fynjax.radiation._multiple.area_scattering_of", even)
+    monkeypatch.setattr("fynjax.radiation._image.area_scattering_of", even)
     x = (jnp.arange(200, dtype=jnp.float32) + 0.5) * 0.05
 
     def image(scene):

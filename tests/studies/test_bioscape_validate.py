@@ -17,6 +17,7 @@ from fynjax.studies.bioscape import read_bioscape, write_plot_files
 from fynjax.studies.bioscape._scenes import ACCURACY, Resolution, _build, build_scenes, slots_of
 from fynjax.studies.bioscape._spectra import Spectrometer
 from fynjax.studies.bioscape._validate import used_bands, validate_plots
+from fynjax.studies.bioscape._validate_files import ValidatePlotsResult
 from tests.studies.test_bioscape import FILES
 
 CENTRES = (500.0, 670.0, 780.0, 860.0, 1240.0, 1400.0, 1650.0, 1700.0, 2150.0, 2200.0, 2300.0)
@@ -43,7 +44,7 @@ def write_tables(folder: Path, measured: bool = True) -> None:
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+def result(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ValidatePlotsResult]:
     folder = tmp_path_factory.mktemp("tables")
     write_tables(folder)
     output = tmp_path_factory.mktemp("output")
@@ -83,7 +84,7 @@ def test_plots_of_other_species_get_one_shape_and_keep_their_plants(tmp_path: Pa
 
 @pytest.mark.study
 def test_a_plot_looks_as_it_does_when_rendered_alone(
-    tmp_path: Path, result: tuple[Path, dict]
+    tmp_path: Path, result: tuple[Path, ValidatePlotsResult]
 ) -> None:
     from fynjax.radiation import directional_reflectance, solve_light
 
@@ -104,9 +105,11 @@ def test_a_plot_looks_as_it_does_when_rendered_alone(
 
 
 @pytest.mark.study
-def test_report_tables_and_spectra_belong_together(result: tuple[Path, dict]) -> None:
+def test_report_tables_and_spectra_belong_together(
+    result: tuple[Path, ValidatePlotsResult],
+) -> None:
     output, summary = result
-    for name in (*summary["files"], "plots/A1/plot.toml", "plots/B2/sources.csv"):
+    for name in (*summary.files, "plots/A1/plot.toml", "plots/B2/sources.csv"):
         assert (output / name).stat().st_size > 0
     spectra = xr.load_dataset(output / "spectra.nc")
     assert spectra.sizes == {"plot": 2, "band": 10}
@@ -115,10 +118,10 @@ def test_report_tables_and_spectra_belong_together(result: tuple[Path, dict]) ->
     simulated = spectra["simulated"].to_numpy()
     assert np.all((simulated > 0.005) & (simulated < 0.7))
     error = np.sqrt(np.mean((simulated[0] - spectra["measured"].sel(plot="A1")) ** 2))
-    row = next(r for r in summary["by_plot"] if r["plot"] == "A1")
+    row = next(r for r in summary.by_plot if r["plot"] == "A1")
     assert row["rmse"] == pytest.approx(float(error), rel=1e-5)
-    assert summary["measured"] == ["A1"]
-    assert "B2" in summary["warnings"][0]
+    assert summary.measured == ["A1"]
+    assert "B2" in summary.warnings[0]
     page = (output / "report.html").read_text()
     assert "Where the model is off" in page
     assert "fitted to a measured spectrum" in page
