@@ -108,7 +108,6 @@ parameters = PlotParameters(
         carotenoids=9.0,
         water=0.015,
         dry_matter=0.018,
-        brown_pigments=0.2,
     ),
     ground=GroundParameters(
         brightness=jnp.asarray(1.0),

@@ -22,12 +22,12 @@ USUAL_LEAF = {
     "chlorophyll": 40.0,
     "carotenoids": 9.0,
     "anthocyanins": 1.5,
-    "brown_pigments": 0.1,
+    "brown_pigments": 0.03,
     "water": 0.02,
     "dry_matter": 0.02,
 }
 """Leaves of a species for which nothing is given: an evergreen, sclerophyllous leaf, with the
-structure that follows from dry matter."""
+structure that follows from dry matter. What is brown of its shoots is their dead tissue."""
 
 COLUMNS = {
     "mean_diameter_cm": "diameter",

@@ -109,18 +109,19 @@ def pigments(growth_form: str) -> dict[str, float]:
     """Pigments in PROSPECT's units; those of the shipped plot's leaves.
 
     Nitrogen is not turned into chlorophyll: how much of a leaf's nitrogen its chlorophyll holds
-    is known for crops (Evans 1989, Oecologia 78:9), not for sclerophyllous leaves and culms.
+    is known for crops (Evans 1989, Oecologia 78:9), not for sclerophyllous leaves and culms. Brown
+    pigments are a trace: what is brown of a shoot is its dead tissue.
     """
-    chlorophyll, carotenoids, anthocyanins, brown = {
-        TUFT: (50.0, 10.0, 1.5, 0.3),
-        BROAD: (65.0, 13.0, 1.5, 0.03),
-        TWINER: (15.0, 5.0, 2.0, 0.3),
-    }.get(growth_form, (60.0, 12.0, 1.5, 0.03))
+    chlorophyll, carotenoids, anthocyanins = {
+        TUFT: (50.0, 10.0, 1.5),
+        BROAD: (65.0, 13.0, 1.5),
+        TWINER: (15.0, 5.0, 2.0),
+    }.get(growth_form, (60.0, 12.0, 1.5))
     return {
         "chlorophyll": chlorophyll,
         "carotenoids": carotenoids,
         "anthocyanins": anthocyanins,
-        "brown_pigments": brown,
+        "brown_pigments": 0.03,
     }
 
 
