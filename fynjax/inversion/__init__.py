@@ -22,6 +22,13 @@ from fynjax.inversion._fit import (
 from fynjax.inversion._fit_result import WELL_CONSTRAINED, Data, FitResult, FitStatus
 from fynjax.inversion._information import Information, fisher_information
 from fynjax.inversion._log_posterior import LogPosterior
+from fynjax.inversion._population import (
+    Hyperprior,
+    LinearPlots,
+    Population,
+    fit_population,
+    log_marginal,
+)
 from fynjax.inversion._posterior import SamplingMethod, sample_posterior
 from fynjax.inversion._posterior_result import Posterior
 from fynjax.inversion._search import COARSE, CalibrationSettings, signature
@@ -72,12 +79,15 @@ __all__ = [
     "Ends",
     "FitResult",
     "FitStatus",
+    "Hyperprior",
     "ImageView",
     "Information",
+    "LinearPlots",
     "LocalSensitivity",
     "LogPosterior",
     "ParameterSpace",
     "PlotForward",
+    "Population",
     "Posterior",
     "SamplingMethod",
     "SensorSetting",
@@ -91,9 +101,11 @@ __all__ = [
     "even_bands",
     "fisher_information",
     "fit",
+    "fit_population",
     "free_space",
     "join_data",
     "local_sensitivity",
+    "log_marginal",
     "make_space",
     "match_names",
     "nadir_imager",
