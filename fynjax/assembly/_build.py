@@ -167,6 +167,7 @@ def plot_parameters(
             litter_fraction=jnp.asarray(litter),
             char_fraction=jnp.asarray(char),
             rock_fraction=jnp.asarray(rock),
+            wood_brightness=jnp.asarray(plot.ground.wood_brightness),
         ),
         LightParameters(
             sun_zenith=jnp.asarray(plot.sun.zenith_deg),

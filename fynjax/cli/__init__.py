@@ -19,6 +19,7 @@ from fynjax.cli._demo import demo
 from fynjax.cli._fit_leaf import fit_leaf
 from fynjax.cli._information import information
 from fynjax.cli._init import init
+from fynjax.cli._learn import learn
 from fynjax.cli._pattern import pattern
 from fynjax.cli._plant import plant
 from fynjax.cli._posterior import posterior
@@ -51,6 +52,7 @@ app.command()(sensitivity)
 app.command()(information)
 app.command("fit-leaf")(fit_leaf)
 app.command()(plant)
+app.command()(learn)
 app.command()(terrain)
 app.command()(reflectance)
 app.command()(bioscape)

@@ -23,6 +23,15 @@ TraitLibrary = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Trait library, if it is not in the folder."),
 ]
+PriorFile = Annotated[
+    str,
+    typer.Option(
+        metavar="FILE",
+        help="Population that the plots are of: a shipped one, a file that `fynjax learn` wrote, "
+        "or none.",
+    ),
+]
+SHIPPED = "fynbos_2023"
 
 
 @command("bioscape")
@@ -30,6 +39,7 @@ def bioscape(
     folder: Tables,
     plot: OnlyPlots = None,
     traits: TraitLibrary = None,
+    prior: PriorFile = SHIPPED,
 ) -> Job:
     """Make plot files from the field tables of BioSCape.
 
@@ -41,5 +51,5 @@ def bioscape(
     from fynjax.studies.bioscape import run_bioscape
 
     return lambda target, progress: run_bioscape(
-        folder, target, plots=plot or None, traits=traits, progress=progress
+        folder, target, plots=plot or None, traits=traits, prior=prior, progress=progress
     )

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from fynjax.cli._bioscape import PriorFile
 from fynjax.cli._render import PlotPath
 from fynjax.cli._runtime import Checkpoint, Job, OwnSeed, command
 
@@ -24,6 +25,7 @@ Targets = Annotated[
 def calibrate(
     plot: PlotPath,
     target: Targets,
+    prior: PriorFile = "none",
     checkpoint: Checkpoint = None,
     seed: OwnSeed = None,
 ) -> Job:
@@ -42,5 +44,5 @@ def calibrate(
     from fynjax import jobs
 
     return lambda folder, progress: jobs.calibrate(
-        plot, target, folder, seed=seed, checkpoint=checkpoint, progress=progress
+        plot, target, folder, prior=prior, seed=seed, checkpoint=checkpoint, progress=progress
     )

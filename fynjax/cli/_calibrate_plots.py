@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from fynjax.cli._bioscape import OnlyPlots, TraitLibrary
+from fynjax.cli._bioscape import SHIPPED, OnlyPlots, PriorFile, TraitLibrary
 from fynjax.cli._runtime import Checkpoint, Job, Seed, command
 from fynjax.cli._validate_plots import Size, Tables, Voxel, check_voxel
 
@@ -14,6 +14,7 @@ def calibrate_plots(
     folder: Tables,
     plot: OnlyPlots = None,
     traits: TraitLibrary = None,
+    prior: PriorFile = SHIPPED,
     size: Size = 5.0,
     voxel: Voxel = 0.25,
     realisations: Annotated[
@@ -46,6 +47,7 @@ def calibrate_plots(
         target,
         plots=plot or None,
         traits=traits,
+        prior=prior,
         resolution=Resolution(size, voxel),
         realisations=realisations,
         seed=seed,

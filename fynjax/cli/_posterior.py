@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from fynjax.cli._bioscape import PriorFile
 from fynjax.cli._calibrate import Targets
 from fynjax.cli._render import PlotPath
 from fynjax.cli._runtime import Checkpoint, Job, OwnSeed, command
@@ -31,6 +32,7 @@ def posterior(
     free: Free = None,
     draws: Annotated[int, typer.Option(min=1, help="Effective draws to reach.")] = 400,
     steps: Annotated[int, typer.Option(min=1, help="Most steps of the chain.")] = 5000,
+    prior: PriorFile = "none",
     checkpoint: Checkpoint = None,
     seed: OwnSeed = None,
 ) -> Job:
@@ -57,6 +59,7 @@ def posterior(
         free=free,
         target_size=draws,
         max_steps=steps,
+        prior=prior,
         checkpoint=checkpoint,
         seed=seed,
         progress=progress,

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from fynjax.cli._bioscape import OnlyPlots, TraitLibrary
+from fynjax.cli._bioscape import SHIPPED, OnlyPlots, PriorFile, TraitLibrary
 from fynjax.cli._runtime import Job, Seed, command
 
 Tables = Annotated[
@@ -35,6 +35,7 @@ def validate_plots(
     folder: Tables,
     plot: OnlyPlots = None,
     traits: TraitLibrary = None,
+    prior: PriorFile = SHIPPED,
     size: Size = 5.0,
     voxel: Voxel = 0.1,
     seed: Seed = 0,
@@ -54,6 +55,7 @@ def validate_plots(
         target,
         plots=plot or None,
         traits=traits,
+        prior=prior,
         resolution=Resolution(size, voxel),
         seed=seed,
         progress=progress,

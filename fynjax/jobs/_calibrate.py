@@ -10,7 +10,7 @@ import pandas as pd
 from fynjax._core.progress import Progress
 from fynjax.assembly import Measured, build_plot, read_targets
 from fynjax.inversion import Calibration, CalibrationSettings, calibrate_plot, free_space, join_data
-from fynjax.io.plot import Plot, as_plot
+from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.raster import write_run
 from fynjax.jobs._calibration_page import (
     agreement_sentences,
@@ -68,6 +68,7 @@ def calibrate(
     targets: Path | Sequence[Path],
     output: Path,
     *,
+    prior: str | Path = NO_PRIOR,
     seed: int | None = None,
     checkpoint: Path | None = None,
     progress: Progress | None = None,
@@ -81,6 +82,8 @@ def calibrate(
       its statistics (CSV); a spectrum, or an image of many bands; a point cloud or its structure
       (CSV).
     - `output`: folder of the results, made if missing.
+    - `prior`: learned population of what the plot's files leave open (`with_prior`); none by
+      default.
     - `seed`: seed of every random number; that of the plot file by default.
     - `checkpoint`: folder that keeps every step, from which an interrupted run goes on; none by
       default.
@@ -94,7 +97,7 @@ def calibrate(
 
     Example: `jobs.calibrate("plot.toml", Path("drone.tif"), Path("results"))`.
     """
-    read = as_plot(plot)
+    read = with_prior(as_plot(plot), prior)
     paths = [targets] if isinstance(targets, Path) else list(targets)
     run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
     measured = read_targets(read, paths, seed=run.seed, progress=run.progress)

@@ -29,7 +29,7 @@ from fynjax.inversion import (
     sample_posterior,
     search_form,
 )
-from fynjax.io.plot import Plot, as_plot
+from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.text import atomic_path
 from fynjax.jobs._result import JobResult, Number, ParameterSummary
 from fynjax.jobs._run import Run
@@ -70,6 +70,7 @@ def posterior(
     free: Sequence[str] | None = None,
     target_size: float = 400.0,
     max_steps: int = 5000,
+    prior: str | Path = NO_PRIOR,
     checkpoint: Path,
     seed: int | None = None,
     progress: Progress | None = None,
@@ -90,6 +91,8 @@ def posterior(
     - `free`: patterns of parameters to sample; those of the plot file by default.
     - `target_size`: effective draws to reach.
     - `max_steps`: most steps of the sampler.
+    - `prior`: learned population of what the plot's files leave open (`with_prior`); none by
+      default.
     - `checkpoint`: folder that keeps the calibration and the chain, from which an interrupted run
       goes on.
     - `seed`: seed of every random number; that of the plot file by default.
@@ -108,7 +111,7 @@ def posterior(
         require(package, "posterior")
     if method == "nuts":
         require("blackjax", "nuts")
-    read = as_plot(plot)
+    read = with_prior(as_plot(plot), prior)
     run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
     paths = [targets] if isinstance(targets, Path) else list(targets)
     measured = read_targets(read, paths, seed=run.seed, progress=run.progress)

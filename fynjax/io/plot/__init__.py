@@ -15,6 +15,23 @@ from fynjax.io.plot._plot import (
 )
 from fynjax.io.plot._plot_file import as_plot, example_folder, read_plot
 from fynjax.io.plot._plot_tables import PlotFile
+from fynjax.io.plot._prior import (
+    BY_FORM,
+    DEFAULT_PRIOR,
+    FACTORS,
+    LEAFY_FORMS,
+    NO_PRIOR,
+    PRIOR_PARAMETERS,
+    SHIPPED_PRIORS,
+    LearnedPrior,
+    LeftOutPlot,
+    ModelError,
+    PriorFile,
+    PriorParameter,
+    read_prior,
+    with_prior,
+    write_prior,
+)
 from fynjax.io.plot._rows import (
     LeafRow,
     ParameterRow,
@@ -34,15 +51,27 @@ from fynjax.io.plot._sensor import (
 from fynjax.io.plot._statistics import TargetStatistics, read_statistics, read_structure
 
 __all__ = [
+    "BY_FORM",
+    "DEFAULT_PRIOR",
+    "FACTORS",
+    "LEAFY_FORMS",
+    "NO_PRIOR",
+    "PRIOR_PARAMETERS",
+    "SHIPPED_PRIORS",
     "Air",
     "Calibration",
     "Ground",
     "LeafRow",
     "LeafSource",
+    "LearnedPrior",
+    "LeftOutPlot",
+    "ModelError",
     "ParameterRow",
     "Place",
     "Plot",
     "PlotFile",
+    "PriorFile",
+    "PriorParameter",
     "Sensor",
     "Sky",
     "SkyPatternRow",
@@ -60,9 +89,12 @@ __all__ = [
     "plot_instrument",
     "plot_place",
     "read_plot",
+    "read_prior",
     "read_statistics",
     "read_structure",
     "sensor_altitude",
     "visible_sensor",
     "with_parameter_table",
+    "with_prior",
+    "write_prior",
 ]

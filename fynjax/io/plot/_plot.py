@@ -107,6 +107,8 @@ class Ground:
     """Raster of the shares of litter, char and rock."""
     rpv: tuple[float, float, float] | None = None
     """k, theta and rho_c of the ground's angular shape; `None`: alike in all directions."""
+    wood_brightness: float = 1.0
+    """Factor on the reflectance of bark, deadwood and dead tissue of shoots [-]."""
 
 
 @dataclass(frozen=True)

@@ -341,6 +341,7 @@ def read_plot(path: str | Path) -> Plot:
             parsed.ground.patch_m,
             cover_map,
             parsed.ground.rpv,
+            parsed.ground.wood_brightness,
         ),
         sensor=sensor,
         air=plot_air(air, air_path),

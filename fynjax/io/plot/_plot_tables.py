@@ -169,6 +169,9 @@ class GroundTable(Strict):
         description="'dry', 'wet', or the path of a spectrum (wavelength_nm, reflectance).",
     )
     brightness: float = quantity(PARAMETERS["brightness"], default=PARAMETERS["brightness"].default)
+    wood_brightness: float = quantity(
+        PARAMETERS["wood_brightness"], default=PARAMETERS["wood_brightness"].default
+    )
     moisture: float | None = quantity(
         PARAMETERS["moisture"],
         default=None,

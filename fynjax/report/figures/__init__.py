@@ -15,6 +15,7 @@ from fynjax.report.figures._pattern import pattern_figure
 from fynjax.report.figures._plant import plant_figure
 from fynjax.report.figures._plots import feature_plot, misfit_of_plots, residual_plot, spectra_plot
 from fynjax.report.figures._plots_inferred import estimates_plot, residuals_plot, shifts_plot
+from fynjax.report.figures._population import population_plot
 from fynjax.report.figures._posterior import (
     bound_plot,
     corner_plot,
@@ -68,6 +69,7 @@ __all__ = [
     "pattern_figure",
     "plan_view",
     "plant_figure",
+    "population_plot",
     "predictive_plot",
     "profile_view",
     "quick_looks",

@@ -13,7 +13,7 @@ from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.inversion import Data, signature, spectrum_view
-from fynjax.io.plot import Plot, read_plot
+from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
 from fynjax.io.raster import file_hash
 from fynjax.jobs import Run
 from fynjax.scene import PlotParameters
@@ -88,6 +88,7 @@ def calibrate_plots(
     *,
     plots: Sequence[str] | None = None,
     traits: str | Path | None = None,
+    prior: str | Path = DEFAULT_PRIOR,
     resolution: Resolution | None = None,
     realisations: int = 3,
     seed: int = 0,
@@ -101,6 +102,9 @@ def calibrate_plots(
     - `folder`, `plots`, `traits`, `resolution`: as for `validate_plots`; a `*LMA*model*.json` in
       the folder is the published regression.
     - `output`: folder of the results, made if missing.
+    - `prior`: learned population (`read_prior`), with the model's error, or "none": growth form
+      defaults and `MODEL_SD`. Plots that it was learned from have the values learned from all
+      others; variances and error are of all.
     - `realisations`: number of stand realisations of each plot used to estimate the variance over
       them; at least 3.
     - `seed`: seed of the positions of the plants.
@@ -117,16 +121,17 @@ def calibrate_plots(
     folder = Path(folder)
     if realisations < 3:
         raise InputError(f"expected three stand realisations or more, but got {realisations}")
+    learned = read_prior(prior)
     everything = read_bioscape(folder, plots, traits=traits)
     spectrometer, measured = read_spectrometer(folder), read_plot_spectra(folder)
     read = [p for p in everything if p.name in measured and measured[p.name].times]
     if not read:
         raise InputError("none of the plots has a measured spectrum to learn from", file=folder)
-    bands, flights = _chosen_bands(spectrometer, [measured[p.name] for p in read], folder)
+    bands, flights = chosen_bands(spectrometer, [measured[p.name] for p in read], folder)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # they were given once, above
         written = run_bioscape(
-            folder, run.folder / "plots", plots=[p.name for p in read], traits=traits
+            folder, run.folder / "plots", plots=[p.name for p in read], traits=traits, prior=prior
         )
     files = [read_plot(run.folder / "plots" / p.name / "plot.toml") for p in read]
     field = field_values(read)
@@ -143,25 +148,27 @@ def calibrate_plots(
     ]
     priors = [Prior(TABLES_PRIOR, read, [p for _, p in scenes[::realisations]], None)]
     if len(read) >= _FEWEST_FOR_PRIOR:
-        priors.append(_elsewhere(read, files, slots, field))
+        priors.append(_elsewhere(read, files, slots, field, learned))
     if len(read) >= _FEWEST_FOR_CORRECTION:
         priors.append(replace(priors[-1], name=BIAS_CORRECTED))
     view = spectrum_view(bands, *scenes[0], ACCURACY)
     repeatability = flight_covariance(flights)
-    data = [plot_data(view.names, f, repeatability) for f in flights]
+    error = None if learned is None else learned.error_covariance(np.asarray(bands.centre))
+    data = [plot_data(view.names, f, repeatability, error) for f in flights]
     predict = PlotSpectrumForward(view, tuple(form == "deadwood" for form in slots))
     inputs = sorted([*folder.glob("*.csv"), *folder.glob("*.json")])
     inputs += [] if traits is None else [Path(traits)]
+    inputs += [] if learned is None else [learned.path]
     settings = (resolution, realisations, seed, [p.name for p in read], FREE, len(bands))
     journal = Journal(checkpoint, signature(settings, [file_hash(p) for p in inputs]))
     estimates: dict[str, list[Estimate]] = {p.name: [] for p in priors}
     with run.stage("Infer", total=len(priors) * len(read)):
-        for prior in priors:
-            for i, plot in enumerate(prior.plots):
-                known = None if prior.elsewhere is None else prior.elsewhere[i]
-                space = prior_space(plot, known)
+        for known_by in priors:
+            for i, plot in enumerate(known_by.plots):
+                known = None if known_by.elsewhere is None else known_by.elsewhere[i]
+                space = prior_space(plot, known, learned)
                 spectrum, bias = data[i], None
-                if prior.name == BIAS_CORRECTED:
+                if known_by.name == BIAS_CORRECTED:
                     rest = [
                         np.asarray(d.value) - fit.before
                         for d, fit in zip(data, estimates[TABLES_PRIOR])
@@ -170,11 +177,11 @@ def calibrate_plots(
                         view.names, flights[i], np.delete(np.stack(rest), i, axis=0)
                     )
                 fit = infer_plot(
-                    predict, spectrum, space, prior.parameters[i], stands[i], journal,
+                    predict, spectrum, space, known_by.parameters[i], stands[i], journal,
                     bias=bias,
                 )  # fmt: skip
                 _check(fit, plot, folder)
-                estimates[prior.name].append(fit)
+                estimates[known_by.name].append(fit)
                 run.progress.advance(1, plot=plot.name, misfit=f"{fit.misfit[1]:.2f}")
     with run.stage("Write"):
         findings = _findings(read, priors, estimates, field, bands, data)
@@ -204,7 +211,7 @@ def calibrate_plots(
         )
 
 
-def _chosen_bands(
+def chosen_bands(
     spectrometer: Spectrometer, spectra: Sequence[PlotSpectra], folder: Path
 ) -> tuple[BandSet, list[Float[np.ndarray, "flight band"]]]:
     """Some `MOST_BANDS` bands that every spectrum has, and the spectra there."""
@@ -224,7 +231,11 @@ def _chosen_bands(
 
 
 def _elsewhere(
-    read: Sequence[BioscapePlot], files: Sequence[Plot], slots: tuple[str, ...], field: Field
+    read: Sequence[BioscapePlot],
+    files: Sequence[Plot],
+    slots: tuple[str, ...],
+    field: Field,
+    learned: LearnedPrior | None,
 ) -> Prior:
     """The prior that other plots are: every species has the mean traits of the other plots."""
     known = {name: others(field.value[name]) for name in QUANTITIES}
@@ -237,7 +248,7 @@ def _elsewhere(
         species = tuple(replace(s, traits={**s.traits, **mean}) for s in plot.species)
         plots.append(replace(plot, species=species))
         with tempfile.TemporaryDirectory() as work:
-            write_plot_files(plots[-1], work)
+            write_plot_files(plots[-1], work, learned)
             file = read_plot(Path(work) / "plot.toml")
             parameters.append(slotted_parameters(file, slots))
         elsewhere.append(

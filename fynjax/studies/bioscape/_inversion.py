@@ -27,12 +27,15 @@ from fynjax.inversion import (
     predicted_statistics,
     weigh_spectrum,
 )
+from fynjax.io.plot import BY_FORM, FACTORS, LearnedPrior
 from fynjax.scene import PARAMETERS, PlotParameters, Scene
 from fynjax.studies.bioscape._plot_files import leaf_parameters
 from fynjax.studies.bioscape._plots import BioscapePlot
 
 MODEL_SD = 0.05
 """Relative error of the model in each band for itself, assumed [-]."""
+LEAST_SD = 0.01
+"""Relative error of a band for itself on top of a learned error, for rounding [-]."""
 MOST_BANDS = 24
 ROOM, SOFTNESS = 2.6, 0.25
 
@@ -186,9 +189,14 @@ class PlotSpectrumForward(eqx.Module):
 
 
 def prior_space(
-    plot: BioscapePlot, elsewhere: dict[str, tuple[float, float]] | None = None
+    plot: BioscapePlot,
+    elsewhere: dict[str, tuple[float, float]] | None = None,
+    learned: LearnedPrior | None = None,
 ) -> ParameterSpace:
     """Priors of a plot's parameters: those of `FREE`, about the plot's own tables.
+
+    A `learned` population has the spreads of what it knows, with leaf area and dead tissue as in
+    the plot's dominant growth form, and the soil's brightness. The plot's files have its means.
 
     `elsewhere`, mean and standard deviation of some of `QUANTITIES` over other plots, replaces
     what the plot's tables say of them. Warns where their mean cover asks for more or fewer crowns
@@ -199,6 +207,14 @@ def prior_space(
     # certain and unknown, in the coordinate of a share.
     centre["litter"] = float(np.clip(plot.litter_fraction, 0.05, 0.95))
     sd["litter"] = centre["litter"] * (1.0 - centre["litter"])
+    if learned is not None:
+        values, form = learned.values(plot.name), plot.dominant.shape.growth_form
+        centre["soil_brightness"] = values["soil_brightness"]
+        sd["soil_brightness"] = learned.sd("soil_brightness")
+        for name in ("leaf_area_index", "dead_fraction", *set(FREE) & set(FACTORS)):
+            if name != "soil_brightness":  # the others are factors on the population's means
+                known = f"{name}.{form}" if name in BY_FORM else name
+                sd[name] = learned.sd(known) / values[known]
     reference = Reference(plot)
     for name, (mean, spread) in ({} if elsewhere is None else elsewhere).items():
         free = QUANTITIES[name][0]
@@ -230,11 +246,18 @@ def plot_data(
     names: Sequence[str],
     flights: Float[np.ndarray, "flight band"],
     repeatability: Float[np.ndarray, "band band"] | None,
+    error: Float[np.ndarray, "band band"] | None = None,
 ) -> Data:
     """A plot's mean spectrum with its errors: `MODEL_SD`, what a plot's flights differ by, and the
-    gain and offset of `weigh_spectrum`."""
+    gain and offset of `weigh_spectrum`; or instead of all but the offset a learned `error`, the
+    covariance of the logarithm of reflectance."""
+    mean = flights.mean(axis=0)
+    if error is not None:
+        # What learned plots were off by holds what flights differ by.
+        shared = error * np.outer(mean, mean)
+        return weigh_spectrum(names, mean, LEAST_SD, sampling=shared, gain=0.0)
     sampling = None if repeatability is None else repeatability / len(flights)
-    return weigh_spectrum(names, flights.mean(axis=0), MODEL_SD, sampling=sampling)
+    return weigh_spectrum(names, mean, MODEL_SD, sampling=sampling)
 
 
 def flight_covariance(

@@ -254,11 +254,12 @@ def _how(resolution: Resolution, realisations: int) -> list[str]:
         "distinguish species. They are fitted by least squares; intervals are of the Gaussian "
         "about the fit, "
         f"and only sensitivity that {realisations} stand realisations share counts as information.",
-        f"Errors of a spectrum: {100 * MODEL_SD:g} % in each band for itself, a gain and an offset "
-        "common to all bands, and what flights over one plot differ by, pooled over the plots, "
-        "over the number of flights. With the leave-one-out bias correction the model's mean error "
-        "on the other plots is added to it, and the covariance of these errors replaces all "
-        "others.",
+        "Errors of a spectrum: what the prior's own plots were off by with their parameters known, "
+        f"shared by bands; without a prior {100 * MODEL_SD:g} % in each band for itself, a gain "
+        "and an offset common to all bands, and what flights over one plot differ by, pooled over "
+        "the plots, over the number of flights. With the leave-one-out bias correction the "
+        "model's mean error on the other plots is added to it, and the covariance of these errors "
+        "replaces all others.",
         "Live cover follows from the crowns' cover by the law of crowns set at random. Traits of "
         "the field are means over the species with a measured value, weighted with cover.",
     ]

@@ -4,7 +4,7 @@ import csv
 import io
 import math
 import statistics
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -12,6 +12,7 @@ from typing import Any, Literal
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.canopy import instance_area, soft_count, target_area
+from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, read_prior
 from fynjax.io.text import write_text
 from fynjax.jobs import JobResult, Run
 from fynjax.leaf import structure_from_dry_matter
@@ -60,17 +61,36 @@ def _per_area(species: BioscapeSpecies) -> dict[str, float]:
     return {"water": dry * wet / (1.0 - wet), "dry_matter": dry}
 
 
-def leaf_parameters(species: BioscapeSpecies) -> dict[str, float]:
+def leaf_parameters(
+    species: BioscapeSpecies, population: Mapping[str, float] | None = None
+) -> dict[str, float]:
     """PROSPECT-D parameters of a species' leaf, in PROSPECT's units, per half of its surface.
 
     Dry matter is the leaf mass per projected area over the shape's `area_ratio`; water is that
     times w / (1 - w), with w the share of water in the fresh mass (1 g of water is 1 cm3). Values
     above what PROSPECT can mean, of culms and succulents, are cut to that: `beyond_prospect` names
-    them. Structure follows from dry matter, pigments are those of the growth form.
+    them. Structure follows from dry matter, pigments are those of the growth form. Where there is a
+    `population` (`LearnedPrior.values`), all are then times its factors.
     """
     mass = {name: min(value, _MOST[name]) for name, value in _per_area(species).items()}
     structure = float(structure_from_dry_matter(mass["dry_matter"]))
-    return {"structure": structure} | pigments(species.shape.growth_form) | mass
+    leaf = {"structure": structure} | pigments(species.shape.growth_form) | mass
+    if population is None:
+        return leaf
+    scaled = leaf | {n: leaf[n] * factor for n, factor in leaf_factors(population).items()}
+    return {n: min(max(v, PARAMETERS[n].lower), PARAMETERS[n].upper) for n, v in scaled.items()}
+
+
+def leaf_factors(population: Mapping[str, Any]) -> dict[str, Any]:
+    """Factors on the PROSPECT parameters of all leaves, of a population's values."""
+    mass = population["leaf_mass_per_area"]
+    return {
+        "structure": population["structure"],
+        "chlorophyll": population["chlorophyll"],
+        "carotenoids": population["chlorophyll"],
+        "dry_matter": mass,
+        "water": mass * population["water_per_dry_matter"],
+    }
 
 
 def beyond_prospect(species: BioscapeSpecies) -> dict[str, float]:
@@ -78,27 +98,37 @@ def beyond_prospect(species: BioscapeSpecies) -> dict[str, float]:
     return {n: v for n, v in _per_area(species).items() if v > _MOST[n]}
 
 
-def mean_leaf(plot: BioscapePlot) -> dict[str, float]:
+def mean_leaf(
+    plot: BioscapePlot, population: Mapping[str, float] | None = None
+) -> dict[str, float]:
     """Leaf of the species that are not listed: the mean of those listed, weighted with cover."""
-    leaves = [(s.cover / plot.listed_cover, leaf_parameters(s)) for s in plot.species]
+    leaves = [(s.cover / plot.listed_cover, leaf_parameters(s, population)) for s in plot.species]
     return {name: sum(share * leaf[name] for share, leaf in leaves) for name in LEAF_FIELDS}
 
 
-def write_plot_files(plot: BioscapePlot, folder: str | Path) -> None:
+def write_plot_files(
+    plot: BioscapePlot, folder: str | Path, prior: LearnedPrior | None = None
+) -> None:
     """Write a plot as `plot.toml`, `species.csv`, `leaves.csv` and `sources.csv` into a folder.
 
     `fynjax render` takes `plot.toml`. `sources.csv` has every number with its source: measured, the
     mean of related species, or assumed.
 
-    **Arguments:** `plot`, as read by `read_bioscape`; `folder`, whose files of these names are
-    replaced.
+    **Arguments:**
+
+    - `plot`: as read by `read_bioscape`.
+    - `folder`: its files of these names are replaced.
+    - `prior`: learned population, of which dead tissue, leaf areas, brightness and factors on the
+      leaves are taken: those learned from other plots, if it was learned from this one too. None:
+      the growth forms' defaults.
     """
     folder = Path(folder)
-    write_text(folder / "plot.toml", _plot_toml(plot))
-    write_text(folder / "species.csv", _species_csv(plot))
-    write_text(folder / "leaves.csv", _leaves_csv(plot))
+    population = None if prior is None else prior.values(plot.name)
+    write_text(folder / "plot.toml", _plot_toml(plot, population))
+    write_text(folder / "species.csv", _species_csv(plot, population))
+    write_text(folder / "leaves.csv", _leaves_csv(plot, population))
     header = ("taxon", "quantity", "value", "unit", "source", "note")
-    write_text(folder / "sources.csv", _table([header, *_sources(plot)]))
+    write_text(folder / "sources.csv", _table([header, *_sources(plot, prior)]))
 
 
 def _table(rows: Iterable[Sequence[Any]]) -> str:
@@ -121,7 +151,7 @@ def flights(visit: Visit | None) -> list[tuple[str, float, float]]:
     return sorted(times, key=lambda flight: flight[1])
 
 
-def _plot_toml(plot: BioscapePlot) -> str:
+def _plot_toml(plot: BioscapePlot, population: Mapping[str, float] | None) -> str:
     flown = flights(plot.visit)
     up = [flight for flight in flown if flight[1] < 80.0]
     if plot.visit is None:
@@ -163,6 +193,14 @@ def _plot_toml(plot: BioscapePlot) -> str:
         "",
         "[ground]",
         'soil = "dry"  # assumed; rock is taken to be as bright',
+        *(
+            []
+            if population is None
+            else [
+                f"brightness = {population['soil_brightness']:.4f}  # learned from many plots",
+                f"wood_brightness = {population['wood_brightness']:.4f}  # learned",
+            ]
+        ),
         f"litter_fraction = {plot.litter_fraction:.4f}  # dead over dead and bare cover, without "
         "the dead that stands",
         f"# rock_fraction = {plot.rock:.4f}",
@@ -194,7 +232,7 @@ def _escaped(text: str) -> str:
     return text.replace("\\", "\\\\").replace('"', '\\"')
 
 
-def _species_csv(plot: BioscapePlot) -> str:
+def _species_csv(plot: BioscapePlot, population: Mapping[str, float] | None) -> str:
     listed, packing = plot.listed_cover * 100, plot.packing * 100
     notes = [
         f"Cover of {plot.name} as the field crew noted it, live and where it was noted dead; the "
@@ -216,6 +254,7 @@ def _species_csv(plot: BioscapePlot) -> str:
     header = (
         "taxon", "mean_diameter_cm", "cover_percent", "height_max_m", "growth_form",
         "packing_percent", "dead_fraction",
+        *([] if population is None else ["leaf_area_index"]),
     )  # fmt: skip
     rows = [
         (
@@ -224,22 +263,34 @@ def _species_csv(plot: BioscapePlot) -> str:
             s.crown_cover,
             s.size.height_m,
             s.shape.growth_form,
-            s.dead_fraction,
+            _dead_fraction(s, population),
         )
         for s in plot.species
     ]
     if plot.other_cover > 0:
         diameter, height = _other_size(plot)
-        rows.append((OTHER, diameter, plot.other_cover, height, DOME, None))
+        dead = None if population is None else population[f"dead_fraction.{DOME}"]
+        rows.append((OTHER, diameter, plot.other_cover, height, DOME, dead))
     if plot.standing_dead > 0:
         like = plot.dominant
         sizes = like.size.crown_diameter_m, plot.standing_dead, like.size.height_m
         rows.append((DEAD, *sizes, "deadwood", None))
-    cells = [
+    cells: list[tuple[Any, ...]] = [
         (t, d * 100, c * 100, h, form, round(packing, 3), "" if dead is None else round(dead, 4))
         for t, d, c, h, form, dead in rows
     ]
+    if population is not None:
+        cells = [(*cell, population.get(f"leaf_area_index.{cell[4]}", "")) for cell in cells]
     return "".join(f"# {note}\n" for note in notes) + _table([header, *cells])
+
+
+def _dead_fraction(
+    species: BioscapeSpecies, population: Mapping[str, float] | None
+) -> float | None:
+    """Dead tissue of a species, `BioscapeSpecies.dead_fraction` about that of its growth form."""
+    if population is None:
+        return species.dead_fraction()
+    return species.dead_fraction(population[f"dead_fraction.{species.shape.growth_form}"])
 
 
 def _other_size(plot: BioscapePlot) -> tuple[float, float]:
@@ -248,28 +299,33 @@ def _other_size(plot: BioscapePlot) -> tuple[float, float]:
     return size.crown_diameter_m, size.height_m * plot.height_factor
 
 
-def _leaves_csv(plot: BioscapePlot) -> str:
+def _leaves_csv(plot: BioscapePlot, population: Mapping[str, float] | None) -> str:
     notes = (
         "Dry matter and water from leaf mass per area and water content, per half of the leaf's",
         "surface: the library's area is projected, and a rolled leaf or culm has pi/2 as much.",
         "Structure follows from dry matter, pigments are assumed. sources.csv says what was",
         "measured of which species.",
     )
-    leaves = [(s.taxon, leaf_parameters(s)) for s in plot.species]
+    leaves = [(s.taxon, leaf_parameters(s, population)) for s in plot.species]
     if plot.other_cover > 0:
-        leaves.append((OTHER, mean_leaf(plot)))
+        leaves.append((OTHER, mean_leaf(plot, population)))
     rows = [(taxon, *(leaf[name] for name in LEAF_FIELDS)) for taxon, leaf in leaves]
     return "".join(f"# {note}\n" for note in notes) + _table([("taxon", *LEAF_FIELDS), *rows])
 
 
-def _sources(plot: BioscapePlot) -> list[tuple[Any, ...]]:
+def _sources(plot: BioscapePlot, prior: LearnedPrior | None) -> list[tuple[Any, ...]]:
     rows: list[tuple[Any, ...]] = []
+    population = None if prior is None else prior.values(plot.name)
+    learned = "" if prior is None else f"learned ({prior.path.name})"
+    without = "without this plot" if prior is not None and prior.knows(plot.name) else ""
+    for name, value in (population or {}).items():
+        rows.append(("*", name, value, "-", learned, without))
     for s in plot.species:
-        leaf, lma = leaf_parameters(s), s.traits["leaf_mass_per_area"]
+        leaf, lma = leaf_parameters(s, population), s.traits["leaf_mass_per_area"]
         renamed = s.library_name not in (None, s.taxon)
         rows += [
             (s.taxon, "cover", s.cover * 100, "%", "measured", s.note.where),
-            *_dead_sources(s),
+            *_dead_sources(s, population),
             (s.taxon, "growth_form", s.shape.growth_form, "-", f"assumed by {s.shape.source}", ""),
             *_size_sources(s, plot),
             (s.taxon, "leaf_area_ratio", s.shape.area_ratio, "-", f"assumed by {s.shape.source}",
@@ -287,11 +343,13 @@ def _sources(plot: BioscapePlot) -> list[tuple[Any, ...]]:
                 )  # fmt: skip
             above = beyond_prospect(s).get(name)
             note = "" if above is None else f"cut from {above:.4g}, more than PROSPECT can mean"
+            if population is not None and name in leaf_factors(population):
+                note = f"{note}{'; ' if note else ''}times the learned factor"
             rows.append((s.taxon, name, value, PARAMETERS[name].unit, source, note))
     if plot.other_cover > 0:
         cover = plot.other_cover * 100
         rows.append((OTHER, "cover", cover, "%", "live cover less the listed species", ""))
-        for name, value in mean_leaf(plot).items():
+        for name, value in mean_leaf(plot, population).items():
             rows.append(
                 (OTHER, name, value, PARAMETERS[name].unit, "mean of the listed species", "")
             )
@@ -306,13 +364,15 @@ def _sources(plot: BioscapePlot) -> list[tuple[Any, ...]]:
     return rows
 
 
-def _dead_sources(species: BioscapeSpecies) -> list[tuple[Any, ...]]:
+def _dead_sources(
+    species: BioscapeSpecies, population: Mapping[str, float] | None
+) -> list[tuple[Any, ...]]:
     taxon, dead = species.taxon, species.note.dead_cover
     if dead is None:
         return []
     return [
         (taxon, "dead_cover", dead * 100, "%", "measured", species.note.where),
-        (taxon, "dead_fraction", species.dead_fraction, "-", "from dead cover",
+        (taxon, "dead_fraction", _dead_fraction(species, population), "-", "from dead cover",
          "all of the dead cover, and of the live cover that of the growth form"),
     ]  # fmt: skip
 
@@ -476,6 +536,7 @@ def run_bioscape(
     *,
     plots: Sequence[str] | None = None,
     traits: str | Path | None = None,
+    prior: str | Path = DEFAULT_PRIOR,
     progress: Progress | None = None,
 ) -> BioscapeResult:
     """Write a folder of plot files for each plot of BioSCape's tables, and `plots.csv`.
@@ -488,6 +549,7 @@ def run_bioscape(
 
     - `folder`, `plots`, `traits`: as for `read_bioscape`.
     - `output`: folder of the results, made if missing.
+    - `prior`: learned population (`read_prior`), or "none": the growth forms' defaults.
     - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `BioscapeResult`, with the plots that were written.
@@ -496,6 +558,7 @@ def run_bioscape(
     folder.
     """
     run = Run(output, progress=progress)
+    learned = read_prior(prior)
     with run.stage("Read the tables"):
         read = read_bioscape(folder, plots, traits=traits)
     for plot in read:
@@ -522,7 +585,7 @@ def run_bioscape(
             ):  # fmt: skip
                 write_text(run.path(name, about), _table([header, *rows]))
         for plot in read:
-            write_plot_files(plot, run.folder / plot.name)
+            write_plot_files(plot, run.folder / plot.name, learned)
             run.path(f"{plot.name}/plot.toml", f"{len(plot.species)} species")
     total = sum(plot.listed_cover for plot in read)
     shares = {

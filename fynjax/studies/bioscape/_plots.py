@@ -80,17 +80,17 @@ class BioscapeSpecies:
         """Cover of its crowns, live and dead [-]."""
         return self.cover + (self.note.dead_cover or 0.0)
 
-    @property
-    def dead_fraction(self) -> float | None:
-        """Share of its shoots that is dead tissue [-]; `None`, that of the growth form, where the
-        tables state no dead cover.
+    def dead_fraction(self, usual: float | None = None) -> float | None:
+        """Share of its shoots that is dead tissue [-]; `usual` where the tables state no dead
+        cover. `usual`: that of the growth form [-], its default if left out.
 
         Dead cover is dead altogether; what the crew notes as live cover has the dead tissue in
         its shoots that the growth form has.
         """
         if self.note.dead_cover is None:
-            return None
-        usual = FORM_DEFAULTS[self.shape.growth_form].dead_fraction
+            return usual
+        if usual is None:
+            usual = FORM_DEFAULTS[self.shape.growth_form].dead_fraction
         return 1.0 - (1.0 - usual) * self.cover / self.crown_cover
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.compare import PlotSpectraPair
-from fynjax.io.plot import Plot, read_plot
+from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
 from fynjax.jobs import Run
 from fynjax.metrics import spectral_mask
 from fynjax.sensors import BandSet
@@ -35,6 +35,7 @@ def validate_plots(
     *,
     plots: Sequence[str] | None = None,
     traits: str | Path | None = None,
+    prior: str | Path = DEFAULT_PRIOR,
     resolution: Resolution | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -46,6 +47,8 @@ def validate_plots(
     - `folder`, `plots`, `traits`: as for `read_bioscape`; for the measured spectra the folder has
       `*VegCenters.csv` and `*waves.csv`.
     - `output`: folder of the results, made if missing.
+    - `prior`: learned population (`read_prior`), or "none": the growth forms' defaults. Plots that
+      it was learned from have the values learned from all others.
     - `resolution`: size and voxels of the simulated plots, see `Resolution`.
     - `seed`: seed of the positions of the plants.
     - `progress`: where to report the stages; nowhere by default.
@@ -57,6 +60,7 @@ def validate_plots(
     run = Run(output, seed=seed, progress=progress)
     resolution = Resolution() if resolution is None else resolution
     folder = Path(folder)
+    learned = read_prior(prior)
     read = read_bioscape(folder, plots, traits=traits)
     spectrometer, measured = read_spectrometer(folder), read_plot_spectra(folder)
     keep = used_bands(spectrometer)
@@ -68,7 +72,7 @@ def validate_plots(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # they were given once, above
         written = run_bioscape(
-            folder, run.folder / "plots", plots=[p.name for p in read], traits=traits
+            folder, run.folder / "plots", plots=[p.name for p in read], traits=traits, prior=prior
         )
     files = [read_plot(run.folder / "plots" / p.name / "plot.toml") for p in read]
     with run.stage("Plant the plots"):
@@ -91,7 +95,8 @@ def validate_plots(
         )
     with run.stage("Write"):
         about = plot_table(read, files, spectra, measured)
-        inputs = [*sorted(folder.glob("*.csv")), traits]
+        about["prior"] = [prior_words(learned, plot) for plot in read]
+        inputs = [*sorted(folder.glob("*.csv")), traits, None if learned is None else learned.path]
         return write_report(
             run,
             pair,
@@ -109,6 +114,13 @@ def used_bands(spectrometer: Spectrometer) -> np.ndarray:
     centre, reach = spectrometer.centre, 2.2 * spectrometer.fwhm
     inside = (centre - reach >= _MODEL_NM[0]) & (centre + reach <= _MODEL_NM[1])
     return np.flatnonzero(spectral_mask(centre) & inside)
+
+
+def prior_words(prior: LearnedPrior | None, plot: BioscapePlot) -> str:
+    """What a plot's population was learned from."""
+    if prior is None:
+        return "growth form defaults"
+    return "learned from the other plots" if prior.knows(plot.name) else "learned from other data"
 
 
 def _flights(spectra: PlotSpectra | None, keep: np.ndarray) -> np.ndarray:

@@ -1,0 +1,278 @@
+"""Prior files: what plots share, and how they vary, learned from many plots (`fynjax learn`)."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field, model_validator
+
+from fynjax.canopy import FORM_DEFAULTS
+from fynjax.io.plot._plot import Plot
+from fynjax.io.text import Strict, number, read_toml, shipped_or_own, write_text
+from fynjax.scene import PARAMETERS
+
+DATA = Path(__file__).parent / "data"
+SHIPPED_PRIORS = ("fynbos_2023",)
+"""Names of the priors that ship."""
+DEFAULT_PRIOR, NO_PRIOR = "fynbos_2023", "none"
+"""Name of the prior that ships, and of none."""
+
+LEAFY_FORMS = tuple(form for form, usual in FORM_DEFAULTS.items() if usual.leaf_area_index > 0)
+"""Growth forms with leaves."""
+BY_FORM = ("dead_fraction", "leaf_area_index")
+"""What each growth form has a value of, in its own unit."""
+FACTORS = {
+    "chlorophyll": "factor on chlorophyll and carotenoids of all leaves",
+    "structure": "factor on PROSPECT's N of all leaves",
+    "leaf_mass_per_area": "factor on dry matter of all leaves, water in proportion",
+    "water_per_dry_matter": "factor on water of all leaves, dry matter as it is",
+    "soil_brightness": "factor on the soil's reflectance",
+    "wood_brightness": "factor on the reflectance of bark, deadwood and dead tissue of shoots",
+}
+"""Factors that all species of a plot share [-]."""
+PRIOR_PARAMETERS = {
+    **{
+        f"{kind}.{form}": f"{PARAMETERS[kind].name} of the growth form {form}"
+        for kind in BY_FORM
+        for form in LEAFY_FORMS
+    },
+    **FACTORS,
+}
+"""Parameters of a plot that a population sets, and what each is."""
+
+
+class PriorParameter(Strict):
+    """A parameter of the population."""
+
+    name: str = Field(description="What it is of, such as 'dead_fraction.tussock' or 'structure'.")
+    mean: float = number("Of the mean plot", "-")
+    mean_sd: float = number("Standard error of `mean`", "-", ge=0)
+    plot_sd: float = number("Standard deviation between plots; 0 of what they share", "-", ge=0)
+    assumed: float = number("What was assumed before any spectrum", "-")
+    assumed_sd: float = number("Standard deviation of that", "-", gt=0)
+
+
+class LeftOutPlot(Strict):
+    """The population that all plots but one make."""
+
+    plot: str = Field(description="Name of the plot that is left out.", min_length=1)
+    means: list[float] = Field(description="Means, in the order of `parameters`.")
+
+
+class ModelError(Strict):
+    """What no parameter explains of the logarithm of a spectrum."""
+
+    wavelength_nm: list[Annotated[float, Field(gt=300, lt=3000)]] = Field(
+        description="Rising [nm].", min_length=2
+    )
+    sd: list[Annotated[float, Field(gt=0)]] = Field(
+        description="Standard deviation of the logarithm of reflectance [-]."
+    )
+    correlation: list[list[float]] = Field(description="Between wavelengths, rows of a matrix [-].")
+
+
+class PriorFile(Strict):
+    """A population of plots: means, variation between plots and the model's remaining error."""
+
+    title: str = Field(description="What the plots are.", min_length=1)
+    licence: str = Field(description="Of these numbers.")
+    sources: list[str] = Field(description="Data that they were learned from.")
+    made_with: str = Field(description="Program and version, size and voxels of the plots.")
+    plots: int = Field(description="Number of plots learned from.", ge=1)
+    error: ModelError = Field(description="The model's remaining error.")
+    parameters: list[PriorParameter] = Field(description="Of the population.", min_length=1)
+    left_out: list[LeftOutPlot] = Field(
+        default_factory=list, description="Populations without one of the plots each."
+    )
+
+    @model_validator(mode="after")
+    def _belongs_together(self) -> "PriorFile":
+        names = [p.name for p in self.parameters]
+        if set(names) != set(PRIOR_PARAMETERS) or len(set(names)) != len(names):
+            odd = sorted(set(names) ^ set(PRIOR_PARAMETERS)) or sorted(names)
+            raise ValueError(f"expected each known parameter once, but {odd[0]!r} is not so")
+        for row in self.left_out:
+            if len(row.means) != len(names):
+                raise ValueError(
+                    f"expected {len(names)} means without plot {row.plot!r}, but got "
+                    f"{len(row.means)}"
+                )
+        for values in ([p.mean for p in self.parameters], *(row.means for row in self.left_out)):
+            for name, value in zip(names, values, strict=True):
+                low, high = _bounds(name)
+                if not low < value < high:
+                    raise ValueError(f"expected {name} inside {low:g} to {high:g}, but got {value}")
+        count = len(self.error.wavelength_nm)
+        if any(np.diff(self.error.wavelength_nm) <= 0):
+            raise ValueError("expected rising wavelengths of the error")
+        if (
+            len(self.error.sd) != count
+            or [len(r) for r in self.error.correlation] != [count] * count
+        ):
+            raise ValueError(f"expected {count} standard deviations and as many correlations each")
+        matrix = np.asarray(self.error.correlation)
+        if not np.allclose(matrix, matrix.T, atol=1e-3) or np.linalg.eigvalsh(matrix)[0] < -1e-3:
+            raise ValueError("expected a symmetric correlation that is positive definite")
+        return self
+
+
+def _bounds(name: str) -> tuple[float, float]:
+    """Between which a parameter lies; factors on what leaves hold are positive."""
+    kind = name.split(".")[0]
+    if name in FACTORS and kind not in ("soil_brightness", "wood_brightness"):
+        return 0.0, math.inf
+    record = PARAMETERS[kind.removeprefix("soil_")]
+    return record.lower, record.upper
+
+
+@dataclass(frozen=True)
+class LearnedPrior:
+    """A population of plots, from a prior file."""
+
+    path: Path
+    file: PriorFile
+
+    def knows(self, plot: str) -> bool:
+        """Whether it was learned from the plot of this name, among others."""
+        return any(row.plot == plot for row in self.file.left_out)
+
+    def values(self, plot: str = "") -> dict[str, float]:
+        """Parameters of a plot (`PRIOR_PARAMETERS`) before its spectrum.
+
+        **Arguments:** `plot`, its name. If the population was learned from it, its values are
+        those learned from all other plots.
+        """
+        names = [p.name for p in self.file.parameters]
+        for row in self.file.left_out:
+            if row.plot == plot:
+                return dict(zip(names, row.means, strict=True))
+        return {p.name: p.mean for p in self.file.parameters}
+
+    def sd(self, name: str) -> float:
+        """Standard deviation of a parameter of a plot before its spectrum: between plots, and of
+        the mean."""
+        found = next(p for p in self.file.parameters if p.name == name)
+        return math.hypot(found.mean_sd, found.plot_sd)
+
+    def error_covariance(
+        self, wavelength: Float[np.ndarray, " band"]
+    ) -> Float[np.ndarray, "band band"]:
+        """Covariance of the error of the logarithm of reflectance, at any wavelengths [nm].
+
+        Between those of the file errors are interpolated, beyond them they are those of the ends.
+        """
+        known = np.asarray(self.file.error.wavelength_nm)
+        sd = np.asarray(self.file.error.sd)
+        covariance = np.asarray(self.file.error.correlation) * np.outer(sd, sd)
+        shares = np.stack([np.interp(wavelength, known, row) for row in np.eye(len(known))], axis=1)
+        between = shares @ covariance @ shares.T
+        # Interpolation would make errors half-way between two wavelengths smaller than at both.
+        scale = np.interp(wavelength, known, sd) / np.sqrt(np.diagonal(between))
+        return between * np.outer(scale, scale)
+
+
+def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
+    """A plot with what a learned population says of what its files leave open.
+
+    Leaf area index and dead tissue of species that state none, with the population's spread as
+    their priors unless the plot file states one; the brightness of dead tissue where it is as
+    shipped. Leaves, soil and plants of meshes stay as they are stated.
+
+    **Arguments:**
+
+    - `plot`: a plot.
+    - `name_or_path`: as for `read_prior`.
+
+    **Returns:** `Plot`; `plot` itself with "none".
+
+    **Raises:** `InputError` as `read_prior`.
+    """
+    prior = read_prior(name_or_path)
+    if prior is None:
+        return plot
+    values = prior.values(plot.name)
+    species, spread = [], dict(plot.calibration.priors)
+    for one in plot.species:
+        open_kinds = [
+            kind
+            for kind in BY_FORM
+            if f"{kind}.{one.growth_form}" in values
+            and getattr(one, kind) is None
+            and (one.plant is None or kind != "leaf_area_index")
+        ]
+        found: dict[str, Any] = {kind: values[f"{kind}.{one.growth_form}"] for kind in open_kinds}
+        species.append(replace(one, **found))
+        for kind, value in found.items():
+            # Patterns of the plot file come first.
+            spread.setdefault(
+                f"species.{one.taxon}.{kind}", prior.sd(f"{kind}.{one.growth_form}") / value
+            )
+    ground = plot.ground
+    if ground.wood_brightness == PARAMETERS["wood_brightness"].default:
+        ground = replace(ground, wood_brightness=values["wood_brightness"])
+    return replace(
+        plot,
+        species=tuple(species),
+        ground=ground,
+        calibration=replace(plot.calibration, priors=spread),
+        inputs=(*plot.inputs, prior.path),
+    )
+
+
+def read_prior(name_or_path: str | Path) -> LearnedPrior | None:
+    """A prior by the name of a shipped one (`SHIPPED_PRIORS`) or the path of a prior file.
+
+    **Arguments:** `name_or_path`; "none" is no prior.
+
+    **Returns:** `LearnedPrior`, or None.
+
+    **Raises:** `InputError` for another name, a file that is missing or cannot be read, and one
+    whose parameters, left-out means or errors do not belong together.
+    """
+    if str(name_or_path) == NO_PRIOR:
+        return None
+    path = shipped_or_own(name_or_path, "prior", SHIPPED_PRIORS, DATA)
+    return LearnedPrior(path, read_toml(path, PriorFile)[0])
+
+
+def write_prior(path: Path, file: PriorFile, notes: Mapping[str, str] = PRIOR_PARAMETERS) -> None:
+    """Write a prior file as TOML, its parameters with `notes` on what each is."""
+
+    def row(values: list[float]) -> str:
+        return "[" + ", ".join(f"{v:.5g}" for v in values) + "]"
+
+    def text(value: str) -> str:
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+    lines = [
+        "# Population of plots, as `fynjax learn` writes it and `--prior` takes it.",
+        f"title = {text(file.title)}",
+        f"licence = {text(file.licence)}",
+        "sources = [", *(f"    {text(s)}," for s in file.sources), "]",
+        f"made_with = {text(file.made_with)}",
+        f"plots = {file.plots}",
+    ]  # fmt: skip
+    for p in file.parameters:
+        lines += ["", "[[parameters]]", f"# {notes[p.name]}", f"name = {text(p.name)}"]
+        for key in ("mean", "mean_sd", "plot_sd", "assumed", "assumed_sd"):
+            lines.append(f"{key} = {getattr(p, key):.5g}")
+    lines += [
+        "",
+        "# What no parameter explains of the logarithm of a plot's mean reflectance.",
+        "[error]",
+        f"wavelength_nm = {row(file.error.wavelength_nm)}",
+        f"sd = {row(file.error.sd)}",
+        "correlation = [", *(f"    {row(r)}," for r in file.error.correlation), "]",
+    ]  # fmt: skip
+    for left in file.left_out:
+        lines += [
+            "",
+            "[[left_out]]",
+            f"plot = {text(left.plot)}",
+            f"means = {row(left.means)}",
+        ]
+    write_text(path, "\n".join(lines) + "\n")

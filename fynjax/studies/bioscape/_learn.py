@@ -1,0 +1,277 @@
+"""`fynjax learn`: tables and spectra of many plots in, what the plots share out.
+
+Each plot has a forward model in the parameters of `PER_PLOT`, linearised about its current
+estimate; the linear mixed model of all plots gives the next (`fit_population`). Derivatives may be
+of coarser voxels than values: the estimate ends where the values of the fine ones are explained.
+"""
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from fynjax._core.checkpoint import Journal
+from fynjax._core.errors import InputError
+from fynjax._core.progress import Progress
+from fynjax.inversion import (
+    LinearPlots,
+    Population,
+    fit_population,
+    signature,
+    spectrum_view,
+)
+from fynjax.io.plot import NO_PRIOR, Plot, read_plot
+from fynjax.io.raster import file_hash
+from fynjax.jobs import Run
+from fynjax.scene import PlotParameters, Scene
+from fynjax.sensors import BandSet
+from fynjax.studies.bioscape._calibrate import chosen_bands
+from fynjax.studies.bioscape._learn_files import (
+    ASSUMED,
+    LEFT_OUT,
+    LearnResult,
+    Lesson,
+    write_lesson,
+)
+from fynjax.studies.bioscape._plot_files import run_bioscape
+from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
+from fynjax.studies.bioscape._population import (
+    PER_PLOT,
+    PopulationForward,
+    effect_matrix,
+    hyperprior,
+    log_reflectance,
+    population_space,
+    uncovered,
+)
+from fynjax.studies.bioscape._scenes import ACCURACY, Resolution, build_scenes, slots_of
+from fynjax.studies.bioscape._spectra import (
+    PlotSpectra,
+    Spectrometer,
+    read_plot_spectra,
+    read_spectrometer,
+)
+
+PASSES = 3
+"""Linearisations of each plot."""
+_FARTHEST = 2.0
+"""A linearisation moves a parameter by so many assumed standard deviations at most."""
+_FEWEST = 4
+
+
+@dataclass(frozen=True)
+class Stand:
+    """A plot to learn from."""
+
+    plot: BioscapePlot
+    measured: Float[np.ndarray, " statistic"]
+    """Logarithm of the mean spectrum, and the share that tables leave to the ground."""
+    fine: tuple[Scene, PlotParameters]
+    coarse: tuple[Scene, PlotParameters]
+
+
+def learn(
+    folders: Sequence[str | Path],
+    output: str | Path,
+    *,
+    plots: Sequence[str] | None = None,
+    traits: str | Path | None = None,
+    resolution: Resolution | None = None,
+    slope_voxel_m: float = 0.25,
+    title: str = "Plots of low shrubland",
+    licence: str = "",
+    sources: Sequence[str] = (),
+    seed: int = 0,
+    checkpoint: str | Path,
+    progress: Progress | None = None,
+) -> LearnResult:
+    """Learn what plots share, and how they vary, from the tables and spectra of all at once.
+
+    **Arguments:**
+
+    - `folders`: each as for `validate_plots`, with the same bands. Names of plots differ.
+    - `output`: folder of the results, made if missing.
+    - `plots`: names of those to learn from; all with a spectrum if left out.
+    - `traits`: trait library, if it is not in the folders.
+    - `resolution`: size and voxels of the simulated plots, see `Resolution`.
+    - `slope_voxel_m`: edge of the voxels for derivatives [m]; that of `resolution` if smaller.
+    - `title`, `licence`, `sources`: of the population, for the prior file; the input files with
+      their hashes are added to the sources.
+    - `seed`: seed of the positions of the plants.
+    - `checkpoint`: folder that keeps the linearisations, from which an interrupted run goes on.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `LearnResult`. Writes `prior.toml`, tables, figures and a page into `output`.
+
+    **Raises:** `InputError` for tables that are missing or cannot be read, fewer than four plots
+    with a spectrum, plots of one name, other bands, and a checkpoint of another run.
+    """
+    run = Run(output, seed=seed, progress=progress)
+    resolution = Resolution() if resolution is None else resolution
+    read, bands, measured, files, remarks = _read(folders, run, plots, traits)
+    with run.stage("Plant the plots"):
+        fine = build_scenes(files, resolution, [seed] * len(files))
+        wide = Resolution(resolution.size_m, max(slope_voxel_m, resolution.voxel_m))
+        coarse = fine if wide == resolution else build_scenes(files, wide, [seed] * len(files))
+    stands = [
+        Stand(p, np.append(np.asarray(log_reflectance(jnp.asarray(m))), uncovered(p)), f, c)
+        for p, m, f, c in zip(read, measured, fine, coarse)
+    ]
+    inputs = sorted(p for folder in folders for p in Path(folder).glob("*.csv"))
+    inputs += [] if traits is None else [Path(traits)]
+    space, prior = population_space(), hyperprior(np.asarray(bands.centre))
+    settings = (resolution, wide, seed, [p.name for p in read], space, prior, len(bands), PASSES)
+    journal = Journal(checkpoint, signature(settings, [file_hash(p) for p in inputs]))
+    forms = slots_of(files)
+    models = [
+        PopulationForward(spectrum_view(bands, *scenes[0], ACCURACY), forms)
+        for scenes in (fine, coarse)
+    ]
+    value = eqx.filter_jit(lambda m, u, *stand: m(space.physical(u), *stand))
+    slope = eqx.filter_jit(lambda m, u, *stand: m.linearised(space, u, *stand)[1])
+
+    def each(
+        stage: str, at: np.ndarray, what: Callable[[Stand, np.ndarray], jnp.ndarray]
+    ) -> np.ndarray:
+        """`what` of each plot at its own parameters."""
+        results = []
+        with run.stage(stage, total=len(stands)):
+            for stand, u in zip(stands, at):
+                (result,) = journal(partial(_alone, what, stand, u))
+                if not np.isfinite(result).all():
+                    raise InputError(f"the spectrum of plot {stand.plot.name!r} is not finite")
+                results.append(np.asarray(result))
+                run.progress.advance(1, plot=stand.plot.name)
+        return np.stack(results)
+
+    def simulate(stand: Stand, u: np.ndarray) -> jnp.ndarray:
+        return value(models[0], jnp.asarray(u), *stand.fine)
+
+    def differentiate(stand: Stand, u: np.ndarray) -> jnp.ndarray:
+        return slope(models[1], jnp.asarray(u), *stand.coarse)
+
+    u = np.zeros((len(stands), len(PER_PLOT)))
+    before = np.empty(0)
+    for turn in range(PASSES):
+        of = f"({turn + 1} of {PASSES})"
+        predicted = each(f"Simulate {of}", u, simulate)
+        before = before if turn else predicted
+        slopes = each(f"Differentiate {of}", u, differentiate)
+        linear = linear_plots(np.stack([s.measured for s in stands]), predicted, slopes, u)
+        population = fit_population(linear, prior)
+        wanted = plot_parameters_of(population, linear)
+        u = u + np.clip(wanted - u, -_FARTHEST, _FARTHEST)
+    with run.stage("Leave each plot out"):
+        left_out = [
+            fit_population(linear.without(i), prior, population) for i in range(len(stands))
+        ]
+    apart = np.stack([p.mean[:-1] for p in left_out])
+    lesson = Lesson(
+        title=title,
+        licence=licence,
+        sources=[*sources, *(f"{p.name}, SHA-256 {file_hash(p)[:16]}" for p in inputs)],
+        plots=tuple(p.name for p in read),
+        bands=bands,
+        measured=np.stack(measured),
+        space=space,
+        prior=prior,
+        population=population,
+        left_out=left_out,
+        ground=np.array([uncovered(p) for p in read]),
+        predicted={
+            ASSUMED: before,
+            LEFT_OUT: each("Simulate plots left out", apart, simulate),
+        },
+        parameters=u,
+        resolution=resolution,
+    )
+    with run.stage("Write"):
+        return write_lesson(run, lesson, inputs, warnings=remarks)
+
+
+def linear_plots(
+    measured: Float[np.ndarray, "plot statistic"],
+    predicted: Float[np.ndarray, "plot statistic"],
+    slopes: Float[np.ndarray, "plot statistic parameter"],
+    at: Float[np.ndarray, "plot parameter"],
+) -> LinearPlots:
+    """Plots linearised at their parameters `at`, whitened; what crews count as covered though
+    ground shows through is one more parameter, the same in all plots, of the last statistic."""
+    count, statistics, own = slopes.shape
+    slope = np.zeros((count, statistics, own + 1))
+    slope[..., :own] = slopes
+    slope[:, -1, -1] = -1.0
+    design = np.broadcast_to(np.eye(own + 1), (count, own + 1, own + 1))
+    effects = np.vstack([effect_matrix(), np.zeros(effect_matrix().shape[1])])
+    residual = measured - predicted + np.einsum("psk,pk->ps", slopes, at)
+    return LinearPlots(residual, slope, design, effects)
+
+
+def plot_parameters_of(
+    population: Population, linear: LinearPlots
+) -> Float[np.ndarray, "plot parameter"]:
+    """Each plot's own parameters, whitened, at the estimate."""
+    own = linear.design @ population.mean + population.effects @ linear.effects.T
+    return own[:, :-1]
+
+
+def _read(
+    folders: Sequence[str | Path],
+    run: Run,
+    plots: Sequence[str] | None,
+    traits: str | Path | None,
+) -> tuple[list[BioscapePlot], BandSet, list[np.ndarray], list[Plot], list[str]]:
+    """Plots with a measured spectrum, its bands and values, plot files, remarks."""
+    read: list[BioscapePlot] = []
+    spectra: list[PlotSpectra] = []
+    spectrometers: list[Spectrometer] = []
+    remarks: list[str] = []
+    for folder in map(Path, folders):
+        everything = read_bioscape(folder, plots, traits=traits)
+        flown = read_plot_spectra(folder)
+        known = [p for p in everything if p.name in flown and flown[p.name].times]
+        if missing := [p.name for p in everything if p not in known]:
+            remarks.append(f"left out, without a measured spectrum: {', '.join(missing)}")
+        if twice := {p.name for p in read} & {p.name for p in known}:
+            raise InputError(
+                f"expected plots of different names, but {min(twice)!r} is in two folders",
+                file=folder,
+            )
+        if not known:
+            continue
+        spectrometers.append(read_spectrometer(folder))
+        if not np.array_equal(spectrometers[0].centre, spectrometers[-1].centre):
+            raise InputError("expected the bands of the first folder, but got others", file=folder)
+        read += known
+        spectra += [flown[p.name] for p in known]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # they were given once, above
+            written = run_bioscape(
+                folder,
+                run.folder / "plots",
+                plots=[p.name for p in known],
+                traits=traits,
+                prior=NO_PRIOR,
+            )
+        remarks += written.warnings
+    if len(read) < _FEWEST:
+        raise InputError(
+            f"expected {_FEWEST} plots with a measured spectrum or more to learn what plots share, "
+            f"but got {len(read)}",
+            file=Path(folders[0]),
+        )
+    bands, flights = chosen_bands(spectrometers[0], spectra, Path(folders[0]))
+    files = [read_plot(run.folder / "plots" / p.name / "plot.toml") for p in read]
+    return read, bands, [f.mean(axis=0) for f in flights], files, remarks
+
+
+def _alone(
+    what: Callable[[Stand, np.ndarray], jnp.ndarray], stand: Stand, u: np.ndarray
+) -> tuple[jnp.ndarray, ...]:
+    return (what(stand, u),)

@@ -1,0 +1,119 @@
+"""Prior files: what is written is read, and a plot can be left out."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fynjax._core.errors import InputError
+from fynjax.io.plot import (
+    PRIOR_PARAMETERS,
+    LeftOutPlot,
+    ModelError,
+    PriorFile,
+    PriorParameter,
+    example_folder,
+    read_plot,
+    read_prior,
+    with_prior,
+    write_prior,
+)
+
+
+def prior_file(**changes) -> PriorFile:
+    """A population of three plots, of which A1 is left out of another."""
+    rows = [
+        PriorParameter(name=n, mean=0.4, mean_sd=0.03, plot_sd=0.04, assumed=0.5, assumed_sd=0.1)
+        for n in PRIOR_PARAMETERS
+    ]
+    fields = {
+        "title": 'Plots of "fynbos"', "licence": "CC-BY-4.0", "sources": ["tables.csv"],
+        "made_with": "fynjax 1", "plots": 3, "parameters": rows,
+        "error": ModelError(
+            wavelength_nm=[500.0, 700.0, 2000.0], sd=[0.3, 0.2, 0.1],
+            correlation=[[1.0, 0.5, 0.0], [0.5, 1.0, -0.2], [0.0, -0.2, 1.0]],
+        ),
+        "left_out": [
+            LeftOutPlot(plot="A1", means=[0.3] * len(rows)),
+        ],
+    }  # fmt: skip
+    return PriorFile(**(fields | changes))
+
+
+@pytest.fixture
+def prior(tmp_path: Path):
+    write_prior(tmp_path / "prior.toml", prior_file())
+    return read_prior(tmp_path / "prior.toml")
+
+
+def test_what_is_written_is_read(prior) -> None:
+    assert prior.file == prior_file()
+    assert read_prior("none") is None
+    assert prior.sd("structure") == pytest.approx(0.05)
+
+
+def test_a_plot_learned_from_has_the_values_of_the_others(prior) -> None:
+    assert prior.knows("A1")
+    assert not prior.knows("B2")
+    assert set(prior.values("A1").values()) == {0.3}
+    assert set(prior.values("B2").values()) == {0.4}
+
+
+def test_errors_between_wavelengths_are_no_smaller_than_at_them(prior) -> None:
+    wavelength = np.array([400.0, 500.0, 600.0, 700.0, 1000.0, 2000.0, 2400.0])
+    covariance = prior.error_covariance(wavelength)
+    np.testing.assert_allclose(
+        np.sqrt(np.diagonal(covariance)), np.interp(wavelength, [500, 700, 2000], [0.3, 0.2, 0.1])
+    )
+    assert covariance[1, 3] == pytest.approx(0.5 * 0.3 * 0.2)
+    assert np.linalg.eigvalsh(covariance)[0] > -1e-12
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('name = "structure"', 'name = "structures"', "structure"),
+        ("mean = 0.4", "mean = 1.4", r"dead_fraction\.\w+ inside 0 to 1"),
+        ("means = [0.3, ", "means = [", "A1"),
+        ("wavelength_nm = [500", "wavelength_nm = [900", "rising"),
+        ("    [1, 0.5, 0],", "    [1, 0.9, 0],", "symmetric"),
+        ("sd = [0.3, 0.2, 0.1]", "sd = [0.3, 0.2]", "3 standard deviations"),
+        ("plots = 3", "plots = 0", "plots"),
+    ],
+)
+def test_a_damaged_file_names_what_is_wrong(tmp_path: Path, old: str, new: str, words: str) -> None:
+    path = tmp_path / "prior.toml"
+    write_prior(path, prior_file())
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=words):
+        read_prior(path)
+
+
+def test_a_name_that_is_not_shipped_is_refused() -> None:
+    with pytest.raises(InputError, match="fynbos_2023"):
+        read_prior("fynbos")
+
+
+def test_a_plot_takes_what_its_files_leave_open(tmp_path: Path) -> None:
+    write_prior(tmp_path / "prior.toml", prior_file())
+    plot = read_plot(example_folder() / "plot.toml")
+    first, *others = plot.species
+    stated = replace(plot, species=(replace(first, dead_fraction=0.1), *others))
+    stated = replace(
+        stated, calibration=replace(plot.calibration, priors={"species.*.leaf_area_index": 0.7})
+    )
+    taken = with_prior(stated, tmp_path / "prior.toml")
+    assert taken.species[0].dead_fraction == 0.1
+    assert taken.species[0].leaf_area_index == 0.4
+    assert taken.ground.wood_brightness == 0.4
+    assert taken.inputs[-1] == tmp_path / "prior.toml"
+    wood = next(s for s in taken.species if s.growth_form == "deadwood")
+    assert wood.leaf_area_index is None
+    named = f"species.{others[0].taxon}."
+    assert taken.calibration.relative_sd(named + "dead_fraction") == pytest.approx(0.05 / 0.4)
+    assert taken.calibration.relative_sd(named + "leaf_area_index") == 0.7
+    assert taken.calibration.relative_sd(f"species.{first.taxon}.dead_fraction") is None
+    assert with_prior(plot, "none") is plot

@@ -1,0 +1,203 @@
+"""`fynjax learn`: a population comes back from the spectra of its plots, by a linear model."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax._core.errors import InputError
+from fynjax.io.plot import NO_PRIOR, LearnedPrior, read_plot, read_prior
+from fynjax.scene import LEAF_FIELDS, PlotParameters
+from fynjax.studies.bioscape import _learn, learn, read_bioscape, run_bioscape, write_plot_files
+from fynjax.studies.bioscape._population import (
+    MEANS,
+    PER_PLOT,
+    PopulationForward,
+    effect_matrix,
+    population_space,
+)
+from fynjax.studies.bioscape._scenes import slots_of, slotted_parameters
+from tests.io.test_prior import prior_file
+from tests.studies.test_bioscape import TRAITS
+from tests.studies.test_bioscape_validate import CENTRES, write_tables
+
+PLOTS = 16
+BANDS = tuple(c for c in CENTRES if c != 1400.0)
+_RANDOM = np.random.default_rng(11)
+SLOPE = np.vstack([_RANDOM.normal(0.0, 0.12, (len(BANDS), len(PER_PLOT))), np.zeros(len(PER_PLOT))])
+LEVEL = np.append(np.log(np.linspace(0.08, 0.25, len(BANDS))), 0.4)
+MU = np.append(_RANDOM.normal(0.0, 0.7, len(PER_PLOT)), [0.1])
+EFFECT_SD, ERROR_SD = 0.4, 0.02
+
+
+class LinearForward(eqx.Module):
+    """Stands for `PopulationForward`: linear in the whitened parameters, without light."""
+
+    view: Any = eqx.field(static=True)
+    forms: Any = eqx.field(static=True)
+
+    def __call__(self, values, scene, parameters):
+        return LEVEL + SLOPE @ population_space().whitened(values)
+
+    def linearised(self, space, u, scene, parameters):
+        return LEVEL + SLOPE @ u, jnp.asarray(SLOPE)
+
+
+def write_population(folder: Path) -> None:
+    """Tables of plots that differ in dead cover, with spectra of the truth above."""
+    random = np.random.default_rng(4)
+    folder.mkdir()
+    (folder / "TraitLibrary.csv").write_text(TRAITS)
+    dead = np.linspace(5, 40, PLOTS)
+    cover = ["Plot,PercentBareSoil,PercentBareRock,PercentDeadVegetation,PercentLiveVegetation"]
+    species = ["Plot,GenusSpecies,Genus,Family,PercentCoverAlive"]
+    spectra = [
+        "BScpPID,QltyFlg,X,Y,start_time," + ",".join(f"Band_{i + 1}" for i in range(len(BANDS)))
+    ]
+    effects = random.normal(0.0, EFFECT_SD, (PLOTS, effect_matrix().shape[1]))
+    for i in range(PLOTS):
+        cover.append(f"P{i},{50 - dead[i]},0,{dead[i]},50")
+        species.append(f"P{i},Protea repens,Protea,Proteaceae,50")
+        u = MU[:-1] + effect_matrix() @ effects[i]
+        log = LEVEL[:-1] + SLOPE[:-1] @ u + random.normal(0.0, ERROR_SD, len(BANDS))
+        values = ",".join(f"{v:.8f}" for v in np.exp(log))
+        spectra.append(f"P{i},,18.4,-34.2,2023-11-09 10:31:24+00:00,{values}")
+    (folder / "CoverData.csv").write_text("\n".join(cover) + "\n")
+    (folder / "VegData.csv").write_text("\n".join(species) + "\n")
+    (folder / "VegCenters.csv").write_text("\n".join(spectra) + "\n")
+    (folder / "waves.csv").write_text("centre\n" + "".join(f"{c}\n" for c in BANDS))
+
+
+@pytest.fixture
+def linear(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The commands's steps without light; counts the simulations."""
+    monkeypatch.setattr(_learn, "PopulationForward", LinearForward)
+    monkeypatch.setattr(_learn, "spectrum_view", lambda *a: None)
+    stand = (jnp.zeros(1), jnp.zeros(1))
+    monkeypatch.setattr(_learn, "build_scenes", lambda files, *a: [stand] * len(files))
+    done: list[int] = []
+    alone = _learn._alone
+    monkeypatch.setattr(_learn, "_alone", lambda *a: (done.append(1), alone(*a))[1])
+    return done
+
+
+def test_the_population_comes_back_and_a_stopped_run_goes_on(
+    tmp_path: Path, linear: list[int]
+) -> None:
+    write_population(tmp_path / "tables")
+    settings = {"checkpoint": tmp_path / "kept", "title": "Synthetic", "licence": "CC0"}
+    result = learn([tmp_path / "tables"], tmp_path / "out", **settings)
+    steps = PLOTS * (2 * _learn.PASSES + 1)
+    assert len(linear) == steps
+    prior = read_prior(tmp_path / "out" / "prior.toml")
+    space = population_space()
+    learned = prior.file.parameters
+    mean = np.asarray(space.whitened(jnp.array([p.mean for p in learned])))
+    slope = np.asarray(space.slope(jnp.asarray(mean)))
+    sd = np.array([p.mean_sd for p in learned]) / slope
+    # Ten bands hold fewer means than there are: the rest keep their assumed spread.
+    np.testing.assert_array_less(np.abs(mean - MU[: len(PER_PLOT)]), 3.5 * sd)
+    assert sd.min() < 0.4
+    spread = np.array([p.plot_sd for p in learned]) / slope
+    assert np.median(spread[spread > 0]) == pytest.approx(EFFECT_SD, rel=0.35)
+    assert spread[PER_PLOT.index("structure")] == 0.0
+    # Worth ten plots, the assumed error of a tenth keeps a part of its say.
+    floor = np.sqrt((10 * 0.1**2 + PLOTS * ERROR_SD**2) / (10 + PLOTS))
+    assert np.median(prior.file.error.sd) == pytest.approx(floor, rel=0.35)
+    score = {row["predictor"]: row for row in result.scores}
+    assert score["learned, plot left out"]["rmse"] < 0.8 * score["as assumed"]["rmse"]
+    summary = json.loads(result.model_dump_json())
+    for name in summary["files"]:
+        assert (tmp_path / "out" / name).stat().st_size > 0
+    assert "Synthetic" in (tmp_path / "out" / "prior.toml").read_text()
+
+    # What was kept is not done again, and ends the same.
+    (tmp_path / "kept" / f"calibration.{steps - 1:04d}.npz").unlink()
+    again = learn([tmp_path / "tables"], tmp_path / "again", **settings)
+    assert len(linear) == steps + 1
+    assert again.scores == result.scores
+    with pytest.raises(InputError, match="another run"):
+        learn([tmp_path / "tables"], tmp_path / "again", seed=1, **settings)
+
+
+def test_left_out_means_do_not_know_the_plot(tmp_path: Path, linear: list[int]) -> None:
+    write_population(tmp_path / "tables")
+    learn([tmp_path / "tables"], tmp_path / "one", checkpoint=tmp_path / "k1")
+    spectra = tmp_path / "tables" / "VegCenters.csv"
+    lines = spectra.read_text().splitlines()
+    fields = lines[3].split(",")
+    fields[5:] = [f"{2.0 * float(v):.8f}" for v in fields[5:]]
+    spectra.write_text("\n".join([*lines[:3], ",".join(fields), *lines[4:]]) + "\n")
+    learn([tmp_path / "tables"], tmp_path / "two", checkpoint=tmp_path / "k2")
+    one, two = (read_prior(tmp_path / name / "prior.toml") for name in ("one", "two"))
+    changed, other = ([p.values(name) for p in (one, two)] for name in ("P2", "P3"))
+    # Iterations start where all plots end, and end within their tolerance.
+    for name, value in changed[0].items():
+        assert changed[1][name] == pytest.approx(value, rel=0.02), name
+    moved = [abs(other[1][n] / v - 1.0) for n, v in other[0].items()]
+    assert max(moved) > 0.03
+
+
+def test_plots_that_cannot_teach_are_refused(tmp_path: Path) -> None:
+    write_tables(tmp_path / "tables")
+    with pytest.raises(InputError, match=r"4 plots.*got 1"):
+        learn([tmp_path / "tables"], tmp_path / "out", checkpoint=tmp_path / "c")
+    with pytest.raises(InputError, match="two folders"):
+        learn([tmp_path / "tables"] * 2, tmp_path / "out", checkpoint=tmp_path / "c")
+
+
+def test_the_population_assumed_leaves_a_plot_as_it_is(tmp_path: Path) -> None:
+    parameters, slots, _ = tables_in_slots(tmp_path, None)
+    forward = PopulationForward(None, slots)
+    assert len(MEANS) == len(PER_PLOT) + 1
+    same = forward.plot(population_space().prior, parameters)
+    assert bool(eqx.tree_equal(same, parameters, rtol=1e-5, atol=1e-7))
+
+
+def test_plot_files_have_what_was_learned(tmp_path: Path) -> None:
+    """A prior in the files of a plot is what the forward model of `learn` makes of its values."""
+    plain, slots, plot = tables_in_slots(tmp_path, None)
+    values = dict(zip(PER_PLOT, np.linspace(0.35, 0.9, len(PER_PLOT))))
+    rows = [p.model_copy(update={"mean": values[p.name]}) for p in prior_file().parameters]
+    file = prior_file(parameters=rows, left_out=[])
+    learned, _, _ = tables_in_slots(tmp_path, file)
+    at = LearnedPrior(Path("p.toml"), file).values(plot.name)
+    expected = PopulationForward(None, slots).plot(
+        jnp.array([at[name] for name in PER_PLOT]), plain
+    )
+    bears = np.array([form != "deadwood" for form in slots])
+    grows = bears & (np.asarray(plain.species.cover) > 0)  # other slots are empty
+    compared = {"species": vars(plain.species), "leaf": LEAF_FIELDS}
+    for part, names in compared.items():
+        for name in names:
+            found, wanted = (getattr(getattr(p, part), name)[grows] for p in (learned, expected))
+            np.testing.assert_allclose(found, wanted, rtol=1e-3)
+    assert learned.ground.brightness == pytest.approx(float(expected.ground.brightness), rel=1e-3)
+    assert learned.ground.wood_brightness == pytest.approx(at["wood_brightness"], rel=1e-3)
+    sources = (tmp_path / plot.name / "sources.csv").read_text()
+    assert "learned (p.toml)" in sources
+
+
+def tables_in_slots(folder: Path, file: Any) -> tuple[PlotParameters, tuple[str, ...], Any]:
+    """Parameters of plot A1 as its files have them, in slots of both plots."""
+    prior = None if file is None else LearnedPrior(Path("p.toml"), file)
+    write_tables(folder / "tables")
+    read = read_bioscape(folder / "tables")
+    files = []
+    for plot in read:
+        write_plot_files(plot, folder / plot.name, prior)
+        files.append(read_plot(folder / plot.name / "plot.toml"))
+    slots = slots_of(files)
+    return slotted_parameters(files[0], slots), slots, read[0]
+
+
+def test_bioscape_takes_a_prior_or_none(tmp_path: Path) -> None:
+    write_tables(tmp_path / "tables")
+    run_bioscape(tmp_path / "tables", tmp_path / "plain", prior=NO_PRIOR)
+    plain = read_plot(tmp_path / "plain" / "A1" / "plot.toml")
+    assert plain.species[0].dead_fraction is None
+    assert plain.ground.wood_brightness == 1.0
