@@ -1,7 +1,6 @@
 """Prior files: what plots share, and how they vary, learned from many plots (`fynjax learn`)."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -239,8 +238,14 @@ def read_prior(name_or_path: str | Path) -> LearnedPrior | None:
     return LearnedPrior(path, read_toml(path, PriorFile)[0])
 
 
-def write_prior(path: Path, file: PriorFile, notes: Mapping[str, str] = PRIOR_PARAMETERS) -> None:
-    """Write a prior file as TOML, its parameters with `notes` on what each is."""
+def write_prior(path: Path, file: PriorFile) -> None:
+    """Write a prior file as TOML, with a comment on what each parameter is.
+
+    **Arguments:**
+
+    - `path`: where to write; a file there is replaced.
+    - `file`: the population.
+    """
 
     def row(values: list[float]) -> str:
         return "[" + ", ".join(f"{v:.5g}" for v in values) + "]"
@@ -257,7 +262,7 @@ def write_prior(path: Path, file: PriorFile, notes: Mapping[str, str] = PRIOR_PA
         f"plots = {file.plots}",
     ]  # fmt: skip
     for p in file.parameters:
-        lines += ["", "[[parameters]]", f"# {notes[p.name]}", f"name = {text(p.name)}"]
+        lines += ["", "[[parameters]]", f"# {PRIOR_PARAMETERS[p.name]}", f"name = {text(p.name)}"]
         for key in ("mean", "mean_sd", "plot_sd", "assumed", "assumed_sd"):
             lines.append(f"{key} = {getattr(p, key):.5g}")
     lines += [
