@@ -13,6 +13,7 @@ from fynjax._core.errors import InputError
 from fynjax.io.plot import NO_PRIOR, LearnedPrior, read_plot, read_prior
 from fynjax.scene import LEAF_FIELDS, PlotParameters
 from fynjax.studies.bioscape import _learn, learn, read_bioscape, run_bioscape, write_plot_files
+from fynjax.studies.bioscape._inversion import plot_data, prior_space
 from fynjax.studies.bioscape._population import (
     MEANS,
     PER_PLOT,
@@ -201,3 +202,24 @@ def test_bioscape_takes_a_prior_or_none(tmp_path: Path) -> None:
     plain = read_plot(tmp_path / "plain" / "A1" / "plot.toml")
     assert plain.species[0].dead_fraction is None
     assert plain.ground.wood_brightness == 1.0
+
+
+def test_an_inversion_starts_from_the_population(tmp_path: Path) -> None:
+    """Spreads and soil of `prior_space`, and errors of `plot_data`, are the learned ones."""
+    write_tables(tmp_path)
+    plot = read_bioscape(tmp_path)[0]
+    learned = LearnedPrior(Path("p.toml"), prior_file(left_out=[]))
+    space = prior_space(plot, None, learned)
+    sd = dict(zip(space.names, np.asarray(space.prior_sd)))
+    centre = dict(zip(space.names, np.asarray(space.prior)))
+    assert centre["soil_brightness"] == pytest.approx(0.4)
+    assert sd["soil_brightness"] == pytest.approx(0.05)
+    assert centre["leaf_area_index"] == 1.0
+    for name in ("leaf_area_index", "dead_fraction", "chlorophyll", "structure"):
+        assert sd[name] == pytest.approx(0.05 / 0.4), name
+    mean = np.array([0.1, 0.2])
+    error = learned.error_covariance(np.array([500.0, 700.0]))
+    data = plot_data(("a", "b"), np.stack([mean, mean]), None, error)
+    np.testing.assert_allclose(np.asarray(data.sd) / mean, [0.3, 0.2], rtol=0.01)
+    covariance = np.linalg.inv(np.asarray(data.whitener.T @ data.whitener))
+    assert covariance[0, 1] / np.prod(data.sd) == pytest.approx(0.5, abs=0.01)
