@@ -1,5 +1,6 @@
 """Fixtures shared by all tests: 64-bit JAX and the place of the reference data."""
 
+import ctypes
 import gc
 import os
 import tempfile
@@ -7,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import jax
+import psutil
 import pytest
 
 from fynjax._core.precision import enable_double_precision
@@ -33,9 +35,10 @@ def pytest_configure(config: pytest.Config) -> None:
         config.add_cleanup(folder.cleanup)
         # Workers and the kernels of notebooks inherit it; this process reads it below.
         os.environ["JAX_COMPILATION_CACHE_DIR"] = folder.name
-        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.5"
+        # Small programs too: an operation outside `jit` is one, and half its time is compilation.
+        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
         jax.config.update("jax_compilation_cache_dir", folder.name)
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 
 
 @pytest.fixture(scope="session")
@@ -53,10 +56,12 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="module", autouse=True)
 def forget_compiled() -> Iterator[None]:
-    """Frees what a file's tests have compiled, which else grows to many gigabytes."""
+    """Frees what earlier files have compiled once it takes much memory; until then it serves."""
     yield
-    jax.clear_caches()
-    gc.collect()
+    if psutil.Process().memory_info().rss > 2 * 2**30:
+        jax.clear_caches()
+        gc.collect()
+        getattr(ctypes.CDLL(None), "malloc_trim", int)(0)  # glibc keeps what is freed
 
 
 def pytest_collection_finish() -> None:

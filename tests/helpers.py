@@ -29,16 +29,26 @@ def assert_gradients(
     coordinate axis of `at` with a step relative to the coordinate's size, so that a single
     wrong derivative cannot hide behind many right ones.
     """
-    flat, unravel = ravel_pytree(at)
-    flat = np.asarray(flat, float)
-    out, _ = ravel_pytree(function(at))
-    weight = np.random.default_rng(seed).normal(size=out.shape)
+    leaves, tree = jax.tree.flatten(jax.tree.map(np.asarray, at))
+    flat = np.concatenate([leaf.ravel() for leaf in leaves]).astype(float)
+    ends = np.cumsum([leaf.size for leaf in leaves])
+
+    def outputs(vector: Any) -> Any:
+        parts = [
+            part.reshape(leaf.shape).astype(leaf.dtype)
+            for part, leaf in zip(jnp.split(vector, ends[:-1]), leaves)
+        ]
+        return ravel_pytree(function(jax.tree.unflatten(tree, parts)))[0]
+
+    weight = np.random.default_rng(seed).normal(size=jax.eval_shape(outputs, flat).shape)
 
     def scalar(vector: Any) -> Any:
-        return jnp.asarray(weight) @ ravel_pytree(function(unravel(jnp.asarray(vector))))[0]
+        return weight @ outputs(vector)
 
-    reverse = np.asarray(jax.grad(scalar)(flat))
-    forward = np.asarray(jax.jacfwd(scalar)(flat))
+    value = jax.jit(scalar)
+    reverse, forward = jax.device_get(
+        jax.jit(lambda v: (jax.grad(scalar)(v), jax.jacfwd(scalar)(v)))(flat)
+    )
     assert np.all(np.isfinite(reverse)), "a reverse-mode derivative is not finite"
     differences = np.empty_like(flat)
     for index in range(flat.size):
@@ -46,7 +56,7 @@ def assert_gradients(
         up, down = flat.copy(), flat.copy()
         up[index] += h
         down[index] -= h
-        differences[index] = (scalar(up) - scalar(down)) / (2 * h)
+        differences[index] = (value(up) - value(down)) / (2 * h)
     scale = np.abs(differences) + 1e-9 * np.abs(differences).max()
     worst = np.abs(reverse - differences) / scale
     assert worst.max() < rtol, (

@@ -6,9 +6,11 @@ normal from the vertical, with the integral of g over [0, 90°] equal to one.
 
 import abc
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -91,6 +93,7 @@ def projections(
     return jnp.stack([jnp.full_like(cos_zenith, 0.5) if even else next(each) for even in spherical])
 
 
+@partial(jax.jit, inline=True)
 def _projection(
     weights: Float[Array, " angle node"], cos_zenith: Float[Array, "*n"]
 ) -> Float[Array, " angle *n"]:

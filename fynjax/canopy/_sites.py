@@ -1,8 +1,10 @@
 """Where plants stand: blue noise, shared out among the species, and their soft weights."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -249,6 +251,11 @@ def site_weight(
     >>> soft_weights(2.3, 4, width=2.0).round(3)
     Array([1. , 0.9, 0.4, 0. ], dtype=float64)
     """
+    return _site_weight(count, index, width, softness)
+
+
+@partial(jax.jit, inline=True)
+def _site_weight(count: Any, index: Any, width: Any, softness: Any) -> Float[Array, "*n"]:
     count = jnp.asarray(count)
     dtype = count.dtype if jnp.issubdtype(count.dtype, jnp.floating) else jnp.result_type(float)
     count = count.astype(dtype)

@@ -28,6 +28,7 @@ class Data(eqx.Module):
     whitener: Float[Array, "statistic statistic"] | None = None
     """Makes errors that hang together independent, of unit size; without it they are."""
 
+    @eqx.filter_jit
     def with_scatter(self, deviations: Float[Array, "draw statistic"]) -> "Data":
         """The data with an error of the model added that moves all statistics together.
 
@@ -183,6 +184,7 @@ def main_members(
     ]
 
 
+@jax.jit
 def repeated_information(
     draws: Float[Array, "draw statistic free"],
 ) -> Float[Array, "free free"]:
@@ -268,6 +270,7 @@ def fit_result(
     )
 
 
+@eqx.filter_jit
 def posterior(space: ParameterSpace, u: Array, information: Array) -> dict[str, Any]:
     """Laplace approximation, from the data's information in whitened coordinates."""
     values, vectors = jnp.linalg.eigh(information)

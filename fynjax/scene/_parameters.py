@@ -367,10 +367,10 @@ def named_values(parameters: PlotParameters, taxa: tuple[str, ...]) -> dict[str,
     named: dict[str, Array] = {}
     for field in dataclasses.fields(SpeciesParameters):
         values = getattr(parameters.species, field.name)
-        named |= {f"species.{taxon}.{field.name}": values[i] for i, taxon in enumerate(taxa)}
+        named |= {f"species.{t}.{field.name}": v for t, v in zip(taxa, jnp.unstack(values))}
     for name in LEAF_FIELDS:
         values = getattr(parameters.leaf, name)
-        named |= {f"species.{taxon}.leaf.{name}": values[i] for i, taxon in enumerate(taxa)}
+        named |= {f"species.{t}.leaf.{name}": v for t, v in zip(taxa, jnp.unstack(values))}
     for group in ("ground", "light"):
         record = getattr(parameters, group)
         named |= {f"{group}.{f.name}": getattr(record, f.name) for f in dataclasses.fields(record)}
@@ -390,28 +390,31 @@ def with_values(
 
     Differentiable in `parameters` and `values`.
     """
-    named = named_values(parameters, taxa) | values
 
-    def vector(prefix: str, field: str, like: Array) -> Array:
-        return jnp.stack(
-            [jnp.asarray(named[f"species.{taxon}.{prefix}{field}"], like.dtype) for taxon in taxa]
-        )
+    def vector(prefix: str, field: str, before: Array) -> Array:
+        names = [f"species.{taxon}.{prefix}{field}" for taxon in taxa]
+        if values.keys().isdisjoint(names):
+            return before
+        entries = [values.get(name, own) for name, own in zip(names, jnp.unstack(before))]
+        return jnp.stack([jnp.asarray(entry, before.dtype) for entry in entries])
 
-    species = SpeciesParameters(
-        **{
-            f.name: vector("", f.name, getattr(parameters.species, f.name))
-            for f in dataclasses.fields(SpeciesParameters)
-        }
-    )
+    def record(group: str, before: Any) -> Any:
+        names = {f.name: f"{group}.{f.name}" for f in dataclasses.fields(before)}
+        changes = {field: values[name] for field, name in names.items() if name in values}
+        return dataclasses.replace(before, **changes)
+
+    species = {
+        f.name: vector("", f.name, getattr(parameters.species, f.name))
+        for f in dataclasses.fields(SpeciesParameters)
+    }
     leaf = eqx.tree_at(
         lambda l: [getattr(l, name) for name in LEAF_FIELDS],
         parameters.leaf,
         [vector("leaf.", name, getattr(parameters.leaf, name)) for name in LEAF_FIELDS],
     )
-    ground = GroundParameters(
-        **{f.name: named[f"ground.{f.name}"] for f in dataclasses.fields(GroundParameters)}
+    return PlotParameters(
+        SpeciesParameters(**species),
+        leaf,
+        record("ground", parameters.ground),
+        record("light", parameters.light),
     )
-    light = LightParameters(
-        **{f.name: named[f"light.{f.name}"] for f in dataclasses.fields(LightParameters)}
-    )
-    return PlotParameters(species, leaf, ground, light)

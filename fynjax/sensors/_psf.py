@@ -1,5 +1,6 @@
 """Point-spread function: how far a sensor's optics smear an image."""
 
+from functools import partial
 from typing import Any, Literal
 
 import equinox as eqx
@@ -58,21 +59,8 @@ class PointSpread(eqx.Module):
 
     def kernel(self, axis: Literal["x", "y"], dtype: Any = float) -> Float[Array, " tap"]:
         """Weights of the neighbours along an axis [-]; they sum to one."""
-        width = self.width[0 if axis == "x" else 1].astype(dtype)
-        reach = self.reach()
-        place = np.arange(-reach, reach + 1, dtype=dtype)
-        if self.kind == "box":
-            half = 0.5 * width
-            weights = jnp.clip(jnp.minimum(place + 0.5, half) - jnp.maximum(place - 0.5, -half), 0)
-        else:
-            # The discrete Gaussian (Lindeberg 1990, eq. 19): the variance is that of the
-            # continuous one at any width, and blurs add up as they do there. Its transform is
-            # exp(σ² (cos ω - 1)); the sum over frequencies inverts it to rounding.
-            frequency = 2.0 * np.pi * np.arange(4 * reach + 4) / (4 * reach + 4)
-            variance = (width / float(FWHM_PER_SIGMA)) ** 2
-            transform = jnp.exp(variance * (np.cos(frequency) - 1.0).astype(dtype))
-            weights = np.cos(np.outer(place, frequency)).astype(dtype) @ transform
-        return weights / jnp.sum(weights)
+        index = 0 if axis == "x" else 1
+        return _kernel(self.kind, self.width, index, self.reach(), np.dtype(dtype))
 
     def blur(
         self,
@@ -97,6 +85,27 @@ class PointSpread(eqx.Module):
         return jnp.swapaxes(along_y, -1, -2)
 
 
+@partial(jax.jit, static_argnums=(0, 2, 3, 4), inline=True)
+def _kernel(
+    kind: str, widths: Float[Array, " 2"], index: int, reach: int, dtype: np.dtype
+) -> Float[Array, " tap"]:
+    width = widths[index].astype(dtype)
+    place = np.arange(-reach, reach + 1, dtype=dtype)
+    if kind == "box":
+        half = 0.5 * width
+        weights = jnp.clip(jnp.minimum(place + 0.5, half) - jnp.maximum(place - 0.5, -half), 0)
+    else:
+        # The discrete Gaussian (Lindeberg 1990, eq. 19): the variance is that of the continuous
+        # one at any width, and blurs add up as they do there. Its transform is
+        # exp(σ² (cos ω - 1)); the sum over frequencies inverts it to rounding.
+        frequency = 2.0 * np.pi * np.arange(4 * reach + 4) / (4 * reach + 4)
+        variance = (width / float(FWHM_PER_SIGMA)) ** 2
+        transform = jnp.exp(variance * (np.cos(frequency) - 1.0).astype(dtype))
+        weights = np.cos(np.outer(place, frequency)).astype(dtype) @ transform
+    return weights / jnp.sum(weights)
+
+
+@partial(jax.jit, static_argnums=2, inline=True)
 def _convolve(
     image: Float[Array, "*batch n"], kernel: Float[Array, " tap"], mode: str
 ) -> Float[Array, "*batch n"]:

@@ -117,7 +117,9 @@ def test_the_estimate_has_the_derivative_of_a_minimum():
             ends = [compiled(*at[:k], at[k] + s * step, *at[k + 1 :]) for s in (1, -1)]
             difference = (ends[0] - ends[1]) / 2e-3
             assert float(slope.ravel()[i]) == pytest.approx(float(difference), rel=1e-3, abs=2e-5)
-    linear = jax.jacfwd(lambda v: fit(predict, Data(DATA.names, v, DATA.sd), SPACE).estimate)
+    linear = jax.jit(
+        jax.jacfwd(lambda v: fit(predict, Data(DATA.names, v, DATA.sd), SPACE).estimate)
+    )
     _, covariance = posterior()
     gain = covariance @ np.asarray(MATRIX).T / np.asarray(DATA.sd) ** 2
     np.testing.assert_allclose(linear(DATA.value), gain, rtol=1e-3, atol=1e-6)

@@ -83,7 +83,7 @@ def test_slopes_of_the_fit_are_those_of_the_forward_model():
     """The two tangents that make the Jacobian, against differences through instrument and leaf."""
     setup = make_setup("D", LeafOverBackground(0.4, 0.1), None, None)
     x = jnp.array([1.7, 35.0, 8.0, 1.0, 0.05, 0.012, 0.008])
-    value, slopes = lm.observed_and_slopes(x, setup.optics)
+    value, slopes = jax.jit(lambda x: lm.observed_and_slopes(x, setup.optics))(x)
     read = jax.jit(lambda x: lm.observed(x, setup.optics))
     np.testing.assert_allclose(value, read(x), rtol=1e-12)
     for i in range(x.size):
@@ -119,7 +119,7 @@ def test_proteins_and_carbon_constituents_fit():
 
 def test_background_through_the_leaf_is_the_sum_of_reflections():
     leaf = prospect(LeafParameters())
-    r, t, b = leaf.reflectance, leaf.transmittance, 0.6
+    r, t, b = np.asarray(leaf.reflectance), np.asarray(leaf.transmittance), 0.6
     series = r + sum(t**2 * b * (r * b) ** i for i in range(60))
     recorded, _ = LeafOverBackground(jnp.full(r.shape, b)).observe(r, t)
     np.testing.assert_allclose(recorded, series, rtol=1e-12)

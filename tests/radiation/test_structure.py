@@ -57,17 +57,26 @@ def fine_rays(scene, zenith=0.0, per_voxel=2):
     return parallel_rays(x, x, scene.horizontal / per_voxel, zenith, 90.0)
 
 
+def gap_and_sun(scene, rays, accuracy=FAST):
+    """Gaps along the rays, and the sun's mean share on the ground."""
+
+    @jax.jit
+    def look(scene):
+        light = solve_light(scene, accuracy)
+        return render(light, rays).gap, light.sun.on_ground.mean()
+
+    return look(scene)
+
+
 def test_the_gap_is_that_of_the_fine_columns():
     density = shrubs()
     density[1] = 0.0  # spherical leaves: G is 1/2 everywhere
     even, structured = scene_of(density)
-    gap = render(solve_light(structured, FAST), fine_rays(structured)).gap
+    gap, on_ground = gap_and_sun(structured, fine_rays(structured))
     columns = 0.5 * np.asarray(structured.structure).sum(axis=0) * 0.1
     np.testing.assert_allclose(gap, np.exp(-columns), rtol=1e-6)
-    np.testing.assert_allclose(
-        solve_light(structured, FAST).sun.on_ground.mean(), np.exp(-columns).mean(), rtol=1e-6
-    )
-    filled = render(solve_light(even, FAST), fine_rays(even)).gap
+    np.testing.assert_allclose(on_ground, np.exp(-columns).mean(), rtol=1e-6)
+    filled, _ = gap_and_sun(even, fine_rays(even))
     assert float(filled.mean()) < 0.97 * float(gap.mean())
 
 
@@ -86,18 +95,18 @@ def test_slanted_beams_lose_what_paths_through_the_structure_do(zenith):
     cells = (height / 0.1).astype(int), (start[:, 1:] / 0.1).astype(int), (x / 0.1).astype(int)
     depth = 0.5 * fine[cells].sum(axis=1) * (structured.height / steps)
     expected = np.exp(-depth / np.cos(np.radians(zenith)))
-    light = solve_light(structured, dataclasses.replace(FAST, lattice=4))
+    rays = fine_rays(structured, zenith, per_voxel=8)
+    gap, got = gap_and_sun(structured, rays, dataclasses.replace(FAST, lattice=4))
     error = expected.std() / np.sqrt(len(expected))
-    got = float(light.sun.on_ground.mean())
     # Besides chance: beams are a quarter of a voxel wide.
-    assert abs(got - expected.mean()) < 3 * error + 0.01 * expected.mean()
-    from_there = render(light, fine_rays(structured, zenith, per_voxel=8)).gap.mean()
-    assert float(from_there) == pytest.approx(got, rel=0.01)
+    assert abs(float(got) - expected.mean()) < 3 * error + 0.01 * expected.mean()
+    assert float(gap.mean()) == pytest.approx(float(got), rel=0.01)
 
 
 def test_energy_is_closed():
     _, structured = scene_of(shrubs(), zenith=35.0, sky=jnp.array([0.3, 0.1]))
-    share = fluxes(solve_light(structured, dataclasses.replace(FAST, refine=True)))
+    accuracy = dataclasses.replace(FAST, refine=True)
+    share = jax.jit(lambda scene: fluxes(solve_light(scene, accuracy)))(structured)
     total = share.albedo + share.absorbed.sum(axis=1) + share.ground_absorbed
     np.testing.assert_allclose(total, 1.0, atol=1e-5)
 
@@ -108,22 +117,19 @@ def test_an_even_structure_changes_nothing(changes):
     even, _ = scene_of(density, zenith=35.0, **changes)
     total = even.area_density.sum(axis=0)
     fine = jnp.repeat(jnp.repeat(jnp.repeat(total, 2, 0), 2, 1), 2, 2)
-    plain, structured = (
-        directional_reflectance(solve_light(scene, FAST), jnp.array([0.0, 50.0]), 200.0)
-        for scene in (even, dataclasses.replace(even, structure=fine))
-    )
+    views = jnp.array([0.0, 50.0]), 200.0
+    look = jax.jit(lambda scene: directional_reflectance(solve_light(scene, FAST), *views))
+    plain, structured = (look(scene) for scene in (even, dataclasses.replace(even, structure=fine)))
     # Finer layers integrate the light between them a little differently.
     np.testing.assert_allclose(structured, plain, rtol=4e-3)
 
 
 def test_tiles_cut_the_structure_where_they_cut_the_voxels():
     _, structured = scene_of(shrubs(16, 2), zenith=20.0)
+    rays = fine_rays(structured)
     whole, tiles = (
-        function(structured, fine_rays(structured)).gap
-        for function in (
-            lambda scene, rays: render(solve_light(scene, FAST), rays),
-            lambda scene, rays: render_tiles(scene, rays, FAST, tile=8, rim=4),
-        )
+        gap_and_sun(structured, rays)[0],
+        render_tiles(structured, rays, FAST, tile=8, rim=4).gap,
     )
     np.testing.assert_allclose(tiles, whole, rtol=1e-6)
 
@@ -135,15 +141,19 @@ def test_cells_read_one_by_one_give_what_the_product_gives(boundary, width):
     field = jnp.asarray(rng.random((13, 17)))
     rows, columns = jnp.asarray(rng.uniform(-2.0, 15.0, 9)), jnp.asarray(rng.uniform(-2.0, 19.0, 7))
     axes = (rows, width, 13, 1.0, boundary), (columns, width, 17, 1.0, boundary)
-    product = sample(field, *(axis_weights(*axis) for axis in axes))
-    single = sample_near(field, *(nearest_cells(*axis) for axis in axes))
-    np.testing.assert_allclose(single, product, atol=1e-12)
 
-    def total(by):
-        return (sample_near(field, *(nearest_cells(a[0] + by, *a[1:]) for a in axes)) ** 2).sum()
+    def single(by):
+        return sample_near(field, *(nearest_cells(a[0] + by, *a[1:]) for a in axes))
 
-    difference = (total(1e-6) - total(-1e-6)) / 2e-6
-    assert float(jax.grad(total)(0.0)) == pytest.approx(float(difference), rel=1e-4, abs=1e-8)
+    @jax.jit
+    def read(by):
+        product = sample(field, *(axis_weights(*axis) for axis in axes))
+        return product, single(by), jax.value_and_grad(lambda by: (single(by) ** 2).sum())(by)
+
+    product, one_by_one, (_, slope) = read(0.0)
+    np.testing.assert_allclose(one_by_one, product, atol=1e-12)
+    difference = (read(1e-6)[2][0] - read(-1e-6)[2][0]) / 2e-6
+    assert float(slope) == pytest.approx(float(difference), rel=1e-4, abs=1e-8)
 
 
 def test_derivatives_are_those_of_differences():
