@@ -71,7 +71,7 @@ class AbstractCamera(eqx.Module):
         about the middle of the image; left out they stay as they are.
         """
 
-    @eqx.filter_jit(inline=True)
+    @eqx.filter_jit
     def tangents(self) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
         """Horizontal shift east (tx) and north (ty) of each line of sight per metre of rise [-].
 
@@ -155,7 +155,7 @@ class FrameCamera(AbstractCamera):
         array = self.array if shape is None else (shape[1], shape[0])
         return dataclasses.replace(self, position=position, array=array)
 
-    @eqx.filter_jit(inline=True)
+    @eqx.filter_jit
     def _sight(self) -> tuple[Array, Array, Array]:
         """To the right [x], ahead and down [y, 1] of each pixel, per length along the axis."""
         # Float32 needs the angles, not the positions: no large coordinates are subtracted here.
@@ -172,7 +172,7 @@ class FrameCamera(AbstractCamera):
         down = self._sight()[2]
         return jnp.broadcast_to(self.ground_sample_distance / down, self.shape)
 
-    @eqx.filter_jit(inline=True)
+    @eqx.filter_jit
     def view_directions(self) -> Float[Array, "3 y x"]:
         right, ahead, down = self._sight()
         heading = jnp.deg2rad(self.heading.astype(self.position.dtype))

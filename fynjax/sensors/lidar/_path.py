@@ -72,6 +72,7 @@ class PencilPaths(eqx.Module):
         return distance, sent, depth < self.depth_at(self.ground_range[None])[0]
 
 
+@eqx.filter_jit
 def canopy_fields(scene: VoxelScene, straight: float) -> Float[Array, "field z y x"]:
     """Area that stops light and area times reflectance, of each distribution of normals."""
     rho, tau = scene.classes.reflectance[:, 0], scene.classes.transmittance[:, 0]
@@ -81,6 +82,7 @@ def canopy_fields(scene: VoxelScene, straight: float) -> Float[Array, "field z y
     return jnp.concatenate([scene.classes.total_by_angle(part) for part in weighted])
 
 
+@eqx.filter_jit
 def backscatter(angle: AbstractLeafAngle, cosine: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Gamma_r back along the ray: the mean squared cosine between ray and leaf normal [-].
 

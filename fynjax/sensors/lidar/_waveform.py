@@ -241,7 +241,9 @@ def _map_beams(
     spare = -len(beams) % batch
 
     def padded(values: Array) -> Array:
-        return jnp.pad(values, [(0, spare)] + [(0, 0)] * (values.ndim - 1), mode="edge")
+        if spare == 0:
+            return values
+        return values[np.minimum(np.arange(len(values) + spare), len(values) - 1)]
 
     where = (jnp.asarray(beams.origin, dtype), jnp.asarray(beams.direction, dtype))
     each = jax.tree.map(padded, (*where, per_beam))
