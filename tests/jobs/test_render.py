@@ -1,5 +1,6 @@
 """`fynjax render`: what it writes, and that one process compiles its programs once."""
 
+import jax
 import numpy as np
 import pytest
 import rasterio
@@ -11,6 +12,7 @@ from tests.jobs import test_simulate
 
 @pytest.mark.parametrize("job", [render, simulate])
 def test_another_seed_compiles_nothing(job, tmp_path):
+    jax.clear_caches()  # other tests compile the same programs
     plot, images, programs = test_simulate.write_plot(tmp_path), [], []
     for number in range(2):
         out = tmp_path / f"out_{number}"
