@@ -7,7 +7,7 @@ aerosol's optical depth and in the share of the air that lies below the sensor, 
 of the wavelength.
 """
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -41,6 +41,7 @@ class _Spline(NamedTuple):
     coefficients: Constants
     """[power, interval, node], highest power first."""
 
+    @partial(jax.jit, inline=True)
     def weights(self, x: Float[Array, ""]) -> Float[Array, " node"]:
         """Weight of each node at x, which is moved to the nodes' range. Differentiable in x."""
         dtype = jnp.asarray(x).dtype
