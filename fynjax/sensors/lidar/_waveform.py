@@ -4,7 +4,9 @@ Single scattering: light that leaves or ground scatter once, straight back. Out 
 the same path, so a gap that let it in lets it out: the gap probability exp(-tau) counts once (the
 hot spot in full), where two separate directions would have exp(-2 tau). What flat leaves transmit
 goes on forward and is lost to single scattering; light scattered more than once, which arrives
-late and adds to the tail, is left out.
+late and adds to the tail, is left out. By Monte Carlo at 1064 nm on 4 m of the plot of 2006 it is
+1 % of the energy in a footprint of 0.1 m, 2 % in one of 0.25 m and 6 % in one of 1 m; of a flash
+system, which lights the whole scene at once, 14 %, half of it from beyond the ground's range.
 """
 
 import math
