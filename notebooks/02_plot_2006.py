@@ -32,6 +32,7 @@ from fynjax.scene import (
     GroundParameters,
     LightParameters,
     Placement,
+    PlantingRules,
     PlotParameters,
     SceneSpecies,
     SpeciesParameters,
@@ -122,7 +123,8 @@ parameters = PlotParameters(
     ),
 )
 species = [SceneSpecies(taxon, form) for taxon, form in zip(taxa, forms)]
-scene = build_scene(species, parameters, extent=(SIDE, SIDE), voxel=0.1, seed=0)
+rules = PlantingRules(structure="even")  # leaves fill the voxels, which takes half the time
+scene = build_scene(species, parameters, extent=(SIDE, SIDE), voxel=0.1, seed=0, rules=rules)
 density = np.asarray(eqx.filter_jit(scene.area_density)(parameters))  # [class, z, y, x]
 edge = scene.grid.horizontal_size
 print(f"{density.shape[0]} optical classes on {density.shape[1:]} voxels (z, y, x) of {edge} m")

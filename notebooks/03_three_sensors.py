@@ -42,7 +42,9 @@ PIXEL = 0.1 if FAST else 0.05  # m, of the drone's image
 # file, so the same plants stand in the same places whichever sensor looks.
 
 # %%
-plot = dataclasses.replace(read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE))
+plot = dataclasses.replace(
+    read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE), structure_m="even"
+)
 
 
 scene, table = build_plot(plot)

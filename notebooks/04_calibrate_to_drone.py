@@ -53,7 +53,10 @@ PIXEL = 0.1 if FAST else 0.05  # m
 # %%
 plot = read_plot(example_folder() / "plot.toml")
 plot = dataclasses.replace(
-    plot, size_m=(SIDE, SIDE), sensor=dataclasses.replace(plot.sensor, pixel_m=PIXEL)
+    plot,
+    size_m=(SIDE, SIDE),
+    structure_m="even",
+    sensor=dataclasses.replace(plot.sensor, pixel_m=PIXEL),
 )
 scene, table = build_plot(plot)
 

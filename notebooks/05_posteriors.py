@@ -182,7 +182,9 @@ print(f"Without the short-wave infrared the interval of water is {ratio:.1f} tim
 # %%
 SIDE = 2.0 if FAST else 3.0  # m
 STRIDE = 2 if FAST else 3  # every so many pixels of 10 cm are rendered
-plot = dataclasses.replace(read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE))
+plot = dataclasses.replace(
+    read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE), structure_m="even"
+)
 plot = dataclasses.replace(plot, sensor=dataclasses.replace(plot.sensor, pixel_m=0.1))
 scene, table = build_plot(plot)
 living = jnp.array([one.growth_form != "deadwood" for one in plot.species])

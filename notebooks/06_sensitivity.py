@@ -47,7 +47,9 @@ STRIDE = 2 if FAST else 4  # every so many pixels are rendered
 METRICS = ("NDVI.mean", "GNDVI.mean", "GSAVI.mean")
 LABELS = {"NDVI.mean": "NDVI", "GNDVI.mean": "GNDVI", "GSAVI.mean": "GSAVI"}
 
-plot = dataclasses.replace(read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE))
+plot = dataclasses.replace(
+    read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE), structure_m="even"
+)
 plot = dataclasses.replace(plot, sensor=dataclasses.replace(plot.sensor, pixel_m=0.1))
 whole, table = build_plot(plot)
 view = image_view(plot, whole, table, METRICS)

@@ -43,7 +43,9 @@ BANDS = (1, 4) if FAST else (1, 2, 4, 8)
 # covers seen by eye to a quarter.
 
 # %%
-plot = dataclasses.replace(read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE))
+plot = dataclasses.replace(
+    read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE), structure_m="even"
+)
 scene, table = build_plot(plot)
 sensor = dataclasses.replace(load_sensor("mavic_3m"), bands=even_bands(max(BANDS), 450.0, 900.0))
 asked = (

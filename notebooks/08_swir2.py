@@ -174,7 +174,9 @@ print(f"without a factor {float(parts.rmse_without_gain):.4f}")
 
 # %%
 SIDE = 2.0 if FAST else 4.0
-plot = dataclasses.replace(read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE))
+plot = dataclasses.replace(
+    read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE), structure_m="even"
+)
 scene, table = build_plot(plot)
 scene = coarser(scene)
 accuracy = fitted_accuracy(COARSE, scene, table)

@@ -7,6 +7,7 @@ PLOT = """
 name = "small"
 size_m = 2.0
 voxel_m = 0.1
+structure_m = "even"
 species_table = "species.csv"
 """
 SPECIES = """taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form

@@ -15,13 +15,14 @@ _ELEMENT_BYTES = 80
 def check_memory(plot: Plot) -> None:
     """Refuse a plot whose plants this machine has no memory for, before it runs out of it."""
     area, elements = float(np.prod(plot.size_m)), 0.0
-    resolved = plot.voxel_m if plot.structure_m is None else PlantingRules.tuft
+    rules = PlantingRules(structure=plot.structure_m)
+    structured = rules.finer(plot.voxel_m) > 0
     for s in plot.species:
         crown = np.pi / 4.0 * s.diameter_m**2 * (1.0 - s.packing) * s.fill
         each = max(crown, s.minimum_object_area_m2 or 0.0)
         count = PlantingRules.room * (s.branches or 1) * area * s.cover / each
         elements += count * element_count(
-            s.diameter_m, s.height_m, resolved, structured=plot.structure_m is not None
+            s.diameter_m, s.height_m, rules.resolved(plot.voxel_m), structured=structured
         )
     try:
         there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
@@ -32,6 +33,7 @@ def check_memory(plot: Plot) -> None:
         raise InputError(
             f"the plants of {plot.size_m[0]:g} m x {plot.size_m[1]:g} m in voxels of "
             f"{plot.voxel_m:g} m need about {needed:.0f} GiB of memory, but this machine has "
-            f"{there:.0f} GiB. Take a smaller plot, or larger voxels.",
+            f"{there:.0f} GiB. Take a smaller plot or larger voxels"
+            + (', or leaves that fill them evenly (structure_m = "even").' if structured else "."),
             file=plot.file,
         )

@@ -5,24 +5,28 @@ from typing import Annotated
 
 import typer
 
-from fynjax.cli._runtime import Job, OwnSeed, command
+from fynjax.cli._runtime import Checkpoint, Job, OwnSeed, command
 
 PlotPath = Annotated[
     Path, typer.Argument(metavar="PLOT.toml", help="Plot file; `fynjax init` writes one.")
 ]
 
 
-@command("render")
+@command("render", forget=True)
 def render(
     plot: PlotPath,
+    checkpoint: Checkpoint = None,
     seed: OwnSeed = None,
 ) -> Job:
     """Render what the drone sees of a plot.
 
-    Writes the reflectance image (GeoTIFF), the run (NetCDF) and a report page.
+    Writes the reflectance image (GeoTIFF), the run (NetCDF) and a report page. A large image is
+    rendered in tiles; an interrupted run goes on with the same command.
 
     Example:  fynjax render plot.toml --output render
     """
     from fynjax import jobs
 
-    return lambda folder, progress: jobs.render(plot, folder, seed=seed, progress=progress)
+    return lambda folder, progress: jobs.render(
+        plot, folder, seed=seed, checkpoint=checkpoint, progress=progress
+    )

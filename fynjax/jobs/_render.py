@@ -13,17 +13,20 @@ import pandas as pd
 import xarray as xr
 from jaxtyping import Array, Float
 
+import fynjax
+from fynjax._core.checkpoint import Journal, Keep, keep_nothing
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.assembly import aim_without_air, build_plot
+from fynjax.inversion import signature
 from fynjax.io.plot import Plot, as_plot, plot_instrument, plot_place
-from fynjax.io.raster import Cube, image_array, write_geotiff, write_run
+from fynjax.io.raster import Cube, file_hash, image_array, write_geotiff, write_run
 from fynjax.jobs._result import JobResult, StatisticSummary
 from fynjax.jobs._run import Run
 from fynjax.metrics import BANDS, vegetation_indices
 from fynjax.report.figures import composites, index_histograms, quick_looks, spectrum_figure
 from fynjax.report.pages import Page, Part, Picture, Section, Table
-from fynjax.scene import AimedSensor, PlotParameters, Scene
+from fynjax.scene import AimedSensor, PlotParameters, Scene, is_large, observe_in_tiles
 
 SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR")
 """Vegetation indices whose histograms are drawn."""
@@ -44,21 +47,27 @@ def render(
     output: Path,
     *,
     seed: int | None = None,
+    checkpoint: Path | None = None,
     progress: Progress | None = None,
 ) -> RenderResult:
     """Render the reflectance image of a plot.
+
+    A large image is rendered tile by tile.
 
     **Arguments:**
 
     - `plot`: a plot, or the path of its plot file.
     - `output`: folder of the results, made if missing.
     - `seed`: seed of every random number; that of the plot file by default.
+    - `checkpoint`: folder that keeps the tiles of a large image, from which an interrupted run goes
+      on; none by default.
     - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `RenderResult`. Writes `image.tif` and `run.nc` (reflectance factor [-]), figures
     and a page into `output`.
 
-    **Raises:** `InputError` as `read_plot`, and for an image that is not finite.
+    **Raises:** `InputError` as `read_plot`, for an image that is not finite or does not fit in
+    memory, and for a checkpoint of another run.
 
     Example: `jobs.render("plot.toml", Path("results")).headline`.
     """
@@ -69,7 +78,16 @@ def render(
         scene, parameters = build_plot(read, seed=run.seed)
         camera = aim_without_air(read, scene, parameters, instrument)
     with run.stage("Render", "render"):
-        image, counts = jax.block_until_ready(_measure(camera, scene, parameters))
+        if is_large(camera):
+            keep: Keep = keep_nothing
+            if checkpoint is not None:
+                hashes = [file_hash(path) for path in read.inputs]
+                signed = signature(read, hashes, run.seed, fynjax.__version__)
+                keep = Journal(checkpoint, signed)
+            image = observe_in_tiles(camera, scene, parameters, keep=keep, progress=run.progress)
+            counts = scene.counts(parameters)
+        else:
+            image, counts = jax.block_until_ready(_measure(camera, scene, parameters))
     check_finite(image, read)
     with run.stage("Write"):
         _write(run, read, scene, camera, np.asarray(image), np.asarray(counts))

@@ -19,13 +19,14 @@ from fynjax.radiation._rays import (
 from fynjax.radiation._render import (
     Accuracy,
     Light,
+    check_light,
     directional_reflectance,
     reflectance_factor,
     render,
     solve_light,
 )
 from fynjax.radiation._scene import Illumination, OpticalClasses, VoxelScene
-from fynjax.radiation._tiles import render_tiles
+from fynjax.radiation._tiles import Tiling, render_tile, render_tiles, tile_picture
 
 __all__ = [
     "AbstractRays",
@@ -39,10 +40,12 @@ __all__ = [
     "RahmanPintyVerstraete",
     "RayField",
     "RayLattice",
+    "Tiling",
     "VoxelScene",
     "absorption",
     "area_scattering",
     "canopy_reflectance",
+    "check_light",
     "check_scene",
     "directional_reflectance",
     "fluxes",
@@ -51,7 +54,9 @@ __all__ = [
     "perspective_rays",
     "reflectance_factor",
     "render",
+    "render_tile",
     "render_tiles",
     "solve_light",
+    "tile_picture",
     "voxel_scene",
 ]

@@ -2,7 +2,6 @@
 
 import math
 import os
-from collections.abc import Callable
 from numbers import Integral
 from typing import Any
 
@@ -332,83 +331,84 @@ def _check_options(scene: VoxelScene, n_band: int) -> None:
         )
 
 
-def default_rim(scene: VoxelScene, steepest: float) -> int:
-    """Voxels that the most slanted ray or beam crosses, and twice the height of the scene."""
-    rim = math.ceil(scene.height * (steepest + 2.0) / scene.horizontal)
-    return rim + rim % 2  # the coarse grid and a tile's own must start together
-
-
 def check_memory(
     scene: VoxelScene,
     ordinates: int,
     factor: tuple[int, int],
     finer: tuple[int, int] | None,
-    width: int | None = None,
 ) -> None:
-    """Raise `InputError` where the diffuse light would not fit in the memory of this machine.
+    """Raise `InputError` where the light of a scene would not fit in the memory of this machine.
 
     Counts what grows with the grid: the scene, the radiance along each ordinate in each band, and
-    the directions that the solver keeps. `width` [voxels]: of the square that is solved at once,
-    a tile with its rim; by default the whole scene.
+    the directions that the solver keeps.
     """
     available = _memory()
     if available is None:
         return
-    layers, ny, nx = scene.shape
     bands, size = scene.illumination.sun.shape[0], scene.area_density.dtype.itemsize
+    high, wide = scene.structure_factor
     field = ordinates * size
 
-    def needed(columns: int) -> float:
-        voxels = layers * columns
-        cells = voxels / (factor[0] * factor[1] ** 2)
-        densities = 3 * scene.area_density.shape[0] * voxels * size
-        high, wide = scene.structure_factor
-        densities += _SUN_FIELDS * high * wide**2 * voxels * size
-        finest = bands * field * cells
-        if finer is not None:
-            finest = (bands + _FINE_FIELDS) * field * voxels / (finer[0] * finer[1] ** 2)
-        return densities + _COARSE_FIELDS * field * cells + finest
+    def needed(voxels: float, cell: int, fine: int | None = None, times: int = 1) -> float:
+        """With `times` less fine a structure."""
+        light = (_COARSE_FIELDS + bands) / cell
+        if fine is not None:
+            light = _COARSE_FIELDS / cell + (bands + _FINE_FIELDS) / fine
+        structure = _SUN_FIELDS * high * wide**2 / times**3
+        return voxels * ((3 * scene.area_density.shape[0] + structure) * size + field * light)
 
-    rows, columns = (ny, nx) if width is None else (width, width)
-    need = needed(rows * columns)
-    if need > available:
-        advice = _smaller(scene, factor[1], lambda edge: needed(edge**2) <= available)
-        raise InputError(
-            f"a grid of {layers} x {rows} x {columns} voxels in {bands} bands needs about "
-            f"{need / 2**30:.1f} GiB, but this machine has {available / 2**30:.1f}: {advice}"
+    voxels = math.prod(scene.shape)
+    cell = factor[0] * factor[1] ** 2
+    fine = None if finer is None else finer[0] * finer[1] ** 2
+    need = needed(voxels, cell, fine)
+    if need <= available:
+        return
+    layers, rows, columns = scene.shape
+    length = factor[1] * scene.horizontal
+    fits = lambda *at: needed(*at) <= available  # noqa: E731
+    less = next((n for n in range(2, wide + 1) if fits(voxels, cell, fine, n)), None)
+    wider = next((n for n in range(1, 5) if fits(voxels, cell * n**2)), None)
+    larger = next((n for n in range(2, 9) if fits(voxels / n**3, cell)), None)
+    advice = "take larger voxels, a smaller scene or fewer bands"
+    if less is not None:
+        advice = f"with a structure of {less * scene.horizontal / wide:g} m it would fit"
+    elif wider is not None:
+        minutes = _SECONDS * voxels / (cell * wider**2) * ordinates * bands / 60
+        advice = (
+            f"with cells of {wider * length:g} m for its diffuse light it would fit (`Accuracy("
+            f"cell={wider * length:g}, refine=False)`; about {minutes:.2g} minutes of one core)"
         )
-
-
-def _smaller(scene: VoxelScene, coarsening: int, fits: Callable[[int], bool]) -> str:
-    """What to do about a scene too large to solve in one; `fits` says so of a square's edge."""
-    _, ny, nx = scene.shape
-    zenith = scene.illumination.sun_zenith
-    slant = math.tan(math.radians(float(zenith))) if concrete(zenith) else 1.0
-    rim, common = default_rim(scene, slant), math.gcd(ny, nx)
-    # A tile far narrower than its rim would solve the same voxels many times over.
-    for tile in range(common, max(rim // 2, 1) - 1, -1):
-        edge = tile + 2 * rim
-        if common % tile == 0 and edge % coarsening == 0 and fits(edge):
-            return (
-                f"render it in tiles that divide it, `render_tiles` with `tile={tile}` and "
-                f"`rim={rim}` (the rim on both sides counts: {edge} x {edge} voxels are solved at "
-                "once), or take larger voxels"
-            )
-    widest = max((edge for edge in range(1, max(ny, nx) + 1) if fits(edge)), default=0) - 2 * rim
-    if widest > 0:
-        return (
-            f"no tile that divides its {ny} x {nx} columns fits. With a rim of {rim} voxels on "
-            f"both sides a tile may be {widest} voxels wide: crop the scene to a multiple of such "
-            "a side for `render_tiles`, or take larger voxels"
-        )
-    return (
-        f"not even a tile with its rim of {rim} voxels fits, so take larger voxels or fewer bands"
+    elif larger is not None:
+        advice = f"with voxels {larger} times as large it would fit"
+    raise InputError(
+        f"a grid of {layers} x {rows} x {columns} voxels in {bands} bands needs about "
+        f"{need / 2**30:.1f} GiB, but this machine has {available / 2**30:.1f}: {advice}"
     )
 
 
-_COARSE_FIELDS, _FINE_FIELDS, _SUN_FIELDS = 18, 8, 5
-"""Fields of one band that the solver, and the refinement, hold at once; and of the finest voxels
-along the sun's beams."""
+def check_picture(scene: VoxelScene, pixels: int, slabs: int) -> None:
+    """Raise `InputError` where a picture of so many pixels would not fit in this machine's memory,
+    if it is rendered in one piece, through `slabs` layers in each of which leaves scatter alike."""
+    available = _memory()
+    if available is None:
+        return
+    size = scene.area_density.dtype.itemsize
+    classes, bands = scene.area_density.shape[0], scene.illumination.sun.shape[0]
+    each = _PIXEL_FIELDS + 3 * classes + 4 * bands
+    columns = math.prod(scene.shape[1:])
+    need = size * (pixels * each + slabs * columns * (classes + bands * len(scene.classes.angles)))
+    if need > available:
+        raise InputError(
+            f"a picture of {pixels} pixels in {bands} bands needs about {need / 2**30:.1f} GiB, "
+            f"but this machine has {available / 2**30:.1f}: render it in tiles (`render_tiles`)"
+        )
+
+
+_COARSE_FIELDS, _FINE_FIELDS, _SUN_FIELDS, _PIXEL_FIELDS = 10, 8, 5, 12
+"""Fields of one band that the solver, and the refinement, hold at once; those of the finest voxels
+along the sun's beams; and those of a picture."""
+_SECONDS = 2e-7
+"""Time of the diffuse light of one cell, ordinate and band on one core [s]."""
 
 
 def _memory() -> int | None:

@@ -7,6 +7,7 @@ bands: it leaves the sunlit area of each class within a pixel, and for each slab
 in view. Leaf optics and light then enter linearly.
 """
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -20,6 +21,7 @@ from jaxtyping import Array, Float
 from fynjax._core.math import mean_transmittance
 from fynjax.canopy import projections
 from fynjax.radiation._blocks import upsample
+from fynjax.radiation._check import check_picture
 from fynjax.radiation._hotspot import POINT_WEIGHTS, POINTS, kinds, overlaps
 from fynjax.radiation._multiple import DiffuseField
 from fynjax.radiation._ordinates import Ordinates
@@ -109,6 +111,8 @@ def render_rays(
     lattice's integers.
     """
     cut = _cut(scene, diffuse.factor(scene), sublayers, lean)
+    slabs_of_scene = scene.shape[0] * scene.structure_factor[0] * sublayers // cut.pieces
+    check_picture(scene, math.prod(rays.shape), slabs_of_scene)
     composition = _composition(scene, cut)
     if isinstance(diffuse, DiffuseField):
         lit = _Lit.create(scene, sun, diffuse, rays, ordinates, composition, cut)

@@ -358,7 +358,7 @@ def _solve(
     return unit * _gcr(operator, right / unit, goal, iterations)
 
 
-_KEPT = 6
+_KEPT = 2
 
 
 def _gcr(

@@ -119,6 +119,9 @@ class RayLattice(AbstractRays):
     """Directions per axis at which angular functions are evaluated; 1 for parallel rays."""
     altitude: float = eqx.field(static=True, default=math.inf)
     """Height of the sensor above the bottom of the grid [m]; infinite for parallel rays."""
+    picture: Float[Array, "2 2"] | None = None
+    """Slopes of the first and the last pixel (columns) along x and y (rows) of the picture that
+    these rays are a part of; None: they are all of it."""
 
     @property
     def sensor_height(self) -> float:
@@ -141,8 +144,9 @@ class RayLattice(AbstractRays):
         return vectors * self.cosine[..., None]
 
     def angular(self, function: Callable[[Array], Array]) -> Float[Array, "*value row column"]:
-        node_x, weight_x = _chebyshev(self.slope_x, self.nodes)
-        node_y, weight_y = _chebyshev(self.slope_y, self.nodes)
+        ends_x, ends_y = self.ends
+        node_x, weight_x = _chebyshev(self.slope_x, self.nodes, ends_x)
+        node_y, weight_y = _chebyshev(self.slope_y, self.nodes, ends_y)
         sx, sy = (a.ravel() for a in jnp.meshgrid(node_x, node_y, indexing="xy"))
         vectors = jnp.stack([sx, sy, jnp.ones_like(sx)], axis=-1)
         vectors = vectors / jnp.linalg.norm(vectors, axis=-1, keepdims=True)
@@ -154,14 +158,15 @@ class RayLattice(AbstractRays):
 
     @property
     def central(self) -> Float[Array, " 3"]:
-        middle = jnp.stack(
-            [
-                0.5 * (self.slope_x[0] + self.slope_x[-1]),
-                0.5 * (self.slope_y[0] + self.slope_y[-1]),
-                jnp.ones((), self.slope_x.dtype),
-            ]
-        )
-        return middle / jnp.linalg.norm(middle)
+        vector = jnp.append(self.ends.mean(axis=1), 1.0)
+        return vector / jnp.linalg.norm(vector)
+
+    @property
+    def ends(self) -> Float[Array, "2 2"]:
+        """Slopes at the ends of the field of view, as `picture`."""
+        if self.picture is not None:
+            return self.picture
+        return jnp.stack([slope[jnp.array([0, -1])] for slope in (self.slope_x, self.slope_y)])
 
     def sampler(
         self,
@@ -237,15 +242,15 @@ class RayField(AbstractRays):
 
     def angular(self, function: Callable[[Array], Array]) -> Float[Array, "*value row column"]:
         east, north = self.towards[..., 0], self.towards[..., 1]
-        node_x, weight_x = _chebyshev(_between_ends(east), self.nodes)
-        node_y, weight_y = _chebyshev(_between_ends(north), self.nodes)
+        node_x, weight_x = _chebyshev(east.ravel(), self.nodes, _range(east))
+        node_y, weight_y = _chebyshev(north.ravel(), self.nodes, _range(north))
         sx, sy = (a.ravel() for a in jnp.meshgrid(node_x, node_y, indexing="xy"))
         # The corners of the box may lie beyond the horizon, where no pixel looks.
         height = jnp.sqrt(jnp.maximum(1.0 - sx**2 - sy**2, 1e-3))
         vectors = jnp.stack([sx, sy, height], axis=-1)
         values = function(vectors / jnp.linalg.norm(vectors, axis=-1, keepdims=True))
         values = values.reshape(*values.shape[:-1], self.nodes, self.nodes)
-        flat = jnp.einsum("pj,...ji,pi->...p", weight_y[1:-1], values, weight_x[1:-1])
+        flat = jnp.einsum("pj,...ji,pi->...p", weight_y, values, weight_x)
         return flat.reshape(*flat.shape[:-1], *self.shape)
 
     def sampler(
@@ -307,10 +312,8 @@ def _two_cells(
     return clipped, (jnp.where(here, inside, 0.0), jnp.where(there, 1.0 - inside, 0.0))
 
 
-def _between_ends(values: Array) -> Array:
-    """All values in a row, between their least and largest: `_chebyshev` spans first to last."""
-    flat = values.ravel()
-    return jnp.concatenate([flat.min()[None], flat, flat.max()[None]])
+def _range(values: Array) -> Float[Array, " 2"]:
+    return jnp.stack([values.min(), values.max()])
 
 
 def parallel_rays(
@@ -455,11 +458,11 @@ def perspective_rays(
 
 
 def _chebyshev(
-    slopes: Float[Array, " pixel"], count: int
+    slopes: Float[Array, " pixel"], count: int, ends: Float[Array, " 2"]
 ) -> tuple[Float[Array, " node"], Float[Array, "pixel node"]]:
-    """Chebyshev nodes over the range of `slopes` and the Lagrange weights of each pixel."""
-    middle = 0.5 * (slopes[0] + slopes[-1])
-    half = 0.5 * jnp.abs(slopes[-1] - slopes[0])
+    """Chebyshev nodes between the two `ends` and the Lagrange weights of each pixel."""
+    middle = 0.5 * (ends[0] + ends[1])
+    half = 0.5 * jnp.abs(ends[1] - ends[0])
     if count == 1:
         return middle[None], jnp.ones((slopes.shape[0], 1), slopes.dtype)
     unit = np.cos(np.pi * (np.arange(count) + 0.5) / count)

@@ -206,22 +206,33 @@ _FINE = 0.05
 """Edge of a voxel whose sunbeams need not be closer than the voxels [m]."""
 
 
+def check_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> None:
+    """Raise `InputError` where the light of a scene would not fit in the memory of this machine.
+
+    **Arguments:**
+
+    - `scene`: of which the shapes count; from `jax.eval_shape` it costs nothing.
+    - `accuracy`: as for `solve_light`, which checks the same before it begins.
+
+    **Raises:** `InputError`, with what would fit.
+    """
+    check_fit(scene, Accuracy() if accuracy is None else accuracy)
+
+
 def check_fit(
-    scene: VoxelScene, accuracy: Accuracy, width: int | None = None
+    scene: VoxelScene, accuracy: Accuracy
 ) -> tuple[tuple[int, int], bool, tuple[int, int] | None]:
     """Voxels in a cell of the coarse grid, whether bands are reduced, and the voxels in a cell on
     which the light is refined; None: nowhere.
 
-    Raises `InputError` where the grid, or the square of `width` voxels that is solved at once,
-    cannot be coarsened so or does not fit in memory.
+    Raises `InputError` where the grid cannot be coarsened so or does not fit in memory.
     """
-    ny, nx = scene.shape[1:] if width is None else (width, width)
-    factor = _coarsening(scene, ny, nx, accuracy)
+    factor = _coarsening(scene, accuracy)
     reduced = accuracy.solves is not None and scene.illumination.sun.shape[0] > accuracy.solves
     finer = None
     if accuracy.refine and factor != (1, 1) and not reduced:
         finer = factor[0] // _least_divisor(factor[0]), factor[1] // _least_divisor(factor[1])
-    check_memory(scene, len(accuracy.ordinates.weights), factor, finer, width)
+    check_memory(scene, len(accuracy.ordinates.weights), factor, finer)
     return factor, reduced, finer
 
 
@@ -230,7 +241,8 @@ def _least_divisor(number: int) -> int:
     return next((n for n in range(2, number + 1) if number % n == 0), 1)
 
 
-def _coarsening(scene: VoxelScene, ny: int, nx: int, accuracy: Accuracy) -> tuple[int, int]:
+def _coarsening(scene: VoxelScene, accuracy: Accuracy) -> tuple[int, int]:
+    _, ny, nx = scene.shape
     if accuracy.coarsening is None:
         high, wide = (
             max(2, 2 * round(accuracy.cell / (2 * size) + 1e-6))
@@ -258,14 +270,14 @@ def aspect(scene: VoxelScene) -> float:
     return scene.vertical / high / (scene.horizontal / wide)
 
 
-def pieces(zenith: Array, aspect: float) -> int:
+def pieces(zenith: Array | float, aspect: float) -> int:
     """Pieces of a layer in each of which a ray moves sideways by no more than a voxel."""
     if isinstance(zenith, jax.core.Tracer):
         return 2
     return max(1, min(8, math.ceil(_lean(zenith, aspect) - 1e-6)))
 
 
-def _lean(zenith: Array, aspect: float) -> float:
+def _lean(zenith: Array | float, aspect: float) -> float:
     """Voxels that the most slanted ray crosses sideways in a layer."""
     steepest = float(np.max(np.asarray(zenith), initial=0.0))
     return aspect * math.tan(math.radians(min(steepest, 89.0)))
@@ -329,10 +341,12 @@ def render(light: Light, rays: AbstractRays, *, chunk: int = 8) -> Radiance:
     # Rays that are known stay so inside `jit`, lest all layers be cut as for slanted ones.
     with jax.ensure_compile_time_eval() if concrete(rays) else contextlib.nullcontext():
         steepest = jnp.rad2deg(jnp.arccos(jnp.min(rays.cosine)))
-    return _render(light, rays, steepest, chunk)
+    return render_up_to(light, rays, steepest, chunk)
 
 
-def _render(light: Light, rays: AbstractRays, steepest: Array, chunk: int) -> Radiance:
+def render_up_to(
+    light: Light, rays: AbstractRays, steepest: Array | float, chunk: int = 8
+) -> Radiance:
     """`render` for rays whose zenith angle is `steepest` at most [degrees]."""
     across = aspect(light.scene)
     sublayers = light.accuracy.sublayers or pieces(steepest, across)
@@ -422,7 +436,7 @@ def directional_reflectance(
 
     def mean_reflectance(angles: tuple[Array, Array]) -> Array:
         rays = parallel_rays(x, y, width, *angles)
-        radiance = _render(light, rays, zenith, chunk=8)
+        radiance = render_up_to(light, rays, zenith)
         return jnp.pi * radiance.total.mean(axis=(1, 2)) / incident
 
     return jax.lax.map(mean_reflectance, (zenith, azimuth))

@@ -1,92 +1,177 @@
-"""Scenes too large for one solve: tiles with a rim of their surroundings.
+"""Pictures too large to be rendered in one piece.
 
-Light is local: what stands farther off than a few heights of the canopy, or than the longest
-shadow, changes little. Each tile is solved and rendered together with a rim around it, whose outer
-edge is that of a scene of its own; of the picture only the tile is kept. All tiles have one shape,
-so that they share one compilation; memory is that of one, and time grows with the area.
+The light is solved once, for the whole scene; its diffuse part is smooth and takes little memory
+on its coarse cells. What grows with the picture is what the rays meet on their way down, so the
+picture is rendered tile by tile, each from the window of the scene that its rays and the sunbeams
+which they meet can cross. The tiles together are the picture of the whole: there are no seams.
 """
 
 import dataclasses
 import math
-from collections.abc import Callable
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from fynjax._core.errors import InputError
-from fynjax.radiation._check import check_scene, check_whole, concrete, default_rim
+from fynjax.radiation._check import check_whole, concrete
 from fynjax.radiation._image import Radiance
+from fynjax.radiation._multiple import DiffuseField
 from fynjax.radiation._rays import RayLattice
-from fynjax.radiation._render import (
-    Accuracy,
-    aspect,
-    check_fit,
-    pieces,
-    render,
-    solve_light,
-    sun_margin,
-)
-from fynjax.radiation._scene import VoxelScene
+from fynjax.radiation._render import Light, render_up_to
 
 
-def render_tiles(
-    scene: VoxelScene,
-    rays: RayLattice,
-    accuracy: Accuracy | None = None,
-    *,
-    tile: int = 200,
-    rim: int | None = None,
-    mesh: jax.sharding.Mesh | None = None,
-) -> Radiance:
-    """Radiance along each ray of a large scene, solved and rendered tile by tile.
+class _Axis(NamedTuple):
+    """How a picture and its scene are cut along one axis."""
+
+    pixels: int
+    """Of a tile."""
+    starts: tuple[int, ...]
+    """First pixel of each tile; the last may begin within the one before."""
+    cells: int
+    """Of the diffuse light in a window."""
+    first: tuple[int, ...]
+    """First such cell of each window; below zero, or beyond the last, where sides repeat."""
+
+
+class Tiling(NamedTuple):
+    """How a picture is cut in tiles; `tile_picture` makes one."""
+
+    y: _Axis
+    x: _Axis
+    steepest: float
+    """Largest zenith angle of a ray [degrees]."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of tiles."""
+        return len(self.y.starts), len(self.x.starts)
+
+    def pixels(self, row: int, column: int) -> tuple[slice, slice]:
+        """Rows and columns of the picture that are those of a tile."""
+        at = ((self.y.starts[row], self.y.pixels), (self.x.starts[column], self.x.pixels))
+        rows, columns = (slice(start, start + count) for start, count in at)
+        return rows, columns
+
+
+def tile_picture(light: Light, rays: RayLattice, tile: int = 500) -> Tiling:
+    """Cut the picture of `rays` in tiles of `tile` pixels, or fewer where it is smaller.
 
     **Arguments:**
 
-    - `scene`: as for `solve_light`, of any size.
-    - `rays`: `parallel_rays` or `nadir_rays` whose pixels cover the scene evenly from its
-      south-west corner, a whole number to a tile.
-    - `accuracy`: as for `solve_light`.
-    - `tile`: edge of a tile [voxels]; must divide the scene's sides.
-    - `rim`: width of the surroundings solved with each tile [voxels]. By default what the longest
-      shadow and the most slanted ray cross, and twice the height of the scene.
+    - `light`: from `solve_light`.
+    - `rays`: `parallel_rays` or `nadir_rays`.
+    - `tile`: edge of a tile [pixels].
+
+    **Raises:** `InputError` for rays that cannot be cut, light of more bands than were solved for,
+    and where the sun or the rays are traced values: cut the picture outside the transformation.
+    """
+    check_whole("tile", tile)
+    if not isinstance(rays, RayLattice):
+        raise InputError(
+            "`rays` must be those of `parallel_rays` or `nadir_rays`, whose pixels can be cut in "
+            f"tiles, but are a {type(rays).__name__}: render the picture in one (`render`)"
+        )
+    if concrete(rays) and any(np.any(np.diff(centres) <= 0) for centres in (rays.y, rays.x)):
+        raise InputError(
+            "pixels must lie in increasing order, but do not: is the first row of the picture its "
+            "northern one?"
+        )
+    if not isinstance(light.diffuse, DiffuseField):
+        raise InputError(
+            "a picture in tiles needs the light of every band, but that of many bands was reduced "
+            "to a few: render fewer bands at once, or set `accuracy.solves` to None"
+        )
+    if not concrete(rays, light.sun.slope):
+        raise InputError(
+            "sun and rays must be known where a picture is cut in tiles, but are traced: call "
+            "`tile_picture` outside the transformation"
+        )
+    scene = light.scene
+    slopes = np.abs([*np.asarray(rays.slope_x), *np.asarray(rays.slope_y)]).max()
+    # What a ray crosses and what shades it; a cell more, for the light is interpolated.
+    reach = scene.height * (slopes + float(jnp.abs(light.sun.slope).max())) + rays.footprint
+    cell = light.diffuse.factor(scene)[1] * scene.horizontal
+    axes = []
+    for centres, count in ((rays.y, scene.shape[1]), (rays.x, scene.shape[2])):
+        at, whole = np.asarray(centres, float), round(count * scene.horizontal / cell)
+        pixels = min(tile, len(at))
+        starts = tuple(min(i, len(at) - pixels) for i in range(0, len(at), pixels))
+        lowest = [math.floor((at[i] - reach) / cell) - 1 for i in starts]
+        highest = [math.ceil((at[i + pixels - 1] + reach) / cell) + 1 for i in starts]
+        cells = max(high - low for low, high in zip(lowest, highest, strict=True))
+        if scene.boundary == "open":
+            cells = min(cells, whole)
+            lowest = [min(max(low, 0), whole - cells) for low in lowest]
+        axes.append(_Axis(pixels, starts, cells, tuple(lowest)))
+    steepest = math.hypot(*(np.abs(np.asarray(s)).max() for s in (rays.slope_x, rays.slope_y)))
+    return Tiling(axes[0], axes[1], math.degrees(math.atan(steepest)))
+
+
+def render_tile(
+    light: Light, rays: RayLattice, tiling: Tiling, row: Array | int, column: Array | int
+) -> Radiance:
+    """Radiance of one tile of a picture [irradiance unit sr-1].
+
+    **Arguments:**
+
+    - `light`, `rays`: as for `tile_picture`.
+    - `tiling`: from `tile_picture`; static.
+    - `row`, `column`: of the tile; may be traced values, so that all tiles share a compilation.
+
+    Differentiable as `render`. Memory is that of the window of the scene that the tile views.
+    """
+    along = (tiling.y, row), (tiling.x, column)
+    first = [jnp.asarray(axis.first)[at] for axis, at in along]
+    start = [jnp.asarray(axis.starts)[at] for axis, at in along]
+    window = _window(light, (first[0], first[1]), (tiling.y.cells, tiling.x.cells))
+    cell = light.diffuse.factor(light.scene)[1] * light.scene.horizontal
+    cut = [
+        [jax.lax.dynamic_slice_in_dim(field, at, axis.pixels) for field in fields]
+        for (axis, _), at, fields in zip(
+            along, start, ((rays.y, rays.slope_y), (rays.x, rays.slope_x)), strict=True
+        )
+    ]
+    (y, slope_y), (x, slope_x) = cut
+    part = dataclasses.replace(
+        rays,
+        x=x - (first[1] * cell).astype(x.dtype),
+        y=y - (first[0] * cell).astype(y.dtype),
+        slope_x=slope_x,
+        slope_y=slope_y,
+        picture=rays.ends,
+    )
+    return render_up_to(window, part, tiling.steepest)
+
+
+def render_tiles(
+    light: Light,
+    rays: RayLattice,
+    tiling: Tiling | None = None,
+    *,
+    mesh: jax.sharding.Mesh | None = None,
+) -> Radiance:
+    """Radiance along each ray of a picture, tile by tile: what `render` gives, in less memory.
+
+    **Arguments:**
+
+    - `light`: from `solve_light`.
+    - `rays`: `parallel_rays` or `nadir_rays`.
+    - `tiling`: from `tile_picture`, by default in tiles of 500 pixels; must be given inside a
+      transformation.
     - `mesh`: devices that share the tiles, with one axis; their number must divide that of the
       tiles. By default one after another on one device.
 
-    **Returns:** `Radiance` [irradiance unit sr-1]. It differs from that of the whole scene by what
-    lies beyond the rim (measured in `tests/radiation/test_tiles.py`).
+    **Returns:** `Radiance` [irradiance unit sr-1].
 
-    **Raises:** `InputError` where tiles, pixels and devices do not go together.
+    **Raises:** `InputError` as `tile_picture`, and where tiles and devices do not go together.
 
-    Differentiable as `render`; the backward pass solves each tile once more.
+    Differentiable as `render`; the backward pass renders each tile once more.
     """
-    check_scene(scene)
-    _, ny, nx = scene.shape
-    if not isinstance(rays, RayLattice):
-        raise InputError(
-            "`rays` must be those of `parallel_rays` or `nadir_rays`, whose pixels can be cut "
-            f"along the tiles, but are a {type(rays).__name__}: for a tilted camera render the "
-            "whole scene (`solve_light`, `render`)"
-        )
-    check_whole("tile", tile)
-    if rim is not None:
-        check_whole("rim", rim, 0)
-    for size, axis in ((ny, "y"), (nx, "x")):
-        if size % tile:
-            raise InputError(
-                f"`tile` must divide the scene, but {tile} does not divide its {size} voxels "
-                f"along {axis}"
-            )
-    rows, columns = ny // tile, nx // tile
-    for pixels, tiles, axis in ((rays.y.shape[0], rows, "y"), (rays.x.shape[0], columns, "x")):
-        if pixels % tiles:
-            raise InputError(
-                f"each tile must have the same number of pixels, but {pixels} along {axis} do "
-                f"not spread over {tiles} tiles"
-            )
-        _check_cover(axis, getattr(rays, axis), scene.horizontal * tiles * tile)
+    tiling = tile_picture(light, rays) if tiling is None else tiling
+    rows, columns = tiling.shape
     devices = 1 if mesh is None else mesh.size
     if rows * columns % devices:
         raise InputError(
@@ -95,47 +180,12 @@ def render_tiles(
         )
     if mesh is not None and len(mesh.axis_names) != 1:
         raise InputError(f"`mesh` must have one axis, but has {len(mesh.axis_names)}")
-    rim = _default_rim(scene, rays) if rim is None else rim + rim % 2
-    width = tile + 2 * rim
-    accuracy = Accuracy() if accuracy is None else accuracy
-    check_fit(scene, accuracy, width)
-    sublayers = accuracy.sublayers or pieces(scene.illumination.sun_zenith, aspect(scene))
-    accuracy = dataclasses.replace(
-        accuracy, margin=sun_margin(scene, accuracy), sublayers=sublayers
-    )
-    high, wide = rays.y.shape[0] // rows, rays.x.shape[0] // columns
-    surrounded = _surrounded(scene, rim)
 
-    def render_tile(place: Array, surrounded: VoxelScene, rays: RayLattice) -> Radiance:
-        row, column = place[0], place[1]
+    def in_turn(places: Array, light: Light, rays: RayLattice) -> Radiance:
+        one = lambda place: render_tile(light, rays, tiling, *place)  # noqa: E731
+        return jax.lax.map(jax.checkpoint(one), places)
 
-        def cut(field: Array, times: int) -> Array:
-            wide = width * times
-            field = jax.lax.dynamic_slice_in_dim(field, row * tile * times, wide, -2)
-            return jax.lax.dynamic_slice_in_dim(field, column * tile * times, wide, -1)
-
-        part = _with_maps(surrounded, cut)
-        pixels = lambda axis, at, size: jax.lax.dynamic_slice_in_dim(axis, at * size, size)  # noqa: E731
-        # The part's own origin is the outer corner of its rim.
-        shift = lambda at: (at * tile - rim) * scene.horizontal  # noqa: E731
-        rays_of_tile = eqx.tree_at(
-            lambda r: (r.x, r.y, r.slope_x, r.slope_y),
-            rays,
-            (
-                pixels(rays.x, column, wide) - shift(column),
-                pixels(rays.y, row, high) - shift(row),
-                pixels(rays.slope_x, column, wide),
-                pixels(rays.slope_y, row, high),
-            ),
-        )
-        return render(solve_light(part, accuracy), rays_of_tile)
-
-    def render_in_turn(places: Array, surrounded: VoxelScene, rays: RayLattice) -> Radiance:
-        return jax.lax.map(
-            jax.checkpoint(lambda place: render_tile(place, surrounded, rays)), places
-        )
-
-    places = jnp.asarray(list(np.ndindex(rows, columns)))
+    render_in_turn: Any = in_turn
     if mesh is not None:
         (axis,) = mesh.axis_names
         split = jax.sharding.PartitionSpec(axis)
@@ -143,71 +193,51 @@ def render_tiles(
         # Devices only: how arrays lie on them outside is the compiler's business.
         mesh = jax.sharding.Mesh(mesh.devices, mesh.axis_names)
         render_in_turn = jax.shard_map(
-            render_in_turn,
-            mesh=mesh,
-            in_specs=(split, whole, whole),
-            out_specs=split,
-            check_vma=False,
+            in_turn, mesh=mesh, in_specs=(split, whole, whole), out_specs=split, check_vma=False
         )
-    parts = render_in_turn(places, surrounded, rays)
+    parts = render_in_turn(jnp.asarray(list(np.ndindex(rows, columns))), light, rays)
 
     def join(field: Array) -> Array:
         """[tile, ..., row, column] to [..., row, column]."""
         field = field.reshape(rows, columns, *field.shape[1:])
-        field = jnp.moveaxis(jnp.moveaxis(field, 0, -3), 0, -2)
-        return field.reshape(*field.shape[:-4], rows * high, columns * wide)
+        for axis, place in ((tiling.y, -2), (tiling.x, -1)):
+            pixel = np.arange(axis.starts[-1] + axis.pixels)
+            tile = pixel // axis.pixels
+            within = pixel - np.asarray(axis.starts)[tile]
+            field = jnp.moveaxis(jnp.moveaxis(field, place, 1)[tile, within], 0, place)
+        return field
 
     return jax.tree.map(join, parts)
 
 
-def _default_rim(scene: VoxelScene, rays: RayLattice) -> int:
-    zenith = scene.illumination.sun_zenith
-    if not concrete(rays, zenith):
-        raise InputError(
-            "`rim` must be given where the sun or the view is a traced value: twice the height "
-            "of the scene and the length of its longest shadow, in voxels"
-        )
-    slants = np.abs([*np.asarray(rays.slope_x), *np.asarray(rays.slope_y)])
-    return default_rim(scene, max(math.tan(math.radians(float(zenith))), float(slants.max())))
+def _window(light: Light, first: tuple[Array, Array], cells: tuple[int, int]) -> Light:
+    """The light in a part of its scene: `cells` of the diffuse light from the `first` on."""
+    scene, sun, diffuse = light.scene, light.sun, light.diffuse
+    assert isinstance(diffuse, DiffuseField)
+    wide = diffuse.factor(scene)[1]
 
+    def cut(field: Array, times: int, more: int = 0) -> Array:
+        """Of a map with `times` entries along a cell, and `more` at each end."""
+        for axis, start, count in ((-2, first[0], cells[0]), (-1, first[1], cells[1])):
+            index = start * times + jnp.arange(count * times + 2 * more)
+            field = jnp.take(field, index % field.shape[axis], axis=axis)
+        return field
 
-def _check_cover(axis: str, centres: Array, length: float) -> None:
-    """Raise `InputError` unless pixels, where they are known, divide `length` evenly."""
-    if not concrete(centres):
-        return
-    pitch = length / centres.shape[0]
-    place, wanted = np.asarray(centres), (np.arange(centres.shape[0]) + 0.5) * pitch
-    off = np.abs(place - wanted)
-    if off.max() > 0.05 * pitch:
-        worst = int(off.argmax())
-        raise InputError(
-            f"the pixels must cover the scene evenly from its south-west corner, but along {axis} "
-            f"pixel {worst} has its centre at {place[worst]:g} m in place of "
-            f"{wanted[worst]:g} m: are these edges of pixels, does the picture cover only a part, "
-            "or is its first row the northern one?"
-        )
-
-
-def _with_maps(scene: VoxelScene, change: Callable[[Array, int], Array]) -> VoxelScene:
-    """The scene with its maps over y and x changed; `change` also takes the number of their cells
-    along a voxel."""
-    times = scene.structure_factor[1]
-    return dataclasses.replace(
+    optional = lambda field, times: None if field is None else cut(field, times)  # noqa: E731
+    part = dataclasses.replace(
         scene,
-        area_density=change(scene.area_density, 1),
-        structure=None if scene.structure is None else change(scene.structure, times),
-        ground=change(scene.ground_map, 1),
-        terrain=None if scene.terrain is None else change(scene.terrain, 1),
+        area_density=cut(scene.area_density, wide),
+        structure=optional(scene.structure, wide * scene.structure_factor[1]),
+        ground=cut(scene.ground_map, wide),
+        terrain=optional(scene.terrain, wide),
+        boundary="open",
     )
-
-
-def _surrounded(scene: VoxelScene, rim: int) -> VoxelScene:
-    """The scene with a rim: of itself, or of nothing where its sides are open."""
-    mode = "wrap" if scene.boundary == "periodic" else "constant"
-
-    def widen(field: Array, times: int) -> Array:
-        before = [(0, 0)] * (field.ndim - 2)
-        sides = (rim * times, rim * times)
-        return jnp.pad(field, [*before, sides, sides], mode=mode)
-
-    return _with_maps(scene, widen)
+    beams = dataclasses.replace(
+        sun,
+        depth=cut(sun.depth, wide * sun.per_voxel, sun.margin),
+        incidence=optional(sun.incidence, wide),
+    )
+    field = dataclasses.replace(
+        diffuse, intensity=cut(diffuse.intensity, 1), falling=cut(diffuse.falling, 1)
+    )
+    return dataclasses.replace(light, scene=part, sun=beams, diffuse=field)

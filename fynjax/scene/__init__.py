@@ -7,7 +7,14 @@ Its light is computed in float32. Importing it lets JAX compute the rest in 64 b
 from fynjax._core.precision import enable_double_precision
 from fynjax.scene._cover import ProjectedCover, crown_centres, projected_cover
 from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
-from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
+from fynjax.scene._instances import (
+    Instances,
+    hard_counts,
+    hard_instances,
+    hard_scene,
+    standing_scene,
+)
+from fynjax.scene._large import is_large, observe_in_tiles
 from fynjax.scene._observe import (
     DRONE,
     AimedSensor,
@@ -93,10 +100,12 @@ __all__ = [
     "hard_instances",
     "hard_scene",
     "height_profile",
+    "is_large",
     "leafy_species",
     "mixed_surroundings",
     "named_values",
     "observe",
+    "observe_in_tiles",
     "observe_lidar",
     "parameter_kind",
     "parameter_reference",
@@ -105,5 +114,6 @@ __all__ = [
     "species_parameters",
     "stand_area",
     "stand_realisation",
+    "standing_scene",
     "with_values",
 ]

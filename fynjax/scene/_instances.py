@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import hard_count
+from fynjax.canopy import hard_count, site_weight
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._scene import Scene, ground_at
 
@@ -117,6 +117,27 @@ def hard_scene(scene: Scene, parameters: PlotParameters) -> Scene:
     planting = scene.planting.only(_standing(scene, parameters))
     hard = eqx.tree_at(lambda m: m.planting, scene, planting)
     return dataclasses.replace(hard, softness=0.0, softness_plants=0.0)
+
+
+def standing_scene(scene: Scene, parameters: PlotParameters) -> Scene:
+    """The plot without the plants that the parameters leave no place for: the same area in every
+    voxel, in less memory.
+
+    **Arguments:**
+
+    - `scene`: with the plants held ready.
+    - `parameters`: by which plants are chosen. Another set may need more than those that are left.
+
+    Not differentiable.
+    """
+    planting = scene.planting
+    count = np.asarray(scene.counts(parameters), float)[np.asarray(planting.species)]
+    weight = site_weight(
+        count, np.asarray(planting.place), width=scene.softness_plants, softness=scene.softness
+    )
+    standing = np.asarray(weight) > 0
+    left = dataclasses.replace(planting.only(standing), place=planting.place[standing])
+    return dataclasses.replace(scene, planting=left)
 
 
 def _standing(scene: Scene, parameters: PlotParameters) -> np.ndarray:

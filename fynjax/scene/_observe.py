@@ -64,8 +64,8 @@ DRONE = Accuracy(sublayers=1, levels=2, refine=False)
 _AT_550 = (550.0 / 500.0) ** -1.14
 """Optical depth of aerosol at 550 nm over that at 500 nm, by Ångström's law as SPCTRL2 has it."""
 SAMPLES = 2
-"""Rays along the edge of a voxel where pixels are wider than voxels; with a finer structure there
-is one to each of its own."""
+"""Rays along the edge of a voxel where pixels are wider than voxels. With a finer structure there
+is one to each of its own, but in hundreds of bands, whose rays are dear, they are as wide."""
 _VOXELS = 20_000_000  # times bands that are rendered at once
 
 
@@ -292,13 +292,19 @@ class AimedSensor(eqx.Module):
         light = solve_light(voxels, self.accuracy)
         chunk = min(max(_VOXELS // int(np.prod(voxels.shape)), 8), 32)
         factor = reflectance_factor(light, self.rays, chunk=chunk)
+        return *self.averages(factor, voxels), light.residual
+
+    def averages(
+        self, factor: Float[Array, "band row column"], voxels: VoxelScene
+    ) -> tuple[Float[Array, "band y x"], Float[Array, " band"]]:
+        """Pixels of the image, and its mean over the scene, from the reflectance factor along each
+        of `rays` [-]. Of `voxels` the sides and the boundary count."""
         edge = slice(self.margin, -self.margin or None)
         within = factor[:, edge, edge]  # the margin repeats pixels of the scene's other side
         mean = within.mean(axis=(1, 2))
         psf = self.sensor.psf
         if self.fine is None:
-            image = within if psf is None else psf.blur(factor)[:, edge, edge]
-            return image, mean, light.residual
+            return within if psf is None else psf.blur(factor)[:, edge, edge], mean
         sides = tuple(n * voxels.horizontal for n in voxels.shape[1:])
         shares = []
         for axis, count, start, cells, length in zip(
@@ -316,7 +322,7 @@ class AimedSensor(eqx.Module):
             )
             shares.append(share.astype(factor.dtype))
         image = jnp.einsum("pr,brc,qc->bpq", shares[0], factor, shares[1], optimize="optimal")
-        return image, mean, light.residual
+        return image, mean
 
     def sampled(self, stride: int) -> "AimedSensor":
         """The same with every `stride`-th pixel along each axis, without blur: a fair sample of the
@@ -459,7 +465,8 @@ def aim(
     psf = sensor.psf if point_spread else None
     if psf is not None:  # its reach must be known inside transformations
         psf = dataclasses.replace(psf, radius=psf.reach())
-    samples = max(scene.finer, SAMPLES)
+    few = accuracy.solves is None or len(sensor.bands) <= accuracy.solves
+    samples = max(scene.finer, SAMPLES) if few else SAMPLES
     resolved = scene.grid.horizontal_size / max(scene.finer, 1)
     wide = pixel > max(resolved, 1e-9) * (1.0 + 1e-6)
     margin = psf.reach() if psf is not None and periodic and not wide else 0

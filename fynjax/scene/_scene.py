@@ -6,6 +6,7 @@ the scene is built. The same plants then stand in the same places whatever the p
 that what a sensor measures is a smooth, repeatable function of the parameters.
 """
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -50,9 +51,13 @@ from fynjax.sensors.air import clear_sky_diffuse_fraction
 _EVEN_LAYERS = 2
 """Layers of a scene are a multiple of this: the light is solved in pairs of them."""
 _MOST_VOXELS = 2**31 - 1
+_AT_ONCE = 2**22
+"""Area elements that are placed on the voxels at once."""
 _COMPOSITION = 0.1
 """Edge of the voxels in which the classes are kept apart, where sun and sight follow the structure
 on finer ones [m]."""
+_FINEST = 0.025
+"""Edge of the finest voxels, unless others are asked for [m]."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +100,29 @@ class PlantingRules:
     tuft: float = 0.05
     """Edge of the smallest clump of foliage that is resolved [m]: within it leaves lie at random.
     An assumption, about the length of a fynbos shoot's leafy tip."""
-    structure: float | None = None
-    """Edge of the voxels on which sun and sight follow the plants [m], at most. None: those of the
-    scene, filled evenly, which hides gaps but costs less."""
+    structure: float | Literal["even"] | None = None
+    """Edge of the voxels on which sun and sight follow the plants [m], at most. None: a quarter of
+    the scene's, but not below 2.5 cm: gaps are then alike in all voxels of up to 10 cm. "even":
+    leaves fill the scene's voxels evenly, which hides gaps (of voxels of 10 cm, 3 to 4 %) and takes
+    two thirds of the time, and a fifth of the area elements."""
+
+    def finer(self, voxel: float) -> int:
+        """Finest voxels along the edge of one of `voxel` [m]; 0 where leaves fill these evenly.
+        Raises `InputError` for lengths that are not positive."""
+        if self.structure == "even":
+            return 0
+        structure = max(_FINEST, voxel / 4.0) if self.structure is None else self.structure
+        if not (structure > 0 and self.tuft > 0):
+            raise InputError(
+                f"`structure` and `tuft` must be positive lengths [m], but are {structure} and "
+                f"{self.tuft}"
+            )
+        return max(1, math.ceil(voxel / structure - 1e-6))
+
+    def resolved(self, voxel: float) -> float:
+        """Edge of the boxes in which leaves lie at random, in voxels of `voxel` [m]."""
+        finer = self.finer(voxel)
+        return max(self.tuft, voxel / finer) if finer else voxel
 
 
 class Scene(eqx.Module):
@@ -153,6 +178,7 @@ class Scene(eqx.Module):
         *,
         size_m: float | tuple[float, float],
         voxel_m: float = 0.1,
+        structure_m: float | Literal["even"] | None = None,
         seed: int = 0,
         boundary: Literal["periodic", "open"] = "periodic",
         leaves: Mapping[str, Mapping[str, float]] | None = None,
@@ -170,6 +196,8 @@ class Scene(eqx.Module):
           other columns of a plot's species table but `plant`.
         - `size_m`: side of the plot, or (east-west, north-south) [m].
         - `voxel_m`: edge of a voxel [m]; must divide the sides.
+        - `structure_m`: edge of the voxels on which sun and sight follow the plants [m], or "even";
+          left out, a quarter of a voxel, see `PlantingRules`.
         - `seed`: of everything random.
         - `boundary`: "periodic" repeats the plot for ever, "open" does not.
         - `leaves`: PROSPECT-D parameters by taxon, in PROSPECT's units; "*" is any other. Left out,
@@ -215,6 +243,7 @@ class Scene(eqx.Module):
             voxel=voxel_m,
             seed=seed,
             boundary=boundary,
+            rules=PlantingRules(structure=structure_m),
             dead_tissue=dead_tissue,
             hot_spot=hot_spot,
         )
@@ -265,8 +294,7 @@ class Scene(eqx.Module):
 
     def area_density(self, parameters: PlotParameters) -> Float[Array, "class z y x"]:
         """Area per volume of each optical class: the species' leaves, then wood, then flowers."""
-        positions, area = self._elements(parameters)
-        return self._deposit(positions, area, self.grid, by_class=True)
+        return self._deposit(parameters, self.grid, by_class=True)
 
     def structure(self, parameters: PlotParameters) -> Float[Array, "Z Y X"] | None:
         """Area per volume of all classes on the finest voxels; None where leaves fill the grid's
@@ -276,22 +304,19 @@ class Scene(eqx.Module):
         """
         if self.finer == 0:
             return None
-        positions, area = self._elements(parameters)
-        return self._deposit(positions, area, self._finest(), by_class=False)[0]
+        return self._deposit(parameters, self._finest(), by_class=False)[0]
 
     def gap_fraction(self, parameters: PlotParameters) -> Float[Array, ""]:
         """Share of the ground that is seen from straight above, between leaves and stems [-].
 
         **Arguments:** `parameters`, of the plot. Differentiable.
         """
-        positions, area = self._elements(parameters)
         angles, angle_of_class = class_angles(self.forms, self.leaf_angles)
         down = jnp.stack([angle.projection(jnp.asarray(1.0)) for angle in angles])
         down = down.astype(self.dtype)[jnp.asarray(angle_of_class)]
         finest = self._finest()
         columns = VoxelGrid((*finest.shape[:2], 1), finest.horizontal_size, finest.extent[2])
-        projected = area * down[self.planting.optical_class]
-        density = self._deposit(positions, projected, columns, by_class=False)
+        density = self._deposit(parameters, columns, by_class=False, share=down)
         return jnp.mean(jnp.exp(-density * columns.vertical_size))
 
     def _finest(self) -> VoxelGrid:
@@ -300,27 +325,58 @@ class Scene(eqx.Module):
         return VoxelGrid((nx, ny, nz), grid.horizontal_size / times, grid.vertical_size / times)
 
     def _deposit(
-        self, positions: Array, area: Array, grid: VoxelGrid, *, by_class: bool
+        self,
+        parameters: PlotParameters,
+        grid: VoxelGrid,
+        *,
+        by_class: bool,
+        share: Float[Array, " class"] | None = None,
     ) -> Float[Array, "class z y x"]:
-        classes = self.planting.optical_class
-        count = len(leafy_species(self.forms)) + 2 if by_class else 1
-        fits = self.finer and _holds(grid, self.tuft)
-        return deposit(
-            positions,
-            area,
-            classes if by_class else jnp.zeros_like(classes),
-            grid,
-            count,
-            width=self.tuft if fits else None,
-            boundary=self.boundary,
-        )
+        """Area per volume on `grid` [m2 m-3], of each class or of all; of `share` of each class's
+        area, if that is given. Many elements are placed part by part, for the sake of memory."""
+        planting = self.planting
+        count, fits = planting.plant.shape[0], self.finer and _holds(grid, self.tuft)
+
+        def part(planting: Planting, weight: Array | float = 1.0) -> Array:
+            positions, area = self._elements(parameters, planting)
+            classes = planting.optical_class
+            return deposit(
+                positions,
+                area * weight if share is None else area * weight * share[classes],
+                classes if by_class else jnp.zeros_like(classes),
+                grid,
+                len(leafy_species(self.forms)) + 2 if by_class else 1,
+                width=self.tuft if fits else None,
+                boundary=self.boundary,
+            )
+
+        if count <= _AT_ONCE:
+            return part(planting)
+        parts = -(-count // _AT_ONCE)
+        size = -(-count // parts)
+
+        def add(total: Array, number: Array) -> tuple[Array, None]:
+            # The last part begins within the one before, whose elements then count no more.
+            start = jnp.minimum(number * size, count - size)
+            elements = dataclasses.replace(
+                planting,
+                plant=jax.lax.dynamic_slice_in_dim(planting.plant, start, size),
+                part=jax.lax.dynamic_slice_in_dim(planting.part, start, size),
+            )
+            new = start + jnp.arange(size) >= number * size
+            return total + part(elements, new.astype(self.dtype)), None
+
+        like = jax.eval_shape(part, planting)
+        start = jnp.zeros(like.shape, like.dtype)
+        return jax.lax.scan(jax.checkpoint(add), start, jnp.arange(parts))[0]
 
     def _elements(
-        self, parameters: PlotParameters
+        self, parameters: PlotParameters, planting: Planting
     ) -> tuple[Float[Array, "element 3"], Float[Array, " element"]]:
-        """Places [m] and areas [m2] of all area elements."""
+        """Places [m] and areas [m2] of the area elements of `planting`, which has the plants of the
+        scene's."""
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
-        species, planting = parameters.species, self.planting
+        species = parameters.species
         owner = planting.species
         diameter = species.diameter[owner] * planting.size
         height = species.height[owner] * planting.stature
@@ -369,7 +425,6 @@ class Scene(eqx.Module):
             share = jnp.asarray(self.sky.at(wavelength), self.dtype)
         sky = average @ share
         grid, columns = self.class_grid, self._columns
-        positions, area = self._elements(parameters)
         terrain = None if self.terrain is None else jnp.asarray(self.terrain, self.dtype)
         pattern = None if self.sky_pattern is None else jnp.asarray(self.sky_pattern, self.dtype)
         ground, shape = columns(self.ground_map(parameters, bands)), None
@@ -380,7 +435,7 @@ class Scene(eqx.Module):
             measured = jnp.array([[[0.5**0.5, 0.0, -(0.5**0.5)]], [[0.0, 0.0, 1.0]]], self.dtype)
             ground = ground / shape.shape(*measured).reshape(-1, *(1,) * (ground.ndim - 1))
         return VoxelScene(
-            self._deposit(positions, area, grid, by_class=True),
+            self._deposit(parameters, grid, by_class=True),
             classes,
             ground,
             Illumination(light.sun_zenith, light.sun_azimuth, 1.0 - sky, sky, pattern),
@@ -499,10 +554,9 @@ def build_scene(
     if terrain is not None:
         top += float(np.max(terrain))
     grid = VoxelGrid.cover(extent, top, voxel)
+    finer = rules.finer(voxel)
     # Where the structure is followed, its cells need whole numbers of layers.
-    even = (
-        _EVEN_LAYERS * max(1, int(_COMPOSITION / voxel + 1e-6)) if rules.structure else _EVEN_LAYERS
-    )
+    even = _EVEN_LAYERS * max(1, int(_COMPOSITION / voxel + 1e-6)) if finer else _EVEN_LAYERS
     layers = -(-grid.shape[2] // even) * even
     forms = tuple(one.form for one in species)
     spread = tuple(one.rotation_spread for one in species)
@@ -521,7 +575,7 @@ def build_scene(
         softness_plants=rules.softness_plants,
         flowering=rules.flowering,
         tuft=rules.tuft,
-        finer=_finer(voxel, rules),
+        finer=finer,
         ground=Ground() if ground is None else ground,
         terrain=terrain,
         sky=sky,
@@ -530,8 +584,9 @@ def build_scene(
         hot_spot=hot_spot,
         dtype=dtype,
     )
-    if scene.finer:
+    if finer:
         _check_structure(scene)
+        scene = dataclasses.replace(scene, tuft=_fitting_tuft(scene))
     planting = draw_planting(
         forms,
         np.asarray(scene.counts(parameters)),
@@ -541,8 +596,8 @@ def build_scene(
         plants,
         taxa=scene.taxa,
         extent=extent,
-        resolved=voxel if rules.structure is None else rules.tuft,
-        structured=rules.structure is not None,
+        resolved=rules.resolved(voxel),
+        structured=finer > 0,
         periodic=boundary == "periodic",
         probability=rules.probability,
         room=rules.room,
@@ -553,25 +608,18 @@ def build_scene(
     return eqx.tree_at(lambda s: s.planting, scene, planting)
 
 
-def _finer(voxel: float, rules: PlantingRules) -> int:
-    """Finest voxels along the edge of one of the grid's; 0 where leaves fill these evenly."""
-    if rules.structure is None:
-        return 0
-    if not (rules.structure > 0 and rules.tuft > 0):
-        raise InputError(
-            f"`structure` and `tuft` must be positive lengths [m], but are {rules.structure} and "
-            f"{rules.tuft}"
-        )
-    finer = max(1, math.ceil(voxel / rules.structure - 1e-6))
-    # A tuft is as wide as a whole number of the finest voxels, or no wider than one.
-    for count in range(finer, 2 * finer + 1):
-        if _fits(voxel / count, rules.tuft):
-            return count
-    raise InputError(
-        f"no finest voxels of {rules.structure} m or little less divide both the voxels of "
-        f"{voxel} m and tufts of {rules.tuft} m: take voxels that are a simple multiple of the "
-        "tufts, such as 0.1 m, or leave `structure` out"
+def _fitting_tuft(scene: Scene) -> float:
+    """Edge of tufts that go with the voxels of a scene: no wider than one, or as wide as a whole
+    number of them. Of the finest, and of those of its classes; the nearest to what is asked for."""
+    tuft, edge, widest = (
+        scene.tuft,
+        scene.grid.horizontal_size / scene.finer,
+        scene.class_grid.horizontal_size,
     )
+    if tuft <= edge:
+        return tuft
+    unit = edge if tuft <= widest else widest
+    return unit * round(tuft / unit)
 
 
 def _fits(edge: float, tuft: float) -> bool:
@@ -585,19 +633,13 @@ def _holds(grid: VoxelGrid, tuft: float) -> bool:
 
 
 def _check_structure(scene: Scene) -> None:
-    """Raise `InputError` for a structure that cannot be: too many voxels, or tufts that do not go
-    with the voxels of its classes."""
-    count = int(np.prod([float(n) for n in scene.grid.shape])) * max(scene.finer, 1) ** 3
+    """Raise `InputError` for a structure of too many voxels."""
+    count = int(np.prod([float(n) for n in scene.grid.shape])) * scene.finer**3
     if count > _MOST_VOXELS:
         raise InputError(
             f"`structure` asks for {count:.3g} of the finest voxels, but at most "
-            f"{_MOST_VOXELS:.3g} can be indexed: take a larger `structure` or a smaller plot"
-        )
-    grid = scene.class_grid
-    if not _holds(grid, scene.tuft):
-        raise InputError(
-            f"voxels of {grid.horizontal_size:g} m hold no whole number of tufts of "
-            f"{scene.tuft:g} m: take voxels of 0.05 or 0.1 m, or leave `structure` out"
+            f"{_MOST_VOXELS:.3g} can be indexed: take a larger `structure`, a smaller plot, or "
+            'leaves that fill the voxels evenly ("even")'
         )
 
 

@@ -17,12 +17,12 @@ from collections.abc import Callable
 from typing import Any
 
 SETTINGS = (
-    (0.1, None), (0.05, None), (0.1, 0.025), (0.05, 0.025), (0.025, 0.025), (0.1, 0.0125),
+    (0.1, "even"), (0.05, "even"), (0.1, 0.025), (0.05, 0.025), (0.025, 0.025), (0.1, 0.0125),
 )  # fmt: skip
 HEAD = "voxel_m structure_m    gap    sun  green    red   edge    NIR  CPU s  peak GiB  ratio"
 
 
-def measure(side: float, voxel: float, structure: float | None) -> dict[str, Any]:
+def measure(side: float, voxel: float, structure: Any) -> dict[str, Any]:
     import equinox as eqx
     import jax
     import jax.numpy as jnp
@@ -81,7 +81,7 @@ def main() -> None:
         first = first or row["cpu"]
         figures = " ".join(f"{value:6.4f}" for value in row["figures"])
         print(
-            f"{setting[0]:7g} {setting[1] or '-':>11} {figures} {row['cpu']:6.2f} "
+            f"{setting[0]:7g} {setting[1]:>11} {figures} {row['cpu']:6.2f} "
             f"{row['peak']:9.2f} {row['cpu'] / first:6.2f}",
             flush=True,
         )

@@ -29,6 +29,7 @@ PLOT = """[plot]
 name = "Small"
 size_m = 1.0
 voxel_m = 0.1
+structure_m = "even"
 boundary = "periodic"
 species_table = "species.csv"
 [sun]

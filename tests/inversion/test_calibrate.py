@@ -22,6 +22,7 @@ from fynjax.scene import (
     GroundParameters,
     LightParameters,
     Placement,
+    PlantingRules,
     PlotParameters,
     SceneSpecies,
     SpeciesParameters,
@@ -79,7 +80,8 @@ def twin():
     """Truth by name, and the calibration from a start (and prior) 30 % off, either way."""
     real = truth()
     species = [SceneSpecies(taxon, form) for taxon, form in zip(TAXA, FORMS, strict=True)]
-    scene = build_scene(species, real, extent=(6.0, 6.0), voxel=0.1, seed=11)
+    rules = PlantingRules(structure="even")
+    scene = build_scene(species, real, extent=(6.0, 6.0), voxel=0.1, seed=11, rules=rules)
     camera = aim(scene, real, shipped_sensor("mavic_3m"), Placement(50.0, 0.05))
     view = ImageView(IMAGE_STATISTICS, camera)
     image = np.asarray(eqx.filter_jit(view.observe)(scene, real)[0])

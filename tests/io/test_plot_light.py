@@ -26,7 +26,7 @@ def plot(tmp_path):
     path = tmp_path / "plot" / "plot.toml"
     text = path.read_text(encoding="utf-8")
     text = text.replace("size_m = 10.0 ", "size_m = 1.0 ").replace(
-        "voxel_m = 0.1 ", "voxel_m = 0.5 "
+        "voxel_m = 0.1 ", 'structure_m = "even"\nvoxel_m = 0.5 '
     )
     (tmp_path / "plot" / "pattern.csv").write_text(PATTERN, encoding="utf-8")
     text = text.replace("# pattern =", "pattern =").replace("# rpv =", "rpv =")

@@ -19,6 +19,7 @@ HEAD = """
 [plot]
 size_m = 2.0
 voxel_m = 0.2
+structure_m = "even"
 """
 SPECIES = """taxon,mean_diameter_cm,cover_percent,height_max_m,growth_form
 Restio eleocharis,30,15,0.5,tussock
@@ -99,7 +100,7 @@ def test_place_and_time_give_the_sun(tmp_path):
         with pytest.raises(InputError, match=words) as caught:
             plot(tmp_path, f"[sun]\n{where}time = {time}\n")
         assert caught.value.column == "sun.time"
-        assert caught.value.row == 8
+        assert caught.value.row == 9
     with pytest.raises(InputError, match="zenith_deg, or place and time, but got both"):
         plot(tmp_path, f"[sun]\nzenith_deg = 20\n{where}time = 2017-11-08T18:42:29Z\n")
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import rasterio
 
+from fynjax._core.errors import InputError
 from fynjax.jobs import render, simulate
 from tests.helpers import compilations
 from tests.jobs import test_simulate
@@ -25,3 +26,25 @@ def test_another_seed_compiles_nothing(job, tmp_path):
     assert programs[0]
     assert programs[1] == []
     assert not np.array_equal(*images)
+
+
+def test_an_interrupted_large_image_goes_on(tmp_path, monkeypatch):
+    """Tiles that the checkpoint keeps are not made again; it is of one plot and seed."""
+    plot, made = test_simulate.write_plot(tmp_path), []
+
+    def tiles(camera, scene, parameters, *, keep, progress):
+        def step():
+            made.append(len(made))
+            return (np.full((len(camera.sensor.bands), *camera.shape), 0.2),)
+
+        (image,) = keep(step)
+        return image
+
+    monkeypatch.setattr("fynjax.jobs._render.is_large", lambda camera: True)
+    monkeypatch.setattr("fynjax.jobs._render.observe_in_tiles", tiles)
+    for _ in range(2):
+        result = render(plot, tmp_path / "out", checkpoint=tmp_path / "kept")
+        assert result.statistics[0].before == pytest.approx(0.2)
+    assert made == [0]
+    with pytest.raises(InputError, match="of another run"):
+        render(plot, tmp_path / "out", seed=1, checkpoint=tmp_path / "kept")

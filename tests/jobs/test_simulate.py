@@ -21,6 +21,7 @@ PLOT = """
 name = "small"
 size_m = 2.0
 voxel_m = 0.2
+structure_m = "even"
 probability_map = "map.tif"
 [sensor]
 path = "camera.toml"

@@ -19,7 +19,7 @@ from fynjax.radiation import (
     nadir_rays,
     parallel_rays,
     reflectance_factor,
-    render_tiles,
+    render,
     solve_light,
     voxel_scene,
 )
@@ -346,43 +346,32 @@ def centres(count, pixel=0.1):
     return (np.arange(count) + 0.5) * pixel
 
 
-@pytest.mark.parametrize(("rows", "columns"), [(240, 240), (240, 360)])
-def test_a_grid_too_large_is_refused_before_it_is_tried(monkeypatch, rows, columns):
-    monkeypatch.setattr("fynjax.radiation._check._memory", lambda: 2**28)
-    scene = plain(area_density=np.ones((1, 10, rows, columns)))
-    with pytest.raises(
-        InputError, match=rf"10 x {rows} x {columns} voxels in 2 bands needs about .* GiB.*"
-    ) as e:
-        solve_light(scene)
-    tile, rim = (int(re.search(rf"`{name}=(\d+)`", str(e.value))[1]) for name in ("tile", "rim"))
-    # The sun at 30 degrees, and twice the height; even.
-    assert rim == 2 * math.ceil(10 * (math.tan(math.radians(30.0)) + 2) / 2)
-    assert rows % tile == columns % tile == 0
-    edge = tile + 2 * rim
-    assert f"{edge} x {edge} voxels are solved at once" in str(e.value)
-    # What it says fits, counting the rim; the next tile that divides the grid does not.
-    check = lambda edge: check_fit(scene, Accuracy(), edge)  # noqa: E731
-    check(edge)
-    common = math.gcd(rows, columns)
-    larger = min(t for t in range(tile + 2, common + 1, 2) if common % t == 0)
-    with pytest.raises(InputError, match="GiB"):
-        check(larger + 2 * rim)
-    view = parallel_rays(*(centres(n) for n in (columns, rows)), 0.1, 0.0, 0.0)
-    with pytest.raises(InputError, match=rf"{larger + 2 * rim} voxels in 2 bands.*tile={tile}"):
-        render_tiles(scene, view, tile=larger, rim=rim)
-
-
 @pytest.mark.parametrize(
-    ("shape", "memory", "advice"),
+    ("memory", "advice"),
     [
-        ((10, 241, 241), 2**28, "no tile that divides its 241 x 241 columns fits.*crop"),
-        ((10, 240, 240), 2**22, "not even a tile with its rim of 26 voxels fits"),
+        (2**27, r"`Accuracy\(cell=(\S+), refine=False\)`; about .* minutes of one core"),
+        (2**25, "voxels 3 times as large it would fit"),
+        (2**14, "take larger voxels, a smaller scene or fewer bands"),
     ],
 )
-def test_a_grid_too_large_for_tiles(monkeypatch, shape, memory, advice):
+def test_a_grid_too_large_is_refused_before_it_is_tried(monkeypatch, memory, advice):
     monkeypatch.setattr("fynjax.radiation._check._memory", lambda: memory)
-    with pytest.raises(InputError, match=advice):
-        solve_light(plain(area_density=np.ones((1, *shape))))
+    scene = plain(area_density=np.ones((1, 10, 240, 240)))
+    with pytest.raises(
+        InputError, match=rf"10 x 240 x 240 voxels in 2 bands needs about .* GiB.*{advice}"
+    ) as error:
+        solve_light(scene)
+    if advised := re.search(r"cell=([0-9.]+)", str(error.value)):
+        check_fit(scene, Accuracy(cell=float(advised[1]), refine=False))
+        check_fit(plain(area_density=np.ones((1, 4, 80, 80))), Accuracy())
+
+
+def test_a_picture_too_large_is_refused(monkeypatch):
+    scene = plain(area_density=np.zeros((1, 2, 4, 4)), sky=0.3)
+    light = solver(Accuracy(levels=1, azimuths=2))(scene)
+    monkeypatch.setattr("fynjax.radiation._check._memory", lambda: 2**24)
+    with pytest.raises(InputError, match=r"1000000 pixels.*in tiles"):
+        render(light, parallel_rays(*[centres(1000, 0.01)] * 2, 0.01, 0.0, 0.0))
 
 
 def test_an_empty_grid_is_the_bare_ground():

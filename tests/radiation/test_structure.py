@@ -16,6 +16,7 @@ from fynjax.radiation import (
     render,
     render_tiles,
     solve_light,
+    tile_picture,
     voxel_scene,
 )
 from fynjax.radiation._resample import axis_weights, nearest_cells, sample, sample_near
@@ -126,12 +127,11 @@ def test_an_even_structure_changes_nothing(changes):
 
 def test_tiles_cut_the_structure_where_they_cut_the_voxels():
     _, structured = scene_of(shrubs(16, 2), zenith=20.0)
-    rays = fine_rays(structured)
-    whole, tiles = (
-        gap_and_sun(structured, rays)[0],
-        render_tiles(structured, rays, FAST, tile=8, rim=4).gap,
-    )
-    np.testing.assert_allclose(tiles, whole, rtol=1e-6)
+    light, rays = jax.jit(lambda s: solve_light(s, FAST))(structured), fine_rays(structured)
+    tiling = tile_picture(light, rays, 16)
+    show = jax.jit(lambda at: (render_tiles(at, rays, tiling).total, render(at, rays).total))
+    tiles, whole = show(light)
+    np.testing.assert_allclose(tiles, whole, rtol=1e-9)
 
 
 @pytest.mark.parametrize("boundary", ["periodic", "open"])

@@ -5,61 +5,93 @@ import subprocess
 import sys
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.radiation import Accuracy, parallel_rays, render, render_tiles, solve_light
+from fynjax.radiation import (
+    Accuracy,
+    nadir_rays,
+    parallel_rays,
+    render,
+    render_tiles,
+    solve_light,
+    tile_picture,
+)
 from tests.radiation.scenes import patchy
 
-ACCURACY = Accuracy(levels=1, refine=False, margin=6)
+ACCURACY = Accuracy(levels=1, azimuths=4, refine=False, margin=6)
 SCENE = {"shape": (4, 24, 24), "sky": (0.2, 0.1)}
 
 
-def rays():
-    x = (jnp.arange(24) + 0.5) * 0.1
-    return parallel_rays(x, x, 0.1, jnp.array(10.0), jnp.array(40.0))
+X = (jnp.arange(24) + 0.5) * 0.1
+RAYS = nadir_rays(X, X, 0.1, (1.0, 1.3, 3.0))
+
+
+@pytest.fixture(scope="module")
+def repeated():
+    """Light of a scene that repeats itself."""
+    return jax.jit(lambda s: solve_light(s, ACCURACY))(patchy(**SCENE))
 
 
 def test_tiles_make_the_same_picture():
-    """A rim of three times the height leaves 0.3 % RMS of the mean; a rim of nothing, far more."""
+    """Of ten pixels, which do not divide the 24; from so low that rays cross several voxels, over
+    an open hill. The derivative of their brightness in the depth of the shade is that of
+    differences."""
     scene = patchy("open", **SCENE)
-    whole = np.asarray(jax.jit(lambda s: render(solve_light(s, ACCURACY), rays()).total)(scene))
-    errors = {}
-    for rim in (0, 12):
-        tiled = jax.jit(
-            lambda s, rim=rim: render_tiles(s, rays(), ACCURACY, tile=12, rim=rim).total
-        )
-        error = np.asarray(tiled(scene)) - whole
-        errors[rim] = np.sqrt((error**2).mean(axis=(1, 2))) / whole.mean(axis=(1, 2))
-    print(errors)
-    assert np.all(errors[12] < 0.004)
-    assert np.all(errors[0] > 5 * errors[12])
+    hill = 0.02 * jnp.hypot(*jnp.mgrid[-12:12, -12:12])
+    scene = eqx.tree_at(lambda s: s.terrain, scene, hill, is_leaf=lambda v: v is None)
+    light = jax.jit(lambda s: solve_light(s, ACCURACY))(scene)
+    tiling = tile_picture(light, RAYS, 10)
+    assert tiling.shape == (3, 3)
+    assert tiling.pixels(0, 2) == (slice(0, 10), slice(14, 24))
+
+    def tiles(by):
+        deeper = eqx.tree_at(lambda at: at.sun.depth, light, light.sun.depth * (1.0 + by))
+        made = render_tiles(deeper, RAYS, tiling)
+        return jnp.sum(made.total**2), made
+
+    tiles = jax.jit(jax.value_and_grad(tiles, has_aux=True))
+    (_, made), slope = tiles(0.0)
+    whole = jax.jit(lambda at: render(at, RAYS))(light)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12), made, whole)
+    difference = (tiles(1e-6)[0][0] - tiles(-1e-6)[0][0]) / 2e-6
+    assert float(slope) == pytest.approx(float(difference), rel=1e-4)
 
 
-def test_tiles_that_do_not_fit():
-    scene = patchy(**SCENE)
-    with pytest.raises(InputError, match=r"`tile`.* 7 .*24 voxels along y"):
-        render_tiles(scene, rays(), ACCURACY, tile=7)
-    x = (jnp.arange(25) + 0.5) * 0.1
-    with pytest.raises(InputError, match=r"25 along y .*2 tiles"):
-        render_tiles(scene, parallel_rays(x, x, 0.1, 0.0, 0.0), ACCURACY, tile=12, rim=4)
+def test_a_scene_that_repeats_itself_has_no_edge(repeated):
+    """Pixels beyond the scene are those of its other side."""
+    shown = jax.jit(lambda at, rays, tiling: render_tiles(at, rays, tiling).total, static_argnums=2)
+    here, there = (
+        shown(repeated, rays, tile_picture(repeated, rays))
+        for rays in (parallel_rays(X + by, X, 0.1, 30.0, 40.0) for by in (0.0, -2.4))
+    )
+    np.testing.assert_allclose(there, here, rtol=1e-9)
+
+
+def test_what_has_no_tiles(repeated):
+    reduced = eqx.tree_at(lambda at: at.diffuse, repeated, None)
+    with pytest.raises(InputError, match="render fewer bands at once"):
+        tile_picture(reduced, RAYS)
+    with pytest.raises(InputError, match="outside the transformation"):
+        jax.eval_shape(lambda at: render_tiles(at, RAYS), repeated)
 
 
 DEVICES = """
 import jax, jax.numpy as jnp, numpy as np
 jax.config.update("jax_enable_x64", True)
-from fynjax.radiation import render_tiles
+from fynjax.radiation import render_tiles, solve_light, tile_picture
 from tests.radiation.scenes import patchy
-from tests.radiation.test_tiles import ACCURACY, SCENE, rays
+from tests.radiation.test_tiles import ACCURACY, RAYS, SCENE
 assert len(jax.devices()) == 4
-HOW = {"accuracy": ACCURACY, "tile": 12, "rim": 4}
 mesh = jax.make_mesh((4,), ("tile",))
-scene = patchy(**SCENE)
+light = jax.jit(lambda s: solve_light(s, ACCURACY))(patchy(**SCENE))
+tiling = tile_picture(light, RAYS, 12)
 one, four = (
-    np.asarray(jax.jit(lambda s, m=m: render_tiles(s, rays(), mesh=m, **HOW).total)(scene))
+    np.asarray(jax.jit(lambda at, m=m: render_tiles(at, RAYS, tiling, mesh=m).total)(light))
     for m in (None, mesh)
 )
 np.testing.assert_allclose(four, one, rtol=1e-10)

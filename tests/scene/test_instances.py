@@ -21,7 +21,7 @@ from fynjax.scene import (
 )
 from tests.scene.plots import densities, small_parameters, small_plot
 
-PLOT = read_plot(example_folder() / "plot.toml")
+PLOT = dataclasses.replace(read_plot(example_folder() / "plot.toml"), structure_m="even")
 TABLE = table1_2006()
 
 

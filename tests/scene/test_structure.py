@@ -29,7 +29,7 @@ def test_gap_and_image_do_not_depend_on_the_voxel():
     parameters = small_parameters()
     filled, coarse, fine, limit = (
         np.asarray(image(small_plot(voxel=voxel, structure=structure), parameters))
-        for voxel, structure in ((0.1, None), (0.1, 0.025), (0.05, 0.025), (0.1, 0.0125))
+        for voxel, structure in ((0.1, "even"), (0.1, None), (0.05, 0.025), (0.1, 0.0125))
     )
     np.testing.assert_allclose(coarse, fine, rtol=2e-3)
     np.testing.assert_allclose(coarse, limit, rtol=0.015)
@@ -73,9 +73,18 @@ def test_the_drones_camera_sees_single_crowns_sharper():
     assert float(structured[3].std()) > 1.05 * float(even[3].std())
 
 
-@pytest.mark.parametrize(("voxel", "structure"), [(0.1, 0.02), (0.04, 0.025), (0.08, 0.025)])
-def test_other_voxels_hold_the_same_area(voxel, structure):
+@pytest.mark.parametrize(
+    ("voxel", "structure", "finer", "tuft"),
+    [
+        (0.1, 0.02, 5, 0.04),
+        (0.04, 0.025, 2, 0.04),
+        (0.08, None, 4, 0.04),
+        (0.4, None, 4, 0.05),
+    ],
+)
+def test_other_voxels_hold_the_same_area(voxel, structure, finer, tuft):
     scene, parameters = small_plot(voxel=voxel, structure=structure), small_parameters()
+    assert (scene.finer, scene.tuft) == (finer, pytest.approx(tuft))
     voxels = scene.voxels(parameters, shipped_sensor("mavic_3m").bands)
     fine = float(voxels.structure.mean()) * voxels.height
     plot = scene.area_density(parameters)
@@ -83,8 +92,6 @@ def test_other_voxels_hold_the_same_area(voxel, structure):
     assert fine == pytest.approx(whole, rel=1e-9)
 
 
-def test_tufts_must_go_with_the_voxels():
+def test_a_structure_needs_an_edge():
     with pytest.raises(InputError, match="positive lengths"):
         small_plot(structure=-0.1)
-    with pytest.raises(InputError, match="no finest voxels"):
-        small_plot(structure=0.025, tuft=0.0317)

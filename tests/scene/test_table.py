@@ -33,7 +33,7 @@ TABLE = [
 
 @pytest.fixture(scope="module")
 def built():
-    return Scene.from_table(TABLE, size_m=2.0, seed=3)
+    return Scene.from_table(TABLE, size_m=2.0, structure_m="even", seed=3)
 
 
 def test_a_table_gives_the_scene_and_the_image_of_its_plot_file(built, tmp_path):

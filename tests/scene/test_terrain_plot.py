@@ -20,6 +20,7 @@ TOML = """
 [plot]
 size_m = 3.0
 voxel_m = 0.1
+structure_m = "even"
 boundary = "open"
 {line}
 [sun]

@@ -90,7 +90,7 @@ def test_a_plot_looks_as_it_does_when_rendered_alone(
 
     output, _ = result
     file = read_plot(output / "plots" / "A1" / "plot.toml")
-    file = replace(file, size_m=(2.0, 2.0), voxel_m=0.25, softness=0.0)
+    file = replace(file, size_m=(2.0, 2.0), voxel_m=0.25, structure_m="even", softness=0.0)
     bands = BandSet(("a", "b"), (670.0, 860.0), (5.8, 5.8))
     seen = []
     for seed in range(6):

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,9 +201,9 @@ class Plot:
     """East-west and north-south side [m]; a whole number of voxels."""
     voxel_m: float
     """Side of a voxel [m]."""
-    structure_m: float | None
-    """Largest side of the voxels on which sun and sight follow the plants [m]; `None`: leaves fill
-    the plot's voxels evenly."""
+    structure_m: float | Literal["even"] | None
+    """Largest side of the voxels on which sun and sight follow the plants [m], or "even", as
+    `fynjax.scene.PlantingRules` has it."""
     boundary: str
     """'periodic' or 'open'."""
     species: tuple[Species, ...]

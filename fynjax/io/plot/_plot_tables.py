@@ -31,13 +31,12 @@ class PlotTable(Strict):
         json_schema_extra={"unit": "m"},
     )
     voxel_m: float = number("Side of a voxel", "m", default=0.1, ge=0.01, le=2)
-    structure_m: float | None = number(
-        "Largest side of the voxels on which sun and sight follow the plants; left out: voxel_m, "
-        "which hides gaps",
-        "m",
+    structure_m: Annotated[float, Field(ge=0.005, le=2)] | Literal["even"] | None = Field(
         default=None,
-        ge=0.005,
-        le=2,
+        description="Largest side of the voxels on which sun and sight follow the plants [m]; left "
+        "out: a quarter of voxel_m, but not below 0.025; 'even': leaves fill the voxels of voxel_m "
+        "evenly, which hides gaps.",
+        json_schema_extra={"unit": "m"},
     )
     boundary: Literal["periodic", "open"] = Field(
         default="periodic",

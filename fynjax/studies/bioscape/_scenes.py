@@ -120,7 +120,7 @@ def _build(
         extent=(resolution.size_m, resolution.size_m),
         voxel=resolution.voxel_m,
         seed=seed,
-        rules=PlantingRules(room=room, softness=softness),
+        rules=PlantingRules(room=room, softness=softness, structure="even"),
     )
     return scene, parameters
 

@@ -1,0 +1,76 @@
+"""Plots too large to be rendered in one piece."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax._core.checkpoint import Journal
+from fynjax.errors import InputError
+from fynjax.radiation import Accuracy
+from fynjax.scene import is_large, observe_in_tiles, standing_scene
+from tests.scene.plots import drone, reflectance, small_parameters, small_plot
+
+LIGHT = Accuracy(lattice=1, sublayers=1, levels=1, azimuths=4, refine=False)
+
+
+def test_an_interrupted_image_in_tiles_goes_on_and_is_that_of_the_whole(tmp_path, monkeypatch):
+    scene, parameters = small_plot(), small_parameters()
+    aimed = drone(scene, LIGHT)
+    assert not is_large(aimed)
+    monkeypatch.setattr("fynjax.scene._large._MOST_RAYS", 16 * 16 - 1)
+    assert is_large(aimed)
+    whole = reflectance(aimed, scene, parameters)
+    journal, done = Journal(tmp_path, "this run"), 0
+
+    def keep(step):
+        nonlocal done
+        if done == 3:
+            raise KeyboardInterrupt
+        done += 1
+        return journal(step)
+
+    with pytest.raises(KeyboardInterrupt):
+        observe_in_tiles(aimed, scene, parameters, tile=10, keep=keep)
+    again, new = Journal(tmp_path, "this run"), []
+
+    def keep_again(step):
+        kept = again(step)
+        new.append(not again.repeating)
+        return kept
+
+    image = observe_in_tiles(aimed, scene, parameters, tile=10, keep=keep_again)
+    assert new == [False, False, False, True]
+    np.testing.assert_allclose(image, whole, rtol=1e-9)
+
+
+def test_a_light_that_does_not_fit_is_refused_before_plants_are_placed(monkeypatch):
+    scene = small_plot()
+    aimed = drone(scene, LIGHT)
+    monkeypatch.setattr("fynjax.radiation._check._memory", lambda: 2**16)
+    monkeypatch.setattr("fynjax.scene._large._voxels", None)
+    with pytest.raises(InputError, match="GiB"):
+        observe_in_tiles(aimed, scene, small_parameters())
+
+
+def test_elements_placed_part_by_part_make_the_same_voxels(monkeypatch):
+    """Whatever their number; so does what stands alone. The derivative is that of differences."""
+    scene, parameters = small_plot(), small_parameters()
+
+    def square(by):
+        cover = parameters.species.cover * (1.0 + by)
+        moved = eqx.tree_at(lambda p: p.species.cover, parameters, cover)
+        density = scene.area_density(moved)
+        return jnp.sum(density**2), density
+
+    _, whole = jax.jit(square)(0.0)
+    few = standing_scene(scene, parameters)
+    assert 0.3 < few.planting.plant.size / scene.planting.plant.size < 0.7
+    np.testing.assert_allclose(few.area_density(parameters), whole, rtol=1e-9, atol=1e-12)
+    monkeypatch.setattr("fynjax.scene._scene._AT_ONCE", scene.planting.plant.size // 3)
+    parts = jax.jit(jax.value_and_grad(square, has_aux=True))
+    (_, made), slope = parts(0.0)
+    np.testing.assert_allclose(made, whole, rtol=1e-9, atol=1e-12)
+    difference = (parts(1e-6)[0][0] - parts(-1e-6)[0][0]) / 2e-6
+    assert float(slope) == pytest.approx(float(difference), rel=1e-4)
