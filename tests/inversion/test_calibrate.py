@@ -111,12 +111,17 @@ def test_total_cover_comes_back(twin):
     place = [found.fit.names.index(n) for n in names]
     start = sum(float(v) for v in found.before.species.cover)
     assert start < total - 0.15
-    draw = np.random.default_rng(0)
-    draws = draw.multivariate_normal(found.fit.whitened, found.fit.covariance, 2000)
-    sums = jax.vmap(found.fit.space.physical)(draws)[:, place].sum(axis=1)
-    low, high = np.percentile(sums, [2.5, 97.5])
+
+    def interval(mean, covariance):
+        draws = np.random.default_rng(0).multivariate_normal(mean, covariance, 2000)
+        sums = jax.vmap(found.fit.space.physical)(draws)[:, place].sum(axis=1)
+        return np.percentile(sums, [2.5, 97.5])
+
+    low, high = interval(found.fit.whitened, found.fit.covariance)
     # Dead tissue, leaf area and litter can stand for some of the cover: the prior still pulls.
-    assert low < total < high < low + 0.2
+    assert low < total < high
+    free = len(found.fit.names)
+    assert high - low < 0.8 * np.ptp(interval(np.zeros(free), np.eye(free)))
     assert abs(found.fit.estimate[jnp.array(place)].sum() - total) < 0.3 * (total - start)
 
 
