@@ -1,8 +1,10 @@
 """Plant models of the growth forms of low-stature shrubland, drawn from parametric crowns.
 
-All shapes are stated assumptions, meant to be replaced by meshes (`plant_model_from_mesh`) where
-there are some. Positions are quasi-random (scrambled Halton points), so that a few dozen elements
-already cover a crown evenly. Lengths: x and y in crown diameters, z in plant heights.
+A crown is an envelope with an uneven outline, in which leaves stand in bunches at the ends of
+shoots; each seed is another individual. All shapes are stated assumptions, meant to be replaced by
+meshes (`plant_model_from_mesh`) where there are some. Positions are quasi-random (scrambled Halton
+points), so that a few dozen elements already cover a crown. Lengths: x and y in crown diameters, z
+in plant heights.
 """
 
 from dataclasses import dataclass
@@ -33,7 +35,8 @@ class Crown:
     height_power: float
     """Foliage density grows with height to this power; 0 is even."""
     shell_power: float
-    """Foliage density grows with the distance from the axis to this power; 0 is even."""
+    """Foliage density grows with the distance from the axis at `widest`, as a share of that of the
+    envelope, to this power; 0 is even."""
 
     def radius(self, height: np.ndarray) -> np.ndarray:
         below = np.clip((self.widest - height) / (self.widest - self.base), 0.0, 1.0)
@@ -47,8 +50,23 @@ class Crown:
         # Foliage at a height: its density times the area of the crown's cross-section.
         weight = self.radius(height) ** 2 * np.maximum(height, 1e-9) ** self.height_power
         z = _quantile(uniform[:, 0], height, weight)
-        distance = self.radius(z) * uniform[:, 1] ** (1.0 / (2.0 + self.shell_power))
-        return _around(distance, uniform[:, 2], z)
+        even = _around(self.radius(z) * np.sqrt(uniform[:, 1]), uniform[:, 2], z)
+        return self._outwards(even, max(self.base, lowest))
+
+    def _outwards(self, point: np.ndarray, lowest: float) -> np.ndarray:
+        """Points of an even crown, moved away from its middle as `shell_power` asks."""
+        middle = np.array([0.0, 0.0, max(self.widest, lowest)])
+        away = point - middle
+        inner, outer = np.ones(len(point)), np.full(len(point), 1e3)
+        for _ in range(40):  # how far the envelope is, in distances of the point
+            half = np.sqrt(inner * outer)
+            x, y, z = (middle + half[:, None] * away).T
+            inside = (z >= lowest) & (z <= 1.0)
+            inside &= np.hypot(x, y) <= self.radius(np.clip(z, self.base, 1.0))
+            inner, outer = np.where(inside, half, inner), np.where(inside, outer, half)
+        share = 1.0 / inner
+        further = share ** (3.0 / (3.0 + self.shell_power)) / share
+        return middle + further[:, None] * away
 
 
 @dataclass(frozen=True)
@@ -83,6 +101,26 @@ class Shoots:
 
 
 @dataclass(frozen=True)
+class Foliage:
+    """How leaves stand together in a crown, and how uneven the crown is. Assumptions, chosen for
+    the eye of a botanist and not fitted to anything."""
+
+    bunches: int
+    """Leafy shoots, or clumps of leaves, of a plant; an individual has 0.7 to 1.4 times as many."""
+    radius: float
+    """Of a bunch across its shoot, in crown diameters."""
+    length: float
+    """Of a bunch along its shoot, in plant heights."""
+    outline: float
+    """Variation of the outline: standard deviation over mean of the square of its distance from the
+    axis, which keeps its area."""
+    uneven: float
+    """Share of their height by which the lowest shoots stay below the others."""
+    bare: float
+    """Share of the shoots that bear no leaves: dead tops."""
+
+
+@dataclass(frozen=True)
 class FormDefaults:
     """What a growth form assumes where the user gives nothing. Assumptions, not measurements."""
 
@@ -113,30 +151,33 @@ class FormDefaults:
 FORM_DEFAULTS: dict[str, FormDefaults] = {
     "upright_ericoid": FormDefaults(
         2.5, 0.40, 0.05, 0.5, 0.40, "erectophile", 0.0015,
-        "Broom-like: crown widens upwards to 70 % of the height, foliage towards the top and the "
-        "outside on ascending shoots, small leaves pressed along them.",
+        "Broom-like: crown widens upwards to 70 % of the height, long ascending shoots of uneven "
+        "height with gaps between, small leaves pressed along them, flowers at their ends.",
     ),
     "rounded_shrub": FormDefaults(
         3.0, 0.50, 0.05, 0.4, 0.30, "spherical", 0.004,
-        "Dome resting near the ground, foliage in its outer shell, many fine stems.",
+        "Dome resting near the ground, foliage in many small tufts in its outer shell, many fine "
+        "stems.",
     ),
     "tussock": FormDefaults(
         2.0, 0.05, 0.03, 0.2, 0.45, "erectophile", 0.0024,
-        "Leafless green culms that fan out from a small base and arch over; counted as leaf. "
+        "Leafless green culms that fan out from a small base and arch over, some more than others, "
+        "longer to one side; counted as leaf. "
         "Dead stubs at the base are wood, spikelets at the tips are flowers.",
     ),
     "broad_leaved": FormDefaults(
         3.5, 0.50, 0.01, 0.2, 0.25, "plagiophile", 0.023,
-        "Ellipsoidal crown on a few stout stems, foliage in its outer shell, oblique leaves.",
+        "Ellipsoidal crown on a few stout stems, foliage in large clumps in its outer shell, "
+        "oblique leaves.",
     ),
     "climber": FormDefaults(
         1.5, 0.0, 0.0, 0.2, 0.30, "planophile", 0.0024,
-        "Shallow mat of green threads (counted as leaf) draped over the upper part of its height, "
-        "falling towards its rim; no wood and no visible flowers.",
+        "Shallow mat of green threads (counted as leaf) that wander over the upper part of its "
+        "height, with holes, falling towards its rim; no wood and no visible flowers.",
     ),
     "deadwood": FormDefaults(
         0.0, 0.80, 0.0, 0.0, 0.0, "spherical", 0.005,
-        "Bare stems and branches from the base, upright to leaning far outwards; wood only.",
+        "Bare stems from the base, forked above, upright to leaning far outwards; wood only.",
     ),
 }  # fmt: skip
 """Assumed areas and leaf angles of each growth form. Leaf area indices lie in the range of
@@ -149,7 +190,7 @@ shrub; outlines are taken for rectangles, culms and threads for strips. That of 
 assumed."""
 
 _CROWNS = {
-    "upright_ericoid": Crown(0.12, 0.70, 1.6, 2.5, height_power=1.0, shell_power=1.0),
+    "upright_ericoid": Crown(0.12, 0.70, 1.6, 2.5, height_power=2.0, shell_power=1.0),
     "rounded_shrub": Crown(0.0, 0.35, 2.5, 2.2, height_power=0.3, shell_power=1.5),
     "broad_leaved": Crown(0.12, 0.60, 2.0, 2.0, height_power=0.3, shell_power=1.5),
 }
@@ -160,7 +201,22 @@ _SHOOTS = {
     "broad_leaved": Shoots(8, 0.04, (0.10, 0.40), (0.60, 0.90), 1.5, 0.6),
     "deadwood": Shoots(12, 0.04, (0.05, 0.50), (0.25, 1.00), 1.0, 0.6),
 }
+_FOLIAGE = {
+    "upright_ericoid": Foliage(34, 0.085, 0.45, outline=0.40, uneven=0.25, bare=0.08),
+    "rounded_shrub": Foliage(70, 0.085, 0.18, outline=0.30, uneven=0.12, bare=0.03),
+    "broad_leaved": Foliage(24, 0.15, 0.24, outline=0.45, uneven=0.15, bare=0.05),
+    "tussock": Foliage(48, 0.0, 0.0, outline=0.45, uneven=0.0, bare=0.0),
+    "climber": Foliage(20, 0.03, 0.0, outline=0.60, uneven=0.0, bare=0.0),
+    "deadwood": Foliage(12, 0.0, 0.0, outline=0.45, uneven=0.0, bare=0.0),
+}
+_LOBES = 5
+"""Waves round the axis of which an outline is made: the first shifts it to a side, the second makes
+it longer than wide, the others are lobes."""
+_LEAST_REACH = 0.15
+"""Least square of an outline's distance from the axis, over its mean."""
 _FLOWERS_ABOVE = 0.75
+_FLOWERING = 0.8
+"""Flowers stand beyond this part of a bunch's half length."""
 _SHARE = {Organ.LEAF: 0.75, Organ.WOOD: 0.17, Organ.FLOWER: 0.08}
 
 
@@ -175,7 +231,9 @@ def plant_model(form: str, n_elements: int, *, seed: int) -> PlantModel:
       are leaf, 17 % wood and 8 % flower, whatever their areas: the areas come with `instantiate`.
     - `seed`: the same seed gives the same plant.
 
-    Leaf normals follow the form's leaf angle distribution, those of stems and culms are
+    The outline of the crown departs from a circle by lobes, and has its area. Leaves stand in
+    bunches at the ends of shoots, with gaps between; some shoots are bare. Flowers stand on the
+    highest. Leaf normals follow the form's leaf angle distribution, those of stems and culms are
     perpendicular to them, flowers are planophile. Azimuths are uniform.
 
     **Returns:** a `PlantModel`. Its shape is fixed: there is nothing to differentiate in.
@@ -200,11 +258,12 @@ def plant_model(form: str, n_elements: int, *, seed: int) -> PlantModel:
         Organ.FLOWER: defaults.flower_fraction > 0.0,
     }
     counts = split_elements(n_elements, {organ: _SHARE[organ] for organ in Organ if bears[organ]})
+    plant = _individual(form, seed, max(counts.get(Organ.LEAF, 1), 1))
     positions, normals = [], []
     for organ, count in counts.items():
         # Own stream for each organ: the leaves stay where they are if the stems change.
         uniform = quasi_random(count, 6, [seed, int(organ)])
-        position, normal = _ELEMENTS[organ](form, uniform, seed)
+        position, normal = _ELEMENTS[organ](form, uniform, seed, plant)
         positions.append(position)
         normals.append(normal)
     return build_plant(
@@ -242,27 +301,154 @@ def quasi_random(count: int, dimensions: int, seed: int | list[int]) -> np.ndarr
     return qmc.Halton(dimensions, scramble=True, rng=np.random.default_rng(seed)).random(count)
 
 
-def _leaf_elements(form: str, uniform: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+@dataclass(frozen=True)
+class _Individual:
+    """What the organs of one plant share: its outline and where its shoots end."""
+
+    reach: np.ndarray
+    """Distance of the outline from the axis over even parts of a full turn, in crown radii."""
+    centre: np.ndarray
+    """Middles of the bunches [bunch, 3]."""
+    along: np.ndarray
+    """Half of a bunch along its shoot [bunch, 3]."""
+    leafy: np.ndarray
+    """Share of the leaves of each bunch; 0 of bare shoots."""
+
+    def outline(self, turn: np.ndarray) -> np.ndarray:
+        """Distance of the outline in parts of a full turn, in crown radii."""
+        place = np.linspace(0.0, 1.0, len(self.reach) + 1)
+        return np.interp(turn % 1.0, place, np.append(self.reach, self.reach[0]))
+
+    def widened(self, position: np.ndarray) -> np.ndarray:
+        """Points of a round crown in the plant's own outline."""
+        turn = np.arctan2(position[:, 1], position[:, 0]) / (2.0 * np.pi)
+        return position * np.stack([self.outline(turn)] * 2 + [np.ones(len(turn))], axis=-1)
+
+
+def _outline(variation: float, rng: np.random.Generator) -> np.ndarray:
+    """Distance of an outline from the axis over even parts of a full turn, in crown radii.
+
+    The mean of its square is 1, so that the area is that of the circle.
+    """
+    turn = 2.0 * np.pi * np.arange(_QUANTILES) / _QUANTILES
+    waves = np.arange(1, _LOBES + 1)
+    size = variation * rng.rayleigh(1.0, _LOBES) / np.sqrt(waves * np.sum(1.0 / waves))
+    phase = rng.uniform(0.0, 2.0 * np.pi, _LOBES)
+    square = 1.0 + np.sum(size * np.cos(np.outer(turn, waves) + phase), axis=1)
+    square = np.maximum(square, _LEAST_REACH)
+    return np.sqrt(square / square.mean())
+
+
+def _individual(form: str, seed: int, most_bunches: int) -> _Individual:
+    foliage = _FOLIAGE[form]
+    rng = np.random.default_rng([seed, len(Organ) + 1])
+    reach = _outline(foliage.outline, rng)
+    number = max(1, min(round(foliage.bunches * rng.uniform(0.7, 1.4)), most_bunches))
+    if form not in _CROWNS:
+        nothing = np.zeros((number, 3))
+        return _Individual(reach, nothing, nothing, np.full(number, 1.0 / number))
+    centre = _CROWNS[form].points(quasi_random(number, 3, [seed, len(Organ) + 2]))
+    lower = 1.0 - foliage.uneven * rng.random(number) ** 2
+    highest = np.argmax(centre[:, 2])  # it makes the height of the plant
+    lower[highest] = 1.0
+    # Along its shoot, which rises from the foot of the plant and bends outwards.
+    direction = centre.copy()
+    direction[:, 2] = np.maximum(centre[:, 2], 0.5)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    along = 0.5 * foliage.length * direction
+    centre[:, :2] *= 1.0 - 1.6 * foliage.radius
+    rise = along[:, 2]
+    centre[:, 2] = np.clip(centre[:, 2], rise, 1.0 - rise) * lower
+    leafy = np.exp(0.3 * rng.standard_normal(number))
+    bare = rng.random(number) < foliage.bare
+    bare[highest] = False
+    leafy[bare] = 0.0
+    plant = _Individual(reach, centre, along, leafy / leafy.sum())
+    return _Individual(reach, plant.widened(centre), along, plant.leafy)
+
+
+def _leaf_elements(
+    form: str, uniform: np.ndarray, seed: int, plant: _Individual
+) -> tuple[np.ndarray, np.ndarray]:
     if form == "tussock":
-        return _along_shoots(_SHOOTS[form], uniform, seed)
+        position, normal = _along_shoots(form, uniform, seed)
+        return plant.widened(position), normal
     normal = _normals(uniform[:, 3:5], FORM_DEFAULTS[form].leaf_angle)
     if form == "climber":
-        distance = 0.5 * np.sqrt(uniform[:, 1])
-        surface = 1.0 - 0.35 * (2.0 * distance) ** 2
-        return _around(distance, uniform[:, 2], surface - 0.25 * uniform[:, 0]), normal
-    return _CROWNS[form].points(uniform), normal
+        return plant.widened(_threads(uniform, seed, len(plant.leafy))), normal
+    return _in_bunches(uniform, plant, plant.leafy, _FOLIAGE[form].radius), normal
 
 
-def _wood_elements(form: str, uniform: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    upto = 0.3 if form == "tussock" else 1.0
-    return _along_shoots(_SHOOTS[form], uniform, seed, (0.0, upto))
+def _in_bunches(
+    uniform: np.ndarray,
+    plant: _Individual,
+    share: np.ndarray,
+    radius: float,
+    lowest: float = -1.0,
+) -> np.ndarray:
+    """Points in bunches that have the `share` of them, for uniform numbers [n, 6]; above `lowest`
+    of their half lengths."""
+    bunch = np.searchsorted(np.cumsum(share), uniform[:, 0] * share.sum(), side="right")
+    bunch = np.minimum(bunch, len(share) - 1)
+    # Even in an ellipsoid: its cross-section falls as 1 - part^2 to both ends.
+    ends = np.linspace(lowest, 1.0, _QUANTILES)
+    part = _quantile(uniform[:, 5], ends, 1.0 - ends**2)
+    distance = radius * np.sqrt((1.0 - part**2) * uniform[:, 1])
+    aside = _around(distance, uniform[:, 2], np.zeros(len(uniform)))
+    position = plant.centre[bunch] + plant.along[bunch] * part[:, None] + aside
+    position[:, 2] = np.clip(position[:, 2], 0.0, 1.0)
+    return position
 
 
-def _flower_elements(form: str, uniform: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def _threads(uniform: np.ndarray, seed: int, number: int) -> np.ndarray:
+    """Points along threads that wander over a mat, which falls towards its rim."""
+    rng = np.random.default_rng([seed, len(Organ) + 3])
+    steps = 64
+    place = 0.5 * np.sqrt(rng.random(number)) * np.exp(2j * np.pi * rng.random(number))
+    heading = 2.0 * np.pi * rng.random(number)
+    paths = np.empty((number, steps), complex)
+    for step in range(steps):
+        paths[:, step] = place
+        heading += rng.normal(0.0, 0.25, number)
+        # At the rim a thread turns back to the middle.
+        home = np.angle(np.exp(1j * (np.angle(-place) - heading)))
+        heading += np.where(np.abs(place) > 0.42, 0.5 * home, 0.0)
+        place = place + 0.02 * np.exp(1j * heading)
+        place *= np.minimum(1.0, 0.5 / np.maximum(np.abs(place), 1e-9))
+    at = uniform[:, 1] * (steps - 1)
+    low = np.minimum(at.astype(int), steps - 2)
+    thread = np.minimum((uniform[:, 0] * number).astype(int), number - 1)
+    point = paths[thread, low] + (at - low) * (paths[thread, low + 1] - paths[thread, low])
+    radius = _FOLIAGE["climber"].radius
+    point = point + radius * np.sqrt(uniform[:, 5]) * np.exp(2j * np.pi * uniform[:, 2])
+    point *= np.minimum(1.0, 0.5 / np.maximum(np.abs(point), 1e-9))
+    level = 1.0 - 0.35 * (2.0 * np.abs(point)) ** 2 - 0.25 * rng.random(number)[thread]
+    return np.stack([point.real, point.imag, level], axis=-1)
+
+
+def _wood_elements(
+    form: str, uniform: np.ndarray, seed: int, plant: _Individual
+) -> tuple[np.ndarray, np.ndarray]:
+    if form in _CROWNS:
+        return _along_stems(form, uniform, plant)
+    position, normal = _along_shoots(form, uniform, seed, (0.0, 0.3 if form == "tussock" else 1.0))
+    if form == "deadwood":
+        position = _forked(position, uniform, seed)
+    return plant.widened(position), normal
+
+
+def _flower_elements(
+    form: str, uniform: np.ndarray, seed: int, plant: _Individual
+) -> tuple[np.ndarray, np.ndarray]:
     if form == "tussock":
-        return _along_shoots(_SHOOTS[form], uniform, seed, (0.85, 1.0))
-    normal = _normals(uniform[:, 3:5], "planophile")
-    return _CROWNS[form].points(uniform, lowest=_FLOWERS_ABOVE), normal
+        position, normal = _along_shoots(form, uniform, seed, (0.85, 1.0))
+        return plant.widened(position), normal
+    # On the upper ends of the shoots that reach so high.
+    end = plant.centre[:, 2] + _FLOWERING * plant.along[:, 2]
+    high = (plant.leafy > 0.0) & (end >= min(_FLOWERS_ABOVE, end[plant.leafy > 0.0].max()))
+    radius = _FOLIAGE[form].radius
+    position = _in_bunches(uniform, plant, high.astype(float), radius, lowest=_FLOWERING)
+    return position, _normals(uniform[:, 3:5], "planophile")
 
 
 _ELEMENTS = {
@@ -272,24 +458,68 @@ _ELEMENTS = {
 }
 
 
-def _along_shoots(
-    shoots: Shoots, uniform: np.ndarray, seed: int, part: tuple[float, float] = (0.0, 1.0)
+def _along_stems(
+    form: str, uniform: np.ndarray, plant: _Individual
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Elements on the surfaces of shoots, between two relative heights of each shoot.
+    """Elements on stems that rise from the foot into the highest bunches."""
+    shoots = _SHOOTS[form]
+    ends = plant.centre[np.argsort(-plant.centre[:, 2])[: shoots.number]]
+    turn = np.arctan2(ends[:, 1], ends[:, 0]) / (2.0 * np.pi)
+    tip = np.hypot(ends[:, 0], ends[:, 1])
+    foot = np.minimum(shoots.base_radius, tip)
+    return _on_shoots(
+        shoots, (turn, foot, tip, ends[:, 2]), uniform, (0.0, 1.0), np.full(len(ends), shoots.arch)
+    )
+
+
+def _along_shoots(
+    form: str, uniform: np.ndarray, seed: int, part: tuple[float, float] = (0.0, 1.0)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Elements on shoots of a form, between two relative heights of each; some bend over more than
+    others."""
+    shoots = _SHOOTS[form]
+    bend = np.random.default_rng([seed, len(Organ) + 5]).uniform(0.6, 1.6, shoots.number)
+    return _on_shoots(shoots, shoots.draw(shoots.number, seed), uniform, part, shoots.arch * bend)
+
+
+def _forked(position: np.ndarray, uniform: np.ndarray, seed: int) -> np.ndarray:
+    """Deadwood whose upper parts lean aside as forks: each third of a stem's height its own way."""
+    rng = np.random.default_rng([seed, len(Organ) + 4])
+    turn = np.arctan2(position[:, 1], position[:, 0])
+    stem = np.unique(np.round(turn, 9), return_inverse=True)[1]
+    fork = (3.0 * uniform[:, 5]).astype(int)
+    bend = rng.normal(0.0, 0.22, (stem.max() + 1, 3))[stem, fork]
+    start = 0.35 + 0.3 * rng.random((stem.max() + 1, 3))[stem, fork]
+    aside = bend * np.maximum(position[:, 2] - start, 0.0)
+    moved = position.copy()
+    moved[:, 0] -= aside * np.sin(turn)
+    moved[:, 1] += aside * np.cos(turn)
+    return moved
+
+
+def _on_shoots(
+    shoots: Shoots,
+    drawn: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    uniform: np.ndarray,
+    part: tuple[float, float],
+    arch: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Elements on the surfaces of shoots as `Shoots.draw` has them, between two relative heights.
 
     A shoot's elements stand for half its surface, with normals all round it: from any side
     their projected area is the silhouette of a thin cylinder (Chen and Black 1992).
     """
-    turn, foot, tip, top = shoots.draw(shoots.number, seed)
-    shoot = np.minimum((uniform[:, 0] * shoots.number).astype(int), shoots.number - 1)
+    turn, foot, tip, top = drawn
+    shoot = np.minimum((uniform[:, 0] * len(turn)).astype(int), len(turn) - 1)
     along = np.linspace(part[0], part[1], _QUANTILES)
     s = _quantile(uniform[:, 1], along, 1.0 - shoots.thinning * along)
-    distance = foot[shoot] + (tip - foot)[shoot] * s**shoots.arch
+    arch = arch[shoot]
+    distance = foot[shoot] + (tip - foot)[shoot] * s**arch
     turn = turn[shoot]
     position = _around(distance, turn, top[shoot] * s)
 
     # The inclination of a shoot is that of a plant as tall as its crown is wide.
-    slope = (tip - foot)[shoot] * shoots.arch * s ** (shoots.arch - 1.0)
+    slope = (tip - foot)[shoot] * arch * s ** (arch - 1.0)
     radial = _around(np.ones(len(turn)), turn, np.zeros(len(turn)))
     tangent = radial * slope[:, None]
     tangent[:, 2] = top[shoot]

@@ -23,7 +23,8 @@ class PlantModel(eqx.Module):
     """
 
     position: Float[Array, "element 3"]
-    """x and y in crown diameters from the plant's axis (-0.5 to 0.5), z in plant heights (0-1)."""
+    """x and y in crown diameters from the plant's axis (lobes reach beyond 0.5), z in plant heights
+    (0-1)."""
     area_fraction: Float[Array, " element"]
     """Part of its organ's area that an element carries [-]; sums to 1 within each organ."""
     normal: Float[Array, "element 3"]

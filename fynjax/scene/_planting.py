@@ -2,8 +2,8 @@
 
 Turn and lean of a plant are fixed, so each of its area elements lies at site + diameter a +
 height b with fixed vectors a and b: all plants of all species are placed in one expression.
-Plants of one species share one shape. Only which part of it an element is gets stored; the
-vectors are computed where they are used, so that a plot of a million plants fits in memory.
+Each plant has one of a few shapes of its species. Only which part of it an element is gets stored;
+the vectors are computed where they are used, so that a plot of a million plants fits in memory.
 """
 
 from collections.abc import Sequence
@@ -24,6 +24,10 @@ from fynjax.canopy import (
     thin_plant,
     unit_shapes,
 )
+
+INDIVIDUALS = 8
+"""Shapes of a growth form among the plants of a species: their outlines, lobes and shoots differ,
+and each plant is turned. As few as are not told apart: memory holds the shapes."""
 
 
 class Planting(eqx.Module):
@@ -48,7 +52,7 @@ class Planting(eqx.Module):
     part: Int[Array, " element"]
     """Which element of `shapes` it is."""
     shapes: PlantModel
-    """The elements of one plant of each species that has plants, one species after the other."""
+    """The elements of the individuals of each species that has plants, one after the other."""
     shape_class: Int[Array, " part"]
     """Optical class of the elements of `shapes`."""
 
@@ -140,7 +144,7 @@ def draw_planting(
     - `wanted`: real number of plants of each [-], 0 or more.
     - `diameter`, `height`: mean crown diameter and greatest height of each [m].
     - `rotation_spread`: standard deviation of the plants' lean, of each [degrees].
-    - `models`: shape of the plants of each; None is that of the growth form.
+    - `models`: shape of the plants of each; None is up to `INDIVIDUALS` of the growth form.
     - `taxa`: names of the species, for errors.
     - `extent`: (east-west, north-south) sides of the plot [m].
     - `resolved`, `structured`: as `element_count` has them.
@@ -166,6 +170,7 @@ def draw_planting(
     shapes: list[PlantModel] = []
     plants: list[dict[str, np.ndarray]] = []
     elements: list[dict[str, np.ndarray]] = []
+    own: list[int] = []
     first = parts = 0
     for i, (form, places) in enumerate(zip(forms, sites)):
         n = len(places)
@@ -190,20 +195,23 @@ def draw_planting(
         number = element_count(diameter[i], height[i], resolved, structured=structured)
         model = models[i]
         if model is None:
-            shapes.append(plant_model(form, number, seed=seed + i))
+            seeds = np.random.default_rng([seed, 103, i]).integers(2**31, size=INDIVIDUALS)
+            several = [plant_model(form, number, seed=int(s)) for s in seeds[:n]]
         else:
-            shapes.append(thin_plant(model, number, seed=seed + i))
-        k = len(shapes[-1].organ)
+            several = [thin_plant(model, number, seed=seed + i)]
+        k = len(several[0].organ)
+        shape = np.arange(n, dtype=np.int32) % len(several)
         elements.append(
             {
                 "plant": np.repeat(np.arange(first, first + n, dtype=np.int32), k),
-                "part": np.tile(np.arange(parts, parts + k, dtype=np.int32), n),
+                "part": (parts + k * shape[:, None] + np.arange(k, dtype=np.int32)).ravel(),
             }
         )
-        first, parts = first + n, parts + k
+        shapes += several
+        own += [i] * len(several)
+        first, parts = first + n, parts + k * len(several)
     if not plants:
         return no_plants(dtype)
-    own = [i for i, places in enumerate(sites) if len(places)]
     whole, organs = _together(shapes, dtype)
     classes = np.concatenate([np.array(_classes(forms)[i])[organ] for i, organ in zip(own, organs)])
     return Planting(

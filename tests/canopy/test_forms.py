@@ -16,6 +16,7 @@ from fynjax.canopy import (
     plant_model,
     table1_2006,
 )
+from fynjax.canopy._forms import _outline
 
 FORMS = list(FORM_DEFAULTS)
 
@@ -31,7 +32,7 @@ def test_what_every_form_promises(form: str, n_elements: int) -> None:
     plant = plant_model(form, n_elements, seed=4)
     position, organ = np.asarray(plant.position), np.asarray(plant.organ)
     assert position.shape == (n_elements, 3)
-    assert np.hypot(position[:, 0], position[:, 1]).max() <= 0.5 + 1e-12
+    assert np.hypot(position[:, 0], position[:, 1]).max() <= 1.0
     assert position[:, 2].min() >= 0.0
     assert position[:, 2].max() <= 1.0
     np.testing.assert_allclose(np.linalg.norm(plant.normal, axis=1), 1.0, atol=1e-12)
@@ -64,27 +65,54 @@ def test_leaf_normals_project_as_their_distribution(form: str) -> None:
         assert g == pytest.approx(expected, rel=0.01)
 
 
-@pytest.mark.parametrize("form", ["upright_ericoid", "rounded_shrub", "broad_leaved", "climber"])
-def test_few_elements_cover_the_crown_evenly(form: str) -> None:
-    """Counts in 12 sectors scatter less than those of random points (variance = mean)."""
-    counts = []
-    for seed in range(20):
-        position, _ = arrays(plant_model(form, 48, seed=seed), Organ.LEAF)
+@pytest.mark.parametrize("form", FORMS)
+def test_individuals_differ_and_are_as_wide_and_high_as_stated(form: str) -> None:
+    """Mean of two horizontal extents is the diameter; sectors differ within a plant, not on the
+    mean of all. Few elements of a large crown tell the same as many."""
+    organ = Organ.WOOD if form == "deadwood" else Organ.LEAF
+    extents, sectors, reach = [], [], []
+    for seed in range(40):
+        position, _ = arrays(plant_model(form, 60 if seed % 2 else 800, seed=seed), organ)
+        if seed % 2 == 0:
+            extents.append(np.ptp(position[:, :2], axis=0).mean())
+            assert position[:, 2].max() > 0.9
         turn = np.arctan2(position[:, 1], position[:, 0]) / (2 * np.pi) + 0.5
-        counts.append(np.histogram(turn, 12, (0.0, 1.0))[0])
-    assert np.var(counts) < 0.5 * np.mean(counts)
+        sectors.append(np.histogram(turn, 6, (0.0, 1.0))[0] / len(turn))
+        distance = np.hypot(position[:, 0], position[:, 1])
+        reach.append([distance[(6 * turn).astype(int) % 6 == k].max(initial=0) for k in range(6)])
+    # Few stems of deadwood reach its rim.
+    assert np.mean(extents) == pytest.approx(1.0, abs=0.2 if form == "deadwood" else 0.1)
+    assert np.std(reach, axis=1).mean() > 0.04  # lobes: of discs it is 0.01
+    np.testing.assert_allclose(np.mean(sectors, axis=0), 1 / 6, atol=0.035)
 
 
-def test_crowns_fill_their_disc() -> None:
-    """Some leaf near the rim on all sides, so that the crown is as wide as the table says."""
-    for form in FORMS[:5]:
-        position, _ = arrays(plant_model(form, 2000, seed=0), Organ.LEAF)
-        reach = np.hypot(position[:, 0], position[:, 1])
-        sector = ((np.arctan2(position[:, 1], position[:, 0]) + np.pi) / (np.pi / 4)).astype(int)
-        widest = [reach[sector == s].max() for s in range(8)]
-        assert max(widest) > 0.45
-        assert min(widest) > (0.3 if form == "tussock" else 0.42)
-        assert position[:, 2].max() > 0.9
+def test_an_outline_has_the_area_of_its_circle() -> None:
+    for seed in range(5):
+        reach = _outline(0.5, np.random.default_rng(seed))
+        turn = 2 * np.pi * np.arange(len(reach) + 1) / len(reach)
+        x, y = (np.append(reach, reach[0]) * f(turn) for f in (np.cos, np.sin))
+        area = 0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])
+        assert area == pytest.approx(np.pi, rel=1e-3)
+        assert np.ptp(reach) > 0.3
+
+
+@pytest.mark.parametrize("form", ["upright_ericoid", "rounded_shrub", "broad_leaved"])
+def test_leaves_stand_in_bunches_with_gaps_between(form: str) -> None:
+    """Cells of an eighth of the crown that leaves cover from above: more empty ones inside the
+    circle than even leaves leave, and most of the crown covered."""
+    empty, even = [], []
+    rng = np.random.default_rng(0)
+    grid = (np.arange(12) + 0.5) / 12 - 0.5
+    inside = np.hypot(*np.meshgrid(grid, grid)) < 0.45
+    for seed in range(20):
+        position, _ = arrays(plant_model(form, 600, seed=seed), Organ.LEAF)
+        turn, distance = 2 * np.pi * rng.random(450), 0.5 * np.sqrt(rng.random(450))
+        disc = np.stack([distance * np.cos(turn), distance * np.sin(turn)], axis=-1)
+        for points, found in ((position, empty), (disc, even)):
+            cells = np.histogram2d(points[:, 0], points[:, 1], 12, [[-0.5, 0.5]] * 2)[0]
+            found.append((cells[inside] == 0).mean())
+    assert np.mean(even) < 0.03
+    assert 0.05 < np.mean(empty) < 0.4
 
 
 def test_forms_differ_as_described() -> None:

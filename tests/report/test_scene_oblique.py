@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from fynjax.report.figures._scene_oblique import View, _points, _relief, height_at
+from fynjax.report.figures._scene import element_points
+from fynjax.report.figures._scene_oblique import View, _relief, height_at
 from fynjax.scene import Instances
 
 EXTENT = (4.0, 2.0)
@@ -28,7 +29,7 @@ def on_a_slope() -> tuple[Instances, np.ndarray]:
 
 def test_plants_are_drawn_where_they_stand():
     plants, _ = on_a_slope()
-    place, _, _ = _points(plants, ["rounded_shrub"], View(EXTENT, 2.0), ["#1B7837"])
+    place, _, _ = element_points(plants, ["rounded_shrub"], ["#1B7837"], 300.0)
     for one, points in enumerate(np.split(place, 2)):
         low, high = points[:, 2].min(), points[:, 2].max()
         height = plants.height[one]

@@ -19,6 +19,7 @@ from fynjax.scene import (
     projected_cover,
     stand_realisation,
 )
+from fynjax.scene._planting import INDIVIDUALS
 from tests.scene.plots import densities, small_parameters, small_plot
 
 PLOT = dataclasses.replace(read_plot(example_folder() / "plot.toml"), structure_m="even")
@@ -215,3 +216,17 @@ def test_random_discs_cover_as_the_boolean_model_says() -> None:
 def test_bad_cells(cell: float, word: str) -> None:
     with pytest.raises(InputError, match=word):
         projected_cover(discs([1.0], [1.0], [1.0], [1.0], [0]), cell=cell)
+
+
+def test_plants_of_a_species_have_one_of_a_few_shapes_each() -> None:
+    """And each carries all of its organs' area, whichever shape it has."""
+    planting = small_plot().planting
+    plant, part = np.asarray(planting.plant), np.asarray(planting.part)
+    species, organ = np.asarray(planting.species), np.asarray(planting.organ)
+    first = part[np.searchsorted(plant, np.arange(len(species)))]
+    for one in range(3):
+        mine = first[species == one]
+        assert len(set(mine)) == min(len(mine), INDIVIDUALS)
+    sums = np.zeros((len(species), 3))
+    np.add.at(sums, (plant, organ), np.asarray(planting.fraction, float))
+    np.testing.assert_allclose(sums[sums > 0], 1.0, rtol=1e-6)

@@ -8,8 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from fynjax.canopy import Organ, plant_model, unit_shapes
 from fynjax.report.figures._style import style
-from fynjax.scene import Instances, crown_centres, projected_cover
+from fynjax.scene import Instances, projected_cover
 
 _PALETTE = (
     "#1B7837", "#E69F00", "#CC79A7", "#0072B2", "#A6D96A", "#D55E00", "#56B4E9",
@@ -17,8 +18,12 @@ _PALETTE = (
 )  # fmt: skip
 _DEAD = "#8A8378"
 _GROUND = "#E6DAC2"
-_LIGHT = np.array([-0.50, 0.50, 0.71])  # from the north-west, as maps have it
+BARK = "#5B4636"
+SUN = np.array([-0.45, 0.35, 0.82])
 _PIXELS = 1300
+_MOST_POINTS = 4_000_000
+_INDIVIDUALS = 8
+"""Shapes among the plants of a species, as a scene has them."""
 
 
 def species_colours(forms: Sequence[str]) -> list[str]:
@@ -40,13 +45,13 @@ def rgb(colour: str) -> Float[np.ndarray, "3"]:
 def plan_view(
     instances: Instances, forms: Sequence[str], *, periodic: bool, title: str = ""
 ) -> Figure:
-    """The crowns from straight above, the tallest on top, each species in its colour.
+    """The plants from straight above as clouds of their area elements, each species in its colour.
 
     **Arguments:** `instances`, the plants; `forms`, growth form of each species; `periodic`,
     whether the plot repeats itself beyond its edges; `title` of the figure.
 
-    The legend gives the plants of each species and the share of the ground over which it is the
-    tallest.
+    The legend gives the plants of each species and the share of the ground over which its crown,
+    taken for a disc, is the tallest.
     """
     lx, ly = instances.extent
     cell = _cell(instances.extent, _PIXELS)
@@ -56,7 +61,7 @@ def plan_view(
         figure = Figure(figsize=(9.8, 6.6 * min(max(ly / lx, 0.4), 1.6) + 0.3))
         axes = figure.subplots()
         axes.imshow(
-            _domes(cover.top, instances, colours, cell, periodic),
+            _from_above(instances, forms, colours, cell, periodic),
             origin="lower",
             extent=(0, lx, 0, ly),
             interpolation="antialiased",
@@ -77,32 +82,89 @@ def _cell(extent: tuple[float, float], pixels: int) -> float:
     return 0.01
 
 
-def _domes(
-    top: np.ndarray, instances: Instances, colours: Sequence[str], cell: float, periodic: bool
+def _from_above(
+    instances: Instances, forms: Sequence[str], colours: Sequence[str], cell: float, periodic: bool
 ) -> np.ndarray:
-    """Crowns as domes in the sun, over bare ground: [y, x, 3]."""
-    ny, nx = top.shape
+    """Area elements of the plants over bare ground, the highest on top: [y, x, 3]."""
+    lx, ly = instances.extent
+    nx, ny = round(lx / cell), round(ly / cell)
     image = np.broadcast_to(rgb(_GROUND), (ny, nx, 3)).copy()
-    row, column = np.nonzero(top >= 0)
-    plant = top[row, column]
-    x, y = crown_centres(instances)
-    radius = instances.diameter[plant] / 2.0
-    offset = []
-    for place, centre, count in ((column, x, nx), (row, y, ny)):
-        away = (place + 0.5) * cell - centre[plant]
-        if periodic:
-            away -= count * cell * np.round(away / (count * cell))
-        offset.append(away / radius)
-    east, north = offset
-    distance = np.minimum(east**2 + north**2, 1.0)
-    normal = np.stack([0.9 * east, 0.9 * north, np.ones_like(east)], axis=-1)
-    facing = normal @ _LIGHT / np.linalg.norm(normal, axis=-1)
-    light = (0.50 + 0.66 * np.clip(facing, 0.0, 1.0)) * (1.0 - 0.30 * distance**6)
-    # Plants of one species that touch stay apart for the eye.
-    shade = 0.92 + 0.16 * np.random.default_rng(0).random(len(instances))
-    colour = np.array([rgb(c) for c in colours])[instances.species[plant]]
-    image[row, column] = np.clip(colour * (light * shade[plant])[:, None], 0.0, 1.0)
-    return image
+    if len(instances):
+        place, tint, width = element_points(instances, forms, colours, 1.0 / cell)
+        flat = place[:, :2] / cell
+        paint_points(image, flat % [nx, ny] if periodic else flat, -place[:, 2], width / cell, tint)
+    return np.clip(image, 0.0, 1.0)
+
+
+def element_points(
+    instances: Instances, forms: Sequence[str], colours: Sequence[str], metre: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of all plants [m], their colours, and how wide each is drawn [m].
+
+    `metre` is the pixels of a metre in the picture. Plants are individuals of their forms.
+    """
+    rng = np.random.default_rng(0)
+    # As many points as hide what is behind them at two pixels each, if that is not too many.
+    wanted = np.clip(instances.diameter * instances.height * (metre / 2.0) ** 2, 10, 9000)
+    fewer = min(1.0, _MOST_POINTS / wanted.sum())
+    places, tints, widths = [], [], []
+    for species, form in enumerate(forms):
+        plants = np.flatnonzero(instances.species == species)
+        if len(plants) == 0:
+            continue
+        number = max(8, int(fewer * wanted[plants].mean()))
+        for individual in range(min(len(plants), _INDIVIDUALS)):
+            mine = plants[individual::_INDIVIDUALS]
+            shape = plant_model(form, number, seed=_INDIVIDUALS * species + individual)
+            position = np.asarray(shape.position, np.float32)
+            per_diameter, per_height = unit_shapes(
+                position, instances.azimuth[mine], instances.tilt[mine]
+            )
+            diameter, height = instances.diameter[mine], instances.height[mine]
+            place = diameter[:, None, None] * per_diameter + height[:, None, None] * per_height
+            foot = np.stack([instances.x[mine], instances.y[mine], instances.z[mine]], axis=-1)
+            place = place + foot[:, None]
+            organ = np.asarray(shape.organ)
+            base = np.where((organ == Organ.WOOD)[:, None], rgb(BARK), rgb(colours[species]))
+            if form == "deadwood":
+                base = np.broadcast_to(rgb(colours[species]), base.shape)
+            facing = np.abs(np.asarray(shape.normal) @ SUN)
+            # Light fades into the crown: darker low down and near the axis.
+            inner = np.clip(2.0 * np.hypot(position[:, 0], position[:, 1]), 0.0, 1.0)
+            light = (0.34 + 0.5 * position[:, 2] + 0.16 * inner) * (0.72 + 0.4 * facing)
+            shade = 0.90 + 0.2 * rng.random((len(mine), 1, 1))
+            places.append(place.reshape(-1, 3).astype(np.float32))
+            tints.append((shade * (light[:, None] * base)).reshape(-1, 3).astype(np.float32))
+            gap = np.sqrt(diameter * height / number)
+            widths.append(np.repeat(0.8 * gap, number).astype(np.float32))
+    return np.concatenate(places), np.concatenate(tints), np.concatenate(widths)
+
+
+def paint_points(
+    image: np.ndarray, flat: np.ndarray, depth: np.ndarray, width: np.ndarray, tint: np.ndarray
+) -> None:
+    """Paint points of colours `tint` at columns and rows `flat` into `image`, the farthest first,
+    each a square `width` pixels wide."""
+    side = np.clip(np.round(width), 1, 5).astype(np.int32)
+    order = np.argsort(-depth, kind="stable")
+    flat, side, tint = flat[order], side[order], tint[order]
+    rows, columns = image.shape[:2]
+    corner = np.floor(flat - 0.5 * (side[:, None] - 1)).astype(np.int64)
+    owner, pixel = [], []
+    # All squares of a size at once would mix the order: number the points, sort once more.
+    for size in np.unique(side):
+        mine = np.flatnonzero(side == size)
+        step = np.arange(size)
+        down, across = (part.ravel() for part in np.meshgrid(step, step, indexing="ij"))
+        row, column = corner[mine, 1][:, None] + down, corner[mine, 0][:, None] + across
+        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        owner.append(np.broadcast_to(mine[:, None], row.shape)[inside])
+        pixel.append((row * columns + column)[inside])
+    who, where = np.concatenate(owner), np.concatenate(pixel)
+    nearest = np.full(rows * columns, -1, np.int64)
+    np.maximum.at(nearest, where, who)
+    drawn = nearest >= 0
+    image.reshape(-1, 3)[drawn] = tint[nearest[drawn]]
 
 
 def _north(axes: Axes) -> None:

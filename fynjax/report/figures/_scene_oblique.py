@@ -7,16 +7,20 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from scipy.ndimage import map_coordinates
 
-from fynjax.canopy import Organ, plant_model, unit_shapes
-from fynjax.report.figures._scene import _GROUND, _legend, rgb, species_colours
+from fynjax.report.figures._scene import (
+    _GROUND,
+    SUN,
+    _legend,
+    element_points,
+    paint_points,
+    rgb,
+    species_colours,
+)
 from fynjax.report.figures._style import style
 from fynjax.scene import Instances, projected_cover
 
 _WIDTH, _HEIGHT, _FINER = 1120, 840, 2
-_MOST_POINTS = 4_000_000
-BARK = "#5B4636"
 _SOIL = "#B08F68"
-SUN = np.array([-0.45, 0.35, 0.82])
 
 
 class View:
@@ -106,7 +110,8 @@ def oblique_view(
         if ground is not None:
             parts.append(_relief(instances, view, ground, periodic))
         if len(instances):
-            parts.append(_points(instances, forms, view, colours))
+            metre = view.scale / float(np.linalg.norm(view.eye - view.target))
+            parts.append(element_points(instances, forms, colours, metre))
     if parts:
         _draw(image, view, *(np.concatenate(part) for part in zip(*parts, strict=True)))
     shape = (_HEIGHT, _FINER, _WIDTH, _FINER, 3)
@@ -222,71 +227,9 @@ def _relief(
     return place, tint, np.full(len(place), 2.0 * step, np.float32)
 
 
-def _points(
-    instances: Instances, forms: Sequence[str], view: View, colours: Sequence[str]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points of all plants, their colours, and how wide each is drawn [m]."""
-    rng = np.random.default_rng(0)
-    metre = view.scale / np.linalg.norm(view.eye - view.target)
-    # As many points as hide what is behind them at two pixels each, if that is not too many.
-    wanted = np.clip(instances.diameter * instances.height * (metre / 2.0) ** 2, 10, 4000)
-    fewer = min(1.0, _MOST_POINTS / wanted.sum())
-    places, tints, widths = [], [], []
-    for species, form in enumerate(forms):
-        mine = instances.species == species
-        if not mine.any():
-            continue
-        number = max(8, int(fewer * wanted[mine].mean()))
-        shape = plant_model(form, number, seed=species)
-        position = np.asarray(shape.position, np.float32)
-        per_diameter, per_height = unit_shapes(
-            position, instances.azimuth[mine], instances.tilt[mine]
-        )
-        diameter, height = instances.diameter[mine], instances.height[mine]
-        place = diameter[:, None, None] * per_diameter + height[:, None, None] * per_height
-        place[..., 0] += instances.x[mine, None]
-        place[..., 1] += instances.y[mine, None]
-        place[..., 2] += instances.z[mine, None]
-        organ = np.asarray(shape.organ)
-        base = np.where((organ == Organ.WOOD)[:, None], rgb(BARK), rgb(colours[species]))
-        if form == "deadwood":
-            base = np.broadcast_to(rgb(colours[species]), base.shape)
-        facing = np.abs(np.asarray(shape.normal) @ SUN)
-        # Light fades into the crown: darker low down and near the axis.
-        inner = np.clip(2.0 * np.hypot(position[:, 0], position[:, 1]), 0.0, 1.0)
-        light = (0.34 + 0.5 * position[:, 2] + 0.16 * inner) * (0.72 + 0.4 * facing)
-        shade = 0.90 + 0.2 * rng.random((mine.sum(), 1))
-        places.append(place.reshape(-1, 3).astype(np.float32))
-        tints.append(
-            (shade[..., None] * (light[:, None] * base)[None]).reshape(-1, 3).astype(np.float32)
-        )
-        gap = np.sqrt(diameter * height / number)
-        widths.append(np.repeat(0.8 * gap, number).astype(np.float32))
-    return np.concatenate(places), np.concatenate(tints), np.concatenate(widths)
-
-
 def _draw(
     image: np.ndarray, view: View, place: np.ndarray, tint: np.ndarray, width: np.ndarray
 ) -> None:
     """Paint points into `image`, the farthest first."""
     flat, depth = view.project(place)
-    side = np.clip(np.round(width * view.scale / depth), 1, 5).astype(np.int32)
-    order = np.argsort(-depth, kind="stable")
-    flat, side, tint = flat[order], side[order], tint[order]
-    rows, columns = image.shape[:2]
-    corner = np.floor(flat - 0.5 * (side[:, None] - 1)).astype(np.int64)
-    owner, pixel = [], []
-    # All squares of a size at once would mix the order: number the points, sort once more.
-    for size in np.unique(side):
-        mine = np.flatnonzero(side == size)
-        step = np.arange(size)
-        down, across = (part.ravel() for part in np.meshgrid(step, step, indexing="ij"))
-        row, column = corner[mine, 1][:, None] + down, corner[mine, 0][:, None] + across
-        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        owner.append(np.broadcast_to(mine[:, None], row.shape)[inside])
-        pixel.append((row * columns + column)[inside])
-    who, where = np.concatenate(owner), np.concatenate(pixel)
-    nearest = np.full(rows * columns, -1, np.int64)
-    np.maximum.at(nearest, where, who)
-    drawn = nearest >= 0
-    image.reshape(-1, 3)[drawn] = tint[nearest[drawn]]
+    paint_points(image, flat, depth, width * view.scale / depth, tint)

@@ -9,8 +9,8 @@ from jaxtyping import Float
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax.canopy import Organ, PlantMesh
-from fynjax.report.figures._scene import _GROUND, rgb, species_colours
-from fynjax.report.figures._scene_oblique import BARK, SUN, View, height_at
+from fynjax.report.figures._scene import _GROUND, BARK, SUN, rgb, species_colours
+from fynjax.report.figures._scene_oblique import View, height_at
 from fynjax.scene import Instances
 
 _MOST_TRIANGLES = 30_000_000
