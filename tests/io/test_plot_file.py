@@ -244,7 +244,7 @@ def test_a_wrong_leaf_row_is_named(folder, old, new, column, words):
 
 def test_a_missing_spectrum_names_table_row_and_neighbour(folder):
     (folder / "leaf_1.csv").write_text("x")
-    edit(folder / "leaves.csv", ",50,10,1.5,0.3,0.05,0.05,", ",,,,,,,leaf_2.csv")
+    edit(folder / "leaves.csv", ",50,10,1.5,0.03,0.05,0.05,", ",,,,,,,leaf_2.csv")
     with pytest.raises(InputError, match=r"'leaf_2.csv'.*Did you mean 'leaf_1.csv'") as caught:
         read_plot(folder / "plot.toml")
     assert caught.value.row == row_of(folder / "leaves.csv", "Restio")
