@@ -3,7 +3,7 @@
 By growth form: dead tissue of live shoots and leaf area index. Shared: leaf chemistry as factors on
 what tables and traits say, brightness of soil and of dead tissue. This was chosen before any
 left-out score was read. Dead tissue in shoots does not follow the dead cover of a plot: a slope for
-it lowered the marginal density of the 18 shared plots, and was dropped after scores were read.
+it lowered the marginal density of the 18 plots, and was dropped after scores were read.
 """
 
 from dataclasses import replace
