@@ -27,7 +27,7 @@ from fynjax.canopy import (
 
 INDIVIDUALS = 8
 """Shapes of a growth form among the plants of a species: their outlines, lobes and shoots differ,
-and each plant is turned. As few as are not told apart: memory holds the shapes."""
+and each plant is turned besides. Few, because memory holds them all."""
 
 
 class Planting(eqx.Module):

@@ -247,8 +247,8 @@ def surface_reflectance(
     else:
         around = _on_grid(atmosphere, surroundings, "surroundings")
         # Haze that lets no direct light up hides the pixel, though not its surroundings.
-        seen_directly = threshold * jnp.max(atmosphere.upward_transmittance)
-        clear &= atmosphere.upward_direct > seen_directly
+        least_direct = threshold * jnp.max(atmosphere.upward_transmittance)
+        clear &= atmosphere.upward_direct > least_direct
         scaled = jnp.where(clear, scaled, 0.0)
         coupled = scaled * (1.0 - atmosphere.spherical_albedo * around)
         upward = jnp.where(clear, atmosphere.upward_direct, 1.0)

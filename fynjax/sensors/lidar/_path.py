@@ -149,8 +149,7 @@ def trace_pencils(
     ground = scene.ground_map[0].ravel()[column] * cosine_in
     shape = scene.ground_shape
     if shape is not None:
-        factors = [shape.shape(-sight[None], sight[None])[0, 0, 0] for sight in towards]
-        ground = ground * jnp.stack(factors)
+        ground = ground * jax.vmap(lambda v: shape.shape(-v[None], v[None])[0, 0, 0])(towards)
     return PencilPaths(
         stop * length,
         send * length,
