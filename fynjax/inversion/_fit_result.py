@@ -28,7 +28,6 @@ class Data(eqx.Module):
     whitener: Float[Array, "statistic statistic"] | None = None
     """Makes errors that hang together independent, of unit size; without it they are."""
 
-    @eqx.filter_jit
     def with_scatter(self, deviations: Float[Array, "draw statistic"]) -> "Data":
         """The data with an error of the model added that moves all statistics together.
 
@@ -36,14 +35,8 @@ class Data(eqx.Module):
         it leaves to chance. Their second moments, shrunk half-way to the diagonal because
         draws are few, add to the variances.
         """
-        moments = deviations.T @ deviations / deviations.shape[0]
-        spread = jnp.diag(jnp.diagonal(moments))
-        known = jnp.diag(self.sd**2)
-        if self.whitener is not None:
-            known = jnp.linalg.inv(self.whitener.T @ self.whitener)
-        covariance = known + 0.5 * (moments + spread)
-        whitener = jnp.linalg.inv(jnp.linalg.cholesky(covariance))
-        return Data(self.names, self.value, jnp.sqrt(jnp.diagonal(covariance)), whitener)
+        sd, whitener = _scattered(self.sd, self.whitener, deviations)
+        return Data(self.names, self.value, sd, whitener)
 
     def whiten(self, misfit: Float[Array, " statistic *free"]) -> Float[Array, " statistic *free"]:
         """Misfits in units of the errors, independent of each other."""
@@ -58,6 +51,16 @@ class Data(eqx.Module):
         if bad.any():
             name = self.names[int(np.argmax(bad))]
             raise InputError(f"the target {name} must be finite and have a positive sd")
+
+
+@jax.jit
+def _scattered(sd: Array, whitener: Array | None, deviations: Array) -> tuple[Array, Array]:
+    """Standard deviations and whitener of errors `sd`, with the scatter of draws added."""
+    moments = deviations.T @ deviations / deviations.shape[0]
+    spread = jnp.diag(jnp.diagonal(moments))
+    known = jnp.diag(sd**2) if whitener is None else jnp.linalg.inv(whitener.T @ whitener)
+    covariance = known + 0.5 * (moments + spread)
+    return jnp.sqrt(jnp.diagonal(covariance)), jnp.linalg.inv(jnp.linalg.cholesky(covariance))
 
 
 class FitStatus(optx.RESULTS):

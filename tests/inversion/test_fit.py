@@ -323,6 +323,11 @@ def test_a_model_that_is_not_finite_ends_in_a_status():
     assert "not finite" in result.explanation
 
 
+def test_scatter_that_is_not_finite_is_refused():
+    with pytest.raises(InputError, match="must be finite"):
+        DATA.with_scatter(jnp.full((3, len(DATA.names)), jnp.nan))
+
+
 def test_scatter_adds_to_scatter():
     first, second = jnp.array([[0.4, 0.1, -0.2, 0.3]]), jnp.array([[0.0, 0.3, 0.1, 0.1]])
     both = DATA.with_scatter(first).with_scatter(second)

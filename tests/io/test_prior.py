@@ -78,6 +78,8 @@ def test_errors_between_wavelengths_are_no_smaller_than_at_them(prior) -> None:
         ("means = [0.3, ", "means = [", "A1"),
         ("wavelength_nm = [500", "wavelength_nm = [900", "rising"),
         ("    [1, 0.5, 0],", "    [1, 0.9, 0],", "symmetric"),
+        ("    [1, 0.5, 0],", "    [4, 0.5, 0],", "ones on its diagonal"),
+        ('name = "structure"', 'name = "chlorophyll"', "structure"),
         ("sd = [0.3, 0.2, 0.1]", "sd = [0.3, 0.2]", "3 standard deviations"),
         ("plots = 3", "plots = 0", "plots"),
     ],

@@ -92,7 +92,9 @@ class PriorFile(Strict):
     def _belongs_together(self) -> "PriorFile":
         names = [p.name for p in self.parameters]
         if set(names) != set(PRIOR_PARAMETERS) or len(set(names)) != len(names):
-            odd = sorted(set(names) ^ set(PRIOR_PARAMETERS)) or sorted(names)
+            odd = sorted(set(names) ^ set(PRIOR_PARAMETERS)) or [
+                n for n in names if names.count(n) > 1
+            ]
             raise ValueError(f"expected each known parameter once, but {odd[0]!r} is not so")
         for row in self.left_out:
             if len(row.means) != len(names):
@@ -114,8 +116,15 @@ class PriorFile(Strict):
         ):
             raise ValueError(f"expected {count} standard deviations and as many correlations each")
         matrix = np.asarray(self.error.correlation)
-        if not np.allclose(matrix, matrix.T, atol=1e-3) or np.linalg.eigvalsh(matrix)[0] < -1e-3:
-            raise ValueError("expected a symmetric correlation that is positive definite")
+        if not (
+            np.allclose(matrix, matrix.T, atol=1e-3)
+            and np.allclose(np.diagonal(matrix), 1.0, atol=1e-3)
+            and np.linalg.eigvalsh(matrix)[0] > -1e-3
+        ):
+            raise ValueError(
+                "expected a symmetric correlation with ones on its diagonal and no negative "
+                "eigenvalue"
+            )
         return self
 
 
@@ -143,7 +152,7 @@ class LearnedPrior:
         """Parameters of a plot (`PRIOR_PARAMETERS`) before its spectrum.
 
         **Arguments:** `plot`, its name. If the population was learned from it, its values are
-        those learned from all other plots.
+        those learned from all other plots; standard deviations and the error stay those of all.
         """
         names = [p.name for p in self.file.parameters]
         for row in self.file.left_out:
