@@ -23,6 +23,7 @@ from fynjax.scene import (
     AimedSensor,
     PlotParameters,
     Scene,
+    element_count,
     fitted_accuracy,
     named_values,
     stand_realisation,
@@ -267,18 +268,26 @@ def search_form(
 
     **Returns:** the scene, and the views of it.
     """
-    quick = coarser(scene)
+    quick = coarser(scene, parameters)
     fitted = fitted_accuracy(accuracy, quick, parameters)
     return quick, tuple(view.for_search(scene, fitted, stride) for view in views)
 
 
-def coarser(scene: Scene) -> Scene:
-    """The `scene` in layers of twice the thickness, where their number is even, evenly filled."""
+def coarser(scene: Scene, parameters: PlotParameters) -> Scene:
+    """The `scene` in layers of twice the thickness, where their number is even, evenly filled.
+
+    Its plants have no more area elements than such voxels resolve, in `parameters` of the plot.
+    """
     grid = scene.grid
     nx, ny, nz = grid.shape
     thick = 2 if nz % 2 == 0 else 1
+    sizes = zip(
+        np.asarray(parameters.species.diameter), np.asarray(parameters.species.height), strict=True
+    )
+    most = [element_count(d, h, grid.horizontal_size) for d, h in sizes]
     return dataclasses.replace(
         scene,
+        planting=scene.planting.thinned(most) if scene.finer else scene.planting,
         grid=VoxelGrid((nx, ny, nz // thick), grid.horizontal_size, thick * grid.vertical_size),
         finer=0,
     )

@@ -131,7 +131,7 @@ def sweep_sensors(
     fine = min(gsd)
     steps = _check(scene, len(sensor.bands), gsd, bands, noise, stand_realisations)
     progress = NullProgress() if progress is None else progress
-    quick = coarser(scene)
+    quick = coarser(scene, parameters)
     placement = dataclasses.replace(placement or Placement(), pixel=fine)
     plantings = [
         quick,

@@ -6,16 +6,19 @@ Each plant has one of a few shapes of its species. Only which part of it an elem
 the vectors are computed where they are used, so that a plot of a million plants fits in memory.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from fynjax.canopy import (
     FORM_DEFAULTS,
+    Organ,
     PlantModel,
     assign_sites,
     plant_model,
@@ -114,6 +117,43 @@ class Planting(eqx.Module):
             self.part[elements],
             self.shapes,
             self.shape_class,
+        )
+
+    def thinned(self, most: Sequence[int]) -> "Planting":
+        """The same plants with fewer area elements, which carry the same area.
+
+        **Arguments:**
+
+        - `most`: elements of a plant of each species, at most.
+
+        Not differentiable.
+        """
+        if not len(self.species):
+            return self
+        plant, part = np.asarray(self.plant), np.asarray(self.part)
+        owner, classes = np.asarray(self.species), np.asarray(self.shape_class)
+        whole = jax.tree.map(np.asarray, self.shapes)
+        count = np.bincount(plant, minlength=len(owner))
+        begin = part[np.cumsum(count) - count]  # a plant's elements are those of one whole shape
+        starts, one, which = np.unique(begin, return_index=True, return_inverse=True)
+        shapes: list[PlantModel] = []
+        of_class: list[np.ndarray] = []
+        for start, example in zip(starts, one, strict=True):
+            old = slice(start, start + count[example])
+            shape = jax.tree.map(lambda values, old=old: values[old], whole)
+            shapes.append(thin_plant(shape, most[owner[example]], seed=int(start)))
+            of_organ = np.zeros(len(Organ), classes.dtype)
+            of_organ[shape.organ] = classes[old]
+            of_class.append(of_organ[shapes[-1].organ])
+        size = np.array([len(c) for c in of_class])
+        first, left = (np.cumsum(size) - size)[which], size[which]
+        within = np.arange(left.sum()) - np.repeat(np.cumsum(left) - left, left)
+        return dataclasses.replace(
+            self,
+            plant=jnp.asarray(np.repeat(np.arange(len(owner)), left), self.plant.dtype),
+            part=jnp.asarray(np.repeat(first, left) + within, self.part.dtype),
+            shapes=jax.tree.map(lambda *parts: jnp.concatenate(parts), *shapes),
+            shape_class=jnp.asarray(np.concatenate(of_class)),
         )
 
 

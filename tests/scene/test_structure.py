@@ -1,5 +1,7 @@
 """Plants followed on voxels finer than those of the classes."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -71,6 +73,38 @@ def test_the_drones_camera_sees_single_crowns_sharper():
     )
     assert structured.shape == even.shape
     assert float(structured[3].std()) > 1.05 * float(even[3].std())
+
+
+def test_thinned_plants_carry_the_same_area():
+    scene, parameters = small_plot(structure=0.025), small_parameters()
+    most = [50 + 10 * i for i in range(len(scene.forms))]
+    thin = dataclasses.replace(scene, planting=scene.planting.thinned(most))
+    before, after = scene.planting, thin.planting
+    per_plant = np.bincount(after.plant, minlength=len(after.species))
+    assert (per_plant <= np.array(most)[after.species] + 1).all()
+    assert len(after.plant) < 0.5 * len(before.plant)
+
+    # Each plant keeps the shares of its organs, and its own shape.
+    classes = len(scene.forms) + 2
+    for planting in (before, after):
+        total = np.zeros((len(planting.species), classes))
+        np.add.at(total, (planting.plant, planting.optical_class), planting.fraction)
+        assert np.isin(np.round(total, 5), [0.0, 1.0]).all()
+    ((whole, _), (few, _)) = (
+        jax.tree.map(np.asarray, s._elements(parameters, s.planting)) for s in (scene, thin)
+    )
+    centres = [
+        np.stack([np.bincount(p.plant, p.fraction * xyz[:, i]) for i in range(3)])
+        for p, xyz in ((before, whole), (after, few))
+    ]
+    assert np.abs(centres[0] - centres[1]).mean() < 0.02
+    np.testing.assert_allclose(
+        thin.area_density(parameters).sum(axis=(1, 2, 3)),
+        scene.area_density(parameters).sum(axis=(1, 2, 3)),
+        rtol=1e-6,
+    )
+    same = scene.planting.thinned([10**6] * len(scene.forms))
+    assert eqx.tree_equal(same, scene.planting)
 
 
 @pytest.mark.parametrize(
