@@ -57,6 +57,14 @@ class Hyperprior:
     known: int = 0
     """The last so many statistics have the variances of `error`, uncorrelated with the others."""
 
+    def __post_init__(self) -> None:
+        free = len(self.error) - self.known
+        if np.any(self.error[:free, free:]) or np.any(self.error[free:, :free]):
+            raise ValueError(
+                f"expected an error whose last {self.known} statistics, of known variance, are "
+                "uncorrelated with the others, but some covariances are not 0"
+            )
+
 
 @dataclass(frozen=True)
 class Population:
@@ -99,10 +107,11 @@ def fit_population(
     **Raises:** `InputError` if JAX is limited to 32 bits.
     """
     require_double_precision("a population")
-    sd = prior.sd if start is None else start.sd
-    error = prior.error if start is None else start.error
     count, size = plots.residual.shape
     free = size - prior.known
+    sd, error = prior.sd, prior.error.copy()
+    if start is not None:
+        sd, error[:free, :free] = start.sd, start.error[:free, :free]
     history: list[float] = []
     while True:
         e = _expect(plots, prior, sd, error)

@@ -114,9 +114,20 @@ def test_a_statistic_of_known_error_keeps_it_and_informs() -> None:
     alone, both = fit_population(plots, PRIOR), fit_population(more, prior)
     assert both.error[-1, -1] == 1e-4
     assert np.all(both.error[-1, :-1] == 0.0)
+    # Nor can a start bring another.
+    spoilt = both.error.copy()
+    spoilt[-1, -1] = 1.0
+    assert fit_population(more, prior, replace(both, error=spoilt)).error[-1, -1] == 1e-4
     # Every plot says 0.3 within 0.01: the third parameter hardly differs between plots.
     assert both.sd[1] < 0.4 * alone.sd[1]
     assert both.mean[2] == pytest.approx(0.3, abs=0.02)
+
+
+def test_a_known_variance_is_of_a_statistic_by_itself() -> None:
+    error = np.eye(STATISTICS)
+    error[0, -1] = error[-1, 0] = 0.1
+    with pytest.raises(ValueError, match="last 1 statistics"):
+        replace(PRIOR, error=error, known=1)
 
 
 def test_a_plot_left_out_does_not_count() -> None:
