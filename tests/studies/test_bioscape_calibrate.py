@@ -19,6 +19,7 @@ from fynjax.inversion import (
     weigh_spectrum,
 )
 from fynjax.io.plot import read_plot
+from fynjax.scene import stand_area
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape import read_bioscape, write_plot_files
 from fynjax.studies.bioscape._assumed import MOST_WATER
@@ -164,21 +165,39 @@ def test_intervals_and_scores_by_hand(plots):
     space = prior_space(plots[0])
     covariance = np.eye(len(space.names)) * 0.04
     blank = np.zeros(2)
-    one = Estimate(space, np.zeros(len(space.names)), covariance, blank, blank, (1.0, 1.0), True)
+    slope = np.zeros((3, len(space.names)))
+    slope[0, :2], slope[2, 0] = (0.3, 0.4), 50.0
+    one = Estimate(
+        space, np.zeros(len(space.names)), covariance, blank, blank, (1.0, 1.0), True,
+        np.array([2.0, 0.5, 40.0]), slope,
+    )  # fmt: skip
     table = estimate_table(plots[:1], "x", [Reference(plots[0])], [one], field_values(plots[:1]))
     row = table[table["quantity"] == "leaf_mass_per_area"].iloc[0]
     mean = plots[0].weighted_mean("leaf_mass_per_area")
     assert row["estimate"] == pytest.approx(mean, rel=0.01)
     assert row["sd"] == pytest.approx(0.3 * 0.2 * mean, rel=0.05)
     assert row["constrained"] == pytest.approx(0.96)
+    assert row["verdict"] == ""
+    of = table.set_index("quantity")
+    # Live, dead and bare cover are those of the tables, and all of a plot.
+    covers = of.loc[["live_cover", "dead_cover", "bare_cover"], "prior"]
+    noted = [100 * v for v in (plots[0].live, plots[0].dead, plots[0].soil + plots[0].rock)]
+    np.testing.assert_allclose(covers, noted)
+    assert covers.sum() == pytest.approx(100.0)
+    # Of the scene: linear in the parameters, and within what is possible.
+    assert of.loc["leaf_area_index", "sd"] == pytest.approx(0.2 * np.hypot(0.3, 0.4), rel=0.05)
+    assert of.loc["leaf_area_index", "constrained"] == pytest.approx(0.96)
+    assert of.loc["dead_fraction", "verdict"] == "not constrained"  # nothing moves it
     scored = pd.DataFrame(
         {"plot": list("abc"), "predictor": "x", "quantity": "live_cover", "field": [1.0, 2.0, 3.0],
          "measured_share": [1.0, 1.0, 0.5], "estimate": [2.0, 3.0, 4.0],
-         "q025": [1.5, 1.0, 2.0], "q975": [2.5, 4.0, 5.0], "constrained": 0.5}
+         "q025": [1.5, 1.0, 2.0], "q975": [2.5, 4.0, 5.0], "q05": [1.6, 2.1, 2.0],
+         "q95": [2.4, 4.0, 5.0], "constrained": 0.5}
     )  # fmt: skip
     every, known = agreement(scored).to_dict("records")
     assert every["bias"] == every["rmse"] == every["correlation"] == pytest.approx(1.0)
     assert every["inside_95"] == pytest.approx(2 / 3)
+    assert every["inside_90"] == pytest.approx(1 / 3)
     assert known["count"] == 2
 
 
@@ -253,6 +272,19 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
     known = dict(zip(FREE, estimate.constrained))
     assert known["chlorophyll"] > 0.75
     assert abs(estimate.whitened[list(FREE).index("chlorophyll")] + 1.5) < 0.7
+
+    # The stand is that of `build` at the estimate, and its slopes those of differences.
+    def stand_at(u):
+        values = space.physical(jnp.asarray(u))
+        return np.asarray(predict.stand(values, models[0], parameters))
+
+    areas = stand_area(models[0], predict._plot(space.physical(estimate.whitened), parameters))
+    expected = [areas.leaf.sum(), areas.dead.sum() / (areas.leaf + areas.dead).sum()]
+    np.testing.assert_allclose(estimate.stand, [*expected, 100.0 * areas.gap], rtol=1e-4)
+    along = np.cos(np.arange(len(FREE)))
+    ends = [stand_at(estimate.whitened + step * along) for step in (0.02, -0.02)]
+    # A plant that begins to fade in between the two ends bends the gap by some per cent.
+    np.testing.assert_allclose(estimate.stand_slope @ along, (ends[0] - ends[1]) / 0.04, rtol=0.05)
 
     u = truth * 0.5
     density = replace(density, data=data, context=(models[0], parameters))

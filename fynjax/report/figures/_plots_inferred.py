@@ -32,7 +32,7 @@ def estimates_plot(
     colours = dict(zip(priors, _COLOURS))
     priors = [prior for prior in priors if (table["predictor"] == prior).any()]
     with style():
-        figure = Figure(figsize=(9.0, 0.5 + 2.9 * len(priors)))
+        figure = Figure(figsize=(3.0 * len(titles), 0.5 + 2.9 * len(priors)))
         grid = figure.subplots(len(priors), len(titles), squeeze=False)
         for row, prior in zip(grid, priors):
             for axes, (name, title) in zip(row, titles.items()):

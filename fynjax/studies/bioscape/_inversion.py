@@ -5,7 +5,7 @@ parameter moves all species of a plot together, by a factor on what its tables s
 """
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -97,6 +97,24 @@ class Reference:
         share = live / self.plot.live * (1.0 - np.exp(-self.crowns))
         return float(-np.log1p(-share) / self.crowns) if share < 1.0 else np.inf
 
+    def dead(self, values: Mapping[str, Any]) -> Any:
+        """Dead cover seen from above [-]: plants that stand dead, and litter where neither they
+        nor live ones cover the ground."""
+        standing = self._standing(values)
+        return standing + values["litter"] * self._open(values)
+
+    def bare(self, values: Mapping[str, Any]) -> Any:
+        """Soil and rock seen from above [-]."""
+        return (1.0 - values["litter"]) * self._open(values)
+
+    def _standing(self, values: Mapping[str, Any]) -> Any:
+        noted = self.plot.standing_dead * values["standing_dead"]
+        noted = noted + self.plot.dead_in_crowns * values["cover"]
+        return np.minimum(noted, 1.0 - self.live(values["cover"]))
+
+    def _open(self, values: Mapping[str, Any]) -> Any:
+        return 1.0 - self.live(values["cover"]) - self._standing(values)
+
     def leaf_mass(self, factor: Any) -> Any:
         """Leaf mass per projected area, weighted with cover [g m-2]."""
         mean = self.plot.weighted_mean("leaf_mass_per_area")
@@ -119,7 +137,18 @@ QUANTITIES: dict[str, tuple[str, str, str]] = {
     "leaf_mass_per_area": ("leaf_mass_per_area", "leaf mass per area", "g m-2"),
     "water_content": ("water_per_dry_matter", "water content", "% of fresh mass"),
 }
-"""Quantities that are estimated of a plot: parameter that each follows from, words, unit."""
+"""Quantities of a plot that follow from one parameter, of which other plots are a prior: the
+parameter, words, unit."""
+COVERS = {"dead_cover": ("dead cover", "%"), "bare_cover": ("bare cover", "%")}
+"""Quantities that follow from several parameters: words, unit."""
+STAND = {
+    "leaf_area_index": ("leaf area of the stand, live", "m2 m-2"),
+    "dead_fraction": ("dead tissue of the shoots", "-"),
+    "gap": ("ground seen from above", "%"),
+}
+"""Quantities of the planted scene: words, unit."""
+WORDS = {name: words for name, (_, *words) in QUANTITIES.items()} | COVERS | STAND
+"""Words and unit of each quantity that is estimated."""
 
 
 def quantity(reference: Reference, name: str, factor: Any) -> Any:
@@ -153,6 +182,21 @@ class PlotSpectrumForward(eqx.Module):
         parameters: PlotParameters,
     ) -> tuple[Float[Array, " band"], Float[Array, "band free"]]:
         return self.view.jacobian(scene, lambda u: self._plot(values_at(u), parameters), u)
+
+    def stand(
+        self, values: Float[Array, " free"], scene: Scene, parameters: PlotParameters
+    ) -> Float[Array, " quantity"]:
+        """What `STAND` names of the planted scene. Differentiable."""
+        plot = self._plot(values, parameters)
+        crowns = scene.crown_areas(plot) * scene.crown_share(plot)
+        ground = scene.grid.extent[0] * scene.grid.extent[1]
+        share = jnp.zeros(len(self.dead)).at[scene.planting.species].add(crowns / ground)
+        shoots = share * plot.species.leaf_area_index
+        dead = jnp.sum(shoots * plot.species.dead_fraction)
+        gap = scene.gap_fraction(plot)
+        return jnp.stack([shoots.sum() - dead, dead / shoots.sum(), 100.0 * gap]).astype(
+            values.dtype
+        )
 
     def _plot(self, values: Array, parameters: PlotParameters) -> PlotParameters:
         dead = np.asarray(self.dead)
@@ -311,20 +355,43 @@ class Estimate:
     misfit: tuple[float, float]
     """Root mean square of the whitened misfit before and after [-]."""
     converged: bool
+    stand: np.ndarray
+    """What `STAND` names, at the estimate."""
+    stand_slope: np.ndarray
+    """Its derivatives by the whitened parameters [quantity, free]."""
 
     @property
     def constrained(self) -> np.ndarray:
         """1 less posterior over prior variance [-]."""
         return 1.0 - np.diagonal(self.covariance)
 
-    def draws(self, name: str, count: int = 4000) -> np.ndarray:
-        """Draws of a parameter from the Gaussian about the estimate, in its unit."""
-        i = self.space.names.index(name)
-        normal = np.random.default_rng(61).normal(size=count)
-        u = self.whitened[i] + np.sqrt(self.covariance[i, i]) * normal
-        many = np.tile(self.whitened, (count, 1))
-        many[:, i] = u
-        return np.asarray(jax.vmap(self.space.physical)(jnp.asarray(many)))[:, i]
+    def draws(self, count: int = 4000) -> Float[np.ndarray, "draw free"]:
+        """Draws from the Gaussian about the estimate, whitened."""
+        random = np.random.default_rng(61)
+        return random.multivariate_normal(self.whitened, self.covariance, count, method="cholesky")
+
+    def quantity(
+        self, reference: Reference, name: str, u: Float[np.ndarray, "draw free"]
+    ) -> Float[np.ndarray, " draw"]:
+        """One of `WORDS` at whitened parameters; those of `STAND` linear about the estimate."""
+        if name in STAND:
+            k = list(STAND).index(name)
+            value = self.stand[k] + (u - self.whitened) @ self.stand_slope[k]
+            return np.clip(value, 0.0, {"gap": 100.0, "dead_fraction": 1.0}.get(name, np.inf))
+        at = np.asarray(jax.vmap(self.space.physical)(jnp.asarray(u)))
+        values = dict(zip(self.space.names, at.T, strict=True))
+        if name in QUANTITIES:
+            return quantity(reference, name, values[QUANTITIES[name][0]])
+        return 100.0 * (reference.dead if name == "dead_cover" else reference.bare)(values)
+
+    def removed(self, reference: Reference, name: str) -> float:
+        """Share of the prior variance of a quantity that the spectrum removes [-], linear about
+        the estimate; 0 where no free parameter moves it."""
+        step = 1e-3 * np.eye(len(self.whitened))
+        ends = [self.quantity(reference, name, self.whitened + sign * step) for sign in (1, -1)]
+        slope = ends[0] - ends[1]
+        prior = float(slope @ slope)
+        return 1.0 - float(slope @ self.covariance @ slope) / prior if prior > 0 else 0.0
 
 
 def infer_plot(
@@ -378,9 +445,27 @@ def infer_plot(
         return (
             result.whitened, scattered.covariance, prior_spectra[0], result.predicted,
             jnp.stack([jnp.sqrt(jnp.mean(r**2)) for r in rest]), jnp.asarray(result.converged),
+            *_stand(predict, space, result.whitened, scenes[0], parameters),
         )  # fmt: skip
 
-    u, covariance, before, after, misfit, converged = (np.asarray(a) for a in keep(do))
+    u, covariance, before, after, misfit, converged, stand, slope = map(np.asarray, keep(do))
     return Estimate(
-        space, u, covariance, before, after, (float(misfit[0]), float(misfit[1])), bool(converged)
-    )
+        space, u, covariance, before, after, (float(misfit[0]), float(misfit[1])), bool(converged),
+        stand, slope,
+    )  # fmt: skip
+
+
+@eqx.filter_jit
+def _stand(
+    predict: PlotSpectrumForward,
+    space: ParameterSpace,
+    u: Float[Array, " free"],
+    scene: Scene,
+    parameters: PlotParameters,
+) -> tuple[Float[Array, " quantity"], Float[Array, "quantity free"]]:
+    """What `STAND` names, and its derivatives by the whitened parameters."""
+
+    def at(u: Array) -> Array:
+        return predict.stand(space.physical(u), scene, parameters)
+
+    return at(u), jax.jacrev(at)(u)

@@ -8,7 +8,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from fynjax.compare import leave_one_out
-from fynjax.studies.bioscape._inversion import FREE, QUANTITIES, Estimate, Reference, quantity
+from fynjax.studies.bioscape._inversion import FREE, WORDS, Estimate, Reference
 from fynjax.studies.bioscape._plots import BioscapePlot
 
 TABLES_PRIOR, OTHERS_PRIOR, BIAS_CORRECTED = (
@@ -30,11 +30,20 @@ PREDICTORS = {
     MEAN: "the mean of the field's values over all other plots: knows nothing of the plot",
     REGRESSION: "partial least squares on the spectrum (BioSCape workshop). It was trained on "
     "plots of this peninsula, perhaps these, to means in which a species without a measured trait "
-    "counts as zero",
+    "counts as zero: much of its agreement with those (r 0.69) is with the share of cover that was "
+    "measured. Partial least squares on means over the measured species of the 18 plots, each left "
+    "out in turn, find r 0.35 to 0.47 for leaf mass per area, which follows the share of restios, "
+    "and nothing for water",
 }
 ENOUGH = 0.8
 """Share of the listed cover that must have a measured trait for the plot's mean to count as
 known [-] (Pakeman and Quested 2007, Applied Vegetation Science 10:91)."""
+
+
+CONSTRAINED, NOT_CONSTRAINED = 0.5, "not constrained"
+"""A quantity is constrained where the spectrum removes so much of its prior variance [-]; words of
+another."""
+_QUANTILES = {"estimate": 0.5, "q025": 0.025, "q05": 0.05, "q95": 0.95, "q975": 0.975}
 
 
 @dataclass(frozen=True)
@@ -42,15 +51,20 @@ class Field:
     """Measurements of the field, by plot."""
 
     value: dict[str, Float[np.ndarray, " plot"]]
-    """By name in `QUANTITIES`, in their units. Traits are means over the species measured."""
+    """By name in `WORDS`, in their units, of what was measured. Traits are means over the species
+    measured."""
     share: dict[str, Float[np.ndarray, " plot"]]
     """Share of the listed cover behind it [-]."""
 
 
 def field_values(plots: Sequence[BioscapePlot]) -> Field:
-    """Live cover and cover-weighted means of measured traits."""
-    value = {"live_cover": np.array([100.0 * p.live for p in plots])}
-    share = {"live_cover": np.ones(len(plots))}
+    """Covers as the crew noted them, and cover-weighted means of measured traits."""
+    value = {
+        "live_cover": np.array([100.0 * p.live for p in plots]),
+        "dead_cover": np.array([100.0 * p.dead for p in plots]),
+        "bare_cover": np.array([100.0 * (p.soil + p.rock) for p in plots]),
+    }
+    share = {name: np.ones(len(plots)) for name in value}
     for trait in ("leaf_mass_per_area", "water_content"):
         means = [_measured_mean(plot, trait) for plot in plots]
         value[trait], share[trait] = (np.array([mean[k] for mean in means]) for k in (0, 1))
@@ -86,25 +100,23 @@ def estimate_table(
     """Every quantity of every plot: field, prior, estimate and its interval."""
     rows = []
     for i, (plot, reference, fit) in enumerate(zip(plots, references, estimates)):
-        for name, (free, _, unit) in QUANTITIES.items():
-            k = fit.space.names.index(free)
-            draws = quantity(reference, name, fit.draws(free))
-            low, middle, high = np.quantile(draws, (0.025, 0.5, 0.975))
-            prior = quantity(reference, name, float(fit.space.prior[k]))
+        u = fit.draws()
+        for name, (_, unit) in WORDS.items():
+            draws = fit.quantity(reference, name, u)
+            removed = fit.removed(reference, name)
             rows.append(
                 {
                     "plot": plot.name,
                     "predictor": predictor,
                     "quantity": name,
                     "unit": unit,
-                    "field": field.value[name][i],
-                    "measured_share": field.share[name][i],
-                    "prior": prior,
-                    "estimate": middle,
+                    "field": field.value[name][i] if name in field.value else np.nan,
+                    "measured_share": field.share[name][i] if name in field.value else np.nan,
+                    "prior": fit.quantity(reference, name, np.zeros_like(u[:1]))[0],
                     "sd": draws.std(),
-                    "q025": low,
-                    "q975": high,
-                    "constrained": fit.constrained[k],
+                    **dict(zip(_QUANTILES, np.quantile(draws, list(_QUANTILES.values())))),
+                    "constrained": removed,
+                    "verdict": "" if removed >= CONSTRAINED else NOT_CONSTRAINED,
                 }
             )
     return pd.DataFrame(rows)
@@ -123,7 +135,7 @@ def simple_table(
                 "plot": list(plots),
                 "predictor": predictor,
                 "quantity": name,
-                "unit": QUANTITIES[name][2],
+                "unit": WORDS[name][1],
                 "field": field.value[name],
                 "measured_share": field.share[name],
                 "estimate": estimate,
@@ -146,7 +158,7 @@ def agreement(table: pd.DataFrame) -> pd.DataFrame:
                 continue
             x, y = chosen["field"].to_numpy(), chosen["estimate"].to_numpy()
             several = len(x) > 2 and np.ptp(x) > 0 and np.ptp(y) > 0
-            inside = (chosen["q025"] <= x) & (x <= chosen["q975"]) if "q025" in chosen else None
+            stated = "q025" in chosen and len(x) and np.isfinite(chosen["q025"]).all()
             rows.append(
                 {
                     "quantity": name,
@@ -156,13 +168,16 @@ def agreement(table: pd.DataFrame) -> pd.DataFrame:
                     "correlation": np.corrcoef(x, y)[0, 1] if several else np.nan,
                     "rmse": np.sqrt(np.mean((y - x) ** 2)) if len(x) else np.nan,
                     "bias": np.mean(y - x) if len(x) else np.nan,
-                    "inside_95": inside.mean()
-                    if inside is not None and np.isfinite(chosen["q025"]).all() and len(x)
-                    else np.nan,
+                    "inside_90": _inside(chosen, "q05", "q95") if stated else np.nan,
+                    "inside_95": _inside(chosen, "q025", "q975") if stated else np.nan,
                     "constrained": chosen["constrained"].mean() if len(x) else np.nan,
                 }
             )
     return pd.DataFrame(rows)
+
+
+def _inside(table: pd.DataFrame, low: str, high: str) -> float:
+    return float(((table[low] <= table["field"]) & (table["field"] <= table[high])).mean())
 
 
 def parameter_table(

@@ -12,11 +12,13 @@ from jaxtyping import Float
 from fynjax.jobs import JobResult, Rows, Run
 from fynjax.report.figures import estimates_plot, residuals_plot, shifts_plot
 from fynjax.report.pages import Page, Part, Picture, Section, Table
-from fynjax.studies.bioscape._inversion import MODEL_SD, QUANTITIES, Estimate
+from fynjax.studies.bioscape._inversion import MODEL_SD, WORDS, Estimate
 from fynjax.studies.bioscape._inversion_compare import (
     BIAS_CORRECTED,
+    CONSTRAINED,
     ENOUGH,
     MEAN,
+    NOT_CONSTRAINED,
     OTHERS_PRIOR,
     PREDICTORS,
     REGRESSION,
@@ -99,6 +101,7 @@ def write_findings(
     sections = [
         Section("", [" ".join(headline[1:])]),
         _field_section(table, score),
+        _stand_section(table, _best_prior(findings)),
         _shift_section(findings, parameters, shifts),
         Section("Plot by plot", [Table(table, "Every estimate", digits=3, folded=True)]),
         Section("How", _how(resolution, realisations)),
@@ -129,7 +132,8 @@ def write_findings(
 
 
 def _field_section(table: pd.DataFrame, score: pd.DataFrame) -> Section:
-    titles = {name: f"{words} [{unit}]" for name, (_, words, unit) in QUANTITIES.items()}
+    known = set(score["quantity"][score["count"] > 0])
+    titles = {name: f"{words} [{unit}]" for name, (words, unit) in WORDS.items() if name in known}
     figure = estimates_plot(
         table,
         titles,
@@ -138,11 +142,12 @@ def _field_section(table: pd.DataFrame, score: pd.DataFrame) -> Section:
         measured_share=ENOUGH,
     )
     scores = Table(
-        score.assign(quantity=[QUANTITIES[q][1] for q in score["quantity"]]),
+        score[score["count"] > 0].assign(quantity=lambda t: [WORDS[q][0] for q in t["quantity"]]),
         "Cover in %, leaf mass per area in g m-2, water in % of fresh mass.",
         headers={
             "correlation": "r",
             "rmse": "RMSE",
+            "inside_90": "inside 90 % interval",
             "inside_95": "inside 95 % interval",
             "constrained": "prior variance removed",
         },
@@ -159,6 +164,45 @@ def _field_section(table: pd.DataFrame, score: pd.DataFrame) -> Section:
     )
     predictors = " ".join(f"“{p}”: {PREDICTORS[p]}." for p in score["predictor"].unique())
     return Section("Against the field", [predictors, scores, picture])
+
+
+def _stand_section(table: pd.DataFrame, prior: str) -> Section:
+    """Every quantity of every plot with its interval, of one prior."""
+    chosen = table[table["predictor"] == prior]
+    rows = []
+    for plot, part in chosen.groupby("plot", sort=False):
+        row = {"plot": plot}
+        for one in part.to_dict("records"):
+            words, unit = WORDS[one["quantity"]]
+            text = f"{one['estimate']:.3g} ({one['q05']:.3g} to {one['q95']:.3g})"
+            row[f"{words} [{unit}]"] = text if not one["verdict"] else f"{text}, {one['verdict']}"
+        rows.append(row)
+    lines = [
+        f"By the {prior}: medians with 90 % intervals. “{NOT_CONSTRAINED.capitalize()}” where the "
+        f"spectrum removes less than {CONSTRAINED:.0%} of the prior variance, so that the interval "
+        "is mostly the prior's. Leaf area, dead tissue and ground seen are those of the planted "
+        "scene; no table has them.",
+        _verdicts(chosen),
+    ]
+    return Section("The stand of each plot", [*lines, Table(pd.DataFrame(rows), folded=True)])
+
+
+def _verdicts(chosen: pd.DataFrame) -> str:
+    """How many plots each quantity is constrained in."""
+    parts = []
+    for name, (words, _) in WORDS.items():
+        part = chosen[chosen["quantity"] == name]
+        known = int((part["verdict"] == "").sum())
+        parts.append(
+            f"{words} in {known} of {len(part)} plots ({part['constrained'].mean():.0%} of the "
+            "prior variance removed on average)"
+        )
+    return f"Constrained: {'; '.join(parts)}."
+
+
+def _best_prior(findings: Findings) -> str:
+    """The prior that knows most of the model."""
+    return next(p for p in (BIAS_CORRECTED, OTHERS_PRIOR, TABLES_PRIOR) if p in findings.estimates)
 
 
 def _shift_section(findings: Findings, parameters: pd.DataFrame, shifts: pd.DataFrame) -> Section:
@@ -197,19 +241,23 @@ def _shift_section(findings: Findings, parameters: pd.DataFrame, shifts: pd.Data
 
 def _headline(findings: Findings, score: pd.DataFrame) -> list[str]:
     lines = [f"{len(findings.plots)} plots, {findings.wavelength.size} bands."]
-    prior = next(p for p in (BIAS_CORRECTED, OTHERS_PRIOR, TABLES_PRIOR) if p in findings.estimates)
+    prior = _best_prior(findings)
     every = {
         (row["quantity"], row["predictor"]): row
         for row in score[score["plots"] == "all"].to_dict("records")
     }
-    for name, (_, words, unit) in QUANTITIES.items():
+    for name, (words, unit) in WORDS.items():
         score_of = every[name, prior]
+        if not score_of["count"]:
+            continue
         line = (
             f"{words[0].upper()}{words[1:]} by the {prior}: r {score_of['correlation']:.2f}, RMSE "
             f"{score_of['rmse']:.3g} {unit}, bias {score_of['bias']:+.3g}"
         )
         if (name, MEAN) in every:
             line += f" (mean of the other plots: RMSE {every[name, MEAN]['rmse']:.3g})"
+        if score_of["constrained"] < CONSTRAINED:
+            line += f"; {NOT_CONSTRAINED}"
         lines.append(line + ".")
     return lines
 
