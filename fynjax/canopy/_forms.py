@@ -122,7 +122,7 @@ class Foliage:
 
 @dataclass(frozen=True)
 class FormDefaults:
-    """What a growth form assumes where the user gives nothing. Assumptions, not measurements."""
+    """What a growth form has where the user gives nothing; see `FORM_DEFAULTS`."""
 
     leaf_area_index: float
     """One-sided area of leaves (or of green culms and threads) over the ground area of its crowns
@@ -150,28 +150,28 @@ class FormDefaults:
 
 FORM_DEFAULTS: dict[str, FormDefaults] = {
     "upright_ericoid": FormDefaults(
-        2.5, 0.40, 0.05, 0.5, 0.40, "erectophile", 0.0015,
+        4.9, 0.40, 0.05, 0.5, 0.54, "erectophile", 0.0015,
         "Broom-like: crown widens upwards to 70 % of the height, long ascending shoots of uneven "
         "height with gaps between, small leaves pressed along them, flowers at their ends.",
     ),
     "rounded_shrub": FormDefaults(
-        3.0, 0.50, 0.05, 0.4, 0.30, "spherical", 0.004,
+        4.7, 0.50, 0.05, 0.4, 0.51, "spherical", 0.004,
         "Dome resting near the ground, foliage in many small tufts in its outer shell, many fine "
         "stems.",
     ),
     "tussock": FormDefaults(
-        2.0, 0.05, 0.03, 0.2, 0.45, "erectophile", 0.0024,
+        4.9, 0.05, 0.03, 0.2, 0.66, "erectophile", 0.0024,
         "Leafless green culms that fan out from a small base and arch over, some more than others, "
         "longer to one side; counted as leaf. "
         "Dead stubs at the base are wood, spikelets at the tips are flowers.",
     ),
     "broad_leaved": FormDefaults(
-        3.5, 0.50, 0.01, 0.2, 0.25, "plagiophile", 0.023,
+        5.9, 0.50, 0.01, 0.2, 0.40, "plagiophile", 0.023,
         "Ellipsoidal crown on a few stout stems, foliage in large clumps in its outer shell, "
         "oblique leaves.",
     ),
     "climber": FormDefaults(
-        1.5, 0.0, 0.0, 0.2, 0.30, "planophile", 0.0024,
+        2.7, 0.0, 0.0, 0.2, 0.46, "planophile", 0.0024,
         "Shallow mat of green threads (counted as leaf) that wander over the upper part of its "
         "height, with holes, falling towards its rim; no wood and no visible flowers.",
     ),
@@ -180,11 +180,11 @@ FORM_DEFAULTS: dict[str, FormDefaults] = {
         "Bare stems from the base, forked above, upright to leaning far outwards; wood only.",
     ),
 }  # fmt: skip
-"""Assumed areas and leaf angles of each growth form. Leaf area indices lie in the range of
-0.5 to 4 that shrub crowns commonly show; all are starting values for a calibration. The shares of
-dead tissue are near those with which the spectra of 18 BioSCape plots agree best when each form has
-one value (0.43 in tussocks, 0.35 in ericoid, 0.25 in broad-leaved shrubs, 0.29 in domes); that of
-climbers is assumed. Leaf diameters are the means over the taxa of each form in
+"""Areas, dead tissue and leaf angles of each growth form: starting values for a calibration. Leaf
+area indices and shares of dead tissue are the means of the shipped prior, learned from the spectra
+of 18 BioSCape plots (`fynjax learn`), to two digits; its file has their errors and the spread
+between plots. Leaf area counts dead tissue: some half of it is green. Areas of wood, flowers,
+clumping and leaf angles are assumed. Leaf diameters are the means over the taxa of each form in
 `data/leaf_sizes.csv`, which has a source each, but for Clutia, whose leaves are those of no ericoid
 shrub; outlines are taken for rectangles, culms and threads for strips. That of deadwood is
 assumed."""

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from fynjax._core.errors import InputError
+from fynjax.cli._bioscape import SHIPPED, PriorFile
 from fynjax.cli._runtime import Json, Quiet, Seed, show
 
 Folder = Annotated[Path | None, typer.Argument(metavar="DIR", help="Folder to make.")]
@@ -24,6 +25,7 @@ def init(
             "are built on assumptions about recovery, which their files state.",
         ),
     ] = 2006,
+    prior: PriorFile = SHIPPED,
     seed: Seed = 0,
     json: Json = False,
     quiet: Quiet = False,
@@ -39,7 +41,7 @@ def init(
     if folder is not None and output is not None and folder != output:
         raise InputError(f"expected one folder, but got {str(folder)!r} and {str(output)!r}")
     target = folder or output or Path("fynjax_plot")
-    result = fynbos_2006.init(target, burnt=burnt, seed=seed)
+    result = fynbos_2006.init(target, burnt=burnt, prior=prior, seed=seed)
     if json:
         print(result.model_dump_json(indent=2))
     elif not quiet:

@@ -111,13 +111,13 @@ class SpeciesParameters(eqx.Module):
         unit="m2 m-2",
         lower=0.0,
         upper=20.0,
-        usual=(0.5, 4.0),
+        usual=(0.5, 6.0),
         relative_sd=0.3,
-        description="One-sided leaf area over the ground area of the crowns as seen from above: "
-        "where crowns overlap it counts once. Crowns are taken to stand at random, so that the "
-        "share (1 - product of (1 - a)) / sum of a of them is seen from above, with a the area of "
-        "each crown over that of the plot. Leaves at random would let a share exp(-20/2) = 5e-5 of "
-        "the light through at the upper bound.",
+        description="One-sided leaf area, dead tissue of the shoots included, over the ground area "
+        "of the crowns as seen from above: where crowns overlap it counts once. Crowns are taken "
+        "to stand at random, so that the share (1 - product of (1 - a)) / sum of a of them is seen "
+        "from above, with a the area of each crown over that of the plot. Leaves at random "
+        "would let a share exp(-20/2) = 5e-5 of the light through at the upper bound.",
     )
     wood_area_index: Float[Array, " species"] = parameter_field(
         symbol="WAI",
@@ -209,11 +209,12 @@ class GroundParameters(eqx.Module):
         unit="-",
         lower=0.1,
         upper=2.5,
-        usual=(0.5, 1.5),
-        default=1.0,
+        usual=(0.5, 2.0),
+        default=1.41,
         relative_sd=0.3,
         description="Factor on the reflectance of bark, deadwood and the dead tissue of shoots: "
-        "from charred to bleached.",
+        "from charred to bleached. The default is that of the shipped prior, on the shipped bark; "
+        "where a spectrum of dead tissue is given, it is 1.",
     )
 
 

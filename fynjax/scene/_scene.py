@@ -202,7 +202,7 @@ class Scene(eqx.Module):
         - `boundary`: "periodic" repeats the plot for ever, "open" does not.
         - `leaves`: PROSPECT-D parameters by taxon, in PROSPECT's units; "*" is any other. Left out,
           the usual leaf; a structure that is left out follows from dry matter.
-        - `ground`, `light`: left out, their defaults.
+        - `ground`, `light`: left out, their defaults; with `dead_tissue` a wood brightness of 1.
         - `dead_tissue`: reflectance of the dead tissue in live shoots, `Spectrum.of(wavelength,
           values, what)`; left out, that of bark.
         - `hot_spot`: whether leaves have the size of their form, see `Scene`.
@@ -227,9 +227,13 @@ class Scene(eqx.Module):
             None if form == "deadwood" else leaves.get(row["taxon"], leaves.get("*"))
             for row, form in zip(rows, forms, strict=True)
         ]
+        if ground is None:
+            ground = GroundParameters()
+            if dead_tissue is not None:
+                ground = dataclasses.replace(ground, wood_brightness=jnp.asarray(1.0))
         parameters = PlotParameters(
             *species_parameters(forms, table_values(rows), optics),
-            GroundParameters() if ground is None else ground,
+            ground,
             LightParameters() if light is None else light,
         )
         species = [

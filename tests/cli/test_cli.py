@@ -320,6 +320,38 @@ def test_init_writes_a_plot_that_reads_and_overwrites_nothing(capsys, tmp_path):
     assert "one folder" in one_line(*call(capsys, "init", "a", "--output", "b"))
 
 
+@pytest.mark.parametrize("burnt", [2006, 2016])
+def test_init_states_means_and_spreads_of_a_prior(capsys, tmp_path, burnt):
+    """As plots elsewhere have them; leaves move by the factors of the file over the shipped."""
+    from fynjax.io.plot import example_folder, read_prior, with_prior, write_prior
+    from tests.io.test_prior import prior_file
+
+    write_prior(tmp_path / "prior.toml", prior_file())
+    prior, shipped = read_prior(tmp_path / "prior.toml"), read_prior("fynbos_2023")
+    arguments = ("--burnt", burnt, "--prior", tmp_path / "prior.toml")
+    assert call(capsys, "init", tmp_path / "plot", *arguments)[0] == 0
+    plot = read_plot(tmp_path / "plot" / "plot.toml")
+    assert (tmp_path / "plot" / "plot.toml").read_text().count('prior.toml: Plots of "fynbos"') == 1
+    for one in plot.species:
+        leafy = one.growth_form != "deadwood"
+        stated = (one.leaf_area_index, one.dead_fraction)
+        assert stated == ((0.4, 0.4) if leafy else (None, None))
+        if leafy:
+            for kind in ("leaf_area_index", "dead_fraction"):
+                spread = prior.sd(f"{kind}.{one.growth_form}", elsewhere=True) / 0.4
+                found = plot.calibration.relative_sd(f"species.{one.taxon}.{kind}")
+                assert found == pytest.approx(spread, abs=0.006)
+    assert plot.ground.wood_brightness == 0.4
+    assert plot.calibration.relative_sd("ground.wood_brightness") == pytest.approx(0.16, abs=0.006)
+    leaf = {s.taxon: s.leaf for s in plot.species}["Restio eleocharis"].parameters
+    usual = read_plot(example_folder() / "plot.toml").species[7].leaf.parameters
+    changed = 0.4 / shipped.values()["chlorophyll"]
+    assert leaf["chlorophyll"] / usual["chlorophyll"] == pytest.approx(changed, rel=0.01)
+    # What is stated is no longer open to a prior.
+    assert with_prior(plot, "fynbos_2023").species == plot.species
+    assert "wide" in one_line(*call(capsys, "init", tmp_path / "b", "--prior", "wide"))
+
+
 def test_the_cache_folder_follows_xdg(tmp_path):
     code = (
         "from fynjax.cli._runtime import prepare_jax\nprepare_jax()\nimport jax\n"

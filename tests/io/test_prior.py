@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
+from fynjax.canopy import FORM_DEFAULTS
 from fynjax.io.plot import (
+    DEFAULT_PRIOR,
+    LEAFY_FORMS,
     PRIOR_PARAMETERS,
     LeftOutPlot,
     ModelError,
@@ -19,6 +22,8 @@ from fynjax.io.plot import (
     with_prior,
     write_prior,
 )
+from fynjax.leaf import structure_from_dry_matter
+from fynjax.scene import PARAMETERS, USUAL_LEAF
 
 
 def prior_file(**changes) -> PriorFile:
@@ -34,6 +39,7 @@ def prior_file(**changes) -> PriorFile:
             wavelength_nm=[500.0, 700.0, 2000.0], sd=[0.3, 0.2, 0.1],
             correlation=[[1.0, 0.5, 0.0], [0.5, 1.0, -0.2], [0.0, -0.2, 1.0]],
         ),
+        "mean_correlation": np.where(np.eye(len(rows)), 1.0, 0.5).tolist(),
         "left_out": [
             LeftOutPlot(plot="A1", means=[0.3] * len(rows)),
         ],
@@ -51,6 +57,21 @@ def test_what_is_written_is_read(prior) -> None:
     assert prior.file == prior_file()
     assert read_prior("none") is None
     assert prior.sd("structure") == pytest.approx(0.05)
+    assert prior.sd("structure", elsewhere=True) == pytest.approx(np.sqrt(0.03**2 + 2 * 0.04**2))
+
+
+def test_draws_have_the_spread_elsewhere_and_move_growth_forms_together(prior) -> None:
+    """Of small spreads, where logit and logarithm are straight."""
+    drawn = prior.draws(20000, seed=3)
+    for name, values in drawn.items():
+        assert values.mean() == pytest.approx(0.4, abs=0.02), name
+        assert values.std() == pytest.approx(prior.sd(name, elsewhere=True), rel=0.06), name
+    one, two, other = (
+        drawn[name] for name in ("dead_fraction.tussock", "dead_fraction.climber", "chlorophyll")
+    )
+    # Half of the variance of means, 9 of 41, is shared by all; that of plots within a kind.
+    for values, correlation in ((two, (32 + 4.5) / 41), (other, 4.5 / 41)):
+        assert np.corrcoef(one, values)[0, 1] == pytest.approx(correlation, abs=0.04)
 
 
 def test_a_plot_learned_from_has_the_values_of_the_others(prior) -> None:
@@ -77,8 +98,11 @@ def test_errors_between_wavelengths_are_no_smaller_than_at_them(prior) -> None:
         ("mean = 0.4", "mean = 1.4", r"dead_fraction\.\w+ inside 0 to 1"),
         ("means = [0.3, ", "means = [", "A1"),
         ("wavelength_nm = [500", "wavelength_nm = [900", "rising"),
-        ("    [1, 0.5, 0],", "    [1, 0.9, 0],", "symmetric"),
+        ("    [1, 0.5, 0],", "    [1, 0.9, 0],", "symmetric correlation of the error"),
         ("    [1, 0.5, 0],", "    [4, 0.5, 0],", "ones on its diagonal"),
+        ("    [0.5, 1, 0.5,", "    [0.5, 2, 0.5,", "correlation of the means"),
+        ("    [0.5, 1, 0.5,", "    [1, 0.5,", "16 correlations of the means"),
+        ("mean_sd = 0.03\nplot_sd = 0.04", "mean_sd = 0\nplot_sd = 0", r"dead_fraction\.\w+ above"),
         ('name = "structure"', 'name = "chlorophyll"', "structure"),
         ("sd = [0.3, 0.2, 0.1]", "sd = [0.3, 0.2]", "3 standard deviations"),
         ("plots = 3", "plots = 0", "plots"),
@@ -92,6 +116,30 @@ def test_a_damaged_file_names_what_is_wrong(tmp_path: Path, old: str, new: str, 
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(InputError, match=words):
         read_prior(path)
+
+
+def test_the_defaults_are_those_of_the_shipped_prior() -> None:
+    """Of growth forms and dead tissue to their digits; of the usual leaf as `pigments` and traits
+    of a plot without measured ones, times the factors."""
+    learned = read_prior(DEFAULT_PRIOR)
+    assert learned is not None
+    mean = learned.values()
+    for form in LEAFY_FORMS:
+        usual = FORM_DEFAULTS[form]
+        assert usual.leaf_area_index == round(mean[f"leaf_area_index.{form}"], 1), form
+        assert usual.dead_fraction == round(mean[f"dead_fraction.{form}"], 2), form
+    assert PARAMETERS["wood_brightness"].default == round(mean["wood_brightness"], 2)
+    dry = 0.02  # g cm-2
+    leaf = {
+        "chlorophyll": 60.0 * mean["chlorophyll"],
+        "carotenoids": 12.0 * mean["chlorophyll"],
+        "dry_matter": dry * mean["leaf_mass_per_area"],
+        "water": dry * 0.52 / 0.48 * mean["leaf_mass_per_area"] * mean["water_per_dry_matter"],
+    }
+    assert {n: USUAL_LEAF[n] for n in leaf} == pytest.approx(leaf, rel=0.02)
+    assert USUAL_LEAF["structure"] == pytest.approx(
+        structure_from_dry_matter(dry) * mean["structure"], rel=0.02
+    )
 
 
 def test_a_name_that_is_not_shipped_is_refused() -> None:
@@ -115,7 +163,8 @@ def test_a_plot_takes_what_its_files_leave_open(tmp_path: Path) -> None:
     wood = next(s for s in taken.species if s.growth_form == "deadwood")
     assert wood.leaf_area_index is None
     named = f"species.{others[0].taxon}."
-    assert taken.calibration.relative_sd(named + "dead_fraction") == pytest.approx(0.05 / 0.4)
+    spread = np.sqrt(0.03**2 + 2 * 0.04**2) / 0.4  # in another region
+    assert taken.calibration.relative_sd(named + "dead_fraction") == pytest.approx(spread)
     assert taken.calibration.relative_sd(named + "leaf_area_index") == 0.7
     assert taken.calibration.relative_sd(f"species.{first.taxon}.dead_fraction") is None
     assert with_prior(plot, "none") is plot

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import FORM_DEFAULTS
 from fynjax.cli import main
 from fynjax.io.plot import read_plot
 from fynjax.studies.bioscape import read_bioscape
@@ -115,8 +114,7 @@ def test_sizes_and_dead_cover_are_taken_from_the_tables(tables: Path) -> None:
     heights = np.array([protea.size.height_m, restio.size.height_m, rest])
     assert 0.8 * crowns @ heights / crowns.sum() == pytest.approx(0.9)
     # A quarter of the Protea's crowns is dead, and the usual share of the rest.
-    usual = FORM_DEFAULTS["broad_leaved"].dead_fraction
-    assert protea.dead_fraction() == pytest.approx(0.25 + 0.75 * usual)
+    assert protea.dead_fraction(0.4) == pytest.approx(0.25 + 0.75 * 0.4)
     assert first.standing_dead == 0.0
     assert first.packing == pytest.approx(1 - 0.7 / -math.log(1 - 0.7))
     assert first.litter_fraction == pytest.approx(0.1 / 0.3)
@@ -126,9 +124,8 @@ def test_sizes_and_dead_cover_are_taken_from_the_tables(tables: Path) -> None:
     (erica,) = second.species  # two rows of one species: covers added, diameter by cover
     assert (erica.cover, erica.note.counted) == (0.8, 60.0)
     assert erica.size.crown_diameter_m == pytest.approx((50 * 0.8 + 30 * 0.4) / 80)
-    assert (
-        erica.dead_fraction() is None
-    )  # not stated: half of the dead cover stands, if it finds room
+    # Not stated: half of the dead cover stands, if it finds room.
+    assert erica.dead_fraction(0.4) == 0.4
     assert second.height is None
     assert second.visit is None
 

@@ -13,6 +13,7 @@ from fynjax._core.errors import InputError
 from fynjax.io.plot import NO_PRIOR, LearnedPrior, read_plot, read_prior
 from fynjax.scene import LEAF_FIELDS, PlotParameters
 from fynjax.studies.bioscape import _learn, learn, read_bioscape, run_bioscape, write_plot_files
+from fynjax.studies.bioscape._assumed import ASSUMED_POPULATION
 from fynjax.studies.bioscape._inversion import plot_data, prior_space
 from fynjax.studies.bioscape._population import (
     MEANS,
@@ -156,7 +157,20 @@ def test_the_population_assumed_leaves_a_plot_as_it_is(tmp_path: Path) -> None:
     forward = PopulationForward(None, slots)
     assert len(MEANS) == len(PER_PLOT) + 1
     same = forward.plot(population_space().prior, parameters)
-    assert bool(eqx.tree_equal(same, parameters, rtol=1e-5, atol=1e-7))
+    assert_same_plants(same, parameters, slots, rtol=1e-5)
+    assert bool(eqx.tree_equal(same.ground, parameters.ground, rtol=1e-5))
+
+
+def assert_same_plants(
+    found: PlotParameters, expected: PlotParameters, slots: tuple[str, ...], *, rtol: float
+) -> None:
+    """Species and leaves are the same where plants with leaves grow; other slots are empty."""
+    bears = np.array([form != "deadwood" for form in slots])
+    grows = bears & (np.asarray(expected.species.cover) > 0)
+    for part, names in {"species": vars(expected.species), "leaf": LEAF_FIELDS}.items():
+        for name in names:
+            one, two = (getattr(getattr(p, part), name)[grows] for p in (found, expected))
+            np.testing.assert_allclose(one, two, rtol=rtol)
 
 
 def test_plot_files_have_what_was_learned(tmp_path: Path) -> None:
@@ -170,13 +184,7 @@ def test_plot_files_have_what_was_learned(tmp_path: Path) -> None:
     expected = PopulationForward(None, slots).plot(
         jnp.array([at[name] for name in PER_PLOT]), plain
     )
-    bears = np.array([form != "deadwood" for form in slots])
-    grows = bears & (np.asarray(plain.species.cover) > 0)  # other slots are empty
-    compared = {"species": vars(plain.species), "leaf": LEAF_FIELDS}
-    for part, names in compared.items():
-        for name in names:
-            found, wanted = (getattr(getattr(p, part), name)[grows] for p in (learned, expected))
-            np.testing.assert_allclose(found, wanted, rtol=1e-3)
+    assert_same_plants(learned, expected, slots, rtol=1e-3)
     assert learned.ground.brightness == pytest.approx(float(expected.ground.brightness), rel=1e-3)
     assert learned.ground.wood_brightness == pytest.approx(at["wood_brightness"], rel=1e-3)
     sources = (tmp_path / plot.name / "sources.csv").read_text()
@@ -200,7 +208,7 @@ def test_bioscape_takes_a_prior_or_none(tmp_path: Path) -> None:
     write_tables(tmp_path / "tables")
     run_bioscape(tmp_path / "tables", tmp_path / "plain", prior=NO_PRIOR)
     plain = read_plot(tmp_path / "plain" / "A1" / "plot.toml")
-    assert plain.species[0].dead_fraction is None
+    assert plain.species[0].dead_fraction == ASSUMED_POPULATION["dead_fraction.broad_leaved"]
     assert plain.ground.wood_brightness == 1.0
 
 

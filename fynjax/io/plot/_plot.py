@@ -106,9 +106,9 @@ class Ground:
     """Width of the patches in which they lie [m]; 0 mixes them alike."""
     map: Path | None
     """Raster of the shares of litter, char and rock."""
-    rpv: tuple[float, float, float] | None = None
+    rpv: tuple[float, float, float] | None
     """k, theta and rho_c of the ground's angular shape; `None`: alike in all directions."""
-    wood_brightness: float = 1.0
+    wood_brightness: float
     """Factor on the reflectance of bark, deadwood and dead tissue of shoots [-]."""
 
 

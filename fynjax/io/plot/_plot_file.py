@@ -312,6 +312,9 @@ def read_plot(path: str | Path) -> Plot:
     )
     fractions = [_stated(getattr(parsed.ground, name), name) for name in COVER_FRACTIONS]
     wet = 1.0 if parsed.ground.soil == "wet" else None
+    # The default is learned with the shipped bark in place of dead tissue.
+    wood = parsed.ground.wood_brightness
+    wood = 1.0 if wood is None and dead_path is not None else wood
     moisture = wet if parsed.ground.moisture is None else parsed.ground.moisture
     calibration = parsed.calibration
     return Plot(
@@ -341,7 +344,7 @@ def read_plot(path: str | Path) -> Plot:
             parsed.ground.patch_m,
             cover_map,
             parsed.ground.rpv,
-            parsed.ground.wood_brightness,
+            _stated(wood, "wood_brightness"),
         ),
         sensor=sensor,
         air=plot_air(air, air_path),

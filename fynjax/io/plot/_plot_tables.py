@@ -168,9 +168,7 @@ class GroundTable(Strict):
         description="'dry', 'wet', or the path of a spectrum (wavelength_nm, reflectance).",
     )
     brightness: float = quantity(PARAMETERS["brightness"], default=PARAMETERS["brightness"].default)
-    wood_brightness: float = quantity(
-        PARAMETERS["wood_brightness"], default=PARAMETERS["wood_brightness"].default
-    )
+    wood_brightness: float | None = optional_quantity(PARAMETERS["wood_brightness"])
     moisture: float | None = quantity(
         PARAMETERS["moisture"],
         default=None,

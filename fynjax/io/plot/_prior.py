@@ -1,6 +1,7 @@
 """Prior files: what plots share, and how they vary, learned from many plots (`fynjax learn`)."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -54,6 +55,15 @@ class PriorParameter(Strict):
     assumed: float = number("What was assumed before any spectrum", "-")
     assumed_sd: float = number("Standard deviation of that", "-", gt=0)
 
+    @model_validator(mode="after")
+    def _varies(self) -> "PriorParameter":
+        if self.mean_sd == self.plot_sd == 0.0:
+            raise ValueError(
+                f"expected a mean_sd or plot_sd of {self.name} above 0, but both are 0: nothing is "
+                "known without error"
+            )
+        return self
+
 
 class LeftOutPlot(Strict):
     """The population that all plots but one make."""
@@ -84,6 +94,9 @@ class PriorFile(Strict):
     plots: int = Field(description="Number of plots learned from.", ge=1)
     error: ModelError = Field(description="The model's remaining error.")
     parameters: list[PriorParameter] = Field(description="Of the population.", min_length=1)
+    mean_correlation: list[list[float]] = Field(
+        description="Between the errors of the means, rows of a matrix over `parameters` [-]."
+    )
     left_out: list[LeftOutPlot] = Field(
         default_factory=list, description="Populations without one of the plots each."
     )
@@ -110,22 +123,26 @@ class PriorFile(Strict):
         count = len(self.error.wavelength_nm)
         if any(np.diff(self.error.wavelength_nm) <= 0):
             raise ValueError("expected rising wavelengths of the error")
-        if (
-            len(self.error.sd) != count
-            or [len(r) for r in self.error.correlation] != [count] * count
-        ):
-            raise ValueError(f"expected {count} standard deviations and as many correlations each")
-        matrix = np.asarray(self.error.correlation)
-        if not (
-            np.allclose(matrix, matrix.T, atol=1e-3)
-            and np.allclose(np.diagonal(matrix), 1.0, atol=1e-3)
-            and np.linalg.eigvalsh(matrix)[0] > -1e-3
-        ):
-            raise ValueError(
-                "expected a symmetric correlation with ones on its diagonal and no negative "
-                "eigenvalue"
-            )
+        if len(self.error.sd) != count:
+            raise ValueError(f"expected {count} standard deviations of the error")
+        _check_correlation(self.error.correlation, count, "the error")
+        _check_correlation(self.mean_correlation, len(names), "the means")
         return self
+
+
+def _check_correlation(rows: list[list[float]], count: int, of: str) -> None:
+    if [len(row) for row in rows] != [count] * count:
+        raise ValueError(f"expected {count} rows of {count} correlations of {of}")
+    matrix = np.asarray(rows)
+    if not (
+        np.allclose(matrix, matrix.T, atol=1e-3)
+        and np.allclose(np.diagonal(matrix), 1.0, atol=1e-3)
+        and np.linalg.eigvalsh(matrix)[0] > -1e-3
+    ):
+        raise ValueError(
+            f"expected a symmetric correlation of {of} with ones on its diagonal and no negative "
+            "eigenvalue"
+        )
 
 
 def _bounds(name: str) -> tuple[float, float]:
@@ -135,6 +152,18 @@ def _bounds(name: str) -> tuple[float, float]:
         return 0.0, math.inf
     record = PARAMETERS[kind.removeprefix("soil_")]
     return record.lower, record.upper
+
+
+def leaf_factors(population: Mapping[str, Any]) -> dict[str, Any]:
+    """Factors on PROSPECT parameters of all leaves, by name, of values of `FACTORS`."""
+    mass = population["leaf_mass_per_area"]
+    return {
+        "structure": population["structure"],
+        "chlorophyll": population["chlorophyll"],
+        "carotenoids": population["chlorophyll"],
+        "dry_matter": mass,
+        "water": mass * population["water_per_dry_matter"],
+    }
 
 
 @dataclass(frozen=True)
@@ -160,11 +189,46 @@ class LearnedPrior:
                 return dict(zip(names, row.means, strict=True))
         return {p.name: p.mean for p in self.file.parameters}
 
-    def sd(self, name: str) -> float:
+    def sd(self, name: str, *, elsewhere: bool = False) -> float:
         """Standard deviation of a parameter of a plot before its spectrum: between plots, and of
-        the mean."""
+        the mean.
+
+        A plot `elsewhere` stands in another region than those learned from. How far regions differ
+        cannot be learned from one: taken to be as far as its plots do.
+        """
         found = next(p for p in self.file.parameters if p.name == name)
-        return math.hypot(found.mean_sd, found.plot_sd)
+        return math.hypot(found.mean_sd, found.plot_sd, found.plot_sd if elsewhere else 0.0)
+
+    def draws(self, count: int, *, seed: int = 0) -> dict[str, Float[np.ndarray, " draw"]]:
+        """Parameters of plots elsewhere (`sd`), each of a region of its own.
+
+        Normal in the logit between the bounds of a parameter, or the logarithm of one without an
+        upper bound. Errors of the means are correlated as the file has it; what plots and regions
+        differ by in dead tissue or leaf area is the same in all growth forms.
+
+        **Arguments:** `count`, number of plots; `seed`.
+        """
+        random = np.random.default_rng(seed)
+        rows = self.file.parameters
+        sd = np.array([p.mean_sd for p in rows])
+        error = np.asarray(self.file.mean_correlation) * np.outer(sd, sd)
+        of_mean = random.multivariate_normal(
+            np.zeros(len(rows)), error, count, check_valid="ignore"
+        )
+        kinds = [p.name.split(".")[0] for p in rows]
+        effect = {kind: random.normal(0.0, math.sqrt(2.0), count) for kind in dict.fromkeys(kinds)}
+        drawn = {}
+        for p, kind, apart in zip(rows, kinds, of_mean.T, strict=True):
+            low, high = _bounds(p.name)
+            apart = apart + p.plot_sd * effect[kind]
+            if math.isinf(high):
+                drawn[p.name] = p.mean * np.exp(apart / p.mean)
+                continue
+            share = (p.mean - low) / (high - low)
+            slope = (high - low) * share * (1.0 - share)
+            z = math.log(share / (1.0 - share)) + apart / slope
+            drawn[p.name] = low + (high - low) / (1.0 + np.exp(-z))
+        return drawn
 
     def error_covariance(
         self, wavelength: Float[np.ndarray, " band"]
@@ -186,9 +250,9 @@ class LearnedPrior:
 def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
     """A plot with what a learned population says of what its files leave open.
 
-    Leaf area index and dead tissue of species that state none, with the population's spread as
-    their priors unless the plot file states one; the brightness of dead tissue where it is as
-    shipped. Leaves, soil and plants of meshes stay as they are stated.
+    Leaf area index and dead tissue of species that state none, with the population's spread
+    elsewhere (`LearnedPrior.sd`) as their priors unless the plot file states one; the brightness of
+    dead tissue where it is as shipped. Leaves, soil and plants of meshes stay as they are stated.
 
     **Arguments:**
 
@@ -217,7 +281,8 @@ def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
         for kind, value in found.items():
             # Patterns of the plot file come first.
             spread.setdefault(
-                f"species.{one.taxon}.{kind}", prior.sd(f"{kind}.{one.growth_form}") / value
+                f"species.{one.taxon}.{kind}",
+                prior.sd(f"{kind}.{one.growth_form}", elsewhere=True) / value,
             )
     ground = plot.ground
     if ground.wood_brightness == PARAMETERS["wood_brightness"].default:
@@ -269,6 +334,8 @@ def write_prior(path: Path, file: PriorFile) -> None:
         "sources = [", *(f"    {text(s)}," for s in file.sources), "]",
         f"made_with = {text(file.made_with)}",
         f"plots = {file.plots}",
+        "# Between the errors of the means, in the order of the parameters below.",
+        "mean_correlation = [", *(f"    {row(r)}," for r in file.mean_correlation), "]",
     ]  # fmt: skip
     for p in file.parameters:
         lines += ["", "[[parameters]]", f"# {PRIOR_PARAMETERS[p.name]}", f"name = {text(p.name)}"]

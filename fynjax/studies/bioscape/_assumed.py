@@ -8,6 +8,8 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
+from fynjax.io.plot import FACTORS
+
 FLAT, ROUND = 1.0, math.pi / 2
 """Half of a leaf's surface over its projected area [-]. A trait library divides by the area that
 a scanner sees; light meets half of the surface (Chen and Black 1992, Plant, Cell and Environment
@@ -124,6 +126,24 @@ def pigments(growth_form: str) -> dict[str, float]:
         "brown_pigments": 0.03,
     }
 
+
+ASSUMED_POPULATION = {
+    "dead_fraction.upright_ericoid": 0.40,
+    "dead_fraction.rounded_shrub": 0.30,
+    "dead_fraction.tussock": 0.45,
+    "dead_fraction.broad_leaved": 0.25,
+    "dead_fraction.climber": 0.30,
+    "leaf_area_index.upright_ericoid": 2.5,
+    "leaf_area_index.rounded_shrub": 3.0,
+    "leaf_area_index.tussock": 2.0,
+    "leaf_area_index.broad_leaved": 3.5,
+    "leaf_area_index.climber": 1.5,
+    **dict.fromkeys(FACTORS, 1.0),
+}
+"""What plots share (`PRIOR_PARAMETERS`) before any population is learned: the centre of the prior
+of `fynjax learn`. Leaf areas lie in the range of 0.5 to 4 that shrub crowns commonly
+show. Shares of dead tissue are near those with which the spectra of 18 BioSCape plots agree best
+when each form has one value and these leaf areas; that of climbers is assumed."""
 
 MOST_WATER = 0.05
 """Water of a leaf is at most this [cm]: that of the thickest leaves that PROSPECT was made with

@@ -102,9 +102,9 @@ def calibrate_plots(
     - `folder`, `plots`, `traits`, `resolution`: as for `validate_plots`; a `*LMA*model*.json` in
       the folder is the published regression.
     - `output`: folder of the results, made if missing.
-    - `prior`: learned population (`read_prior`), with the model's error, or "none": growth form
-      defaults and `MODEL_SD`. Plots that it was learned from have the values learned from all
-      others; variances and error are of all.
+    - `prior`: learned population (`read_prior`), with the model's error, or "none": what is
+      assumed before one is learned, and `MODEL_SD`. Plots that it was learned from have the values
+      learned from all others; variances and error are of all.
     - `realisations`: number of stand realisations of each plot used to estimate the variance over
       them; at least 3.
     - `seed`: seed of the positions of the plants.
@@ -288,6 +288,6 @@ def _findings(
     }
     findings.tables.append(simple_table(names, TABLE, of_tables, field))
     if len(read) > 1:
-        mean = {name: others(field.value[name])[0] for name in QUANTITIES}
+        mean = {name: others(value)[0] for name, value in field.value.items()}
         findings.tables.append(simple_table(names, MEAN, mean, field))
     return findings

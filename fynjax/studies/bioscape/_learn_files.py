@@ -80,6 +80,8 @@ class Lesson:
         bands = len(self.bands)
         covariance = found.error[:bands, :bands]
         sd = np.sqrt(np.diagonal(covariance))
+        of_means = found.covariance[own, own]
+        mean_sd = np.sqrt(np.diagonal(of_means))
         side, voxel = self.resolution.size_m, self.resolution.voxel_m
         return PriorFile(
             title=self.title,
@@ -93,6 +95,7 @@ class Lesson:
                 sd=sd.tolist(),
                 correlation=(covariance / np.outer(sd, sd)).tolist(),
             ),
+            mean_correlation=(of_means / np.outer(mean_sd, mean_sd)).tolist(),
             left_out=[
                 LeftOutPlot(
                     plot=name,

@@ -12,13 +12,14 @@ from typing import Any, Literal
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.canopy import instance_area, soft_count, target_area
-from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, read_prior
+from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, leaf_factors, read_prior
 from fynjax.io.text import write_text
 from fynjax.jobs import JobResult, Run
 from fynjax.leaf import structure_from_dry_matter
 from fynjax.scene import LEAF_FIELDS, PARAMETERS
 from fynjax.sensors import sun_position
 from fynjax.studies.bioscape._assumed import (
+    ASSUMED_POPULATION,
     CLOSED_COVER,
     DOME,
     MOST_WATER,
@@ -62,35 +63,21 @@ def _per_area(species: BioscapeSpecies) -> dict[str, float]:
 
 
 def leaf_parameters(
-    species: BioscapeSpecies, population: Mapping[str, float] | None = None
+    species: BioscapeSpecies, population: Mapping[str, float] = ASSUMED_POPULATION
 ) -> dict[str, float]:
     """PROSPECT-D parameters of a species' leaf, in PROSPECT's units, per half of its surface.
 
     Dry matter is the leaf mass per projected area over the shape's `area_ratio`; water is that
     times w / (1 - w), with w the share of water in the fresh mass (1 g of water is 1 cm3). Values
     above what PROSPECT can mean, of culms and succulents, are cut to that: `beyond_prospect` names
-    them. Structure follows from dry matter, pigments are those of the growth form. Where there is a
-    `population` (`LearnedPrior.values`), all are then times its factors.
+    them. Structure follows from dry matter, pigments are those of the growth form. All are then
+    times the factors of the `population` (`LearnedPrior.values`).
     """
     mass = {name: min(value, _MOST[name]) for name, value in _per_area(species).items()}
     structure = float(structure_from_dry_matter(mass["dry_matter"]))
     leaf = {"structure": structure} | pigments(species.shape.growth_form) | mass
-    if population is None:
-        return leaf
     scaled = leaf | {n: leaf[n] * factor for n, factor in leaf_factors(population).items()}
     return {n: min(max(v, PARAMETERS[n].lower), PARAMETERS[n].upper) for n, v in scaled.items()}
-
-
-def leaf_factors(population: Mapping[str, Any]) -> dict[str, Any]:
-    """Factors on the PROSPECT parameters of all leaves, of a population's values."""
-    mass = population["leaf_mass_per_area"]
-    return {
-        "structure": population["structure"],
-        "chlorophyll": population["chlorophyll"],
-        "carotenoids": population["chlorophyll"],
-        "dry_matter": mass,
-        "water": mass * population["water_per_dry_matter"],
-    }
 
 
 def beyond_prospect(species: BioscapeSpecies) -> dict[str, float]:
@@ -98,9 +85,7 @@ def beyond_prospect(species: BioscapeSpecies) -> dict[str, float]:
     return {n: v for n, v in _per_area(species).items() if v > _MOST[n]}
 
 
-def mean_leaf(
-    plot: BioscapePlot, population: Mapping[str, float] | None = None
-) -> dict[str, float]:
+def mean_leaf(plot: BioscapePlot, population: Mapping[str, float]) -> dict[str, float]:
     """Leaf of the species that are not listed: the mean of those listed, weighted with cover."""
     leaves = [(s.cover / plot.listed_cover, leaf_parameters(s, population)) for s in plot.species]
     return {name: sum(share * leaf[name] for share, leaf in leaves) for name in LEAF_FIELDS}
@@ -120,15 +105,15 @@ def write_plot_files(
     - `folder`: its files of these names are replaced.
     - `prior`: learned population, of which dead tissue, leaf areas, brightness and factors on the
       leaves are taken: those learned from other plots, if it was learned from this one too. None:
-      the growth forms' defaults.
+      what is assumed before any population is learned.
     """
     folder = Path(folder)
-    population = None if prior is None else prior.values(plot.name)
-    write_text(folder / "plot.toml", _plot_toml(plot, population))
+    population = ASSUMED_POPULATION if prior is None else prior.values(plot.name)
+    write_text(folder / "plot.toml", _plot_toml(plot, population, prior is not None))
     write_text(folder / "species.csv", _species_csv(plot, population))
     write_text(folder / "leaves.csv", _leaves_csv(plot, population))
     header = ("taxon", "quantity", "value", "unit", "source", "note")
-    write_text(folder / "sources.csv", _table([header, *_sources(plot, prior)]))
+    write_text(folder / "sources.csv", _table([header, *_sources(plot, population, prior)]))
 
 
 def _table(rows: Iterable[Sequence[Any]]) -> str:
@@ -151,7 +136,7 @@ def flights(visit: Visit | None) -> list[tuple[str, float, float]]:
     return sorted(times, key=lambda flight: flight[1])
 
 
-def _plot_toml(plot: BioscapePlot, population: Mapping[str, float] | None) -> str:
+def _plot_toml(plot: BioscapePlot, population: Mapping[str, float], learned: bool) -> str:
     flown = flights(plot.visit)
     up = [flight for flight in flown if flight[1] < 80.0]
     if plot.visit is None:
@@ -172,6 +157,7 @@ def _plot_toml(plot: BioscapePlot, population: Mapping[str, float] | None) -> st
         ]
     else:
         sun = ["# Assumed.", "zenith_deg = 30.0", "azimuth_deg = 0.0"]
+    source = "learned from many plots" if learned else "assumed"
     lines = [
         f"# BioSCape vegetation plot {plot.name}, Greater Cape Floristic Region (field tables:",
         "# doi:10.5281/zenodo.14198989). sources.csv says where each number of a species is from.",
@@ -193,14 +179,8 @@ def _plot_toml(plot: BioscapePlot, population: Mapping[str, float] | None) -> st
         "",
         "[ground]",
         'soil = "dry"  # assumed; rock is taken to be as bright',
-        *(
-            []
-            if population is None
-            else [
-                f"brightness = {population['soil_brightness']:.4f}  # learned from many plots",
-                f"wood_brightness = {population['wood_brightness']:.4f}  # learned",
-            ]
-        ),
+        f"brightness = {population['soil_brightness']:.4f}  # {source}",
+        f"wood_brightness = {population['wood_brightness']:.4f}  # {source}",
         f"litter_fraction = {plot.litter_fraction:.4f}  # dead over dead and bare cover, without "
         "the dead that stands",
         f"# rock_fraction = {plot.rock:.4f}",
@@ -232,7 +212,7 @@ def _escaped(text: str) -> str:
     return text.replace("\\", "\\\\").replace('"', '\\"')
 
 
-def _species_csv(plot: BioscapePlot, population: Mapping[str, float] | None) -> str:
+def _species_csv(plot: BioscapePlot, population: Mapping[str, float]) -> str:
     listed, packing = plot.listed_cover * 100, plot.packing * 100
     notes = [
         f"Cover of {plot.name} as the field crew noted it, live and where it was noted dead; the "
@@ -253,10 +233,9 @@ def _species_csv(plot: BioscapePlot, population: Mapping[str, float] | None) -> 
     ]
     header = (
         "taxon", "mean_diameter_cm", "cover_percent", "height_max_m", "growth_form",
-        "packing_percent", "dead_fraction",
-        *([] if population is None else ["leaf_area_index"]),
+        "packing_percent", "dead_fraction", "leaf_area_index",
     )  # fmt: skip
-    rows = [
+    rows: list[tuple[str, float, float, float, str, float | None]] = [
         (
             s.taxon,
             s.size.crown_diameter_m,
@@ -269,27 +248,25 @@ def _species_csv(plot: BioscapePlot, population: Mapping[str, float] | None) -> 
     ]
     if plot.other_cover > 0:
         diameter, height = _other_size(plot)
-        dead = None if population is None else population[f"dead_fraction.{DOME}"]
+        dead = population[f"dead_fraction.{DOME}"]
         rows.append((OTHER, diameter, plot.other_cover, height, DOME, dead))
     if plot.standing_dead > 0:
         like = plot.dominant
         sizes = like.size.crown_diameter_m, plot.standing_dead, like.size.height_m
         rows.append((DEAD, *sizes, "deadwood", None))
-    cells: list[tuple[Any, ...]] = [
-        (t, d * 100, c * 100, h, form, round(packing, 3), "" if dead is None else round(dead, 4))
+    cells = [
+        (
+            *(t, d * 100, c * 100, h, form, round(packing, 3)),
+            "" if dead is None else round(dead, 4),
+            population.get(f"leaf_area_index.{form}", ""),
+        )
         for t, d, c, h, form, dead in rows
     ]
-    if population is not None:
-        cells = [(*cell, population.get(f"leaf_area_index.{cell[4]}", "")) for cell in cells]
     return "".join(f"# {note}\n" for note in notes) + _table([header, *cells])
 
 
-def _dead_fraction(
-    species: BioscapeSpecies, population: Mapping[str, float] | None
-) -> float | None:
+def _dead_fraction(species: BioscapeSpecies, population: Mapping[str, float]) -> float:
     """Dead tissue of a species, `BioscapeSpecies.dead_fraction` about that of its growth form."""
-    if population is None:
-        return species.dead_fraction()
     return species.dead_fraction(population[f"dead_fraction.{species.shape.growth_form}"])
 
 
@@ -299,7 +276,7 @@ def _other_size(plot: BioscapePlot) -> tuple[float, float]:
     return size.crown_diameter_m, size.height_m * plot.height_factor
 
 
-def _leaves_csv(plot: BioscapePlot, population: Mapping[str, float] | None) -> str:
+def _leaves_csv(plot: BioscapePlot, population: Mapping[str, float]) -> str:
     notes = (
         "Dry matter and water from leaf mass per area and water content, per half of the leaf's",
         "surface: the library's area is projected, and a rolled leaf or culm has pi/2 as much.",
@@ -313,13 +290,14 @@ def _leaves_csv(plot: BioscapePlot, population: Mapping[str, float] | None) -> s
     return "".join(f"# {note}\n" for note in notes) + _table([("taxon", *LEAF_FIELDS), *rows])
 
 
-def _sources(plot: BioscapePlot, prior: LearnedPrior | None) -> list[tuple[Any, ...]]:
-    rows: list[tuple[Any, ...]] = []
-    population = None if prior is None else prior.values(plot.name)
-    learned = "" if prior is None else f"learned ({prior.path.name})"
+def _sources(
+    plot: BioscapePlot, population: Mapping[str, float], prior: LearnedPrior | None
+) -> list[tuple[Any, ...]]:
+    learned = "assumed" if prior is None else f"learned ({prior.path.name})"
     without = "without this plot" if prior is not None and prior.knows(plot.name) else ""
-    for name, value in (population or {}).items():
-        rows.append(("*", name, value, "-", learned, without))
+    rows: list[tuple[Any, ...]] = [
+        ("*", name, value, "-", learned, without) for name, value in population.items()
+    ]
     for s in plot.species:
         leaf, lma = leaf_parameters(s, population), s.traits["leaf_mass_per_area"]
         renamed = s.library_name not in (None, s.taxon)
@@ -343,7 +321,7 @@ def _sources(plot: BioscapePlot, prior: LearnedPrior | None) -> list[tuple[Any, 
                 )  # fmt: skip
             above = beyond_prospect(s).get(name)
             note = "" if above is None else f"cut from {above:.4g}, more than PROSPECT can mean"
-            if population is not None and name in leaf_factors(population):
+            if prior is not None and name in leaf_factors(population):
                 note = f"{note}{'; ' if note else ''}times the learned factor"
             rows.append((s.taxon, name, value, PARAMETERS[name].unit, source, note))
     if plot.other_cover > 0:
@@ -365,7 +343,7 @@ def _sources(plot: BioscapePlot, prior: LearnedPrior | None) -> list[tuple[Any, 
 
 
 def _dead_sources(
-    species: BioscapeSpecies, population: Mapping[str, float] | None
+    species: BioscapeSpecies, population: Mapping[str, float]
 ) -> list[tuple[Any, ...]]:
     taxon, dead = species.taxon, species.note.dead_cover
     if dead is None:
@@ -549,7 +527,7 @@ def run_bioscape(
 
     - `folder`, `plots`, `traits`: as for `read_bioscape`.
     - `output`: folder of the results, made if missing.
-    - `prior`: learned population (`read_prior`), or "none": the growth forms' defaults.
+    - `prior`: learned population (`read_prior`), or "none": what is assumed before one is learned.
     - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `BioscapeResult`, with the plots that were written.

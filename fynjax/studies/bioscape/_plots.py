@@ -7,7 +7,6 @@ from datetime import datetime
 from pathlib import Path
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import FORM_DEFAULTS
 from fynjax.io.text import did_you_mean, existing_file
 from fynjax.studies.bioscape._assumed import (
     DOME,
@@ -80,17 +79,15 @@ class BioscapeSpecies:
         """Cover of its crowns, live and dead [-]."""
         return self.cover + (self.note.dead_cover or 0.0)
 
-    def dead_fraction(self, usual: float | None = None) -> float | None:
-        """Share of its shoots that is dead tissue [-]; `usual` where the tables state no dead
-        cover. `usual`: that of the growth form [-], its default if left out.
+    def dead_fraction(self, usual: float) -> float:
+        """Share of its shoots that is dead tissue [-]; `usual`, that of its growth form [-], where
+        the tables state no dead cover.
 
         Dead cover is dead altogether; what the crew notes as live cover has the dead tissue in
         its shoots that the growth form has.
         """
         if self.note.dead_cover is None:
             return usual
-        if usual is None:
-            usual = FORM_DEFAULTS[self.shape.growth_form].dead_fraction
         return 1.0 - (1.0 - usual) * self.cover / self.crown_cover
 
 

@@ -14,12 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax.canopy import FORM_DEFAULTS
 from fynjax.inversion import Hyperprior, ParameterSpace, SpectrumView
-from fynjax.io.plot import BY_FORM, FACTORS, LEAFY_FORMS, PRIOR_PARAMETERS
+from fynjax.io.plot import BY_FORM, FACTORS, LEAFY_FORMS, PRIOR_PARAMETERS, leaf_factors
 from fynjax.scene import PARAMETERS, PlotParameters, Scene
+from fynjax.studies.bioscape._assumed import ASSUMED_POPULATION
 from fynjax.studies.bioscape._inversion import FREE
-from fynjax.studies.bioscape._plot_files import leaf_factors
 from fynjax.studies.bioscape._plots import BioscapePlot
 
 PER_PLOT = tuple(PRIOR_PARAMETERS)
@@ -45,23 +44,22 @@ _DARKEST = 0.005
 
 
 def population_space() -> ParameterSpace:
-    """Parameters of a plot with what is assumed of their means: growth form defaults, to one unit
+    """Parameters of a plot with what is assumed of their means: `ASSUMED_POPULATION`, to one unit
     of the logit for dead tissue and to a half for leaf area; the records' priors for the rest."""
     columns = []
     for name in PER_PLOT:
-        kind, _, form = name.partition(".")
+        centre, (kind, _, form) = ASSUMED_POPULATION[name], name.partition(".")
         if form:
-            record, centre = PARAMETERS[kind], getattr(FORM_DEFAULTS[form], kind)
+            record = PARAMETERS[kind]
             sd = centre * (1.0 - centre) if kind == "dead_fraction" else _AREA_SD * centre
             columns.append((record.lower, record.upper, centre, sd))
         elif name == "wood_brightness":
             record = PARAMETERS[name]
-            assert record.default is not None
             assert record.relative_sd is not None
-            columns.append((record.lower, record.upper, record.default, record.relative_sd))
+            columns.append((record.lower, record.upper, centre, record.relative_sd))
         else:
             free = FREE[name]
-            columns.append((free.lower, free.upper, free.centre, free.sd))
+            columns.append((free.lower, free.upper, centre, free.sd))
     return ParameterSpace(PER_PLOT, *(jnp.asarray(c, float) for c in zip(*columns)))
 
 
@@ -149,7 +147,9 @@ class PopulationForward(eqx.Module):
             return jnp.stack(here)
 
         # Where tables state the dead cover of a species, its live part is that much less.
-        usual = np.array([FORM_DEFAULTS[form].dead_fraction for form in self.forms])
+        usual = np.array(
+            [ASSUMED_POPULATION.get(f"dead_fraction.{form}", 0.0) for form in self.forms]
+        )
         live = (1.0 - by_form("dead_fraction")) * (1.0 - species.dead_fraction) / (1.0 - usual)
         leafy = np.isin(self.forms, LEAFY_FORMS)
         factors = leaf_factors(at)

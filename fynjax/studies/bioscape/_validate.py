@@ -47,8 +47,8 @@ def validate_plots(
     - `folder`, `plots`, `traits`: as for `read_bioscape`; for the measured spectra the folder has
       `*VegCenters.csv` and `*waves.csv`.
     - `output`: folder of the results, made if missing.
-    - `prior`: learned population (`read_prior`), or "none": the growth forms' defaults. Plots that
-      it was learned from have the values learned from all others.
+    - `prior`: learned population (`read_prior`), or "none": what is assumed before one is
+      learned. Plots that it was learned from have the values learned from all others.
     - `resolution`: size and voxels of the simulated plots, see `Resolution`.
     - `seed`: seed of the positions of the plants.
     - `progress`: where to report the stages; nowhere by default.
@@ -119,7 +119,7 @@ def used_bands(spectrometer: Spectrometer) -> np.ndarray:
 def prior_words(prior: LearnedPrior | None, plot: BioscapePlot) -> str:
     """What a plot's population was learned from."""
     if prior is None:
-        return "growth form defaults"
+        return "assumed"
     return "learned from the other plots" if prior.knows(plot.name) else "learned from other data"
 
 

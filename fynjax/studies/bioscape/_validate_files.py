@@ -60,8 +60,8 @@ _ASSUMED = (
     "of soil, litter and bark, level ground, and a view from straight above. The folder of each "
     "plot says of every number where it is from (sources.csv). Some choices were made with spectra "
     "of 18 of BioSCape's plots in sight, and are no test on these: that live shoots have dead "
-    "tissue, and the growth forms' defaults of it (0.25 to 0.45), about which the shipped prior "
-    "was learned; and, after a look at T068, T072 and T094, that dead plants that stand have the "
+    "tissue, and the shares of it (0.25 to 0.45) that were assumed before the shipped prior was "
+    "learned; and, after a look at T068, T072 and T094, that dead plants that stand have the "
     "spectrum of bark. No other number was fitted to a measured spectrum.",
     "A measured spectrum is the mean of the flights over the plot; the sun is that of the flight "
     "in the middle, by its height. Where no table names a flight the sun is assumed at 30 degrees "

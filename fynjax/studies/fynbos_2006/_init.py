@@ -2,11 +2,20 @@
 
 import re
 import shutil
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
 from fynjax._core.errors import InputError
-from fynjax.io.plot import example_folder
+from fynjax.io.plot import (
+    BY_FORM,
+    DEFAULT_PRIOR,
+    LEAFY_FORMS,
+    LearnedPrior,
+    example_folder,
+    leaf_factors,
+    read_prior,
+)
 from fynjax.io.text import staged_folder
 from fynjax.jobs import JobResult
 from fynjax.studies.fynbos_2006._recovery import (
@@ -35,7 +44,13 @@ class InitResult(JobResult):
     command: Literal["init"] = "init"
 
 
-def init(folder: Path, *, burnt: int = PUBLISHED, seed: int = 0) -> InitResult:
+def init(
+    folder: Path,
+    *,
+    burnt: int = PUBLISHED,
+    prior: str | Path = DEFAULT_PRIOR,
+    seed: int = 0,
+) -> InitResult:
     """Write a commented example plot into `folder`; it runs as it is.
 
     **Arguments:**
@@ -43,12 +58,17 @@ def init(folder: Path, *, burnt: int = PUBLISHED, seed: int = 0) -> InitResult:
     - `folder`: where to write the plot file and its tables, made if missing.
     - `burnt`: year of the plot's last fire. 2006 is the published plot; other years rest on
       assumptions about recovery, which the files state.
+    - `prior`: learned population (`read_prior`) of which the files state leaf area, dead tissue and
+      the brightness of dead tissue, each with its spread in another region, and of which leaves
+      have the factors. "none" states nothing: growth forms have their defaults, with wide priors.
     - `seed`: seed of every random number of the plot.
 
     **Returns:** `InitResult`, with the files that were written.
 
-    **Raises:** `InputError` where a file would be overwritten, or for a year out of range.
+    **Raises:** `InputError` where a file would be overwritten, for a year out of range, and as
+    `read_prior`.
     """
+    learned = read_prior(prior)
     # Statistics of the published plot's image are no target for another.
     files = {k: v for k, v in FILES.items() if burnt == PUBLISHED or k != "statistics.csv"}
     there = [name for name in files if (folder / name).exists()]
@@ -65,12 +85,80 @@ def init(folder: Path, *, burnt: int = PUBLISHED, seed: int = 0) -> InitResult:
         text = re.sub(r"(?m)^seed = 0 ", f"seed = {seed} ", text)
         if burnt != PUBLISHED:
             text = _at_another_age(burnt, text, staged)
+        if learned is not None:
+            text = _with_population(learned, text, staged)
         plot.write_text(text, encoding="utf-8")
     assumed = [] if burnt == PUBLISHED else [ASSUMED]
     headline = [f"Assumed: {text}." for text in assumed]
     return InitResult(
         output=str(folder), seed=seed, headline=headline, files=files, warnings=assumed
     )
+
+
+def _with_population(prior: LearnedPrior, text: str, folder: Path) -> str:
+    """The plot file with means and spreads of a population; its tables get theirs."""
+    values = prior.values()
+    source = f"prior {prior.path.name}: {prior.file.title}"
+    notes = (
+        "# Leaf area and dead tissue: means of the growth forms, learned from spectra",
+        f"# ({source}).",
+    )
+
+    def of_form(name: str) -> Callable[[dict[str, str]], str]:
+        return lambda row: (
+            f"{values[key]:.3g}" if (key := f"{name}.{row['growth_form']}") in values else ""
+        )
+
+    rows = _rewrite(folder / "species.csv", notes, {name: of_form(name) for name in BY_FORM})
+    shipped = read_prior(DEFAULT_PRIOR)
+    assert shipped is not None
+    if prior.file != shipped.file:
+        known, new = leaf_factors(shipped.values()), leaf_factors(values)
+
+        def of_leaf(name: str) -> Callable[[dict[str, str]], str]:
+            return lambda row: (
+                f"{float(row[name]) * new[name] / known[name]:.3g}" if row[name] else ""
+            )
+
+        _rewrite(
+            folder / "leaves.csv",
+            (f"# Here times the factors of another prior instead ({source}).",),
+            {name: of_leaf(name) for name in known},
+        )
+    priors = [
+        "# Leaf area and dead tissue: spread between plots and regions, and error of the mean",
+        f"# ({source}).",
+    ]
+    for row in rows:
+        for kind in BY_FORM:
+            if row["growth_form"] in LEAFY_FORMS:
+                key = f"{kind}.{row['growth_form']}"
+                relative = prior.sd(key, elsewhere=True) / values[key]
+                priors.append(f'"species.{row["taxon"]}.{kind}" = {relative:.2f}')
+    wood, spread = values["wood_brightness"], prior.sd("wood_brightness", elsewhere=True)
+    priors.append(f'"ground.wood_brightness" = {spread / wood:.2f}')
+    text = re.sub("# wood_brightness = [0-9.]+", f"wood_brightness = {wood:.2f} ", text)
+    text = re.sub(r'(?m)^"\*\.leaf_area_index" = .*\n', "", text)
+    text = text.replace(
+        "not measured here, and how densely they stand was guessed", "not measured here"
+    )
+    return text.replace("[calibration.priors]\n", "\n".join(["[calibration.priors]", *priors, ""]))
+
+
+def _rewrite(
+    path: Path, notes: Sequence[str], columns: dict[str, Callable[[dict[str, str]], str]]
+) -> list[dict[str, str]]:
+    """Columns of a table computed from its rows, added at the end where it has none of the name,
+    with notes above the header; its rows as they were."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    start = next(i for i, line in enumerate(lines) if not line.startswith("#"))
+    header = lines[start].split(",")
+    rows = [dict(zip(header, line.split(","), strict=True)) for line in lines[start + 1 :]]
+    names = [*header, *(name for name in columns if name not in header)]
+    table = [{**row, **{name: of(row) for name, of in columns.items()}} for row in rows]
+    body = [",".join(names), *(",".join(row[name] for name in names) for row in table)]
+    path.write_text("\n".join([*lines[:start], *notes, *body, ""]), encoding="utf-8")
+    return rows
 
 
 def _at_another_age(burnt: int, text: str, folder: Path) -> str:
