@@ -155,7 +155,10 @@ def _bounds(name: str) -> tuple[float, float]:
 
 
 def leaf_factors(population: Mapping[str, Any]) -> dict[str, Any]:
-    """Factors on PROSPECT parameters of all leaves, by name, of values of `FACTORS`."""
+    """Factors on the PROSPECT parameters of all leaves, by name [-].
+
+    **Arguments:** `population`, with values of `FACTORS` [-], such as `LearnedPrior.values`.
+    """
     mass = population["leaf_mass_per_area"]
     return {
         "structure": population["structure"],
