@@ -455,19 +455,21 @@ def _scattered(
     vectors = jnp.asarray(ordinates.vectors, dtype)
     weights = jnp.asarray(ordinates.weights, dtype)
     times = cut.slabs, diffuse.factor(scene)[1]
-    sources = []
     shares = jnp.stack(area_scattering_of(classes.angles, vectors, towards[None]))[..., 0] * weights
     projection = projections(classes.angles, towards[2]).astype(dtype)
     shares = shares * (projection / shares.sum(axis=-1))[..., None]  # [kind, angle, ordinate]
-    for index in range(len(classes.angles)):
-        mine = np.flatnonzero(np.asarray(classes.angle_of_class) == index)
-        total = jnp.zeros((), dtype)
-        for share, optics in zip(
-            shares[:, index], (classes.reflectance, classes.transmittance), strict=True
-        ):
-            field = jnp.einsum("o,bozyx->bzyx", share, diffuse.intensity)
-            field = upsample(field, times, scene.boundary)
-            area = jnp.einsum("cb,scyx->sbyx", optics[mine], composition[:, mine])
-            total = total + area * jnp.moveaxis(field, 1, 0)
-        sources.append(total)
-    return jnp.stack(sources, axis=1)
+    optics = jnp.stack([classes.reflectance, classes.transmittance])
+    mine = np.asarray(classes.angle_of_class) == np.arange(len(classes.angles))[:, None]
+
+    def of_angle(at: tuple[Array, Array]) -> Array:
+        """From the leaves that share a distribution of normals."""
+        share, mine = at
+        field = jnp.einsum("ko,bozyx->kbzyx", share, diffuse.intensity)
+        field = upsample(field, times, scene.boundary)
+        area = jnp.einsum("kcb,scyx->kbsyx", optics * mine[:, None], composition)
+        return jnp.sum(area * field, axis=0)
+
+    # One program for all distributions; recomputed in the backward pass, no field is kept.
+    each = jnp.swapaxes(shares, 0, 1), jnp.asarray(mine, dtype)
+    sources = jax.lax.map(jax.checkpoint(of_angle), each)
+    return jnp.transpose(sources, (2, 0, 1, 3, 4))

@@ -27,6 +27,7 @@ from tests.benchmarks.radiation import (  # noqa: E402
     gradients,
     head_to_head,
     mesh,
+    plants,
     references,
     spectrum,
 )
@@ -41,6 +42,7 @@ TESTS: dict[str, Callable[[Setting], Iterator[Row]]] = {
     "rami4pilps": references.rami4pilps,
     "head-to-head": head_to_head.head_to_head,
     "mesh": mesh.mesh_shrub,
+    "plants": plants.plants,
     "gradients": gradients.gradients,
     "image": cost.image,
     "value-and-gradient": cost.value_and_gradient,

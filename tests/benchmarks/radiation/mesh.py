@@ -62,13 +62,17 @@ def leaves(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 def rendered(python: str, samples: int) -> dict[str, np.ndarray]:
     """Mitsuba's images and scene means of the mesh; two halves with other seeds."""
     centre, normal = leaves()
+    return path_traced(
+        python, samples, centre=centre, normal=normal, diameter=DIAMETER, side=SIDE, copies=0,
+        pixels=120, sun=towards(*SUN), direct=1 - SKY, sky=SKY, views=towards(*VIEWS.T), **OPTICS,
+    )  # fmt: skip
+
+
+def path_traced(python: str, samples: int, **scene_of_discs: Any) -> dict[str, np.ndarray]:
+    """What `mesh_peer` makes of a scene of discs: its arrays stand there."""
     with tempfile.TemporaryDirectory() as folder:
         scene, images = Path(folder) / "scene.npz", Path(folder) / "images.npz"
-        arrays: dict[str, Any] = dict(
-            centre=centre, normal=normal, diameter=DIAMETER, side=SIDE, pixels=120,
-            sun=towards(*SUN), direct=1 - SKY, sky=SKY, views=towards(*VIEWS.T), **OPTICS,
-        )  # fmt: skip
-        np.savez(scene, **arrays)
+        np.savez(scene, **scene_of_discs)
         peer = Path(__file__).with_name("mesh_peer.py")
         command = [python, str(peer), str(scene), str(images), "--samples", str(samples)]
         subprocess.run(command, check=True)
