@@ -6,21 +6,23 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.io.plot import Plot
-from fynjax.scene import PlantingRules, element_count
+from fynjax.scene import MOST_LISTED, PlantingRules, element_count
 
-_ELEMENT_BYTES = 80
-"""Memory that an area element takes while a plot is built: measured at 100 m x 100 m."""
+_ELEMENT_BYTES, _PLANT_BYTES = 80, 700
+"""Memory that an area element takes while it is listed and placed, and a plant while a plot is
+built: measured at 100 m x 100 m."""
 
 
 def check_memory(plot: Plot) -> None:
     """Refuse a plot whose plants this machine has no memory for, before it runs out of it."""
-    area, elements = float(np.prod(plot.size_m)), 0.0
+    area, elements, plants = float(np.prod(plot.size_m)), 0.0, 0.0
     rules = PlantingRules(structure=plot.structure_m)
     structured = rules.finer(plot.voxel_m) > 0
     for s in plot.species:
         crown = np.pi / 4.0 * s.diameter_m**2 * (1.0 - s.packing) * s.fill
         each = max(crown, s.minimum_object_area_m2 or 0.0)
         count = PlantingRules.room * (s.branches or 1) * area * s.cover / each
+        plants += count
         elements += count * element_count(
             s.diameter_m, s.height_m, rules.resolved(plot.voxel_m), structured=structured
         )
@@ -28,7 +30,7 @@ def check_memory(plot: Plot) -> None:
         there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     except (AttributeError, ValueError, OSError):  # not every system tells
         return
-    needed = _ELEMENT_BYTES * elements / 2**30
+    needed = (_ELEMENT_BYTES * min(elements, MOST_LISTED) + _PLANT_BYTES * plants) / 2**30
     if needed > there:
         raise InputError(
             f"the plants of {plot.size_m[0]:g} m x {plot.size_m[1]:g} m in voxels of "

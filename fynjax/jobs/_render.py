@@ -78,7 +78,7 @@ def render(
         scene, parameters = build_plot(read, seed=run.seed)
         camera = aim_without_air(read, scene, parameters, instrument)
     with run.stage("Render", "render"):
-        if is_large(camera):
+        if is_large(camera, scene):
             keep: Keep = keep_nothing
             if checkpoint is not None:
                 hashes = [file_hash(path) for path in read.inputs]

@@ -2,10 +2,10 @@
 
 from fynjax.radiation._arrays import voxel_scene
 from fynjax.radiation._canopy import canopy_reflectance
-from fynjax.radiation._check import check_scene
+from fynjax.radiation._check import check_scene, voxel_values
 from fynjax.radiation._fluxes import Fluxes, absorption, fluxes
 from fynjax.radiation._ground import RahmanPintyVerstraete
-from fynjax.radiation._multiple import DiffuseField
+from fynjax.radiation._multiple import Cells, DiffuseField
 from fynjax.radiation._phase import area_scattering
 from fynjax.radiation._rays import (
     AbstractRays,
@@ -26,16 +26,28 @@ from fynjax.radiation._render import (
     solve_light,
 )
 from fynjax.radiation._scene import Illumination, OpticalClasses, VoxelScene
-from fynjax.radiation._tiles import Tiling, render_tile, render_tiles, tile_picture
+from fynjax.radiation._tiles import (
+    LightInWindows,
+    Tiling,
+    cut_cells,
+    render_tile,
+    render_tiles,
+    render_window,
+    solve_cells,
+    tile_picture,
+    window_cells,
+)
 
 __all__ = [
     "AbstractRays",
     "Accuracy",
+    "Cells",
     "DiffuseField",
     "Fluxes",
     "Illumination",
     "Lattice",
     "Light",
+    "LightInWindows",
     "OpticalClasses",
     "RahmanPintyVerstraete",
     "RayField",
@@ -47,6 +59,7 @@ __all__ = [
     "canopy_reflectance",
     "check_light",
     "check_scene",
+    "cut_cells",
     "directional_reflectance",
     "fluxes",
     "nadir_rays",
@@ -56,7 +69,11 @@ __all__ = [
     "render",
     "render_tile",
     "render_tiles",
+    "render_window",
+    "solve_cells",
     "solve_light",
     "tile_picture",
     "voxel_scene",
+    "voxel_values",
+    "window_cells",
 ]

@@ -336,11 +336,12 @@ def check_memory(
     ordinates: int,
     factor: tuple[int, int],
     finer: tuple[int, int] | None,
+    held: float = math.inf,
 ) -> None:
     """Raise `InputError` where the light of a scene would not fit in the memory of this machine.
 
-    Counts what grows with the grid: the scene, the radiance along each ordinate in each band, and
-    the directions that the solver keeps.
+    Counts what grows with the grid: the scene, of which `held` voxels at most are in memory at
+    once, the radiance along each ordinate in each band, and the directions that the solver keeps.
     """
     available = _memory()
     if available is None:
@@ -354,8 +355,8 @@ def check_memory(
         light = (_COARSE_FIELDS + bands) / cell
         if fine is not None:
             light = _COARSE_FIELDS / cell + (bands + _FINE_FIELDS) / fine
-        structure = _SUN_FIELDS * high * wide**2 / times**3
-        return voxels * ((3 * scene.area_density.shape[0] + structure) * size + field * light)
+        values = voxel_values(scene) - _SUN_FIELDS * high * wide**2 * (1 - 1 / times**3)
+        return min(voxels, held) * values * size + voxels * field * light
 
     voxels = math.prod(scene.shape)
     cell = factor[0] * factor[1] ** 2
@@ -384,6 +385,12 @@ def check_memory(
         f"a grid of {layers} x {rows} x {columns} voxels in {bands} bands needs about "
         f"{need / 2**30:.1f} GiB, but this machine has {available / 2**30:.1f}: {advice}"
     )
+
+
+def voxel_values(scene: VoxelScene) -> int:
+    """Numbers in memory at once for each voxel of `scene`, while the sun is followed."""
+    high, wide = scene.structure_factor
+    return 3 * scene.area_density.shape[0] + _SUN_FIELDS * high * wide**2
 
 
 def check_picture(scene: VoxelScene, pixels: int, slabs: int) -> None:

@@ -8,13 +8,14 @@ through the iterations.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from fynjax._core.geometry import direction
 from fynjax.canopy import projections
 from fynjax.radiation._blocks import block_mean
 from fynjax.radiation._ordinates import (
@@ -260,24 +261,50 @@ def ground_shape(
     )
 
 
+class Cells(NamedTuple):
+    """What the diffuse light needs of the voxels: their means in the cells of a coarser grid."""
+
+    density: Float[Array, "class z y x"]
+    """Area density [m2 m-3]."""
+    lit: Float[Array, "class z y x"]
+    """Area density times the share that the sun reaches, over the cosine of its zenith angle."""
+    reached: Float[Array, "y x"]
+    """Direct irradiance on the ground's surface over that above the canopy [-]."""
+    ground: Float[Array, "band y x"]
+    """Reflectance of the ground [-]."""
+
+    def coarser(self, factor: tuple[int, int]) -> "Cells":
+        """Means over blocks of `factor` = (layers, columns) cells."""
+        density, lit = (block_mean(field, factor) for field in (self.density, self.lit))
+        reached, ground = (
+            block_mean(field[:, None], (1, factor[1]))[:, 0]
+            for field in (self.reached[None], self.ground)
+        )
+        return Cells(density, lit, reached[0], ground)
+
+
+def cells_of(scene: VoxelScene, sun: SunField, factor: tuple[int, int]) -> Cells:
+    """The voxels of a scene in cells of `factor` = (layers, columns) of them."""
+    lit = scene.area_density * (sun.voxel_transmittance / sun.cosine)
+    return Cells(scene.area_density, lit, sun.on_ground, scene.ground_map).coarser(factor)
+
+
 def prepare_transport(
-    scene: VoxelScene, sun: SunField, factor: tuple[int, int], ordinates: Ordinates
+    scene: VoxelScene, cells: Cells, factor: tuple[int, int], ordinates: Ordinates
 ) -> tuple[Transport, Bands]:
-    """What all bands share, and what each has of its own."""
-    dtype = scene.area_density.dtype
+    """What all bands share, and what each has of its own. Of `scene` all but the voxels counts."""
+    dtype = cells.density.dtype
     classes, light = scene.classes, scene.illumination
-    density = block_mean(scene.area_density, factor)
-    lit = block_mean(scene.area_density * sun.voxel_transmittance, factor)
-    travel = -jnp.concatenate([sun.slope, jnp.ones(1, dtype)]) * sun.cosine
+    travel = -direction(light.sun_zenith, light.sun_azimuth).astype(dtype)
     vectors = jnp.asarray(ordinates.vectors, dtype)
     weights = jnp.asarray(ordinates.weights, dtype)
     phase = jnp.stack(scattering_matrices(classes, ordinates, vectors)) * weights[:, None]
     sun_phase = jnp.stack(scattering_matrices(classes, ordinates, travel[None]))
     transport = Transport(
-        coarse_grid(scene, density, factor, ordinates),
-        density,
-        lit / sun.cosine,
-        block_mean(sun.on_ground[None], (1, factor[1]))[0],
+        coarse_grid(scene, cells.density, factor, ordinates),
+        cells.density,
+        cells.lit,
+        cells.reached,
         jnp.swapaxes(phase, 2, 3),
         sun_phase[:, :, 0],
         classes,
@@ -285,7 +312,7 @@ def prepare_transport(
     bands = Bands(
         classes.reflectance.T,
         classes.transmittance.T,
-        block_mean(scene.ground_map[:, None], (1, factor[1]))[:, 0],
+        cells.ground,
         light.sun.astype(dtype),
         sky_radiance(light, ordinates).astype(dtype),
         ground_shape(scene, ordinates, travel),
@@ -295,7 +322,7 @@ def prepare_transport(
 
 def solve_diffuse(
     scene: VoxelScene,
-    sun: SunField,
+    cells: Cells,
     factor: tuple[int, int],
     ordinates: Ordinates,
     tolerance: float,
@@ -303,9 +330,10 @@ def solve_diffuse(
 ) -> DiffuseField:
     """Solve for the diffuse field in each band, one band after another.
 
-    Memory is that of one band's intensity times the few directions that the solver keeps.
+    `cells` are of `factor` voxels. Memory is that of one band's intensity times the few directions
+    that the solver keeps.
     """
-    transport, bands = prepare_transport(scene, sun, factor, ordinates)
+    transport, bands = prepare_transport(scene, cells, factor, ordinates)
 
     def solve_band(band: Bands) -> DiffuseField:
         return transport.field(band, *transport.solve(band, tolerance, iterations))

@@ -25,8 +25,9 @@ from fynjax.radiation._check import (
 )
 from fynjax.radiation._resample import axis_weights, nearest_cells, sample, sample_near
 
-_NEAR, _MANY = 3, 64
-"""Cells under a pixel up to which, and along a lattice from which on, they are read one by one."""
+_NEAR, _MANY, _MANY_OF_EACH = 3, 64, 201
+"""Cells under a pixel up to which, and along a lattice from which on, they are read one by one: of
+one field, and of several."""
 
 
 class Lattice(NamedTuple):
@@ -192,8 +193,9 @@ class RayLattice(AbstractRays):
         )
 
         def average(field: Array) -> Array:
-            # One field of many cells is read where it is wanted; of several, a product is cheaper.
-            if field.ndim == 2 and width <= _NEAR * spacing and min(field.shape) >= _MANY:
+            # Of many cells those are read that are wanted; of few, a product is cheaper.
+            many = _MANY if field.ndim == 2 else _MANY_OF_EACH
+            if width <= _NEAR * spacing and min(field.shape[-2:]) >= many:
                 return sample_near(field, *(nearest_cells(*axis) for axis in axes))
             return sample(field, *(axis_weights(*axis) for axis in axes))
 

@@ -15,10 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from fynjax._core.errors import InputError
-from fynjax.radiation._multiple import Bands, DiffuseField, Transport, prepare_transport
+from fynjax.radiation._multiple import Bands, Cells, DiffuseField, Transport, prepare_transport
 from fynjax.radiation._ordinates import Ordinates
 from fynjax.radiation._scene import VoxelScene
-from fynjax.radiation._sun import SunField
 
 _RECOLLISION = 0.6
 """Rough share of scattered light that meets a leaf again; only the choice of bands uses it."""
@@ -71,7 +70,7 @@ def _field(
 
 def solve_reduced(
     scene: VoxelScene,
-    sun: SunField,
+    cells: Cells,
     factor: tuple[int, int],
     ordinates: Ordinates,
     tolerance: float,
@@ -92,7 +91,7 @@ def solve_reduced(
     derivative is that of the reduced model and jumps where the choice changes. The angular shape
     of the ground must be the same in all bands (`check_reducible`).
     """
-    transport, bands = prepare_transport(scene, sun, factor, ordinates)
+    transport, bands = prepare_transport(scene, cells, factor, ordinates)
     count = bands.sun.shape[0]
     # Where one pattern does for all bands it is not fitted: a black ground has a derivative too.
     if scene.ground.ndim == 1:

@@ -13,15 +13,20 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from fynjax.radiation._blocks import block_mean, spread, upsample
-from fynjax.radiation._multiple import Bands, DiffuseField, prepare_transport, relative_size
+from fynjax.radiation._multiple import (
+    Bands,
+    Cells,
+    DiffuseField,
+    prepare_transport,
+    relative_size,
+)
 from fynjax.radiation._ordinates import Ordinates
 from fynjax.radiation._scene import VoxelScene
-from fynjax.radiation._sun import SunField
 
 
 def solve_refined(
     scene: VoxelScene,
-    sun: SunField,
+    cells: Cells,
     finer: tuple[int, int],
     factor: tuple[int, int],
     ordinates: Ordinates,
@@ -30,12 +35,14 @@ def solve_refined(
 ) -> DiffuseField:
     """Solve for the diffuse field in each band on the coarse grid, and follow it on a finer one.
 
-    `factor` and `finer` are the voxels (in height and width) in a cell of either. Memory is that
-    of the finer field of all bands. Differentiable: the derivative is that of these very steps.
+    `factor` and `finer` are the voxels (in height and width) in a cell of either; `cells` are the
+    finer ones. Memory is that of the finer field of all bands. Differentiable: the derivative is
+    that of these very steps.
     """
-    coarse, coarse_bands = prepare_transport(scene, sun, factor, ordinates)
-    fine, fine_bands = prepare_transport(scene, sun, finer, ordinates)
-    factor = factor[0] // finer[0], factor[1] // finer[1]
+    times = factor[0] // finer[0], factor[1] // finer[1]
+    coarse, coarse_bands = prepare_transport(scene, cells.coarser(times), factor, ordinates)
+    fine, fine_bands = prepare_transport(scene, cells, finer, ordinates)
+    factor = times
 
     @jax.checkpoint  # the finer fields of one band are recomputed in its backward pass
     def last_flight(band: Bands, field: Array) -> tuple[Array, ...]:

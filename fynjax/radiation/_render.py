@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import math
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,7 +23,7 @@ from fynjax.radiation._check import (
     short,
 )
 from fynjax.radiation._image import Radiance, render_rays
-from fynjax.radiation._multiple import DiffuseField, solve_diffuse
+from fynjax.radiation._multiple import Cells, DiffuseField, cells_of, solve_diffuse
 from fynjax.radiation._ordinates import Ordinates, sky_radiance
 from fynjax.radiation._rays import AbstractRays, parallel_rays
 from fynjax.radiation._reduced import ReducedField, check_reducible, solve_reduced
@@ -153,37 +153,51 @@ def solve_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> Light:
             "must be level"
         )
     _check_sky(scene, accuracy)
-    factor, reduced, finer = check_fit(scene, accuracy)
-    missing = -scene.shape[0] % factor[0]
-    if missing:
-        above = ((0, 0), (0, missing), (0, 0), (0, 0))
-        fine = None
-        if scene.structure is not None:
-            fine = jnp.pad(
-                scene.structure, ((0, missing * scene.structure_factor[0]), (0, 0), (0, 0))
-            )
-        density = jnp.pad(scene.area_density, above)
-        scene = dataclasses.replace(scene, area_density=density, structure=fine)
+    fit = check_fit(scene, accuracy)
+    scene = in_whole_cells(scene, fit.factor)
     if scene.terrain is not None:
         ordinates = accuracy.ordinates
         down, flux = ordinates.vectors[: len(ordinates.vectors) // 2], ordinates.fluxes.ravel()
         ground = with_adjacent_ground(scene, down, flux)
         scene = eqx.tree_at(lambda s: s.ground, scene, ground)
+    sun = follow_sun(scene, accuracy, sun_margin(scene, accuracy))
+    diffuse = diffuse_light(scene, cells_of(scene, sun, fit.finest), fit, accuracy)
+    return Light(scene, sun, diffuse, accuracy)
+
+
+def in_whole_cells(scene: VoxelScene, factor: tuple[int, int]) -> VoxelScene:
+    """The scene with empty layers on top, so that cells of `factor` voxels fill its height."""
+    missing = -scene.shape[0] % factor[0]
+    if not missing:
+        return scene
+    above = [(0, missing), (0, 0), (0, 0)]
+    fine = scene.structure
+    if fine is not None:
+        fine = jnp.pad(fine, [(0, missing * scene.structure_factor[0]), *above[1:]])
+    density = jnp.pad(scene.area_density, [(0, 0), *above])
+    return dataclasses.replace(scene, area_density=density, structure=fine)
+
+
+def follow_sun(scene: VoxelScene, accuracy: Accuracy, margin: int) -> SunField:
+    """`trace_sun` as finely as asked for."""
     sublayers = accuracy.sublayers or pieces(scene.illumination.sun_zenith, aspect(scene))
     lattice = accuracy.lattice or (
         1 if scene.horizontal / scene.structure_factor[1] <= _FINE else 2
     )
-    sun = trace_sun(scene, lattice, sublayers, sun_margin(scene, accuracy))
-    how = (factor, accuracy.ordinates, accuracy.tolerance, accuracy.iterations)
-    diffuse: DiffuseField | ReducedField
-    if reduced:
+    return trace_sun(scene, lattice, sublayers, margin)
+
+
+def diffuse_light(
+    scene: VoxelScene, cells: Cells, fit: "Fit", accuracy: Accuracy
+) -> DiffuseField | ReducedField:
+    """The diffuse light from the finest cells of `fit`. Of `scene` all but the voxels counts."""
+    how = (fit.factor, accuracy.ordinates, accuracy.tolerance, accuracy.iterations)
+    if fit.reduced:
         check_reducible(scene)
-        diffuse = solve_reduced(scene, sun, *how, solves=accuracy.solves or 0)
-    elif finer is not None:
-        diffuse = solve_refined(scene, sun, finer, *how)
-    else:
-        diffuse = solve_diffuse(scene, sun, *how)
-    return Light(scene, sun, diffuse, accuracy)
+        return solve_reduced(scene, cells, *how, solves=accuracy.solves or 0)
+    if fit.finer is not None:
+        return solve_refined(scene, cells, fit.finer, *how)
+    return solve_diffuse(scene, cells, *how)
 
 
 def _check_sky(scene: VoxelScene, accuracy: Accuracy) -> None:
@@ -219,21 +233,40 @@ def check_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> None:
     check_fit(scene, Accuracy() if accuracy is None else accuracy)
 
 
-def check_fit(
-    scene: VoxelScene, accuracy: Accuracy
-) -> tuple[tuple[int, int], bool, tuple[int, int] | None]:
-    """Voxels in a cell of the coarse grid, whether bands are reduced, and the voxels in a cell on
-    which the light is refined; None: nowhere.
+class Fit(NamedTuple):
+    """The grids of the diffuse light of a scene."""
 
-    Raises `InputError` where the grid cannot be coarsened so or does not fit in memory.
-    """
+    factor: tuple[int, int]
+    """Voxels in a cell of the coarse grid, in height and in width."""
+    reduced: bool
+    """Whether bands are reduced to few solves."""
+    finer: tuple[int, int] | None
+    """Voxels in a cell on which the light is refined; None: nowhere."""
+
+    @property
+    def finest(self) -> tuple[int, int]:
+        """Voxels in a cell of the finest of these grids."""
+        return self.finer or self.factor
+
+
+def fit_grids(scene: VoxelScene, accuracy: Accuracy) -> Fit:
+    """Grids that suit a scene. Raises `InputError` where its grid cannot be coarsened so."""
     factor = _coarsening(scene, accuracy)
     reduced = accuracy.solves is not None and scene.illumination.sun.shape[0] > accuracy.solves
     finer = None
     if accuracy.refine and factor != (1, 1) and not reduced:
         finer = factor[0] // _least_divisor(factor[0]), factor[1] // _least_divisor(factor[1])
-    check_memory(scene, len(accuracy.ordinates.weights), factor, finer)
-    return factor, reduced, finer
+    return Fit(factor, reduced, finer)
+
+
+def check_fit(scene: VoxelScene, accuracy: Accuracy, held: float = math.inf) -> Fit:
+    """`fit_grids` of a scene of which `held` voxels at most are in memory at once.
+
+    Raises `InputError` where its light does not fit in memory, too.
+    """
+    fit = fit_grids(scene, accuracy)
+    check_memory(scene, len(accuracy.ordinates.weights), fit.factor, fit.finer, held)
+    return fit
 
 
 def _least_divisor(number: int) -> int:

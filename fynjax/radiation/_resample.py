@@ -44,7 +44,7 @@ def nearest_cells(
     centres: Float[Array, " point"], width: float, count: int, spacing: float, boundary: str
 ) -> tuple[Int[Array, "near point"], Float[Array, "near point"]]:
     """The same as the cells that the interval of `width` around each centre may touch, and its
-    share in each: for wide grids that single fields are sampled from."""
+    share in each: for wide grids."""
     near = math.ceil(width / spacing - 1e-6) + 1
     low = (centres - 0.5 * width) / spacing
     first = jnp.floor(jax.lax.stop_gradient(low))
@@ -60,17 +60,17 @@ def nearest_cells(
 
 
 def sample_near(
-    field: Float[Array, "y x"],
+    field: Float[Array, "*batch y x"],
     rows: tuple[Int[Array, "near row"], Float[Array, "near row"]],
     columns: tuple[Int[Array, "near column"], Float[Array, "near column"]],
-) -> Float[Array, "row column"]:
-    """Sample one field from the cells of `nearest_cells` along each axis."""
+) -> Float[Array, "*batch row column"]:
+    """Sample the last two axes of `field` from the cells of `nearest_cells` along each."""
     by_row = sum(
-        (share[:, None] * field[index] for index, share in zip(*rows)),
+        (share[:, None] * field[..., index, :] for index, share in zip(*rows)),
         start=jnp.zeros((), field.dtype),
     )
     return sum(
-        (share * by_row[:, index] for index, share in zip(*columns)),
+        (share * by_row[..., index] for index, share in zip(*columns)),
         start=jnp.zeros((), field.dtype),
     )
 

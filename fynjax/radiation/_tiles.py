@@ -1,26 +1,44 @@
-"""Pictures too large to be rendered in one piece.
+"""Pictures too large to be rendered in one piece, of scenes too large to be held in one.
 
 The light is solved once, for the whole scene; its diffuse part is smooth and takes little memory
 on its coarse cells. What grows with the picture is what the rays meet on their way down, so the
 picture is rendered tile by tile, each from the window of the scene that its rays and the sunbeams
 which they meet can cross. The tiles together are the picture of the whole: there are no seams.
+
+Nor need all voxels be held for the light: its cells are means over voxels, which are made window by
+window (`window_cells`), each with a rim as wide as a sunbeam crosses on its way down.
 """
 
 import dataclasses
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.geometry import direction
 from fynjax.radiation._check import check_whole, concrete
 from fynjax.radiation._image import Radiance
-from fynjax.radiation._multiple import DiffuseField
+from fynjax.radiation._multiple import Cells, DiffuseField, cells_of
 from fynjax.radiation._rays import RayLattice
-from fynjax.radiation._render import Light, render_up_to
+from fynjax.radiation._reduced import ReducedField
+from fynjax.radiation._render import (
+    Accuracy,
+    Light,
+    check_fit,
+    diffuse_light,
+    fit_grids,
+    follow_sun,
+    in_whole_cells,
+    render_up_to,
+    sun_margin,
+)
+from fynjax.radiation._scene import VoxelScene
 
 
 class _Axis(NamedTuple):
@@ -43,6 +61,8 @@ class Tiling(NamedTuple):
     x: _Axis
     steepest: float
     """Largest zenith angle of a ray [degrees]."""
+    wide: int
+    """Voxels along the edge of a cell of the diffuse light."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -55,13 +75,27 @@ class Tiling(NamedTuple):
         rows, columns = (slice(start, start + count) for start, count in at)
         return rows, columns
 
+    def window(self, row: int, column: int) -> tuple[tuple[int, int], tuple[int, int]]:
+        """The voxel columns that a tile takes, along y and x: the first, and how many."""
+        first = self.y.first[row] * self.wide, self.x.first[column] * self.wide
+        return first, (self.y.cells * self.wide, self.x.cells * self.wide)
 
-def tile_picture(light: Light, rays: RayLattice, tile: int = 500) -> Tiling:
+
+class LightInWindows(eqx.Module):
+    """The diffuse light of a scene whose voxels are not held; `solve_cells` makes one."""
+
+    scene: VoxelScene
+    """With shapes in place of the voxels' area."""
+    diffuse: DiffuseField | ReducedField
+    accuracy: Accuracy
+
+
+def tile_picture(light: Light | LightInWindows, rays: RayLattice, tile: int = 500) -> Tiling:
     """Cut the picture of `rays` in tiles of `tile` pixels, or fewer where it is smaller.
 
     **Arguments:**
 
-    - `light`: from `solve_light`.
+    - `light`: from `solve_light` or `solve_cells`.
     - `rays`: `parallel_rays` or `nadir_rays`.
     - `tile`: edge of a tile [pixels].
 
@@ -84,30 +118,127 @@ def tile_picture(light: Light, rays: RayLattice, tile: int = 500) -> Tiling:
             "a picture in tiles needs the light of every band, but that of many bands was reduced "
             "to a few: render fewer bands at once, or set `accuracy.solves` to None"
         )
-    if not concrete(rays, light.sun.slope):
+    scene = light.scene
+    towards = light.sun.slope if isinstance(light, Light) else _sun_slope(scene)
+    if not concrete(rays, towards):
         raise InputError(
             "sun and rays must be known where a picture is cut in tiles, but are traced: call "
             "`tile_picture` outside the transformation"
         )
-    scene = light.scene
     slopes = np.abs([*np.asarray(rays.slope_x), *np.asarray(rays.slope_y)]).max()
     # What a ray crosses and what shades it; a cell more, for the light is interpolated.
-    reach = scene.height * (slopes + float(jnp.abs(light.sun.slope).max())) + rays.footprint
-    cell = light.diffuse.factor(scene)[1] * scene.horizontal
-    axes = []
-    for centres, count in ((rays.y, scene.shape[1]), (rays.x, scene.shape[2])):
-        at, whole = np.asarray(centres, float), round(count * scene.horizontal / cell)
-        pixels = min(tile, len(at))
-        starts = tuple(min(i, len(at) - pixels) for i in range(0, len(at), pixels))
-        lowest = [math.floor((at[i] - reach) / cell) - 1 for i in starts]
-        highest = [math.ceil((at[i + pixels - 1] + reach) / cell) + 1 for i in starts]
-        cells = max(high - low for low, high in zip(lowest, highest, strict=True))
-        if scene.boundary == "open":
-            cells = min(cells, whole)
-            lowest = [min(max(low, 0), whole - cells) for low in lowest]
-        axes.append(_Axis(pixels, starts, cells, tuple(lowest)))
+    reach = scene.height * (slopes + float(jnp.abs(towards).max())) + rays.footprint
+    wide = light.diffuse.factor(scene)[1]
+    y, x = (
+        _axis(scene, count, np.asarray(centres, float), tile, reach, wide)
+        for centres, count in zip((rays.y, rays.x), scene.shape[1:], strict=True)
+    )
     steepest = math.hypot(*(np.abs(np.asarray(s)).max() for s in (rays.slope_x, rays.slope_y)))
-    return Tiling(axes[0], axes[1], math.degrees(math.atan(steepest)))
+    return Tiling(y, x, math.degrees(math.atan(steepest)), wide)
+
+
+def _axis(
+    scene: VoxelScene,
+    count: int,
+    places: Float[np.ndarray, " pixel"],
+    tile: int,
+    reach: float,
+    wide: int,
+) -> _Axis:
+    """Cut an axis of `count` voxels, with pixels at rising `places` [m] that each need the scene as
+    far as `reach` [m] to either side, in tiles of `tile` pixels and windows of whole cells of
+    `wide` voxels."""
+    cell = wide * scene.horizontal
+    pixels = min(tile, len(places))
+    starts = tuple(min(i, len(places) - pixels) for i in range(0, len(places), pixels))
+    lowest = [math.floor((places[i] - reach) / cell) - 1 for i in starts]
+    highest = [math.ceil((places[i + pixels - 1] + reach) / cell) + 1 for i in starts]
+    cells = max(high - low for low, high in zip(lowest, highest, strict=True))
+    if scene.boundary == "open":
+        whole = count // wide
+        cells = min(cells, whole)
+        lowest = [min(max(low, 0), whole - cells) for low in lowest]
+    return _Axis(pixels, starts, cells, tuple(lowest))
+
+
+def _sun_slope(scene: VoxelScene) -> Float[Array, " 2"]:
+    """Horizontal distance per height along a sunbeam, (x, y) [-]."""
+    sun = scene.illumination
+    towards = direction(sun.sun_zenith, sun.sun_azimuth)
+    return towards[:2] / towards[2]
+
+
+def cut_cells(scene: VoxelScene, accuracy: Accuracy, held: int) -> Tiling:
+    """Cut the cells of a scene's diffuse light in tiles, to be made of its voxels window by window.
+
+    **Arguments:**
+
+    - `scene`: on level ground, its sun known; of its voxels the shapes count, as of
+      `jax.eval_shape`.
+    - `accuracy`: as for `solve_light`.
+    - `held`: voxels of the widest window, where sunbeams let it be so narrow.
+
+    **Raises:** `InputError` as `check_light`.
+    """
+    wide = check_fit(scene, accuracy, held).finest[1]
+    reach = scene.height * float(jnp.abs(_sun_slope(scene)).max())
+    counts = [count // wide for count in scene.shape[1:]]
+    centres = [(np.arange(count) + 0.5) * wide * scene.horizontal for count in counts]
+    for parts in range(1, max(counts) + 1):
+        y, x = (
+            _axis(scene, count, places, -(-len(places) // parts), reach, wide)
+            for places, count in zip(centres, scene.shape[1:], strict=True)
+        )
+        if y.cells * x.cells * wide**2 * scene.shape[0] <= held:
+            break
+    return Tiling(y, x, 0.0, wide)
+
+
+def window_cells(
+    scene: VoxelScene,
+    voxels: VoxelScene,
+    accuracy: Accuracy,
+    tiling: Tiling,
+    row: Array | int,
+    column: Array | int,
+) -> Cells:
+    """The cells of a tile of `cut_cells`, from the voxels of its window.
+
+    **Arguments:**
+
+    - `scene`, `accuracy`, `tiling`: as for `cut_cells`, and from it.
+    - `voxels`: of the window (`Tiling.window`), with open sides.
+    - `row`, `column`: of the tile; may be traced values.
+    """
+    fit = fit_grids(scene, accuracy)
+    voxels = in_whole_cells(voxels, fit.factor)
+    sun = follow_sun(voxels, accuracy, sun_margin(scene, accuracy))
+    cells = cells_of(voxels, sun, fit.finest)
+    y, x = (
+        jnp.asarray(np.subtract(axis.starts, axis.first))[at]
+        for axis, at in ((tiling.y, row), (tiling.x, column))
+    )
+
+    def inner(field: Array) -> Array:
+        field = jax.lax.dynamic_slice_in_dim(field, y, tiling.y.pixels, -2)
+        return jax.lax.dynamic_slice_in_dim(field, x, tiling.x.pixels, -1)
+
+    return jax.tree.map(inner, cells)
+
+
+def solve_cells(scene: VoxelScene, cells: Cells, accuracy: Accuracy) -> LightInWindows:
+    """Solve for the diffuse light of a scene from the cells of all its windows.
+
+    **Arguments:**
+
+    - `scene`, `accuracy`: as for `cut_cells`.
+    - `cells`: from `window_cells`, put together.
+    """
+    fit = fit_grids(scene, accuracy)
+    diffuse = diffuse_light(scene, cells, fit, accuracy)
+    whole = jax.eval_shape(partial(in_whole_cells, factor=fit.factor), scene)
+    scene = dataclasses.replace(scene, area_density=whole.area_density, structure=whole.structure)
+    return LightInWindows(scene, diffuse, accuracy)
 
 
 def render_tile(
@@ -123,26 +254,48 @@ def render_tile(
 
     Differentiable as `render`. Memory is that of the window of the scene that the tile views.
     """
-    along = (tiling.y, row), (tiling.x, column)
-    first = [jnp.asarray(axis.first)[at] for axis, at in along]
-    start = [jnp.asarray(axis.starts)[at] for axis, at in along]
-    window = _window(light, (first[0], first[1]), (tiling.y.cells, tiling.x.cells))
-    cell = light.diffuse.factor(light.scene)[1] * light.scene.horizontal
-    cut = [
-        [jax.lax.dynamic_slice_in_dim(field, at, axis.pixels) for field in fields]
-        for (axis, _), at, fields in zip(
-            along, start, ((rays.y, rays.slope_y), (rays.x, rays.slope_x)), strict=True
-        )
-    ]
+    return _render_through(_window(light, tiling, row, column), rays, tiling, row, column)
+
+
+def render_window(
+    light: LightInWindows,
+    voxels: VoxelScene,
+    rays: RayLattice,
+    tiling: Tiling,
+    row: Array | int,
+    column: Array | int,
+) -> Radiance:
+    """`render_tile` of a scene whose voxels are not held.
+
+    **Arguments:**
+
+    - `light`: from `solve_cells`.
+    - `voxels`: of the tile's window (`Tiling.window`), with open sides.
+    - `rays`, `tiling`, `row`, `column`: as for `render_tile`.
+    """
+    voxels = in_whole_cells(voxels, fit_grids(light.scene, light.accuracy).factor)
+    sun = follow_sun(voxels, light.accuracy, sun_margin(light.scene, light.accuracy))
+    assert isinstance(light.diffuse, DiffuseField)
+    diffuse = _window_of_field(light.diffuse, tiling, row, column)
+    window = Light(voxels, sun, diffuse, light.accuracy)
+    return _render_through(window, rays, tiling, row, column)
+
+
+def _render_through(
+    window: Light, rays: RayLattice, tiling: Tiling, row: Array | int, column: Array | int
+) -> Radiance:
+    """A tile of a picture, of the light in its window."""
+    cell = tiling.wide * window.scene.horizontal
+    cut = []
+    for axis, at, *fields in (
+        (tiling.y, row, rays.y, rays.slope_y),
+        (tiling.x, column, rays.x, rays.slope_x),
+    ):
+        start, first = jnp.asarray(axis.starts)[at], jnp.asarray(axis.first)[at]
+        place, slope = (jax.lax.dynamic_slice_in_dim(f, start, axis.pixels) for f in fields)
+        cut.append((place - (first * cell).astype(place.dtype), slope))
     (y, slope_y), (x, slope_x) = cut
-    part = dataclasses.replace(
-        rays,
-        x=x - (first[1] * cell).astype(x.dtype),
-        y=y - (first[0] * cell).astype(y.dtype),
-        slope_x=slope_x,
-        slope_y=slope_y,
-        picture=rays.ends,
-    )
+    part = dataclasses.replace(rays, x=x, y=y, slope_x=slope_x, slope_y=slope_y, picture=rays.ends)
     return render_up_to(window, part, tiling.steepest)
 
 
@@ -210,19 +363,11 @@ def render_tiles(
     return jax.tree.map(join, parts)
 
 
-def _window(light: Light, first: tuple[Array, Array], cells: tuple[int, int]) -> Light:
-    """The light in a part of its scene: `cells` of the diffuse light from the `first` on."""
-    scene, sun, diffuse = light.scene, light.sun, light.diffuse
-    assert isinstance(diffuse, DiffuseField)
-    wide = diffuse.factor(scene)[1]
-
-    def cut(field: Array, times: int, more: int = 0) -> Array:
-        """Of a map with `times` entries along a cell, and `more` at each end."""
-        for axis, start, count in ((-2, first[0], cells[0]), (-1, first[1], cells[1])):
-            index = start * times + jnp.arange(count * times + 2 * more)
-            field = jnp.take(field, index % field.shape[axis], axis=axis)
-        return field
-
+def _window(light: Light, tiling: Tiling, row: Array | int, column: Array | int) -> Light:
+    """The light in the window of a tile."""
+    scene, sun, wide = light.scene, light.sun, tiling.wide
+    assert isinstance(light.diffuse, DiffuseField)
+    cut = partial(_cut, tiling, row, column)
     optional = lambda field, times: None if field is None else cut(field, times)  # noqa: E731
     part = dataclasses.replace(
         scene,
@@ -237,7 +382,30 @@ def _window(light: Light, first: tuple[Array, Array], cells: tuple[int, int]) ->
         depth=cut(sun.depth, wide * sun.per_voxel, sun.margin),
         incidence=optional(sun.incidence, wide),
     )
-    field = dataclasses.replace(
-        diffuse, intensity=cut(diffuse.intensity, 1), falling=cut(diffuse.falling, 1)
-    )
+    field = _window_of_field(light.diffuse, tiling, row, column)
     return dataclasses.replace(light, scene=part, sun=beams, diffuse=field)
+
+
+def _window_of_field(
+    diffuse: DiffuseField, tiling: Tiling, row: Array | int, column: Array | int
+) -> DiffuseField:
+    """The diffuse light in the window of a tile."""
+    cut = partial(_cut, tiling, row, column, times=1)
+    return dataclasses.replace(
+        diffuse, intensity=cut(diffuse.intensity), falling=cut(diffuse.falling)
+    )
+
+
+def _cut(
+    tiling: Tiling,
+    row: Array | int,
+    column: Array | int,
+    field: Array,
+    times: int,
+    more: int = 0,
+) -> Array:
+    """The window of a map with `times` entries along a cell, and `more` at each end."""
+    for place, axis, at in ((-2, tiling.y, row), (-1, tiling.x, column)):
+        index = jnp.asarray(axis.first)[at] * times + jnp.arange(axis.cells * times + 2 * more)
+        field = jnp.take(field, index % field.shape[place], axis=place)
+    return field

@@ -40,7 +40,13 @@ from fynjax.scene._parameters import (
     parameter_reference,
     with_values,
 )
-from fynjax.scene._planting import Planting, draw_planting, element_count, leafy_species
+from fynjax.scene._planting import (
+    MOST_LISTED,
+    Planting,
+    draw_planting,
+    element_count,
+    leafy_species,
+)
 from fynjax.scene._profile import height_profile
 from fynjax.scene._scene import (
     PlantingRules,
@@ -66,6 +72,7 @@ __all__ = [
     "DRONE",
     "FIXED_PARAMETERS",
     "LEAF_FIELDS",
+    "MOST_LISTED",
     "PARAMETERS",
     "USUAL_LEAF",
     "AimedSensor",

@@ -3,7 +3,8 @@
 Turn and lean of a plant are fixed, so each of its area elements lies at site + diameter a +
 height b with fixed vectors a and b: all plants of all species are placed in one expression.
 Each plant has one of a few shapes of its species. Only which part of it an element is gets stored;
-the vectors are computed where they are used, so that a plot of a million plants fits in memory.
+the vectors are computed where they are used, so that a plot of a million plants fits in memory. Of
+a larger plot the elements are listed window by window.
 """
 
 import dataclasses
@@ -31,6 +32,8 @@ from fynjax.canopy import (
 INDIVIDUALS = 8
 """Shapes of a growth form among the plants of a species: their outlines, lobes and shoots differ,
 and each plant is turned besides. Few, because memory holds them all."""
+MOST_LISTED = 2**26
+"""Area elements that are listed for a whole plot, at most."""
 
 
 class Planting(eqx.Module):
@@ -50,8 +53,12 @@ class Planting(eqx.Module):
     """Crown diameter relative to the species' mean; the mean of its square is 1 [-]."""
     stature: Float[Array, " plant"]
     """Height relative to the species' greatest [-]."""
+    first: Int[Array, " plant"]
+    """First element of its shape in `shapes`."""
+    count: Int[Array, " plant"]
+    """Elements of its shape."""
     plant: Int[Array, " element"]
-    """Which plant each element belongs to."""
+    """Which plant each element belongs to; empty where there are too many to be listed."""
     part: Int[Array, " element"]
     """Which element of `shapes` it is."""
     shapes: PlantModel
@@ -96,28 +103,33 @@ class Planting(eqx.Module):
         per_diameter, per_height = unit_shapes(position, azimuth, tilt, jnp)
         return per_diameter[:, 0], per_height[:, 0]
 
+    @property
+    def listed(self) -> bool:
+        """Whether the elements are listed, not only the plants."""
+        return len(self.plant) > 0 or len(self.first) == 0
+
     def only(self, standing: np.ndarray) -> "Planting":
         """The same with the plants of the mask `standing` alone, whatever their number is.
 
         They get the place 0, so that each stands as long as its species has any plant.
         """
-        plants = np.flatnonzero(standing)
-        number = np.cumsum(standing, dtype=np.int32) - 1
-        plant = np.asarray(self.plant)
-        elements = np.flatnonzero(standing[plant])
-        return Planting(
-            self.species[plants],
-            jnp.zeros(len(plants), self.place.dtype),
-            self.foot[plants],
-            self.azimuth[plants],
-            self.tilt[plants],
-            self.size[plants],
-            self.stature[plants],
-            jnp.asarray(number[plant[elements]]),
-            self.part[elements],
-            self.shapes,
-            self.shape_class,
-        )
+        plants = self.plants(np.flatnonzero(standing))
+        place = jnp.zeros_like(plants.place)
+        return dataclasses.replace(plants, place=place).with_elements()
+
+    def plants(self, index: Int[np.ndarray, " plant"]) -> "Planting":
+        """The plants of an index, without their elements."""
+        none = jnp.zeros(0, jnp.int32)
+        chosen = {name: getattr(self, name)[index] for name in OF_PLANTS}
+        return dataclasses.replace(self, **chosen, plant=none, part=none)
+
+    def with_elements(self) -> "Planting":
+        """The same with the elements of all plants listed."""
+        first, count = np.asarray(self.first), np.asarray(self.count)
+        plant = np.repeat(np.arange(len(count), dtype=np.int32), count)
+        before = np.cumsum(count, dtype=np.int32) - count
+        part = np.arange(len(plant), dtype=np.int32) + (first - before)[plant]
+        return dataclasses.replace(self, plant=jnp.asarray(plant), part=jnp.asarray(part))
 
     def thinned(self, most: Sequence[int]) -> "Planting":
         """The same plants with fewer area elements, which carry the same area.
@@ -130,11 +142,9 @@ class Planting(eqx.Module):
         """
         if not len(self.species):
             return self
-        plant, part = np.asarray(self.plant), np.asarray(self.part)
+        count, begin = np.asarray(self.count), np.asarray(self.first)
         owner, classes = np.asarray(self.species), np.asarray(self.shape_class)
         whole = jax.tree.map(np.asarray, self.shapes)
-        count = np.bincount(plant, minlength=len(owner))
-        begin = part[np.cumsum(count) - count]  # a plant's elements are those of one whole shape
         starts, one, which = np.unique(begin, return_index=True, return_inverse=True)
         shapes: list[PlantModel] = []
         of_class: list[np.ndarray] = []
@@ -145,16 +155,19 @@ class Planting(eqx.Module):
             of_organ = np.zeros(len(Organ), classes.dtype)
             of_organ[shape.organ] = classes[old]
             of_class.append(of_organ[shapes[-1].organ])
-        size = np.array([len(c) for c in of_class])
-        first, left = (np.cumsum(size) - size)[which], size[which]
-        within = np.arange(left.sum()) - np.repeat(np.cumsum(left) - left, left)
-        return dataclasses.replace(
+        size = np.array([len(c) for c in of_class], np.int32)
+        few = dataclasses.replace(
             self,
-            plant=jnp.asarray(np.repeat(np.arange(len(owner)), left), self.plant.dtype),
-            part=jnp.asarray(np.repeat(first, left) + within, self.part.dtype),
+            first=jnp.asarray((np.cumsum(size, dtype=np.int32) - size)[which]),
+            count=jnp.asarray(size[which]),
             shapes=jax.tree.map(lambda *parts: jnp.concatenate(parts), *shapes),
             shape_class=jnp.asarray(np.concatenate(of_class)),
         )
+        return few.with_elements()
+
+
+OF_PLANTS = ("species", "place", "foot", "azimuth", "tilt", "size", "stature", "first", "count")
+"""What a `Planting` has of each plant."""
 
 
 def draw_planting(
@@ -209,9 +222,8 @@ def draw_planting(
     )
     shapes: list[PlantModel] = []
     plants: list[dict[str, np.ndarray]] = []
-    elements: list[dict[str, np.ndarray]] = []
     own: list[int] = []
-    first = parts = 0
+    parts = 0
     for i, (form, places) in enumerate(zip(forms, sites)):
         n = len(places)
         if n == 0:
@@ -221,6 +233,14 @@ def draw_planting(
             n, seed=seed + 1000 * (i + 1), rotation_spread=rotation_spread[i]
         )
         size = np.exp(np.sqrt(np.log1p(size_variation**2)) * rng.standard_normal(n))
+        number = element_count(diameter[i], height[i], resolved, structured=structured)
+        model = models[i]
+        if model is None:
+            seeds = np.random.default_rng([seed, 103, i]).integers(2**31, size=INDIVIDUALS)
+            several = [plant_model(form, number, seed=int(s)) for s in seeds[:n]]
+        else:
+            several = [thin_plant(model, number, seed=seed + i)]
+        k = len(several[0].organ)
         plants.append(
             {
                 "species": np.full(n, i, np.int32),
@@ -230,40 +250,26 @@ def draw_planting(
                 "tilt": tilt.astype(dtype),
                 "size": (size / np.sqrt(np.mean(size**2))).astype(dtype),
                 "stature": (0.6 + 0.4 * rng.random(n)).astype(dtype),
-            }
-        )
-        number = element_count(diameter[i], height[i], resolved, structured=structured)
-        model = models[i]
-        if model is None:
-            seeds = np.random.default_rng([seed, 103, i]).integers(2**31, size=INDIVIDUALS)
-            several = [plant_model(form, number, seed=int(s)) for s in seeds[:n]]
-        else:
-            several = [thin_plant(model, number, seed=seed + i)]
-        k = len(several[0].organ)
-        shape = np.arange(n, dtype=np.int32) % len(several)
-        elements.append(
-            {
-                "plant": np.repeat(np.arange(first, first + n, dtype=np.int32), k),
-                "part": (parts + k * shape[:, None] + np.arange(k, dtype=np.int32)).ravel(),
+                "first": parts + k * (np.arange(n, dtype=np.int32) % len(several)),
+                "count": np.full(n, k, np.int32),
             }
         )
         shapes += several
         own += [i] * len(several)
-        first, parts = first + n, parts + k * len(several)
+        parts += k * len(several)
     if not plants:
         return no_plants(dtype)
     whole, organs = _together(shapes, dtype)
     classes = np.concatenate([np.array(_classes(forms)[i])[organ] for i, organ in zip(own, organs)])
-    return Planting(
-        **_joined(plants),
-        **_joined(elements),
-        shapes=whole,
-        shape_class=jnp.asarray(classes, jnp.int32),
+    none = jnp.zeros(0, jnp.int32)
+    joined: dict[str, Any] = {
+        name: jnp.asarray(np.concatenate([part[name] for part in plants])) for name in plants[0]
+    }
+    planting = Planting(
+        **joined, plant=none, part=none, shapes=whole, shape_class=jnp.asarray(classes, jnp.int32)
     )
-
-
-def _joined(parts: list[dict[str, np.ndarray]]) -> dict[str, Any]:
-    return {name: jnp.asarray(np.concatenate([part[name] for part in parts])) for name in parts[0]}
+    few = sum(int(part["count"].sum(dtype=np.int64)) for part in plants) <= MOST_LISTED
+    return planting.with_elements() if few else planting
 
 
 def _classes(forms: Sequence[str]) -> list[list[int]]:
@@ -297,8 +303,21 @@ def no_plants(dtype: str) -> Planting:
     """A planting without plants."""
     none, index = jnp.zeros(0, dtype), jnp.zeros(0, jnp.int32)
     shapes = PlantModel(jnp.zeros((0, 3), dtype), none, jnp.zeros((0, 3), dtype), index)
-    pair = jnp.zeros((0, 2), dtype)
-    return Planting(index, none, pair, none, none, none, none, index, index, shapes, index)
+    return Planting(
+        species=index,
+        place=none,
+        foot=jnp.zeros((0, 2), dtype),
+        azimuth=none,
+        tilt=none,
+        size=none,
+        stature=none,
+        first=index,
+        count=index,
+        plant=index,
+        part=index,
+        shapes=shapes,
+        shape_class=index,
+    )
 
 
 def element_count(

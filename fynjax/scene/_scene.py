@@ -16,7 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import (
@@ -123,6 +123,30 @@ class PlantingRules:
         """Edge of the boxes in which leaves lie at random, in voxels of `voxel` [m]."""
         finer = self.finer(voxel)
         return max(self.tuft, voxel / finer) if finer else voxel
+
+
+class Window(eqx.Module):
+    """A part of a scene, with the plants that reach into it."""
+
+    planting: Planting
+    """With feet from the window's south-west corner."""
+    crown: Float[Array, " plant"]
+    """Ground area of each crown, as of `Scene.visible_crowns` [m2]."""
+    first: Int[Array, " 2"]
+    """First voxel column of `Scene.class_grid` in it, along y and x; may lie beyond the scene."""
+    columns: tuple[int, int] = eqx.field(static=True)
+    """Such columns in it, along y and x."""
+
+    def grid(self, whole: VoxelGrid, times: int = 1) -> VoxelGrid:
+        """Its voxels, of the kind of those of `whole`, `times` as many along a column's edge."""
+        ny, nx = self.columns
+        return dataclasses.replace(whole, shape=(nx * times, ny * times, whole.shape[2]))
+
+    def cut(self, field: Float[Array, "band y x"]) -> Float[Array, "band y x"]:
+        """Its part of a map that repeats itself."""
+        for axis, start, count in zip((1, 2), self.first, self.columns, strict=True):
+            field = jnp.take(field, (start + jnp.arange(count)) % field.shape[axis], axis=axis)
+        return field
 
 
 class Scene(eqx.Module):
@@ -296,19 +320,14 @@ class Scene(eqx.Module):
         `fynjax.canopy.share_from_above`."""
         return share_from_above(self.crown_areas(parameters) / self._ground_area)
 
+    def visible_crowns(self, parameters: PlotParameters) -> Float[Array, " plant"]:
+        """Ground area of the crown of every plant that carries leaves and wood as stated [m2]:
+        area is stated of crowns as seen from above, and what overlaps does not carry it twice."""
+        return self.crown_areas(parameters) * self.crown_share(parameters)
+
     def area_density(self, parameters: PlotParameters) -> Float[Array, "class z y x"]:
         """Area per volume of each optical class: the species' leaves, then wood, then flowers."""
         return self._deposit(parameters, self.grid, by_class=True)
-
-    def structure(self, parameters: PlotParameters) -> Float[Array, "Z Y X"] | None:
-        """Area per volume of all classes on the finest voxels; None where leaves fill the grid's
-        evenly.
-
-        **Arguments:** `parameters`, of the plot.
-        """
-        if self.finer == 0:
-            return None
-        return self._deposit(parameters, self._finest(), by_class=False)[0]
 
     def gap_fraction(self, parameters: PlotParameters) -> Float[Array, ""]:
         """Share of the ground that is seen from straight above, between leaves and stems [-].
@@ -335,14 +354,25 @@ class Scene(eqx.Module):
         *,
         by_class: bool,
         share: Float[Array, " class"] | None = None,
+        window: Window | None = None,
     ) -> Float[Array, "class z y x"]:
         """Area per volume on `grid` [m2 m-3], of each class or of all; of `share` of each class's
         area, if that is given. Many elements are placed part by part, for the sake of memory."""
-        planting = self.planting
+        if window is None:
+            planting, boundary = self.planting, self.boundary
+            crown = self.visible_crowns(parameters)
+        else:
+            planting, boundary, crown = window.planting, "open", window.crown
+        if not planting.listed:
+            raise InputError(
+                f"the area elements of {len(planting.first)} plants are too many to be in memory "
+                "at once: render the plot in tiles (`observe_in_tiles`, `fynjax render`), or take "
+                "a smaller plot or larger voxels"
+            )
         count, fits = planting.plant.shape[0], self.finer and _holds(grid, self.tuft)
 
         def part(planting: Planting, weight: Array | float = 1.0) -> Array:
-            positions, area = self._elements(parameters, planting)
+            positions, area = self._elements(parameters, planting, crown)
             classes = planting.optical_class
             return deposit(
                 positions,
@@ -351,7 +381,7 @@ class Scene(eqx.Module):
                 grid,
                 len(leafy_species(self.forms)) + 2 if by_class else 1,
                 width=self.tuft if fits else None,
-                boundary=self.boundary,
+                boundary=boundary,
             )
 
         if count <= _AT_ONCE:
@@ -375,17 +405,14 @@ class Scene(eqx.Module):
         return jax.lax.scan(jax.checkpoint(add), start, jnp.arange(parts))[0]
 
     def _elements(
-        self, parameters: PlotParameters, planting: Planting
+        self, parameters: PlotParameters, planting: Planting, crown: Float[Array, " plant"]
     ) -> tuple[Float[Array, "element 3"], Float[Array, " element"]]:
-        """Places [m] and areas [m2] of the area elements of `planting`, which has the plants of the
-        scene's."""
+        """Places [m] and areas [m2] of the area elements of plants with crowns of `crown` [m2]."""
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
         species = parameters.species
         owner = planting.species
         diameter = species.diameter[owner] * planting.size
         height = species.height[owner] * planting.stature
-        # Area is stated of crowns as seen from above: what overlaps does not carry it twice.
-        crown = self.crown_areas(parameters) * self.crown_share(parameters)
         leaf = crown * species.leaf_area_index[owner]
         bloom = np.array([FORM_DEFAULTS[form].flower_fraction for form in self.forms])
         flower = leaf * jnp.asarray(self.flowering * bloom, self.dtype)[owner]
@@ -402,9 +429,12 @@ class Scene(eqx.Module):
         )
         return positions, area[plant, planting.organ] * planting.fraction
 
-    def voxels(self, parameters: PlotParameters, bands: BandSet) -> VoxelScene:
+    def voxels(
+        self, parameters: PlotParameters, bands: BandSet, window: Window | None = None
+    ) -> VoxelScene:
         """What the radiation layer renders: area, optics, ground and light of `parameters`,
-        averaged over `bands`. Differentiable in `parameters`.
+        averaged over `bands`; of a part of level ground, with open sides, where `window` is given.
+        Differentiable in `parameters`.
 
         Raises `InputError` where a spectrum of ground, sky or dead tissue does not cover the bands.
         """
@@ -438,17 +468,25 @@ class Scene(eqx.Module):
             # Spectra of ground are measured from above, lit from 45 degrees: there they stay.
             measured = jnp.array([[[0.5**0.5, 0.0, -(0.5**0.5)]], [[0.0, 0.0, 1.0]]], self.dtype)
             ground = ground / shape.shape(*measured).reshape(-1, *(1,) * (ground.ndim - 1))
+        finest, boundary = self._finest(), self.boundary
+        if window is not None:
+            times = finest.shape[0] // grid.shape[0]
+            grid, finest, boundary = window.grid(grid), window.grid(finest, times), "open"
+            ground = window.cut(ground) if ground.ndim == 3 else ground
+        structure = None
+        if self.finer:
+            structure = self._deposit(parameters, finest, by_class=False, window=window)[0]
         return VoxelScene(
-            self._deposit(parameters, grid, by_class=True),
+            self._deposit(parameters, grid, by_class=True, window=window),
             classes,
             ground,
             Illumination(light.sun_zenith, light.sun_azimuth, 1.0 - sky, sky, pattern),
             grid.horizontal_size,
             grid.vertical_size,
-            self.boundary,
+            boundary,
             ground_shape=shape,
             terrain=None if terrain is None else columns(terrain),
-            structure=self.structure(parameters),
+            structure=structure,
         )
 
     @property

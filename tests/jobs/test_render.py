@@ -40,7 +40,7 @@ def test_an_interrupted_large_image_goes_on(tmp_path, monkeypatch):
         (image,) = keep(step)
         return image
 
-    monkeypatch.setattr("fynjax.jobs._render.is_large", lambda camera: True)
+    monkeypatch.setattr("fynjax.jobs._render.is_large", lambda *_: True)
     monkeypatch.setattr("fynjax.jobs._render.observe_in_tiles", tiles)
     for _ in range(2):
         result = render(plot, tmp_path / "out", checkpoint=tmp_path / "kept")

@@ -23,6 +23,7 @@ from fynjax.radiation import (
     reflectance_factor,
     solve_light,
 )
+from fynjax.radiation._multiple import cells_of
 from fynjax.radiation._reduced import check_reducible, solve_reduced
 from fynjax.radiation._sun import trace_sun
 
@@ -86,7 +87,7 @@ def reduced(scene, accuracy, solves, materials=2):
     sun = trace_sun(scene, accuracy.lattice, accuracy.sublayers, 0)
     field = solve_reduced(
         scene,
-        sun,
+        cells_of(scene, sun, accuracy.coarsening),
         accuracy.coarsening,
         accuracy.ordinates,
         accuracy.tolerance,

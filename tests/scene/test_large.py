@@ -10,6 +10,7 @@ from fynjax._core.checkpoint import Journal
 from fynjax.errors import InputError
 from fynjax.radiation import Accuracy
 from fynjax.scene import is_large, observe_in_tiles, standing_scene
+from fynjax.scene._large import _Windows
 from tests.scene.plots import drone, reflectance, small_parameters, small_plot
 
 LIGHT = Accuracy(lattice=1, sublayers=1, levels=1, azimuths=4, refine=False)
@@ -18,9 +19,12 @@ LIGHT = Accuracy(lattice=1, sublayers=1, levels=1, azimuths=4, refine=False)
 def test_an_interrupted_image_in_tiles_goes_on_and_is_that_of_the_whole(tmp_path, monkeypatch):
     scene, parameters = small_plot(), small_parameters()
     aimed = drone(scene, LIGHT)
-    assert not is_large(aimed)
+    assert not is_large(aimed, scene)
     monkeypatch.setattr("fynjax.scene._large._MOST_RAYS", 16 * 16 - 1)
-    assert is_large(aimed)
+    assert is_large(aimed, scene)
+    monkeypatch.setattr("fynjax.scene._large._MOST_RAYS", 16 * 16)
+    monkeypatch.setattr("fynjax.scene._large._MOST_VOXELS", 16 * 16)
+    assert is_large(aimed, scene)
     whole = reflectance(aimed, scene, parameters)
     journal, done = Journal(tmp_path, "this run"), 0
 
@@ -74,3 +78,28 @@ def test_elements_placed_part_by_part_make_the_same_voxels(monkeypatch):
     np.testing.assert_allclose(made, whole, rtol=1e-9, atol=1e-12)
     difference = (parts(1e-6)[0][0] - parts(-1e-6)[0][0]) / 2e-6
     assert float(slope) == pytest.approx(float(difference), rel=1e-4)
+
+
+@pytest.mark.parametrize("boundary", ["periodic", "open"])
+def test_windows_make_the_picture_of_the_whole(monkeypatch, boundary):
+    """Leaves finer than the voxels, and area elements that are not listed for the whole plot."""
+    plot = {"extent": (3.2, 4.8), "voxel": 0.2, "structure": 0.1, "boundary": boundary}
+    parameters = small_parameters()
+    whole = small_plot(**plot)
+    aimed = drone(whole, LIGHT, pixel=0.1)
+    # Rays that are known, as those of tiles are: layers are then cut alike.
+    expected = jax.jit(lambda s, p: aimed.observe(s, p).reflectance)(whole, parameters)
+    monkeypatch.setattr("fynjax.scene._planting.MOST_LISTED", 0)
+    scene = small_plot(**plot)
+    with pytest.raises(InputError, match="render the plot in tiles"):
+        scene.area_density(parameters)
+    monkeypatch.setattr("fynjax.scene._large._HELD", 2**16)
+    held = []
+    monkeypatch.setattr(
+        "fynjax.scene._large._Windows._window",
+        lambda self, *at, make=_Windows._window: held.append(make(self, *at)) or held[-1],
+    )
+    image = observe_in_tiles(aimed, scene, parameters, tile=20)
+    assert len(held) > 20
+    assert max(len(window.planting.plant) for window in held) < 0.6 * whole.planting.plant.size
+    np.testing.assert_allclose(image, expected, rtol=1e-9)

@@ -91,7 +91,8 @@ def test_thinned_plants_carry_the_same_area():
         np.add.at(total, (planting.plant, planting.optical_class), planting.fraction)
         assert np.isin(np.round(total, 5), [0.0, 1.0]).all()
     ((whole, _), (few, _)) = (
-        jax.tree.map(np.asarray, s._elements(parameters, s.planting)) for s in (scene, thin)
+        jax.tree.map(np.asarray, s._elements(parameters, s.planting, s.visible_crowns(parameters)))
+        for s in (scene, thin)
     )
     centres = [
         np.stack([np.bincount(p.plant, p.fraction * xyz[:, i]) for i in range(3)])

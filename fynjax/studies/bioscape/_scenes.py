@@ -161,7 +161,7 @@ def _padded(scene: Scene, plants: int, elements: int, parts: int) -> Scene:
         )
 
     shapes = jax.tree.map(lambda a: longer(a, parts + 1), planting.shapes)
-    of_plants = ("species", "foot", "azimuth", "tilt", "size", "stature")
+    of_plants = ("species", "foot", "azimuth", "tilt", "size", "stature", "first", "count")
     return replace(
         scene,
         planting=replace(
