@@ -49,7 +49,7 @@ plot = dataclasses.replace(
 
 scene, table = build_plot(plot)
 # Thick layers and coarse light are good enough for a comparison.
-quick = coarser(scene)
+quick = coarser(scene, table)
 # %% [markdown]
 # ## The drone camera
 #
@@ -208,7 +208,7 @@ plt.show()
 # %%
 def figures(scene, parameters):
     """One or two numbers that each sensor is good for."""
-    quick = coarser(scene)
+    quick = coarser(scene, parameters)
     _, red, red_edge, nir = photo(drone_view, quick, parameters)
     spectrum = scan(imager_view, quick, parameters).reflectance.mean(axis=(1, 2))
     near, wet = spectrum[nearest(860)], spectrum[nearest(1650)]

@@ -164,9 +164,9 @@ print(f"without a factor {float(parts.rmse_without_gain):.4f}")
 # %% [markdown]
 # ## The suspects
 #
-# To try them, take a simulated plot whose SWIR2 mean is the real one (leaves a third drier than the
-# table's, and as much living cover as that takes), and let one thing go wrong at a time. Four
-# suspects are in the scene: water in the leaves, how much of the ground living plants cover,
+# To try them, take a simulated plot whose SWIR2 mean is the real one (wood and dead tissue as
+# bright as that takes), and let one thing go wrong at a time. Four suspects are in the scene: water
+# in the leaves, how much of the ground living plants cover,
 # deadwood, litter on the ground, and how bright the soil is. Two are on the way to reflectance:
 # water vapour, if the air held more than the correction assumed, and the empirical line, if its
 # dark panel was brighter than believed. How far each may plausibly stray is our assumption; change
@@ -178,21 +178,22 @@ plot = dataclasses.replace(
     read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE), structure_m="even"
 )
 scene, table = build_plot(plot)
-scene = coarser(scene)
+scene = coarser(scene, table)
 accuracy = fitted_accuracy(COARSE, scene, table)
 living = np.array([one.growth_form != "deadwood" for one in plot.species])
-knobs = ("leaf water", "living cover", "deadwood", "litter", "soil brightness")
+knobs = ("leaf water", "living cover", "deadwood", "litter", "soil brightness", "dead tissue")
 
 
 def spectrum_of(values, scene):
     """Reflectance of the plot from straight above, per channel."""
-    water, cover, dead, litter, soil = values
+    water, cover, dead, litter, soil, wood = values
     changed = eqx.tree_at(
         lambda p: (
             p.leaf.water,
             p.species.cover,
             p.ground.litter_fraction,
             p.ground.brightness,
+            p.ground.wood_brightness,
         ),
         table,
         (
@@ -200,6 +201,7 @@ def spectrum_of(values, scene):
             table.species.cover * jnp.where(living, cover, dead),
             litter,
             soil,
+            wood,
         ),
     )
     light = solve_light(scene.voxels(changed, imager.bands), accuracy)
@@ -216,15 +218,15 @@ def along(knob):
     return jnp.eye(len(knobs))[knobs.index(knob)]
 
 
-base = jnp.array([1.0, 1.0, 1.0, table.ground.litter_fraction, table.ground.brightness])
-start, _ = look(base, along("living cover"), scene)
+ground = table.ground
+base = jnp.array([1.0, 1.0, 1.0, ground.litter_fraction, ground.brightness, ground.wood_brightness])
+start, _ = look(base, along("dead tissue"), scene)
 print(f"the table's plot: mean {start.mean():.4f}, range {jnp.ptp(start):.4f}")
-base = base.at[0].set(0.67)
-for _ in range(4):  # Newton's method: more or less living cover until the mean is the real one
-    start, slope = look(base, along("living cover"), scene)
-    base = base + along("living cover") * (REAL - start.mean()) / slope.mean()
-start, _ = look(base, along("living cover"), scene)
-print(f"with {base[0]:.2f} times the leaf water and {base[1]:.2f} times the living cover: ", end="")
+for _ in range(4):  # Newton's method: wood and dead tissue darker until the mean is the real one
+    start, slope = look(base, along("dead tissue"), scene)
+    base = base + along("dead tissue") * (REAL - start.mean()) / slope.mean()
+start, _ = look(base, along("dead tissue"), scene)
+print(f"with wood and dead tissue {base[-1]:.2f} times as bright as the bark: ", end="")
 print(f"mean {start.mean():.4f}, range {jnp.ptp(start):.4f} (real {span:.4f})")
 
 # %% [markdown]
@@ -279,7 +281,7 @@ def measured(function):
 
 
 # Name: function, value where all is right, plausible end, far end, unit.
-wet, cover, _, litter, soil = (float(v) for v in base)
+wet, cover, _, litter, soil, _ = (float(v) for v in base)
 suspects = {
     "leaf water": (in_scene("leaf water"), wet, 2 * wet, 5 * wet, "x the table's"),
     "living cover": (in_scene("living cover"), cover, 1.5 * cover, 2.2, "x the table's"),
@@ -409,7 +411,7 @@ print(f"{'as printed':<18}{'':<38}{printed.spectral_angle:>7.0f}°{printed.corre
 # %%
 together = base
 for k, name in enumerate(knobs):
-    if by_slope[name] < 0:
+    if by_slope.get(name, 0.0) < 0:
         together = together.at[k].set(suspects[name][2])
 spectrum, _ = look(together, along("leaf water"), scene)
 mean, angle, r = (float(v) for v in figures(spectrum))
