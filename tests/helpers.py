@@ -109,7 +109,7 @@ def write_ply(path: Path, properties: Sequence[str], table: np.ndarray) -> Path:
     head = ["ply", "format ascii 1.0", f"element vertex {len(table)}"]
     head += [f"property {one}" for one in properties] + ["end_header"]
     rows = [" ".join(map(repr, row)) for row in table.tolist()]
-    path.write_text("\n".join([*head, *rows]) + "\n")
+    path.write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
     return path
 
 

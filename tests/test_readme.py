@@ -56,8 +56,8 @@ def test_commands_and_their_options_exist() -> None:
     named = set(re.findall(r"^\| `([a-z-]+)` \|", README, re.MULTILINE))
     commands = {c.name or c.callback.__name__ for c in app.registered_commands if c.callback}
     assert named == commands >= {"demo", "render", "calibrate"}
-    for name in named:
-        assert name in shown
+    assert all(name in shown for name in named)
+    for name in named - {"sensors"}:  # which writes nothing
         text = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "200"}).output
         for option in ("--output", "--seed", "--json", "--quiet"):
             # In some of them nothing is drawn.

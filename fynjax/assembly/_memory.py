@@ -1,10 +1,9 @@
 """Whether a plot fits into this machine's memory."""
 
-import os
-
 import numpy as np
 
 from fynjax._core.errors import InputError
+from fynjax._core.memory import total_memory
 from fynjax.io.plot import Plot
 from fynjax.scene import MOST_LISTED, PlantingRules, element_count
 
@@ -26,10 +25,7 @@ def check_memory(plot: Plot) -> None:
         elements += count * element_count(
             s.diameter_m, s.height_m, rules.resolved(plot.voxel_m), structured=structured
         )
-    try:
-        there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    except (AttributeError, ValueError, OSError):  # not every system tells
-        return
+    there = total_memory() / 2**30
     needed = (_ELEMENT_BYTES * min(elements, MOST_LISTED) + _PLANT_BYTES * plants) / 2**30
     if needed > there:
         raise InputError(

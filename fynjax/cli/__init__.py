@@ -26,6 +26,7 @@ from fynjax.cli._posterior import posterior
 from fynjax.cli._reflectance import reflectance
 from fynjax.cli._render import render
 from fynjax.cli._sensitivity import sensitivity
+from fynjax.cli._sensors import sensors
 from fynjax.cli._simulate import simulate
 from fynjax.cli._terrain import terrain
 from fynjax.cli._validate import validate
@@ -44,6 +45,7 @@ app = typer.Typer(
 app.command()(demo)
 app.command()(render)
 app.command()(simulate)
+app.command()(sensors)
 app.command()(build)
 app.command()(calibrate)
 app.command("calibrate-plots")(calibrate_plots)

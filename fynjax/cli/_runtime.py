@@ -57,9 +57,12 @@ def cache_folder() -> Path:
 
 
 def prepare_jax() -> None:
-    """Keep compiled programs for the next run."""
+    """Keep compiled programs for the next run, where `JAX_COMPILATION_CACHE_DIR` says or, without
+    it, in `cache_folder`."""
     import jax
 
+    if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        return
     folder = cache_folder() / "jax"
     try:
         folder.mkdir(parents=True, exist_ok=True)

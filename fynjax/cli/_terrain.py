@@ -71,7 +71,9 @@ def terrain(
     ] = None,
     method: Annotated[
         Method | None,
-        typer.Option(help="Ground by a filter (smrf, the usual, or cloth) or the file's labels."),
+        typer.Option(
+            help="Ground by the file's labels (the usual, where it has them) or by a filter."
+        ),
     ] = None,
     tolerance: Annotated[
         float | None,

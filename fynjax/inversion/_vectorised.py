@@ -1,6 +1,5 @@
 """One function at many points, as many at once as the memory holds; and its Jacobian."""
 
-import os
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.memory import free_memory
 
 Advance = Callable[[int], None]
 """Called with the number of points done since the last call."""
@@ -71,10 +71,7 @@ def _free_memory() -> float:
     known = jax.local_devices()[0].memory_stats()
     if known and "bytes_limit" in known:
         return known["bytes_limit"] - known.get("bytes_in_use", 0)
-    try:
-        return float(os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    except (ValueError, OSError):
-        return 4.0 * 2**30
+    return float(free_memory())
 
 
 def value_and_jacobian(

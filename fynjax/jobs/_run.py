@@ -1,7 +1,5 @@
 """A job at work: its folder and what was written there, its stages and their times."""
 
-import resource
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -10,6 +8,7 @@ from typing import Any, TypeVar
 
 import pandas as pd
 
+from fynjax._core.memory import peak_memory
 from fynjax._core.precision import enable_double_precision
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.io.raster import provenance
@@ -24,8 +23,7 @@ Result = TypeVar("Result", bound=JobResult)
 
 def peak_memory_mib() -> float:
     """Largest resident memory of the process so far [MiB]."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)
+    return peak_memory() / 2**20
 
 
 class Run:

@@ -26,6 +26,7 @@ from fynjax.terrain import (
     check_positive,
     find_ground,
     heights_above_ground,
+    labelled_ground,
     middle_of_raster,
     read_cloud,
     read_terrain,
@@ -39,6 +40,8 @@ _RASTERS = (".tif", ".tiff", ".img", ".vrt", ".asc")
 # Points all through a layer as thick as the tolerance scatter by 0.29 of it about their mean.
 _ROUGH = 0.27
 _LARGEST_GAP = 10.0
+_BELOW = 0.01
+"""Share of the points that may lie below the ground by more than the tolerance: noise."""
 _AROUND = 10.0
 """Points this far around the plot [m] are kept: the filter is worst at the edge of its points."""
 
@@ -60,6 +63,12 @@ class TerrainSummary(Record):
     cells_with_ground: float | None = None
     """Share of the cells with ground points [-]."""
     ground_scatter_m: float | None = None
+    ground_by: GroundMethod | None = None
+    """How the ground of a cloud was found."""
+    labels_apart_m: float | None = None
+    """Median distance of the points that the file labels as ground from the terrain."""
+    points_below: float | None = None
+    """Share of the points that lie below the terrain by more than the tolerance [-]."""
     canopy_height_median_m: float | None = None
     canopy_height_99_m: float | None = None
 
@@ -100,7 +109,9 @@ def terrain(
     - `bounds`: west, south, east, north of the plot in the file's coordinates [m].
     - `size`: instead, the side of a square plot in the middle of the file [m]; of a raster, its
       corner is that of a cell, and cells must divide it.
-    - `method`, `tolerance`, `slope`, `window`: see `find_ground`, also for what `None` is.
+    - `method`: see `find_ground`; left out, the file's own labels where it has them and nothing is
+      said of a filter, else "smrf".
+    - `tolerance`, `slope`, `window`: see `find_ground`, also for what `None` is.
     - `largest_gap`: see `terrain_from_points` and `read_terrain`; 10 unless given.
     - `unit`, `height_unit`, `crs`: see `read_cloud`; `fill_gaps`, `band`: see `read_terrain`.
 
@@ -108,7 +119,8 @@ def terrain(
 
     **Returns:** `TerrainResult`. Writes `terrain.tif` [m], `terrain.obj`, `terrain.png` and, from a
     cloud, `canopy_height.tif` [m] into `output`. Warns where the ground is so rough that it may be
-    the inside of plants.
+    the inside of plants, where it lies off the points that the file labels as ground, and where
+    many points lie below it.
 
     **Raises:** as these functions, and `InputError` for settings that the file or the method does
     not use.
@@ -220,10 +232,13 @@ def _from_cloud(
     largest_gap: float,
     run: Run,
     **options: Any,
-) -> tuple[Terrain, Any, dict[str, float]]:
+) -> tuple[Terrain, Any, dict[str, Any]]:
     if bounds is not None:
         check_covered(cloud.bounds, bounds, cell)
         cloud = cloud.crop(bounds, max(_AROUND, options.get("window", WINDOW), largest_gap))
+    labelled = labelled_ground(cloud)
+    if "method" not in options:
+        options["method"] = "smrf" if labelled is None or options else "labels"
     with run.stage("Find the ground"):
         ground = find_ground(cloud, **options)
     with run.stage("Fill the surface"):
@@ -245,7 +260,31 @@ def _from_cloud(
             "at terrain.png.",
             stacklevel=3,
         )
-    figures = {
+    tolerance = options.get("tolerance", TOLERANCE)
+    figures: dict[str, Any] = {}
+    if labelled is not None:
+        own = cloud.select(labelled).crop(terrain.bounds)
+        if len(own):
+            off = float(np.median(np.abs(heights_above_ground(own, terrain))))
+            figures["labels_apart_m"] = off
+            if off > tolerance:
+                warnings.warn(
+                    f"the file's own ground points lie {off:.2f} m from the ground that the method "
+                    f"{options['method']!r} found, in the median: try the method 'labels', or look "
+                    "at terrain.png",
+                    stacklevel=3,
+                )
+    inside = cloud.crop(terrain.bounds)
+    below = float(np.mean(heights_above_ground(inside, terrain) < -tolerance))
+    if below > _BELOW:
+        warnings.warn(
+            f"{100 * below:.0f} % of the points lie more than {tolerance:g} m below the ground: "
+            "look at terrain.png",
+            stacklevel=3,
+        )
+    figures |= {
+        "ground_by": options["method"],
+        "points_below": below,
         "points": len(cloud),
         "ground_share": float(ground.mean()),
         "cells_with_ground": covered,
@@ -256,7 +295,7 @@ def _from_cloud(
     return terrain, canopy, figures
 
 
-def _result(run: Run, terrain: Terrain, figures: dict[str, float]) -> TerrainResult:
+def _result(run: Run, terrain: Terrain, figures: dict[str, Any]) -> TerrainResult:
     gx, gy = terrain.gradient()
     summary = TerrainSummary.model_validate(
         {
@@ -278,8 +317,10 @@ def _result(run: Run, terrain: Terrain, figures: dict[str, float]) -> TerrainRes
             f"{100 * summary.cells_filled:.1f} % of the cells had no height and were filled."
         )
     if summary.ground_share is not None:
+        by = "the file's own labels" if summary.ground_by == "labels" else summary.ground_by
         headline.append(
-            f"{100 * summary.ground_share:.0f} % of the points are ground, in "
+            f"Ground by {by}: "
+            f"{100 * summary.ground_share:.0f} % of the points, in "
             f"{100 * figures['cells_with_ground']:.0f} % of the cells; they scatter by "
             f"{100 * figures['ground_scatter_m']:.1f} cm about the surface."
         )

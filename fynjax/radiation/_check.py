@@ -1,7 +1,6 @@
 """Checks of scenes and views before they are rendered."""
 
 import math
-import os
 from numbers import Integral
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.memory import total_memory
 from fynjax.radiation._blocks import block_mean
 from fynjax.radiation._ground import RahmanPintyVerstraete
 from fynjax.radiation._scene import VoxelScene
@@ -344,8 +344,6 @@ def check_memory(
     once, the radiance along each ordinate in each band, and the directions that the solver keeps.
     """
     available = _memory()
-    if available is None:
-        return
     bands, size = scene.illumination.sun.shape[0], scene.area_density.dtype.itemsize
     high, wide = scene.structure_factor
     field = ordinates * size
@@ -397,8 +395,6 @@ def check_picture(scene: VoxelScene, pixels: int, slabs: int) -> None:
     """Raise `InputError` where a picture of so many pixels would not fit in this machine's memory,
     if it is rendered in one piece, through `slabs` layers in each of which leaves scatter alike."""
     available = _memory()
-    if available is None:
-        return
     size = scene.area_density.dtype.itemsize
     classes, bands = scene.area_density.shape[0], scene.illumination.sun.shape[0]
     each = _PIXEL_FIELDS + 3 * classes + 4 * bands
@@ -418,12 +414,9 @@ _SECONDS = 2e-7
 """Time of the diffuse light of one cell, ordinate and band on one core [s]."""
 
 
-def _memory() -> int | None:
+def _memory() -> int:
     """Bytes of memory of the device, or of the machine where that is the device."""
     stats = jax.devices()[0].memory_stats() or {}
     if "bytes_limit" in stats:
         return int(stats["bytes_limit"])
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return None
+    return total_memory()

@@ -33,6 +33,7 @@ from fynjax.sensors._noise import (
 from fynjax.sensors._psf import PointSpread
 from fynjax.sensors._pushbroom import PushbroomCamera, frame_of
 from fynjax.sensors._rays import camera_rays, map_rays
+from fynjax.sensors._reference import sensor_reference
 from fynjax.sensors._sensor import Sensor
 from fynjax.sensors._shipped import (
     build_sensor,
@@ -137,6 +138,7 @@ __all__ = [
     "radiometric_noise",
     "received_electrons",
     "sensor_folder",
+    "sensor_reference",
     "shipped_lidar",
     "shipped_lidars",
     "shipped_sensor",

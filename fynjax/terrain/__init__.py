@@ -13,7 +13,7 @@ from fynjax.terrain._files import (
     write_mesh,
     write_terrain,
 )
-from fynjax.terrain._filter import TOLERANCE, WINDOW, GroundMethod, find_ground
+from fynjax.terrain._filter import TOLERANCE, WINDOW, GroundMethod, find_ground, labelled_ground
 from fynjax.terrain._raster import Terrain, whole_cells
 from fynjax.terrain._surface import (
     canopy_height,
@@ -38,6 +38,7 @@ __all__ = [
     "check_positive",
     "find_ground",
     "heights_above_ground",
+    "labelled_ground",
     "middle_of_raster",
     "read_cloud",
     "read_terrain",

@@ -101,17 +101,31 @@ def find_ground(
     return ground
 
 
+def labelled_ground(cloud: PointCloud) -> NDArray[np.bool_] | None:
+    """The points that a file itself says are ground.
+
+    **Arguments:** `cloud`, points with or without classes.
+
+    **Returns:** true for each point of `GROUND_CLASSES`; None where they are too few for a ground.
+    """
+    if cloud.classification is None:
+        return None
+    ground = np.isin(cloud.classification, GROUND_CLASSES)
+    return ground if ground.sum() >= _FEWEST else None
+
+
 def _labelled(cloud: PointCloud) -> NDArray[np.bool_]:
     if cloud.classification is None:
         raise InputError(
             "expected points with classes, but the cloud has none. Let a filter find the ground: "
             "method 'smrf'."
         )
-    ground = np.isin(cloud.classification, GROUND_CLASSES)
-    if ground.sum() < _FEWEST:
+    ground = labelled_ground(cloud)
+    if ground is None:
         present = ", ".join(str(label) for label in np.unique(cloud.classification))
+        few = int(np.isin(cloud.classification, GROUND_CLASSES).sum())
         raise InputError(
-            f"expected points of class 2 (ground), but {int(ground.sum())} of {len(cloud)} points "
+            f"expected points of class 2 (ground), but {few} of {len(cloud)} points "
             f"have it; the cloud has {present}. Let a filter find the ground: method 'smrf'."
         )
     return ground

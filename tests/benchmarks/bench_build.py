@@ -36,8 +36,6 @@ class Watch:
 
 
 def imports() -> None:
-    import fynjax.io
-    import fynjax.jobs._build
     import fynjax.scene  # noqa: F401
 
 

@@ -139,7 +139,9 @@ def test_a_growth_form_without_known_leaves_has_no_mesh(
 def test_a_plot_beyond_the_memory_is_refused_at_once(plot: Path, tmp_path: Path) -> None:
     """0.3 x 1e6 m2 of crowns of 0.096 m2, of which 0.8 counts, and 0.04 x 1e6 m2 of 0.0079 m2;
     2.5 sites each, 3000 elements for the one and 2784 for the other, 80 bytes."""
-    plot.write_text(PLOT.replace("size_m = 1.0", "size_m = 1000.0").replace("0.1", "0.01", 1))
+    plot.write_text(
+        PLOT.replace("size_m = 1.0", "size_m = 1000.0").replace("0.1", "0.01", 1), encoding="utf-8"
+    )
     with pytest.raises(InputError, match="4819 GiB"):
         run(plot, "--output", tmp_path / "out")
 

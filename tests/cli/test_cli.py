@@ -21,6 +21,7 @@ from fynjax._core.errors import InputError, MissingExtraError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.cli import app, main
 from fynjax.io.plot import as_plot, read_plot
+from fynjax.sensors import shipped_lidars, shipped_sensors
 from fynjax.studies import fynbos_2006
 
 
@@ -352,16 +353,20 @@ def test_init_states_means_and_spreads_of_a_prior(capsys, tmp_path, burnt):
     assert "wide" in one_line(*call(capsys, "init", tmp_path / "b", "--prior", "wide"))
 
 
-def test_the_cache_folder_follows_xdg(tmp_path):
+def test_the_cache_folder_follows_jax_or_xdg(tmp_path):
     code = (
         "from fynjax.cli._runtime import prepare_jax\nprepare_jax()\nimport jax\n"
         "print(jax.config.jax_compilation_cache_dir)"
     )
+    own, ours = tmp_path / "own", tmp_path / "fynjax" / "jax"
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
-    )
-    assert done.stdout.split() == [str(tmp_path / "fynjax" / "jax")]
+    for stated, folder in ({"JAX_COMPILATION_CACHE_DIR": str(own)}, own), ({}, ours):
+        environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True,
+            env=environment | stated,
+        )  # fmt: skip
+        assert done.stdout.split() == [str(folder)]
     assert (tmp_path / "fynjax" / "jax").is_dir()
 
 
@@ -390,3 +395,18 @@ def test_null_progress_is_a_progress():
     assert isinstance(progress, Progress)
     with progress.stage("anything", total=3):
         progress.advance(2, loss=0.1)
+
+
+def test_sensors_lists_all_with_their_kind(capsys):
+    code, out, _ = call(capsys, "sensors", "--json")
+    rows = {row["name"]: row for row in json.loads(out)}
+    assert code == 0
+    assert set(rows) == {*shipped_sensors(), *shipped_lidars()}
+    assert rows["scanning_lidar"]["kind"] == "scanning LiDAR"
+    assert rows["aviris_ng"]["kind"] == "spectrometer"
+    # Focal length and pitch as the maker states them: 50 m x 2 um / 4.34 mm.
+    assert rows["mavic_3m"]["pixel_m"] == pytest.approx(0.02304, abs=1e-4)
+    assert rows["flash_lidar_paper"]["pixel_m"] == pytest.approx(0.04, abs=1e-3)
+    code, out, _ = call(capsys, "sensors")
+    assert code == 0
+    assert all(name in out for name in rows)

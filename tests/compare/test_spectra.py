@@ -42,7 +42,7 @@ def write_envi(path: Path, values: np.ndarray, **header: str) -> Path:
 def write_csv(path: Path, spectra: np.ndarray, wave: np.ndarray = WAVE) -> Path:
     rows = [",".join(["name", *(f"{w:.3f}" for w in wave)])]
     rows += [",".join([f"s{k}", *(f"{v:.9g}" for v in s)]) for k, s in enumerate(spectra)]
-    path.write_text("\n".join(rows) + "\n")
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
     return path
 
 

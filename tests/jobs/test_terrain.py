@@ -60,6 +60,46 @@ def test_command_writes_the_terrain_of_a_cloud(cloud_file, tmp_path, capfd):
     assert (output / "terrain.png").read_bytes()[:4] == b"\x89PNG"
 
 
+@pytest.fixture(scope="module")
+def labelled_file(tmp_path_factory):
+    """Points of which the file says what is ground, 2 m below where a filter would look for it."""
+    cloud, ground = shrubland(density=20.0)
+    z = np.where(ground, cloud.z - 2.0, cloud.z)
+    return written(tmp_path_factory.mktemp("labelled"), cloud.x, cloud.y, z, ground)
+
+
+def written(folder, x, y, z, ground):
+    columns = np.stack([x, y, z, np.where(ground, 2, 5)], axis=1)
+    path, names = folder / "plot.csv", "x,y,z,classification"
+    np.savetxt(path, columns, "%.4f", delimiter=",", header=names, comments="")
+    return path
+
+
+def test_the_files_own_ground_is_taken_and_said(labelled_file, tmp_path):
+    result = terrain(labelled_file, tmp_path, size=20.0, cell=0.5)
+    assert result.terrain.ground_by == "labels"
+    assert result.terrain.labels_apart_m < 0.1
+    assert "the file's own labels" in " ".join(result.headline)
+    ground = read_terrain(tmp_path / "terrain.tif", crs="EPSG:32734")
+    x, y = ground.centres
+    error = ground.heights - ground_height(x[None, :], y[:, None]) + 2.0
+    assert np.sqrt((error**2).mean()) < 0.05
+    filtered = terrain(labelled_file, tmp_path, size=20.0, cell=0.5, tolerance=0.2)
+    assert filtered.terrain.ground_by == "smrf"
+
+
+def test_ground_and_labels_that_contradict_each_other_are_said(tmp_path):
+    cloud, _ = shrubland(density=20.0)
+    crowns = cloud.z - ground_height(cloud.x, cloud.y) > 0.8
+    path = written(tmp_path, cloud.x, cloud.y, cloud.z, crowns)
+    with pytest.warns(UserWarning, match="the file's own ground points lie"):
+        result = terrain(path, tmp_path, size=20.0, cell=0.5, method="smrf")
+    assert result.terrain.ground_by == "smrf"
+    rough = pytest.warns(UserWarning, match="the ground scatters by")
+    with rough, pytest.warns(UserWarning, match="points lie more than 0.3 m below the ground"):
+        terrain(path, tmp_path, size=20.0, cell=0.5)
+
+
 @needs_cloth
 def test_command_with_bounds_units_and_the_cloth(tmp_path, capfd):
     """Trees, as a stiff cloth wants them; in centimetres; stdout holds the summary alone."""

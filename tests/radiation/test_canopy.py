@@ -14,7 +14,7 @@ RHO, TAU, SOIL = jnp.array([0.06, 0.48]), jnp.array([0.02, 0.45]), jnp.array([0.
 
 
 def test_against_discrete_ordinates(shared_data):
-    with open(shared_data / "rt" / "slab_uniform_turbid.json") as file:
+    with open(shared_data / "rt" / "slab_uniform_turbid.json", encoding="utf-8") as file:
         cases = json.load(file)["cases"]
     for case in cases[::4]:
         optics, scene = case["optics"], case["scene"]

@@ -45,7 +45,7 @@ def seen(scene, zenith, azimuth, accuracy=FINE):
 @pytest.mark.parametrize("index", [0, 1], ids=["near infrared, sun at 20", "red, sun at 50"])
 def test_disc_slab_of_a_path_tracer(shared_data, index):
     """240,000 leaves traced one by one by the Eradiate kernel (0.2-0.7 % noise, one layout)."""
-    with open(shared_data / "rt" / "disc_canopies.json") as file:
+    with open(shared_data / "rt" / "disc_canopies.json", encoding="utf-8") as file:
         case = json.load(file)["cases"][index]
     optics = tuple(case["optics"][name] for name in ("rho", "tau", "soil"))
     scene = leafy(3.0, [optics], case["sza"], 0.1, height=2.0)

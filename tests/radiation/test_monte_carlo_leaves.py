@@ -93,7 +93,7 @@ def test_paths_among_leaves_agree_both_ways():
 @pytest.mark.parametrize("index", [0, 1], ids=["near infrared", "red"])
 def test_disc_slab_of_another_code(shared_data, index):
     """The Eradiate kernel among 240,000 discs; here the mean of smaller boxes, drawn anew."""
-    with open(shared_data / "rt" / "disc_canopies.json") as file:
+    with open(shared_data / "rt" / "disc_canopies.json", encoding="utf-8") as file:
         case = json.load(file)["cases"][index]
     optics = case["optics"]
     scene = leafy(3.0, tuple(optics[n] for n in ("rho", "tau", "soil")), case["sza"], width=5.0)

@@ -312,13 +312,13 @@ def test_pixels_of_a_camera():
 
 @pytest.mark.parametrize("index", range(0, 15, 2))
 def test_slab_of_discrete_ordinates(shared_data, index):
-    with open(shared_data / "rt" / "slab_uniform_turbid.json") as file:
+    with open(shared_data / "rt" / "slab_uniform_turbid.json", encoding="utf-8") as file:
         compare_slab(json.load(file)["cases"][index], leaf_angle("spherical"))
 
 
 @pytest.mark.parametrize("index", range(4))
 def test_slab_of_other_leaf_angles(shared_data, index):
-    with open(shared_data / "rt" / "slab_lad_turbid.json") as file:
+    with open(shared_data / "rt" / "slab_lad_turbid.json", encoding="utf-8") as file:
         case = json.load(file)["cases"][index]
     compare_slab(case, leaf_angle(case["scene"]["lad"]))
 
@@ -343,7 +343,7 @@ def compare_slab(case, angle):
 @pytest.mark.study
 def test_floating_spheres(shared_data):
     """Half-metre voxels on turbid spheres of 10 m: 0.5 % is allowed for their steps."""
-    with open(shared_data / "rt" / "het01_turbid.json") as file:
+    with open(shared_data / "rt" / "het01_turbid.json", encoding="utf-8") as file:
         case = json.load(file)["cases"][0]
     some = [1, 3, 4, 5, 8, 11]
     zenith, azimuth = views_of_reference(np.array(case["views"], float)[some])

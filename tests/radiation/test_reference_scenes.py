@@ -66,7 +66,7 @@ def test_floating_spheres(shared_data, index):
     The albedo is read off the diffuse field, in whose cells of 1 m the sunlit side of a crown
     is not told from the shaded one: in the red, where light is scattered once, it is 2.5 % low.
     """
-    with open(shared_data / "rt" / "het01_turbid.json") as file:
+    with open(shared_data / "rt" / "het01_turbid.json", encoding="utf-8") as file:
         case = json.load(file)["cases"][index]
     want = case["result"]
     accuracy = Accuracy(

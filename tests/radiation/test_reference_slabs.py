@@ -10,7 +10,7 @@ from tests.radiation.scenes import FINE, fluxes_of, reflectance_of, slab, solver
 
 
 def load(folder, name):
-    with open(folder / "rt" / name) as file:
+    with open(folder / "rt" / name, encoding="utf-8") as file:
         return json.load(file)["cases"]
 
 

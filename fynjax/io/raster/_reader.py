@@ -5,7 +5,6 @@ fynjax. The flip happens here and nowhere else.
 """
 
 import math
-import os
 import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Sequence
@@ -26,6 +25,7 @@ from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from fynjax._core.errors import InputError
+from fynjax._core.memory import total_memory
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.io.raster._crs import check_metric, is_local
 from fynjax.io.spectra import header_numbers, in_nanometres, open_envi
@@ -323,9 +323,7 @@ class RasterFile:
                 "damaged?",
                 file=self.path,
             )
-        memory = math.inf
-        if hasattr(os, "sysconf"):
-            memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        memory = total_memory()
         needed = 2.0 * math.prod(shape) * itemsize
         if needed > memory:
             raise InputError(

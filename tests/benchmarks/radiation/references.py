@@ -226,7 +226,7 @@ def rami_figures(
 
 def rami4pilps(setting: Setting) -> Iterator[Row]:
     """Open forest canopy: published fluxes, layouts of our own."""
-    with open(setting.data / "rt" / "rami4pilps_ofc.json") as file:
+    with open(setting.data / "rt" / "rami4pilps_ofc.json", encoding="utf-8") as file:
         reference = json.load(file)
     seeds, voxel = (1, 1.0) if setting.quick else (3, 0.5)
     tolerances: dict[str, float | None] = {"sun 27": 0.006, "sun 60": 0.02, "sun 83": 0.02}

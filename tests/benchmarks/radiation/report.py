@@ -55,7 +55,7 @@ class Setting:
         return self.data.parent / "bench" / "rt"
 
     def cases(self, name: str) -> list[dict]:
-        with open(self.data / "rt" / name) as file:
+        with open(self.data / "rt" / name, encoding="utf-8") as file:
             return json.load(file)["cases"]
 
 
@@ -135,7 +135,7 @@ def line(row: Row) -> str:
 def write(path: Path, rows: list[Row]) -> None:
     """Keep the rows as JSON, beside first and then in place."""
     beside = path.with_name(path.name + ".part")
-    with open(beside, "w") as file:
+    with open(beside, "w", encoding="utf-8") as file:
         json.dump([asdict(row) | {"verdict": row.verdict} for row in rows], file, indent=1)
         file.write("\n")
     os.replace(beside, path)
