@@ -141,7 +141,12 @@ def _is_number(text: str) -> bool:
 
 
 def read_targets(
-    plot: Plot, paths: Sequence[Path], *, seed: int = 0, progress: Progress | None = None
+    plot: Plot,
+    paths: Sequence[Path],
+    *,
+    bands: Sequence[str] | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
 ) -> tuple[Measured, ...]:
     """Read what a plot is to be calibrated to: one measurement of each kind at most.
 
@@ -149,12 +154,13 @@ def read_targets(
 
     - `plot`: as `read_plot` gives it.
     - `paths`: files of images, spectra, point clouds, or tables of their statistics.
+    - `bands`: of a drone's image, as `read_drone_image` has them.
     - `seed`: of the resampling of a cloud's cells.
     - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** what was measured: image, spectrum, structure, those that there are.
 
-    **Raises:** `InputError` for two of a kind, and as the readers.
+    **Raises:** `InputError` for two of a kind, for bands without an image, and as the readers.
     """
     found: dict[Kind, Measured] = {}
     for path in map(Path, paths):
@@ -167,11 +173,13 @@ def read_targets(
                 file=path,
             )
         if kind == "image":
-            found[kind] = image_target(plot, path, progress)
+            found[kind] = image_target(plot, path, bands, progress)
         elif kind == "spectrum":
             found[kind] = spectrum_target(plot, path, progress)
         else:
             found[kind] = structure_target(plot, path, seed, progress)
+    if bands is not None and "image" not in found:
+        raise InputError("expected `bands` with a drone's image, but no target is one")
     return tuple(found[kind] for kind in KINDS if kind in found)
 
 
@@ -184,12 +192,17 @@ def _used(plot: Plot, names: Sequence[str], what: str) -> list[int]:
     return keep
 
 
-def image_target(plot: Plot, path: Path, progress: Progress | None = None) -> Measured:
-    """The statistics of a drone's image (GeoTIFF) or of a table (CSV)."""
+def image_target(
+    plot: Plot,
+    path: Path,
+    bands: Sequence[str] | None = None,
+    progress: Progress | None = None,
+) -> Measured:
+    """The statistics of a drone's image (GeoTIFF), with its `bands`, or of a table (CSV)."""
     share = plot.calibration.target_sd
     extra: dict[str, Any] = {}
     if path.suffix.lower() in (".tif", ".tiff"):
-        image = read_drone_image(path, most_pixels=None, progress=progress)
+        image = read_drone_image(path, bands=bands, most_pixels=None, progress=progress)
         names = [IMAGE_STATISTICS[i] for i in _used(plot, IMAGE_STATISTICS, "the statistics")]
         clean = jnp.asarray(np.where(image.mask, image.values, 0.0))
         value = np.asarray(image_statistics(clean, names, jnp.asarray(image.mask)))

@@ -20,11 +20,21 @@ Targets = Annotated[
     ),
 ]
 
+Bands = Annotated[
+    str | None,
+    typer.Option(
+        metavar="A,B,...",
+        help="What each band of the drone image is, where it does not say: green, red, red_edge, "
+        "nir, and any other name for bands that are not used.",
+    ),
+]
+
 
 @command("calibrate", forget=True)
 def calibrate(
     plot: PlotPath,
     target: Targets,
+    bands: Bands = None,
     prior: PriorFile = "none",
     checkpoint: Checkpoint = None,
     seed: OwnSeed = None,
@@ -44,5 +54,12 @@ def calibrate(
     from fynjax import jobs
 
     return lambda folder, progress: jobs.calibrate(
-        plot, target, folder, prior=prior, seed=seed, checkpoint=checkpoint, progress=progress
+        plot,
+        target,
+        folder,
+        bands=None if bands is None else bands.split(","),
+        prior=prior,
+        seed=seed,
+        checkpoint=checkpoint,
+        progress=progress,
     )

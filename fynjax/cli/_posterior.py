@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import typer
 
 from fynjax.cli._bioscape import PriorFile
-from fynjax.cli._calibrate import Targets
+from fynjax.cli._calibrate import Bands, Targets
 from fynjax.cli._render import PlotPath
 from fynjax.cli._runtime import Checkpoint, Job, OwnSeed, command
 
@@ -23,6 +23,7 @@ Free = Annotated[
 def posterior(
     plot: PlotPath,
     target: Targets,
+    bands: Bands = None,
     method: Annotated[
         Literal["emcee", "nuts", "laplace"],
         typer.Option(
@@ -55,6 +56,7 @@ def posterior(
         plot,
         target,
         folder,
+        bands=None if bands is None else bands.split(","),
         method=method,
         free=free,
         target_size=draws,

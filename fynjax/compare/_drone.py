@@ -232,9 +232,4 @@ def _notes(real: DroneImage, simulated: DroneImage) -> list[str]:
                 f"Only {number} pixels of the {which} image are compared, which is too few for "
                 "distributions: means alone can be compared, if at all."
             )
-        if image.chosen_by == "order":
-            notes.append(
-                f"The {which} image names no band: they are taken to be {', '.join(BANDS)}, in "
-                "this order."
-            )
     return notes

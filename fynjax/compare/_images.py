@@ -114,8 +114,10 @@ def read_drone_image(
     **Returns:** a `DroneImage`: reflectance [-] of the pixels that are compared.
 
     **Raises:** `InputError` for a file that is missing or cut short, for a band that cannot be
-    identified, for values that are no fractions, or without a pixel to compare. Warns where pixels
-    pile up at a band's largest value, as clipped ones do.
+    identified, for values that are no fractions, or without a pixel to compare; and where bands are
+    taken by their order and near infrared is darker than red. Warns of bands taken by their order,
+    of near infrared that is darker than red, and where pixels pile up at a band's largest value, as
+    clipped ones do.
 
     >>> import pathlib, tempfile
     >>> import numpy as np
@@ -165,6 +167,7 @@ def read_drone_image(
             "means alone can be compared, if at all",
             stacklevel=2,
         )
+    _check_order(values[:, used], how, taken, path)
     _warn_of_clipping(values[:, used], path)
     values[:, ~used] = np.nan
     return DroneImage(
@@ -181,6 +184,33 @@ def read_drone_image(
         saturated=int(saturated.sum()),
         not_positive=int((values[:, used] <= 0.0).any(axis=0).sum()),
     )
+
+
+def _check_order(
+    pixels: Float[np.ndarray, "band pixel"], how: str, taken: Sequence[str], path: Path
+) -> None:
+    """Say which bands were taken by their order, and refuse or doubt what no vegetation is."""
+    _, red, _, nir = np.median(pixels, axis=1)
+    found = f"near infrared has a median of {nir:.3g} and red of {red:.3g}"
+    say = f"Say what each band of the file is: {_OPTION}"
+    if how == "order":
+        if nir < red:
+            raise InputError(
+                f"expected bands in the order {', '.join(BANDS)}, since the file names none, but "
+                f"then {found}: vegetation is brighter there. {say}",
+                file=path,
+            )
+        warnings.warn(
+            f"{path}: the file names no band: they are taken to be {', '.join(BANDS)}, in this "
+            f"order. {say}",
+            stacklevel=3,
+        )
+    elif nir < red:
+        warnings.warn(
+            f"{path}: {found} ({', '.join(taken)}): vegetation is brighter there. Are the bands "
+            "named right?",
+            stacklevel=3,
+        )
 
 
 def _check_scale(
@@ -234,6 +264,9 @@ def thinning(rows: int, columns: int, most: int) -> int:
     return step
 
 
+_OPTION = "--bands green,red,red_edge,nir (validate: --real-bands, --simulated-bands)"
+
+
 def _plain(name: str) -> str:
     text = re.sub(r"[\s\-]+", "_", name.strip().lower())
     return re.sub(r"^(band_)?|(_band|_reflectance)$", "", text)
@@ -251,7 +284,6 @@ def _find_bands(
     path = file.path
     described = [file.names[n - 1] for n in data]
     labels = [d or f"band {n}" for d, n in zip(described, data, strict=True)]
-    option = "--real-bands or --simulated-bands green,red,red_edge,nir"
     if stated is not None:
         if len(stated) != len(data):
             raise InputError(
@@ -292,7 +324,7 @@ def _find_bands(
     raise InputError(
         f"expected the bands {', '.join(BANDS)}, but no single band is known as {absent} among "
         f"{', '.join(shown[:8])}{', ...' if len(shown) > 8 else ''}. Say what each band of the "
-        f"file is: {option}",
+        f"file is: {_OPTION}",
         file=path,
     )
 

@@ -69,6 +69,7 @@ def calibrate(
     output: Path,
     *,
     prior: str | Path = NO_PRIOR,
+    bands: Sequence[str] | None = None,
     seed: int | None = None,
     checkpoint: Path | None = None,
     progress: Progress | None = None,
@@ -84,6 +85,8 @@ def calibrate(
     - `output`: folder of the results, made if missing.
     - `prior`: learned population of what the plot's files leave open (`with_prior`); none by
       default.
+    - `bands`: what each band of a drone's image is, as `read_drone_image` has it; known by name or
+      wavelength by default.
     - `seed`: seed of every random number; that of the plot file by default.
     - `checkpoint`: folder that keeps every step, from which an interrupted run goes on; none by
       default.
@@ -100,7 +103,7 @@ def calibrate(
     read = with_prior(as_plot(plot), prior)
     paths = [targets] if isinstance(targets, Path) else list(targets)
     run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
-    measured = read_targets(read, paths, seed=run.seed, progress=run.progress)
+    measured = read_targets(read, paths, bands=bands, seed=run.seed, progress=run.progress)
     return calibrate_to(read, measured, run, inputs=(*read.inputs, *paths), checkpoint=checkpoint)
 
 

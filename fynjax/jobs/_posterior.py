@@ -72,6 +72,7 @@ def posterior(
     max_steps: int = 5000,
     prior: str | Path = NO_PRIOR,
     checkpoint: Path,
+    bands: Sequence[str] | None = None,
     seed: int | None = None,
     progress: Progress | None = None,
 ) -> PosteriorResult:
@@ -95,6 +96,8 @@ def posterior(
       default.
     - `checkpoint`: folder that keeps the calibration and the chain, from which an interrupted run
       goes on.
+    - `bands`: what each band of a drone's image is, as `read_drone_image` has it; known by name or
+      wavelength by default.
     - `seed`: seed of every random number; that of the plot file by default.
     - `progress`: where to report the stages; nowhere by default.
 
@@ -114,7 +117,7 @@ def posterior(
     read = with_prior(as_plot(plot), prior)
     run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
     paths = [targets] if isinstance(targets, Path) else list(targets)
-    measured = read_targets(read, paths, seed=run.seed, progress=run.progress)
+    measured = read_targets(read, paths, bands=bands, seed=run.seed, progress=run.progress)
     data = join_data([m.data for m in measured])
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)

@@ -1,5 +1,6 @@
 """Drone images as `fynjax validate` reads them: bands, thinning, no data, saturation."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +48,9 @@ def test_bands_are_found_by_name_wavelength_option_and_order(tmp_path: Path) -> 
         ("plain", "option", {"bands": ["x", "nir", "green", "rededge", "red"]}),
         ("order", "order", {}),
     ):
-        got = read(tmp_path / f"{name}.tif", **options)
+        said = pytest.warns(UserWarning, match="they are taken to be green, red, red_edge, nir")
+        with said if how == "order" else nullcontext():
+            got = read(tmp_path / f"{name}.tif", **options)
         assert got.chosen_by == how
         np.testing.assert_allclose(got.values, image[:, ::-1], rtol=1e-6)
         assert got.mask.all()
@@ -60,6 +63,18 @@ def test_bands_are_found_by_name_wavelength_option_and_order(tmp_path: Path) -> 
     ):
         with pytest.raises(InputError, match=word):
             read(tmp_path / path, **options)
+
+
+def test_near_infrared_darker_than_red_is_doubted(tmp_path: Path) -> None:
+    backward = values()[::-1]
+    write_raster(tmp_path / "order.tif", backward, transform=PLACE)
+    with pytest.raises(InputError, match=r"near infrared has a median of .*--bands"):
+        read(tmp_path / "order.tif")
+    got = read(tmp_path / "order.tif", bands=["nir", "red_edge", "red", "green"])
+    np.testing.assert_allclose(got.values, values()[:, ::-1], rtol=1e-6)
+    write_geotiff(tmp_path / "names.tif", backward, list(BANDS), pixel_m=0.05)
+    with pytest.warns(UserWarning, match="Are the bands named right"):
+        read(tmp_path / "names.tif")
 
 
 def test_of_two_bands_the_one_nearer_to_the_drone_camera_is_taken(tmp_path, monkeypatch) -> None:
@@ -82,28 +97,28 @@ def test_scaled_integers_no_data_border_and_saturation(tmp_path: Path) -> None:
     raw[3, 9, 10] = 9000
     raw[0, 12, 12] = 1
     path = write_raster(tmp_path / "a.tif", raw, transform=PLACE, scale=1e-4, nodata=7777)
-    got = read(path)
+    got = read(path, bands=BANDS)
     assert (got.without_data, got.saturated, got.not_positive) == (21, 1, 0)
     assert got.mask.sum() == 600 - 22
     assert not got.mask[-1].any()  # y to the north
     np.testing.assert_allclose(got.pixels.max(axis=1)[3], 0.9)
     assert np.isnan(got.values[:, 30 - 1 - 9, 9]).all()
-    limited = read(path, saturation=0.9)
+    limited = read(path, bands=BANDS, saturation=0.9)
     assert (limited.saturated, limited.mask.sum()) == (2, 600 - 23)
     assert "2 saturated left out" in limited.description()
     with pytest.raises(InputError, match="none is left"):
-        read(path, saturation=0.01)
+        read(path, bands=BANDS, saturation=0.01)
     with pytest.raises(InputError, match=r"gdal_edit\.py -scale 0\.0001"):
-        read(write_raster(tmp_path / "b.tif", raw[:, 1:], transform=PLACE))
+        read(write_raster(tmp_path / "b.tif", raw[:, 1:], transform=PLACE), bands=BANDS)
 
 
 def test_a_large_image_is_thinned_evenly_across_blocks(tmp_path: Path) -> None:
     image = values(1300, 70)
     path = write_raster(tmp_path / "a.tif", image, transform=PLACE)
-    whole = read(path, most_pixels=10**6)
+    whole = read(path, bands=BANDS, most_pixels=10**6)
     np.testing.assert_array_equal(whole.values, image[:, ::-1])
     for most in (91_000, 40_000, 5000, 100):
-        got = read(path, most_pixels=most)
+        got = read(path, bands=BANDS, most_pixels=most)
         step = thinning(1300, 70, most)
         np.testing.assert_array_equal(got.values, image[:, ::step, ::step][:, ::-1])
         assert got.mask.size <= most
@@ -115,7 +130,7 @@ def test_clipped_values_are_told_and_a_missing_system_is_no_matter(tmp_path: Pat
     image = np.minimum(values(), 0.35)
     path = write_raster(tmp_path / "a.tif", image, transform=Affine(2, 0, 0, 0, -2, 0))
     with pytest.warns(UserWarning, match=r"nir 5\d % at 0.35.*clipped"):
-        got = read(path)
+        got = read(path, bands=BANDS)
     assert got.crs is None
 
 
@@ -129,13 +144,13 @@ def test_numbers_that_are_no_fractions_name_their_scale(tmp_path: Path) -> None:
         raw = np.round(values() * scale).astype(kind)
         path = write_raster(tmp_path / f"{name}.tif", raw, transform=PLACE)
         with pytest.raises(InputError, match=words):
-            read(path)
+            read(path, bands=BANDS)
 
 
 def test_too_few_pixels_for_distributions_are_told(tmp_path: Path) -> None:
     path = write_raster(tmp_path / "one.tif", values()[:, :1, :1], transform=PLACE)
     with pytest.warns(UserWarning, match=r"one\.tif: 1 pixels are compared, which is too few"):
-        one = read(path)
-    large = read(write_raster(tmp_path / "large.tif", values(), transform=PLACE))
+        one = read(path, bands=BANDS)
+    large = read(write_raster(tmp_path / "large.tif", values(), transform=PLACE), bands=BANDS)
     said = " ".join(compare_drone_images(large, one).notes)
     assert "Only 1 pixels of the simulated image" in said
