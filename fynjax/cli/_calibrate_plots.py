@@ -28,7 +28,7 @@ def calibrate_plots(
     checkpoint: Checkpoint = None,
     seed: Seed = 0,
 ) -> Job:
-    """Infer cover, leaf mass per area and leaf water of plots from their measured spectra.
+    """Infer covers, leaf area, dead tissue, gap and leaf traits of plots from measured spectra.
 
     Once with the plot's own tables as a weak prior, once with the other plots' means. Compares
     with the field's community-weighted means, and with a published regression (*LMA*model*.json)

@@ -1,4 +1,4 @@
-"""`fynjax calibrate-plots`: field tables and spectra in, cover and leaf traits of plots out."""
+"""`fynjax calibrate-plots`: field tables and spectra in, covers, stand and leaf traits out."""
 
 import tempfile
 import warnings
@@ -95,7 +95,7 @@ def calibrate_plots(
     checkpoint: str | Path,
     progress: Progress | None = None,
 ) -> CalibratePlotsResult:
-    """Infer cover, leaf mass per area and water of a folder's plots from their spectra.
+    """Infer covers, leaf area, dead tissue, gap and leaf traits of plots from their spectra.
 
     **Arguments:**
 
