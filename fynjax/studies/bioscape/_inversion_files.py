@@ -279,11 +279,11 @@ def _reasons(findings: Findings, shifts: pd.DataFrame) -> list[str]:
             for n, r in shared.sort_values("mean_shift", key=abs)[::-1].head(5).iterrows()
         ]
         sentences.append(
-            f"With the {prior.split(', ')[1]}, all plots shift alike (prior standard deviations): "
+            f"With {prior.split(', ')[1]}, all plots shift alike (prior standard deviations): "
             f"{', '.join(moves)}. An error that every plot shares is the model's, and a trait that "
             "moves with it is estimated wrongly by that much."
             if moves
-            else f"With the {prior.split(', ')[1]} no parameter shifts alike in all plots."
+            else f"With {prior.split(', ')[1]} no parameter shifts alike in all plots."
         )
         constrained = part["constrained"].sort_values(ascending=False)
         named = [f"{str(n).replace('_', ' ')} {share:.0%}" for n, share in constrained.items()]
