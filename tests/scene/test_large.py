@@ -1,5 +1,7 @@
 """Plots too large to be rendered in one piece."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -84,9 +86,11 @@ def test_elements_placed_part_by_part_make_the_same_voxels(monkeypatch):
 def test_windows_make_the_picture_of_the_whole(monkeypatch, boundary):
     """Leaves finer than the voxels, and area elements that are not listed for the whole plot."""
     plot = {"extent": (3.2, 4.8), "voxel": 0.2, "structure": 0.1, "boundary": boundary}
-    parameters = small_parameters()
+    # A low sun, whose beams cross more than the cell that a window has beside its tile anyway.
+    low = jnp.asarray(50.0)
+    parameters = eqx.tree_at(lambda p: p.light.sun_zenith, small_parameters(), low)
     whole = small_plot(**plot)
-    aimed = drone(whole, LIGHT, pixel=0.1)
+    aimed = drone(whole, dataclasses.replace(LIGHT, margin=10), pixel=0.1)
     # Rays that are known, as those of tiles are: layers are then cut alike.
     expected = jax.jit(lambda s, p: aimed.observe(s, p).reflectance)(whole, parameters)
     monkeypatch.setattr("fynjax.scene._planting.MOST_LISTED", 0)
@@ -101,5 +105,5 @@ def test_windows_make_the_picture_of_the_whole(monkeypatch, boundary):
     )
     image = observe_in_tiles(aimed, scene, parameters, tile=20)
     assert len(held) > 20
-    assert max(len(window.planting.plant) for window in held) < 0.6 * whole.planting.plant.size
+    assert max(len(window.planting.plant) for window in held) < 0.8 * whole.planting.plant.size
     np.testing.assert_allclose(image, expected, rtol=1e-9)
