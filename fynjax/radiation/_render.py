@@ -396,11 +396,14 @@ def render_up_to(
 
 
 def reflectance_factor(
-    light: Light, rays: AbstractRays, *, chunk: int = 8
+    light: Light, rays: AbstractRays, *, chunk: int = 8, steepest: float | None = None
 ) -> Float[Array, "band row column"]:
     """Reflectance factor along each ray [-]: pi times radiance over the incident irradiance.
 
     **Arguments:** `light`, `rays`, `chunk`, errors and derivatives as for `render`.
+
+    - `steepest`: zenith angle that no ray exceeds [degrees], for rays that are traced values; left
+      out, layers are then cut as for rays that cross a voxel in each.
 
     It is what an image holds after calibration with a panel.
 
@@ -421,7 +424,11 @@ def reflectance_factor(
     Array([0.08, 0.33], dtype=float64)
     """
     incident = light.scene.illumination.incident[:, None, None]
-    return jnp.pi * render(light, rays, chunk=chunk).total / incident
+    if steepest is None:
+        radiance = render(light, rays, chunk=chunk)
+    else:
+        radiance = render_up_to(light, rays, steepest, chunk)
+    return jnp.pi * radiance.total / incident
 
 
 def directional_reflectance(

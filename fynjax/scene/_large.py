@@ -172,7 +172,9 @@ class _Windows:
                     field[..., *cut.pixels(*place)] = tile
                 report.advance()
             assert fields is not None
-            return _solve(whole, Cells(*map(jnp.asarray, fields)), accuracy)
+            cells = Cells(*map(jnp.asarray, fields))
+            fields.clear()
+            return _solve(whole, cells, accuracy)
 
     def tiling(self, light: LightInWindows, rays: RayLattice, tile: int) -> Tiling:
         """A picture in tiles of `tile` rays at most, of windows that can be held."""

@@ -11,6 +11,7 @@ its mean density.
 """
 
 import dataclasses
+import math
 from typing import Any, Literal, overload
 
 import equinox as eqx
@@ -175,6 +176,9 @@ class AimedSensor(eqx.Module):
     """Rows and columns of rays over the scene where pixels are wider than voxels; else None."""
     samples: int = eqx.field(static=True)
     """Of these, along the edge of a voxel."""
+    steepest: float = eqx.field(static=True)
+    """Zenith angle that no ray exceeds, in whole steps of 5, lest each height of the sensor compile
+    anew [degrees]."""
     averaged: Float[Array, ""]
     """The sensor's own pixels, by its optics, that a pixel is the mean of; at least 1. Its noise is
     as much lower."""
@@ -291,7 +295,7 @@ class AimedSensor(eqx.Module):
         """
         light = solve_light(voxels, self.accuracy)
         chunk = min(max(_VOXELS // int(np.prod(voxels.shape)), 8), 32)
-        factor = reflectance_factor(light, self.rays, chunk=chunk)
+        factor = reflectance_factor(light, self.rays, chunk=chunk, steepest=self.steepest)
         return *self.averages(factor, voxels), light.residual
 
     def averages(
@@ -508,6 +512,7 @@ def aim(
         margin=margin,
         fine=(ny, nx) if wide else None,
         samples=samples,
+        steepest=5.0 * math.ceil(math.degrees(math.atan(slope)) / 5.0 - 1e-6),
         averaged=real_array(max(1.0, (pixel / optics) ** 2)),
         panels=panels_in_picture(panels, (rows, columns), pixel, (west, south)) if panels else None,
     )

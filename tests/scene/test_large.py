@@ -91,8 +91,7 @@ def test_windows_make_the_picture_of_the_whole(monkeypatch, boundary):
     parameters = eqx.tree_at(lambda p: p.light.sun_zenith, small_parameters(), low)
     whole = small_plot(**plot)
     aimed = drone(whole, dataclasses.replace(LIGHT, margin=10), pixel=0.1)
-    # Rays that are known, as those of tiles are: layers are then cut alike.
-    expected = jax.jit(lambda s, p: aimed.observe(s, p).reflectance)(whole, parameters)
+    expected = reflectance(aimed, whole, parameters)  # whose layers are cut as those of tiles are
     monkeypatch.setattr("fynjax.scene._planting.MOST_LISTED", 0)
     scene = small_plot(**plot)
     with pytest.raises(InputError, match="render the plot in tiles"):
