@@ -10,6 +10,7 @@ from fynjax.assembly._forward import (
     prepare,
     shown_unit,
 )
+from fynjax.assembly._memory import check_memory
 from fynjax.assembly._sensing import aim_at_plot, aim_without_air
 from fynjax.assembly._targets import Measured, drone_view, read_targets
 
@@ -21,6 +22,7 @@ __all__ = [
     "aim_without_air",
     "batch_for_device",
     "build_plot",
+    "check_memory",
     "drone_view",
     "image_view",
     "parameter_columns",

@@ -12,8 +12,17 @@ _ELEMENT_BYTES, _PLANT_BYTES = 80, 700
 built: measured at 100 m x 100 m."""
 
 
-def check_memory(plot: Plot) -> None:
-    """Refuse a plot whose plants this machine has no memory for, before it runs out of it."""
+def check_memory(plot: Plot, *, listed: bool = False) -> None:
+    """Refuse a plot whose plants this machine has no memory for, before it runs out of it.
+
+    **Arguments:**
+
+    - `plot`: as `read_plot` gives it.
+    - `listed`: whether the elements of all plants that stand are listed at once; else those of a
+      large plot are made window by window.
+
+    **Raises:** `InputError` with what is needed and what there is.
+    """
     area, elements, plants = float(np.prod(plot.size_m)), 0.0, 0.0
     rules = PlantingRules(structure=plot.structure_m)
     structured = rules.finer(plot.voxel_m) > 0
@@ -26,7 +35,10 @@ def check_memory(plot: Plot) -> None:
             s.diameter_m, s.height_m, rules.resolved(plot.voxel_m), structured=structured
         )
     there = total_memory() / 2**30
-    needed = (_ELEMENT_BYTES * min(elements, MOST_LISTED) + _PLANT_BYTES * plants) / 2**30
+    held = min(elements, MOST_LISTED)
+    if listed:
+        held = max(held, elements / PlantingRules.room)
+    needed = (_ELEMENT_BYTES * held + _PLANT_BYTES * plants) / 2**30
     if needed > there:
         raise InputError(
             f"the plants of {plot.size_m[0]:g} m x {plot.size_m[1]:g} m in voxels of "

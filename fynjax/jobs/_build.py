@@ -15,7 +15,7 @@ from pydantic import Field
 
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
-from fynjax.assembly import build_plot
+from fynjax.assembly import build_plot, check_memory
 from fynjax.io.instruments import scene_meshes, write_scene_mesh
 from fynjax.io.plot import Plot, as_plot
 from fynjax.io.raster import write_run
@@ -122,6 +122,7 @@ def build(
     read = read if size is None else _resized(read, size)
     chosen = read.seed if seed is None else seed
     run = Run(output, seed=chosen, progress=progress)
+    check_memory(read, listed=True)
     with run.stage("Plant the plot", "plants"):
         scene, parameters = build_plot(read, seed=chosen)
         real = np.asarray(scene.counts(parameters), float)

@@ -9,7 +9,7 @@ import xarray as xr
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax.assembly import build_plot
+from fynjax.assembly import build_plot, check_memory
 from fynjax.compare import Heights, compare_heights, lowest_ground
 from fynjax.io.instruments import write_cloud
 from fynjax.io.plot import Plot, plot_place
@@ -56,6 +56,7 @@ def simulate_lidar(
     """
     for package in ("laspy", "lazrs"):
         require(package, "terrain")
+    check_memory(plot, listed=True)
     with run.stage("Build the plot", "build"):
         scene, parameters = build_plot(plot, seed=run.seed)
         scene = hard_scene(scene, parameters)

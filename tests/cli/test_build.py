@@ -13,9 +13,10 @@ import xarray as xr
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import table1_2006
+from fynjax.canopy import FORM_DEFAULTS, table1_2006
 from fynjax.cli._build import build
 from fynjax.io.instruments import _scene_mesh
+from fynjax.scene import USUAL_LEAF
 from tests.helpers import assert_valid_summary
 
 app = typer.Typer()
@@ -85,15 +86,18 @@ def test_the_files_of_a_build_agree(plot: Path, tmp_path: Path) -> None:
     euclea = disc[plants.taxon == "Euclea racemosa"].sum()
     every = disc.sum() / 4.0
     seen = euclea * (1 - np.prod(1 - disc / 4.0)) / every  # crowns overlap
-    assert leaf == pytest.approx(3.5 * (1 - 0.2) * seen, rel=1e-3)
+    form = FORM_DEFAULTS["broad_leaved"]
+    area, dead = form.leaf_area_index, form.dead_fraction
+    assert leaf == pytest.approx(area * (1 - 0.2) * seen, rel=1e-3)
     stand = pd.read_csv(out / "stand.csv").set_index("taxon")
-    assert stand.leaf_area_index["all"] == pytest.approx(0.75 * 3.5 * seen / 4.0, abs=1e-3)
-    assert stand.dead_area_index["all"] == pytest.approx(0.25 * 3.5 * seen / 4.0, abs=1e-3)
+    assert stand.leaf_area_index["all"] == pytest.approx((1 - dead) * area * seen / 4.0, abs=1e-3)
+    assert stand.dead_area_index["all"] == pytest.approx(dead * area * seen / 4.0, abs=1e-3)
     deadwood = disc[plants.taxon == "Deadwood"].sum() * seen / euclea
     assert stand.wood_area_index["all"] * 4.0 == pytest.approx(
         0.5 * seen + 0.8 * deadwood, abs=1e-3
     )
-    assert stand.leaf_mass_g_m2["all"] == pytest.approx(200.0 * 3.5 * seen / 4.0, rel=1e-3)
+    mass = 1e4 * USUAL_LEAF["dry_matter"]  # of g cm-2
+    assert stand.leaf_mass_g_m2["all"] == pytest.approx(mass * area * seen / 4.0, rel=1e-3)
     gap = summary["gap_fraction"]
     assert f"{100 * gap:.1f} %" in " ".join(summary["headline"])
     assert 1 - every < gap < 1.0
@@ -138,11 +142,11 @@ def test_a_growth_form_without_known_leaves_has_no_mesh(
 
 def test_a_plot_beyond_the_memory_is_refused_at_once(plot: Path, tmp_path: Path) -> None:
     """0.3 x 1e6 m2 of crowns of 0.096 m2, of which 0.8 counts, and 0.04 x 1e6 m2 of 0.0079 m2;
-    2.5 sites each, 3000 elements for the one and 2784 for the other, 80 bytes."""
+    3000 elements for the one and 2784 for the other, 80 bytes; 2.5 sites each, 700 bytes."""
     plot.write_text(
         PLOT.replace("size_m = 1.0", "size_m = 1000.0").replace("0.1", "0.01", 1), encoding="utf-8"
     )
-    with pytest.raises(InputError, match="4819 GiB"):
+    with pytest.raises(InputError, match="1942 GiB"):
         run(plot, "--output", tmp_path / "out")
 
 

@@ -11,6 +11,7 @@ import typer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
+from fynjax.canopy import FORM_DEFAULTS
 from fynjax.cli._plant import plant
 from tests.helpers import assert_valid_summary
 
@@ -40,14 +41,15 @@ def test_a_taxon_becomes_a_mesh_and_elements(tmp_path: Path) -> None:
     assert len(rows) == 400
     for organ in ("leaf", "wood"):
         assert areas(rows, "organ", organ) == pytest.approx(summary["area_m2"][organ], rel=1e-6)
-    assert summary["area_m2"]["leaf"] == pytest.approx(3.0 * np.pi * 0.075**2, rel=1e-6)
+    area = FORM_DEFAULTS["rounded_shrub"].leaf_area_index
+    assert summary["area_m2"]["leaf"] == pytest.approx(area * np.pi * 0.075**2, rel=1e-6)
     assert summary["height_m"] == pytest.approx(0.5, rel=1e-3)
     made = tmp_path / "made"
     assert set(summary["files"]) == {"elements.csv", "plant.obj", "plant.mtl", "plant.png"}
     assert {path.name for path in made.iterdir()} == {*summary["files"], "summary.json"}
     assert_valid_summary(summary)
     assert (made / "plant.png").stat().st_size > 20_000
-    assert (summary["form"], summary["n_leaves"]) == ("rounded_shrub", 3021)
+    assert (summary["form"], summary["n_leaves"]) == ("rounded_shrub", 4733)
     assert summary["leaf_scale"] == pytest.approx(1.0, abs=0.05)
     assert [one["solid_share"] for one in summary["materials"]] == [0.0, 1.0]
     assert summary["warnings"] == []
