@@ -179,7 +179,7 @@ def read_targets(
         else:
             found[kind] = structure_target(plot, path, seed, progress)
     if bands is not None and "image" not in found:
-        raise InputError("expected `bands` with a drone's image, but no target is one")
+        raise InputError("expected `bands` with a drone image, but no target is one")
     return tuple(found[kind] for kind in KINDS if kind in found)
 
 
@@ -209,6 +209,8 @@ def image_target(
         extra = {"target_valid_share": float(image.mask.mean())}
         data = weigh_targets(names, value, share)
     else:
+        if bands is not None:
+            raise InputError("expected `bands` with a drone image, but this is a table", file=path)
         read = read_statistics(path, {*BANDS, *VEGETATION_INDICES})
         keep = _used(plot, read.names, "the target's rows")
         names = [read.names[i] for i in keep]

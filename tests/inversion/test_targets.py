@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from rasterio import Affine
 
 from fynjax._core.errors import InputError
+from fynjax.assembly import read_targets
 from fynjax.assembly._targets import image_target
 from fynjax.inversion import weigh_targets
 from fynjax.io.plot import example_folder, read_plot
+from tests.helpers import write_raster
 
 
 def test_spreads_and_repeated_ratios_weigh_less():
@@ -29,3 +32,19 @@ def test_the_example_table_is_a_target_of_the_example_plot():
     data = image_target(plot, example_folder() / "statistics.csv").data
     assert data.names[:2] == ("green.mean", "red.mean")
     assert float(data.sd[0]) == pytest.approx(0.0003)
+
+
+def test_bands_of_an_image_are_stated(tmp_path):
+    plot = read_plot(example_folder() / "plot.toml")
+    level = np.linspace(0.9, 1.1, 900).reshape(30, 30)
+    image = np.stack([share * level for share in (0.03, 0.04, 0.1, 0.3)])
+    write_raster(tmp_path / "named.tif", image[::-1], transform=Affine(0.1, 0, 0, 0, -0.1, 0))
+    bands = ["nir", "red_edge", "red", "green"]
+    (measured,) = read_targets(plot, [tmp_path / "named.tif"], bands=bands)
+    mean = dict(zip(measured.data.names, np.asarray(measured.data.value), strict=True))
+    assert mean["nir.mean"] == pytest.approx(0.3, rel=1e-5)
+    assert mean["green.mean"] == pytest.approx(0.03, rel=1e-5)
+    with pytest.raises(InputError, match="but this is a table"):
+        read_targets(plot, [example_folder() / "statistics.csv"], bands=bands)
+    with pytest.raises(InputError, match="no target is one"):
+        read_targets(plot, [], bands=bands)
