@@ -220,17 +220,20 @@ _FINE = 0.05
 """Edge of a voxel whose sunbeams need not be closer than the voxels [m]."""
 
 
-def check_light(scene: VoxelScene, accuracy: Accuracy | None = None) -> None:
+def check_light(
+    scene: VoxelScene, accuracy: Accuracy | None = None, held: float = math.inf
+) -> None:
     """Raise `InputError` where the light of a scene would not fit in the memory of this machine.
 
     **Arguments:**
 
     - `scene`: of which the shapes count; from `jax.eval_shape` it costs nothing.
     - `accuracy`: as for `solve_light`, which checks the same before it begins.
+    - `held`: voxels that are in memory at once, of a scene that is made window by window.
 
     **Raises:** `InputError`, with what would fit.
     """
-    check_fit(scene, Accuracy() if accuracy is None else accuracy)
+    check_fit(scene, Accuracy() if accuracy is None else accuracy, held)
 
 
 class Fit(NamedTuple):

@@ -30,7 +30,7 @@ from fynjax.radiation._reduced import ReducedField
 from fynjax.radiation._render import (
     Accuracy,
     Light,
-    check_fit,
+    check_light,
     diffuse_light,
     fit_grids,
     follow_sun,
@@ -39,6 +39,9 @@ from fynjax.radiation._render import (
     sun_margin,
 )
 from fynjax.radiation._scene import VoxelScene
+
+_MOST_RIM = 25
+"""Voxels of all windows together over those of the scene, up to which windows are narrowed."""
 
 
 class _Axis(NamedTuple):
@@ -79,6 +82,16 @@ class Tiling(NamedTuple):
         """The voxel columns that a tile takes, along y and x: the first, and how many."""
         first = self.y.first[row] * self.wide, self.x.first[column] * self.wide
         return first, (self.y.cells * self.wide, self.x.cells * self.wide)
+
+    def voxels(self, scene: VoxelScene) -> int:
+        """Voxels of a window."""
+        return self.y.cells * self.x.cells * self.wide**2 * scene.shape[0]
+
+    def is_narrow(self, scene: VoxelScene, held: int) -> bool:
+        """Whether a window has `held` voxels at most; or is so much rim already, as under a low
+        sun, that narrower ones would cost more than they save."""
+        each = self.voxels(scene)
+        return each <= held or math.prod(self.shape) * each > _MOST_RIM * math.prod(scene.shape)
 
 
 class LightInWindows(eqx.Module):
@@ -176,11 +189,11 @@ def cut_cells(scene: VoxelScene, accuracy: Accuracy, held: int) -> Tiling:
     - `scene`: on level ground, its sun known; of its voxels the shapes count, as of
       `jax.eval_shape`.
     - `accuracy`: as for `solve_light`.
-    - `held`: voxels of the widest window, where sunbeams let it be so narrow.
+    - `held`: voxels of a window, about, where sunbeams let it be so narrow.
 
     **Raises:** `InputError` as `check_light`.
     """
-    wide = check_fit(scene, accuracy, held).finest[1]
+    wide = fit_grids(scene, accuracy).finest[1]
     reach = scene.height * float(jnp.abs(_sun_slope(scene)).max())
     counts = [count // wide for count in scene.shape[1:]]
     centres = [(np.arange(count) + 0.5) * wide * scene.horizontal for count in counts]
@@ -189,9 +202,11 @@ def cut_cells(scene: VoxelScene, accuracy: Accuracy, held: int) -> Tiling:
             _axis(scene, count, places, -(-len(places) // parts), reach, wide)
             for places, count in zip(centres, scene.shape[1:], strict=True)
         )
-        if y.cells * x.cells * wide**2 * scene.shape[0] <= held:
+        tiling = Tiling(y, x, 0.0, wide)
+        if tiling.is_narrow(scene, held):
             break
-    return Tiling(y, x, 0.0, wide)
+    check_light(scene, accuracy, tiling.voxels(scene))
+    return tiling
 
 
 def window_cells(

@@ -104,14 +104,15 @@ def observe_in_tiles(
         windows = _Windows(aimed, scene, parameters, whole, held)
         light_in_windows = windows.light(report)
         tiling = windows.tiling(light_in_windows, rays, tile)
-        draw = partial(windows.tile, light_in_windows, rays, tiling)
+        tiling = tiling._replace(steepest=aimed.steepest)  # layers cut as those of the whole are
+        draw = partial(windows.tile, light_in_windows, rays, tiling, windows.room(tiling))
     else:
         check_light(whole, accuracy)
         with report.stage("Light"):
             # Plants that do not stand take memory only.
             voxels = _voxels(standing_scene(scene, parameters), parameters, bands)
             light = _light(voxels, accuracy)
-        tiling = tile_picture(light, rays, tile)
+        tiling = tile_picture(light, rays, tile)._replace(steepest=aimed.steepest)
         draw = partial(_tile, light, rays, tiling)
     factor = np.empty((len(bands), *rays.shape), scene.dtype)
     with report.stage("Tiles", math.prod(tiling.shape)):
@@ -160,7 +161,7 @@ class _Windows:
         """The light of the scene."""
         whole, accuracy = self._whole, self._accuracy
         cut = cut_cells(whole, accuracy, self._held)
-        room, fields = self._room(cut), None
+        room, fields = self.room(cut), None
         with report.stage("Light", math.prod(cut.shape)):
             for place in np.ndindex(cut.shape):
                 window, at = self._window(cut, room, *place), map(jnp.asarray, place)
@@ -178,21 +179,28 @@ class _Windows:
 
     def tiling(self, light: LightInWindows, rays: RayLattice, tile: int) -> Tiling:
         """A picture in tiles of `tile` rays at most, of windows that can be held."""
-        layers, most = self._whole.shape[0], max(rays.shape)
+        most = max(rays.shape)
         for parts in range(-(-most // tile), most + 1):
             tiling = tile_picture(light, rays, -(-most // parts))
-            if math.prod(tiling.window(0, 0)[1]) * layers <= self._held:
+            if tiling.is_narrow(self._whole, self._held):
                 break
+        check_light(self._whole, self._accuracy, tiling.voxels(self._whole))
         return tiling
 
     def tile(
-        self, light: LightInWindows, rays: RayLattice, tiling: Tiling, row: Array, column: Array
+        self,
+        light: LightInWindows,
+        rays: RayLattice,
+        tiling: Tiling,
+        room: tuple[int, int],
+        row: Array,
+        column: Array,
     ) -> tuple[Array]:
         """Reflectance factor of a tile."""
-        window = self._window(tiling, self._room(tiling), int(row), int(column))
+        window = self._window(tiling, room, int(row), int(column))
         return _tile_of_window(light, *self._make, window, rays, tiling, row, column)
 
-    def _room(self, tiling: Tiling) -> tuple[int, int]:
+    def room(self, tiling: Tiling) -> tuple[int, int]:
         """Most plants, and most elements, of a window."""
         found = [self._within(tiling, *place)[0] for place in np.ndindex(tiling.shape)]
         elements = [int(self._planting.count[index].sum(dtype=np.int64)) for index in found]
@@ -203,10 +211,10 @@ class _Windows:
         index, foot = self._within(tiling, row, column)
         few = dataclasses.replace(self._planting.plants(index), foot=foot).with_elements()
         # One plant more at the end, without area, to which the elements left over belong.
+        plants, elements = room[0] + (room[1] > 0), room[1]
         longer = lambda field, to, fill=0: np.pad(  # noqa: E731
             field, [(0, to - len(field))] + [(0, 0)] * (field.ndim - 1), constant_values=fill
         )
-        plants, elements = room[0] + 1, room[1]
         few = dataclasses.replace(
             few,
             **{name: longer(getattr(few, name), plants) for name in OF_PLANTS},

@@ -14,6 +14,7 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.radiation import (
     Accuracy,
+    cut_cells,
     nadir_rays,
     parallel_rays,
     render,
@@ -78,6 +79,17 @@ def test_what_has_no_tiles(repeated):
         tile_picture(reduced, RAYS)
     with pytest.raises(InputError, match="outside the transformation"):
         jax.eval_shape(lambda at: render_tiles(at, RAYS), repeated)
+
+
+def test_windows_under_a_low_sun_stay_wider_than_their_rims(monkeypatch):
+    """However little is to be held: a tile of one cell would need almost the rim of the whole."""
+    scene = patchy(**SCENE, sun=(85.0, 40.0))
+    tiling = cut_cells(scene, ACCURACY, held=1)
+    assert tiling.shape == (2, 2)
+    assert tiling.voxels(scene) > scene.area_density[0].size
+    monkeypatch.setattr("fynjax.radiation._check._memory", lambda: 4 * tiling.voxels(scene))
+    with pytest.raises(InputError, match="GiB"):
+        cut_cells(scene, ACCURACY, held=1)
 
 
 DEVICES = """

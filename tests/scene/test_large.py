@@ -10,7 +10,8 @@ import pytest
 
 from fynjax._core.checkpoint import Journal
 from fynjax.errors import InputError
-from fynjax.radiation import Accuracy
+from fynjax.radiation import Accuracy, Tiling
+from fynjax.radiation._tiles import _Axis
 from fynjax.scene import is_large, observe_in_tiles, standing_scene
 from fynjax.scene._large import _Windows
 from tests.scene.plots import drone, reflectance, small_parameters, small_plot
@@ -106,3 +107,18 @@ def test_windows_make_the_picture_of_the_whole(monkeypatch, boundary):
     assert len(held) > 20
     assert max(len(window.planting.plant) for window in held) < 0.8 * whole.planting.plant.size
     np.testing.assert_allclose(image, expected, rtol=1e-9)
+
+
+def test_windows_of_bare_ground_have_nothing_to_place():
+    scene, parameters = small_plot(extent=(3.2, 4.8), voxel=0.2), small_parameters()
+    bare = eqx.tree_at(lambda p: p.species.cover, parameters, jnp.zeros(3))
+    aimed = drone(scene, LIGHT, pixel=0.2)
+    bands = aimed.sensor.bands
+    whole = jax.eval_shape(lambda: scene.voxels(bare, bands))
+    windows = _Windows(aimed, scene, bare, whole, held=1)
+    tiling = Tiling(*(2 * (_Axis(4, (0, 4), 6, (-1, 3)),)), 0.0, 2)
+    room = windows.room(tiling)
+    assert room == (0, 0)
+    window = windows._window(tiling, room, 1, 1)
+    voxels = jax.eval_shape(lambda: scene.voxels(bare, bands, window))
+    assert voxels.shape == (*whole.shape[:1], 12, 12)

@@ -50,7 +50,8 @@ def discs(scene: Scene, parameters: PlotParameters, bands: BandSet, leaves: int)
     An element is one disc, or as many as `leaves`, anywhere in the box of its tuft.
     """
     planting = scene.planting
-    position, area = (np.asarray(a, float) for a in scene._elements(parameters, planting))
+    elements = scene._elements(parameters, planting, scene.visible_crowns(parameters))
+    position, area = (np.asarray(a, float) for a in elements)
     normal = np.asarray(planting.shapes.normal)[np.asarray(planting.part)][:, None]
     plant = np.asarray(planting.plant)
     azimuth, tilt = (np.asarray(a)[plant] for a in (planting.azimuth, planting.tilt))
