@@ -1,4 +1,4 @@
-"""The notebooks are plain text without outputs, and run from top to bottom."""
+"""The notebooks are scripts and, without outputs, Jupyter files; they run from top to bottom."""
 
 import ast
 import os
@@ -13,12 +13,33 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
 by_name = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
-def test_there_are_notebooks_and_no_outputs_beside_them() -> None:
+def test_there_are_notebooks_and_nothing_beside_them() -> None:
     assert NOTEBOOKS
-    others = [p.name for p in (ROOT / "notebooks").iterdir() if p.suffix not in {".py", ".ipynb"}]
-    assert set(others) <= {".ipynb_checkpoints", "__pycache__"}
-    ignored = (ROOT / ".gitignore").read_text("utf-8").splitlines()
-    assert "notebooks/*.ipynb" in ignored  # a notebook with outputs cannot slip in
+    files = {p.name for p in (ROOT / "notebooks").iterdir()}
+    assert files - {".ipynb_checkpoints", "__pycache__"} == {
+        f"{path.stem}{suffix}" for path in NOTEBOOKS for suffix in (".py", ".ipynb")
+    }
+
+
+@by_name
+def test_the_jupyter_file_is_the_script_without_outputs(path: Path) -> None:
+    script = jupytext.read(path, fmt="py:percent")
+    paired = jupytext.read(path.with_suffix(".ipynb"))
+    cells = [[(c.cell_type, c.source) for c in notebook.cells] for notebook in (script, paired)]
+    assert cells[0] == cells[1], "`jupytext --sync notebooks/*.py` makes both equal"
+    assert not any(c.get("outputs") or c.get("execution_count") for c in paired.cells)
+
+
+@by_name
+def test_files_to_take_are_named_in_the_first_cell(path: Path) -> None:
+    first, *rest = [
+        c.source for c in jupytext.read(path, fmt="py:percent").cells if c.cell_type == "code"
+    ]
+    for settings in ("PLOT", "TABLE", "SPECTRUM"):
+        assert not any(f"\n{settings} =" in f"\n{source}" for source in rest)
+    if path.stem != "08_swir2":  # which is about one article's plot
+        assert not any("example_folder()" in source for source in rest)
+        assert any(f"\n{settings} =" in f"\n{first}" for settings in ("PLOT", "TABLE", "SPECTRUM"))
 
 
 @by_name

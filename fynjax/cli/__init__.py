@@ -31,6 +31,7 @@ from fynjax.cli._simulate import simulate
 from fynjax.cli._terrain import terrain
 from fynjax.cli._validate import validate
 from fynjax.cli._validate_plots import validate_plots
+from fynjax.cli._view import view
 
 __all__ = ["app", "main"]
 
@@ -62,6 +63,7 @@ app.command()(pattern)
 app.command()(validate)
 app.command("validate-plots")(validate_plots)
 app.command()(init)
+app.command()(view)
 
 
 def _version(wanted: bool) -> None:

@@ -397,6 +397,27 @@ def test_null_progress_is_a_progress():
         progress.advance(2, loss=0.1)
 
 
+def test_view_opens_the_page_of_a_run_or_prints_its_path(capsys, tmp_path, monkeypatch):
+    page = tmp_path / "report.html"
+    page.write_text("<p>")
+    opened = []
+    for works, arguments in ((True, ()), (False, ()), (True, ("--print",))):
+        monkeypatch.setattr(
+            "webbrowser.open", lambda address, works=works: opened.append(address) or works
+        )
+        assert call(capsys, "view", tmp_path, *arguments)[:2] == (
+            0,
+            "" if works and not arguments else f"{page.resolve()}\n",
+        )
+    assert opened == [page.resolve().as_uri()] * 2
+    assert call(capsys, "view", page, "--print")[:2] == (0, f"{page.resolve()}\n")
+    page.rename(tmp_path / "traits.csv")
+    code, _, err = call(capsys, "view", tmp_path)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "report.html" in err
+    assert "traits.csv" in err
+
+
 def test_sensors_lists_all_with_their_kind(capsys):
     code, out, _ = call(capsys, "sensors", "--json")
     rows = {row["name"]: row for row in json.loads(out)}
