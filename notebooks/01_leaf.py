@@ -1,7 +1,7 @@
 # ---
 # jupyter:
 #   jupytext:
-#     formats: py:percent
+#     formats: ipynb,py:percent
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -16,6 +16,10 @@
 # fynjax it is one function, and JAX can differentiate it: for every wavelength we learn how much
 # the reflectance moves when, say, the water content does. That is what lets a spectrum be read
 # backwards, and it shows beforehand what a sensor cannot see.
+
+# %%
+# Your own leaf goes here: an ASD, CSV or text file, such as "leaf.asd". None takes an example.
+SPECTRUM = None
 
 # %%
 import dataclasses
@@ -140,8 +144,9 @@ assert worst < 1e-6
 #
 # `fit_leaf` reads a spectrum backwards, and `fynjax fit-leaf leaf_1.asd leaf_2.asd` does the same
 # from files. Reflectance alone is what a field instrument gives; the transmittance is predicted.
-# Where the reference data lie beside the project (or `FYNJAX_SHARED_DATA` says where) this is a
-# real leaf clip reading of a lime tree, *Tilia americana*; elsewhere the tough leaf from above.
+# This is the spectrum named in the first cell. Where none is named but the reference data lie
+# beside the project (or `FYNJAX_SHARED_DATA` says where), it is a real leaf clip reading of a lime
+# tree, *Tilia americana*; elsewhere the tough leaf from above.
 
 # %%
 import os
@@ -151,7 +156,7 @@ from fynjax.io.spectra import read_spectra
 from fynjax.leaf import LeafClip, fit_leaf
 
 folder = Path(os.environ.get("FYNJAX_SHARED_DATA", "../../shared/data")) / "leaf" / "asd"
-found = sorted(folder.glob("serbin*.asd"))
+found = sorted(folder.glob("serbin*.asd")) if SPECTRUM is None else [Path(SPECTRUM)]
 if found:
     (spectrum,) = read_spectra(found[0])
     grid, measured, title = spectrum.wavelength, spectrum.reflectance, spectrum.name

@@ -1,7 +1,7 @@
 # ---
 # jupyter:
 #   jupytext:
-#     formats: py:percent
+#     formats: ipynb,py:percent
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -17,6 +17,11 @@
 # Every step can be differentiated, so we can ask which species an index such as NDVI responds to.
 
 # %%
+# Your own table goes here: a CSV file with the columns taxon, growth_form, mean_diameter_cm,
+# cover_percent and height_max_m, such as "species.csv". None takes that of the plot burnt in 2006.
+TABLE = None
+
+# %%
 import os
 from functools import partial
 
@@ -24,6 +29,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 
 from fynjax.canopy import FORM_DEFAULTS, hard_count, instance_area, table1_2006, target_area
 from fynjax.leaf import LeafParameters
@@ -53,7 +59,7 @@ LIGHT = Accuracy(sublayers=1, levels=2, azimuths=4, refine=False) if FAST else N
 # shape a plant is given) is ours, from the botany of each taxon.
 
 # %%
-table = table1_2006()
+table = table1_2006() if TABLE is None else pd.read_csv(TABLE, comment="#")
 table[["taxon", "cover_percent", "mean_diameter_cm", "height_max_m", "growth_form"]]
 
 # %% [markdown]

@@ -1,7 +1,7 @@
 # ---
 # jupyter:
 #   jupytext:
-#     formats: py:percent
+#     formats: ipynb,py:percent
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -17,6 +17,13 @@
 # at a time, and each sensor is asked what it noticed.
 
 # %%
+from fynjax.io.plot import example_folder
+
+# Your own plot goes here, such as "my_plot/plot.toml"; `fynjax init my_plot` writes one.
+PLOT = example_folder() / "plot.toml"
+SPECIES = "Erica irregularis"  # of it half the cover will be taken
+
+# %%
 import dataclasses
 import os
 
@@ -28,7 +35,7 @@ import numpy as np
 from fynjax.assembly import build_plot
 from fynjax.inversion import COARSE, coarser
 from fynjax.io.instruments import load_lidar, load_sensor
-from fynjax.io.plot import example_folder, read_plot
+from fynjax.io.plot import read_plot
 from fynjax.scene import Placement, PlotAir, aim, observe, stand_realisation
 
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer pixels and channels
@@ -38,13 +45,11 @@ PIXEL = 0.1 if FAST else 0.05  # m, of the drone's image
 # %% [markdown]
 # ## The plot
 #
-# `fynjax init my_plot` writes such a plot file with its tables; yours goes here. The seed is in the
-# file, so the same plants stand in the same places whichever sensor looks.
+# `fynjax init my_plot` writes such a plot file with its tables. The seed is in the file, so the
+# same plants stand in the same places whichever sensor looks.
 
 # %%
-plot = dataclasses.replace(
-    read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE), structure_m="even"
-)
+plot = dataclasses.replace(read_plot(PLOT), size_m=(SIDE, SIDE), structure_m="even")
 
 
 scene, table = build_plot(plot)
@@ -230,7 +235,7 @@ for seed in range(1, 5):
     others.append(list(figures(stand_realisation(scene, seed), table).values()))
 chance = np.std([list(first.values()), *others], axis=0, ddof=1)
 
-erica = plot.taxa.index("Erica irregularis")
+species = plot.taxa.index(SPECIES)
 changes = {
     "30 % less water in the leaves": (lambda p: p.leaf.water, 0.7 * table.leaf.water),
     "30 % less chlorophyll": (lambda p: p.leaf.chlorophyll, 0.7 * table.leaf.chlorophyll),
@@ -239,9 +244,9 @@ changes = {
         lambda p: p.species.leaf_area_index,
         0.67 * table.species.leaf_area_index,
     ),
-    "half the cover of Erica": (
+    f"half the cover of {SPECIES.split()[0]}": (
         lambda p: p.species.cover,
-        table.species.cover.at[erica].multiply(0.5),
+        table.species.cover.at[species].multiply(0.5),
     ),
     "no litter": (lambda p: p.ground.litter_fraction, jnp.zeros_like(table.ground.litter_fraction)),
 }
@@ -285,7 +290,7 @@ for change, row in zip(changes, noticed):
 # happened. That is why calibration uses several numbers at once, and reports what they leave open
 # (notebook 04).
 #
-# **For your own data**: give your `plot.toml` to `read_plot`, choose sensors by name
+# **For your own data**: name your `plot.toml` in the first cell, choose sensors by name
 # (`fynjax.sensors.shipped_sensors()`) or from a file of yours, and put into `changes` what you want
 # to detect. A larger plot (`size_m`) averages over more plants: chance shrinks, and more is
 # noticed. `fynjax simulate` does the same from the command line and writes GeoTIFF, ENVI, NetCDF

@@ -1,7 +1,7 @@
 # ---
 # jupyter:
 #   jupytext:
-#     formats: py:percent
+#     formats: ipynb,py:percent
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -15,6 +15,13 @@
 # a drone flew over. Which of those numbers can the image correct, and which can it not? To know the
 # right answer, we make the image ourselves, from a plot that differs from its table; what the
 # calibration finds can then be held against the truth.
+
+# %%
+from fynjax.io.plot import example_folder
+
+# Your own plot goes here, such as "my_plot/plot.toml"; `fynjax init my_plot` writes one.
+PLOT = example_folder() / "plot.toml"
+SPECIES = ("Erica irregularis", "Indigofera brachystachya")  # in truth less and more
 
 # %%
 import dataclasses
@@ -34,7 +41,7 @@ from fynjax.inversion import (
     weigh_targets,
 )
 from fynjax.io.instruments import load_sensor
-from fynjax.io.plot import example_folder, read_plot
+from fynjax.io.plot import read_plot
 from fynjax.metrics import image_statistics
 from fynjax.scene import named_values, stand_realisation
 
@@ -51,7 +58,7 @@ PIXEL = 0.1 if FAST else 0.05  # m
 # stands: `stand_realisation` draws other places.
 
 # %%
-plot = read_plot(example_folder() / "plot.toml")
+plot = read_plot(PLOT)
 plot = dataclasses.replace(
     plot,
     size_m=(SIDE, SIDE),
@@ -61,7 +68,7 @@ plot = dataclasses.replace(
 scene, table = build_plot(plot)
 
 
-place = np.array([plot.taxa.index(t) for t in ("Erica irregularis", "Indigofera brachystachya")])
+place = np.array([plot.taxa.index(taxon) for taxon in SPECIES])
 truth = eqx.tree_at(
     lambda p: (p.species.cover, p.leaf.chlorophyll, p.ground.litter_fraction),
     table,
@@ -269,7 +276,7 @@ print("Best seen:", " with ".join(f"{w:+.2f} {short(n)}" for n, w in best.items(
 # A parameter that the image does not see stays where the table put it, with the table's error. That
 # is honest, and it tells where a day in the field is worth most.
 #
-# **For your own data**: `read_plot("plot.toml")`, the image by
+# **For your own data**: your plot file in the first cell, the image by
 # `fynjax.compare.read_drone_image`, or a table of its statistics by
 # `fynjax.io.plot.read_statistics`; put into `free` what you doubt. The command
 # `fynjax calibrate plot.toml --target image.tif` does all of it and writes a page with these

@@ -1,7 +1,7 @@
 # ---
 # jupyter:
 #   jupytext:
-#     formats: py:percent
+#     formats: ipynb,py:percent
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -15,6 +15,12 @@
 # been: every set of parameters, as often as data and prior allow it. Is the error of the fit
 # enough, or does one need the whole posterior? First a leaf, seen by two instruments; then a plot,
 # seen by a drone.
+
+# %%
+from fynjax.io.plot import example_folder
+
+# Your own plot goes here, such as "my_plot/plot.toml"; `fynjax init my_plot` writes one.
+PLOT = example_folder() / "plot.toml"
 
 # %%
 import dataclasses
@@ -39,7 +45,7 @@ from fynjax.inversion import (
     search_form,
     weigh_targets,
 )
-from fynjax.io.plot import example_folder, read_plot
+from fynjax.io.plot import read_plot
 from fynjax.leaf import LeafParameters, fit_leaf, prospect, sample_leaf_posterior
 from fynjax.scene import stand_realisation
 
@@ -182,9 +188,7 @@ print(f"Without the short-wave infrared the interval of water is {ratio:.1f} tim
 # %%
 SIDE = 2.0 if FAST else 3.0  # m
 STRIDE = 2 if FAST else 3  # every so many pixels of 10 cm are rendered
-plot = dataclasses.replace(
-    read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE), structure_m="even"
-)
+plot = dataclasses.replace(read_plot(PLOT), size_m=(SIDE, SIDE), structure_m="even")
 plot = dataclasses.replace(plot, sensor=dataclasses.replace(plot.sensor, pixel_m=0.1))
 scene, table = build_plot(plot)
 living = jnp.array([one.growth_form != "deadwood" for one in plot.species])

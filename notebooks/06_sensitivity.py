@@ -1,7 +1,7 @@
 # ---
 # jupyter:
 #   jupytext:
-#     formats: py:percent
+#     formats: ipynb,py:percent
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -15,6 +15,12 @@
 # their leaves, or the ground between them? Three answers, from cheap to thorough: slopes at one
 # point (elasticities), slopes averaged over all that the field leaves open (DGSM), and shares of
 # the variance with all interactions (Sobol).
+
+# %%
+from fynjax.io.plot import example_folder
+
+# Your own plot goes here, such as "my_plot/plot.toml"; `fynjax init my_plot` writes one.
+PLOT = example_folder() / "plot.toml"
 
 # %%
 import dataclasses
@@ -38,7 +44,7 @@ from fynjax.inversion import (
     search_form,
     sobol_indices,
 )
-from fynjax.io.plot import example_folder, read_plot
+from fynjax.io.plot import read_plot
 from fynjax.scene import named_values
 
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer runs
@@ -47,9 +53,7 @@ STRIDE = 2 if FAST else 4  # every so many pixels are rendered
 METRICS = ("NDVI.mean", "GNDVI.mean", "GSAVI.mean")
 LABELS = {"NDVI.mean": "NDVI", "GNDVI.mean": "GNDVI", "GSAVI.mean": "GSAVI"}
 
-plot = dataclasses.replace(
-    read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE), structure_m="even"
-)
+plot = dataclasses.replace(read_plot(PLOT), size_m=(SIDE, SIDE), structure_m="even")
 plot = dataclasses.replace(plot, sensor=dataclasses.replace(plot.sensor, pixel_m=0.1))
 whole, table = build_plot(plot)
 view = image_view(plot, whole, table, METRICS)

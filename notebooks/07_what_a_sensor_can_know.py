@@ -1,7 +1,7 @@
 # ---
 # jupyter:
 #   jupytext:
-#     formats: py:percent
+#     formats: ipynb,py:percent
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -17,6 +17,20 @@
 # cover itself, the species cannot be distinguished from absent.
 
 # %%
+from fynjax.io.plot import example_folder
+
+# Your own plot goes here, such as "my_plot/plot.toml"; `fynjax init my_plot` writes one.
+PLOT = example_folder() / "plot.toml"
+SPECIES = (  # whose cover is asked for; of the first three also chlorophyll
+    "Erica irregularis",
+    "Indigofera brachystachya",
+    "Metalasia muricata",
+    "Restio eleocharis",
+    "Chironia baccifera",
+    "Deadwood",
+)
+
+# %%
 import dataclasses
 import os
 
@@ -27,7 +41,7 @@ from matplotlib.colors import LogNorm
 from fynjax.assembly import build_plot
 from fynjax.inversion import even_bands, fisher_information, free_space, sweep_sensors
 from fynjax.io.instruments import load_sensor
-from fynjax.io.plot import example_folder, read_plot
+from fynjax.io.plot import read_plot
 
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer species free
 SIDE = 2.0 if FAST else 4.0  # m
@@ -43,23 +57,13 @@ BANDS = (1, 4) if FAST else (1, 2, 4, 8)
 # covers seen by eye to a quarter.
 
 # %%
-plot = dataclasses.replace(
-    read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE), structure_m="even"
-)
+plot = dataclasses.replace(read_plot(PLOT), size_m=(SIDE, SIDE), structure_m="even")
 scene, table = build_plot(plot)
 sensor = dataclasses.replace(load_sensor("mavic_3m"), bands=even_bands(max(BANDS), 450.0, 900.0))
-asked = (
-    "Erica irregularis",
-    "Indigofera brachystachya",
-    "Metalasia muricata",
-    "Restio eleocharis",
-    "Chironia baccifera",
-    "Deadwood",
-)
-free = [f"species.{taxon}.cover" for taxon in (asked if FAST else plot.taxa)]
+free = [f"species.{taxon}.cover" for taxon in (SPECIES if FAST else plot.taxa)]
 free += ["ground.litter_fraction", "ground.brightness"]
 if not FAST:
-    free += [f"species.{taxon}.leaf.chlorophyll" for taxon in asked[:3]]
+    free += [f"species.{taxon}.leaf.chlorophyll" for taxon in SPECIES[:3]]
 space = free_space(scene, table, free, plot.calibration.relative_sd)
 
 # %% [markdown]
@@ -93,7 +97,7 @@ print(f"{len(found)} sensors, {len(space.names)} parameters")
 
 # %%
 value = dict(zip(space.names, np.asarray(space.prior)))
-shown = [taxon for taxon in asked if f"species.{taxon}.cover" in value]
+shown = [taxon for taxon in SPECIES if f"species.{taxon}.cover" in value]
 
 
 def over_cover(gsd, bands):
