@@ -1,10 +1,13 @@
 """Figures show what they are given: right way up, sorted, labelled, and never failing on gaps."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.legend import Legend
 
 from fynjax.report.figures import (
     composites,
@@ -12,8 +15,10 @@ from fynjax.report.figures import (
     convergence_plot,
     error_bars,
     index_histograms,
+    leaf_fit_figure,
     parameter_plot,
     save_figure,
+    side_view,
 )
 
 BANDS = ("green", "red", "red_edge", "nir")
@@ -135,3 +140,44 @@ def test_histogram_is_a_density_with_the_target_inside():
     assert high > 1.0
     heights, edges, _ = axes.patches[0].get_data()
     assert heights @ np.diff(edges) == pytest.approx(1, abs=0.01)
+
+
+def assert_titles_and_legends_lie_inside(figure):
+    FigureCanvasAgg(figure).draw()
+    legends = [legend for part in (figure, *figure.axes) for legend in part.findobj(Legend)]
+    titles = [axes.title for axes in figure.axes] + [axes._left_title for axes in figure.axes]
+    texts = [*figure.texts, *titles, *(t for legend in legends for t in legend.get_texts())]
+    texts = [text for text in texts if text.get_text()]
+    assert texts
+    for text in texts:
+        box = text.get_window_extent()
+        assert box.x0 >= -1, text.get_text()
+        assert box.x1 <= figure.bbox.x1 + 1, text.get_text()
+
+
+@pytest.mark.parametrize(("extent", "count"), [((4.0, 4.0), 5000), ((30.0, 10.0), 40)])
+def test_a_cloud_fills_its_figure_and_its_title_is_whole(extent, count):
+    rng = np.random.default_rng(2)
+    position = rng.uniform(0.0, 1.0, (count, 3)) * (*extent, 1.5)
+    cloud = SimpleNamespace(position=position, classification=rng.integers(2, 4, count))
+    figure = side_view(
+        cloud, position[:, 2], extent, title="Grootbos, burnt 2006, flash_lidar_paper"
+    )
+    assert_titles_and_legends_lie_inside(figure)
+    side, above = (axes.get_position() for axes in figure.axes[:2])
+    assert min(side.width, above.width) > 0.65
+
+
+@pytest.mark.parametrize("leaves", [1, 2, 5])
+def test_the_legend_of_leaves_is_whole(leaves):
+    grid = np.arange(400.0, 2500.0, 10.0)
+    spectra = np.full((leaves, 2, grid.size), 0.3)
+    fit = SimpleNamespace(
+        status=["converged"] * leaves,
+        wavelength=grid,
+        transmittance=spectra[:, 1],
+        transmittance_deviation=0.1 * spectra[:, 1],
+        fitted=spectra,
+        measured=spectra,
+    )
+    assert_titles_and_legends_lie_inside(leaf_fit_figure(fit, [f"leaf_{i}" for i in range(leaves)]))

@@ -50,5 +50,8 @@ def leaf_fit_figure(fit: LeafFit, names: Sequence[str]) -> Figure:
     figure.supxlabel("wavelength [nm]", fontsize=9)
     figure.supylabel("share of the light [-]", fontsize=9)
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=5, fontsize=8, frameon=False)
+    wide_enough = 5 if columns > 1 else 2  # entries of the legend in a row
+    figure.legend(
+        handles, labels, loc="outside upper center", ncols=wide_enough, fontsize=8, frameon=False
+    )
     return figure

@@ -11,6 +11,8 @@ from fynjax.sensors.lidar import GROUND
 
 _STRIP = 1.0
 _GROUND_COLOUR = "#8C6D46"
+_WIDE = 6.0
+"""Of the panels [inches]."""
 
 
 def side_view(
@@ -33,31 +35,31 @@ def side_view(
     deep = min(_STRIP, ly)
     strip = np.abs(y - 0.5 * ly) <= 0.5 * deep
     top = max(float(np.percentile(height, 99.9)), 0.1)
+    heights = np.clip(_WIDE * np.array([np.ptp(z), ly]) / lx, 0.8, 1.5 * _WIDE)
+    spacing = 72.0 * _WIDE / lx * np.sqrt(lx * ly / max(len(x), 1))  # of the points, in points
+    size = float(np.clip(0.7 * spacing, 1.0, 3.5) ** 2)
+    colours = {"cmap": "viridis", "vmin": 0, "vmax": top, "s": size, "lw": 0, "rasterized": True}
     with style():
-        figure = Figure(figsize=(9.6, 8.2))
-        side, above = figure.subplots(2, 1, height_ratios=(1.0, 1.9))
+        figure = Figure(figsize=(_WIDE + 1.6, heights.sum() + 1.7))
+        side, above = figure.subplots(2, 1, height_ratios=heights)
         low = strip & ground
-        side.scatter(x[low], z[low], s=1.5, c=_GROUND_COLOUR, lw=0, label="ground", rasterized=True)
+        side.scatter(
+            x[low], z[low], s=size, c=_GROUND_COLOUR, lw=0, label="ground", rasterized=True
+        )
         high = strip & ~ground
-        shown = side.scatter(
-            x[high], z[high], s=2.5, c=height[high], cmap="viridis", vmin=0, vmax=top, lw=0,
-            rasterized=True,
-        )  # fmt: skip
+        shown = side.scatter(x[high], z[high], c=height[high], **colours)
         side.set(
             xlim=(0, lx), xlabel="East [m]", ylabel="Height [m]", aspect="equal",
-            title=f"{title}: strip of {deep:g} m through the middle, from the south",
+            title=f"Strip of {deep:g} m through the middle, from the south",
         )  # fmt: skip
-        side.legend(loc="upper right", markerscale=4)
+        side.legend(loc="upper right", markerscale=np.sqrt(20.0 / size))
         order = np.argsort(height)
-        above.scatter(
-            x[order], y[order], s=1.0, c=height[order], cmap="viridis", vmin=0, vmax=top, lw=0,
-            rasterized=True,
-        )  # fmt: skip
+        above.scatter(x[order], y[order], c=height[order], **colours)
         above.set(
             xlim=(0, lx), ylim=(0, ly), xlabel="East [m]", ylabel="North [m]", aspect="equal",
             title="From above, the highest on top",
         )  # fmt: skip
-        above.set_anchor("W")
+        figure.suptitle(title)
         figure.colorbar(shown, ax=[side, above], label="Height above ground [m]", shrink=0.7)
     return figure
 
