@@ -1,0 +1,386 @@
+"""What the documentation site takes from its owners when it is built.
+
+A line such as `{{ options build }}` in a page is replaced by what a function below makes of the
+package: options of a command, keys of a file, parameters, sensors, citations, a section of the
+README. Pages of the API, of notebooks and of the project's own files are made here too.
+
+With `FYNJAX_DOCS_RUN=1` in the environment the notebooks are run (small) and shown with their
+figures.
+"""
+
+import importlib
+import json
+import os
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = (
+    "fynjax",
+    "fynjax.jobs",
+    "fynjax.leaf",
+    "fynjax.canopy",
+    "fynjax.canopy.mesh",
+    "fynjax.metrics",
+    "fynjax.metrics.structure",
+    "fynjax.radiation",
+    "fynjax.radiation.reference",
+    "fynjax.sensors",
+    "fynjax.sensors.air",
+    "fynjax.sensors.lidar",
+    "fynjax.scene",
+    "fynjax.inversion",
+    "fynjax.io.plot",
+    "fynjax.io.raster",
+    "fynjax.io.spectra",
+    "fynjax.io.instruments",
+    "fynjax.io.micasense",
+    "fynjax.io.text",
+    "fynjax.terrain",
+    "fynjax.compare",
+    "fynjax.compare.structure",
+    "fynjax.assembly",
+    "fynjax.report.figures",
+    "fynjax.report.pages",
+    "fynjax.studies.fynbos_2006",
+    "fynjax.studies.bioscape",
+    "fynjax.errors",
+)
+"""Public packages, in the order of the layers."""
+PROJECT_FILES = {"contributing.md": "CONTRIBUTING.md", "changes.md": "CHANGELOG.md"}
+"""Pages that are files of the project, by their name on the site."""
+
+
+def table(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """A Markdown table of texts."""
+    lines = [headings, ("---",) * len(headings), *rows]
+    return "\n".join(f"| {' | '.join(map(plain, line))} |" for line in lines)
+
+
+def plain(text: str) -> str:
+    """Words on one line, whose asterisks, angles and bars outside code are no Markdown."""
+    parts = re.split(r"(`[^`]*`)", " ".join(text.split()))
+    parts[::2] = [re.sub(r"([*<])", r"\\\1", part) for part in parts[::2]]
+    return "".join(parts).replace("|", r"\|")
+
+
+def code(value: object) -> str:
+    """A value in the letters of code; nothing where there is none."""
+    return "" if value is None or value == "" else f"`{value}`"
+
+
+# The command line.
+
+
+def commands() -> dict[str, Any]:
+    """Every command by name, as the command line holds it."""
+    import typer
+
+    from fynjax.cli import app
+
+    return dict(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+
+
+def options(name: str) -> str:
+    """Arguments and options of a command, from its own help."""
+    rows = []
+    for item in commands()[name].params:
+        names = ", ".join(code(o) for o in item.opts)
+        if item.param_type_name == "argument":
+            names = code(item.metavar or item.name.upper())
+        default = getattr(item.default, "value", item.default)
+        unset = default is None or default is False or default == ""
+        shown = code(" ".join(map(str, default)) if isinstance(default, (list, tuple)) else default)
+        choices = getattr(item.type_descriptor.annotation, "__members__", {})
+        words = item.help or ""
+        if choices:
+            words += f" One of {', '.join(code(c.value) for c in choices.values())}."
+        rows.append((names, words, "required" if item.required else "" if unset else shown))
+    return "## Arguments and options\n\n" + table(("name", "meaning", "default"), rows)
+
+
+def usage(name: str) -> str:
+    """First words and example of a command's help."""
+    text = commands()[name].help
+    words, _, example = text.partition("Example:")
+    return f"{words.strip()}\n\n```sh\n{example.strip()}\n```"
+
+
+def command_list() -> str:
+    """Every command with the first sentence of its help."""
+    rows = [
+        (f"[`{name}`]({name}.md)", command.help.split("\n\n")[0])
+        for name, command in commands().items()
+    ]
+    return table(("command", "what it does"), rows)
+
+
+# Files.
+
+
+def _limits(entry: dict[str, Any]) -> str:
+    lower = next((f"{sign} {entry[k]:g}" for k, sign in _LOWER.items() if k in entry), "")
+    upper = next((f"{sign} {entry[k]:g}" for k, sign in _UPPER.items() if k in entry), "")
+    if lower.startswith("≥") and upper.startswith("≤"):
+        return f"{lower[2:]} to {upper[2:]}"
+    return ", ".join(limit for limit in (lower, upper) if limit)
+
+
+_LOWER = {"minimum": "≥", "exclusiveMinimum": ">"}
+_UPPER = {"maximum": "≤", "exclusiveMaximum": "<"}
+_KINDS = {"string": "text", "number": "number", "integer": "whole number", "boolean": "true, false"}
+
+
+def _kind(entry: dict[str, Any], tables: dict[str, Any]) -> str:
+    if "$ref" in entry:
+        return f"table {code(entry['$ref'].rsplit('/', 1)[-1])}"
+    if "const" in entry or "enum" in entry:
+        return ", ".join(code(value) for value in entry.get("enum", [entry.get("const")]))
+    kind = entry.get("type", "")
+    if kind == "array":
+        items = _kind(entry["items"], tables) if entry.get("items") else "number"
+        return f"list of {items}"
+    if kind == "object":
+        inner = entry.get("additionalProperties", {})
+        return f"table of {_kind(inner, tables)}s by name" if inner else "table"
+    return _KINDS.get(kind, kind)
+
+
+def _key_table(schema: dict[str, Any], tables: dict[str, Any], key: str) -> str:
+    rows = []
+    for name, stated in schema.get("properties", {}).items():
+        choices = [e for e in stated.get("anyOf", [stated]) if e.get("type") != "null"]
+        limits = next((text for e in choices if (text := _limits(e))), "")
+        default = stated.get("default")
+        shown = "" if default is None else code(json.dumps(default, ensure_ascii=False))
+        if name in schema.get("required", ()):
+            shown = "required"
+        kinds = " or ".join(dict.fromkeys(_kind(e, tables) for e in choices))
+        unit = stated.get("unit", "")
+        words = stated.get("description", "")
+        rows.append((code(name), words, kinds, "" if unit == "-" else unit, limits, shown))
+    return table((key, "meaning", "value", "unit", "range", "default"), rows)
+
+
+def _reference(entry: dict[str, Any]) -> tuple[str, bool] | None:
+    """Table of the schema that a key holds, and whether it is a list of them."""
+    for choice in entry.get("anyOf", [entry]):
+        items = choice.get("items", {})
+        if "$ref" in choice or "$ref" in items:
+            return (choice.get("$ref") or items["$ref"]).rsplit("/", 1)[-1], "$ref" in items
+    return None
+
+
+def keys(name: str) -> str:
+    """Every key of a file, or every column of a table, from the schema of its model."""
+    from fynjax.jobs._schemas import json_schema
+
+    schema = json_schema(name)
+    tables = schema.get("$defs", {})
+
+    def sections(entry: dict[str, Any], path: str) -> Iterator[str]:
+        inner = {k: r for k, v in entry.get("properties", {}).items() if (r := _reference(v))}
+        plain = {k: v for k, v in entry.get("properties", {}).items() if k not in inner}
+        if plain:
+            if path:
+                yield f"### `{path}`\n\n{entry.get('description', '')}"
+            yield _key_table({**entry, "properties": plain}, tables, "column" if row else "key")
+        for key, (reference, many) in inner.items():
+            below = f"{path.strip('[]')}.{key}".strip(".")
+            yield from sections(tables[reference], f"[[{below}]]" if many else f"[{below}]")
+
+    row = name.endswith("_row")
+    return "\n\n".join(sections(schema, ""))
+
+
+# Physics.
+
+
+def parameters() -> str:
+    """Every parameter with what its record says, by group."""
+    from fynjax.scene import parameter_reference
+
+    def number(value: float, unit: str = "") -> str:
+        return "" if value != value else f"{value:g} {'' if unit == '-' else unit}".strip()
+
+    text = []
+    titles = {"species": "Plants", "leaf": "Leaves", "ground": "Ground", "light": "Sun and sky"}
+    for group, rows in parameter_reference().groupby("group", sort=False):
+        text.append(f"## {titles[group]}")
+        for row in rows.to_dict("records"):
+            prior = number(row["prior_sd"], row["unit"])
+            if row["prior_relative_sd"] == row["prior_relative_sd"]:
+                prior = f"{row['prior_relative_sd']:.0%} of the value"
+            cells = (
+                code(row["symbol"]),
+                "" if row["unit"] == "-" else row["unit"],
+                "" if row["shown_unit"] == "-" else row["shown_unit"],
+                number(row["default"]),
+                f"{row['lower']:g} to {row['upper']:g}",
+                f"{row['usual_lower']:g} to {row['usual_upper']:g}",
+                prior or "cannot be free",
+            )
+            headings = ("symbol", "unit", "unit in files", "default", "bounds", "usual", "prior sd")
+            text += [f"### {row['name']}", f"`{row['parameter']}`. {row['description']}"]
+            text.append(table(headings, [cells]))
+    return "\n\n".join(text)
+
+
+def forms() -> str:
+    """What is taken for a growth form where a table states nothing."""
+    from fynjax.canopy import FORM_DEFAULTS
+
+    shown = ("leaf_area_index", "wood_area_index", "shoot_clumping", "dead_fraction")
+    rows = [
+        (code(form), *(f"{getattr(values, field):.3g}" for field in shown))
+        for form, values in FORM_DEFAULTS.items()
+    ]
+    return table(("growth form", *(field.replace("_", " ") for field in shown)), rows)
+
+
+def sensors() -> str:
+    """The shipped sensors."""
+    from fynjax.sensors import sensor_reference
+
+    rows = []
+    for row in sensor_reference().to_dict("records"):
+        ends = dict.fromkeys(f"{row[end]:.0f}" for end in ("lower_nm", "upper_nm"))
+        height = "" if row["altitude_m"] != row["altitude_m"] else f"{row['altitude_m']:g}"
+        cells = str(row["bands"]), " to ".join(ends), f"{row['pixel_m']:.2g}", height
+        rows.append((code(row["name"]), str(row["kind"]), *cells))
+    return table(("name", "kind", "bands", "nm", "pixel, m", "flown at, m"), rows)
+
+
+def citations() -> str:
+    """BibTeX of all models."""
+    import fynjax
+
+    return f"```bibtex\n{fynjax.cite()}\n```"
+
+
+# The project's own files.
+
+
+def readme(heading: str) -> str:
+    """A section of the README."""
+    text = (ROOT / "README.md").read_text("utf-8")
+    found = re.search(rf"^## {heading}\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL)
+    if found is None:
+        raise ValueError(f"README.md has no section '{heading}'")
+    return found[1].strip()
+
+
+_OWNERS: dict[str, Callable[..., str]] = {
+    function.__name__: function
+    for function in (
+        *(options, usage, command_list, keys, parameters, forms, sensors, citations, readme),
+    )
+}
+_LINE = re.compile(r"^\{\{ (\w+)(?: ([\w -]+?))? \}\}$", re.MULTILINE)
+
+
+def filled(markdown: str) -> str:
+    """A page with its `{{ ... }}` lines replaced."""
+    return _LINE.sub(lambda m: _OWNERS[m[1]](*filter(None, [m[2]])), markdown)
+
+
+def public_names(package: str) -> list[str]:
+    """Names that a package exports, without packages inside it."""
+    module = importlib.import_module(package)
+    names = getattr(module, "__all__", None) or [n for n in vars(module) if n[0] != "_"]
+    inner = [n for n in names if type(getattr(module, n)).__name__ == "module"]
+    return [n for n in names if n not in inner]
+
+
+def api_page(package: str) -> str:
+    """API of a package: its docstring, every public name, and its constants with their values."""
+    module = importlib.import_module(package)
+    values = {name: getattr(module, name) for name in public_names(package)}
+    constants = {k: v for k, v in values.items() if isinstance(v, str | int | float)}
+    parts = [f"# {package}", module.__doc__ or ""]
+    parts += [f"::: {package}.{name}" for name in values if name not in constants]
+    if constants:
+        parts.append("## Constants")
+        parts.append(table(("name", "value"), [(code(k), code(v)) for k, v in constants.items()]))
+    return "\n\n".join(parts) + "\n"
+
+
+def notebook_page(path: Path, folder: str) -> tuple[str, dict[str, bytes]]:
+    """A notebook as Markdown, and its figures by file; run (small) if the environment asks."""
+    import nbformat
+    from nbconvert import MarkdownExporter
+
+    notebook = nbformat.read(path, as_version=4)
+    notebook.metadata["language_info"] = {"name": "python"}  # which colours the code
+    if os.environ.get("FYNJAX_DOCS_RUN") == "1":
+        import tempfile
+
+        from nbclient import NotebookClient
+
+        os.environ |= {
+            "FYNJAX_FAST": "1",
+            "MPLBACKEND": "module://matplotlib_inline.backend_inline",
+        }
+        with tempfile.TemporaryDirectory() as place:
+            resources = {"metadata": {"path": place}}
+            NotebookClient(notebook, timeout=900, resources=resources).execute()
+    text, resources = MarkdownExporter().from_notebook_node(
+        notebook, resources={"unique_key": path.stem}
+    )
+    return text, {f"{folder}/{name}": data for name, data in resources.get("outputs", {}).items()}
+
+
+def _project_page(name: str) -> str:
+    """A file of the project, its links set to the pages of the site."""
+    text = (ROOT / name).read_text("utf-8")
+    return text.replace("(docs/", "(")
+
+
+# mkdocs calls what follows.
+
+
+def on_config(config: Any) -> Any:
+    """Complete the navigation with what is generated."""
+    generated = {
+        "Commands": ["commands/index.md", *(f"commands/{name}.md" for name in commands())],
+        "Notebooks": [f"notebooks/{p.stem}.md" for p in notebooks()],
+        "Python": [{package: f"api/{package}.md"} for package in PACKAGES],
+    }
+    for entry in config.nav:
+        for title, pages in generated.items():
+            if title in entry:
+                entry[title] = [*(entry[title] or []), *pages]
+    return config
+
+
+def notebooks() -> list[Path]:
+    """The notebooks in their order."""
+    return sorted((ROOT / "notebooks").glob("*.ipynb"))
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the generated pages."""
+    from mkdocs.structure.files import File
+
+    def add(path: str, content: str | bytes) -> None:
+        files.append(File.generated(config, path, content=content))
+
+    for package in PACKAGES:
+        add(f"api/{package}.md", api_page(package))
+    for path in notebooks():
+        text, figures = notebook_page(path, "notebooks")
+        add(f"notebooks/{path.stem}.md", text)
+        for name, data in figures.items():
+            add(name, data)
+    for page, name in PROJECT_FILES.items():
+        add(page, _project_page(name))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Fill in what a page takes from its owners."""
+    if page.file.src_uri == "architecture.md":
+        markdown = markdown.replace("(../CONTRIBUTING.md", "(contributing.md")
+    return filled(markdown)
