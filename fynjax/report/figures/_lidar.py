@@ -41,7 +41,7 @@ def side_view(
     colours = {"cmap": "viridis", "vmin": 0, "vmax": top, "s": size, "lw": 0, "rasterized": True}
     with style():
         figure = Figure(figsize=(_WIDE + 1.6, heights.sum() + 1.7))
-        side, above = figure.subplots(2, 1, height_ratios=heights)
+        side, above = figure.subplots(2, 1, height_ratios=heights.tolist())
         low = strip & ground
         side.scatter(
             x[low], z[low], s=size, c=_GROUND_COLOUR, lw=0, label="ground", rasterized=True
