@@ -59,6 +59,11 @@ def table(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     return "\n".join(f"| {' | '.join(map(plain, line))} |" for line in lines)
 
 
+def described(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """A table of names and what they mean, whose second column keeps a width to read."""
+    return f'<div class="described" markdown>\n\n{table(headings, rows)}\n\n</div>'
+
+
 def plain(text: str) -> str:
     """Words on one line, whose asterisks, angles and bars outside code are no Markdown."""
     parts = re.split(r"(`[^`]*`)", " ".join(text.split()))
@@ -98,7 +103,7 @@ def options(name: str) -> str:
         if choices:
             words += f" One of {', '.join(code(c.value) for c in choices.values())}."
         rows.append((names, words, "required" if item.required else "" if unset else shown))
-    return "## Arguments and options\n\n" + table(("name", "meaning", "default"), rows)
+    return "## Arguments and options\n\n" + described(("name", "meaning", "default"), rows)
 
 
 def usage(name: str) -> str:
@@ -161,7 +166,7 @@ def _key_table(schema: dict[str, Any], tables: dict[str, Any], key: str) -> str:
         unit = stated.get("unit", "")
         words = stated.get("description", "")
         rows.append((code(name), words, kinds, "" if unit == "-" else unit, limits, shown))
-    return table((key, "meaning", "value", "unit", "range", "default"), rows)
+    return described((key, "meaning", "value", "unit", "range", "default"), rows)
 
 
 def _reference(entry: dict[str, Any]) -> tuple[str, bool] | None:
