@@ -5,7 +5,7 @@ Files, schemas, tables, bounds and priors of fits, and the reference page read i
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 
@@ -14,6 +14,9 @@ from fynjax._core.math import real_array
 
 # Rounding of float32: a bound that was stored in single precision is still within itself.
 _ROUNDING = 1e-6
+
+Distribution = Literal["lognormal", "logit-normal", "normal"]
+"""Of a prior. A logit-normal one is of log((x - lower) / (upper - x))."""
 
 PERCENT, CENTIMETRES = ("%", 100.0), ("cm", 100.0)
 
@@ -46,6 +49,8 @@ class Parameter:
     sd: float | None = None
     """Standard deviation of the prior where it does not grow with the value [unit], instead of
     `relative_sd`; without either the parameter cannot be free."""
+    distribution: Distribution = "lognormal"
+    """Of the prior: lognormal for sizes, areas and amounts, logit-normal for shares."""
     population: tuple[float, float] | None = None
     """Centre of the prior where no value is stated, and its standard deviation over that."""
     shown: tuple[str, float] | None = None

@@ -1,7 +1,8 @@
 """From a plot's files to a plot that can be rendered."""
 
-import warnings
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -26,13 +27,16 @@ from fynjax.scene import (
     SceneSpecies,
     Spectrum,
     build_scene,
+    room_needed,
     species_parameters,
 )
 
 AREA_INDICES = {"leaf_area_index": Organ.LEAF, "wood_area_index": Organ.WOOD}
 
 
-def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[Scene, PlotParameters]:
+def build_plot(
+    plot: Plot, *, seed: int | None = None, room: float = PlantingRules.room
+) -> tuple[Scene, PlotParameters]:
     """The scene of a plot and its parameters as the files state them.
 
     Fits PROSPECT to the measured spectra that the leaf table names.
@@ -41,6 +45,8 @@ def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[Scene, PlotParam
 
     - `plot`: as `read_plot` gives it.
     - `seed`: of everything random; the plot file's if left out.
+    - `room`: sites held ready for each plant of the species table, at least; more where a table of
+      parameters that the plot file names asks for more (`PlantingRules`).
 
     **Raises:** `InputError` for a spectrum or map that cannot be used, and where the plants find no
     room on the plot or in memory.
@@ -64,19 +70,25 @@ def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[Scene, PlotParam
         )
         for s, plant in zip(plot.species, plants, strict=True)
     ]
-    scene = build_scene(
+    # Places are held ready as for the tables, so that plants stay where a calibration had them.
+    tables = parameters
+    if plot.parameters is not None:
+        parameters = with_parameter_table(parameters, plot.taxa, plot.parameters)
+    rules = PlantingRules(
+        room=room,
+        probability=_probability(plot),
+        softness=plot.softness,
+        softness_plants=plot.softness_plants,
+        structure=plot.structure_m,
+    )
+    plant = partial(
+        build_scene,
         species,
-        parameters,
+        tables,
         extent=plot.size_m,
         voxel=plot.voxel_m,
         seed=seed,
         boundary=plot.boundary,  # type: ignore[arg-type]
-        rules=PlantingRules(
-            probability=_probability(plot),
-            softness=plot.softness,
-            softness_plants=plot.softness_plants,
-            structure=plot.structure_m,
-        ),
         ground=plot_ground(plot, patches),
         dead_tissue=dead_tissue(plot),
         hot_spot=plot.hot_spot,
@@ -84,33 +96,28 @@ def build_plot(plot: Plot, *, seed: int | None = None) -> tuple[Scene, PlotParam
         sky=_sky(plot),
         sky_pattern=plot.sky.pattern,
     )
-    # After the planting: places are held ready as for the tables, so that plants stay where a
-    # calibration had them.
+    scene = plant(rules=rules)
     if plot.parameters is not None:
-        parameters = with_parameter_table(parameters, plot.taxa, plot.parameters)
-        _check_room(scene, parameters, plot.parameters)
+        _check_grid(scene, tables, parameters, plot.parameters)
+        needed = room_needed(scene, tables, scene.counts(parameters))
+        if needed > room:
+            scene = plant(rules=replace(rules, room=needed))
     return scene, parameters
 
 
-def _check_room(scene: Scene, parameters: PlotParameters, path: Path) -> None:
-    """Whether the plants of a table of parameters find place where the plot's own tables planted.
-
-    Warns of a species with fewer sites than plants; raises `InputError` for one without any, and
-    for plants that are higher than the grid.
-    """
-    ready = np.bincount(np.asarray(scene.planting.species), minlength=len(scene.taxa))
-    wanted, height = np.asarray(scene.counts(parameters)), np.asarray(parameters.species.height)
-    for taxon, sites, plants in zip(scene.taxa, ready, wanted, strict=True):
-        if sites == 0 and plants > 0:
+def _check_grid(
+    scene: Scene, tables: PlotParameters, parameters: PlotParameters, path: Path
+) -> None:
+    """Raise `InputError` for plants of a table of parameters of which the plot's own tables have
+    none, or that are higher than its grid."""
+    height = np.asarray(parameters.species.height)
+    for taxon, before, after in zip(
+        scene.taxa, np.asarray(tables.species.cover), np.asarray(parameters.species.cover)
+    ):
+        if before == 0 and after > 0:
             raise InputError(
                 f"{taxon} has a cover here, but none in the species table, where it must have some",
                 file=path,
-            )
-        if plants > sites:
-            warnings.warn(
-                f"{path}: {taxon} wants {plants:.0f} plants, but the species table gives place for "
-                f"{sites}; its cover comes out too low",
-                stacklevel=3,
             )
     if (top := float(height.max())) > scene.grid.extent[2]:
         raise InputError(

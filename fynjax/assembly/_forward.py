@@ -6,12 +6,20 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 import pandas as pd
+from jaxtyping import Array, Float
 
 from fynjax.assembly._build import build_plot
 from fynjax.assembly._sensing import aim_without_air
 from fynjax.inversion import ImageView, ParameterSpace, free_space
 from fynjax.io.plot import Plot, drone_sensor
-from fynjax.scene import PARAMETERS, PlotParameters, Scene, parameter_kind
+from fynjax.scene import (
+    PARAMETERS,
+    PlotParameters,
+    Scene,
+    parameter_kind,
+    room_needed,
+    with_values,
+)
 
 STRIDE = 9
 """Every so many pixels are rendered, as in a calibration's search."""
@@ -35,12 +43,31 @@ def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
     - `free`: patterns of the names of the parameters to be free; those of the plot file if `None`.
     - `seed`: of everything random.
 
+    As many sites are held ready for plants as 99 of 100 draws of the prior need.
+
     **Raises:** `InputError` as `build_plot`, and as `free_space`.
     """
     scene, parameters = build_plot(plot, seed=seed)
     patterns = plot.calibration.free if free is None else tuple(free)
     space = free_space(scene, parameters, patterns, plot.calibration.relative_sd)
+    if room := room_needed(scene, parameters, _likely_counts(scene, parameters, space)):
+        scene, _ = build_plot(plot, seed=seed, room=room)
     return Prepared(plot, scene, parameters, space)
+
+
+_DRAWS, _LIKELY = 500, 0.99
+
+
+def _likely_counts(
+    scene: Scene, parameters: PlotParameters, space: ParameterSpace
+) -> Float[np.ndarray, " species"]:
+    """Plants of each species that 99 of 100 draws of the prior do not exceed."""
+
+    def counts(u: Float[Array, " free"]) -> Float[Array, " species"]:
+        return scene.counts(with_values(parameters, scene.taxa, space.named(u)))
+
+    normal = np.random.default_rng(0).normal(size=(_DRAWS, len(space.names)))
+    return np.quantile(np.asarray(jax.jit(jax.vmap(counts))(normal)), _LIKELY, axis=0)
 
 
 def image_view(

@@ -3,6 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import equinox as eqx
@@ -33,6 +34,8 @@ from fynjax.scene import (
 class Calibration(eqx.Module):
     """A calibrated plot."""
 
+    scene: Scene
+    """The scene, with more sites held ready where the search needed them."""
     fit: FitResult
     before: PlotParameters
     after: PlotParameters
@@ -134,6 +137,7 @@ def calibrate_plot(
     settings: CalibrationSettings | None = None,
     *,
     start: Float[Array, " free"] | None = None,
+    grow: Callable[[float], Scene] | None = None,
     checkpoint: str | Path | None = None,
     report: Callable[[str, float, float], None] | None = None,
 ) -> Calibration:
@@ -158,6 +162,9 @@ def calibrate_plot(
     - `views`: what each sensor yields of `scene`.
     - `settings`: of the search.
     - `start`: whitened coordinates to start from; the prior's centre by default.
+    - `grow`: makes the same scene with more sites held ready, at least so many for each plant
+      (`PlantingRules.room`); called between rounds where the plants ask for more than there are.
+      Without it they get no more.
     - `checkpoint`: a folder that keeps every step. The same call goes on from it, and ends as if
       it had not been interrupted; `forget_journal` removes it.
     - `report`: called with the stage, the objective and its gradient's norm.
@@ -186,10 +193,16 @@ def calibrate_plot(
     if checkpoint is not None:
         signed = (scene, parameters, data, space, views, first, drawn)
         journal = Journal(checkpoint, signature(signed, settings))
-    cheap = search_form(
-        scene, parameters, views, stride=settings.stride, accuracy=settings.accuracy
+    form = partial(
+        search_form,
+        parameters=parameters,
+        views=views,
+        stride=settings.stride,
+        accuracy=settings.accuracy,
     )
-    search = Search(scene, parameters, data, space, views, cheap, journal or keep_nothing, report)
+    search = Search(
+        scene, parameters, data, space, views, form, grow, journal or keep_nothing, report
+    )
     began = time.perf_counter()
     ends = [
         search.run(u, settings, f"start {i + 1}, " if drawn.size else "")
@@ -200,7 +213,7 @@ def calibrate_plot(
     result, grown = best.fit, data
     realisations = range(1, settings.stand_realisations + 1)
     if realisations and np.isfinite(np.asarray(result.jacobian)).all():
-        plantings = [stand_realisation(scene, s) for s in realisations]
+        plantings = [stand_realisation(search.scene, s) for s in realisations]
         clock, done = time.perf_counter(), search.done
         looked = [search.look(best.plot, planted)[0] for planted in plantings]
         if search.done > done:
@@ -218,6 +231,7 @@ def calibrate_plot(
     seconds["step_s"] = float(np.median(np.diff(search.times))) if len(search.times) > 1 else np.nan
     origin = ends[0]
     return Calibration(
+        scene=search.scene,
         fit=result,
         before=origin.before,
         after=best.plot,

@@ -1,6 +1,7 @@
 """What was measured, and what a fit made of it: the estimate and how far to trust it."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 
 from fynjax._core.errors import InputError
 from fynjax.inversion._space import ParameterSpace
@@ -63,6 +64,14 @@ def _scattered(sd: Array, whitener: Array | None, deviations: Array) -> tuple[Ar
     return jnp.sqrt(jnp.diagonal(covariance)), jnp.linalg.inv(jnp.linalg.cholesky(covariance))
 
 
+def well_constrained(
+    names: Sequence[str], constrained: Float[np.ndarray, " free"], least: float = WELL_CONSTRAINED
+) -> tuple[str, ...]:
+    """Parameters whose variance the data cut by the share `least` or more; by default those whose
+    standard deviation they at least halve."""
+    return tuple(n for n, c in zip(names, constrained) if c >= least)
+
+
 class FitStatus(optx.RESULTS):
     """Why a fit stopped. `FitStatus[status]` is the sentence, `FitResult.explanation` says more."""
 
@@ -83,9 +92,11 @@ class FitResult(eqx.Module):
     estimate: Float[Array, " free"]
     """The estimate in the parameters' own units."""
     sd: Float[Array, " free"]
-    """Its standard deviation (Laplace approximation), own units."""
+    """Its standard deviation, own units: of the Laplace approximation, which is normal in the
+    whitened coordinates."""
     constrained: Float[Array, " free"]
-    """1 - posterior over prior variance [-]: 0, the data say nothing; 1, they say all."""
+    """1 - posterior over prior variance, in whitened coordinates [-]: 0, the data say nothing; 1,
+    they say all."""
     covariance: Float[Array, "free free"]
     """Posterior covariance in whitened coordinates, where the prior's is one."""
     predicted: Float[Array, " statistic"]
@@ -135,7 +146,7 @@ class FitResult(eqx.Module):
         else:
             sentence = FitStatus[self.status]  # type: ignore[misc]
         for found, what in (
-            (_at_bound(self.space, self.estimate), "At a bound: {}."),
+            (self.space.at_bound(self.estimate), "At a bound: {}."),
             (_flat(self.jacobian), "No statistic depends on {}: flat, left at the prior."),
         ):
             named = [name for name, at in zip(self.names, np.asarray(found)) if at]
@@ -143,10 +154,18 @@ class FitResult(eqx.Module):
             sentence += f" {what.format(', '.join(named[:3]) + more)}" if named else ""
         return sentence
 
+    def quantiles(self, *shares: float) -> Float[Array, "share free"]:
+        """Quantiles of each parameter by the Laplace approximation, in its own unit.
+
+        Within the bounds, as a standard deviation on either side need not be.
+        """
+        sd = jnp.sqrt(jnp.diagonal(self.covariance))
+        return jnp.stack([self.space.physical(self.whitened + ndtri(p) * sd) for p in shares])
+
     def well_constrained(self, least: float = WELL_CONSTRAINED) -> tuple[str, ...]:
         """Parameters whose variance the data cut by the share `least` or more; by default those
         whose standard deviation they at least halve."""
-        return tuple(n for n, c in zip(self.names, np.asarray(self.constrained)) if c >= least)
+        return well_constrained(self.names, np.asarray(self.constrained), least)
 
     def marginal(
         self,
@@ -222,15 +241,6 @@ def repeated_information(
     return kept * scale * scale[:, None]
 
 
-_AT_BOUND = 1e-3
-"""An estimate is at a bound if it is nearer than this share of the range."""
-
-
-def _at_bound(space: ParameterSpace, estimate: Array) -> Bool[Array, " free"]:
-    share = (estimate - space.lower) / (space.upper - space.lower)
-    return (share < _AT_BOUND) | (share > 1.0 - _AT_BOUND)
-
-
 def _flat(jacobian: Array) -> Bool[Array, " free"]:
     """Parameters on which no statistic depends."""
     return jnp.max(jnp.abs(jacobian), axis=0, initial=0.0) == 0.0
@@ -250,7 +260,7 @@ def fit_result(
     estimate = space.physical(u)
     for found, doubt in (
         (_flat(jacobian), FitStatus.flat),
-        (_at_bound(space, estimate), FitStatus.at_bound),
+        (space.at_bound(estimate), FitStatus.at_bound),
     ):
         # Bounds go before what is flat: they are set last.
         doubtful = jnp.any(found) & ((status == FitStatus.successful) | (status == FitStatus.flat))
@@ -281,7 +291,7 @@ def posterior(space: ParameterSpace, u: Array, information: Array) -> dict[str, 
     covariance = (vectors / (1.0 + values)) @ vectors.T
     variance = jnp.diagonal(covariance)
     return {
-        "sd": jnp.sqrt(variance) * space.slope(u),
+        "sd": space.spread(u, jnp.sqrt(variance)),
         "constrained": 1.0 - variance,
         "covariance": covariance,
         "information": values,

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.extras import require
-from fynjax.inversion._fit_result import Data
+from fynjax.inversion._fit_result import WELL_CONSTRAINED, Data, well_constrained
 from fynjax.inversion._space import ParameterSpace
 
 
@@ -53,6 +53,16 @@ class Posterior(eqx.Module):
         """1 - posterior over prior variance, in whitened coordinates [-]: 0, the data say
         nothing; 1, they say all."""
         return 1.0 - self.whitened.reshape(-1, len(self.names)).var(axis=0)
+
+    def well_constrained(self, least: float = WELL_CONSTRAINED) -> tuple[str, ...]:
+        """As `FitResult.well_constrained`."""
+        return well_constrained(self.names, self.constrained, least)
+
+    @property
+    def misfit(self) -> Float[np.ndarray, " statistic"]:
+        """Predicted median less measured value of each statistic [standard errors of that]."""
+        off = np.median(self.predicted, axis=0) - np.asarray(self.data.value)
+        return off / np.asarray(self.data.sd)
 
     def quantiles(self, *shares: float) -> Float[np.ndarray, "share free"]:
         """Quantiles of each parameter, in its own unit."""

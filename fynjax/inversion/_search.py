@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -21,7 +22,7 @@ from fynjax.inversion._log_posterior import LogPosterior
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import AbstractView, PlotForward, look
 from fynjax.radiation import Accuracy
-from fynjax.scene import PlotParameters, Scene, with_values
+from fynjax.scene import PlotParameters, Scene, room_needed, with_values
 
 COARSE = Accuracy(
     lattice=1,
@@ -65,6 +66,12 @@ class CalibrationSettings:
                 raise InputError(f"`{name}` must be at least 1, but is {getattr(self, name)}")
 
 
+_SPARE = 1.1
+"""Sites that a search keeps free beyond the plants that it asks for, as a factor on these."""
+_MOST_GROWTHS = 3
+"""Rounds added to a search because its plants needed more sites."""
+
+
 @dataclasses.dataclass
 class End:
     """Where a search from one start ended, and what the full scene says there."""
@@ -94,13 +101,15 @@ class Search:
         data: Data,
         space: ParameterSpace,
         views: Sequence[AbstractView],
-        cheap: tuple[Scene, tuple[AbstractView, ...]],
+        form: Callable[[Scene], tuple[Scene, tuple[AbstractView, ...]]],
+        grow: Callable[[float], Scene] | None,
         keep: Keep,
         report: Callable[[str, float, float], None] | None,
     ) -> None:
-        self._scene, self._parameters, self._data, self._space = scene, parameters, data, space
+        self.scene, self._parameters, self._data, self._space = scene, parameters, data, space
         self._keep, self._report, self._views = keep, report, tuple(views)
-        self.quick, cheap_views = cheap
+        self._form, self._grow = form, grow
+        self.quick, cheap_views = form(scene)
         self._predict = PlotForward(parameters, space.names, cheap_views)
         self.times: list[float] = []
         """When each step ended that was not one of an earlier run [s]."""
@@ -109,7 +118,7 @@ class Search:
 
     def look(self, plot: PlotParameters, planted: Scene | None = None) -> tuple[Array, ...]:
         """Statistics of the full scene; and, without other plants, the images."""
-        scene = self._scene if planted is None else planted
+        scene = self.scene if planted is None else planted
 
         def step() -> tuple[Array, ...]:
             found = jax.block_until_ready(look(self._views, scene, plot))
@@ -133,7 +142,17 @@ class Search:
         return 0.5 * float(rest @ rest + u @ u)
 
     def _plot(self, u: Array) -> PlotParameters:
-        return with_values(self._parameters, self._scene.taxa, self._space.named(u))
+        return with_values(self._parameters, self.scene.taxa, self._space.named(u))
+
+    def _grown(self, plot: PlotParameters) -> bool:
+        """Whether more sites had to be made for the plants of `plot`, and could be."""
+        counts = _SPARE * self.scene.counts(plot)
+        room = room_needed(self.scene, self._parameters, counts)
+        if room == 0.0 or self._grow is None:
+            return False
+        self.scene = self._grow(room)
+        self.quick, _ = self._form(self.scene)
+        return True
 
     def _note(self, stage: str, loss: float, norm: float) -> None:
         if not getattr(self._keep, "repeating", False):
@@ -167,7 +186,10 @@ class Search:
         }  # fmt: skip
         losses: list[np.ndarray] = []
         norms: list[np.ndarray] = []
-        for turn in range(settings.rounds):
+        turns = settings.rounds
+        for turn in itertools.count():
+            if turn == turns:
+                break
             offset = statistics - predicted
             result = fit(
                 self._predict,
@@ -190,6 +212,12 @@ class Search:
             u, predicted, jacobian = result.whitened, result.predicted - offset, result.jacobian
             plot = self._plot(u)
             statistics, *images = self.look(plot)
+            if turns < settings.rounds + _MOST_GROWTHS and self._grown(plot):
+                # What was reached had fewer plants than it asked for: look again, go on from there.
+                turns += 1
+                statistics, *images = self.look(plot)
+                predicted, jacobian = self._evaluate(u, self.quick)
+                best["objective"] = np.inf
             reached = self._objective(u, statistics)
             # The quick scene's best need not be the full scene's.
             if reached < best["objective"]:

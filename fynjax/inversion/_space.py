@@ -1,97 +1,332 @@
 """Free parameters: bounds, priors, and the unbounded coordinates a fit moves in.
 
-A parameter x in (lower, upper) is lower + (upper - lower) sigmoid(z). A fit moves u, which is z
-counted from the prior's centre in units of the prior's width: the prior is then a unit normal in
-u, and all parameters have the same scale whatever their units.
+A fit moves u, in which the prior is a unit normal: all parameters have the same scale whatever
+their units. The prior of a parameter x is normal in z = location + width u, where z is
+
+- log((x - lower) / (upper - x)) if it is logit-normal, as shares are,
+- log(x) if it is lognormal, as sizes, areas and amounts are,
+- x if it is normal.
+
+A lognormal or normal prior is cut at the bounds: z is then location + width t, with t the quantile
+of the cut normal distribution at the probability that u has in a whole one.
 """
 
 import math
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, get_args
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jax.scipy.special import ndtr, ndtri
+from jax.scipy.stats import norm
+from jaxtyping import Array, Bool, Float
+from numpy.typing import ArrayLike
+from scipy import special
 from scipy.optimize import brentq
 
 from fynjax._core.errors import InputError
+from fynjax._core.parameters import Distribution, Parameter
 from fynjax.scene import PARAMETERS, parameter_kind
+
+_NEAR = 5.0
+_U = np.linspace(-8.5, 8.5, 1701)
+_WEIGHT = np.exp(-0.5 * _U**2) / np.exp(-0.5 * _U**2).sum()
+"""Points and weights of means over a unit normal; in so many points good to 1e-14."""
+_NODES, _NODE_WEIGHT = np.polynomial.hermite_e.hermegauss(24)
+_NODE_WEIGHT /= _NODE_WEIGHT.sum()
+"""The same, fewer: good to 1e-6 up to a lognormal width of one."""
 
 
 class ParameterSpace(eqx.Module):
-    """The free parameters of a fit."""
+    """The free parameters of a fit.
+
+    **Arguments:**
+
+    - `names`: of the parameters.
+    - `lower`, `upper`: bounds, in the parameters' own units; of a normal prior they may be
+      infinite, of a lognormal one 0 and infinite.
+    - `prior`: median of each prior, inside the bounds.
+    - `prior_sd`: its standard deviation, exact in the parameter's own unit; or instead
+    - `width`: the standard deviation of the normal coordinate.
+    - `distribution`: "logit-normal", "lognormal" or "normal", of all or one of each.
+
+    **Raises:** `InputError` for a median that is not inside its bounds, a standard deviation that
+    is not positive or wider than any such distribution between the bounds.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.inversion import ParameterSpace
+    >>> space = ParameterSpace(("diameter",), [0.0], [10.0], [0.4], [0.1], distribution="lognormal")
+    >>> space.physical(jnp.array([-1.0])).round(3).tolist()
+    [0.315]
+    """
 
     names: tuple[str, ...] = eqx.field(static=True)
     lower: Float[Array, " free"]
     """Bounds, in the parameters' own units."""
     upper: Float[Array, " free"]
     prior: Float[Array, " free"]
-    """Centre of the prior."""
+    """Median of the prior."""
     prior_sd: Float[Array, " free"]
     """Its standard deviation."""
+    location: Float[Array, " free"]
+    """Mean of the coordinate z, were it not cut."""
+    width: Float[Array, " free"]
+    """Its standard deviation."""
+    cut: Float[Array, "2 free"]
+    """Where z is cut below and above, from `location`, in widths."""
+    distribution: tuple[Distribution, ...] = eqx.field(static=True)
 
-    def __check_init__(self) -> None:
-        arrays = (self.lower, self.upper, self.prior, self.prior_sd)
-        if any(jnp.shape(a) != (len(self.names),) for a in arrays):
+    def __init__(
+        self,
+        names: Sequence[str],
+        lower: ArrayLike,
+        upper: ArrayLike,
+        prior: ArrayLike,
+        prior_sd: ArrayLike | None = None,
+        *,
+        width: ArrayLike | None = None,
+        distribution: Distribution | Sequence[Distribution] = "logit-normal",
+    ) -> None:
+        self.names = tuple(names)
+        count = len(self.names)
+        kinds = (distribution,) * count if isinstance(distribution, str) else tuple(distribution)
+        if (prior_sd is None) == (width is None):
+            raise InputError("a parameter space takes either `prior_sd` or `width`")
+        spread = width if prior_sd is None else prior_sd
+        arrays = [np.asarray(a, float) for a in (lower, upper, prior, spread)]
+        if any(np.shape(a) != (count,) for a in arrays) or len(kinds) != count:
             raise InputError(
-                f"a parameter space of {len(self.names)} names must have as many bounds, priors "
-                f"and widths, but has the shapes {[jnp.shape(a) for a in arrays]}"
+                f"a parameter space of {count} names must have as many bounds, priors and widths, "
+                f"but has the shapes {[np.shape(a) for a in arrays]}"
             )
-        if any(isinstance(a, jax.core.Tracer) for a in arrays):
-            return
-        for i, name in enumerate(self.names):
-            low, high, centre, sd = (float(a[i]) for a in arrays)
-            if not low < centre < high:
-                raise InputError(
-                    f"the prior of {name} must lie inside its bounds ({low:g}, {high:g}), but is "
-                    f"{centre:g}"
-                )
-            if not sd > 0:
-                raise InputError(f"the prior of {name} must have a positive width, but has {sd:g}")
+        fitted = []
+        for name, low, high, centre, sd, kind in zip(self.names, *arrays, kinds):
+            one = _Prior(name, float(low), float(high), float(centre), kind)
+            wide = one.width_of(float(sd)) if width is None else float(sd)
+            fitted.append((wide, *one.at(wide), one.sd(wide) if width is not None else sd))
+        table = np.array(fitted).reshape(count, 5).T
+        self.lower, self.upper, self.prior = (jnp.asarray(a) for a in arrays[:3])
+        self.width, self.location, self.prior_sd = (jnp.asarray(table[i]) for i in (0, 1, 4))
+        self.cut = jnp.asarray(table[2:4])
+        self.distribution = kinds
 
-    @property
-    def _centre(self) -> Array:
-        share = (self.prior - self.lower) / (self.upper - self.lower)
-        return jnp.log(share) - jnp.log1p(-share)
+    def _is(self, kind: Distribution) -> Bool[np.ndarray, " free"]:
+        return np.array([own == kind for own in self.distribution], bool)
 
-    @property
-    def _width(self) -> Array:
-        """Prior width in z: its width in x over the slope of x at the prior."""
-        share = (self.prior - self.lower) / (self.upper - self.lower)
-        return self.prior_sd / ((self.upper - self.lower) * share * (1.0 - share))
+    def _coordinate(self, u: Array) -> Array:
+        """z from whitened coordinates."""
+        if self._is("logit-normal").all():
+            return self.location + self.width * u
+        return self.location + self.width * _cut_normal(u, *self.cut)
 
     def physical(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
         """Parameters in their own units from whitened coordinates. Differentiable."""
-        z = self._centre + self._width * u
-        return self.lower + (self.upper - self.lower) * jax.nn.sigmoid(z)
+        z, log, logit = self._coordinate(u), self._is("lognormal"), self._is("logit-normal")
+        share = jnp.where(logit, self.lower, 0.0), jnp.where(logit, self.upper - self.lower, 1.0)
+        value = jnp.where(log, jnp.exp(jnp.where(log, z, 0.0)), z)
+        return jnp.where(logit, share[0] + share[1] * jax.nn.sigmoid(z), value)
 
     def whitened(self, values: Float[Array, " free"]) -> Float[Array, " free"]:
         """Inverse of `physical`, for values strictly inside the bounds."""
-        share = (values - self.lower) / (self.upper - self.lower)
-        z = jnp.log(share) - jnp.log1p(-share)
-        return (z - self._centre) / self._width
+        log, logit = self._is("lognormal"), self._is("logit-normal")
+        below = jnp.where(logit, values - self.lower, jnp.where(log, values, 1.0))
+        above = jnp.where(logit, self.upper - values, 1.0)
+        z = jnp.where(log | logit, jnp.log(below) - jnp.log(above), values)
+        t = (z - self.location) / self.width
+        return t if logit.all() else _whole_normal(t, *self.cut)
 
     def slope(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
         """d physical / d u."""
-        share = jax.nn.sigmoid(self._centre + self._width * u)
-        return (self.upper - self.lower) * share * (1.0 - share) * self._width
+        return jnp.exp(self.log_slope(u))
 
     def log_slope(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
         """log |d physical / d u|, finite far out; what a density over values gains over u."""
-        z = self._centre + self._width * u
-        both = jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)
-        return jnp.log(self.upper - self.lower) + jnp.log(self._width) + both
+        z, log, logit = self._coordinate(u), self._is("lognormal"), self._is("logit-normal")
+        extent = jnp.where(logit, self.upper - self.lower, 1.0)
+        both = jnp.log(extent) + jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)
+        rate = jnp.where(logit, both, jnp.where(log, z, 0.0)) + jnp.log(self.width)
+        return rate if logit.all() else rate + _log_rate(u, *self.cut)
 
     def named(self, u: Float[Array, " free"]) -> dict[str, Array]:
         """Parameters by name."""
         values = self.physical(u)
         return {name: values[i] for i, name in enumerate(self.names)}
 
+    def quantiles(self, *shares: float) -> Float[Array, "share free"]:
+        """Quantiles of the prior of each parameter, in its own unit."""
+        return jnp.stack([self.physical(jnp.full(len(self.names), ndtri(p))) for p in shares])
 
-_ROOM: dict[str, tuple[float, float]] = {"cover": (0.3, 1.8), "diameter": (0.65, 1.6)}
-"""Factors on cover and diameter between which the sites held ready for plants suffice."""
+    def density(self) -> tuple[Float[Array, "point free"], Float[Array, "point free"]]:
+        """Values from the lowest to the highest that the prior makes likely, and its density."""
+        u = jnp.broadcast_to(jnp.linspace(-4.0, 4.0, 201)[:, None], (201, len(self.names)))
+        rate = jax.vmap(self.log_slope)(u)
+        return jax.vmap(self.physical)(u), jnp.exp(norm.logpdf(u) - rate)
+
+    def spread(self, u: Float[Array, " free"], sd: Float[Array, " free"]) -> Float[Array, " free"]:
+        """Standard deviation, in their own units, of parameters that in whitened coordinates are
+        normal about `u` with `sd`. Differentiable."""
+        values = jax.vmap(self.physical)(u + _NODES[:, None] * sd) - self.physical(u)
+        mean = _NODE_WEIGHT @ values
+        return jnp.sqrt(_NODE_WEIGHT @ (values - mean) ** 2)
+
+    def at_bound(self, values: Float[Array, " free"]) -> Bool[Array, " free"]:
+        """Whether values lie at a bound: nearer than a thousandth of the range, and than a
+        twentieth of the prior's median is."""
+        near = jnp.minimum(values - self.lower, self.upper - values)
+        usual = jnp.minimum(self.prior - self.lower, self.upper - self.prior)
+        return near < jnp.minimum(_AT_BOUND * (self.upper - self.lower), _NEARER * usual)
+
+
+def _quantile(u: Any, low: Any, high: Any, library: Any, special: Any) -> Any:
+    """Quantile of a unit normal cut at `low` and `high`, at the probability of u in a whole one.
+
+    Each tail by its own probability, so that neither loses digits.
+    """
+    held = special.ndtr(high) - special.ndtr(low)
+    below = held * special.ndtr(-library.abs(u)) + special.ndtr(library.where(u < 0, low, -high))
+    cut = library.where(u < 0, 1.0, -1.0) * special.ndtri(below)
+    # Where no bound is near, lest a fit ends in the rounding of two quantiles.
+    return library.where((held == 1.0) & (library.abs(u) < _NEAR), u, cut)
+
+
+@jax.custom_jvp
+def _cut_normal(u: Array, low: Array, high: Array) -> Array:
+    return _quantile(u, low, high, jnp, jax.scipy.special)
+
+
+@_cut_normal.defjvp
+def _cut_normal_derivative(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    # By u alone: a space is not differentiated in its bounds.
+    return _cut_normal(*primals), jnp.exp(_log_rate(*primals)) * tangents[0]
+
+
+def _whole_normal(t: Array, low: Array, high: Array) -> Array:
+    """Inverse of `_cut_normal`."""
+    held = ndtr(high) - ndtr(low)
+    below, above = (ndtr(t) - ndtr(low)) / held, (ndtr(-t) - ndtr(-high)) / held
+    return jnp.where(below < 0.5, ndtri(below), -ndtri(above))
+
+
+def _log_rate(u: Array, low: Array, high: Array) -> Array:
+    """log d `_cut_normal` / d u."""
+    held = jnp.log(ndtr(high) - ndtr(low))
+    return held + norm.logpdf(u) - norm.logpdf(_cut_normal(u, low, high))
+
+
+@dataclass(frozen=True)
+class _Prior:
+    """The prior of one parameter, by its width: what `ParameterSpace` has of it, in numpy."""
+
+    name: str
+    lower: float
+    upper: float
+    median: float
+    distribution: Distribution
+
+    def __post_init__(self) -> None:
+        if self.distribution not in get_args(Distribution):
+            raise InputError(
+                f"the prior of {self.name} must be one of {', '.join(get_args(Distribution))}, but "
+                f"is {self.distribution!r}"
+            )
+        if not self.lower < self.median < self.upper:
+            raise InputError(
+                f"the prior of {self.name} must lie inside its bounds ({self.lower:g}, "
+                f"{self.upper:g}), but is {self.median:g}"
+            )
+        if self.distribution == "lognormal" and self.median <= 0:
+            raise InputError(
+                f"the median of {self.name}, whose prior is lognormal, must be positive, but is "
+                f"{self.median:g}"
+            )
+        if self.distribution == "logit-normal" and not np.isfinite([self.lower, self.upper]).all():
+            raise InputError(f"{self.name} has a logit-normal prior, which needs finite bounds")
+
+    @property
+    def ends(self) -> tuple[float, float, float]:
+        """z at the lower bound, the median and the upper bound; infinite where nothing is cut."""
+        low, middle, high = self.lower, self.median, self.upper
+        if self.distribution == "logit-normal":
+            return -math.inf, math.log(middle - low) - math.log(high - middle), math.inf
+        if self.distribution == "normal":
+            return low, middle, high
+        return math.log(low) if low > 0 else -math.inf, math.log(middle), math.log(high)
+
+    def at(self, width: float) -> tuple[float, float, float]:
+        """Location that puts the median where it is stated, and the cuts from there."""
+        low, middle, high = self.ends
+
+        def cuts(location: float) -> tuple[float, float]:
+            return (low - location) / width, (high - location) / width
+
+        def rest(location: float) -> float:
+            return location + width * float(_quantile(0.0, *cuts(location), np, special)) - middle
+
+        location = middle
+        if rest(middle) != 0.0:
+            location = brentq(rest, middle - 4.0 * width, middle + 4.0 * width, xtol=1e-15)
+        return (location, *cuts(location))
+
+    def sd(self, width: float) -> float:
+        """Standard deviation, by quadrature."""
+        location, low, high = self.at(width)
+        z = location + width * _quantile(_U, low, high, np, special)
+        if self.distribution == "logit-normal":
+            z = self.lower + (self.upper - self.lower) * special.expit(z)
+        elif self.distribution == "lognormal":
+            z = np.exp(z)
+        from_median = z - self.median
+        return float(np.sqrt(_WEIGHT @ from_median**2 - (_WEIGHT @ from_median) ** 2))
+
+    def width_of(self, sd: float) -> float:
+        """Width that has a standard deviation."""
+        if not sd > 0:
+            raise InputError(f"the prior of {self.name} must have a positive width, but has {sd:g}")
+        about = sd  # over the slope of the value by z at the median
+        if self.distribution == "lognormal":
+            about = sd / self.median
+        elif self.distribution == "logit-normal":
+            below, above = self.median - self.lower, self.upper - self.median
+            about = sd * (below + above) / (below * above)
+        high = about
+        while self.sd(high) < sd:
+            high *= 2.0
+            if high > _MOST_WIDTHS * about:
+                raise InputError(
+                    f"the prior of {self.name} has a standard deviation of {sd:g}, but a "
+                    f"{self.distribution} one about {self.median:g} between {self.lower:g} and "
+                    f"{self.upper:g} has at most {self.sd(high):.3g}"
+                )
+        return brentq(lambda w: self.sd(w) - sd, 0.1 * about, high, xtol=1e-14, rtol=1e-13)
+
+    @property
+    def widest(self) -> float:
+        """Largest width that a fit is given: the prior has one mode and loses little to a cut.
+
+        Of a logit-normal one, with z normal about m with standard deviation s, the modes solve
+        z - m = s^2 tanh(z / 2). The right side is steepest, s^2 / 2, at z = 0: up to s^2 = 2 there
+        is one solution wherever m is. Beyond, a second one appears where the two sides touch, at
+        tanh(z / 2) = t with s^2 (1 - t^2) = 2, that is where |m| = 2 t / (1 - t^2) - 2 artanh t.
+        """
+        low, middle, high = self.ends
+        if self.distribution != "logit-normal":
+            held = min(middle - low, high - middle) / _CUT_BEYOND
+            return held if self.distribution == "normal" else min(held, _WIDEST)
+        m = abs(middle)
+        t = brentq(lambda t: 2.0 * t / (1.0 - t**2) - 2.0 * math.atanh(t) - m, 0.0, 1.0 - 1e-9)
+        return math.sqrt(2.0 / (1.0 - t**2))
+
+
+_MOST_WIDTHS = 1e3
+_AT_BOUND, _NEARER = 1e-3, 0.05
+_CUT_BEYOND = 1.5
+"""A bound cuts a prior of a fit at least so many widths from its median."""
+_WIDEST = 1.2
+"""Largest width of a lognormal prior: a factor of 3.3 either way."""
 _INSET = 0.02
 """How far inside its bound the prior of a value there is centred [usual range]."""
 _ROUNDING = 1e-6
@@ -101,27 +336,26 @@ _ROUNDING = 1e-6
 def make_space(values: dict[str, float], relative_sd: Mapping[str, float | None]) -> ParameterSpace:
     """The space of the parameters in `values`, within the bounds of `fynjax.scene.PARAMETERS`.
 
-    Covers and diameters are bounded closer where the plants held ready would not suffice.
-
-    A prior is logit-normal between the bounds of its parameter. One that is too wide has two modes,
-    with most of its mass at the bounds. Such a prior is fitted into its bounds: its centre moves to
-    2 % of the usual range inside where it is nearer to a bound, and its standard deviation is cut
-    to the largest with one mode: that of z is sqrt(2) halfway between the bounds, and 2.9 at 1 % of
-    their distance. So is that of a value on its bound (dry soil, a leaf without anthocyanins),
-    whose stated standard deviation, a share of the value, may be zero. A warning names the
-    parameters with their stated and their fitted priors.
+    A prior has the distribution of its parameter's record, its median at the value and the stated
+    standard deviation, in the parameter's own unit. One that is too wide has two modes (shares) or
+    loses much to a bound. Such a prior is fitted into its bounds: its median moves to 2 % of the
+    usual range inside where it is nearer to a bound, and its standard deviation is cut to the
+    largest with one mode, and so that a bound lies 1.5 widths from the median. So is that of a
+    value on its bound (dry soil, a leaf without anthocyanins), whose stated standard deviation, a
+    share of the value, may be zero. A warning names the parameters with their stated and their
+    fitted priors.
 
     **Arguments:**
 
-    - `values`: the prior's centre by name, in the parameters' own units, within the bounds.
-    - `relative_sd`: the prior's standard deviation over its centre by name, positive [-]; None
+    - `values`: the prior's median by name, in the parameters' own units, within the bounds.
+    - `relative_sd`: the prior's standard deviation over its median by name, positive [-]; None
       takes that of the parameter's record.
 
     **Returns:** `ParameterSpace`, its parameters in the order of `values`.
 
     **Raises:** `InputError` for a value outside its bounds, and a parameter that has no prior.
     """
-    columns, fitted = [], []
+    columns, kinds, fitted = [], [], []
     for name, value in values.items():
         kind = parameter_kind(name)
         record = PARAMETERS.get(kind)
@@ -130,55 +364,39 @@ def make_space(values: dict[str, float], relative_sd: Mapping[str, float | None]
             free = [k for k, known in PARAMETERS.items() if known.prior_sd(1.0) is not None]
             raise InputError(f"{name} cannot be free: only {', '.join(free)} can")
         record.check(value, f"the prior of {name}")
-        low, high = record.lower, record.upper
-        usual = record.usual[1] - record.usual[0]
-        if kind in _ROOM and value > 0:
-            low, high = max(low, _ROOM[kind][0] * value), min(high, _ROOM[kind][1] * value)
-            usual = min(usual, high - low)
         relative = relative_sd[name]
         stated = own if relative is None else relative * abs(value)
-        centre, sd = _fitted_prior(value, stated, (low, high), usual)
+        centre, sd = _fitted_prior(name, record, value, stated)
         if (centre, sd) != (value, stated):
             shown = [record.shown_factor * number for number in (value, stated, centre, sd)]
             change = "{:g} (sd {:.3g}) to {:g} (sd {:.3g})".format(*shown)
             unit = "" if record.shown_unit == "-" else f" {record.shown_unit}"
             fitted.append(f"{name} from {change}{unit}")
-        columns.append((low, high, centre, sd))
+        columns.append((record.lower, record.upper, centre, sd))
+        kinds.append(record.distribution)
     if fitted:
         warnings.warn(
             f"priors moved or narrowed, since their bounds do not hold them: {'; '.join(fitted)}",
             stacklevel=2,
         )
     limits = np.asarray(columns, float).reshape(-1, 4)
-    return ParameterSpace(tuple(values), *map(jnp.asarray, limits.T))
+    return ParameterSpace(tuple(values), *limits.T, distribution=kinds)
 
 
-def _fitted_prior(
-    value: float, sd: float, bounds: tuple[float, float], usual: float
-) -> tuple[float, float]:
-    """Centre and standard deviation of a prior with one mode between its bounds."""
-    low, high = bounds
+def _fitted_prior(name: str, record: Parameter, value: float, sd: float) -> tuple[float, float]:
+    """Median and standard deviation of a prior that its bounds hold."""
+    low, high = record.lower, record.upper
+    usual = record.usual[1] - record.usual[0]
     on_bound = min(value - low, high - value) <= _ROUNDING * usual
-    if not on_bound and sd <= _widest(value, bounds):
+
+    def widest(median: float) -> float:
+        prior = _Prior(name, low, high, median, record.distribution)
+        return prior.sd(prior.widest)
+
+    if not on_bound and sd <= widest(value):
         return value, sd
     centre = min(max(value, low + _INSET * usual), high - _INSET * usual)
-    widest = _widest(centre, bounds)
-    return centre, widest if on_bound else min(sd, widest)
-
-
-def _widest(centre: float, bounds: tuple[float, float]) -> float:
-    """Largest standard deviation of a logit-normal prior that has one mode.
-
-    With z normal about m with standard deviation s, the modes solve z - m = s^2 tanh(z / 2). The
-    right side is steepest, s^2 / 2, at z = 0: up to s^2 = 2 there is one solution wherever m is.
-    Beyond, a second one appears where the two sides touch, at tanh(z / 2) = t with
-    s^2 (1 - t^2) = 2, that is where |m| = 2 t / (1 - t^2) - 2 artanh t.
-    """
-    low, high = bounds
-    share = (centre - low) / (high - low)
-    m = abs(math.log(share) - math.log1p(-share))
-    t = brentq(lambda t: 2.0 * t / (1.0 - t**2) - 2.0 * math.atanh(t) - m, 0.0, 1.0 - 1e-9)
-    return math.sqrt(2.0 / (1.0 - t**2)) * share * (1.0 - share) * (high - low)
+    return centre, widest(centre) if on_bound else min(sd, widest(centre))
 
 
 def match_names(names: Sequence[str], patterns: Sequence[str]) -> list[str]:

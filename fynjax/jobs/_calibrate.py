@@ -147,6 +147,7 @@ def calibrate_to(
             space,
             views,
             CalibrationSettings(max_steps=steps, starts=starts, seed=run.seed),
+            grow=lambda room: build_plot(plot, seed=run.seed, room=room)[0],
             checkpoint=checkpoint,
             report=lambda stage, loss, norm: run.progress.advance(
                 1, stage=stage, loss=f"{loss:.1f}", gradient=f"{norm:.1f}"
@@ -165,7 +166,7 @@ def calibrate_to(
         page = calibration_page(
             run, plot, result, measured, (parameters_of_fit, statistics), reference, inputs
         )
-        _write(run, plot, scene, result, page, (parameters_of_fit, statistics))
+        _write(run, plot, result.scene, result, page, (parameters_of_fit, statistics))
     rows = statistics.rename(columns={"real": "target"})
     return run.result(
         CalibrateResult,
@@ -174,7 +175,7 @@ def calibrate_to(
             *agreement_sentences(plot, measured, statistics, reference),
             *parameter_sentences(result),
         ],
-        warnings=_short_of_sites(scene, result.after),
+        warnings=_short_of_sites(result.scene, result.after),
         converged=bool(result.fit.converged),
         status="ok" if result.fit.converged else f"not converged: {result.fit.explanation}",
         targets=[

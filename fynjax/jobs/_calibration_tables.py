@@ -22,13 +22,19 @@ _statistics = eqx.filter_jit(image_statistics)
 def parameter_table(calibration: Calibration) -> pd.DataFrame:
     """Every free parameter: prior, estimate, and how far the data pinned it down."""
     fit = calibration.fit
+    low, high = fit.quantiles(0.05, 0.95)
+    prior_low, prior_high = fit.space.quantiles(0.05, 0.95)
     table = parameter_columns(
         fit.names,
         {
             "prior": fit.space.prior,
             "prior_sd": fit.space.prior_sd,
+            "prior_q05": prior_low,
+            "prior_q95": prior_high,
             "estimate": fit.estimate,
             "sd": fit.sd,
+            "q05": low,
+            "q95": high,
             "lower": fit.space.lower,
             "upper": fit.space.upper,
         },

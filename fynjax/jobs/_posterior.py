@@ -38,6 +38,7 @@ from fynjax.report.figures import (
     parameter_plot,
     predictive_plot,
     short_name,
+    words,
 )
 from fynjax.report.pages import Page, Part, Picture, Section, Table
 
@@ -45,9 +46,7 @@ from fynjax.report.pages import Page, Part, Picture, Section, Table
 class PosteriorParameter(ParameterSummary):
     """One parameter: prior, posterior mean and quantiles, and how its chain mixed."""
 
-    q05: Number
     median: Number
-    q95: Number
     ess_bulk: Number = None
     ess_tail: Number = None
     r_hat: Number = None
@@ -180,11 +179,14 @@ def posterior_table(sampled: Posterior) -> pd.DataFrame:
     """Every parameter: prior, mean, sd, quantiles, how far it is constrained, how it mixed."""
     values = sampled.values.reshape(-1, len(sampled.names))
     low, middle, high = sampled.quantiles(0.05, 0.5, 0.95)
+    prior_low, prior_high = sampled.space.quantiles(0.05, 0.95)
     table = parameter_columns(
         sampled.names,
         {
             "prior": sampled.space.prior,
             "prior_sd": sampled.space.prior_sd,
+            "prior_q05": prior_low,
+            "prior_q95": prior_high,
             "estimate": values.mean(axis=0),
             "sd": values.std(axis=0),
             "q05": low,
@@ -201,17 +203,21 @@ def posterior_table(sampled: Posterior) -> pd.DataFrame:
 
 
 def _headline(ready: Prepared, sampled: Posterior, table: pd.DataFrame) -> list[str]:
-    order = np.argsort(-sampled.constrained)
-    shown = table.iloc[[i for i in order[:5] if sampled.constrained[i] > 0.3]]
+    shown = table.iloc[np.argsort(-sampled.constrained)[:5]]
     named = "; ".join(
-        f"{short_name(row.name)} {row.median:.3g} ({row.q05:.3g} to {row.q95:.3g}) {row.unit}"
+        f"{short_name(row.name)} {row.median:.3g} ({row.q05:.3g} to {row.q95:.3g}) {row.unit}, "
+        f"{max(100.0 * (row.constrained or 0.0), 0.0):.0f} %"
         for row in map(PosteriorParameter.model_validate, shown.to_dict("records"))
     )
+    worst = int(np.argmax(np.abs(sampled.misfit)))
+    off = abs(float(sampled.misfit[worst]))
+    trust = ": the model does not explain it, so do not trust the intervals" if off > 3.0 else ""
+    halved = len(sampled.well_constrained())
     return [
         f"{ready.plot.name}: {sampled.effective_size:.0f} effective draws by {sampled.method}.",
-        f"Constrained most, median and 90 % interval: {named}."
-        if named
-        else "The data constrain none of the parameters much.",
+        f"Largest misfit: {words(sampled.data.names[worst])}, {off:.1f} standard errors{trust}.",
+        f"The data at least halve the error of {halved} of {len(sampled.names)} parameters.",
+        f"Best known, with median, 90 % interval and share of the prior variance removed: {named}.",
     ]
 
 
@@ -226,9 +232,8 @@ def _page(
     units = [shown_unit(name) for name in sampled.names]
     factor = np.array([f for _, _, f in units])
     draws = sampled.values.reshape(-1, len(sampled.names)) * factor
-    prior, prior_sd = (
-        factor * np.asarray(part) for part in (sampled.space.prior, sampled.space.prior_sd)
-    )
+    values, density = (np.asarray(part) for part in sampled.space.density())
+    prior = factor * values, density / factor
     data = sampled.data
     parts: list[Part] = [f"Status: {sampled.status}."]
     if sampled.method != "laplace":
@@ -244,7 +249,7 @@ def _page(
             corner_plot(
                 draws[:, order],
                 [f"{sampled.names[i]} [{units[i][1]}]" for i in order],
-                prior=(prior[order], prior_sd[order]),
+                prior=(prior[0][:, order], prior[1][:, order]),
             ),
             "draws of the parameters that the data constrain most, and of their pairs",
         ),

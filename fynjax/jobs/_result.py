@@ -70,10 +70,16 @@ class ParameterSummary(Record):
     unit: str
     prior: Number
     prior_sd: Number
+    prior_q05: Number = Field(description="Prior's 5 % quantile.")
+    prior_q95: Number
     estimate: Number
     sd: Number = Field(description="Standard deviation after the fit.")
+    q05: Number = Field(description="5 % quantile after the fit.")
+    q95: Number
     constrained: Number = Field(
-        default=None, description="1 - (sd / prior_sd)^2: share of the prior variance removed [-]."
+        default=None,
+        description="Share of the prior variance that the data removed, in the coordinate in which "
+        "the prior is normal [-].",
     )
 
 

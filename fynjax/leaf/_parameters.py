@@ -47,6 +47,7 @@ class LeafParameters(eqx.Module):
         default=1.5,
         relative_sd=0.15,
         population=(1.5, 0.44),
+        distribution="logit-normal",
         description="Number of elementary layers of the leaf (Jacquemoud and Baret 1990). Broad "
         "leaves have 1 to 2.7 (ANGERS, LOPEX: Feret et al. 2008); PROSPECT goes on below 1, where "
         "fits of thin leaves and needles end; 5 leaves room for thick, hard leaves.",

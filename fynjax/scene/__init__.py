@@ -54,6 +54,7 @@ from fynjax.scene._scene import (
     SceneSpecies,
     build_scene,
     ground_at,
+    room_needed,
     stand_realisation,
 )
 from fynjax.scene._spectra import (
@@ -118,6 +119,7 @@ __all__ = [
     "parameter_reference",
     "projected_cover",
     "random_patches",
+    "room_needed",
     "species_parameters",
     "stand_area",
     "stand_realisation",

@@ -33,7 +33,9 @@ LEAF_FIELDS = (
 
 def _share(**record: Any) -> Any:
     bounds: dict[str, Any] = {"lower": 0.0, "upper": 1.0, "usual": (0.0, 1.0)}
-    return parameter_field(unit="-", relative_sd=0.3, **bounds, **record)
+    return parameter_field(
+        unit="-", relative_sd=0.3, distribution="logit-normal", **bounds, **record
+    )
 
 
 class SpeciesParameters(eqx.Module):
@@ -51,6 +53,7 @@ class SpeciesParameters(eqx.Module):
         upper=1.0,
         usual=(0.0, 0.6),
         relative_sd=0.25,
+        distribution="logit-normal",
         description="Share of the ground under the crowns, overlap with other species counted "
         "twice. Field crews judge it by eye, to about a quarter.",
     )
@@ -88,6 +91,7 @@ class SpeciesParameters(eqx.Module):
         usual=(0.0, 0.7),
         default=0.0,
         relative_sd=0.3,
+        distribution="logit-normal",
         description="Share of a crown that lies over its neighbours, PE of equation (8). The "
         "number of plants is as 1 / (1 - PE): a hundredfold at the upper bound.",
     )
@@ -102,6 +106,7 @@ class SpeciesParameters(eqx.Module):
         usual=(0.5, 1.0),
         default=1.0,
         relative_sd=0.3,
+        distribution="logit-normal",
         description="Share of the crown circle that the plant fills, FF of equation (9). The "
         "number of plants is as 1 / FF: a hundredfold at the lower bound.",
     )
@@ -140,6 +145,7 @@ class SpeciesParameters(eqx.Module):
         upper=0.8,
         usual=(0.0, 0.6),
         relative_sd=0.3,
+        distribution="logit-normal",
         description="Probability that light which a leaf scatters meets another leaf of its "
         "shoot: 0 for leaves at random in their voxel, 0.44 in a pine shoot (Smolander and "
         "Stenberg 2005). At 0.8 light meets a shoot's leaves five times on average.",
@@ -152,6 +158,7 @@ class SpeciesParameters(eqx.Module):
         upper=1.0,
         usual=(0.0, 0.8),
         sd=0.25,
+        distribution="logit-normal",
         description="Share of the one-sided area of live shoots that is dead or woody: old leaves "
         "and bracts, dead culms and the sheaths on live ones, the twig that bears the leaves. "
         "Stems and branches below the shoots are wood. It reflects as bark, or as the spectrum "
@@ -233,6 +240,7 @@ class LightParameters(eqx.Module):
         usual=(5.0, 75.0),
         default=30.0,
         relative_sd=0.3,
+        distribution="normal",
         description="Angle from straight up to the sun, which is above the horizon.",
     )
     sun_azimuth: Float[Array, ""] = parameter_field(
@@ -344,6 +352,7 @@ def parameter_reference() -> "pd.DataFrame":
             "usual_upper": record.usual[1],
             "prior_relative_sd": record.relative_sd,
             "prior_sd": record.sd,
+            "prior_distribution": record.distribution,
             "shown_unit": record.shown_unit,
             "description": record.description,
         }

@@ -210,29 +210,31 @@ def draw_planting(
 
     Not differentiable: the scene is, in the parameters.
     """
-    needed = np.ceil(room * wanted).astype(int) + np.where(wanted > 0, 4, 0)
-    # A disk radius that leaves a tenth more points than plants; Bridson packs 0.6 / r2 of them.
-    crowd = max(1.1 * float(needed.sum()), 1.0)
-    if probability is not None:  # room to choose, lest the last species take what is left
-        crowd *= 2.0 * 255.0 / max(float(np.mean(probability)), 1.0)
-    radius = min(0.1, float(np.sqrt(0.55 * extent[0] * extent[1] / crowd)))
-    points = poisson_disk(extent, radius, seed=seed, periodic=periodic)
-    sites = assign_sites(
-        points, needed.tolist(), probability=probability, extent=extent, names=taxa, seed=seed
-    )
+    individuals: list[dict[str, np.ndarray]] = [{} for _ in forms]
+    for times in _rooms(room):
+        needed = np.ceil(times * wanted).astype(int) + np.where(wanted > 0, 4, 0)
+        # A disk radius that leaves a tenth more points than plants; Bridson packs 0.6 / r2 of them.
+        crowd = max(1.1 * float(needed.sum()), 1.0)
+        if probability is not None:  # room to choose, lest the last species take what is left
+            crowd *= 2.0 * 255.0 / max(float(np.mean(probability)), 1.0)
+        radius = min(0.1, float(np.sqrt(0.55 * extent[0] * extent[1] / crowd)))
+        points = poisson_disk(extent, radius, seed=seed, periodic=periodic)
+        sites = assign_sites(
+            points, needed.tolist(), probability=probability, extent=extent, names=taxa, seed=seed
+        )
+        for i, places in enumerate(sites):
+            drawn = _individuals(places, i, rotation_spread[i], size_variation, seed)
+            for name, before in individuals[i].items():  # who was there stays
+                drawn[name] = np.concatenate([before, drawn[name][len(before) :]])
+            individuals[i] = drawn
     shapes: list[PlantModel] = []
     plants: list[dict[str, np.ndarray]] = []
     own: list[int] = []
     parts = 0
-    for i, (form, places) in enumerate(zip(forms, sites)):
-        n = len(places)
+    for i, (form, these) in enumerate(zip(forms, individuals)):
+        n = len(these["foot"])
         if n == 0:
             continue
-        rng = np.random.default_rng([seed, 101, i])
-        azimuth, tilt = random_orientation(
-            n, seed=seed + 1000 * (i + 1), rotation_spread=rotation_spread[i]
-        )
-        size = np.exp(np.sqrt(np.log1p(size_variation**2)) * rng.standard_normal(n))
         number = element_count(diameter[i], height[i], resolved, structured=structured)
         model = models[i]
         if model is None:
@@ -245,11 +247,7 @@ def draw_planting(
             {
                 "species": np.full(n, i, np.int32),
                 "place": np.arange(n, dtype=dtype),
-                "foot": places.astype(dtype),
-                "azimuth": azimuth.astype(dtype),
-                "tilt": tilt.astype(dtype),
-                "size": (size / np.sqrt(np.mean(size**2))).astype(dtype),
-                "stature": (0.6 + 0.4 * rng.random(n)).astype(dtype),
+                **{name: values.astype(dtype) for name, values in these.items()},
                 "first": parts + k * (np.arange(n, dtype=np.int32) % len(several)),
                 "count": np.full(n, k, np.int32),
             }
@@ -270,6 +268,34 @@ def draw_planting(
     )
     few = sum(int(part["count"].sum(dtype=np.int64)) for part in plants) <= MOST_LISTED
     return planting.with_elements() if few else planting
+
+
+_ROOM, _MORE_ROOM = 2.5, 1.6
+"""Sites held ready for each plant at first, and by what factor they become more."""
+
+
+def _rooms(room: float) -> list[float]:
+    """Sites for each plant, step by step, to at least `room`."""
+    steps = [min(room, _ROOM)]
+    while steps[-1] < room:
+        steps.append(steps[-1] * _MORE_ROOM)
+    return steps
+
+
+def _individuals(
+    places: Float[np.ndarray, "plant 2"], species: int, spread: float, variation: float, seed: int
+) -> dict[str, np.ndarray]:
+    """Place, turn and size of the plants of a species."""
+    n, rng = len(places), np.random.default_rng([seed, 101, species])
+    azimuth, tilt = random_orientation(n, seed=seed + 1000 * (species + 1), rotation_spread=spread)
+    size = np.exp(np.sqrt(np.log1p(variation**2)) * rng.standard_normal(n))
+    return {
+        "foot": places,
+        "azimuth": azimuth,
+        "tilt": tilt,
+        "size": size / np.sqrt(np.mean(size**2)) if n else size,
+        "stature": 0.6 + 0.4 * rng.random(n),
+    }
 
 
 def _classes(forms: Sequence[str]) -> list[list[int]]:

@@ -84,8 +84,9 @@ class PlantingRules:
     """How plants are drawn, and how one more of them appears."""
 
     room: float = 2.5
-    """Sites held ready, as a multiple of the plants that the parameters ask for [-]. A parameter
-    that later asks for more gets no more."""
+    """Sites held ready, as a multiple of the plants that the parameters ask for [-], at least. A
+    parameter that later asks for more gets no more. A scene with more room has the plants of one
+    with less where they are, and others besides."""
     size_variation: float = 0.2
     """Coefficient of variation of the crown diameters of a species [-]. An assumption, as is the
     stature: heights lie evenly between 0.6 and 1 times the greatest."""
@@ -683,6 +684,28 @@ def _check_structure(scene: Scene) -> None:
             f"{_MOST_VOXELS:.3g} can be indexed: take a larger `structure`, a smaller plot, or "
             'leaves that fill the voxels evenly ("even")'
         )
+
+
+def room_needed(
+    scene: Scene, parameters: PlotParameters, counts: Float[np.ndarray | Array, "*draw species"]
+) -> float:
+    """Sites for each plant, as `PlantingRules.room` has them, that some counts of plants ask for.
+
+    **Arguments:**
+
+    - `scene`: with the sites held ready.
+    - `parameters`: by which these were drawn.
+    - `counts`: plants of each species, as `Scene.counts` has them [-].
+
+    **Returns:** 0 where the scene has the sites.
+    """
+    stated = np.asarray(scene.counts(parameters), float)
+    most = np.max(np.reshape(np.asarray(counts, float), (-1, len(stated))), axis=0)
+    # The last plants fade in over some of the sites beyond their number.
+    most = most * (1.0 + 0.5 * scene.softness) + 0.5 * scene.softness_plants
+    ready = np.bincount(np.asarray(scene.planting.species), minlength=len(stated))
+    short = (most > ready) & (stated > 0)
+    return float(np.max(most[short] / stated[short], initial=0.0))
 
 
 def stand_realisation(scene: Scene, seed: int) -> Scene:

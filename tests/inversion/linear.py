@@ -5,13 +5,14 @@ import numpy as np
 
 from fynjax.inversion import Data, ParameterSpace
 
-# Bounds so wide that the transform is linear within the prior.
+# Bounds so wide that they cut nothing.
 SPACE = ParameterSpace(
     ("a.cover", "b.cover", "c.cover"),
     jnp.full(3, -1e4),
     jnp.full(3, 1e4),
     jnp.array([1.0, 2.0, 3.0]),
     jnp.array([0.5, 1.0, 2.0]),
+    distribution="normal",
 )
 MATRIX = jnp.array([[1.0, 1.0, 0.0], [0.0, 2.0, 0.0], [1.0, -1.0, 0.0], [3.0, 0.0, 0.0]])
 DATA = Data(tuple("stuv"), jnp.array([3.5, 5.0, -1.2, 3.6]), jnp.array([0.1, 0.3, 0.2, 0.5]))

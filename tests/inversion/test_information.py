@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.inversion import even_bands, fisher_information, free_space, sweep_sensors
+from fynjax.inversion import (
+    ParameterSpace,
+    even_bands,
+    fisher_information,
+    free_space,
+    sweep_sensors,
+)
 from fynjax.scene import Placement
 from fynjax.sensors import shipped_sensor
 from tests.inversion.linear import DATA, MATRIX, SPACE, posterior
@@ -103,8 +109,13 @@ def swept():
         model, parameters, ["species.*.cover", "ground.brightness", "light.sun_zenith"],
         lambda _: 0.3,
     )  # fmt: skip
-    space = dataclasses.replace(
-        space, upper=space.upper.at[space.names.index("light.sun_zenith")].set(60.0)
+    space = ParameterSpace(
+        space.names,
+        space.lower,
+        space.upper.at[space.names.index("light.sun_zenith")].set(60.0),
+        space.prior,
+        space.prior_sd,
+        distribution=space.distribution,
     )
     options = {
         "gsd": [0.1, 0.8, 1.6],

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import stats
 
 from fynjax._core.errors import InputError
 from fynjax.inversion import ParameterSpace, make_space, match_names
@@ -17,22 +18,107 @@ def space():
     )
 
 
-def test_the_prior_is_the_origin_and_its_width_the_unit(space):
-    np.testing.assert_allclose(space.physical(jnp.zeros(3)), [0.2, 0.5, 0.02], rtol=1e-12)
-    np.testing.assert_allclose(space.slope(jnp.zeros(3)), [0.05, 0.25, 0.006], rtol=1e-9)
+def test_the_median_of_the_prior_is_the_origin(space):
+    np.testing.assert_allclose(space.physical(jnp.zeros(3)), [0.2, 0.5, 0.02], rtol=1e-9)
+    np.testing.assert_allclose(space.prior_sd, [0.05, 0.25, 0.006], rtol=1e-9)
+    assert space.distribution == ("logit-normal", "logit-normal", "lognormal")
 
 
 def test_the_transform_inverts_and_stays_inside_its_bounds(space):
     u = jnp.array([-1.3, 0.4, 2.2])
     np.testing.assert_allclose(space.whitened(space.physical(u)), u, rtol=1e-9)
     far = np.asarray(space.physical(jnp.array([-30.0, 30.0, 30.0])))
-    assert np.all((far >= np.asarray(space.lower)) & (far <= np.asarray(space.upper)))
+    assert np.all((far >= np.asarray(space.lower)) & (far <= (1 + 1e-12) * np.asarray(space.upper)))
 
 
 def test_slope_is_the_derivative(space):
     u = jnp.array([-1.3, 0.4, 2.2])
     jacobian = jax.jacfwd(space.physical)(u)
     np.testing.assert_allclose(jnp.diagonal(jacobian), space.slope(u), rtol=1e-12)
+
+
+KINDS = {
+    "lognormal": (0.0, 10.0, 0.4, 0.15),
+    "logit-normal": (0.0, 1.0, 0.1, 0.06),
+    "normal": (-1.0, np.inf, 3.0, 1.0),
+}
+
+
+def one(kind, lower, upper, prior, sd, **other):
+    limits = ([value] for value in (lower, upper, prior, sd))
+    return ParameterSpace((kind,), *limits, distribution=kind, **other)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_prior_has_its_distribution_with_the_stated_median_and_standard_deviation(kind):
+    """Against scipy's own distributions, drawn."""
+    low, high, median, sd = KINDS[kind]
+    stated = one(kind, *KINDS[kind])
+    normal = np.random.default_rng(3).normal(size=200_000)
+    drawn = np.asarray(jax.vmap(stated.physical)(jnp.asarray(normal[:, None])))[:, 0]
+    assert np.median(drawn) == pytest.approx(median, rel=5e-3)
+    assert drawn.std() == pytest.approx(sd, rel=1e-2)
+    assert np.all((drawn > low) & (drawn < high))
+    z = {"lognormal": np.log, "logit-normal": lambda x: np.log(x / (1 - x)), "normal": np.array}
+    assert stats.kstest(stats.zscore(z[kind](drawn)), "norm").statistic < 0.003
+
+
+def test_a_lognormal_prior_has_the_width_of_its_closed_form():
+    """(sd / median)^2 = (w - 1) w with w = exp(width^2)."""
+    wide = one("lognormal", 0.0, np.inf, 2.0, 2.0 * np.sqrt(np.e * (np.e - 1.0)))
+    np.testing.assert_allclose([wide.width[0], wide.location[0]], [1.0, np.log(2.0)], rtol=1e-10)
+
+
+def test_a_bound_cuts_a_prior_as_scipy_cuts_a_normal_one():
+    own = one("normal", 0.0, 5.0, 1.5, 1.0)
+    cuts = np.asarray(own.cut)[:, 0]
+    truth = stats.truncnorm(*cuts, loc=float(own.location[0]), scale=float(own.width[0]))
+    np.testing.assert_allclose(truth.std(), 1.0, rtol=1e-6)
+    np.testing.assert_allclose(
+        np.asarray(own.quantiles(0.01, 0.5, 0.99))[:, 0], truth.ppf([0.01, 0.5, 0.99]), rtol=1e-9
+    )
+    values, density = own.density()
+    np.testing.assert_allclose(density[:, 0], truth.pdf(np.asarray(values[:, 0])), rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_far_out_a_value_is_inside_and_its_density_finite(kind):
+    space = one(kind, *KINDS[kind])
+    for u in (-30.0, 30.0):
+        (value,), (rate,) = space.physical(jnp.array([u])), space.log_slope(jnp.array([u]))
+        assert float(space.lower[0]) - 1e-6 <= float(value) <= float(space.upper[0]) + 1e-6
+        assert np.isfinite(float(rate))
+        assert np.isfinite(jax.grad(lambda u: space.physical(u)[0])(jnp.array([u]))[0])
+
+
+def test_the_spread_of_a_normal_coordinate_is_exact():
+    """Of a lognormal value about a shifted middle: exp(m + s^2 / 2) sqrt(exp(s^2) - 1)."""
+    space = one("lognormal", 0.0, np.inf, 2.0, 1.0)
+    middle, sd = float(space.location[0] + 0.7 * space.width[0]), 0.5 * float(space.width[0])
+    expected = np.exp(middle + sd**2 / 2.0) * np.sqrt(np.expm1(sd**2))
+    found = space.spread(jnp.array([0.7]), jnp.array([0.5]))
+    np.testing.assert_allclose(found, [expected], rtol=1e-6)
+
+
+def test_a_width_may_be_stated_instead_and_gives_the_standard_deviation():
+    stated = one("lognormal", *KINDS["lognormal"])
+    width = ParameterSpace(
+        ("a",), [0.0], [10.0], [0.4], width=stated.width, distribution="lognormal"
+    )
+    np.testing.assert_allclose(width.prior_sd, [0.15], rtol=1e-9)
+    with pytest.raises(InputError, match="either"):
+        ParameterSpace(("a",), [0.0], [10.0], [0.4])
+
+
+def test_more_than_any_distribution_between_the_bounds_is_refused():
+    with pytest.raises(InputError, match=r"at most 0\.499"):
+        one("logit-normal", 0.0, 1.0, 0.5, 0.6)
+
+
+def test_at_a_bound_is_what_lies_nearer_than_the_prior_does():
+    space = one("logit-normal", 0.0, 1.0, 0.001, 0.0005)
+    assert not space.at_bound(jnp.array([0.0005]))[0]
+    assert space.at_bound(jnp.array([0.00004]))[0]
 
 
 def modes(space, stretch=1.0):
@@ -57,7 +143,7 @@ def modes(space, stretch=1.0):
         ("a.fill", 0.995, 0.99),
         ("a.fill", 0.9, 0.9),
         ("a.leaf.structure", 0.8, 0.84),
-        ("ground.litter_fraction", 0.85, 0.85),
+        ("ground.litter_fraction", 0.9, 0.9),
     ],
 )
 def test_a_prior_that_its_bounds_do_not_hold_is_fitted_to_one_mode_and_named(name, value, centre):
@@ -68,24 +154,40 @@ def test_a_prior_that_its_bounds_do_not_hold_is_fitted_to_one_mode_and_named(nam
     assert modes(space, 1.02) == [2]  # the widest
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "sd", "centre"),
+    [("a.leaf.anthocyanins", 0.0, 0.5, 0.8), ("a.leaf_area_index", 18.0, 0.5, 18.0)],
+)
+def test_an_amount_at_its_bound_keeps_most_of_its_prior(name, value, sd, centre):
+    with pytest.warns(UserWarning, match=rf"{name} from .* to "):
+        space = make_space({name: value}, {name: sd})
+    np.testing.assert_allclose(space.prior, [centre], rtol=1e-6)
+    low, high = np.asarray(space.cut)[:, 0]
+    assert min(-low, high) >= 1.35
+
+
 def test_a_prior_that_its_bounds_hold_stays():
-    """Also where it is near a bound: char of 1 % of the ground is known to a third of that."""
-    values = {"ground.char_fraction": 0.01, "a.fill": 0.7, "a.cover": 0.9}
-    space = make_space(values, {"ground.char_fraction": 0.3, "a.fill": 0.2, "a.cover": 0.1})
-    np.testing.assert_allclose(space.prior, [0.01, 0.7, 0.9], rtol=1e-9)
-    np.testing.assert_allclose(space.prior_sd, [0.003, 0.14, 0.09], rtol=1e-9)
-    assert modes(space) == [1, 1, 1]
+    """Also where it is near a bound: char of 1 % of the ground is known to a third of that. Covers
+    and diameters are bounded by what is physical, however few plants stand ready."""
+    values = {"ground.char_fraction": 0.01, "a.fill": 0.7, "a.cover": 0.9, "b.cover": 0.15}
+    sds = {"ground.char_fraction": 0.3, "a.fill": 0.2, "a.cover": 0.1, "b.cover": 0.5}
+    space = make_space(values, sds)
+    np.testing.assert_allclose(space.prior, [0.01, 0.7, 0.9, 0.15], rtol=1e-9)
+    np.testing.assert_allclose(space.prior_sd, [0.003, 0.14, 0.09, 0.075], rtol=1e-9)
+    np.testing.assert_allclose(space.upper, 1.0)
+    assert modes(space) == [1, 1, 1, 1]
 
 
 def test_halfway_between_its_bounds_a_prior_has_one_mode_up_to_the_root_of_two():
+    """There z has the standard deviation of the root of two."""
     with pytest.warns(UserWarning, match="ground.moisture from 0.5 "):
         space = make_space({"ground.moisture": 0.5}, {"ground.moisture": 1.0})
-    np.testing.assert_allclose(space.prior_sd, np.sqrt(2) / 4, rtol=1e-6)
+    np.testing.assert_allclose(space.width, np.sqrt(2), rtol=1e-6)
 
 
 def test_the_warning_has_the_units_of_files():
     both = dict.fromkeys(("a.fill", "ground.moisture"), 0.3)
-    with pytest.warns(UserWarning, match=r"a\.fill from 100 \(sd 30\) to 99 \(sd 2\.\d+\) %; gr"):
+    with pytest.warns(UserWarning, match=r"a\.fill from 100 \(sd 30\) to 99 \(sd [\d.]+\) %; gr"):
         make_space({"a.fill": 1.0, "ground.moisture": 0.0}, both)
 
 

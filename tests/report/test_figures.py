@@ -46,6 +46,10 @@ def table():
     frame["estimate"] = frame["prior"] * rng.uniform(0.8, 1.2, len(frame))
     frame["constrained"] = rng.uniform(0, 1, len(frame))
     frame["sd"] = frame["prior_sd"] * np.sqrt(1 - frame["constrained"])
+    for name, middle, sd in (("prior_", "prior", "prior_sd"), ("", "estimate", "sd")):
+        frame[f"{name}q05"], frame[f"{name}q95"] = (
+            frame[middle] + sign * 1.645 * frame[sd] for sign in (-1, 1)
+        )
     return frame
 
 

@@ -158,15 +158,17 @@ class ParameterRow(Strict):
     unit: str | None = Field(
         default=None, description="Of the numbers; '%' of a cover, 'cm' of a length. Empty: '-', m."
     )
-    prior: float | None = number("Centre of the prior", "as stated", default=None)
+    prior: float | None = number("Median of the prior", "as stated", default=None)
     prior_sd: float | None = number("Its standard deviation", "as stated", default=None)
+    prior_q05: float | None = number("Its quantile of 5 %", "as stated", default=None)
+    prior_q95: float | None = number("Its quantile of 95 %", "as stated", default=None)
     estimate: float = number("Value that is used", "as stated")
     sd: float | None = number("Standard deviation of the estimate", "as stated", default=None)
     lower: float | None = number("Least plausible value", "as stated", default=None)
     upper: float | None = number("Largest plausible value", "as stated", default=None)
-    q05: float | None = number("Quantile of 5 %, of draws", "as stated", default=None)
+    q05: float | None = number("Quantile of 5 % of the estimate", "as stated", default=None)
     median: float | None = number("Median of draws", "as stated", default=None)
-    q95: float | None = number("Quantile of 95 %, of draws", "as stated", default=None)
+    q95: float | None = number("Quantile of 95 % of the estimate", "as stated", default=None)
     constrained: float | None = number(
         "Share of the prior variance that the data removed", "-", default=None
     )

@@ -97,11 +97,11 @@ def _rows(axes: Axes, labels: Sequence[str]) -> NDArray[np.float64]:
 
 
 def parameter_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
-    """Prior against estimate, with one standard deviation, one panel for each kind.
+    """Prior against estimate, with 90 % intervals, one panel for each kind.
 
-    **Arguments:** `table` with the columns name, kind, unit, prior, prior_sd, estimate, sd; a row
-    for each parameter; `columns`, panels in a row. Within a kind, rows are sorted by the prior,
-    largest first.
+    **Arguments:** `table` with the columns name, kind, unit, prior, prior_q05, prior_q95, estimate,
+    q05, q95; a row for each parameter; `columns`, panels in a row. Within a kind, rows are sorted
+    by the prior, largest first.
     """
     groups = [
         (kind, part.sort_values("prior", ascending=False, kind="stable"))
@@ -111,21 +111,18 @@ def parameter_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
         figure, panels = _panels([(k, len(p)) for k, p in groups], columns, 0.35)
         for axes, (kind, part) in zip(panels, groups, strict=True):
             y = _rows(axes, [_label(str(name), kind) for name in part["name"]])
-            axes.errorbar(
-                part["prior"], y - 0.16, xerr=part["prior_sd"], fmt="o", ms=4, mfc="white",
-                color=GREY, lw=1.0,
-            )  # fmt: skip
-            axes.errorbar(
-                part["estimate"], y + 0.16, xerr=part["sd"], fmt="o", ms=4, color=BLUE, lw=1.4
-            )
+            axes.hlines(y - 0.16, part["prior_q05"], part["prior_q95"], color=GREY, lw=1.0)
+            axes.plot(part["prior"], y - 0.16, "o", ms=4, mfc="white", color=GREY)
+            axes.hlines(y + 0.16, part["q05"], part["q95"], color=BLUE, lw=1.4)
+            axes.plot(part["estimate"], y + 0.16, "o", ms=4, color=BLUE)
             units = part["unit"].astype(str).unique()
             axes.set_title(words(kind).capitalize() + (_unit(units[0]) if len(units) == 1 else ""))
             axes.locator_params(axis="x", nbins=6)
         handles = [
             matplotlib.lines.Line2D(
-                [], [], marker="o", mfc="white", color=GREY, label="prior ±1 sd"
+                [], [], marker="o", mfc="white", color=GREY, label="prior, 90 %"
             ),
-            matplotlib.lines.Line2D([], [], marker="o", color=BLUE, label="estimate ±1 sd"),
+            matplotlib.lines.Line2D([], [], marker="o", color=BLUE, label="estimate, 90 %"),
         ]
         figure.legend(handles=handles, loc="outside upper left", ncols=2)
     return figure

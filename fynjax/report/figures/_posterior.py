@@ -42,8 +42,8 @@ def corner_plot(
 ) -> Figure:
     """Each parameter's distribution on the diagonal, each pair's below it (50 and 90 % of draws).
 
-    **Arguments:** `draws` [draw, parameter]; `names`; `prior`, its centres and standard
-    deviations, drawn as a grey curve. Of more than `most` parameters the first are shown.
+    **Arguments:** `draws` [draw, parameter]; `names`; `prior`, values [point, parameter] and its
+    density there, drawn as a grey curve. Of more than `most` parameters the first are shown.
     """
     values = np.asarray(draws, float)[:, :most]
     size = values.shape[1]
@@ -90,10 +90,8 @@ def _marginal(
     left, right = axes.get_xlim()
     axes.hist(values, np.linspace(left, right, 41), density=True, color=SKY)
     if prior is not None:
-        centre, sd = (np.asarray(part, float)[at] for part in prior)
-        x = np.linspace(left, right, 200)
-        curve = np.exp(-0.5 * ((x - centre) / sd) ** 2) / (sd * np.sqrt(2 * np.pi))
-        axes.plot(x, curve, color=GREY, lw=1.0)
+        x, density = (np.asarray(part, float)[:, at] for part in prior)
+        axes.plot(x, density, color=GREY, lw=1.0)
     for share in np.quantile(values, [0.05, 0.5, 0.95]):
         axes.axvline(share, color=BLUE, lw=0.8, ls="--")
     axes.set_yticks([])

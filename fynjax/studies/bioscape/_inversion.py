@@ -266,8 +266,18 @@ def prior_space(
             centre[free] = _crowns_for(reference, mean)
         near = [quantity(reference, name, centre[free] + d) for d in (-0.01, 0.01)]
         sd[free] = spread * 0.02 / (near[1] - near[0])
-    columns = zip(*((f.lower, f.upper, centre[n], sd[n]) for n, f in FREE.items()))
-    return ParameterSpace(tuple(FREE), *(jnp.asarray(c, float) for c in columns))
+    return logit_space({n: (f.lower, f.upper, centre[n], sd[n]) for n, f in FREE.items()})
+
+
+def logit_space(priors: Mapping[str, tuple[float, float, float, float]]) -> ParameterSpace:
+    """Space of parameters whose lower and upper bound, median and standard deviation are given.
+
+    What plots share is learned in the logit between the bounds, where the standard deviation is
+    that over the logit's slope at the median.
+    """
+    lower, upper, centre, sd = np.array(list(priors.values()), float).T
+    slope = (centre - lower) * (upper - centre) / (upper - lower)
+    return ParameterSpace(tuple(priors), lower, upper, centre, width=sd / slope)
 
 
 def _crowns_for(reference: Reference, live_percent: float) -> float:

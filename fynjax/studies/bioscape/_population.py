@@ -18,7 +18,7 @@ from fynjax.inversion import Hyperprior, ParameterSpace, SpectrumView
 from fynjax.io.plot import BY_FORM, FACTORS, LEAFY_FORMS, PRIOR_PARAMETERS, leaf_factors
 from fynjax.scene import PARAMETERS, PlotParameters, Scene
 from fynjax.studies.bioscape._assumed import ASSUMED_POPULATION
-from fynjax.studies.bioscape._inversion import FREE
+from fynjax.studies.bioscape._inversion import FREE, logit_space
 from fynjax.studies.bioscape._plots import BioscapePlot
 
 PER_PLOT = tuple(PRIOR_PARAMETERS)
@@ -46,21 +46,21 @@ _DARKEST = 0.005
 def population_space() -> ParameterSpace:
     """Parameters of a plot with what is assumed of their means: `ASSUMED_POPULATION`, to one unit
     of the logit for dead tissue and to a half for leaf area; the records' priors for the rest."""
-    columns = []
+    priors = {}
     for name in PER_PLOT:
         centre, (kind, _, form) = ASSUMED_POPULATION[name], name.partition(".")
         if form:
             record = PARAMETERS[kind]
             sd = centre * (1.0 - centre) if kind == "dead_fraction" else _AREA_SD * centre
-            columns.append((record.lower, record.upper, centre, sd))
+            priors[name] = (record.lower, record.upper, centre, sd)
         elif name == "wood_brightness":
             record = PARAMETERS[name]
             assert record.relative_sd is not None
-            columns.append((record.lower, record.upper, centre, record.relative_sd))
+            priors[name] = (record.lower, record.upper, centre, record.relative_sd)
         else:
             free = FREE[name]
-            columns.append((free.lower, free.upper, centre, free.sd))
-    return ParameterSpace(PER_PLOT, *(jnp.asarray(c, float) for c in zip(*columns)))
+            priors[name] = (free.lower, free.upper, centre, free.sd)
+    return logit_space(priors)
 
 
 def effect_matrix() -> Float[np.ndarray, "parameter effect"]:

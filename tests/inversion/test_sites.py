@@ -1,0 +1,93 @@
+"""Sites for plants: more are made where a search asks for them, and who stands stays."""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax.assembly import prepare
+from fynjax.inversion import CalibrationSettings, Data, calibrate_plot, free_space
+from fynjax.inversion._views import AbstractView
+from fynjax.io.plot import read_plot
+from fynjax.scene import room_needed
+from tests.scene.plots import small_parameters, small_plot
+from tests.small import write_plot
+
+
+def planted(room):
+    return small_plot(room=room, extent=(3.0, 3.0), dtype="float32"), small_parameters()
+
+
+class CrownCover(AbstractView):
+    """Crown area over that of the plot: all that the sites decide, without any light."""
+
+    names: tuple[str, ...] = eqx.field(static=True, default=("crown cover",))
+
+    def observe(self, scene, parameters):
+        return None, jnp.sum(scene.crown_areas(parameters))[None] / 9.0
+
+    def for_search(self, scene, accuracy, stride):
+        return self
+
+
+@pytest.fixture(scope="module")
+def plot():
+    return planted(2.5)
+
+
+def test_a_scene_with_more_room_has_the_same_plants_and_others(plot):
+    few, many = plot[0].planting, planted(5.0)[0].planting
+    for kind in (0, 1):
+        mine, theirs = (np.flatnonzero(np.asarray(p.species) == kind) for p in (few, many))
+        assert len(theirs) > 1.9 * len(mine)
+        for name in ("place", "foot", "azimuth", "tilt", "size", "stature", "count"):
+            np.testing.assert_array_equal(
+                getattr(few, name)[mine], getattr(many, name)[theirs][: len(mine)], err_msg=name
+            )
+    # Steps of which each keeps the one before: whoever asks for more finds the same plants.
+    more = planted(7.0)[0].planting
+    np.testing.assert_array_equal(
+        np.asarray(more.foot)[np.asarray(more.species) == 0][:20],
+        np.asarray(many.foot)[np.asarray(many.species) == 0][:20],
+    )
+
+
+def test_the_room_that_counts_need(plot):
+    scene, parameters = plot
+    stated = np.asarray(scene.counts(parameters))
+    assert room_needed(scene, parameters, stated) == 0.0
+    draws = np.stack([stated, stated * np.array([1.0, 6.0, 1.0])])
+    assert room_needed(scene, parameters, draws) > 6.0
+
+
+def test_a_search_gets_the_sites_that_it_asks_for(plot):
+    """Data of four times the table's crowns, where there are sites for 2.5 times as many."""
+    scene, parameters = plot
+    space = free_space(scene, parameters, ["*.cover"], lambda _: 1.0)
+    start = np.asarray(CrownCover().observe(scene, parameters)[1])
+    data = Data(("crown cover",), jnp.asarray(4.0 * start), jnp.array([0.01]))
+    settings = CalibrationSettings(stand_realisations=0, rounds=1)
+    rooms = []
+
+    def grow(room):
+        rooms.append(room)
+        return planted(room)[0]
+
+    found = calibrate_plot(scene, parameters, data, space, [CrownCover()], settings, grow=grow)
+    assert rooms
+    np.testing.assert_allclose(found.statistics_after, data.value, rtol=0.06)
+    assert len(found.scene.planting.species) > len(scene.planting.species)
+    without = calibrate_plot(scene, parameters, data, space, [CrownCover()], settings)
+    assert float(without.statistics_after[0]) < 0.85 * float(data.value[0])
+
+
+def test_a_prior_finds_sites_for_what_it_makes_likely(tmp_path):
+    """Diameters that may be half: four times as many plants."""
+    plot = read_plot(write_plot(tmp_path))
+    wide = dataclasses.replace(plot.calibration, free=("*.diameter",), priors={"*": 0.5})
+    ready = prepare(dataclasses.replace(plot, calibration=wide), None, seed=0)
+    narrow = dataclasses.replace(plot.calibration, free=("*.leaf_area_index",))
+    usual = prepare(dataclasses.replace(plot, calibration=narrow), None, seed=0)
+    assert len(ready.scene.planting.species) > 1.5 * len(usual.scene.planting.species)
