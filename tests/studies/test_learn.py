@@ -218,7 +218,9 @@ def test_an_inversion_starts_from_the_population(tmp_path: Path) -> None:
     plot = read_bioscape(tmp_path)[0]
     learned = LearnedPrior(Path("p.toml"), prior_file(left_out=[]))
     space = prior_space(plot, None, learned)
-    sd = dict(zip(space.names, np.asarray(space.prior_sd)))
+    # The learned spread is that of the logit between the bounds, over its slope at the median.
+    slope = np.asarray(space.slope(np.zeros(len(space.names))))
+    sd = dict(zip(space.names, slope))
     centre = dict(zip(space.names, np.asarray(space.prior)))
     assert centre["soil_brightness"] == pytest.approx(0.4)
     assert sd["soil_brightness"] == pytest.approx(0.05)
