@@ -38,7 +38,6 @@ __all__ = ["app", "main"]
 app = typer.Typer(
     name="fynjax",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -100,9 +99,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     **Arguments:** `arguments` of the command, those of the process by default.
 
-    Exit status 0, 2 for wrong arguments or input, 1 for anything else, 130 for Ctrl-C, 143 for
-    `kill`; other than 0 comes with one line on stderr, except the last. `FYNJAX_DEBUG=1` shows the
-    traceback instead.
+    Exit status 0, 2 for wrong arguments or input, 3 with `--strict` for a result to be doubted, 1
+    for anything else, 130 for Ctrl-C, 143 for `kill`; 1, 2 and 130 come with one line on stderr.
+    `FYNJAX_DEBUG=1` shows the traceback instead.
     """
     # An exit, unlike the signal itself, lets unfinished results be cleared away.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(_TERMINATED))

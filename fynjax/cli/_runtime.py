@@ -1,6 +1,7 @@
 """What every command shares: options, JAX settings, the summary, and one line for an error."""
 
 import functools
+import hashlib
 import inspect
 import json
 import os
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 
 if TYPE_CHECKING:
@@ -41,11 +43,21 @@ Output = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the result
 Json = Annotated[
     bool, typer.Option("--json", help="Print a summary as JSON on stdout, and nothing else.")
 ]
+Strict = Annotated[
+    bool,
+    typer.Option(
+        "--strict",
+        help="Exit status 3 where the result is to be doubted, such as a search that did not "
+        "converge. The files are written all the same.",
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars and no text.")]
 
 Job = Callable[[Path, Progress], "JobResult"]
 """What a command runs: writes into a folder, reports its progress, returns its result."""
 
+DOUBTFUL = 3
+"""Exit status with `--strict` where a result is to be doubted."""
 _TERMINATED = 143
 """Exit status of `kill`, as shells have it."""
 
@@ -87,32 +99,36 @@ def command(
 ) -> Callable[[Callable[..., Job]], Callable[..., None]]:
     """Make a command of a function that takes options and returns a job.
 
-    Adds the options that every command has: --output, --json, --quiet. A function with the option
-    `checkpoint` is given the folder of the unfinished run; with `forget` its journal goes when the
-    run has succeeded. `further`, annotations of options that the function takes as `**options`.
+    Adds the options that every command has: --output, --json, --quiet, --strict. A function with
+    the option `checkpoint` is given the folder of the unfinished run; with `forget` its journal
+    goes when the run has succeeded. `further`, annotations of options that the function takes as
+    `**options`.
     """
     shared: dict[str, tuple[Any, Any]] = {
         **{key: (annotation, None) for key, annotation in (further or {}).items()},
         "output": (Output, Path("output") / name),
         "json": (Json, False),
         "quiet": (Quiet, False),
+        "strict": (Strict, False),
     }
 
     def decorate(function: Callable[..., Job]) -> Callable[..., None]:
         signature = inspect.signature(function)
 
         @functools.wraps(function)
-        def run(*, output: Path, json: bool, quiet: bool, **options: Any) -> None:
+        def run(*, output: Path, json: bool, quiet: bool, strict: bool, **options: Any) -> None:
             checkpoint = None
             if "checkpoint" in options:
                 checkpoint = checkpoint_beside(output, options["checkpoint"])
                 options["checkpoint"] = checkpoint
             job = function(**options)
-            run_job(name, job, output, as_json=json, quiet=quiet, checkpoint=checkpoint)
+            result = run_job(name, job, output, as_json=json, quiet=quiet, checkpoint=checkpoint)
             if forget and checkpoint is not None:
                 from fynjax._core.checkpoint import forget_journal
 
                 forget_journal(checkpoint)
+            if strict and result.status != "ok":
+                sys.exit(DOUBTFUL)
 
         keyword = inspect.Parameter.KEYWORD_ONLY
         parameters = [
@@ -154,6 +170,33 @@ def _stated_files() -> list[Path]:
 
 
 @contextmanager
+def _alone(output: Path) -> Iterator[None]:
+    """Only one run at a time, of one machine, writes into a folder. The first also clears away
+    what runs left there that were killed long ago."""
+    from filelock import FileLock, Timeout
+
+    from fynjax.io.text import remove_abandoned
+
+    name = hashlib.sha256(str(output.resolve()).encode()).hexdigest()[:16]
+    lock = FileLock(cache_folder() / "locks" / name, timeout=0)
+    try:
+        Path(lock.lock_file).parent.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except Timeout:
+        raise InputError(
+            f"another run is writing into {output}: wait for its end, or give another --output"
+        ) from None
+    except (OSError, NotImplementedError):
+        yield  # a home that cannot be written, a file system without locks
+        return
+    try:
+        remove_abandoned(output)
+        yield
+    finally:
+        lock.release()
+
+
+@contextmanager
 def _ended_by_kill() -> Iterator[Callable[[], None]]:
     """Let `kill` end a job as Ctrl-C does, so that what is unfinished is cleared away.
 
@@ -188,8 +231,8 @@ def run_job(
     as_json: bool,
     quiet: bool,
     checkpoint: Path | None = None,
-) -> None:
-    """Run `job(folder, progress)` and print its result.
+) -> "JobResult":
+    """Run `job(folder, progress)`, print its result and return it.
 
     Where an interrupted job leaves a `checkpoint`, a line names it. The job writes into a
     folder beside `output`, whose files are moved to `output` when all of it has succeeded. Then
@@ -201,7 +244,11 @@ def run_job(
     from fynjax.io.text import remove_replaced, staged_folder, write_text
 
     earlier = _listed_files(output, command)
-    with _ended_by_kill() as check_killed, warnings.catch_warnings(record=True) as caught:
+    with (
+        _alone(output),
+        _ended_by_kill() as check_killed,
+        warnings.catch_warnings(record=True) as caught,
+    ):
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
         with staged_folder(output) as folder:
@@ -232,14 +279,15 @@ def run_job(
         print(text)
     elif not quiet:
         show(result)
+    return result
 
 
 def show(result: "JobResult") -> None:
-    """The result in a few lines on stdout."""
-    for line in result.headline:
-        print(line)
+    """The result in a few lines on stdout; first, why it is to be doubted."""
     if result.status != "ok":
         print(f"Status: {result.status}")
+    for line in result.headline:
+        print(line)
     width = max((len(name) for name in result.files), default=0)
     print(f"Written to {result.output}")
     for name, what in result.files.items():

@@ -177,7 +177,10 @@ def calibrate_to(
         ],
         warnings=_short_of_sites(result.scene, result.after),
         converged=bool(result.fit.converged),
-        status="ok" if result.fit.converged else f"not converged: {result.fit.explanation}",
+        status="ok"
+        if result.fit.converged
+        else f"not converged: {result.fit.explanation} Allow more steps (max_iterations in the "
+        "plot file), free fewer parameters, or take the estimate with doubt.",
         targets=[
             TargetSummary(
                 kind=sensor.kind,

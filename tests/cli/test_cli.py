@@ -20,6 +20,7 @@ from fynjax import jobs
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.cli import app, main
+from fynjax.cli._runtime import _alone
 from fynjax.io.plot import as_plot, read_plot
 from fynjax.sensors import shipped_lidars, shipped_sensors
 from fynjax.studies import fynbos_2006
@@ -275,6 +276,46 @@ def test_warnings_of_a_run_are_printed_once_and_kept(capsys, calls, monkeypatch,
     assert status == 0
     assert err == "fynjax: warning: 3 of 600 pixels are masked\n"
     assert json.loads(out)["warnings"] == ["3 of 600 pixels are masked"]
+
+
+def test_two_runs_do_not_write_into_one_folder(capsys, calls, tmp_path, monkeypatch):
+    """The second is refused, and works when the first has ended; another folder is free."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    output = tmp_path / "out"
+    with _alone(output):
+        status, _, err = call(capsys, "demo", "--output", output)
+        assert status == 2
+        assert "another run is writing into" in err
+        assert call(capsys, "demo", "--output", tmp_path / "else")[0] == 0
+    assert call(capsys, "demo", "--output", output)[0] == 0
+
+
+def test_what_a_killed_run_left_long_ago_is_cleared_away(capsys, calls, tmp_path):
+    """Not what is young, and may be of a run on another machine, nor what is the user's."""
+    names = (".out.0123abcd.partial", ".out.89abcdef.partial", ".out.mine.partial")
+    old, young, own = (tmp_path / name for name in names)
+    for each in (old, young, own):
+        each.mkdir()
+        (each / "half.tif").write_text("half")
+    for each in (old, own):
+        os.utime(each, (time.time() - 1e5,) * 2)
+    assert call(capsys, "demo", "--output", tmp_path / "out")[0] == 0
+    assert [each.exists() for each in (old, young, own)] == [False, True, True]
+
+
+def test_a_doubtful_result_says_so_first_and_fails_only_if_asked(
+    capsys, calls, monkeypatch, tmp_path
+):
+    def doubtful(output, progress=None, **_):
+        return Fake(output="", seed=0, command="demo", status="not converged: limit of steps",
+                    headline=["Done."], array=[])  # fmt: skip
+
+    monkeypatch.setattr(fynbos_2006, "demo", doubtful)
+    status, out, _ = call(capsys, "demo", "--output", tmp_path / "a")
+    assert (status, out.splitlines()[0]) == (0, "Status: not converged: limit of steps")
+    status, _, _ = call(capsys, "demo", "--output", tmp_path / "b", "--strict")
+    assert status == 3
+    assert (tmp_path / "b" / "summary.json").is_file()
 
 
 def test_output_that_is_a_file_is_refused(capsys, calls, tmp_path):

@@ -1,8 +1,10 @@
 """Write beside, then rename: a reader finds the old file, the new file, or none."""
 
 import os
+import re
 import secrets
 import shutil
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -78,6 +80,20 @@ def remove_replaced(
             continue
         removed.append(name)
     return removed
+
+
+def remove_abandoned(folder: str | Path) -> None:
+    """Remove what killed runs left beside `folder` (`staged_folder`), if it is older than a day.
+
+    A younger one may belong to a run of another machine on the same disk.
+    """
+    path = Path(folder)
+    ours = re.compile(rf"\.{re.escape(path.stem)}\.[0-9a-f]{{8}}\.partial{re.escape(path.suffix)}")
+    yesterday = time.time() - 86_400.0
+    with suppress(OSError):
+        for each in path.parent.iterdir():
+            if ours.fullmatch(each.name) and each.is_dir() and each.stat().st_mtime < yesterday:
+                shutil.rmtree(each, ignore_errors=True)
 
 
 @contextmanager
