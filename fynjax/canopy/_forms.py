@@ -150,28 +150,28 @@ class FormDefaults:
 
 FORM_DEFAULTS: dict[str, FormDefaults] = {
     "upright_ericoid": FormDefaults(
-        4.9, 0.40, 0.05, 0.5, 0.54, "erectophile", 0.0015,
+        4.2, 0.40, 0.05, 0.19, 0.62, "erectophile", 0.0015,
         "Broom-like: crown widens upwards to 70 % of the height, long ascending shoots of uneven "
         "height with gaps between, small leaves pressed along them, flowers at their ends.",
     ),
     "rounded_shrub": FormDefaults(
-        4.7, 0.50, 0.05, 0.4, 0.51, "spherical", 0.004,
+        4.2, 0.50, 0.05, 0.21, 0.55, "spherical", 0.004,
         "Dome resting near the ground, foliage in many small tufts in its outer shell, many fine "
         "stems.",
     ),
     "tussock": FormDefaults(
-        4.9, 0.05, 0.03, 0.2, 0.66, "erectophile", 0.0024,
+        4.4, 0.05, 0.03, 0.10, 0.67, "erectophile", 0.0024,
         "Leafless green culms that fan out from a small base and arch over, some more than others, "
         "longer to one side; counted as leaf. "
         "Dead stubs at the base are wood, spikelets at the tips are flowers.",
     ),
     "broad_leaved": FormDefaults(
-        5.9, 0.50, 0.01, 0.2, 0.40, "plagiophile", 0.023,
+        5.4, 0.50, 0.01, 0.12, 0.41, "plagiophile", 0.023,
         "Ellipsoidal crown on a few stout stems, foliage in large clumps in its outer shell, "
         "oblique leaves.",
     ),
     "climber": FormDefaults(
-        2.7, 0.0, 0.0, 0.2, 0.46, "planophile", 0.0024,
+        2.4, 0.0, 0.0, 0.12, 0.49, "planophile", 0.0024,
         "Shallow mat of green threads (counted as leaf) that wander over the upper part of its "
         "height, with holes, falling towards its rim; no wood and no visible flowers.",
     ),
@@ -180,14 +180,14 @@ FORM_DEFAULTS: dict[str, FormDefaults] = {
         "Bare stems from the base, forked above, upright to leaning far outwards; wood only.",
     ),
 }  # fmt: skip
-"""Areas, dead tissue and leaf angles of each growth form: starting values for a calibration. Leaf
-area indices and shares of dead tissue are the means of the shipped prior, learned from the spectra
-of 18 BioSCape plots (`fynjax learn`), to two digits; its file has their errors and the spread
-between plots. Leaf area counts dead tissue: some half of it is green. Areas of wood, flowers,
-clumping and leaf angles are assumed. Leaf diameters are the means over the taxa of each form in
-`data/leaf_sizes.csv`, which has a source each, but for Clutia, whose leaves are those of no ericoid
-shrub; outlines are taken for rectangles, culms and threads for strips. That of deadwood is
-assumed."""
+"""Areas, dead tissue, clumping and leaf angles of each growth form: starting values for a
+calibration. Leaf area indices, shares of dead tissue and clumping are the means of the shipped
+prior, learned from the spectra of 18 BioSCape plots (`fynjax learn`), to two digits; its file has
+their errors and the spread between plots. Leaf area counts dead tissue: some half of it is green.
+Areas of wood and flowers and leaf angles are assumed. Leaf diameters are the means over the taxa of
+each form in `data/leaf_sizes.csv`, which has a source each, but for Clutia, whose leaves are those
+of no ericoid shrub; outlines are taken for rectangles, culms and threads for strips. That of
+deadwood is assumed."""
 
 _CROWNS = {
     "upright_ericoid": Crown(0.12, 0.70, 1.6, 2.5, height_power=2.0, shell_power=1.0),

@@ -38,10 +38,10 @@ def learn(
 ) -> Job:
     """Learn what plots share, and how they vary, from the spectra of all at once.
 
-    Growth forms' leaf area and dead tissue, leaf chemistry, brightness of soil and dead tissue, and
-    the model's remaining error. Writes prior.toml, which --prior of other commands takes, tables,
-    and a report page with scores of plots left out. An interrupted run goes on when the same
-    command is given again.
+    Growth forms' leaf area, dead tissue and clumping, leaf chemistry, brightness of soil and dead
+    tissue, and the model's remaining error. Writes prior.toml, which --prior of other commands
+    takes, tables, and a report page with scores of plots left out. An interrupted run goes on when
+    the same command is given again.
 
     Example:  fynjax learn tables --output population
     """

@@ -217,7 +217,7 @@ class GroundParameters(eqx.Module):
         lower=0.1,
         upper=2.5,
         usual=(0.5, 2.0),
-        default=1.41,
+        default=1.3,
         relative_sd=0.3,
         description="Factor on the reflectance of bark, deadwood and the dead tissue of shoots: "
         "from charred to bleached. The default is that of the shipped prior, on the shipped bark; "

@@ -18,13 +18,13 @@ from fynjax.scene._parameters import (
 )
 
 USUAL_LEAF = {
-    "structure": float(structure_from_dry_matter(0.0156)),
-    "chlorophyll": 52.0,
-    "carotenoids": 10.4,
+    "structure": float(structure_from_dry_matter(0.0159)),
+    "chlorophyll": 54.3,
+    "carotenoids": 10.9,
     "anthocyanins": 1.5,
     "brown_pigments": 0.03,
-    "water": 0.017,
-    "dry_matter": 0.0156,
+    "water": 0.0185,
+    "dry_matter": 0.0159,
 }
 """Leaves of a species for which nothing is given: an evergreen, sclerophyllous leaf (200 g m-2,
 52 % water, 60 ug cm-2 of chlorophyll) times the factors of the shipped prior, with the structure

@@ -376,10 +376,10 @@ def test_init_states_means_and_spreads_of_a_prior(capsys, tmp_path, burnt):
     assert (tmp_path / "plot" / "plot.toml").read_text().count('prior.toml: Plots of "fynbos"') == 1
     for one in plot.species:
         leafy = one.growth_form != "deadwood"
-        stated = (one.leaf_area_index, one.dead_fraction)
-        assert stated == ((0.4, 0.4) if leafy else (None, None))
+        stated = (one.leaf_area_index, one.dead_fraction, one.shoot_clumping)
+        assert stated == ((0.4,) * 3 if leafy else (None,) * 3)
         if leafy:
-            for kind in ("leaf_area_index", "dead_fraction"):
+            for kind in ("leaf_area_index", "dead_fraction", "shoot_clumping"):
                 spread = prior.sd(f"{kind}.{one.growth_form}", elsewhere=True) / 0.4
                 found = plot.calibration.relative_sd(f"species.{one.taxon}.{kind}")
                 assert found == pytest.approx(spread, abs=0.006)

@@ -75,14 +75,14 @@ def test_leaf_rows_fall_back_to_the_star_row(folder):
     plot = read_plot(folder / "plot.toml")
     by_taxon = {s.taxon: s for s in plot.species}
     assert by_taxon["Deadwood"].leaf is None
-    assert by_taxon["Restio eleocharis"].leaf.parameters["dry_matter"] == 0.039
+    assert by_taxon["Restio eleocharis"].leaf.parameters["dry_matter"] == 0.0398
     default = by_taxon["Erica irregularis"].leaf.parameters
     assert tuple(default) == LEAF_FIELDS
-    assert default["chlorophyll"] == 52.0
+    assert default["chlorophyll"] == 54.3
 
 
 def test_paths_start_from_the_file_not_from_the_working_folder(folder, monkeypatch, tmp_path):
-    edit(folder / "leaves.csv", "*,,52,10.4,1.5,0.03,0.016,0.0156,", "*,,,,,,,,spectra/leaf.csv")
+    edit(folder / "leaves.csv", "*,,54.3,10.9,1.5,0.03,0.0171,0.0159,", "*,,,,,,,,spectra/leaf.csv")
     (folder / "spectra").mkdir()
     (folder / "spectra" / "leaf.csv").write_text("wavelength_nm,reflectance\n400,0.1\n")
     monkeypatch.chdir(tmp_path)
@@ -224,11 +224,11 @@ def test_unknown_taxon_in_the_leaf_table_names_the_nearest(folder):
 
 
 LEAF_SLIPS = [
-    ("0.04,0.039,", "0.04,390,", "dry_matter", r"g m-2\? In g cm-2 .* 0.039"),
-    ("0.04,0.039,", "40,0.039,", "water", "g m-2"),
-    (",43.5,8.7", "0.5,43.5,8.7", "structure", "from 0.8 to 5"),
-    ("0.04,0.039,", "0.04,0.039,leaf.asd", None, "got both"),
-    ("0.04,0.039,", "0.04,,", None, "dry_matter is empty"),
+    ("0.0428,0.0398,", "0.0428,398,", "dry_matter", r"g m-2\? In g cm-2 .* 0.0398"),
+    ("0.0428,0.0398,", "42.8,0.0398,", "water", "g m-2"),
+    (",45.3,9.1", "0.5,45.3,9.1", "structure", "from 0.8 to 5"),
+    ("0.0428,0.0398,", "0.0428,0.0398,leaf.asd", None, "got both"),
+    ("0.0428,0.0398,", "0.0428,,", None, "dry_matter is empty"),
 ]
 
 
@@ -244,7 +244,7 @@ def test_a_wrong_leaf_row_is_named(folder, old, new, column, words):
 
 def test_a_missing_spectrum_names_table_row_and_neighbour(folder):
     (folder / "leaf_1.csv").write_text("x")
-    edit(folder / "leaves.csv", ",43.5,8.7,1.5,0.03,0.04,0.039,", ",,,,,,,leaf_2.csv")
+    edit(folder / "leaves.csv", ",45.3,9.1,1.5,0.03,0.0428,0.0398,", ",,,,,,,leaf_2.csv")
     with pytest.raises(InputError, match=r"'leaf_2.csv'.*Did you mean 'leaf_1.csv'") as caught:
         read_plot(folder / "plot.toml")
     assert caught.value.row == row_of(folder / "leaves.csv", "Restio")
@@ -387,8 +387,8 @@ def test_dead_tissue_hot_spot_and_structure_of_leaves(folder):
         None,
         False,
     )
-    heavy = plain.species[7].leaf.parameters  # Restio, 390 g m-2
-    assert heavy["structure"] == pytest.approx(390.0**0.275 * np.exp(-0.689))
+    heavy = plain.species[7].leaf.parameters  # Restio, 398 g m-2
+    assert heavy["structure"] == pytest.approx(398.0**0.275 * np.exp(-0.689))
     (folder / "dead.csv").write_text("wavelength_nm,reflectance\n400,0.1\n2500,0.4\n")
     lines = 'leaf_table = "leaves.csv"\ndead_tissue = "dead.csv"\nhot_spot = true'
     edit(folder / "plot.toml", 'leaf_table = "leaves.csv"', lines)
@@ -399,7 +399,7 @@ def test_dead_tissue_hot_spot_and_structure_of_leaves(folder):
     plot = read_plot(folder / "plot.toml")
     assert plot.hot_spot
     assert plot.dead_tissue in plot.inputs
-    assert (plain.ground.wood_brightness, plot.ground.wood_brightness) == (1.41, 1.0)
+    assert (plain.ground.wood_brightness, plot.ground.wood_brightness) == (1.3, 1.0)
     assert [one.dead_fraction for one in plot.species[:2]] == [0.7, None]
     edit(folder / "species.csv", "50,0.7\n", "50,70\n")
     with pytest.raises(InputError, match=r"0.*1.*got 70") as caught:

@@ -101,7 +101,7 @@ def test_errors_between_wavelengths_are_no_smaller_than_at_them(prior) -> None:
         ("    [1, 0.5, 0],", "    [1, 0.9, 0],", "symmetric correlation of the error"),
         ("    [1, 0.5, 0],", "    [4, 0.5, 0],", "ones on its diagonal"),
         ("    [0.5, 1, 0.5,", "    [0.5, 2, 0.5,", "correlation of the means"),
-        ("    [0.5, 1, 0.5,", "    [1, 0.5,", "16 correlations of the means"),
+        ("    [0.5, 1, 0.5,", "    [1, 0.5,", "21 correlations of the means"),
         ("mean_sd = 0.03\nplot_sd = 0.04", "mean_sd = 0\nplot_sd = 0", r"dead_fraction\.\w+ above"),
         ('name = "structure"', 'name = "chlorophyll"', "structure"),
         ("sd = [0.3, 0.2, 0.1]", "sd = [0.3, 0.2]", "3 standard deviations"),
@@ -128,6 +128,7 @@ def test_the_defaults_are_those_of_the_shipped_prior() -> None:
         usual = FORM_DEFAULTS[form]
         assert usual.leaf_area_index == round(mean[f"leaf_area_index.{form}"], 1), form
         assert usual.dead_fraction == round(mean[f"dead_fraction.{form}"], 2), form
+        assert usual.shoot_clumping == round(mean[f"shoot_clumping.{form}"], 2), form
     assert PARAMETERS["wood_brightness"].default == round(mean["wood_brightness"], 2)
     dry = 0.02  # g cm-2
     leaf = {

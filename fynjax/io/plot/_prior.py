@@ -23,7 +23,7 @@ DEFAULT_PRIOR, NO_PRIOR = "fynbos_2023", "none"
 
 LEAFY_FORMS = tuple(form for form, usual in FORM_DEFAULTS.items() if usual.leaf_area_index > 0)
 """Growth forms with leaves."""
-BY_FORM = ("dead_fraction", "leaf_area_index")
+BY_FORM = ("dead_fraction", "leaf_area_index", "shoot_clumping")
 """What each growth form has a value of, in its own unit."""
 FACTORS = {
     "chlorophyll": "factor on chlorophyll and carotenoids of all leaves",
@@ -253,9 +253,10 @@ class LearnedPrior:
 def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
     """A plot with what a learned population says of what its files leave open.
 
-    Leaf area index and dead tissue of species that state none, with the population's spread
-    elsewhere (`LearnedPrior.sd`) as their priors unless the plot file states one; the brightness of
-    dead tissue where it is as shipped. Leaves, soil and plants of meshes stay as they are stated.
+    Leaf area index, dead tissue and clumping of species that state none, with the population's
+    spread elsewhere (`LearnedPrior.sd`) as their priors unless the plot file states one; the
+    brightness of dead tissue where it is as shipped. Leaves, soil and plants of meshes stay as they
+    are stated.
 
     **Arguments:**
 

@@ -233,7 +233,7 @@ def _species_csv(plot: BioscapePlot, population: Mapping[str, float]) -> str:
     ]
     header = (
         "taxon", "mean_diameter_cm", "cover_percent", "height_max_m", "growth_form",
-        "packing_percent", "dead_fraction", "leaf_area_index",
+        "packing_percent", "dead_fraction", "leaf_area_index", "shoot_clumping",
     )  # fmt: skip
     rows: list[tuple[str, float, float, float, str, float | None]] = [
         (
@@ -258,7 +258,10 @@ def _species_csv(plot: BioscapePlot, population: Mapping[str, float]) -> str:
         (
             *(t, d * 100, c * 100, h, form, round(packing, 3)),
             "" if dead is None else round(dead, 4),
-            population.get(f"leaf_area_index.{form}", ""),
+            *(
+                population.get(f"{kind}.{form}", "")
+                for kind in ("leaf_area_index", "shoot_clumping")
+            ),
         )
         for t, d, c, h, form, dead in rows
     ]

@@ -1,9 +1,11 @@
 """What plots of fynbos share, and how they vary: parameters that `fynjax learn` estimates.
 
-By growth form: dead tissue of live shoots and leaf area index. Shared: leaf chemistry as factors on
-what tables and traits say, brightness of soil and of dead tissue. This was chosen before any
-left-out score was read. Dead tissue in shoots does not follow the dead cover of a plot: a slope for
-it lowered the marginal density of the 18 plots, and was dropped after scores were read.
+By growth form: dead tissue and clumping of live shoots, and leaf area index. Shared: leaf chemistry
+as factors on what tables and traits say, brightness of soil and of dead tissue. All but clumping
+was chosen before any left-out score was read, clumping before any with it: less of it closes crowns
+of the same leaf area, and brightens them. Dead tissue in shoots does not follow the dead cover of a
+plot: a slope for it lowered the marginal density of the 18 plots, and was dropped after scores were
+read.
 """
 
 from dataclasses import replace
@@ -27,11 +29,14 @@ COVER_ERROR = "ground seen less bare cover"
 MEANS = (*PER_PLOT, COVER_ERROR)
 """Means of the population: those of the parameters of a plot, and by how much more ground is seen
 from above between leaves and stems than crews note as bare or dead [-]."""
-EFFECTS = (*BY_FORM, *(name for name in PER_PLOT if name in FACTORS and name != "structure"))
+_SHARED = ("shoot_clumping", "structure")
+"""What the shoots and leaves of a growth form are like in every plot."""
+EFFECTS = tuple(name for name in (*BY_FORM, *FACTORS) if name not in _SHARED)
 """What varies between plots: dead tissue and leaf area of all forms alike, and the others."""
 
-_AREA_SD = 0.5
-"""Relative error of assumed leaf areas: shrub crowns have 0.5 to 4."""
+_RELATIVE_SD = 0.5
+"""Relative error of assumed leaf areas, of which shrub crowns have 0.5 to 4, and of clumping, which
+nobody measured on shoots of fynbos."""
 _ALIKE = 0.7
 """Correlation of the errors of assumed values between growth forms."""
 _COVER_ERROR_SD, _CREW_SD = 0.15, 0.10
@@ -45,13 +50,14 @@ _DARKEST = 0.005
 
 def population_space() -> ParameterSpace:
     """Parameters of a plot with what is assumed of their means: `ASSUMED_POPULATION`, to one unit
-    of the logit for dead tissue and to a half for leaf area; the records' priors for the rest."""
+    of the logit for dead tissue and to a half for leaf area and clumping; the records' priors for
+    the rest."""
     priors = {}
     for name in PER_PLOT:
         centre, (kind, _, form) = ASSUMED_POPULATION[name], name.partition(".")
         if form:
             record = PARAMETERS[kind]
-            sd = centre * (1.0 - centre) if kind == "dead_fraction" else _AREA_SD * centre
+            sd = centre * (1.0 - centre) if kind == "dead_fraction" else _RELATIVE_SD * centre
             priors[name] = (record.lower, record.upper, centre, sd)
         elif name == "wood_brightness":
             record = PARAMETERS[name]
@@ -158,6 +164,7 @@ class PopulationForward(eqx.Module):
             species=replace(
                 species,
                 leaf_area_index=by_form("leaf_area_index"),
+                shoot_clumping=by_form("shoot_clumping"),
                 dead_fraction=jnp.where(leafy, 1.0 - live, species.dead_fraction),
             ),
             leaf=eqx.tree_at(

@@ -100,7 +100,7 @@ def _with_population(prior: LearnedPrior, text: str, folder: Path) -> str:
     values = prior.values()
     source = f"prior {prior.path.name}: {prior.file.title}"
     notes = (
-        "# Leaf area and dead tissue: means of the growth forms, learned from spectra",
+        "# Leaf area, dead tissue, clumping: means of the growth forms, learned from spectra",
         f"# ({source}).",
     )
 
@@ -126,7 +126,7 @@ def _with_population(prior: LearnedPrior, text: str, folder: Path) -> str:
             {name: of_leaf(name) for name in known},
         )
     priors = [
-        "# Leaf area and dead tissue: spread between plots and regions, and error of the mean",
+        "# Leaf area, dead tissue, clumping: spread between plots and regions, error of the mean",
         f"# ({source}).",
     ]
     for row in rows:
@@ -138,7 +138,7 @@ def _with_population(prior: LearnedPrior, text: str, folder: Path) -> str:
     wood, spread = values["wood_brightness"], prior.sd("wood_brightness", elsewhere=True)
     priors.append(f'"ground.wood_brightness" = {spread / wood:.2f}')
     text = re.sub("# wood_brightness = [0-9.]+", f"wood_brightness = {wood:.2f} ", text)
-    text = re.sub(r'(?m)^"\*\.leaf_area_index" = .*\n', "", text)
+    text = re.sub(r'(?m)^"\*\.(leaf_area_index|shoot_clumping)" = .*\n', "", text)
     text = text.replace(
         "not measured here, and how densely they stand was guessed", "not measured here"
     )
