@@ -5,12 +5,15 @@ calibration to the drone image.
 
 `--calibration` is the output folder of `fynjax demo`, which is run if it is left out. The drone
 image is what the calibration was fitted to; spectrometer and LiDAR are predictions. LiDAR numbers
-are shown in the conventions of each known tool, since the paper does not state its own.
+are those of the paper's simulated system and of an aircraft's scanner, as the real one was, in the
+conventions of each known tool and with gaps as canopy cells without a return above the ground,
+since the paper does not state its own.
 """
 
 import argparse
 import shutil
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -40,6 +43,12 @@ SEED = 0
 SWIR2_MEAN = {"real": 0.063, "dirsig": 0.008}  # the paper's section on the spectrometer
 REAL_RETURNS = 1317  # 13.17 per m2 on 100 m2
 GRAIN = 2.0  # m
+LIDARS = ("flash_lidar_paper", "scanning_lidar")
+CONVENTIONS = {
+    "fynjax": StructureSettings(),
+    "gaps by cells of 0.5 m": replace(StructureSettings(), gap_of="canopy"),
+    **STRUCTURE_PRESETS,
+}
 
 
 def main() -> None:
@@ -60,7 +69,9 @@ def main() -> None:
             folder = output / name
             plot = _plot(folder / "plot", values)
             _simulate(plot, folder)
-            columns[name] = pd.concat([_drone(folder), _spectrometer(folder), _lidar(folder)])
+            columns[name] = pd.concat(
+                [_drone(folder), _spectrometer(folder), *(_lidar(folder, l) for l in LIDARS)]
+            )
         table = columns["uncalibrated"].rename(columns={"simulated": "uncalibrated"})
         table["calibrated"] = columns["calibrated"]["simulated"]
         for name in ("dirsig", "uncalibrated", "calibrated"):
@@ -87,7 +98,7 @@ def _plot(folder: Path, calibration: Path | None) -> Path:
 
 
 def _simulate(plot: Path, folder: Path) -> None:
-    for name in ("drone", "aviris_ng", "lidar"):
+    for name in ("drone", "aviris_ng", *LIDARS):
         (folder / name).mkdir()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the paper's pixel against the optics
@@ -95,7 +106,8 @@ def _simulate(plot: Path, folder: Path) -> None:
         simulate(
             plot, folder / "aviris_ng", sensor="aviris_ng", pixel=3.0, products=["reflectance"]
         )
-    simulate(plot, folder / "lidar", sensor="flash_lidar_paper", seed=SEED)
+    for name in LIDARS:
+        simulate(plot, folder / name, sensor=name, seed=SEED)
 
 
 def _drone(folder: Path) -> pd.DataFrame:
@@ -133,12 +145,12 @@ def _spectrometer(folder: Path) -> pd.DataFrame:
     return pd.DataFrame(rows).assign(sensor="aviris_ng")
 
 
-def _lidar(folder: Path) -> pd.DataFrame:
-    cloud = laspy.read(folder / "lidar" / "cloud.laz")
+def _lidar(folder: Path, sensor: str) -> pd.DataFrame:
+    cloud = laspy.read(folder / sensor / "cloud.laz")
     x, y, z = (np.asarray(getattr(cloud, axis)) for axis in "xyz")
     grid = cell_grid((0.0, 0.0, 10.0, 10.0), GRAIN)
     published, rows = structure_2006(), []
-    for name, settings in {"fynjax": StructureSettings(), **STRUCTURE_PRESETS}.items():
+    for name, settings in CONVENTIONS.items():
         found: dict[str, list[float]] = {}
         for chosen in thinnings(len(x), REAL_RETURNS, 100, np.random.default_rng(SEED)):
             cells = cell_structure(bin_returns(x[chosen], y[chosen], z[chosen], grid, settings))
@@ -156,7 +168,7 @@ def _lidar(folder: Path) -> pd.DataFrame:
                         "simulated": float(np.median(found[metric])),
                     }
                 )
-    return pd.DataFrame(rows).assign(sensor="lidar")
+    return pd.DataFrame(rows).assign(sensor=sensor)
 
 
 if __name__ == "__main__":

@@ -88,7 +88,7 @@ def test_the_files_of_a_build_agree(plot: Path, tmp_path: Path) -> None:
     seen = euclea * (1 - np.prod(1 - disc / 4.0)) / every  # crowns overlap
     form = FORM_DEFAULTS["broad_leaved"]
     area, dead = form.leaf_area_index, form.dead_fraction
-    assert leaf == pytest.approx(area * (1 - 0.2) * seen, rel=1e-3)
+    assert leaf == pytest.approx(area * (1 - form.shoot_clumping) * seen, rel=1e-3)
     stand = pd.read_csv(out / "stand.csv").set_index("taxon")
     assert stand.leaf_area_index["all"] == pytest.approx((1 - dead) * area * seen / 4.0, abs=1e-3)
     assert stand.dead_area_index["all"] == pytest.approx(dead * area * seen / 4.0, abs=1e-3)
