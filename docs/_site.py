@@ -65,8 +65,9 @@ def described(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 
 
 def plain(text: str) -> str:
-    """Words on one line, whose asterisks, angles and bars outside code are no Markdown."""
+    """Words on one line, in which nothing outside code is taken for Markdown or a link."""
     parts = re.split(r"(`[^`]*`)", " ".join(text.split()))
+    parts[::2] = [re.sub(r"(?<=\])(\s?)\[", r"\1\\[", part) for part in parts[::2]]
     parts[::2] = [re.sub(r"([*<])", r"\\\1", part) for part in parts[::2]]
     return "".join(parts).replace("|", r"\|")
 

@@ -163,6 +163,13 @@ def test_the_site_needs_no_network() -> None:
         assert not re.search(r"(src|href)=.https?:|@import|\]\(https?:", path.read_text("utf-8"))
 
 
+def test_the_build_fails_on_a_warning() -> None:
+    assert "strict: true" in (ROOT / "mkdocs.yml").read_text("utf-8")
+    build = (ROOT / ".ci" / "docs").read_text("utf-8")
+    assert '"$bin/mkdocs" build' in build
+    assert 'mkdocs" build --quiet' not in build  # which lets warnings pass
+
+
 def test_every_public_package_has_a_page() -> None:
     public = {
         ".".join(p.parent.relative_to(ROOT).parts)
