@@ -1,8 +1,29 @@
 """Errors a user can act on: what was expected, what came, where, and the likely slip."""
 
 import difflib
+import re
 from collections.abc import Iterable
 from pathlib import Path
+
+LARGEST = 1e15
+"""No measurement is larger than this, in any unit that files may state."""
+
+_LONGEST_WORD, _LONGEST_LIST, _LONGEST = 80, 160, 1500
+
+
+def _plain(text: str, most: int) -> str:
+    """Text without characters that control a terminal, and with what is very long cut.
+
+    Files come from anybody: what of them an error shows is a cell, not a page.
+    """
+    text = "".join(c if c.isprintable() else " " if c.isspace() else repr(c)[1:-1] for c in text)
+    text = re.sub(rf"\S{{{_LONGEST_WORD + 1},}}", lambda m: m[0][: _LONGEST_WORD - 3] + "...", text)
+    return text if len(text) <= most else text[: most - 3] + "..."
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names with commas between, cut short where they are many."""
+    return _plain(", ".join(_plain(name, 40) for name in names), _LONGEST_LIST)
 
 
 class InputError(ValueError):
@@ -23,6 +44,8 @@ class InputError(ValueError):
         row: int | None = None,
         column: str | int | None = None,
     ) -> None:
+        message = _plain(message, _LONGEST)
+        column = _plain(column, _LONGEST_WORD) if isinstance(column, str) else column
         where = [] if file is None else [str(file)]
         if row is not None:
             where.append(f"row {row}")

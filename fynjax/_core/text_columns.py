@@ -214,10 +214,12 @@ def places_of(names: Iterable[str], aliases: Mapping[str, Iterable[str]]) -> dic
 def name_and_unit(header: str) -> tuple[str, str]:
     """A column's name and its unit, in small letters: "X [cm]" is ("x", "cm")."""
     match = re.fullmatch(
-        r"(.*?)[\s_\[(]+(m|cm|mm|ft|feet|foot|us_?ft|deg|degrees?|metres?|meters?)[\])]*",
+        r"(.*?[^\s_\[(])?[\s_\[(]+(m|cm|mm|ft|feet|foot|us_?ft|deg|degrees?|metres?|meters?)[\])]*",
         header.strip().lower(),
     )
-    return (match.group(1).strip(), match.group(2)) if match else (header.strip().lower(), "")
+    if match is None:
+        return header.strip().lower(), ""
+    return (match.group(1) or "").strip(), match.group(2)
 
 
 def _plain(names: Iterable[str]) -> set[str]:

@@ -1,6 +1,5 @@
 """What a calibration is to reach, from files of any sensor: statistics, their errors, a view."""
 
-import csv
 import io
 import warnings
 from collections.abc import Callable, Sequence
@@ -32,7 +31,7 @@ from fynjax.inversion import (
 )
 from fynjax.io.plot import Plot, drone_sensor, read_statistics, read_structure
 from fynjax.io.raster import open_raster
-from fynjax.io.text import existing_file, read_text
+from fynjax.io.text import existing_file, read_text, split_line
 from fynjax.metrics import (
     BANDS,
     STRUCTURE_METRICS,
@@ -123,13 +122,12 @@ def _band_count(path: Path) -> int:
 def _header(path: Path) -> list[str]:
     """Cells of the first line that is none of remarks; none of a file that is no text."""
     try:
-        text = read_text(path)
+        for line in io.StringIO(read_text(path)):
+            if line.strip(" ,\n") and not line.lstrip().startswith("#"):
+                mark = next((m for m in (";", "\t") if m in line and "," not in line), ",")
+                return split_line(line, path, 1, mark)
     except InputError:
-        return []
-    for line in io.StringIO(text):
-        if line.strip(" ,\r\n") and not line.lstrip().startswith("#"):
-            mark = next((m for m in (";", "\t") if m in line and "," not in line), ",")
-            return [c.strip() for c in next(csv.reader([line], delimiter=mark))]
+        pass
     return []
 
 

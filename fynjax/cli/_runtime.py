@@ -51,6 +51,13 @@ Strict = Annotated[
         "converge. The files are written all the same.",
     ),
 ]
+AllowOutside = Annotated[
+    bool,
+    typer.Option(
+        "--allow-outside",
+        help="The plot file may name files outside its folder; for plot files that you trust.",
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars and no text.")]
 
 Job = Callable[[Path, Progress], "JobResult"]
@@ -99,10 +106,10 @@ def command(
 ) -> Callable[[Callable[..., Job]], Callable[..., None]]:
     """Make a command of a function that takes options and returns a job.
 
-    Adds the options that every command has: --output, --json, --quiet, --strict. A function with
-    the option `checkpoint` is given the folder of the unfinished run; with `forget` its journal
-    goes when the run has succeeded. `further`, annotations of options that the function takes as
-    `**options`.
+    Adds the options that every command has: --output, --json, --quiet, --strict; and
+    --allow-outside to one that takes a `plot`. A function with the option `checkpoint` is given the
+    folder of the unfinished run; with `forget` its journal goes when the run has succeeded.
+    `further`, annotations of options that the function takes as `**options`.
     """
     shared: dict[str, tuple[Any, Any]] = {
         **{key: (annotation, None) for key, annotation in (further or {}).items()},
@@ -114,14 +121,25 @@ def command(
 
     def decorate(function: Callable[..., Job]) -> Callable[..., None]:
         signature = inspect.signature(function)
+        options_of_all = dict(shared)
+        if "plot" in signature.parameters:
+            options_of_all["allow_outside"] = (AllowOutside, False)
 
         @functools.wraps(function)
-        def run(*, output: Path, json: bool, quiet: bool, strict: bool, **options: Any) -> None:
+        def run(
+            *,
+            output: Path,
+            json: bool,
+            quiet: bool,
+            strict: bool,
+            allow_outside: bool = False,
+            **options: Any,
+        ) -> None:
             checkpoint = None
             if "checkpoint" in options:
                 checkpoint = checkpoint_beside(output, options["checkpoint"])
                 options["checkpoint"] = checkpoint
-            job = function(**options)
+            job = _trusting(function, options) if allow_outside else function(**options)
             result = run_job(name, job, output, as_json=json, quiet=quiet, checkpoint=checkpoint)
             if forget and checkpoint is not None:
                 from fynjax._core.checkpoint import forget_journal
@@ -138,7 +156,7 @@ def command(
         ]
         parameters += [
             inspect.Parameter(key, keyword, default=default, annotation=kind)
-            for key, (kind, default) in shared.items()
+            for key, (kind, default) in options_of_all.items()
         ]
         run.__signature__ = signature.replace(  # type: ignore[attr-defined]
             parameters=parameters, return_annotation=None
@@ -147,6 +165,18 @@ def command(
         return run
 
     return decorate
+
+
+def _trusting(function: Callable[..., Job], options: Mapping[str, Any]) -> Job:
+    """A job whose plot file may name files outside its folder."""
+
+    def job(folder: Path, progress: Progress) -> "JobResult":
+        from fynjax.io.plot import read_plot
+
+        plot = read_plot(options["plot"], allow_outside=True)
+        return function(**{**options, "plot": plot})(folder, progress)
+
+    return job
 
 
 def _listed_files(output: Path, command: str) -> list[str]:

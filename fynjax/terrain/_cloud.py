@@ -2,6 +2,7 @@
 
 import logging
 import re
+import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax.io.raster import check_metric, parse_crs
-from fynjax.io.text import existing_file
+from fynjax.io.text import check_stated_size, existing_file
 from fynjax.terrain._units import (
     Bounds,
     check_bounds,
@@ -157,10 +158,12 @@ def _read_las(path: Path, unit_stated: bool, height_stated: bool) -> tuple[Any, 
     laspy = require("laspy", "terrain")
     if path.suffix.lower() == ".laz":
         require("lazrs", "terrain")
+    _check_las_header(path)
     # A logger without a handler prints to stderr, and the error below is clearer.
     logging.getLogger("laspy").addHandler(logging.NullHandler())
     try:
-        las = laspy.read(path)
+        # Its parallel decompressor takes whatever memory a damaged table of parts asks for.
+        las = laspy.read(path, laz_backend=laspy.LazBackend.Lazrs)
         promised = int(las.header.point_count)
         x, y, z = (np.array(axis, np.float64) for axis in (las.x, las.y, las.z))
         labels = np.array(las.classification, np.uint8)
@@ -185,6 +188,47 @@ def _read_las(path: Path, unit_stated: bool, height_stated: bool) -> tuple[Any, 
     classes = labels[keep] if labels.any() else None
     system = _las_crs(las.header, path, unit_stated, height_stated)
     return x[keep], y[keep], z[keep], classes, system
+
+
+def _check_las_header(path: Path) -> None:
+    """`InputError` where a LAS or LAZ header states more than its file can hold.
+
+    Fields as in LAS 1.4 R15, tables 3, 5 and 6, and in the LASzip specification 1.4, section 4.
+    A decompressor that is told of too many chunks ends the process instead of raising.
+    """
+    held = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(375).ljust(375, b"\0")
+        minor, (header_size,) = head[25], struct.unpack_from("<H", head, 94)
+        start, n_records, kind, size, count = struct.unpack_from("<IIBHI", head, 96)
+        if minor >= 4:
+            first_extended, n_extended, count = struct.unpack_from("<QIQ", head, 235)
+            check_stated_size(
+                path, first_extended + 60 * n_extended if n_extended else 0,
+                f"{n_extended} extended records", packed=False,
+            )  # fmt: skip
+        check_stated_size(path, header_size + 54 * n_records, f"{n_records} records", packed=False)
+        packed = bool(kind & 0x80)
+        check_stated_size(
+            path, count * size if packed else start + count * size, f"{count} points", packed=packed
+        )
+        if not packed:
+            return
+        file.seek(start)
+        table = int.from_bytes(file.read(8), "little", signed=True)
+        if table == -1:  # written as a stream: the place stands at the end
+            file.seek(max(held - 8, 0))
+            table = int.from_bytes(file.read(8), "little", signed=True)
+        if not 0 <= table <= held - 8:
+            raise InputError(
+                "the table of its compressed parts lies outside the file. Is it cut short? Copy it "
+                "again.",
+                file=path,
+            )
+        file.seek(table + 4)
+        chunks = int.from_bytes(file.read(4), "little")
+        # Each part begins with a whole point.
+        check_stated_size(path, chunks * size, f"{chunks} compressed parts", packed=False)
 
 
 def _las_crs(header: Any, path: Path, unit_stated: bool, height_stated: bool) -> Any:

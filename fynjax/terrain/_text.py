@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, listed
 from fynjax._core.text_columns import name_and_unit, open_text_table, places_of
 
 _NAMES = {
@@ -30,7 +30,7 @@ def _columns(names: tuple[str, ...], path: Path, row: int, unit_stated: bool) ->
             else " Name the columns x, y, z."
         )
         raise InputError(
-            f"expected columns x, y and z, but the header has {', '.join(names)}.{hint}",
+            f"expected columns x, y and z, but the header has {listed(names)}.{hint}",
             file=path,
             row=row,
         )

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import LARGEST, InputError
 from fynjax.io.raster import UNITS
 
 Bounds = tuple[float, float, float, float]
@@ -55,11 +55,12 @@ def check_coordinates(
     """Refuse points whose numbers cannot be metres, as far as numbers show it."""
     if len(x) < 3:
         raise InputError(f"expected a point cloud, but it has {len(x)} points", file=file)
-    bad = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
+    bad = ~np.all([np.abs(axis) < LARGEST for axis in (x, y, z)], axis=0)  # also NaN
     if bad.any():
         raise InputError(
             f"expected finite coordinates, but {int(bad.sum())} of {len(x)} points have NaN or "
-            f"infinity; the first is point {int(np.argmax(bad)) + 1}",
+            f"infinity, or numbers beyond {LARGEST:g}; the first is point "
+            f"{int(np.argmax(bad)) + 1}",
             file=file,
         )
     wide, deep = float(np.ptp(x)), float(np.ptp(y))

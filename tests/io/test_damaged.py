@@ -1,5 +1,7 @@
 """Damaged files end in one error that names the file; nothing else comes up from the depths."""
 
+import gzip
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,12 +12,19 @@ import rasterio
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
+from fynjax.canopy import read_plant_mesh
 from fynjax.compare import read_drone_image, read_spectra_sample
-from fynjax.io.instruments import load_lidar, load_sensor
+from fynjax.io.instruments import load_lidar, load_sensor, read_atmosphere
 from fynjax.io.micasense import read_capture
-from fynjax.io.raster import read_band_stack, read_cube, read_probability_map
+from fynjax.io.plot import read_statistics, read_structure
+from fynjax.io.raster import (
+    read_band_stack,
+    read_cube,
+    read_probability_map,
+    write_geotiff,
+)
 from fynjax.io.spectra import read_spectra
-from fynjax.terrain import read_terrain
+from fynjax.terrain import read_cloud, read_terrain
 
 
 def drone_image(path: Path) -> Any:
@@ -38,6 +47,12 @@ def map_of_a_plot(path: Path) -> Any:
         ("rededge-18-IMG_0001_1.tif", lambda path: read_capture("IMG_0001", [path])),
         ("prob-631-prob.tif", map_of_a_plot),
         ("prob-631-prob.tif", read_terrain),
+        ("crash-laz-47-cloud.laz", read_cloud),
+        ("plymesh-47-mesh.ply", read_plant_mesh),
+        ("plymesh-100-mesh.ply", read_plant_mesh),
+        ("obj-140-plant.obj", read_plant_mesh),
+        ("stats-207-statistics.csv", read_statistics),
+        ("cr2.csv", read_atmosphere),
         ("envilib-254-lib.hdr", read_spectra),
         ("envilib-1169-lib.hdr", read_spectra),
         ("spectxt-18-ribb00001.asd.txt", read_spectra),
@@ -83,3 +98,80 @@ def test_an_image_of_more_pixels_than_its_file_can_hold(
     ).close()  # fmt: skip
     with pytest.raises(InputError, match="60000 x 60000 pixels"):
         read(path)
+
+
+def test_lines_may_end_as_on_old_macs(shared_data: Path) -> None:
+    structure = read_structure(shared_data / "damaged" / "structure-93-structure.csv")
+    assert structure.metrics == ("gap_fraction", "rugosity", "height_cv")
+
+
+def test_a_compressed_file_that_unfolds_to_too_much(tmp_path: Path) -> None:
+    path = tmp_path / "leaf.csv.gz"
+    with gzip.open(path, "wb", compresslevel=9) as file:
+        for _ in range(513):
+            file.write(bytes(1 << 20))
+    assert path.stat().st_size < 1 << 20
+    with pytest.raises(InputError, match=r"leaf\.csv\.gz: .* at most 512 MiB, but it unfolds to"):
+        read_spectra(path)
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "a = " + "9" * 4301, "a = [1e400]"])
+def test_toml_that_python_cannot_hold(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "own.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"own\.toml"):
+        load_sensor(path)
+
+
+def test_numbers_beyond_any_measurement(tmp_path: Path) -> None:
+    path = tmp_path / "statistics.csv"
+    path.write_text("statistic,value,sd\nNDVI.mean,1e400,0.1\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"row 2, column 'value'"):
+        read_statistics(path)
+    path.write_text("statistic,value,sd\nNDVI.mean,1e266,0.1\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"row 2.*expected value within 1e\+15"):
+        read_statistics(path)
+
+
+def test_impossible_values_of_an_image_are_missing(tmp_path: Path) -> None:
+    values = np.full((1, 3, 4), 0.2, np.float32)
+    values[0, 1, 2] = 3e38
+    path = tmp_path / "image.tif"
+    write_geotiff(path, values, ["red"], pixel_m=0.5, crs="EPSG:32734")
+    with pytest.warns(UserWarning, match="image.tif: 1 of 12 values .* such as 3e\\+38"):
+        cube = read_cube(path)
+    assert np.isnan(cube.values).sum() == 1
+    assert np.nanmax(cube.values) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda path: path.symlink_to("gone.csv"), "a link to 'gone.csv', which is not there"),
+        (lambda path: path.symlink_to(path.name), "a link that leads back to itself"),
+        (os.mkfifo if hasattr(os, "mkfifo") else Path.mkdir, "a pipe|a folder"),
+        (lambda path: (path.parent / "c.csv").touch(), "no such file. Did you mean 'c.csv'"),
+    ],
+)
+def test_what_is_no_file_is_called_by_its_name(tmp_path: Path, make: Any, words: str) -> None:
+    path = tmp_path / "b.csv"
+    make(path)
+    for read in (read_statistics, read_spectra, read_cloud):
+        with pytest.raises(InputError, match=words):
+            read(path)
+
+
+def test_a_name_that_no_file_can_have() -> None:
+    for name in ("a" * 300 + ".csv", "a\0b.csv"):
+        with pytest.raises(InputError, match=r"cannot be opened \("):
+            read_statistics(name)
+
+
+def test_an_error_repeats_a_cell_and_no_page(tmp_path: Path) -> None:
+    path = tmp_path / "statistics.csv"
+    path.write_text(f"\x1b[2J{'a' * 5000},{','.join('bcdefgh' * 100)}\n1\n", encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_statistics(path)
+    message = str(caught.value).removeprefix(str(path))
+    assert message.isprintable()
+    assert len(message) < 600

@@ -187,7 +187,7 @@ def test_unknown_and_missing_files(tmp_path):
     (tmp_path / "a.txt").write_text("hello world\nnothing here\n")
     with pytest.raises(InputError, match="unknown format"):
         read_spectra(tmp_path / "a.txt")
-    with pytest.raises(InputError, match="there is none"):
+    with pytest.raises(InputError, match="no such file"):
         read_spectra(tmp_path / "gone.csv")
 
 

@@ -60,6 +60,7 @@ def plant_mesh_of(mesh: Any) -> PlantMesh:
         )
         name = names_of_file.get(name, name)
         corners = np.asarray(geometry.faces)
+        _check_shape(np.asarray(geometry.vertices), corners, file)
         check_vertex_normals(geometry, name, file)
         if name not in names:
             names.append(name)
@@ -77,6 +78,25 @@ def plant_mesh_of(mesh: Any) -> PlantMesh:
     return PlantMesh(
         np.concatenate(vertices), np.concatenate(faces), np.concatenate(material), tuple(names)
     )
+
+
+def _check_shape(vertices: np.ndarray, corners: np.ndarray, file: str | None) -> None:
+    """`InputError` unless each face has three corners that are there, each with three numbers."""
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise InputError(
+            f"each vertex must have x, y and z, but the shape is {vertices.shape}", file=file
+        )
+    if corners.ndim != 2 or corners.shape[1] != 3:
+        raise InputError(
+            f"each face must have three corners, but the shape is {corners.shape}", file=file
+        )
+    if corners.min() < 0 or corners.max() >= len(vertices):
+        wrong = int(corners.min() if corners.min() < 0 else corners.max())
+        raise InputError(
+            f"each corner of a face must be one of {len(vertices)} vertices, counted from 0, but "
+            f"one is {wrong}",
+            file=file,
+        )
 
 
 def _load_obj(file: str) -> tuple[Any, dict[str, str]]:

@@ -1,7 +1,5 @@
 """Atmospheres that a user computed elsewhere (MODTRAN, libRadtran, 6S), from CSV or NetCDF."""
 
-import csv
-import io
 import re
 from pathlib import Path
 
@@ -9,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, listed
 from fynjax._core.spectral import check_wavelength
-from fynjax.io.text import did_you_mean, existing_file, read_text
+from fynjax.io.text import did_you_mean, existing_file, split_lines
 from fynjax.sensors.air import Atmosphere
 
 _KINDS = {
@@ -109,7 +107,7 @@ def read_atmosphere(path: str | Path) -> Atmosphere:
         }
         hint = hints.get(missing[0], "")
         raise InputError(
-            f"expected a curve {missing[0]!r}, but the file has {', '.join(columns)}.{near}{hint}",
+            f"expected a curve {missing[0]!r}, but the file has {listed(columns)}.{near}{hint}",
             file=path,
             column=missing[0],
         )
@@ -129,10 +127,7 @@ def _from_csv(path: Path) -> tuple[dict[str, tuple[str | None, np.ndarray]], lis
     header: list[str] | None = None
     rows: list[int] = []
     cells: list[list[float]] = []
-    for number, line in enumerate(io.StringIO(read_text(path)), start=1):
-        if not line.strip(" ,\r\n") or line.lstrip().startswith("#"):
-            continue
-        row = [cell.strip() for cell in next(csv.reader([line], skipinitialspace=True))]
+    for number, row in split_lines(path):
         if header is None:
             header = row
             continue

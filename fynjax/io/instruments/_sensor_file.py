@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from fynjax._core.errors import InputError
 from fynjax.io.instruments._lidar_file import load_lidar
 from fynjax.io.instruments._sensor_tables import BandRow, CurveRow, NoiseRow, SensorFile
-from fynjax.io.text import did_you_mean, existing_file, line_of, read_rows, read_toml
+from fynjax.io.text import did_you_mean, existing_file, line_of, named_file, read_rows, read_toml
 from fynjax.sensors import (
     Lidar,
     Sensor,
@@ -64,7 +64,7 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
 
     - `name_or_path`: a name such as 'mavic_3m' (see `fynjax.sensors.shipped_sensors`), or the path
       of a sensor file (TOML; `data_schemas/sensor.schema.json`). Paths in the file start from its
-      own folder.
+      own folder, and stay in it.
 
     **Returns:** a `fynjax.sensors.Sensor`.
 
@@ -82,17 +82,8 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     tables: dict[str, list[tuple[int, BaseModel]]] = {}
 
     def rows(key: str, name: str, model: type[BaseModel], what: str) -> None:
-        beside = path.parent / name
-        try:
-            existing_file(beside, what)
-        except InputError as error:
-            table, _, column = key.partition(".")
-            raise InputError(
-                f"{name!r}: {str(error).removeprefix(f'{error.file}: ')}",
-                file=path,
-                row=line_of(text, (table, column)),
-                column=key,
-            ) from error
+        row = line_of(text, tuple(key.split(".")))
+        beside = named_file(path, name, what, within=path.parent, row=row, column=key)
         tables[name] = read_rows(beside, model, what)
 
     bands, noise = description.bands, description.noise

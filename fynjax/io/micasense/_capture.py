@@ -14,7 +14,7 @@ from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.io.micasense._metadata import RedEdgeBand, read_rededge_band
 from fynjax.io.raster import Alignment, align_bands
-from fynjax.io.text import did_you_mean
+from fynjax.io.text import did_you_mean, existing_file
 from fynjax.sensors import counts_to_radiance
 
 _NAME = re.compile(r"(?P<capture>.+)_(?P<band>\d+)\.tiff?", re.IGNORECASE)
@@ -103,9 +103,7 @@ def find_captures(paths: Sequence[str | Path]) -> dict[str, list[Path]]:
                     "camera names them",
                     file=path,
                 )
-            if not path.is_file():
-                beside = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
-                raise InputError(f"no such file.{did_you_mean(path.name, beside)}", file=path)
+            existing_file(path, "a picture of one band")
             entry = (int(name["band"]), path)
             group = captures.setdefault(name["capture"], [])
             if entry not in group:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import LARGEST, InputError
 from fynjax.io.raster import open_raster
 from fynjax.sensors import CameraRadiometry
 
@@ -167,7 +167,7 @@ class _Stated:
             values = [float(part) for part in parts]
         except ValueError:
             return None
-        return values if values and np.isfinite(values).all() else None
+        return values if values and np.all(np.abs(values) < LARGEST) else None
 
     def maybe_exif(self, key: str) -> float | None:
         number = re.search(r"[-+\d.eE]+", self.tags.get(f"EXIF_{key}", ""))

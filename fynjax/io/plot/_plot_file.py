@@ -15,7 +15,7 @@ from fynjax.io.plot._plot import Calibration, Floats, Ground, LeafSource, Plot, 
 from fynjax.io.plot._plot_tables import COVER_FRACTIONS, PlotFile
 from fynjax.io.plot._rows import LeafRow, SkyPatternRow, SkyRow, SpeciesRow
 from fynjax.io.plot._sensor import DRONE, plot_air, plot_sensor, plot_sun
-from fynjax.io.text import did_you_mean, existing_file, line_of, read_rows, read_toml
+from fynjax.io.text import did_you_mean, existing_file, line_of, named_file, read_rows, read_toml
 from fynjax.leaf import structure_from_dry_matter
 from fynjax.scene import LEAF_FIELDS, PARAMETERS
 
@@ -93,7 +93,7 @@ def _growth_form(row: SpeciesRow, shipped: dict[str, str], path: Path, number: i
     return form
 
 
-def _read_leaves(path: Path, taxa: list[str]) -> dict[str, LeafSource]:
+def _read_leaves(path: Path, taxa: list[str], within: Path | None) -> dict[str, LeafSource]:
     sources: dict[str, LeafSource] = {}
     for number, row in read_rows(path, LeafRow, "a leaf table"):
         if row.taxon != "*" and row.taxon not in taxa:
@@ -107,7 +107,9 @@ def _read_leaves(path: Path, taxa: list[str]) -> dict[str, LeafSource]:
         if row.taxon in sources:
             raise InputError(f"{row.taxon!r} is there twice", file=path, row=number, column="taxon")
         if row.spectrum is not None:
-            spectrum = _beside(path, row.spectrum, "a leaf spectrum", number, "spectrum")
+            spectrum = named_file(
+                path, row.spectrum, "a leaf spectrum", within=within, row=number, column="spectrum"
+            )
             sources[row.taxon] = LeafSource(None, spectrum)
         else:
             values = {name: _stated(getattr(row, name), name) for name in LEAF_FIELDS}
@@ -124,19 +126,6 @@ def _stated(value: float | None, kind: str) -> float:
         assert record.default is not None
         return record.default
     return value / record.shown_factor
-
-
-def _beside(owner: Path, name: str, what: str, row: int | None, column: str) -> Path:
-    """The file `name`, a path from the folder of `owner`, which must exist."""
-    try:
-        return existing_file((owner.parent / name).resolve(), what)
-    except InputError as error:
-        raise InputError(
-            f"{name!r}: {str(error).removeprefix(f'{error.file}: ')}",
-            file=owner,
-            row=row,
-            column=column,
-        ) from error
 
 
 def _read_sky(path: Path) -> tuple[Floats, Floats]:
@@ -179,13 +168,15 @@ def as_plot(plot: Plot | str | Path) -> Plot:
     return plot if isinstance(plot, Plot) else read_plot(plot)
 
 
-def read_plot(path: str | Path) -> Plot:
+def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
     """Read and check a plot file and every table it names.
 
     **Arguments:**
 
     - `path`: a plot file, `plot.toml`. Paths in it start from its own folder, paths in a table
       from the table's folder.
+    - `allow_outside`: whether these may lead out of the plot file's folder. A plot file from
+      somebody else would then choose what of this machine is read.
 
     **Returns:** a `Plot`. Spectra and rasters are named in it, not yet read.
 
@@ -198,13 +189,15 @@ def read_plot(path: str | Path) -> Plot:
     (13, 'Metalasia muricata', (10.0, 10.0))
     """
     path = existing_file(path, "a plot file").resolve()
+    within = None if allow_outside else path.parent
     parsed, text = read_toml(path, PlotFile)
     size = _size(parsed.plot.size_m, parsed.plot.voxel_m, path, text)
 
     def named(table: str, key: str, name: str | None, what: str) -> Path | None:
         if name is None:
             return None
-        return _beside(path, name, what, line_of(text, (table, key)), f"{table}.{key}")
+        row, column = line_of(text, (table, key)), f"{table}.{key}"
+        return named_file(path, name, what, within=within, row=row, column=column)
 
     species_path = named("plot", "species_table", parsed.plot.species_table, "a species table")
     assert species_path is not None
@@ -236,8 +229,8 @@ def read_plot(path: str | Path) -> Plot:
     air_path = None if air is None else named("atmosphere", "file", air.file, "curves of the air")
 
     rows = _read_species(species_path)
-    shipped = shipped_growth_forms()
-    leaves = {} if leaf_path is None else _read_leaves(leaf_path, [r.taxon for _, r in rows])
+    shipped, taxa = shipped_growth_forms(), [row.taxon for _, row in rows]
+    leaves = {} if leaf_path is None else _read_leaves(leaf_path, taxa, within)
     species = []
     for number, row in rows:
         form = _growth_form(row, shipped, species_path, number)
@@ -273,7 +266,9 @@ def read_plot(path: str | Path) -> Plot:
                 minimum_object_area_m2=row.minimum_object_area_m2,
                 leaf_area_index=row.leaf_area_index,
                 wood_area_index=row.wood_area_index,
-                plant=_beside(species_path, row.plant, "a plant", number, "plant")
+                plant=named_file(
+                    species_path, row.plant, "a plant", within=within, row=number, column="plant"
+                )
                 if row.plant
                 else None,
                 shoot_clumping=row.shoot_clumping,

@@ -19,17 +19,18 @@ import rasterio
 from jaxtyping import Bool, Float
 from numpy.typing import DTypeLike, NDArray
 from rasterio import Affine
+from rasterio._err import CPLE_BaseError  # it has no public name
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp
 from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import LARGEST, InputError
 from fynjax._core.memory import total_memory
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.io.raster._crs import check_metric, is_local
 from fynjax.io.spectra import header_numbers, in_nanometres, open_envi
-from fynjax.io.text import existing_file
+from fynjax.io.text import check_stated_size, existing_file
 
 METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its heights."""
@@ -37,9 +38,6 @@ ENVI_DATA = (".dat", ".img", ".bil", ".bsq", ".bip")
 _RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 _BLOCK = 1 << 24
 """Values read at once, where a raster is read by blocks of rows."""
-_EMPTY = 3000
-"""Bytes of values for each byte of a GeoTIFF above which it cannot hold them: deflate packs no
-tighter than 1 in 1032."""
 
 
 @dataclass(frozen=True)
@@ -277,7 +275,8 @@ class RasterFile:
                 raw = file.read(bands, window=part)[:, ::step, ::step]
                 data = file.read_masks(bands, window=part)[:, ::step, ::step] > 0
                 rows = slice(start // step, start // step + raw.shape[1])
-                values[:, rows] = raw
+                with np.errstate(all="ignore"):  # what is no number is told below
+                    values[:, rows] = raw
                 if not zero_is_data:
                     data &= ~(raw == 0).all(axis=0)
                 valid[:, rows] = data
@@ -285,9 +284,18 @@ class RasterFile:
                     full[rows] = (raw == np.iinfo(raw.dtype).max).any(axis=0)
                 progress.advance()
         if (scale != 1.0).any() or (offset != 0.0).any():
-            values *= scale
-            values += offset
-        valid &= np.isfinite(values)
+            with np.errstate(all="ignore"):
+                values *= scale
+                values += offset
+        with np.errstate(invalid="ignore"):
+            wrong = valid & (np.abs(values) > LARGEST)
+        if wrong.any():
+            warnings.warn(
+                f"{self.path}: {int(wrong.sum())} of {wrong.size} values are infinite or beyond "
+                f"{LARGEST:g}, such as {values[wrong][0]:g}. They are taken for missing data.",
+                stacklevel=2,
+            )
+        valid &= np.isfinite(values) & ~wrong
         values[~valid] = np.nan
         t = file.transform
         if t.is_identity or t.e < 0:
@@ -315,14 +323,9 @@ class RasterFile:
         """Refuse a raster that memory cannot hold, or that its file cannot hold."""
         rows, columns = self.shape
         stored *= np.dtype(self.dataset.dtypes[0]).itemsize
-        held = self.path.stat().st_size
-        if self.dataset.driver == "GTiff" and stored > max(_EMPTY * held, 1 << 30):
-            raise InputError(
-                f"cannot be read as {self.what}: it states {columns} x {rows} pixels in "
-                f"{self.dataset.count} bands, but its {held} bytes cannot hold them. Is it "
-                "damaged?",
-                file=self.path,
-            )
+        if self.dataset.driver == "GTiff":
+            what = f"{columns} x {rows} pixels in {self.dataset.count} bands"
+            check_stated_size(self.path, stored, what, packed=True)
         memory = total_memory()
         needed = 2.0 * math.prod(shape) * itemsize
         if needed > memory:
@@ -362,6 +365,12 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
         with dataset:
             if not dataset.count:
                 raise InputError(f"expected {what}, but GDAL sees no bands in it", file=path)
+            if not all(abs(number) < LARGEST for number in dataset.transform):
+                raise InputError(
+                    f"cannot be read as {what}: its place is no place ({dataset.transform.c:g}, "
+                    f"{dataset.transform.f:g}). Is it damaged?",
+                    file=path,
+                )
             listed = header.get("band names", ())
             names = listed if len(listed) == dataset.count else dataset.descriptions
             kinds = enumerate(dataset.colorinterp, 1)
@@ -378,7 +387,7 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
                 tags={str(k): str(v) for k, v in (header or dataset.tags()).items()},
                 crs=dataset.crs,
             )
-    except (RasterioError, CRSError, UnicodeDecodeError) as error:
+    except (RasterioError, CRSError, CPLE_BaseError, UnicodeDecodeError) as error:
         reason = " ".join(str(error.__cause__ or error).split())
         raise InputError(
             f"cannot be read as {what} ({reason}). Is it cut short, or not a GeoTIFF? "

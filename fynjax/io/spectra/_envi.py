@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import LARGEST, InputError
 from fynjax.io.spectra._record import Spectrum, note
 
 _MICROMETRES = ("micro", "um", "µm")
@@ -110,6 +110,8 @@ def header_numbers(
         raise InputError(
             f"expected lists of numbers, but {error}", file=path, column=key
         ) from error
+    if (np.abs(values) > LARGEST).any():
+        raise InputError(f"expected numbers within {LARGEST:g}", file=path, column=key)
     if values.size != count:
         raise InputError(
             f"expected {count} values, one for each band, but got {values.size}",

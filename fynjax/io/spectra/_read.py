@@ -11,6 +11,7 @@ from fynjax.io.spectra._asd import is_asd, read_asd
 from fynjax.io.spectra._envi import read_envi_library
 from fynjax.io.spectra._record import Spectrum, check_spectrum
 from fynjax.io.spectra._text import read_text_spectra
+from fynjax.io.text import existing_file, read_bytes
 
 
 def read_spectra(path: str | Path) -> list[Spectrum]:
@@ -63,20 +64,10 @@ def read_usable_spectra(
 
     **Raises:** `InputError` if the file as a whole cannot be read.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError("expected a file of spectra, but there is none", file=path)
-    data = path.read_bytes()
+    path = existing_file(path, "a file of spectra")
+    data = read_bytes(path)
     suffixes = [suffix.lower() for suffix in path.suffixes]
-    if data[:2] == b"\x1f\x8b":
-        import gzip
-        import zlib
-
-        try:
-            data = gzip.decompress(data)
-        except (EOFError, OSError, zlib.error) as error:
-            raise InputError("the compressed file is cut short or damaged", file=path) from error
-        suffixes = suffixes[:-1] if suffixes[-1:] == [".gz"] else suffixes
+    suffixes = suffixes[:-1] if suffixes[-1:] == [".gz"] else suffixes
     if not data.strip():
         raise InputError("the file is empty", file=path)
     if is_asd(data):

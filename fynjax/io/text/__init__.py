@@ -8,9 +8,16 @@ from fynjax.io.text._atomic import (
     staged_folder,
     write_text,
 )
+from fynjax.io.text._files import check_stated_size, existing_file, named_file, read_bytes
 from fynjax.io.text._named import shipped_or_own
 from fynjax.io.text._strict import Slip, Strict, number, optional_quantity, quantity
-from fynjax.io.text._tables import existing_file, read_rows, read_text
+from fynjax.io.text._tables import (
+    foreign_rows,
+    read_rows,
+    read_text,
+    split_line,
+    split_lines,
+)
 from fynjax.io.text._toml import line_of, read_toml
 from fynjax.io.text._validate import first_error, sentence
 
@@ -18,13 +25,17 @@ __all__ = [
     "Slip",
     "Strict",
     "atomic_path",
+    "check_stated_size",
     "did_you_mean",
     "existing_file",
     "first_error",
+    "foreign_rows",
     "line_of",
+    "named_file",
     "number",
     "optional_quantity",
     "quantity",
+    "read_bytes",
     "read_rows",
     "read_text",
     "read_toml",
@@ -32,6 +43,8 @@ __all__ = [
     "remove_replaced",
     "sentence",
     "shipped_or_own",
+    "split_line",
+    "split_lines",
     "staged_folder",
     "write_text",
 ]

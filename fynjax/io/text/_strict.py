@@ -5,10 +5,11 @@ The JSON Schemas in `data_schemas/` are made from them; `unit` and `slip` feed t
 """
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from fynjax._core.errors import LARGEST
 from fynjax._core.parameters import Parameter
 
 Slip = Callable[[float], str | None]
@@ -84,3 +85,14 @@ class Strict(BaseModel):
 
     slips: ClassVar[dict[str, Slip]] = {}
     """For a field, what a value outside its range was probably meant to be."""
+
+    @model_validator(mode="after")
+    def _measurable(self) -> Self:
+        for name in type(self).model_fields:
+            value = getattr(self, name)
+            for each in value if isinstance(value, list | tuple) else (value,):
+                if isinstance(each, int | float) and abs(each) > LARGEST:
+                    raise ValueError(
+                        f"expected {name} within {LARGEST:g}: no measurement is larger"
+                    )
+        return self

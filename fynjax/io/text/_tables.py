@@ -3,13 +3,14 @@
 import csv
 import io
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.errors import InputError, did_you_mean, listed
+from fynjax.io.text._files import existing_file, read_bytes
 from fynjax.io.text._validate import first_error, sentence
 
 Row = TypeVar("Row", bound=BaseModel)
@@ -17,32 +18,8 @@ Row = TypeVar("Row", bound=BaseModel)
 _DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
-def existing_file(path: str | Path, what: str) -> Path:
-    """The path of a file that must exist.
-
-    **Arguments:**
-
-    - `path`: the file.
-    - `what`: names the file in errors, such as "a species table".
-
-    **Returns:** `path`.
-
-    **Raises:** `InputError` for a folder, and where there is no file, with the nearest
-    name beside it.
-    """
-    path = Path(path)
-    if path.is_file():
-        return path
-    if path.is_dir():
-        raise InputError(f"expected {what}, but this is a folder", file=path)
-    beside = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
-    raise InputError(
-        f"expected {what}, but there is no such file.{did_you_mean(path.name, beside)}", file=path
-    )
-
-
 def read_text(path: Path) -> str:
-    """The text of a UTF-8 or UTF-16 file, without its byte-order mark.
+    """The text of a UTF-8 or UTF-16 file, without its byte-order mark, its lines ended by `\\n`.
 
     **Arguments:**
 
@@ -50,7 +27,7 @@ def read_text(path: Path) -> str:
 
     **Raises:** `InputError` for other encodings, spreadsheets and binary files.
     """
-    raw = path.read_bytes()
+    raw = read_bytes(path)
     if raw[:4] == b"PK\x03\x04":
         raise InputError(
             "expected text, but this is a zip or Excel file. Save the sheet as CSV UTF-8.",
@@ -68,7 +45,65 @@ def read_text(path: Path) -> str:
         ) from error
     if "\0" in text:
         raise InputError("expected text, but this is a binary file", file=path)
-    return text
+    return text.replace("\r\n", "\n").replace("\r", "\n")  # \r alone ended lines on old Macs
+
+
+def split_line(line: str, path: Path, row: int, separator: str = ",") -> list[str]:
+    """Cells of a line of a CSV file, without blanks around them.
+
+    **Arguments:**
+
+    - `line`: of the file `path`, in row `row`.
+    - `separator`: between cells.
+
+    **Raises:** `InputError` for a line that is no row of a table, such as one with a cell of over
+    131 072 characters.
+    """
+    try:
+        cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error as error:
+        raise InputError(f"cannot be read as a row of a table: {error}", file=path, row=row) from (
+            error
+        )
+    return [cell.strip() for cell in cells]
+
+
+def foreign_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Rows of a CSV file of another program, whose cells may hold line ends within quotes.
+
+    Rows of empty cells are left out. Each comes with the number of its last line.
+
+    **Arguments:**
+
+    - `path`: a file that exists.
+
+    **Raises:** `InputError` as `read_text` and `split_line`.
+    """
+    reader = csv.reader(io.StringIO(read_text(path)), skipinitialspace=True)
+    try:
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                yield reader.line_num, cells
+    except csv.Error as error:
+        raise InputError(
+            f"cannot be read as a row of a table: {error}", file=path, row=reader.line_num
+        ) from error
+
+
+def split_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Rows of a CSV file, each with its number as an editor counts.
+
+    Empty lines and lines that start with `#` are left out but counted.
+
+    **Arguments:**
+
+    - `path`: a file that exists.
+
+    **Raises:** `InputError` as `read_text` and `split_line`.
+    """
+    for number, line in enumerate(io.StringIO(read_text(path)), start=1):
+        if line.strip(" ,\n") and not line.lstrip().startswith("#"):
+            yield number, split_line(line, path, number)
 
 
 def _check_header(header: Sequence[str], model: type[BaseModel], path: Path, row: int) -> None:
@@ -89,7 +124,7 @@ def _check_header(header: Sequence[str], model: type[BaseModel], path: Path, row
         near = did_you_mean(missing[0], strange)
         near = near.replace("Did you mean", "Is it").replace("?", " in this file?")
         raise InputError(
-            f"expected a column {missing[0]!r}, but the header has {', '.join(header)}.{near}",
+            f"expected a column {missing[0]!r}, but the header has {listed(header)}.{near}",
             file=path,
             row=row,
             column=missing[0],
@@ -143,10 +178,7 @@ def read_rows(path: str | Path, model: type[Row], what: str) -> list[tuple[int, 
     path = existing_file(path, what)
     header: list[str] | None = None
     rows: list[tuple[int, Row]] = []
-    for number, line in enumerate(io.StringIO(read_text(path)), start=1):
-        if not line.strip(" ,\r\n") or line.lstrip().startswith("#"):
-            continue
-        cells = [cell.strip() for cell in next(csv.reader([line], skipinitialspace=True))]
+    for number, cells in split_lines(path):
         if header is None:
             header = cells
             _check_header(header, model, path, number)

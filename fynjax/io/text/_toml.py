@@ -89,10 +89,12 @@ def _place(
     if len(error["loc"]) > 3 and (row := _table_of(model, loc[1])):  # of a list of tables
         return row, error, error["loc"][:4]
     if len(error["loc"]) > 2:
-        given = raw[str(loc[0])][str(loc[1])]
-        position = error["loc"][2]
-        listed = isinstance(given, list) and isinstance(position, int) and position < len(given)
-        value = given[position] if listed else given
+        value: Any = raw
+        for part in error["loc"][:3]:  # the value itself, or the list or table that it stands in
+            inside = (isinstance(value, list) and isinstance(part, int) and part < len(value)) or (
+                isinstance(value, dict) and part in value
+            )
+            value = value[part] if inside else value
         error = {**error, "type": "nested", "input": value}
     return model, error, loc
 

@@ -1,7 +1,5 @@
 """Measured spectra of BioSCape's plots: AVIRIS-NG reflectance, one row a flight over a plot."""
 
-import csv
-import io
 import re
 from dataclasses import dataclass
 from datetime import datetime
@@ -11,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax.io.text import read_text
+from fynjax.io.text import foreign_rows, read_text
 from fynjax.sensors import shipped_sensor
 from fynjax.studies.bioscape._tables import VISITS, find_table
 
@@ -90,8 +88,8 @@ def read_plot_spectra(folder: str | Path) -> dict[str, PlotSpectra]:
     if path is None:
         return {}
     bands = read_spectrometer(folder).centre.size
-    rows = csv.reader(io.StringIO(read_text(path)), skipinitialspace=True)
-    header = [name.strip() for name in next(rows, [])]
+    rows = foreign_rows(path)
+    header = [name.strip() for name in next(rows, (1, []))[1]]
     columns = [i for i, name in enumerate(header) if re.fullmatch(r"Band_\d+", name)]
     if len(columns) != bands:
         raise InputError(
@@ -105,10 +103,7 @@ def read_plot_spectra(folder: str | Path) -> dict[str, PlotSpectra]:
             raise InputError("expected this column, but there is none", file=path, column=name)
     plot, start = header.index("BScpPID"), header.index("start_time")
     names, times, values = [], [], []
-    for cells in rows:
-        if not any(cell.strip() for cell in cells):
-            continue
-        where = rows.line_num
+    for where, cells in rows:
         if len(cells) != len(header):
             raise InputError(
                 f"expected {len(header)} cells as in the header, but this row has {len(cells)}",

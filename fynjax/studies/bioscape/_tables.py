@@ -1,15 +1,13 @@
 """Rows of the BioSCape tables, checked cell by cell."""
 
-import csv
-import io
 import re
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from fynjax._core.errors import InputError
-from fynjax.io.text import Slip, Strict, did_you_mean, first_error, number, read_text, sentence
+from fynjax._core.errors import InputError, listed
+from fynjax.io.text import Slip, Strict, did_you_mean, first_error, foreign_rows, number, sentence
 
 Row = TypeVar("Row", bound=BaseModel)
 
@@ -150,26 +148,23 @@ def read_foreign(path: Path, model: type[Row], what: str) -> list[tuple[int, Row
 
     **Raises:** `InputError` with file, row, column, value and what was expected.
     """
-    lines = csv.reader(io.StringIO(read_text(path)), skipinitialspace=True)
-    header = [name.strip() for name in next(lines, [])]
+    lines = foreign_rows(path)
+    header = [name.strip() for name in next(lines, (1, []))[1]]
     known = model.model_fields
     for name, field in known.items():
         needed = field.is_required() or name in getattr(model, "columns", ())
         if needed and name not in header:
             near = did_you_mean(name, [h for h in header if h not in known])
             near = near.replace("Did you mean", "Is it").replace("?", " in this file?")
-            few = ", ".join(header[:12]) + (", ..." if len(header) > 12 else "")
             raise InputError(
-                f"expected a column {name!r}, but the header has {few or 'nothing'}.{near}",
+                f"expected a column {name!r}, but the header has "
+                f"{listed(header) or 'nothing'}.{near}",
                 file=path,
                 row=1,
                 column=name,
             )
     rows = []
-    for cells in lines:
-        if not any(cell.strip() for cell in cells):
-            continue
-        row = lines.line_num
+    for row, cells in lines:
         if len(cells) != len(header):
             raise InputError(
                 f"expected {len(header)} cells as in the header, but this row has {len(cells)}. "

@@ -1,0 +1,148 @@
+"""What a user names must be a file, and hold no more than memory can take."""
+
+import stat
+import zlib
+from pathlib import Path
+
+from fynjax._core.errors import InputError, did_you_mean
+
+LARGEST_TEXT = 1 << 29
+"""Bytes of a text file, or of what a compressed one unfolds to: spectra of a thousand plots are a
+tenth of it."""
+_TIGHTEST = 3000
+"""Bytes for each byte of a compressed file above which it cannot hold them: deflate packs no
+tighter than 1 in 1032, and few measurements tighter than 1 in 10."""
+_FREELY = 1 << 28
+"""Bytes that a file may state whatever its size."""
+
+
+def existing_file(path: str | Path, what: str) -> Path:
+    """The path of a file that must exist.
+
+    **Arguments:**
+
+    - `path`: the file.
+    - `what`: names the file in errors, such as "a species table".
+
+    **Returns:** `path`.
+
+    **Raises:** `InputError` for a folder, a pipe or a device, a link that leads nowhere or back to
+    itself, a name that is too long, and where there is no file, with the nearest name beside it.
+    """
+    path = Path(path)
+    try:
+        mode = path.stat().st_mode
+    except (OSError, RuntimeError, ValueError) as error:  # a null character is a ValueError
+        raise InputError(f"expected {what}, but {_why_not(path, error)}", file=path) from error
+    if stat.S_ISREG(mode):
+        return path
+    came = "this is a folder" if stat.S_ISDIR(mode) else "this is a pipe or a device, not a file"
+    raise InputError(f"expected {what}, but {came}", file=path)
+
+
+def _why_not(path: Path, error: Exception) -> str:
+    """Why a path is none of a file."""
+    try:
+        if path.is_symlink() and isinstance(error, FileNotFoundError):
+            return f"this is a link to {str(path.readlink())[:100]!r}, which is not there"
+        if path.is_symlink() and not isinstance(error, PermissionError):
+            return "this is a link that leads back to itself"
+        if isinstance(error, FileNotFoundError | NotADirectoryError):
+            beside = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
+            return f"there is no such file.{did_you_mean(path.name, beside)}"
+    except (OSError, ValueError):
+        pass
+    return f"it cannot be opened ({getattr(error, 'strerror', None) or error})"
+
+
+def named_file(
+    owner: Path,
+    name: str,
+    what: str,
+    *,
+    within: Path | None,
+    row: int | None = None,
+    column: str | None = None,
+) -> Path:
+    """The file that another file names, by a path from its own folder.
+
+    **Arguments:**
+
+    - `owner`: the file that names it, in `row` and `column`.
+    - `name`: the path, as it stands there.
+    - `what`: names the file in errors, such as "a sky table".
+    - `within`: folder in which it must lie, also behind links: a file from somebody else shall not
+      choose what of this machine is read. `None` allows any place.
+
+    **Raises:** `InputError` for a file elsewhere, and as `existing_file`.
+    """
+    try:
+        path = (owner.parent / name).resolve()
+        if within is not None and not path.is_relative_to(within.resolve()):
+            raise InputError(
+                f"expected {what} in this file's folder or below. Copy it there; for a plot file "
+                "that you trust, allow other places: --allow-outside (`allow_outside`)"
+            )
+        return existing_file(path, what)
+    except InputError as error:
+        text = str(error).removeprefix(f"{error.file}: ")
+    except (OSError, RuntimeError, ValueError):  # a link in a loop, a null character
+        text = f"expected {what}, but no file can have this name"
+    raise InputError(f"{name!r}: {text}", file=owner, row=row, column=column)
+
+
+def read_bytes(path: Path) -> bytes:
+    """Content of a text file, unfolded if it is compressed (gzip), of at most `LARGEST_TEXT` bytes.
+
+    **Arguments:**
+
+    - `path`: a file that exists.
+
+    **Raises:** `InputError` for a file that is larger or unfolds to more, cannot be opened, or is
+    cut short or damaged.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST_TEXT + 1)
+    except OSError as error:
+        raise InputError(f"it cannot be opened ({error.strerror})", file=path) from error
+    what = "it has"
+    if data[:2] == b"\x1f\x8b":
+        what = "it unfolds to"
+        unfolded = b""
+        try:
+            while data and len(unfolded) <= LARGEST_TEXT:  # a file may hold several parts
+                part = zlib.decompressobj(wbits=31)
+                unfolded += part.decompress(data, LARGEST_TEXT + 1 - len(unfolded))
+                if not part.eof and len(unfolded) <= LARGEST_TEXT:
+                    raise InputError("the compressed file is cut short", file=path)
+                data = part.unused_data.lstrip(b"\0")
+        except zlib.error as error:
+            raise InputError("the compressed file is damaged", file=path) from error
+        data = unfolded
+    if len(data) > LARGEST_TEXT:
+        raise InputError(
+            f"expected text of at most {LARGEST_TEXT >> 20} MiB, but {what} more", file=path
+        )
+    return data
+
+
+def check_stated_size(path: Path, stated: int, what: str, *, packed: bool) -> None:
+    """Refuse a file whose header states more content than the file can hold, before any is read.
+
+    **Arguments:**
+
+    - `path`: a file that exists.
+    - `stated`: bytes of content by the header.
+    - `what`: that content, such as "30 000 points".
+    - `packed`: whether the content may be compressed.
+
+    **Raises:** `InputError`.
+    """
+    held = path.stat().st_size
+    if stated < 0 or stated > (max(_TIGHTEST * held, _FREELY) if packed else held):
+        raise InputError(
+            f"it states {what}, but its {held} bytes cannot hold them. Is it cut short or "
+            "damaged? Copy it again.",
+            file=path,
+        )
