@@ -18,6 +18,11 @@ def _plain(text: str, most: int) -> str:
     """
     text = "".join(c if c.isprintable() else " " if c.isspace() else repr(c)[1:-1] for c in text)
     text = re.sub(rf"\S{{{_LONGEST_WORD + 1},}}", lambda m: m[0][: _LONGEST_WORD - 3] + "...", text)
+    text = re.sub(  # a cell that is quoted, but not what stands between two apostrophes
+        rf"(?<=[\s(])(['\"])((?!\1).){{{_LONGEST_WORD + 1},}}\1(?=[\s.,;:)?]|$)",
+        lambda m: m[0][: _LONGEST_WORD - 3] + "..." + m[1],
+        text,
+    )
     return text if len(text) <= most else text[: most - 3] + "..."
 
 

@@ -15,7 +15,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax._core.spectral import check_wavelength
 from fynjax.compare._images import thinning
-from fynjax.io.raster import open_raster
+from fynjax.io.raster import check_netcdf, open_raster
 from fynjax.io.spectra import read_header, read_usable_spectra
 from fynjax.io.text import existing_file
 from fynjax.metrics import WATER_WINDOWS
@@ -220,6 +220,7 @@ def _read_cube(path: Path, most: int, progress: Progress) -> _Part:
 
 
 def _read_netcdf(path: Path, most: int) -> _Part:
+    check_netcdf(path)
     try:
         with xr.open_datatree(path, engine="netcdf4") as tree:
             nodes = [node.to_dataset(inherit=True) for node in tree.subtree]

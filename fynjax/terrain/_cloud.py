@@ -266,7 +266,8 @@ def _read_ply(path: Path) -> tuple[Any, Any, Any, Any]:
     import trimesh
 
     try:
-        cloud = trimesh.load(str(path), process=False)
+        with np.errstate(all="ignore"):  # of numbers that are checked below
+            cloud = trimesh.load(str(path), process=False)
     except Exception as error:  # trimesh's readers raise whatever they stumble over
         reason = " ".join(str(error).split())
         raise InputError(

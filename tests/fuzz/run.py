@@ -2,9 +2,11 @@
 
 import dataclasses
 import multiprocessing
+import os
 import random
 import shutil
 import tempfile
+import threading
 import time
 import traceback
 import warnings
@@ -149,6 +151,8 @@ def _work(pipe: Connection, seeds: Path, seed: int) -> None:
                     (folder / file).write_bytes(content)
                 pipe.send(_tried(reader, folder, files))
                 shutil.rmtree(folder)
+                if threading.active_count() > 1:  # a reader gave up what goes on for ever
+                    os._exit(0)
 
 
 class Worker:
@@ -185,6 +189,8 @@ class Worker:
                 except (EOFError, ConnectionError):
                     alive = False
                     self._process.join()
+                    if self._process.exitcode == 0:  # after the answer before
+                        break
                     text = f"ends the process with status {self._process.exitcode}"
                 yield Outcome(reader, numbers[0], kind, text)
                 numbers = numbers[1:]

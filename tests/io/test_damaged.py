@@ -2,10 +2,13 @@
 
 import gzip
 import os
+import shutil
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import netCDF4
 import numpy as np
 import pytest
 import rasterio
@@ -13,17 +16,20 @@ from rasterio import Affine
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import read_plant_mesh
+from fynjax.cli._runtime import _trusting
 from fynjax.compare import read_drone_image, read_spectra_sample
 from fynjax.io.instruments import load_lidar, load_sensor, read_atmosphere
 from fynjax.io.micasense import read_capture
-from fynjax.io.plot import read_statistics, read_structure
+from fynjax.io.plot import example_folder, read_plot, read_statistics, read_structure
 from fynjax.io.raster import (
+    _netcdf,
     read_band_stack,
     read_cube,
     read_probability_map,
     write_geotiff,
 )
 from fynjax.io.spectra import read_spectra
+from fynjax.sensors import sensor_folder
 from fynjax.terrain import read_cloud, read_terrain
 
 
@@ -175,3 +181,53 @@ def test_an_error_repeats_a_cell_and_no_page(tmp_path: Path) -> None:
     message = str(caught.value).removeprefix(str(path))
     assert message.isprintable()
     assert len(message) < 600
+
+
+def test_a_netcdf_file_in_which_hdf5_goes_round_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    over = threading.Event()
+
+    def goes_round(path: Path) -> None:
+        while not over.is_set():
+            pass
+
+    at_exit: list[Callable[[], None]] = []
+    monkeypatch.setattr(netCDF4, "Dataset", goes_round)
+    monkeypatch.setattr(_netcdf, "_OPENS_WITHIN", 0.1)
+    monkeypatch.setattr(_netcdf.atexit, "register", at_exit.append)
+    (tmp_path / "air.nc").touch()
+    with pytest.raises(InputError, match=r"air\.nc: .* do not end"):
+        read_atmosphere(tmp_path / "air.nc")
+    over.set()
+    assert at_exit == [_netcdf._leave]  # or the process would end in a segmentation fault
+
+
+def test_a_plot_file_may_not_choose_files_elsewhere(tmp_path: Path) -> None:
+    folder = shutil.copytree(example_folder(), tmp_path / "plot")
+    path = folder / "plot.toml"
+    (folder / "species.csv").rename(tmp_path / "species.csv")
+    (folder / "leaves.csv").rename(tmp_path / "leaves.csv")
+    (folder / "leaves.csv").symlink_to("../leaves.csv")  # a link leads outside too
+    text = path.read_text("utf-8").replace('"species.csv"', '"../species.csv"')
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"'../species.csv': expected .*--allow-outside") as caught:
+        read_plot(path)
+    assert caught.value.column == "plot.species_table"
+    (tmp_path / "species.csv").rename(folder / "species.csv")
+    path.write_text(text.replace("../species.csv", "species.csv"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"'leaves.csv': expected .* folder or below"):
+        read_plot(path)
+    assert len(read_plot(path, allow_outside=True).species) == 13
+    job = _trusting(lambda plot: lambda folder, progress: plot, {"plot": path})
+    assert len(job(tmp_path, None).species) == 13  # what --allow-outside hands on
+
+
+def test_a_sensor_file_may_not_choose_files_elsewhere(tmp_path: Path) -> None:
+    (tmp_path / "sub").mkdir()
+    path = tmp_path / "sub" / "own.toml"
+    text = (sensor_folder() / "emit.toml").read_text("utf-8")
+    path.write_text(text.replace("emit_bands.csv", "../emit_bands.csv"), encoding="utf-8")
+    shutil.copy(sensor_folder() / "emit_bands.csv", tmp_path)
+    with pytest.raises(InputError, match="in this file's folder or below"):
+        load_sensor(path)

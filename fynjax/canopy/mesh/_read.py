@@ -41,7 +41,8 @@ def plant_mesh_of(mesh: Any) -> PlantMesh:
             if file.lower().endswith(".obj"):
                 mesh, names_of_file = _load_obj(file)
             else:
-                mesh = trimesh.load(file, process=False)
+                with np.errstate(all="ignore"):  # of numbers that are checked below
+                    mesh = trimesh.load(file, process=False)
         except Exception as error:  # trimesh's readers raise whatever they stumble over
             raise InputError(f"the mesh cannot be read: {error}", file=file) from error
     pieces: list[tuple[str, Any, np.ndarray]] = []

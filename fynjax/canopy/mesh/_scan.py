@@ -228,7 +228,8 @@ def _ply_columns(file: str) -> dict[str, np.ndarray]:
     import trimesh
 
     try:
-        cloud = trimesh.load(file, process=False)
+        with np.errstate(all="ignore"):  # of numbers that are checked below
+            cloud = trimesh.load(file, process=False)
         data = cloud.metadata["_ply_raw"]["vertex"]["data"]
         names = data.dtype.names if hasattr(data, "dtype") else list(data)
         return {

@@ -9,6 +9,7 @@ import xarray as xr
 
 from fynjax._core.errors import InputError, listed
 from fynjax._core.spectral import check_wavelength
+from fynjax.io.raster import check_netcdf
 from fynjax.io.text import did_you_mean, existing_file, split_lines
 from fynjax.sensors.air import Atmosphere
 
@@ -34,7 +35,7 @@ _POWER = {"w": 1.0, "mw": 1e-3, "uw": 1e-6}
 _AREA = {"m-2": 1.0, "cm-2": 1e4}
 _WIDTH = {"um-1": 1.0, "nm-1": 1e3, "micron-1": 1.0}
 _SHARES = {"": 1.0, "1": 1.0, "-": 1.0, "fraction": 1.0, "%": 0.01, "percent": 0.01}
-_LARGEST = {"irradiance": 4000.0, "radiance": 1500.0, "share": 1.0}
+_LARGEST = {"length": 1e6, "irradiance": 4000.0, "radiance": 1500.0, "share": 1.0}
 _BELOW = re.compile(r"(nm|um|micron|sr|cm|m)-?(\d?)")
 _HEADER = re.compile(r"^\s*([A-Za-z_ ]+?)\s*(?:[\[(](.*)[\])])?\s*$")
 
@@ -163,6 +164,7 @@ def _number(cell: str, path: Path, row: int, column: str) -> float:
 
 
 def _from_netcdf(path: Path) -> tuple[dict[str, tuple[str | None, np.ndarray]], list[int]]:
+    check_netcdf(path)
     try:
         with xr.open_dataset(path, engine="netcdf4") as data:
             columns = {
@@ -170,7 +172,7 @@ def _from_netcdf(path: Path) -> tuple[dict[str, tuple[str | None, np.ndarray]], 
                 for name, variable in data.variables.items()
                 if str(name) in _KINDS or variable.ndim == 1
             }
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, RuntimeError, TypeError, ValueError) as error:
         raise InputError(
             f"expected a NetCDF file, but cannot read it: {error}", file=path
         ) from error

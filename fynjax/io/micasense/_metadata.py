@@ -18,6 +18,9 @@ _PER_MICROMETRE = 1e3
 _CONVERTER_STEP = 16
 """Counts of 16 bits are those of a converter of 12 bits, times this."""
 
+_LARGEST_EXIF = 1e7
+"""Nothing is larger of what is read of the EXIF metadata: exposure, sensitivity, lengths."""
+
 
 @dataclass(frozen=True)
 class RedEdgeBand:
@@ -172,9 +175,10 @@ class _Stated:
     def maybe_exif(self, key: str) -> float | None:
         number = re.search(r"[-+\d.eE]+", self.tags.get(f"EXIF_{key}", ""))
         try:
-            return float(number.group()) if number else None
+            value = float(number.group()) if number else None
         except ValueError:
             return None
+        return None if value is None or not abs(value) < _LARGEST_EXIF else value
 
     def exif(self, key: str) -> float:
         value = self.maybe_exif(key)

@@ -12,7 +12,13 @@ from fynjax.io.raster._cubes import (
     write_cube_geotiff,
     write_cubes_netcdf,
 )
-from fynjax.io.raster._netcdf import file_hash, image_array, provenance, write_run
+from fynjax.io.raster._netcdf import (
+    check_netcdf,
+    file_hash,
+    image_array,
+    provenance,
+    write_run,
+)
 from fynjax.io.raster._over_plot import read_over_plot
 from fynjax.io.raster._probability import read_probability_map, write_probability_map
 from fynjax.io.raster._reader import METRES, Raster, RasterFile, open_raster
@@ -29,6 +35,7 @@ __all__ = [
     "RasterFile",
     "align_bands",
     "check_metric",
+    "check_netcdf",
     "file_hash",
     "image_array",
     "open_raster",

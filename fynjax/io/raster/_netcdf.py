@@ -1,11 +1,16 @@
 """Runs as NetCDF files with CF names, units, and a record of how they came to be."""
 
+import atexit
 import hashlib
 import json
+import os
 import shlex
 import sys
+import threading
+import time
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -21,6 +26,45 @@ from fynjax._core.errors import InputError
 from fynjax.io.text import atomic_path
 
 CONVENTIONS = "CF-1.11"
+_OPENS_WITHIN = 4.0
+"""Seconds of the processor within which a file is opened; milliseconds are usual."""
+
+
+def _leave() -> None:
+    """End the process at once: HDF5 clears up after itself, and falls over a thread within it."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(2)
+
+
+def check_netcdf(path: Path) -> None:
+    """Refuse a damaged NetCDF file whose tables of contents lead in circles, in which HDF5 goes
+    round for ever.
+
+    **Arguments:**
+
+    - `path`: a file that exists.
+
+    **Raises:** `InputError`.
+    """
+    import netCDF4  # takes a fifth of a second
+
+    opened = threading.Event()
+
+    def attempt() -> None:
+        with suppress(Exception):  # whoever reads it says what is wrong
+            netCDF4.Dataset(path).close()
+        opened.set()
+
+    start = time.process_time()
+    threading.Thread(target=attempt, daemon=True).start()
+    while not opened.wait(1.0):
+        if time.process_time() - start > _OPENS_WITHIN:
+            atexit.register(_leave)
+            raise InputError(
+                "cannot be read as NetCDF: its tables of contents do not end. Is it damaged?",
+                file=path,
+            )
 
 
 def file_hash(path: str | Path) -> str:

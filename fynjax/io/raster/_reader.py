@@ -36,6 +36,7 @@ METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its heights."""
 ENVI_DATA = (".dat", ".img", ".bil", ".bsq", ".bip")
 _RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
+_MOST_BANDS = 4096
 _BLOCK = 1 << 24
 """Values read at once, where a raster is read by blocks of rows."""
 
@@ -365,6 +366,11 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
         with dataset:
             if not dataset.count:
                 raise InputError(f"expected {what}, but GDAL sees no bands in it", file=path)
+            if dataset.count > _MOST_BANDS:
+                raise InputError(
+                    f"cannot be read as {what}: it states {dataset.count} bands. Is it damaged?",
+                    file=path,
+                )
             if not all(abs(number) < LARGEST for number in dataset.transform):
                 raise InputError(
                     f"cannot be read as {what}: its place is no place ({dataset.transform.c:g}, "
