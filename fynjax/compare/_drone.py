@@ -1,5 +1,6 @@
 """Two drone images in numbers: figure 9, table 4 and figure 10 of the fynbos scene paper."""
 
+import warnings
 from dataclasses import dataclass
 
 import jax
@@ -27,6 +28,8 @@ _CENTRAL = (0.5, 99.5)
 """Percentiles of the pooled pixels between which the second histogram intersection is taken."""
 
 _SHOWN_BINS = 60
+_OTHER_SCALE = 2.5
+"""Ratio of pixels' sides from which on spreads and histograms are of different things [-]."""
 
 _Values = Float[np.ndarray, " pixel"]
 
@@ -210,6 +213,9 @@ def _notes(real: DroneImage, simulated: DroneImage) -> list[str]:
                 f"The pixels differ in size ({p:g} m and {q:g} m): smaller ones see deeper shadows "
                 "and brighter tops, so spreads and histograms differ for that alone. Means do not."
             )
+            if max(p, q) > _OTHER_SCALE * min(p, q):
+                coarse = f"gdalwarp -tr {max(p, q):g} {max(p, q):g} -r average"
+                warnings.warn(f"{notes[-1]} Bring both to one size: {coarse}", stacklevel=3)
         areas = [i.shape[0] * i.shape[1] * s**2 for i, s in ((real, p), (simulated, q))]
         if max(areas) > 4.0 * min(areas):
             notes.append(

@@ -170,6 +170,13 @@ def terrain(
         if error.file is not None:
             raise
         raise InputError(str(error), file=path) from error
+    could_say = path.suffix.lower() in (".las", ".laz")  # text and PLY cannot
+    if could_say and terrain.crs is None and terrain.origin != (0.0, 0.0):
+        warnings.warn(
+            f"{path}: no coordinate reference system is known. The maps keep the coordinates and "
+            "call their system unknown; state it if you know it: --crs EPSG:... (`crs`).",
+            stacklevel=2,
+        )
     with run.stage("Write"):
         write_terrain(run.path("terrain.tif", "height of the ground [m]"), terrain)
         write_mesh(run.path("terrain.obj", "the same as a mesh, in the plot's frame"), terrain)

@@ -291,7 +291,7 @@ def _drone_sentences(drone: Drone) -> list[str]:
     table = drone.indices
     worst = table.iloc[int(np.nanargmax(table["difference_percent"].abs()))]
     return [
-        f"Drone, simulated against real means: {bands} (the paper's DIRSIG: 12 to 24 %).",
+        f"Drone, simulated against real means: {bands}.",
         f"Twenty indices: median histogram intersection "
         f"{table['histogram_intersection'].median():.2f}, median KS {table['ks'].median():.2f}, "
         f"largest difference of a mean {worst['index']} {worst['difference_percent']:+.0f} %.",

@@ -134,8 +134,9 @@ def read_terrain(
     _check_heights(values, cell, path, unit_known=unit is not None)
     if not valid.all():
         values = _filled(values, valid, cell, corner, fill_gaps, largest_gap, path)
-    wkt = None if "fynjax plot frame" in system.to_wkt() else system.to_wkt()
-    return Terrain(values, cell, corner, wkt, filled=float((~valid).mean()))
+    wkt = system.to_wkt()
+    unplaced = any(name in wkt for name in ("fynjax plot frame", "unknown reference system"))
+    return Terrain(values, cell, corner, None if unplaced else wkt, filled=float((~valid).mean()))
 
 
 def middle_of_raster(path: str | Path, size: float) -> Bounds:

@@ -16,6 +16,7 @@ from fynjax.report.figures._terrain import hillshade
 from fynjax.terrain import Terrain, read_terrain, write_terrain
 from tests.helpers import assert_valid_summary, write_raster
 from tests.terrain.synthetic import CORNER, ground_height, needs_cloth, shrubland
+from tests.terrain.test_cloud import write_las
 
 
 @pytest.fixture(scope="module")
@@ -257,3 +258,20 @@ def test_shade_is_lamberts_cosine():
     np.testing.assert_allclose(away, np.cos(np.radians(60.0)))
     falls_south = Terrain(np.broadcast_to(tan * x[:4, None], (4, 6)), 1.0)
     np.testing.assert_allclose(hillshade(falls_south, sun_zenith=30.0, sun_azimuth=180.0), 1.0)
+
+
+def test_a_cloud_that_does_not_say_where_it_lies_keeps_its_coordinates(tmp_path):
+    cloud, _ = shrubland(density=20.0)
+    points = np.stack([cloud.x, cloud.y, cloud.z], axis=1)
+    las = write_las(tmp_path / "a.laz", points)[0]
+    las.write(tmp_path / "a.laz")
+    with pytest.warns(UserWarning, match=r"a.laz: no coordinate reference system .* --crs"):
+        terrain(tmp_path / "a.laz", tmp_path / "out", size=10.0, cell=0.5)
+    west, south, _, _ = cloud.bounds
+    for name in ("terrain.tif", "canopy_height.tif"):
+        with rasterio.open(tmp_path / "out" / name) as file:
+            assert "unknown reference system" in file.crs.to_wkt()
+            np.testing.assert_allclose(file.bounds[:2], (west + 10, south + 10), atol=0.6)
+    ground = read_terrain(tmp_path / "out" / "terrain.tif")
+    assert ground.crs is None
+    terrain(tmp_path / "a.laz", tmp_path / "known", size=10.0, cell=0.5, crs="EPSG:32734")

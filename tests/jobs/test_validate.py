@@ -255,3 +255,13 @@ def test_pairs_must_be_pairs() -> None:
     ):
         with pytest.raises(InputError, match=word):
             ValidationData(**given)  # type: ignore[arg-type]
+
+
+def test_pixels_of_other_scales_are_warned_of(folder: Path, tmp_path: Path) -> None:
+    """A satellite's pixels beside a drone's; and the article's figures stay out of the summary."""
+    path = tmp_path / "satellite.tif"
+    write_geotiff(path, drawn(3, 12, 12), BANDS, pixel_m=30.0, crs="EPSG:32734")
+    data = ValidationData(real_drone=path, simulated_drone=folder / "simulated.tif")
+    with pytest.warns(UserWarning, match=r"differ in size \(30 m and 0.1 m\).*gdalwarp -tr 30 30"):
+        result = validate(data, tmp_path / "out")
+    assert "DIRSIG" not in " ".join(result.headline)

@@ -78,7 +78,7 @@ def read_rededge_band(path: str | Path) -> RedEdgeBand:
                 f"{picture.count} of {picture.dtypes[0]}. Is it a product, or a preview?",
                 file=path,
             )
-        counts = picture.read(1)
+        counts = file.stored_band(1)
         bits = int(picture.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", counts.dtype.itemsize * 8))
         stated = _Stated(
             path,

@@ -180,7 +180,7 @@ def _read(path: Path) -> _Part:
         colours = file.dataset.colorinterp
         numbers = file.bands
         masks = len(numbers) == len(colours) or _is_mask(
-            file.dataset.read(next(n for n in file.dataset.indexes if n not in numbers))
+            file.stored_band(next(n for n in file.dataset.indexes if n not in numbers))
         )
         if not masks:
             numbers = file.dataset.indexes

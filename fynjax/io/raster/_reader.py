@@ -306,6 +306,15 @@ class RasterFile:
             place = t @ Affine.translation(left, top + height) @ Affine.scale(step, -step)
         return Raster(values, np.asarray(valid.all(axis=0)), full, place)
 
+    def stored_band(self, number: int) -> NDArray[Any]:
+        """The numbers of a band as they stand in the file [row, column], row 0 at the top.
+
+        **Raises:** `InputError` as `read`.
+        """
+        kind = np.dtype(self.dataset.dtypes[number - 1])
+        self._check_size((1, *self.shape), kind.itemsize, math.prod(self.shape))
+        return np.asarray(self.dataset.read(number))
+
     def _divisor(self) -> float:
         """What the ENVI header says to divide by."""
         try:

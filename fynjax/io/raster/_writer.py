@@ -19,6 +19,8 @@ from fynjax.io.text import atomic_path
 
 LOCAL_FRAME = 'LOCAL_CS["fynjax plot frame, origin south-west",UNIT["metre",1]]'
 """Coordinate system of a plot without a place on Earth: x east, y north, in metres."""
+UNKNOWN_FRAME = 'LOCAL_CS["unknown reference system",UNIT["metre",1]]'
+"""Of coordinates that are kept as a file has them, which does not say what they are."""
 
 
 def write_geotiff(
@@ -47,7 +49,8 @@ def write_geotiff(
     - `pixel_m`: side of a pixel [m]; `origin_m`: (x, y) of the south-west corner [m]. Or
       `transform`: from column and row, counted from the north-west corner, to x and y [m].
     - `wavelengths`: band centres; `widths`: full widths at half maximum, with them [nm].
-    - `crs`: anything rasterio reads, such as "EPSG:32734"; `None` is the plot's local frame.
+    - `crs`: anything rasterio reads, such as "EPSG:32734"; `None` is the plot's local frame where
+      the south-west corner is (0, 0), and unknown elsewhere.
     - `nodata`: value of pixels without data. Non-finite pixels are written as it.
     - `unit`: of the values; `offset`: what readers add to them.
     - `tags`: file attributes such as those of `provenance`.
@@ -72,13 +75,16 @@ def write_geotiff(
     bands, rows, columns = values.shape
     if pixel_m is not None:
         transform = north_up(pixel_m, origin_m, rows)
+    assert transform is not None
+    x, y = transform @ (0.0, float(rows))
+    local = LOCAL_FRAME if max(abs(x), abs(y)) < 1e-6 else UNKNOWN_FRAME
     profile = {
         "driver": "GTiff",
         "dtype": values.dtype,
         "count": bands,
         "height": rows,
         "width": columns,
-        "crs": CRS.from_user_input(crs) if crs else CRS.from_wkt(LOCAL_FRAME),
+        "crs": CRS.from_user_input(crs) if crs else CRS.from_wkt(local),
         "transform": transform,
         "nodata": nodata,
         "compress": "deflate",
