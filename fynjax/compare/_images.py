@@ -316,7 +316,8 @@ def _find_bands(
         return [data[k] for k in at], tuple(f"{waves[k]:g} nm" for k in at), "wavelengths"
     if len(data) == len(BANDS) and not any(roles) and np.isnan(waves).all():
         return list(data), tuple(labels), "order"
-    absent = next(b for b in BANDS if roles.count(b) != 1 and b not in near)
+    unnamed = [b for b in BANDS if roles.count(b) != 1]
+    absent = next((b for b in unnamed if b not in near), unnamed[0])
     shown = [
         label if np.isnan(w) else f"{label} {w:g} nm"
         for label, w in zip(labels, waves, strict=True)

@@ -2,13 +2,16 @@
 
 import hashlib
 import json
+import shutil
 from datetime import UTC, datetime
+from types import SimpleNamespace
 
 import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
 
+from fynjax._core.errors import InputError
 from fynjax.io.raster import image_array, provenance, write_run
 from fynjax.io.text import staged_folder
 
@@ -103,3 +106,22 @@ def test_a_staged_folder_arrives_whole_or_not_at_all(tmp_path):
     assert (target / "mine.txt").read_text() == "kept"
     assert (target / "deep" / "b.txt").read_text() == "b"
     assert [p.name for p in target.parent.iterdir()] == ["run"]
+
+
+def test_a_full_disk_is_called_so(tmp_path, monkeypatch):
+    def run(error):
+        with staged_folder(tmp_path / "out") as folder:
+            (folder / "run.nc").touch()
+            raise error
+
+    errors = (RuntimeError("NetCDF: HDF error"), InputError("cannot write here: HDF error"))
+    for error in errors:
+        with pytest.raises(type(error), match="HDF error"):
+            run(error)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
+    for error in errors:
+        with pytest.raises(InputError, match="out: the disk is full, so nothing was written"):
+            run(error)
+    with pytest.raises(InputError, match="expected a number"):
+        run(InputError("expected a number"))
+    assert not list(tmp_path.iterdir())

@@ -11,6 +11,9 @@ from pathlib import Path
 
 from fynjax._core.errors import InputError
 
+_FULL = 1 << 20
+"""Bytes left on a disk that is full: less than any result takes."""
+
 
 def _beside(path: Path) -> Path:
     # The suffix stays last: GDAL and matplotlib choose the format by it.
@@ -109,7 +112,7 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
 
     **Returns:** a context manager that gives the empty folder.
 
-    **Raises:** `InputError` if `folder` is a file or cannot be written.
+    **Raises:** `InputError` if `folder` is a file or cannot be written, and where the disk is full.
     """
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
@@ -122,7 +125,13 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
     except OSError as error:
         raise InputError(f"cannot write here: {error.strerror}", file=folder) from error
     try:
-        yield partial
+        try:
+            yield partial
+        except Exception as error:  # the libraries of formats say 'HDF error' and the like
+            of_input = isinstance(error, InputError) and "cannot write here" not in str(error)
+            if of_input or shutil.disk_usage(partial).free > _FULL:
+                raise
+            raise InputError("the disk is full, so nothing was written", file=folder) from error
         target.mkdir(exist_ok=True)
         for source in sorted(p for p in partial.rglob("*") if p.is_file()):
             destination = target / source.relative_to(partial)
