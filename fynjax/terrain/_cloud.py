@@ -170,7 +170,9 @@ def _read_las(path: Path, unit_stated: bool, height_stated: bool) -> tuple[Any, 
         # A flag from point format 6 on, and a bit beside the class before it.
         names = set(las.point_format.dimension_names)
         withheld = np.array(las.withheld, bool) if "withheld" in names else np.zeros(len(x), bool)
-    except Exception as error:  # laspy and its decompressors raise whatever they stumble over
+    except BaseException as error:  # laspy raises whatever it stumbles over, lazrs no Exception
+        if isinstance(error, KeyboardInterrupt | SystemExit):
+            raise
         reason = " ".join(str(error).split())
         raise InputError(
             f"cannot be read as {path.suffix[1:].upper()} ({reason}). Is it cut short, or of "

@@ -39,7 +39,7 @@ def test_area_and_angles_of_a_plot_are_those_of_the_plant(made, tmp_path, name):
         COLUMNS + f"Pterocelastrus tricuspidatus,60,40,1.2,broad_leaved,{folder / name}\n"
     )
     (tmp_path / "plot.toml").write_text(TOML)
-    model, parameters = build_plot(read_plot(tmp_path / "plot.toml"))
+    model, parameters = build_plot(read_plot(tmp_path / "plot.toml", allow_outside=True))
     index = float(whole.organ_area[Organ.LEAF]) / crown
     assert float(parameters.species.leaf_area_index[0]) == pytest.approx(index, rel=0.05)
     angle = model.leaf_angles[0]

@@ -51,9 +51,7 @@ def _checked(
     if not finite.any():
         raise InputError(f"the {what} of spectrum {name!r} has no value, only NaN", file=file)
     shown = values[finite & looked_at]
-    if shown.size == 0:
-        return values
-    if np.median(shown) > 1.5:
+    if shown.size and np.median(shown) > 1.5:
         raise InputError(
             f"the {what} of spectrum {name!r} must be a fraction of 0 to 1, but its median is "
             f"{np.median(shown):.4g}; is it in percent, or digital numbers? Divide first, or write "
