@@ -7,6 +7,7 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from fynjax._core.errors import InputError
 from fynjax.assembly._ground import cover_patches, dead_tissue, ground_heights, plot_ground
@@ -35,7 +36,10 @@ AREA_INDICES = {"leaf_area_index": Organ.LEAF, "wood_area_index": Organ.WOOD}
 
 
 def build_plot(
-    plot: Plot, *, seed: int | None = None, room: float = PlantingRules.room
+    plot: Plot,
+    *,
+    seed: int | None = None,
+    counts: Float[np.ndarray, "*draw species"] | None = None,
 ) -> tuple[Scene, PlotParameters]:
     """The scene of a plot and its parameters as the files state them.
 
@@ -45,8 +49,8 @@ def build_plot(
 
     - `plot`: as `read_plot` gives it.
     - `seed`: of everything random; the plot file's if left out.
-    - `room`: sites held ready for each plant of the species table, at least; more where a table of
-      parameters that the plot file names asks for more (`PlantingRules`).
+    - `counts`: plants of each species that are to find sites; `PlantingRules.room` times those of
+      the species table find them in any case, and those of a table of parameters.
 
     **Raises:** `InputError` for a spectrum or map that cannot be used, and where the plants find no
     room on the plot or in memory.
@@ -75,7 +79,6 @@ def build_plot(
     if plot.parameters is not None:
         parameters = with_parameter_table(parameters, plot.taxa, plot.parameters)
     rules = PlantingRules(
-        room=room,
         probability=_probability(plot),
         softness=plot.softness,
         softness_plants=plot.softness_plants,
@@ -99,9 +102,14 @@ def build_plot(
     scene = plant(rules=rules)
     if plot.parameters is not None:
         _check_grid(scene, tables, parameters, plot.parameters)
-        needed = room_needed(scene, tables, scene.counts(parameters))
-        if needed > room:
-            scene = plant(rules=replace(rules, room=needed))
+    wanted = np.asarray(scene.counts(parameters))[None]
+    if counts is not None:
+        wanted = np.concatenate([wanted, np.reshape(counts, (-1, wanted.shape[1]))])
+    needed = room_needed(scene, tables, wanted)
+    if needed.any():
+        room = np.maximum(needed, rules.room)
+        check_memory(plot, room=room)
+        scene = plant(rules=replace(rules, room=room))
     return scene, parameters
 
 

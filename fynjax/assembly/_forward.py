@@ -50,8 +50,9 @@ def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
     scene, parameters = build_plot(plot, seed=seed)
     patterns = plot.calibration.free if free is None else tuple(free)
     space = free_space(scene, parameters, patterns, plot.calibration.relative_sd)
-    if room := room_needed(scene, parameters, _likely_counts(scene, parameters, space)):
-        scene, _ = build_plot(plot, seed=seed, room=room)
+    counts = _likely_counts(scene, parameters, space)
+    if room_needed(scene, parameters, counts).any():
+        scene, _ = build_plot(plot, seed=seed, counts=counts)
     return Prepared(plot, scene, parameters, space)
 
 

@@ -1,6 +1,7 @@
 """Whether a plot fits into this machine's memory."""
 
 import numpy as np
+from jaxtyping import Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.memory import total_memory
@@ -12,7 +13,12 @@ _ELEMENT_BYTES, _PLANT_BYTES = 80, 700
 built: measured at 100 m x 100 m."""
 
 
-def check_memory(plot: Plot, *, listed: bool = False) -> None:
+def check_memory(
+    plot: Plot,
+    *,
+    listed: bool = False,
+    room: float | Float[np.ndarray, " species"] = PlantingRules.room,
+) -> None:
     """Refuse a plot whose plants this machine has no memory for, before it runs out of it.
 
     **Arguments:**
@@ -20,24 +26,27 @@ def check_memory(plot: Plot, *, listed: bool = False) -> None:
     - `plot`: as `read_plot` gives it.
     - `listed`: whether the elements of all plants that stand are listed at once; else those of a
       large plot are made window by window.
+    - `room`: sites held ready for each plant (`PlantingRules`).
 
     **Raises:** `InputError` with what is needed and what there is.
     """
     area, elements, plants = float(np.prod(plot.size_m)), 0.0, 0.0
     rules = PlantingRules(structure=plot.structure_m)
     structured = rules.finer(plot.voxel_m) > 0
-    for s in plot.species:
+    standing = 0.0
+    for s, held_ready in zip(plot.species, np.broadcast_to(room, len(plot.species))):
         crown = np.pi / 4.0 * s.diameter_m**2 * (1.0 - s.packing) * s.fill
         each = max(crown, s.minimum_object_area_m2 or 0.0)
-        count = PlantingRules.room * (s.branches or 1) * area * s.cover / each
-        plants += count
-        elements += count * element_count(
+        count = (s.branches or 1) * area * s.cover / each
+        plants += held_ready * count
+        own = count * element_count(
             s.diameter_m, s.height_m, rules.resolved(plot.voxel_m), structured=structured
         )
+        standing, elements = standing + own, elements + held_ready * own
     there = total_memory() / 2**30
     held = min(elements, MOST_LISTED)
     if listed:
-        held = max(held, elements / PlantingRules.room)
+        held = max(held, standing)
     needed = (_ELEMENT_BYTES * held + _PLANT_BYTES * plants) / 2**30
     if needed > there:
         raise InputError(

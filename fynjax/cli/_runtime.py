@@ -10,7 +10,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -140,11 +140,9 @@ def command(
                 checkpoint = checkpoint_beside(output, options["checkpoint"])
                 options["checkpoint"] = checkpoint
             job = _trusting(function, options) if allow_outside else function(**options)
-            result = run_job(name, job, output, as_json=json, quiet=quiet, checkpoint=checkpoint)
-            if forget and checkpoint is not None:
-                from fynjax._core.checkpoint import forget_journal
-
-                forget_journal(checkpoint)
+            result = run_job(
+                name, job, output, as_json=json, quiet=quiet, checkpoint=checkpoint, forget=forget
+            )
             if strict and result.status != "ok":
                 sys.exit(DOUBTFUL)
 
@@ -201,23 +199,24 @@ def _stated_files() -> list[Path]:
 
 @contextmanager
 def _alone(output: Path) -> Iterator[None]:
-    """Only one run at a time, of one machine, writes into a folder. The first also clears away
-    what runs left there that were killed long ago."""
+    """Only one run at a time, of one machine, writes into a folder. What runs left there that were
+    killed long ago is cleared away."""
     from filelock import FileLock, Timeout
 
     from fynjax.io.text import remove_abandoned
 
-    name = hashlib.sha256(str(output.resolve()).encode()).hexdigest()[:16]
-    lock = FileLock(cache_folder() / "locks" / name, timeout=0)
+    name = hashlib.sha256(os.path.normcase(output.resolve()).encode()).hexdigest()[:16]
     try:
-        Path(lock.lock_file).parent.mkdir(parents=True, exist_ok=True)
-        lock.acquire()
+        locks = cache_folder() / "locks"
+        locks.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(locks / name)
+        lock.acquire(timeout=0)
     except Timeout:
         raise InputError(
             f"another run is writing into {output}: wait for its end, or give another --output"
         ) from None
-    except (OSError, NotImplementedError):
-        yield  # a home that cannot be written, a file system without locks
+    except (OSError, NotImplementedError, RuntimeError):
+        yield  # no home, a home that cannot be written, a file system without locks
         return
     try:
         remove_abandoned(output)
@@ -261,10 +260,12 @@ def run_job(
     as_json: bool,
     quiet: bool,
     checkpoint: Path | None = None,
+    forget: bool = False,
 ) -> "JobResult":
     """Run `job(folder, progress)`, print its result and return it.
 
-    Where an interrupted job leaves a `checkpoint`, a line names it. The job writes into a
+    Where an interrupted job leaves a `checkpoint`, a line names it; with `forget` its journal goes
+    in the end. The job writes into a
     folder beside `output`, whose files are moved to `output` when all of it has succeeded. Then
     those files go that an earlier run of the same command listed and this one did not write: they
     would stand beside results that they do not belong to. Warnings wait until then: if the job
@@ -273,12 +274,13 @@ def run_job(
     from fynjax.cli._progress import make_progress
     from fynjax.io.text import remove_replaced, staged_folder, write_text
 
-    earlier = _listed_files(output, command)
     with (
         _alone(output),
+        nullcontext() if checkpoint is None else _alone(checkpoint),
         _ended_by_kill() as check_killed,
         warnings.catch_warnings(record=True) as caught,
     ):
+        earlier = _listed_files(output, command)
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
         with staged_folder(output) as folder:
@@ -303,6 +305,10 @@ def run_job(
             check_killed()
             written = [p.relative_to(folder) for p in folder.rglob("*") if p.is_file()]
         remove_replaced(output, earlier, [*written, *_stated_files()])
+        if forget and checkpoint is not None:
+            from fynjax._core.checkpoint import forget_journal
+
+            forget_journal(checkpoint)
     for line in result.warnings:
         print(f"fynjax: warning: {line}", file=sys.stderr)
     if as_json:

@@ -137,7 +137,7 @@ def calibrate_plot(
     settings: CalibrationSettings | None = None,
     *,
     start: Float[Array, " free"] | None = None,
-    grow: Callable[[float], Scene] | None = None,
+    grow: Callable[[Float[np.ndarray, " species"]], Scene] | None = None,
     checkpoint: str | Path | None = None,
     report: Callable[[str, float, float], None] | None = None,
 ) -> Calibration:
@@ -162,9 +162,9 @@ def calibrate_plot(
     - `views`: what each sensor yields of `scene`.
     - `settings`: of the search.
     - `start`: whitened coordinates to start from; the prior's centre by default.
-    - `grow`: makes the same scene with more sites held ready, at least so many for each plant
-      (`PlantingRules.room`); called between rounds where the plants ask for more than there are.
-      Without it they get no more.
+    - `grow`: makes the same scene with sites for so many plants of each species; called before and
+      between rounds where the plants ask for more sites than there are. Without it, or where it
+      raises `InputError`, they get no more.
     - `checkpoint`: a folder that keeps every step. The same call goes on from it, and ends as if
       it had not been interrupted; `forget_journal` removes it.
     - `report`: called with the stage, the objective and its gradient's norm.
@@ -191,7 +191,7 @@ def calibrate_plot(
     drawn = drawn.clip(-2.0, 2.0)
     journal = None
     if checkpoint is not None:
-        signed = (scene, parameters, data, space, views, first, drawn)
+        signed = (scene, parameters, data, space, views, first, drawn, grow is None)
         journal = Journal(checkpoint, signature(signed, settings))
     form = partial(
         search_form,

@@ -34,8 +34,8 @@ class LogPosterior(eqx.Module):
     """Logarithm of the posterior density over whitened coordinates, up to a constant.
 
     The prior of a `ParameterSpace` is a unit normal in its whitened coordinates u. Over a
-    parameter's own values it is that density over |d value / d u|, a logit-normal one. A prior
-    stated over values, `log_prior`, is carried to u by the same factor.
+    parameter's own values it is that density over |d value / d u|. A prior stated over values,
+    `log_prior`, is carried to u by the same factor.
 
     Differentiable in u; jit and vmap work.
     """

@@ -102,7 +102,7 @@ class Search:
         space: ParameterSpace,
         views: Sequence[AbstractView],
         form: Callable[[Scene], tuple[Scene, tuple[AbstractView, ...]]],
-        grow: Callable[[float], Scene] | None,
+        grow: Callable[[Float[np.ndarray, " species"]], Scene] | None,
         keep: Keep,
         report: Callable[[str, float, float], None] | None,
     ) -> None:
@@ -144,14 +144,21 @@ class Search:
     def _plot(self, u: Array) -> PlotParameters:
         return with_values(self._parameters, self.scene.taxa, self._space.named(u))
 
+    def _short(self, counts: Float[np.ndarray, " species"]) -> bool:
+        """Whether some species has fewer sites than `counts` of its plants need."""
+        return bool(room_needed(self.scene, self._parameters, counts).any())
+
     def _grown(self, plot: PlotParameters) -> bool:
         """Whether more sites had to be made for the plants of `plot`, and could be."""
-        counts = _SPARE * self.scene.counts(plot)
-        room = room_needed(self.scene, self._parameters, counts)
-        if room == 0.0 or self._grow is None:
+        counts = _SPARE * np.asarray(self.scene.counts(plot))
+        if self._grow is None or not self._short(counts):
             return False
-        self.scene = self._grow(room)
-        self.quick, _ = self._form(self.scene)
+        try:
+            larger = self._grow(counts)
+        except InputError:  # no room on the plot, or in memory
+            return False
+        self.scene = larger
+        self.quick, _ = self._form(larger)
         return True
 
     def _note(self, stage: str, loss: float, norm: float) -> None:
@@ -163,6 +170,7 @@ class Search:
     def run(self, u: Array, settings: CalibrationSettings, stage: str) -> End:
         """Search from `u`; `stage` begins the name of each round."""
         before = self._plot(u)
+        self._grown(before)
         statistics, *images = self.look(before)
         finite = np.isfinite(np.asarray(statistics))
         if not finite.all():
@@ -212,12 +220,18 @@ class Search:
             u, predicted, jacobian = result.whitened, result.predicted - offset, result.jacobian
             plot = self._plot(u)
             statistics, *images = self.look(plot)
+            best_was_short = self._short(np.asarray(self.scene.counts(best["plot"])))
             if turns < settings.rounds + _MOST_GROWTHS and self._grown(plot):
-                # What was reached had fewer plants than it asked for: look again, go on from there.
+                # What was reached may have had fewer plants than it asked for: go on from there.
                 turns += 1
                 statistics, *images = self.look(plot)
                 predicted, jacobian = self._evaluate(u, self.quick)
-                best["objective"] = np.inf
+                result = fit_result(
+                    self._space, self._data, u, statistics, jacobian, FitStatus.no_gain, 0,
+                    np.empty((0, 2)),
+                )  # fmt: skip
+                if best_was_short:
+                    best["objective"] = np.inf
             reached = self._objective(u, statistics)
             # The quick scene's best need not be the full scene's.
             if reached < best["objective"]:

@@ -276,7 +276,7 @@ def _bounds(
     sd = jnp.sqrt(jnp.stack(variances).mean(axis=0) + (error * jnp.abs(value)) ** 2)
     names = tuple(f"s{i}" for i in range(value.size))
     data = Data(names, value, sd).with_scatter(jnp.stack(values[1:]) - value)
-    scale = space.slope(jnp.zeros(len(space.names)))
+    scale = space.prior_sd
     whitened = jnp.stack([data.whiten(jacobian * scale) for jacobian in slopes])
     matrix = np.asarray(repeated_information(whitened))
     return bounds_of(space.names, matrix, np.asarray(scale, float)), int(np.prod(shape[1:]))

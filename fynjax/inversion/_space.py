@@ -32,7 +32,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.parameters import Distribution, Parameter
 from fynjax.scene import PARAMETERS, parameter_kind
 
-_NEAR = 5.0
+_NEAR, _FAR = 5.0, 37.0
 _U = np.linspace(-8.5, 8.5, 1701)
 _WEIGHT = np.exp(-0.5 * _U**2) / np.exp(-0.5 * _U**2).sum()
 """Points and weights of means over a unit normal; in so many points good to 1e-14."""
@@ -54,8 +54,11 @@ class ParameterSpace(eqx.Module):
     - `width`: the standard deviation of the normal coordinate.
     - `distribution`: "logit-normal", "lognormal" or "normal", of all or one of each.
 
-    **Raises:** `InputError` for a median that is not inside its bounds, a standard deviation that
-    is not positive or wider than any such distribution between the bounds.
+    Made of numbers, not of traced arrays: inside `jax.jit` or `jax.grad` change `location` and
+    `width` of a space by `equinox.tree_at`.
+
+    **Raises:** `InputError` for a median that is not inside its bounds, a standard deviation or
+    width that is not positive or wider than any such distribution between the bounds.
 
     >>> import jax.numpy as jnp
     >>> from fynjax.inversion import ParameterSpace
@@ -105,6 +108,8 @@ class ParameterSpace(eqx.Module):
             )
         fitted = []
         for name, low, high, centre, sd, kind in zip(self.names, *arrays, kinds):
+            if not sd > 0:
+                raise InputError(f"the prior of {name} must have a positive width, but has {sd:g}")
             one = _Prior(name, float(low), float(high), float(centre), kind)
             wide = one.width_of(float(sd)) if width is None else float(sd)
             fitted.append((wide, *one.at(wide), one.sd(wide) if width is not None else sd))
@@ -186,11 +191,14 @@ def _quantile(u: Any, low: Any, high: Any, library: Any, special: Any) -> Any:
 
     Each tail by its own probability, so that neither loses digits.
     """
-    held = special.ndtr(high) - special.ndtr(low)
+    given, u = u, library.clip(u, -_FAR, _FAR)
+    held = special.ndtr(-low) - special.ndtr(-high)
     below = held * special.ndtr(-library.abs(u)) + special.ndtr(library.where(u < 0, low, -high))
     cut = library.where(u < 0, 1.0, -1.0) * special.ndtri(below)
     # Where no bound is near, lest a fit ends in the rounding of two quantiles.
-    return library.where((held == 1.0) & (library.abs(u) < _NEAR), u, cut)
+    whole = library.isinf(low) & library.isinf(high)
+    near = library.where((held == 1.0) & (library.abs(u) < _NEAR), u, cut)
+    return library.where(whole, given, near)
 
 
 @jax.custom_jvp
@@ -206,15 +214,18 @@ def _cut_normal_derivative(primals: Any, tangents: Any) -> tuple[Array, Array]:
 
 def _whole_normal(t: Array, low: Array, high: Array) -> Array:
     """Inverse of `_cut_normal`."""
-    held = ndtr(high) - ndtr(low)
+    held = ndtr(-low) - ndtr(-high)
     below, above = (ndtr(t) - ndtr(low)) / held, (ndtr(-t) - ndtr(-high)) / held
     return jnp.where(below < 0.5, ndtri(below), -ndtri(above))
 
 
 def _log_rate(u: Array, low: Array, high: Array) -> Array:
     """log d `_cut_normal` / d u."""
-    held = jnp.log(ndtr(high) - ndtr(low))
-    return held + norm.logpdf(u) - norm.logpdf(_cut_normal(u, low, high))
+    whole = jnp.isinf(low) & jnp.isinf(high)
+    near = jnp.clip(u, -_FAR, _FAR)
+    t = _cut_normal(near, low, high)
+    rate = jnp.log(ndtr(-low) - ndtr(-high)) + norm.logpdf(near) - norm.logpdf(t)
+    return jnp.where(whole, 0.0, rate)
 
 
 @dataclass(frozen=True)
@@ -266,9 +277,16 @@ class _Prior:
         def rest(location: float) -> float:
             return location + width * float(_quantile(0.0, *cuts(location), np, special)) - middle
 
-        location = middle
+        location, reach = middle, width
         if rest(middle) != 0.0:
-            location = brentq(rest, middle - 4.0 * width, middle + 4.0 * width, xtol=1e-15)
+            while rest(middle - reach) * rest(middle + reach) > 0.0 and reach < 64.0 * width:
+                reach *= 2.0
+            if rest(middle - reach) * rest(middle + reach) > 0.0:
+                raise InputError(
+                    f"the prior of {self.name} is too wide to have its median at "
+                    f"{self.median:g} between {self.lower:g} and {self.upper:g}"
+                )
+            location = brentq(rest, middle - reach, middle + reach, xtol=1e-15)
         return (location, *cuts(location))
 
     def sd(self, width: float) -> float:
@@ -284,11 +302,9 @@ class _Prior:
 
     def width_of(self, sd: float) -> float:
         """Width that has a standard deviation."""
-        if not sd > 0:
-            raise InputError(f"the prior of {self.name} must have a positive width, but has {sd:g}")
         about = sd  # over the slope of the value by z at the median
         if self.distribution == "lognormal":
-            about = sd / self.median
+            about = math.log1p(sd / self.median)
         elif self.distribution == "logit-normal":
             below, above = self.median - self.lower, self.upper - self.median
             about = sd * (below + above) / (below * above)
@@ -301,7 +317,10 @@ class _Prior:
                     f"{self.distribution} one about {self.median:g} between {self.lower:g} and "
                     f"{self.upper:g} has at most {self.sd(high):.3g}"
                 )
-        return brentq(lambda w: self.sd(w) - sd, 0.1 * about, high, xtol=1e-14, rtol=1e-13)
+        low = high
+        while self.sd(low) > sd:
+            low *= 0.5
+        return brentq(lambda w: self.sd(w) - sd, low, high, xtol=1e-14, rtol=1e-13)
 
     @property
     def widest(self) -> float:

@@ -147,7 +147,7 @@ def calibrate_to(
             space,
             views,
             CalibrationSettings(max_steps=steps, starts=starts, seed=run.seed),
-            grow=lambda room: build_plot(plot, seed=run.seed, room=room)[0],
+            grow=lambda counts: build_plot(plot, seed=run.seed, counts=counts)[0],
             checkpoint=checkpoint,
             report=lambda stage, loss, norm: run.progress.advance(
                 1, stage=stage, loss=f"{loss:.1f}", gradient=f"{norm:.1f}"

@@ -14,6 +14,7 @@ from fynjax.assembly import (
     STRIDE,
     Prepared,
     batch_for_device,
+    build_plot,
     parameter_columns,
     prepare,
     read_targets,
@@ -131,12 +132,13 @@ def posterior(
             ready.space,
             views,
             CalibrationSettings(stride=STRIDE, max_steps=steps),
+            grow=lambda counts: build_plot(read, seed=run.seed, counts=counts)[0],
             checkpoint=checkpoint / "calibration",
             report=lambda stage, loss, norm: run.progress.advance(
                 1, stage=stage, loss=f"{loss:.1f}"
             ),
         )
-    quick, cheap = search_form(ready.scene, ready.parameters, views, stride=STRIDE)
+    quick, cheap = search_form(calibrated.scene, ready.parameters, views, stride=STRIDE)
     sampled = sample_posterior(
         PlotForward(ready.parameters, ready.space.names, cheap),
         calibrated.data,

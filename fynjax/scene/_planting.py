@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.spatial import cKDTree
 
 from fynjax.canopy import (
     FORM_DEFAULTS,
@@ -184,7 +185,7 @@ def draw_planting(
     structured: bool,
     periodic: bool,
     probability: Float[np.ndarray, "y x"] | None,
-    room: float,
+    room: float | Float[np.ndarray, " species"],
     size_variation: float,
     seed: int,
     dtype: str,
@@ -211,7 +212,8 @@ def draw_planting(
     Not differentiable: the scene is, in the parameters.
     """
     individuals: list[dict[str, np.ndarray]] = [{} for _ in forms]
-    for times in _rooms(room):
+    feet = np.empty((0, 2))
+    for times in _rooms(np.broadcast_to(np.asarray(room, float), len(forms))):
         needed = np.ceil(times * wanted).astype(int) + np.where(wanted > 0, 4, 0)
         # A disk radius that leaves a tenth more points than plants; Bridson packs 0.6 / r2 of them.
         crowd = max(1.1 * float(needed.sum()), 1.0)
@@ -219,14 +221,21 @@ def draw_planting(
             crowd *= 2.0 * 255.0 / max(float(np.mean(probability)), 1.0)
         radius = min(0.1, float(np.sqrt(0.55 * extent[0] * extent[1] / crowd)))
         points = poisson_disk(extent, radius, seed=seed, periodic=periodic)
+        if len(feet):  # half the distance: room enough for all, and nobody on another
+            tree = cKDTree(feet, boxsize=extent if periodic else None)
+            points = points[tree.query(points)[0] > 0.5 * radius]
+        more = needed - np.array([len(one.get("foot", ())) for one in individuals])
         sites = assign_sites(
-            points, needed.tolist(), probability=probability, extent=extent, names=taxa, seed=seed
+            points, more.tolist(), probability=probability, extent=extent, names=taxa, seed=seed
         )
         for i, places in enumerate(sites):
-            drawn = _individuals(places, i, rotation_spread[i], size_variation, seed)
-            for name, before in individuals[i].items():  # who was there stays
-                drawn[name] = np.concatenate([before, drawn[name][len(before) :]])
+            before = individuals[i]
+            where = np.concatenate([before["foot"], places]) if before else places
+            drawn = _individuals(where, i, rotation_spread[i], size_variation, seed)
+            for name, values in before.items():  # who was there stays
+                drawn[name] = np.concatenate([values, drawn[name][len(values) :]])
             individuals[i] = drawn
+        feet = np.concatenate(sites if not len(feet) else [feet, *sites])
     shapes: list[PlantModel] = []
     plants: list[dict[str, np.ndarray]] = []
     own: list[int] = []
@@ -274,11 +283,11 @@ _ROOM, _MORE_ROOM = 2.5, 1.6
 """Sites held ready for each plant at first, and by what factor they become more."""
 
 
-def _rooms(room: float) -> list[float]:
-    """Sites for each plant, step by step, to at least `room`."""
-    steps = [min(room, _ROOM)]
-    while steps[-1] < room:
-        steps.append(steps[-1] * _MORE_ROOM)
+def _rooms(room: Float[np.ndarray, " species"]) -> list[Float[np.ndarray, " species"]]:
+    """Sites for each plant of each species, step by step, to at least `room`."""
+    steps = [np.minimum(room, _ROOM)]
+    while (short := steps[-1] < room).any():
+        steps.append(np.where(short, _MORE_ROOM * steps[-1], steps[-1]))
     return steps
 
 

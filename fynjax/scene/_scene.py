@@ -83,10 +83,10 @@ class SceneSpecies:
 class PlantingRules:
     """How plants are drawn, and how one more of them appears."""
 
-    room: float = 2.5
-    """Sites held ready, as a multiple of the plants that the parameters ask for [-], at least. A
-    parameter that later asks for more gets no more. A scene with more room has the plants of one
-    with less where they are, and others besides."""
+    room: float | Float[np.ndarray, " species"] = 2.5
+    """Sites held ready, as a multiple of the plants that the parameters ask for [-], at least; of
+    all species or of each. A parameter that later asks for more gets no more. A scene of more room
+    has the plants of one of 2.5 where they are, and others besides."""
     size_variation: float = 0.2
     """Coefficient of variation of the crown diameters of a species [-]. An assumption, as is the
     stature: heights lie evenly between 0.6 and 1 times the greatest."""
@@ -688,8 +688,8 @@ def _check_structure(scene: Scene) -> None:
 
 def room_needed(
     scene: Scene, parameters: PlotParameters, counts: Float[np.ndarray | Array, "*draw species"]
-) -> float:
-    """Sites for each plant, as `PlantingRules.room` has them, that some counts of plants ask for.
+) -> Float[np.ndarray, " species"]:
+    """Sites for each plant of each species (`PlantingRules.room`) that counts of plants ask for.
 
     **Arguments:**
 
@@ -697,7 +697,7 @@ def room_needed(
     - `parameters`: by which these were drawn.
     - `counts`: plants of each species, as `Scene.counts` has them [-].
 
-    **Returns:** 0 where the scene has the sites.
+    **Returns:** 0 for a species that has the sites.
     """
     stated = np.asarray(scene.counts(parameters), float)
     most = np.max(np.reshape(np.asarray(counts, float), (-1, len(stated))), axis=0)
@@ -705,7 +705,7 @@ def room_needed(
     most = most * (1.0 + 0.5 * scene.softness) + 0.5 * scene.softness_plants
     ready = np.bincount(np.asarray(scene.planting.species), minlength=len(stated))
     short = (most > ready) & (stated > 0)
-    return float(np.max(most[short] / stated[short], initial=0.0))
+    return np.where(short, most / np.where(short, stated, 1.0), 0.0)
 
 
 def stand_realisation(scene: Scene, seed: int) -> Scene:

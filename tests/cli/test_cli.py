@@ -292,14 +292,14 @@ def test_two_runs_do_not_write_into_one_folder(capsys, calls, tmp_path, monkeypa
 
 def test_what_a_killed_run_left_long_ago_is_cleared_away(capsys, calls, tmp_path):
     """Not what is young, and may be of a run on another machine, nor what is the user's."""
-    names = (".out.0123abcd.partial", ".out.89abcdef.partial", ".out.mine.partial")
+    names = (".o.2.0123abcd.partial", ".o.2.89abcdef.partial", ".o.2.mine.partial")
     old, young, own = (tmp_path / name for name in names)
     for each in (old, young, own):
         each.mkdir()
         (each / "half.tif").write_text("half")
     for each in (old, own):
-        os.utime(each, (time.time() - 1e5,) * 2)
-    assert call(capsys, "demo", "--output", tmp_path / "out")[0] == 0
+        os.utime(each, (time.time() - 1e6,) * 2)
+    assert call(capsys, "demo", "--output", tmp_path / "o.2")[0] == 0
     assert [each.exists() for each in (old, young, own)] == [False, True, True]
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fynjax.assembly import prepare
+from fynjax.assembly import build_plot, prepare
 from fynjax.inversion import CalibrationSettings, Data, calibrate_plot, free_space
 from fynjax.inversion._views import AbstractView
 from fynjax.io.plot import read_plot
@@ -46,6 +46,12 @@ def test_a_scene_with_more_room_has_the_same_plants_and_others(plot):
             np.testing.assert_array_equal(
                 getattr(few, name)[mine], getattr(many, name)[theirs][: len(mine)], err_msg=name
             )
+    feet = np.asarray(many.foot, float)
+    assert len(np.unique(feet, axis=0)) == len(feet)  # nobody stands on another
+    only = planted(np.array([2.5, 5.0, 2.5]))[0].planting
+    grown, before = (np.bincount(np.asarray(p.species)) for p in (only, few))
+    assert grown[1] > 1.9 * before[1]
+    np.testing.assert_array_equal(grown[[0, 2]], before[[0, 2]])
     # Steps of which each keeps the one before: whoever asks for more finds the same plants.
     more = planted(7.0)[0].planting
     np.testing.assert_array_equal(
@@ -57,9 +63,11 @@ def test_a_scene_with_more_room_has_the_same_plants_and_others(plot):
 def test_the_room_that_counts_need(plot):
     scene, parameters = plot
     stated = np.asarray(scene.counts(parameters))
-    assert room_needed(scene, parameters, stated) == 0.0
+    assert not room_needed(scene, parameters, stated).any()
     draws = np.stack([stated, stated * np.array([1.0, 6.0, 1.0])])
-    assert room_needed(scene, parameters, draws) > 6.0
+    needed = room_needed(scene, parameters, draws)
+    assert needed[1] > 6.0
+    assert not needed[[0, 2]].any()
 
 
 def test_a_search_gets_the_sites_that_it_asks_for(plot):
@@ -71,9 +79,9 @@ def test_a_search_gets_the_sites_that_it_asks_for(plot):
     settings = CalibrationSettings(stand_realisations=0, rounds=1)
     rooms = []
 
-    def grow(room):
-        rooms.append(room)
-        return planted(room)[0]
+    def grow(counts):
+        rooms.append(counts)
+        return planted(np.maximum(2.5, room_needed(scene, parameters, counts)))[0]
 
     found = calibrate_plot(scene, parameters, data, space, [CrownCover()], settings, grow=grow)
     assert rooms
@@ -81,6 +89,22 @@ def test_a_search_gets_the_sites_that_it_asks_for(plot):
     assert len(found.scene.planting.species) > len(scene.planting.species)
     without = calibrate_plot(scene, parameters, data, space, [CrownCover()], settings)
     assert float(without.statistics_after[0]) < 0.85 * float(data.value[0])
+
+
+def test_a_table_of_parameters_gets_its_sites_and_growth_counts_from_the_species_table(tmp_path):
+    """Covers of twice the table's, then four times the plants of these."""
+    path = write_plot(tmp_path, '[scene]\nparameters = "p.csv"\n')
+    rows = ["Erica irregularis.cover,%,60", "Restio eleocharis.cover,%,30"]
+    (tmp_path / "p.csv").write_text(
+        "\n".join(["name,unit,estimate", *(f"species.{row}" for row in rows)])
+    )
+    plot = read_plot(path)
+    scene, parameters = build_plot(plot)
+    counts = 2.0 * np.asarray(scene.counts(parameters))
+    grown, _ = build_plot(plot, counts=counts)
+    sites = np.bincount(np.asarray(grown.planting.species))
+    assert (sites >= 1.1 * counts).all()
+    assert (sites > np.bincount(np.asarray(scene.planting.species))).all()
 
 
 def test_a_prior_finds_sites_for_what_it_makes_likely(tmp_path):

@@ -84,7 +84,7 @@ def test_a_bound_cuts_a_prior_as_scipy_cuts_a_normal_one():
 @pytest.mark.parametrize("kind", KINDS)
 def test_far_out_a_value_is_inside_and_its_density_finite(kind):
     space = one(kind, *KINDS[kind])
-    for u in (-30.0, 30.0):
+    for u in (-60.0, -30.0, 30.0, 60.0):
         (value,), (rate,) = space.physical(jnp.array([u])), space.log_slope(jnp.array([u]))
         assert float(space.lower[0]) - 1e-6 <= float(value) <= float(space.upper[0]) + 1e-6
         assert np.isfinite(float(rate))
@@ -108,6 +108,29 @@ def test_a_width_may_be_stated_instead_and_gives_the_standard_deviation():
     np.testing.assert_allclose(width.prior_sd, [0.15], rtol=1e-9)
     with pytest.raises(InputError, match="either"):
         ParameterSpace(("a",), [0.0], [10.0], [0.4])
+
+
+def test_widths_that_are_no_widths_are_refused():
+    for width in (-1.0, 0.0, np.nan):
+        with pytest.raises(InputError, match="positive width"):
+            ParameterSpace(("a",), [0.0], [1.0], [0.5], width=[width])
+
+
+@pytest.mark.parametrize(
+    ("kind", "stated"),
+    [
+        ("logit-normal", (0.0, 1.0, 0.001, 0.05)),
+        ("lognormal", (0.0, np.inf, 1.0, 20.0)),
+        ("normal", (0.0, np.inf, 1.0, 1.35)),
+    ],
+)
+def test_wide_priors_have_their_standard_deviation_too(kind, stated):
+    space = one(kind, *stated)
+    u = np.linspace(-8.5, 8.5, 20001)
+    weight = np.exp(-0.5 * u**2) / np.exp(-0.5 * u**2).sum()
+    values = np.asarray(jax.vmap(space.physical)(jnp.asarray(u[:, None])))[:, 0]
+    mean = weight @ values
+    assert np.sqrt(weight @ (values - mean) ** 2) == pytest.approx(stated[3], rel=1e-3)
 
 
 def test_more_than_any_distribution_between_the_bounds_is_refused():

@@ -86,16 +86,16 @@ def remove_replaced(
 
 
 def remove_abandoned(folder: str | Path) -> None:
-    """Remove what killed runs left beside `folder` (`staged_folder`), if it is older than a day.
+    """Remove what killed runs left beside `folder` (`staged_folder`), if it is older than a week.
 
     A younger one may belong to a run of another machine on the same disk.
     """
-    path = Path(folder)
-    ours = re.compile(rf"\.{re.escape(path.stem)}\.[0-9a-f]{{8}}\.partial{re.escape(path.suffix)}")
-    yesterday = time.time() - 86_400.0
+    path = Path(folder).resolve()
+    ours = re.compile(rf"\.{re.escape(path.name)}\.[0-9a-f]{{8}}\.partial")
+    long_ago = time.time() - 7 * 86_400.0
     with suppress(OSError):
         for each in path.parent.iterdir():
-            if ours.fullmatch(each.name) and each.is_dir() and each.stat().st_mtime < yesterday:
+            if ours.fullmatch(each.name) and each.is_dir() and each.stat().st_mtime < long_ago:
                 shutil.rmtree(each, ignore_errors=True)
 
 

@@ -71,7 +71,7 @@ class Lesson:
             "mean_sd": slope * np.sqrt(np.diagonal(found.covariance)[own]),
             "plot_sd": slope * (effect_matrix() @ found.sd),
             "assumed": np.asarray(self.space.prior),
-            "assumed_sd": np.asarray(self.space.prior_sd),
+            "assumed_sd": np.asarray(self.space.slope(jnp.zeros(len(PER_PLOT)))),
         }
         rows = [
             PriorParameter(name=name, **{key: float(v[i]) for key, v in columns.items()})
