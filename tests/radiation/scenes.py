@@ -1,5 +1,6 @@
 """Scenes, angles and compiled solvers that the tests of radiation share."""
 
+import dataclasses
 from functools import lru_cache
 from typing import Any
 
@@ -90,6 +91,19 @@ def patchy(
         size,
         boundary,
     )
+
+
+def with_shape(scene: VoxelScene, inside: np.ndarray, finer: int, density: float) -> VoxelScene:
+    """`scene` with leaves of `density` [m2 m-3] where points, whole numbers of them along the edges
+    of its voxels, lie `inside`; and with a structure of `finer` voxels along an edge, or none."""
+
+    def share(shape: tuple[int, ...]) -> jax.Array:
+        blocks = [n for size, points in zip(shape, inside.shape) for n in (size, points // size)]
+        mean = inside.reshape(blocks).mean(axis=(1, 3, 5))
+        return jnp.asarray(density * mean, scene.area_density.dtype)
+
+    structure = share(tuple(n * finer for n in scene.shape)) if finer else None
+    return dataclasses.replace(scene, area_density=share(scene.shape)[None], structure=structure)
 
 
 def towards(vectors_zenith: Any, azimuth: Any) -> np.ndarray:

@@ -20,15 +20,24 @@ from fynjax.radiation import (
     reflectance_factor,
     solve_light,
 )
-from tests.radiation.scenes import closure, fluxes_of, reflectance_of, solver, views_of_reference
+from tests.radiation.scenes import (
+    closure,
+    fluxes_of,
+    reflectance_of,
+    solver,
+    views_of_reference,
+    with_shape,
+)
 
 pytestmark = pytest.mark.slow
 
 
-def floating_spheres(case, voxel=0.5, parts=4):
-    """The turbid spheres of HET01 on a grid, by the share of each voxel that lies inside."""
+def floating_spheres(case, voxel=0.5, finer=0):
+    """The turbid spheres of HET01 on a grid, by the share of each voxel that lies inside; with a
+    structure of `finer` voxels along an edge, or none."""
     scene, optics = case["scene"], case["optics"]
     counts = [round(scene[edge] / voxel) for edge in ("ztop", "ly", "lx")]
+    parts = 4 if finer == 0 else 2 * finer
     z, y, x = ((np.arange(n * parts) + 0.5) * voxel / parts for n in counts)
     inside = np.zeros([n * parts for n in counts], bool)
     for cx, cy, cz in scene["spheres"]:
@@ -36,10 +45,8 @@ def floating_spheres(case, voxel=0.5, parts=4):
         inside |= ((z[:, None, None] - cz) ** 2 + (y[:, None] - cy) ** 2 + (x - cx) ** 2) < scene[
             "radius"
         ] ** 2
-    nz, ny, nx = counts
-    share = inside.reshape(nz, parts, ny, parts, nx, parts).mean(axis=(1, 3, 5))
-    return VoxelScene(
-        jnp.asarray(scene["leaf_density"] * share[None], jnp.float32),
+    made = VoxelScene(
+        jnp.zeros((1, *counts), jnp.float32),
         OpticalClasses(
             jnp.full((1, 1), optics["rho"], jnp.float32),
             jnp.full((1, 1), optics["tau"], jnp.float32),
@@ -56,6 +63,7 @@ def floating_spheres(case, voxel=0.5, parts=4):
         voxel,
         voxel,
     )
+    return with_shape(made, inside, finer, scene["leaf_density"])
 
 
 @pytest.mark.study

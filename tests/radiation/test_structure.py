@@ -20,6 +20,8 @@ from fynjax.radiation import (
     voxel_scene,
 )
 from fynjax.radiation._resample import axis_weights, nearest_cells, sample, sample_near
+from fynjax.radiation._sun import trace_sun
+from tests.radiation.scenes import slab, with_shape
 
 FAST = Accuracy(levels=1, azimuths=4, tolerance=1e-9, refine=False)
 
@@ -79,6 +81,21 @@ def test_the_gap_is_that_of_the_fine_columns():
     np.testing.assert_allclose(on_ground, np.exp(-columns).mean(), rtol=1e-6)
     filled, _ = gap_and_sun(even, fine_rays(even))
     assert float(filled.mean()) < 0.97 * float(gap.mean())
+
+
+def test_a_ball_stops_the_light_of_the_formula():
+    """Mean gap 2 [1 - (1 + t) exp(-t)] / t^2 at a depth t of 4, five voxels a radius."""
+    x = (np.arange(96) + 0.5) / 8 - 6
+    inside = (x[:, None, None] ** 2 + x[:, None] ** 2 + x**2) < 25
+    made = slab(1.0, [(0.0, 0.0, 1.0)], 0.0, layers=12, columns=12)
+    made = dataclasses.replace(made, horizontal=0.2, vertical=0.2)
+    expected = (1 - 2 * (1 - 5 * np.exp(-4.0)) / 16) * np.pi / 2.4**2
+    errors = []
+    for finer in (0, 4):
+        sun = jax.jit(lambda s: trace_sun(s, 2, 1, 0))(with_shape(made, inside, finer, 4.0))
+        errors.append((1 - float(sun.on_ground.mean())) / expected - 1)
+    assert errors[0] > 0.02
+    assert abs(errors[1]) < 0.005
 
 
 @pytest.mark.parametrize("zenith", [25.0, 55.0])

@@ -12,7 +12,14 @@ import numpy as np
 from fynjax.canopy import SphericalLeafAngle, leaf_angle
 from fynjax.radiation import Accuracy, Illumination, OpticalClasses, VoxelScene
 from tests.benchmarks.radiation.report import Figures, Row, Setting, compare, worst
-from tests.radiation.scenes import fluxes_of, reflectance_of, slab, solver, views_of_reference
+from tests.radiation.scenes import (
+    fluxes_of,
+    reflectance_of,
+    slab,
+    solver,
+    views_of_reference,
+    with_shape,
+)
 from tests.radiation.test_reference_scenes import floating_spheres
 
 FLUXES = ("albedo", "transmission_total", "transmission_direct", "absorbed_canopy")
@@ -73,14 +80,16 @@ def slabs(setting: Setting) -> Iterator[Row]:
 
 
 @lru_cache(maxsize=1)
-def _crowns(text: str, voxel: float) -> VoxelScene:
-    return floating_spheres(json.loads(text), voxel)
+def _crowns(text: str, voxel: float, finer: int = 0) -> VoxelScene:
+    return floating_spheres(json.loads(text), voxel, finer)
 
 
-def het01_figures(cases: list[dict], accuracy: Accuracy, voxel: float = 0.5) -> Figures:
+def het01_figures(
+    cases: list[dict], accuracy: Accuracy, voxel: float = 0.5, finer: int = 0
+) -> Figures:
     figures: Figures = {}
     for case in cases:
-        light = solver(accuracy)(_crowns(json.dumps(case), voxel))
+        light = solver(accuracy)(_crowns(json.dumps(case), voxel, finer))
         views = np.array(case["views"], float)
         brf = np.asarray(reflectance_of(light, *views_of_reference(views)))[:, 0]
         view_error(brf, case["result"], figures)
@@ -99,6 +108,8 @@ def het01(setting: Setting) -> Iterator[Row]:
     tolerances |= dict.fromkeys((name.replace("_", " ") for name in FLUXES), 1.0)
     voxel = 1.0 if setting.quick else 0.5
     yield from compare("het01_turbid", lambda a: het01_figures(cases, a, voxel), CROWNS, tolerances)
+    finer = partial(het01_figures, cases, voxel=1.0, finer=2 if setting.quick else 4)
+    yield from compare("het01, 1 m, structure", finer, CROWNS, tolerances)
 
 
 def with_leaves(scene: VoxelScene, diameter: float) -> VoxelScene:
@@ -156,15 +167,16 @@ def discs(setting: Setting) -> Iterator[Row]:
 
 def open_forest(
     lai: float, crowns: int, seed: int, bands: list[tuple[float, float, float]], zenith: float,
-    voxel: float, parts: int = 3,
+    voxel: float, finer: int = 0,
 ) -> VoxelScene:  # fmt: skip
     """Spheres of 5 m radius and LAI 5 from 4 to 14 m above ground, thrown without overlap.
 
-    The tile is as large as `crowns` spheres need for the LAI, so that it is exact.
+    The tile is as large as `crowns` spheres need for the LAI, so that it is exact. With a structure
+    of `finer` voxels along an edge, or none.
     """
     side = float(np.sqrt(crowns * np.pi * 25.0 * 5.0 / lai))
     columns = 2 * round(side / voxel / 2)
-    width, layers = side / columns, round(14 / voxel)
+    width, layers, parts = side / columns, round(14 / voxel), 3 * max(finer, 1)
     rng = np.random.default_rng(seed)
     places: list[np.ndarray] = []
     while len(places) < crowns:
@@ -180,23 +192,24 @@ def open_forest(
         dx, dy = np.minimum(dx, side - dx), np.minimum(dy, side - dy)
         flat = dy[:, None] ** 2 + dx**2
         inside |= (z - 9.0)[:, None, None] ** 2 + flat < 25.0
-    share = inside.reshape(layers, parts, columns, parts, columns, parts).mean(axis=(1, 3, 5))
-    # The staircase of sub-voxels must not change the area planted.
-    density = 0.75 * share * (crowns * 4 / 3 * np.pi * 125) / (share.sum() * width**2 * 14 / layers)
+    # The staircase of points must not change the area planted.
+    volume = inside.mean() * side**2 * 14
+    density = 0.75 * (crowns * 4 / 3 * np.pi * 125) / volume
     rho, tau, soil = (jnp.asarray(a, jnp.float32) for a in np.array(bands).T)
     ones = jnp.ones(len(bands), jnp.float32)
-    return VoxelScene(
-        jnp.asarray(density[None], jnp.float32),
+    made = VoxelScene(
+        jnp.zeros((1, layers, columns, columns), jnp.float32),
         OpticalClasses(rho[None], tau[None], (SphericalLeafAngle(),), (0,)),
         soil,
         Illumination(jnp.float32(zenith), jnp.float32(270.0), ones, 0 * ones),
         width,
         14.0 / layers,
     )
+    return with_shape(made, inside, finer, density)
 
 
 def rami_figures(
-    reference: dict, accuracy: Accuracy, seeds: int, voxel: float = 0.5
+    reference: dict, accuracy: Accuracy, seeds: int, voxel: float = 0.5, finer: int = 0
 ) -> tuple[Figures, dict[str, Figures]]:
     """Largest absolute differences of the mean over layouts, per sun; and each quantity's mean
     signed difference."""
@@ -211,7 +224,7 @@ def rami_figures(
             lai = reference["scene"]["lai"][key]
             total = np.zeros((3, len(bands)))
             for seed in range(seeds):
-                scene = open_forest(lai, crowns, seed, bands, zenith, voxel)
+                scene = open_forest(lai, crowns, seed, bands, zenith, voxel, finer)
                 flux = fluxes_of(solver(accuracy)(scene))
                 total += np.stack([flux.absorbed.sum(axis=1), flux.albedo, flux.transmitted])
             for b, (band, soil) in enumerate(names):
@@ -233,6 +246,13 @@ def rami4pilps(setting: Setting) -> Iterator[Row]:
     yield from compare(
         "rami4pilps_ofc",
         lambda a: rami_figures(reference, a, seeds, voxel)[0],
+        CROWNS,
+        tolerances,
+        unit="abs",
+    )
+    yield from compare(
+        "rami4pilps, 1 m, structure",
+        lambda a: rami_figures(reference, a, seeds, 1.0, 2 if setting.quick else 4)[0],
         CROWNS,
         tolerances,
         unit="abs",
