@@ -341,7 +341,7 @@ def check_memory(
     """Raise `InputError` where the light of a scene would not fit in the memory of this machine.
 
     Counts what grows with the grid: the scene, of which `held` voxels at most are in memory at
-    once, the radiance along each ordinate in each band, and the directions that the solver keeps.
+    once, the radiance along each ordinate in each band, and what the solver holds of one band.
     """
     available = _memory()
     bands, size = scene.illumination.sun.shape[0], scene.area_density.dtype.itemsize
