@@ -103,7 +103,7 @@ targets = weigh_targets(names, np.asarray(image_statistics(measured, names)), re
 #
 # Cover and chlorophyll of every species, litter and brightness of the ground. How far each may
 # stray from the table is a prior, here those of the plot file: covers seen by eye are uncertain by
-# a quarter, leaves that were not measured by as much as their value.
+# a quarter, leaves that were not measured by half of their value and more.
 
 # %%
 free = ("species.*.cover", "species.*.leaf.chlorophyll", "ground.litter_fraction")
