@@ -125,6 +125,7 @@ def copy_of(folder, tmp_path, old="", new=""):
 
 SLIPS = [
     ("wavelength units = Nanometers", "wavelength units = Furlongs", "the unit is 'furlongs'"),
+    ("450.5 , ", "4505e4 , ", r"one is 4.505e\+07"),
     ("450.5 , ", "0.4505 , 0.5 , ", "expected 5 values, one for each band, but got 6"),
     ("bbl = { 1 , ", "bbl = { yes , ", "expected lists of numbers"),
     ("lines   = 3", "lines = three", "samples, lines, bands and data type.*three"),

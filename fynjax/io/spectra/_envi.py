@@ -13,6 +13,8 @@ from fynjax.io.spectra._record import Spectrum, note
 _MICROMETRES = ("micro", "um", "µm")
 _NANOMETRES = ("nano", "nm")
 _UNSTATED = ("", "unknown", "index")
+_LONGEST = 1e6
+"""No file states a longer wavelength: a millimetre in nm."""
 
 
 def read_header(path: Path) -> dict[str, Any]:
@@ -134,11 +136,17 @@ def in_nanometres(
 
     **Returns:** band centres [nm], and the factor from `unit` to nm.
 
-    **Raises:** `InputError` for a unit that is neither nm nor µm, and for numbers that are in µm
-    where nm are stated.
+    **Raises:** `InputError` for a unit that is neither nm nor µm, for numbers that are in µm where
+    nm are stated, and for a wavelength that no spectrometer has.
     """
     unit = unit.strip().lower()
     highest = float(np.nanmax(wavelength))
+    if highest > _LONGEST:
+        raise InputError(
+            f"expected wavelengths in Nanometers or Micrometers, but one is {highest:g}",
+            file=path,
+            column="wavelength",
+        )
     if unit.startswith(_MICROMETRES) or (unit in _UNSTATED and highest < 100.0):
         return wavelength * 1000.0, 1000.0
     if not unit.startswith(_NANOMETRES) and unit not in _UNSTATED:
