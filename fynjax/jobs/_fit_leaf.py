@@ -259,6 +259,10 @@ def _result(
         FitLeafResult,
         headline=headline,
         warnings=warnings,
+        converged=good == len(spectra),
+        status="ok"
+        if good == len(spectra) and not refused
+        else f"{len(spectra) - good} spectra in doubt, {len(refused)} refused: see traits.csv",
         spectra=len(spectra),
         converged_spectra=good,
         doubtful_spectra=len(spectra) - good,

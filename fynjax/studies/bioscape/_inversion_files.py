@@ -114,13 +114,14 @@ def write_findings(
         for name, fit in zip(findings.plots, fits)
         if not fit.converged
     }
-    if stopped:
-        names = ", ".join(sorted(stopped))
-        warnings = [f"the fit did not converge in its steps: {names}", *warnings]
     return run.result(
         CalibratePlotsResult,
         headline=headline,
         warnings=warnings,
+        converged=not stopped,
+        status=f"not converged in its steps: the fit of {', '.join(sorted(stopped))}"
+        if stopped
+        else "ok",
         plots=findings.plots,
         bands=findings.wavelength.size,
         size_m=resolution.size_m,
