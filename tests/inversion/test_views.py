@@ -404,7 +404,7 @@ class Misleading(Sums):
     """Its cheap form falls where the full one rises."""
 
     def for_search(self, scene, accuracy, stride):
-        return dataclasses.replace(self, lack=-2.0)
+        return dataclasses.replace(self, lack=-3.0)
 
 
 def test_a_search_without_gain_ends_at_its_start_without_another_fit(sums, fits):
