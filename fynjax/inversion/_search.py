@@ -66,10 +66,10 @@ class CalibrationSettings:
                 raise InputError(f"`{name}` must be at least 1, but is {getattr(self, name)}")
 
 
-_SPARE = 1.1
-"""Sites that a search keeps free beyond the plants that it asks for, as a factor on these."""
-_MOST_GROWTHS = 3
-"""Rounds added to a search because its plants needed more sites."""
+_SPARE = 1.5
+"""Plants for which sites are made where a species has too few, as a factor on those asked for."""
+_MOST_GROWTHS = 1
+"""Rounds added to a search because its plants needed more sites. Each is compiled anew."""
 
 
 @dataclasses.dataclass
@@ -150,11 +150,12 @@ class Search:
 
     def _grown(self, plot: PlotParameters) -> bool:
         """Whether more sites had to be made for the plants of `plot`, and could be."""
-        counts = _SPARE * np.asarray(self.scene.counts(plot))
-        if self._grow is None or not self._short(counts):
+        counts = np.asarray(self.scene.counts(plot))
+        short = room_needed(self.scene, self._parameters, counts) > 0.0
+        if self._grow is None or not short.any():
             return False
         try:
-            larger = self._grow(counts)
+            larger = self._grow(np.where(short, _SPARE * counts, counts))
         except InputError:  # no room on the plot, or in memory
             return False
         self.scene = larger
