@@ -74,23 +74,14 @@ def follow(page: Path, *, everything: bool) -> None:
                 plot.write_text(stated, "utf-8")
 
 
+@pytest.mark.parametrize("everything", [False, pytest.param(True, marks=pytest.mark.study)])
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
 def test_a_first_hour_can_be_followed(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: Path, everything: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("webbrowser.open", lambda address: True)
-    follow(page, everything=False)
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
-def test_a_first_hour_runs_to_its_end(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("webbrowser.open", lambda address: True)
-    follow(page, everything=True)
+    follow(page, everything=everything)
 
 
 def test_every_command_has_a_page_whose_examples_can_be_typed() -> None:

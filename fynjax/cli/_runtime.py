@@ -215,8 +215,8 @@ def _alone(output: Path) -> Iterator[None]:
         raise InputError(
             f"another run is writing into {output}: wait for its end, or give another --output"
         ) from None
-    except (OSError, NotImplementedError, RuntimeError):
-        yield  # no home, a home that cannot be written, a file system without locks
+    except (OSError, RuntimeError):
+        yield  # no home, one that cannot be written, or a file system without locks
         return
     try:
         remove_abandoned(output)

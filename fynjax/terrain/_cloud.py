@@ -196,7 +196,7 @@ def _check_las_header(path: Path) -> None:
     """`InputError` where a LAS or LAZ header states more than its file can hold.
 
     Fields as in LAS 1.4 R15, tables 3, 5 and 6, and in the LASzip specification 1.4, section 4.
-    A decompressor that is told of too many chunks ends the process instead of raising.
+    A table that states too many chunks makes the decompressor end the process instead of raising.
     """
     held = path.stat().st_size
     with path.open("rb") as file:

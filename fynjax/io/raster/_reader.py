@@ -276,7 +276,7 @@ class RasterFile:
                 raw = file.read(bands, window=part)[:, ::step, ::step]
                 data = file.read_masks(bands, window=part)[:, ::step, ::step] > 0
                 rows = slice(start // step, start // step + raw.shape[1])
-                with np.errstate(all="ignore"):  # what is no number is told below
+                with np.errstate(all="ignore"):  # what is no number is warned of below
                     values[:, rows] = raw
                 if not zero_is_data:
                     data &= ~(raw == 0).all(axis=0)
