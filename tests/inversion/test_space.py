@@ -81,6 +81,16 @@ def test_a_bound_cuts_a_prior_as_scipy_cuts_a_normal_one():
     np.testing.assert_allclose(density[:, 0], truth.pdf(np.asarray(values[:, 0])), rtol=1e-9)
 
 
+@pytest.mark.parametrize("upper", [1.0, 10.0])
+def test_the_derivative_of_a_cut_prior_is_that_of_differences(upper):
+    """Of both halves, with the cut near and far."""
+    space = one("lognormal", 0.01, upper, 0.4, 0.15)
+    for u in (-2.3, -0.4, 0.6, 2.1):
+        ends = [float(space.physical(jnp.array([u + step]))[0]) for step in (-1e-5, 1e-5)]
+        found = jax.grad(lambda u: space.physical(u)[0])(jnp.array([u]))[0]
+        assert float(found) == pytest.approx((ends[1] - ends[0]) / 2e-5, rel=1e-6)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_far_out_a_value_is_inside_and_its_density_finite(kind):
     space = one(kind, *KINDS[kind])
