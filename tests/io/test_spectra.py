@@ -180,6 +180,25 @@ def test_impossible_tables_are_refused_with_the_files_name(tmp_path, columns, me
     assert "bad.csv" in str(caught.value)
 
 
+def test_slightly_negative_transmittance_is_masked_with_a_note(tmp_path):
+    """As of needles whose gaps were overcorrected; far below zero it is no such thing."""
+    visible = WAVELENGTH < 700
+    through = np.where(visible, -0.04, 0.4)
+    path = table(tmp_path / "t.csv", {"wavelength": WAVELENGTH, "a_R": R, "a_T": through})
+    (needle,) = read_spectra(path)
+    assert np.isnan(needle.transmittance[visible]).all()
+    np.testing.assert_array_equal(needle.transmittance[~visible], 0.4)
+    np.testing.assert_array_equal(needle.reflectance, R)
+    assert "down to -0.040) masked" in needle.meta["repairs"][0]
+    for wrong, message in (
+        (np.where(visible, -0.2, 0.4), "is negative in"),
+        (0.0 * R - 0.05, "negative throughout"),
+    ):
+        table(path, {"wavelength": WAVELENGTH, "a_R": R, "a_T": wrong})
+        with pytest.raises(InputError, match=message):
+            read_spectra(path)
+
+
 def test_unknown_and_missing_files(tmp_path):
     (tmp_path / "a.bin").write_bytes(bytes(range(32)) * 10)
     with pytest.raises(InputError, match="unknown format"):

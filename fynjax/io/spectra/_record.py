@@ -11,6 +11,9 @@ from fynjax._core.errors import InputError
 # Bands where an outdoor spectrum is noise: no check looks there, and the fit can leave them out.
 WATER_WINDOWS = ((1340.0, 1420.0), (1790.0, 1970.0), (2400.0, 2600.0))
 _LOWEST, _HIGHEST = -0.02, 1.05
+# Of a thin or opaque leaf too much stray light or gap taken off leaves a transmittance below zero,
+# rarely further than this.
+_OVERCORRECTED = -0.1
 # No ratio of two counts of 16 bits, be they noise, is larger.
 _LARGEST_RATIO = 65535.0
 
@@ -59,6 +62,18 @@ def _checked(
             file=file,
         )
     known = ~np.isnan(values)
+    if what == "transmittance":
+        slight = known & (values < _LOWEST) & (values >= _OVERCORRECTED)
+        if slight.any():
+            note(
+                meta,
+                f"{slight.sum()} bands of slightly negative transmittance (down to "
+                f"{values[slight].min():.3f}) masked; was too much taken off for gaps or dark "
+                "current?",
+            )
+            values, known = np.where(slight, np.nan, values), known & ~slight
+            if not known.any():
+                raise InputError(f"the transmittance of {name!r} is negative throughout", file=file)
     wrong = known & looked_at & ~((values >= _LOWEST) & (values <= _HIGHEST))
     if wrong.sum() > 0.05 * shown.size:
         low, high = float(shown.min()), float(shown.max())
