@@ -16,6 +16,14 @@ class Version(StrEnum):
     PRO = "PRO"
 
 
+class LeafShape(StrEnum):
+    """Shapes of leaves."""
+
+    broad = "broad"
+    needle = "needle"
+    culm = "culm"
+
+
 class Domain(StrEnum):
     """Wavelengths that enter the fit."""
 
@@ -44,6 +52,10 @@ def fit_leaf(
     measurement: Annotated[
         str, typer.Option(help="How it was measured: sphere, leaf-clip, or stack (needle mats).")
     ] = "sphere",
+    leaf_shape: Annotated[
+        LeafShape,
+        typer.Option(help="Of needles and culms the gaps between them are estimated as well."),
+    ] = LeafShape.broad,
     domain: Annotated[
         Domain, typer.Option(help="Wavelengths to fit: all, or the published sub-domains.")
     ] = Domain.full,
@@ -81,6 +93,7 @@ def fit_leaf(
         folder,
         version=version.value,
         measurement=measurement,
+        leaf_shape=leaf_shape.value,
         domain=domain.value,
         seed=seed,
         progress=progress,

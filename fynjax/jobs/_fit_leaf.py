@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pandas as pd
@@ -14,6 +14,7 @@ from fynjax.io.spectra import (
     Spectrum,
     note,
     posterior_dataset,
+    prior_decides,
     read_usable_spectra,
     species_table,
     spectra_dataset,
@@ -29,6 +30,8 @@ from fynjax.leaf import (
     FitDomain,
     IntegratingSphere,
     LeafClip,
+    LeafFit,
+    LeafOverBackground,
     LeafStack,
     ProspectVersion,
     correct_detector_jumps,
@@ -43,6 +46,8 @@ MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
     "leaf-clip": LeafClip,
     "stack": LeafStack,
 }
+LeafShape = Literal["broad", "needle", "culm"]
+"""Shape of the leaves of a file: broad leaves fill the field of view, the others leave gaps."""
 Sampling = Literal["none", "emcee", "nuts"]
 """How the posterior is sampled, if at all."""
 _GRID = np.arange(350.0, 2501.0)
@@ -77,6 +82,27 @@ class FitLeafResult(JobResult):
     doubtful_spectra: int
     refused: list[RefusedSpectrum]
     repairs: list[SpectrumRepair]
+
+
+def _measurement(name: str, shape: str) -> AbstractMeasurement:
+    """What the instrument records of leaves of a shape.
+
+    Behind the gaps of needles and culms lies the light trap of a sphere, or a face that need not be
+    black; a thick pile has no gaps.
+    """
+    if name not in MEASUREMENTS:
+        raise InputError(f"`measurement` must be one of {', '.join(MEASUREMENTS)}, but is {name!r}")
+    if shape not in get_args(LeafShape):
+        known = ", ".join(get_args(LeafShape))
+        raise InputError(f"`leaf_shape` must be one of {known}, but is {shape!r}")
+    single = MEASUREMENTS[name]()
+    if shape == "broad" or name == "stack":
+        return single
+    return LeafOverBackground(
+        background=None if name == "leaf-clip" else 0.0,
+        gap_fraction=None,
+        offset_deviation=single.offset_deviation,
+    )
 
 
 def _without_jumps(spectrum: Spectrum) -> Spectrum:
@@ -148,6 +174,7 @@ def fit_leaf(
     *,
     version: ProspectVersion = "D",
     measurement: str = "sphere",
+    leaf_shape: LeafShape = "broad",
     domain: FitDomain = "full",
     groups: str | Path | None = None,
     posterior: Sampling = "none",
@@ -166,6 +193,9 @@ def fit_leaf(
     - `output`: folder, made if missing.
     - `version`: "5", "D" or "PRO".
     - `measurement`: "sphere", "leaf-clip" or "stack".
+    - `leaf_shape`: "broad", "needle" or "culm". Needles and culms leave gaps: where transmittance
+      was measured their part of the field of view is estimated, of a leaf clip also what lies
+      behind.
     - `domain`: "full" or "optimal".
     - `groups`: a CSV with the columns `name` (of a spectrum) and `species`: leaves of a species are
       fitted together, and `species.csv` holds the mean leaf and five material variants of each.
@@ -181,10 +211,7 @@ def fit_leaf(
 
     Example: `jobs.fit_leaf(["leaves.csv"], "results", version="PRO")`.
     """
-    if measurement not in MEASUREMENTS:
-        raise InputError(
-            f"`measurement` must be one of {', '.join(MEASUREMENTS)}, but is {measurement!r}"
-        )
+    instrument = _measurement(measurement, leaf_shape)
     refused: list[tuple[str, str, InputError]] = []
     spectra: list[tuple[str, Spectrum]] = []
     for path in paths:
@@ -201,7 +228,7 @@ def fit_leaf(
     files, names = [f for f, _ in spectra], [s.name for _, s in spectra]
     run = Run(output, seed=seed, progress=progress)
     options: dict[str, Any] = {
-        "version": version, "measurement": MEASUREMENTS[measurement](), "domain": domain
+        "version": version, "measurement": instrument, "domain": domain
     }  # fmt: skip
     together = None
     if groups is not None:
@@ -212,6 +239,8 @@ def fit_leaf(
     settings = {
         "prospect_version": version,
         "measurement": measurement,
+        "leaf_shape": leaf_shape,
+        "area": "projected",
         "domain": domain,
         "seed": str(seed),
     }
@@ -236,22 +265,28 @@ def fit_leaf(
         what = "draws of the parameters and of T from the posterior"
         dataset = posterior_dataset(draws, fit, files, names, settings)
         write_leaf_netcdf(dataset, run.path("posterior.nc", what))
-    return _result(run, list(fit.status), spectra, refused)
+    return _result(run, fit, spectra, refused)
 
 
 def _result(
     run: Run,
-    status: list[str],
+    fit: LeafFit,
     spectra: list[tuple[str, Spectrum]],
     refused: list[tuple[str, str, InputError]],
 ) -> FitLeafResult:
-    good = status.count("converged")
+    good = fit.status.count("converged")
     headline = [f"{good} of {len(spectra)} spectra fitted without doubt."]
     if good < len(spectra):
         headline.append("The others say why in the column status of traits.csv.")
     repaired = sum(bool(s.meta["repairs"]) for _, s in spectra)
     if repaired:
         headline.append(f"{repaired} were repaired while reading, see the column repairs.")
+    decided = sum(bool(names) for names in prior_decides(fit))
+    if decided:
+        headline.append(
+            f"Of {decided} the prior says more than the spectrum about a trait, see the column "
+            "prior_decides."
+        )
     warnings = [f"Refused: {error}" for _, _, error in refused[:_NAMED_REFUSALS]]
     if len(refused) > _NAMED_REFUSALS:
         warnings.append(f"{len(refused) - _NAMED_REFUSALS} more were refused, see traits.csv.")

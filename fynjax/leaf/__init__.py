@@ -12,9 +12,10 @@ from fynjax.leaf._error_model import (
     estimate_error_model,
     independent_error_model,
 )
-from fynjax.leaf._fit import TRAIT_DISCREPANCY, LeafFit, LeafStatus, fit_leaf
+from fynjax.leaf._fit import LeafFit, LeafStatus, fit_leaf
 from fynjax.leaf._groups import LeafGroups, fit_leaf_groups
 from fynjax.leaf._measurement import (
+    MEASUREMENT_PARAMETERS,
     AbstractMeasurement,
     IntegratingSphere,
     LeafClip,
@@ -38,7 +39,7 @@ enable_double_precision()
 __all__ = [
     "LARGEST_JUMP",
     "LEAF_PARAMETERS",
-    "TRAIT_DISCREPANCY",
+    "MEASUREMENT_PARAMETERS",
     "AbstractMeasurement",
     "ErrorModel",
     "FitDomain",

@@ -36,8 +36,13 @@ def _bin_edges() -> np.ndarray:
     return np.concatenate([[centres[0] - 2.5], between, [centres[-1] + 5.0]])
 
 
+POPULATION_TRAITS = ("structure", "chlorophyll", "carotenoids", "water", "dry_matter")
+"""Traits whose correlation and discrepancy an error model holds."""
+
+
 class ErrorModel(eqx.Module):
-    """Covariance of what PROSPECT leaves unexplained in R and T, on `bin_centres()`."""
+    """Covariance of what PROSPECT leaves unexplained in R and T, on `bin_centres()`, and what the
+    same leaves say of traits."""
 
     reflectance_factors: Float[np.ndarray, "factor bin"]
     """Change of R by one standard deviation of each factor [-]."""
@@ -50,6 +55,14 @@ class ErrorModel(eqx.Module):
     distrust: Float[np.ndarray, " bin"]
     """Further independent standard deviation of R and T while parameters are sought, because the
     covariance was learned on other leaves and instruments; no part of the band of T [-]."""
+    trait_correlation: Float[np.ndarray, "trait trait"]
+    """Correlation of the logarithms of `POPULATION_TRAITS` among leaves: that of the prior."""
+    trait_discrepancy: Float[np.ndarray, "trait 2"]
+    """Standard deviation between the trait measured in a laboratory and the trait that explains the
+    spectrum, besides the errors of the spectrum: specific absorption that varies between species,
+    and laboratory errors. In the logit coordinate, where it is nearly the relative standard
+    deviation, for a leaf of inflation 1. The first column is its logarithm at a dry matter of 0.008
+    g cm-2, the second the change of that with the logarithm of dry matter [-]."""
 
 
 # Sub-domains that estimate N, Car, Chl, and EWT with LMA best in several campaigns: Féret et al.
@@ -80,6 +93,8 @@ def estimate_error_model(
     residual_sets: Sequence[Float[np.ndarray, "leaf 2 bin"]],
     factors: int = 40,
     own_share: float = 0.5,
+    trait_correlation: Float[np.ndarray, "trait trait"] | None = None,
+    trait_discrepancy: Float[np.ndarray, "trait 2"] | None = None,
 ) -> ErrorModel:
     """Factors of the discrepancy between PROSPECT and measured leaves of several data sets.
 
@@ -97,20 +112,24 @@ def estimate_error_model(
     - `factors`: how many principal factors to keep; the rest becomes independent noise.
     - `own_share`: weight of the empirical covariance of the sets, 0 to 1; the rest is the weight of
       the Gaussian process.
+    - `trait_correlation`, `trait_discrepancy`: fields of the model; none, and a quarter, by
+      default.
 
     **Returns:** `ErrorModel` on `bin_centres()`. NumPy; not differentiable.
     """
     centres = bin_centres()
     used = (centres >= 440.0) & (centres <= 2410.0)
-    moments = []
+    moments, sets = np.zeros((2, 2 * centres.size, 2 * centres.size))
     for residuals in residual_sets:
         flat = np.where(used, residuals, np.nan).reshape(len(residuals), -1)
         known = np.isfinite(flat)
         filled = np.where(known, flat, 0.0)
         size = np.sqrt((filled**2).sum(1) / np.maximum(known.sum(1), 1))
         filled *= np.minimum(1.0, 2.5 * np.median(size) / np.maximum(size, 1e-9))[:, None]
-        moments.append(filled.T @ filled / np.maximum(known.T.astype(float) @ known, 1.0))
-    empirical = np.mean(moments, axis=0)
+        pairs = known.T.astype(float) @ known
+        moments += filled.T @ filled / np.maximum(pairs, 1.0)
+        sets += pairs > 0
+    empirical = moments / np.maximum(sets, 1.0)
     inner = (centres >= 450.0) & (centres <= 2400.0)
     distance2 = (centres[:, None] - centres) ** 2
     lengths = ((0.2, 15.0), (0.4, 60.0), (0.4, 300.0))
@@ -130,8 +149,21 @@ def estimate_error_model(
     loadings = (directions * np.sqrt(np.maximum(sizes, 0.0))).T
     noise = np.sqrt(np.maximum(np.diag(total) - (loadings**2).sum(0), 0.0) + 1e-3**2)
     return ErrorModel(
-        loadings[:, :bins], loadings[:, bins:], noise[:bins], noise[bins:], _distrust()
+        loadings[:, :bins],
+        loadings[:, bins:],
+        noise[:bins],
+        noise[bins:],
+        _distrust(),
+        np.eye(len(POPULATION_TRAITS)) if trait_correlation is None else trait_correlation,
+        _assumed_discrepancy() if trait_discrepancy is None else trait_discrepancy,
     )
+
+
+def _assumed_discrepancy() -> Float[np.ndarray, "trait 2"]:
+    """A quarter of every trait that a laboratory measures; nobody measures N."""
+    assumed = np.tile([np.log(0.25), 0.0], (len(POPULATION_TRAITS), 1))
+    assumed[POPULATION_TRAITS.index("structure"), 0] = -np.inf
+    return assumed
 
 
 @cache
@@ -146,7 +178,12 @@ def default_error_model() -> ErrorModel:
     r = table[names].to_numpy(float).T
     t = table[[n.replace("r_", "t_", 1) for n in names]].to_numpy(float).T
     noise = [table[key].to_numpy(float) for key in ("r_noise", "t_noise")]
-    return ErrorModel(r, t, noise[0], noise[1], _distrust())
+    path = resources.files("fynjax.leaf") / "data" / "trait_model.csv"
+    with resources.as_file(path) as file:
+        traits = pd.read_csv(file, index_col="trait").loc[list(POPULATION_TRAITS)]
+    correlation = traits[list(POPULATION_TRAITS)].to_numpy(float)
+    discrepancy = traits[["log_discrepancy", "dry_matter_slope"]].to_numpy(float)
+    return ErrorModel(r, t, noise[0], noise[1], _distrust(), correlation, discrepancy)
 
 
 def independent_error_model(standard_deviation: float = 0.01) -> ErrorModel:
@@ -162,7 +199,15 @@ def independent_error_model(standard_deviation: float = 0.01) -> ErrorModel:
     # As many factors as the default has, so that the compiled programs of the fit are shared.
     none = np.zeros_like(default_error_model().reflectance_factors)
     flat = np.full(bins, standard_deviation)
-    return ErrorModel(none, none, flat, flat, np.zeros(bins))
+    return ErrorModel(
+        none,
+        none,
+        flat,
+        flat,
+        np.zeros(bins),
+        np.eye(len(POPULATION_TRAITS)),
+        _assumed_discrepancy(),
+    )
 
 
 def to_bins(wavelength: np.ndarray, spectra: np.ndarray) -> np.ndarray:

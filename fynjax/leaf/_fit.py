@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+from scipy.stats import chi2
 
 from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import NullProgress, Progress
@@ -31,24 +32,11 @@ from fynjax.leaf._problem import (
 NINETY_PERCENT = 1.6448536269514722
 # One leaf in a hundred of ANGERS, LOPEX, NASA FFT is beyond it, and nine soils of ten.
 _POOR_FIT = 4.0
-
-TRAIT_DISCREPANCY: dict[str, float] = {
-    "chlorophyll": 0.24,
-    "carotenoids": 0.25,
-    "water": 0.18,
-    "dry_matter": 0.18,
-    "proteins": 0.25,
-    "carbon_constituents": 0.25,
-}
-"""Standard deviation between the trait measured in a laboratory and the trait that explains the
-spectrum, besides the errors of the spectrum: specific absorption that varies between species, and
-laboratory errors. In the logit coordinate, where it is nearly the relative standard deviation, for
-a leaf of inflation 1 [-].
-
-Large enough that the 90 % intervals hold at least eight of ten measured values of ANGERS, LOPEX
-and NASA FFT when the error model comes from the other sets. Sclerophyll shrubs of California, whose
-spectra are of unknown geometry, reach two of three. The values of protein and CBC are assumptions.
-"""
+# One leaf in a hundred of the population is further from the usual leaf.
+_RARE = 0.99
+# Dry matter [g cm-2] at which the discrepancy of traits is stated, and how far from it, as a
+# logarithm, it is taken to change: from 2.4 to 27 mg cm-2, which is where leaves were measured.
+USUAL_DRY_MATTER, _THICKEST = 0.008, 1.2
 
 
 class LeafStatus(enum.IntEnum):
@@ -59,11 +47,13 @@ class LeafStatus(enum.IntEnum):
     at_bound = 2
     max_steps = 3
     failed = 4
+    unusual = 5
 
 
 _SENTENCES = {
     LeafStatus.converged: "converged",
     LeafStatus.poor_fit: "converged, poor fit: unlike any leaf of the error model",
+    LeafStatus.unusual: "converged, unusual traits: like none of the leaves of the error model",
     LeafStatus.at_bound: "at bound: ",
     LeafStatus.max_steps: "not converged: iteration limit reached",
     LeafStatus.failed: "failed: fewer than ten usable bands within 450-2400 nm",
@@ -109,6 +99,15 @@ class LeafFit(eqx.Module):
     """`LeafStatus` of each leaf."""
     at_bound: Bool[np.ndarray, "leaf parameter"]
     """Whether a parameter is within 1 % of its range from its upper bound."""
+    prior_share: Float[np.ndarray, "leaf parameter"]
+    """Variance of each parameter, as far as spectra explain it, over that in the population: near 0
+    the spectrum decides, near 1 the prior [-]."""
+    measurement: Float[np.ndarray, "leaf estimated"]
+    """What was estimated of the measurement, such as the gap fraction; see `estimated`."""
+    measurement_deviation: Float[np.ndarray, "leaf estimated"]
+    """Standard deviation of `measurement`."""
+    estimated: tuple[str, ...] = eqx.field(static=True)
+    """Names of what was estimated of the measurement."""
 
     @property
     def status(self) -> tuple[str, ...]:
@@ -172,12 +171,16 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: lm.Optics) -> 
 
 
 def solve_leaves(
-    setup: Setup, data: np.ndarray, use: np.ndarray, prior: tuple[np.ndarray, np.ndarray]
+    setup: Setup,
+    data: np.ndarray,
+    use: np.ndarray,
+    prior: tuple[np.ndarray, np.ndarray],
 ) -> tuple[lm.State, lm.Problem, np.ndarray]:
     """Most probable z of each leaf, its problem, and its misfit without inflation.
 
     A leaf that fits worse than the leaves of the error model has its covariance scaled up, one step
-    of a Student likelihood with 50 degrees of freedom, and is solved again.
+    of a Student likelihood with 50 degrees of freedom, and is solved again. The same for the prior
+    was tried with 4 degrees: it adds half to the error of water in sclerophylls and needles.
     """
     problems = leaf_problems(setup, data, use, prior, np.ones(len(data)))
     state = lm.solve(prior[0], problems, setup.factors, setup.optics)
@@ -192,6 +195,12 @@ def solve_leaves(
             whole[again] = new
         misfit[again] = _misfit(moved, part)
     return state, problems, misfit
+
+
+def rarity(setup: Setup, z: np.ndarray) -> Float[np.ndarray, " leaf"]:
+    """Squared distance of leaves from the usual leaf, in units of the population's covariance."""
+    offset = z - setup.prior_mean
+    return np.einsum("np,pq,nq->n", offset, setup.prior_precision, offset)
 
 
 def _misfit(state: lm.State, problems: lm.Problem) -> Float[np.ndarray, " leaf"]:
@@ -211,13 +220,24 @@ def describe(
     return {key: np.array(value)[: len(z)] for key, value in description.items()}
 
 
-def trait_variance(setup: Setup, inflation: np.ndarray) -> Float[np.ndarray, "leaf parameter"]:
-    """Variance of z that the measured traits add to the spectrum's, see `TRAIT_DISCREPANCY`."""
-    discrepancy = [TRAIT_DISCREPANCY.get(n, 0.0) if n in setup.free else 0.0 for n in setup.names]
+def trait_variance(
+    setup: Setup, inflation: np.ndarray, z: np.ndarray
+) -> Float[np.ndarray, "leaf parameter"]:
+    """Variance of z that the measured traits add to the spectrum's."""
     # Beyond tenfold the spectrum is not that of a leaf: the status says so, and the interval is
     # the range of the prior.
     grown = np.minimum(np.asarray(inflation), 10.0)
-    return grown[:, None] * np.array(discrepancy) ** 2
+    log, slope = setup.discrepancy.T
+    mass = "dry_matter" if "dry_matter" in setup.names else "carbon_constituents"
+    lower, upper = leaf_bounds([mass])[0]
+    unit = 1.0 / (1.0 + np.exp(-z[:, setup.names.index(mass)]))
+    thick = thickness(lower + (upper - lower) * unit)[:, None]
+    return grown[:, None] * np.exp(2.0 * (log + slope * thick))
+
+
+def thickness(dry_matter: np.ndarray) -> np.ndarray:
+    """Logarithm of dry matter over the usual one, cut where no leaves were measured."""
+    return np.clip(np.log(dry_matter / USUAL_DRY_MATTER), -_THICKEST, _THICKEST)
 
 
 def fit_leaf(
@@ -244,7 +264,7 @@ def fit_leaf(
     fits worse than the leaves of the error model has its covariance scaled up (one step of a
     Student likelihood) and is fitted again. Standard deviations and intervals are those of the
     trait a laboratory would measure: they include the part of its variance that spectra do not
-    explain (`TRAIT_DISCREPANCY`).
+    explain (`ErrorModel.trait_discrepancy`).
 
     **Arguments:**
 
@@ -304,18 +324,24 @@ def fit_leaf(
 
 
 def fit_chunk(
-    setup: Setup, data: np.ndarray, use: np.ndarray, prior: tuple[np.ndarray, np.ndarray]
+    setup: Setup,
+    data: np.ndarray,
+    use: np.ndarray,
+    prior: tuple[np.ndarray, np.ndarray],
 ) -> dict[str, np.ndarray]:
     """Everything `assemble` needs of some leaves."""
     state, problems, misfit = solve_leaves(setup, data, use, prior)
     covariance = np.linalg.inv(state.hessian)
     description: dict[str, Any] = describe(setup, problems, state.z, covariance)
     inflation = np.asarray(problems.inflation)
-    covariance = covariance + np.eye(len(setup.names)) * trait_variance(setup, inflation)[:, None]
-    chi2 = misfit / np.maximum(use.sum((1, 2)), 1)
+    population = np.diag(np.linalg.inv(setup.prior_precision))
+    share = np.einsum("npp->np", covariance) / population
+    extra = trait_variance(setup, inflation, state.z)
+    covariance = covariance + np.eye(len(setup.names)) * extra[:, None]
+    misfit = misfit / np.maximum(use.sum((1, 2)), 1)
     return description | {
-        "z": state.z, "covariance": covariance, "chi2": chi2, "inflation": inflation,
-        "converged": state.converged,
+        "z": state.z, "covariance": covariance, "chi2": misfit, "inflation": inflation,
+        "converged": state.converged, "share": share, "rarity": rarity(setup, state.z),
     }  # fmt: skip
 
 
@@ -340,20 +366,30 @@ def assemble(
     square = np.where(use, (np.where(use, data, 0.0) - got["recorded"]) ** 2, 0.0)
     rmse = np.sqrt(square.sum((1, 2)) / np.maximum(use.sum((1, 2)), 1))
     at_bound = (got["x"] > bounds[:, 1] - 0.01 * width) & np.isin(names, free)
+    rare = got["rarity"] > chi2.ppf(_RARE, len(free))
     reason = np.select(
-        [few, ~got["converged"], at_bound.any(1), got["inflation"] > _POOR_FIT],
-        [LeafStatus.failed, LeafStatus.max_steps, LeafStatus.at_bound, LeafStatus.poor_fit],
+        [few, ~got["converged"], at_bound.any(1), got["inflation"] > _POOR_FIT, rare],
+        [
+            LeafStatus.failed,
+            LeafStatus.max_steps,
+            LeafStatus.at_bound,
+            LeafStatus.poor_fit,
+            LeafStatus.unusual,
+        ],
         LeafStatus.converged,
     )
     for key in ("x", "recorded", "corrected", "variance"):
         got[key][few] = np.nan
     spread = np.sqrt(np.einsum("npp->np", covariance))
     values = dict(zip(names, got["x"].T))
-    zeros = {name: 0.0 for name in LEAF_PARAMETERS if name not in names}
-    chosen = [names.index(name) for name in free]
+    leaf = {name: values.get(name, 0.0) for name in LEAF_PARAMETERS}
+    fitted = tuple(name for name in free if name in LEAF_PARAMETERS)
+    chosen = [names.index(name) for name in fitted]
+    estimated = setup.optics.measurement.estimated
+    own = [names.index(name) for name in estimated]
     return LeafFit(
-        parameters=LeafParameters.many(**zeros, **values),
-        names=free,
+        parameters=LeafParameters.many(**leaf),
+        names=fitted,
         standard_deviation=np.where(few[:, None], np.nan, spread)[:, chosen],
         covariance=covariance[:, chosen][:, :, chosen],
         lower=np.where(few[:, None], np.nan, ends[0])[:, chosen],
@@ -370,4 +406,8 @@ def assemble(
         converged=got["converged"] & ~few,
         reason=reason,
         at_bound=at_bound[:, chosen],
+        prior_share=np.where(few[:, None], np.nan, got["share"])[:, chosen],
+        measurement=got["x"][:, own],
+        measurement_deviation=np.where(few[:, None], np.nan, spread)[:, own],
+        estimated=estimated,
     )  # fmt: skip

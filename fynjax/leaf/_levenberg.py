@@ -71,32 +71,47 @@ def to_unconstrained(x: Array, optics: Optics) -> Array:
     return jnp.log(unit) - jnp.log1p(-unit)
 
 
+def _split(x: Array, optics: Optics) -> tuple[Array, Array, Array]:
+    """Structure, contents and the measurement's parameters, which follow in this order."""
+    last = 1 + optics.absorption.shape[0]
+    return x[0], x[1:last], x[last:]
+
+
 def spectra(x: Array, optics: Optics) -> Array:
-    """R and T [2, bin] at physical parameters, structure first."""
-    k = (x[1:] @ optics.absorption) / x[0]
-    return jnp.stack(_stack(layer_absorptance(k), x[0], optics.first, optics.diffuse, optics.index))
+    """R and T [2, bin] at physical parameters."""
+    structure, contents, _ = _split(x, optics)
+    k = (contents @ optics.absorption) / structure
+    return jnp.stack(
+        _stack(layer_absorptance(k), structure, optics.first, optics.diffuse, optics.index)
+    )
 
 
 def observed(x: Array, optics: Optics) -> Array:
     """What the instrument reads [2, bin] at physical parameters."""
     r, t = spectra(x, optics)
-    return jnp.stack(optics.measurement.observe(r, t))
+    return jnp.stack(optics.measurement.observe(r, t, *_split(x, optics)[2]))
 
 
 def spectra_and_slopes(x: Array, optics: Optics) -> tuple[Array, Array]:
-    """R and T [2, bin], and their derivatives by the physical parameters [parameter, 2, bin]."""
+    """R and T [2, bin], and their derivatives by the physical parameters [parameter, 2, bin].
+
+    By the measurement's parameters they are zero.
+    """
+    structure, contents, rest = _split(x, optics)
 
     def of(k: Array, n: Array) -> Array:
         return jnp.stack(
             _stack(layer_absorptance(k), n, optics.first, optics.diffuse, optics.index)
         )
 
-    k = (x[1:] @ optics.absorption) / x[0]
-    n = jnp.broadcast_to(x[0], k.shape)
+    k = (contents @ optics.absorption) / structure
+    n = jnp.broadcast_to(structure, k.shape)
     value, by_k = jax.jvp(of, (k, n), (jnp.ones_like(k), jnp.zeros_like(n)))
     _, by_n = jax.jvp(of, (k, n), (jnp.zeros_like(k), jnp.ones_like(n)))
-    contents = by_k[None] * (optics.absorption / x[0])[:, None, :]
-    return value, jnp.concatenate([(by_n - by_k * k / x[0])[None], contents])
+    by_contents = by_k[None] * (optics.absorption / structure)[:, None, :]
+    none = jnp.zeros((rest.size, *value.shape), value.dtype)
+    by_structure = (by_n - by_k * k / structure)[None]
+    return value, jnp.concatenate([by_structure, by_contents, none])
 
 
 def observed_and_slopes(x: Array, optics: Optics) -> tuple[Array, Array]:
@@ -104,10 +119,14 @@ def observed_and_slopes(x: Array, optics: Optics) -> tuple[Array, Array]:
     value, jacobian = spectra_and_slopes(x, optics)
     r, t = value
     ones, zeros = jnp.ones_like(r), jnp.zeros_like(r)
+    rest = _split(x, optics)[2]
     read = optics.measurement.observe
-    recorded, by_r = jax.jvp(read, (r, t), (ones, zeros))
-    _, by_t = jax.jvp(read, (r, t), (zeros, ones))
+    recorded, by_r = jax.jvp(lambda r, t: read(r, t, *rest), (r, t), (ones, zeros))
+    _, by_t = jax.jvp(lambda r, t: read(r, t, *rest), (r, t), (zeros, ones))
     slopes = jnp.stack(by_r) * jacobian[:, :1] + jnp.stack(by_t) * jacobian[:, 1:]
+    if rest.size:
+        own = jax.jacfwd(lambda rest: jnp.stack(read(r, t, *rest)))(rest)
+        slopes = slopes.at[-rest.size :].set(jnp.moveaxis(own, -1, 0))
     return jnp.stack(recorded), slopes
 
 

@@ -7,6 +7,34 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from fynjax._core.parameters import Parameter
+
+MEASUREMENT_PARAMETERS = {
+    "gap_fraction": Parameter(
+        symbol="g",
+        name="Gap fraction",
+        unit="-",
+        lower=-0.1,
+        upper=0.6,
+        usual=(0.0, 0.2),
+        population=(0.03, 1.7),
+        description="Part of the field of view without leaf. Below zero where a correction for "
+        "gaps took off too much. Needles laid side by side leave 0.02 to 0.2 (Mesarch et al. 1999, "
+        "Remote Sensing of Environment 68, 177).",
+    ),
+    "background": Parameter(
+        symbol="B",
+        name="Reflectance behind the leaves",
+        unit="-",
+        lower=0.0,
+        upper=1.0,
+        usual=(0.0, 0.5),
+        population=(0.05, 1.5),
+        description="The same at all bands: near zero of a black face or a light trap.",
+    ),
+}
+"""What a fit can estimate of a measurement with each leaf, with wide priors."""
+
 
 class AbstractMeasurement(eqx.Module):
     """How the recorded reflectance and transmittance follow from those of a leaf."""
@@ -14,11 +42,22 @@ class AbstractMeasurement(eqx.Module):
     offset_deviation: eqx.AbstractVar[float]
     """Prior standard deviation of an additive offset of R, the same at all bands [-]."""
 
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """Names of `MEASUREMENT_PARAMETERS` that a fit estimates with each leaf."""
+        return ()
+
     @abc.abstractmethod
     def observe(
-        self, reflectance: Float[Array, " band"], transmittance: Float[Array, " band"]
+        self,
+        reflectance: Float[Array, " band"],
+        transmittance: Float[Array, " band"],
+        *estimated: Float[Array, ""],
     ) -> tuple[Float[Array, " band"], Float[Array, " band"]]:
-        """Recorded R and T [-] of a leaf with these optics; differentiable."""
+        """Recorded R and T [-] of a leaf with these optics; differentiable.
+
+        `estimated` holds a value for each of the names of that property.
+        """
 
 
 class IntegratingSphere(AbstractMeasurement):
@@ -32,7 +71,9 @@ class IntegratingSphere(AbstractMeasurement):
     offset_deviation: float = 0.02
     """Prior standard deviation of a calibration offset of R [-]."""
 
-    def observe(self, reflectance: Array, transmittance: Array) -> tuple[Array, Array]:
+    def observe(
+        self, reflectance: Array, transmittance: Array, *estimated: Array
+    ) -> tuple[Array, Array]:
         """R and T unchanged."""
         return reflectance, transmittance
 
@@ -48,7 +89,9 @@ class LeafClip(AbstractMeasurement):
     offset_deviation: float = 0.04
     """Prior standard deviation of b [-]."""
 
-    def observe(self, reflectance: Array, transmittance: Array) -> tuple[Array, Array]:
+    def observe(
+        self, reflectance: Array, transmittance: Array, *estimated: Array
+    ) -> tuple[Array, Array]:
         """R and T unchanged; b enters as a Gaussian nuisance with mean 0."""
         return reflectance, transmittance
 
@@ -58,19 +101,32 @@ class LeafOverBackground(AbstractMeasurement):
 
     R_obs = (1 - g) (R + T^2 B / (1 - R B)) + g B and T_obs = (1 - g) T + g: the light that crosses
     the leaf, meets the background and returns (a geometric series), and the part g of the field of
-    view without leaf. g and B must be known: a single spectrum identifies neither.
+    view without leaf. What is `None` is estimated with each leaf. T where leaves are opaque (red,
+    1940 nm) identifies g. R alone identifies neither: a leaf without T counts as one over black
+    without gaps.
     """
 
-    background: Float[Any, " band"] = 0.0
-    """Reflectance of the background [-], a number or a value per bin of the fit."""
-    gap_fraction: float = 0.0
-    """Part of the field of view without leaf, 0 to 1 [-]."""
+    background: Float[Any, " band"] | None = 0.0
+    """Reflectance of the background [-], a number or a value per bin of the fit; `None`: estimated,
+    the same at all bands."""
+    gap_fraction: float | None = 0.0
+    """Part of the field of view without leaf, 0 to 1 [-]; `None`: estimated."""
     offset_deviation: float = 0.02
     """Prior standard deviation of an offset of R [-]."""
 
-    def observe(self, reflectance: Array, transmittance: Array) -> tuple[Array, Array]:
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """Those of gap fraction and background that are `None`."""
+        names = ("gap_fraction", "background")
+        return tuple(name for name in names if getattr(self, name) is None)
+
+    def observe(
+        self, reflectance: Array, transmittance: Array, *estimated: Array
+    ) -> tuple[Array, Array]:
         """Signal of leaf and background."""
-        b, g = jnp.asarray(self.background), self.gap_fraction
+        known = {"gap_fraction": self.gap_fraction, "background": self.background}
+        known |= dict(zip(self.estimated, estimated, strict=True))
+        g, b = jnp.asarray(known["gap_fraction"]), jnp.asarray(known["background"])
         through = transmittance**2 * b / (1.0 - reflectance * b)
         return (1.0 - g) * (reflectance + through) + g * b, (1.0 - g) * transmittance + g
 
@@ -86,7 +142,9 @@ class LeafStack(AbstractMeasurement):
     offset_deviation: float = 0.02
     """Prior standard deviation of an offset of R [-]."""
 
-    def observe(self, reflectance: Array, transmittance: Array) -> tuple[Array, Array]:
+    def observe(
+        self, reflectance: Array, transmittance: Array, *estimated: Array
+    ) -> tuple[Array, Array]:
         """R of the pile; T is zero."""
         r, t = reflectance, transmittance
         d2 = (1.0 + r + t) * (1.0 + r - t) * (1.0 - r + t) * (1.0 - r - t)

@@ -20,6 +20,7 @@ from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel
 from fynjax.leaf._fit import describe, solve_leaves, trait_variance
 from fynjax.leaf._measurement import AbstractMeasurement
+from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._problem import FitDomain, Setup, binned_data, leaf_priors, make_setup, usable_bins
 
 _WALKERS, _CHAINS = 32, 4
@@ -97,7 +98,7 @@ def sample_leaf_posterior(
     priors, in the same unconstrained coordinates. The ensemble starts as draws from that Gaussian
     and stops when it is longer than 50 autocorrelation times and holds `target` effective draws.
     To each draw a random part of the discrepancy of measured traits is added
-    (`TRAIT_DISCREPANCY`).
+    (`ErrorModel.trait_discrepancy`).
 
     **Arguments:**
 
@@ -153,7 +154,9 @@ def sample_leaf_posterior(
             picked = flat[random.integers(0, len(flat), draws)]
             samples[i], spectra[i] = _finish(setup, problems, i, columns, picked, random)
             progress.advance(1)
-    return LeafPosterior(setup.free, samples, spectra, sizes, np.array(status))
+    leaf = [i for i, name in enumerate(setup.free) if name in LEAF_PARAMETERS]
+    names = tuple(setup.free[i] for i in leaf)
+    return LeafPosterior(names, samples[:, :, leaf], spectra, sizes, np.array(status))
 
 
 def _finish(
@@ -166,7 +169,8 @@ def _finish(
     many = lm.Problem(*(np.repeat(part[leaf : leaf + 1], count, 0) for part in problems))
     description = describe(setup, many, whole, np.zeros((count, parameters, parameters)))
     inflation = problems.inflation[leaf : leaf + 1]
-    moved = whole + np.sqrt(trait_variance(setup, inflation)) * random.normal(size=whole.shape)
+    extra = np.sqrt(trait_variance(setup, inflation, whole))
+    moved = whole + extra * random.normal(size=whole.shape)
     x = np.asarray(lm.to_physical(jnp.asarray(moved), setup.optics))[:, columns]
     # The same draw for all bands: the remaining error is nearly fully correlated over a detector,
     # and an interval needs only the distribution at its band.

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.parameters import Parameter
 from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._coefficients import (
     CONSTITUENTS,
@@ -17,6 +18,7 @@ from fynjax.leaf._coefficients import (
 )
 from fynjax.leaf._detectors import correct_detector_jumps
 from fynjax.leaf._error_model import (
+    POPULATION_TRAITS,
     PUBLISHED_DOMAINS,
     ErrorModel,
     bin_centres,
@@ -24,7 +26,11 @@ from fynjax.leaf._error_model import (
     inside,
     to_bins,
 )
-from fynjax.leaf._measurement import AbstractMeasurement, IntegratingSphere
+from fynjax.leaf._measurement import (
+    MEASUREMENT_PARAMETERS,
+    AbstractMeasurement,
+    IntegratingSphere,
+)
 from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._prospect import interface_transmissivity
 
@@ -39,22 +45,39 @@ _LINE_BAND = 1130.0
 _REFLECTANCE_LINE, _TRANSMITTANCE_LINE, _LINE_DEVIATION = (1.745, 0.133), (1.330, 0.120), 0.2
 
 
+ASSUMED_DISCREPANCY = {"proteins": 0.25, "carbon_constituents": 0.25}
+"""Discrepancy of traits that were measured in one campaign only, see `ErrorModel` [-]."""
+
 # A band outside spoils its bin, however the bin's mean looks.
 _IMPOSSIBLE = (-0.1, 1.2)
 
 
 def leaf_bounds(names: Sequence[str]) -> Float[np.ndarray, "parameter 2"]:
     """Lower and upper bounds of parameters."""
-    return np.array([(LEAF_PARAMETERS[n].lower, LEAF_PARAMETERS[n].upper) for n in names])
+    return np.array([(_record(n).lower, _record(n).upper) for n in names])
+
+
+def _record(name: str) -> Parameter:
+    return LEAF_PARAMETERS[name] if name in LEAF_PARAMETERS else MEASUREMENT_PARAMETERS[name]
 
 
 def _population(name: str) -> tuple[float, float]:
     """Centre of the prior of leaves at large, and its spread in the logit coordinate."""
-    record = LEAF_PARAMETERS[name]
+    record = _record(name)
     assert record.population is not None
     centre, relative = record.population
     below, above = centre - record.lower, record.upper - centre
     return centre, relative * centre * (record.upper - record.lower) / (below * above)
+
+
+def _model_rows(names: Sequence[str]) -> list[int]:
+    """Where the error model holds what it knows of each parameter, or -1.
+
+    Carbon-based constituents are most of the dry matter, and are taken to vary as it does.
+    """
+    same = {"carbon_constituents": "dry_matter"}
+    known = [same.get(name, name) for name in names]
+    return [POPULATION_TRAITS.index(n) if n in POPULATION_TRAITS else -1 for n in known]
 
 
 class Setup(NamedTuple):
@@ -65,6 +88,8 @@ class Setup(NamedTuple):
     optics: lm.Optics
     factors: Float[np.ndarray, "factor 2 bin"]
     """Factors of the error model, and last the instrument's offset, no property of the leaf."""
+    discrepancy: Float[np.ndarray, "parameter 2"]
+    """Of each parameter, see `ErrorModel.trait_discrepancy`; none of those that are not fitted."""
     noise: Float[np.ndarray, "2 bin"]
     distrust: Float[np.ndarray, " bin"]
     prior_mean: Float[np.ndarray, " parameter"]
@@ -81,11 +106,12 @@ def make_setup(
     check_version(version)
     measurement = IntegratingSphere() if measurement is None else measurement
     model = default_error_model() if model is None else model
-    names = ("structure", *CONSTITUENTS[version])
-    free = tuple(n for n in names if n != "brown_pigments") if free is None else tuple(free)
+    leaf = ("structure", *CONSTITUENTS[version])
+    free = tuple(n for n in leaf if n != "brown_pigments") if free is None else tuple(free)
     for name in free:
-        if name not in names:
+        if name not in leaf:
             raise InputError(f"`free` names {name!r}, which PROSPECT-{version} does not have")
+    names, free = leaf + measurement.estimated, free + measurement.estimated
     index, absorption = coefficients_at(version, native_wavelength())
     binned = to_bins(native_wavelength(), np.vstack([index, absorption]))
     bounds = leaf_bounds(names)
@@ -102,17 +128,28 @@ def make_setup(
     offset = np.zeros((1, 2, bin_centres().size))
     offset[0, 0] = measurement.offset_deviation
     shared = np.stack([model.reflectance_factors, model.transmittance_factors], axis=1)
-    middle = np.where(np.isin(names, free), [known[n][0] for n in names], 1e-4 * bounds[:, 1])
-    spread = np.where(np.isin(names, free), [known[n][1] for n in names], 1e-3)
+    loose = np.isin(names, free)
+    middle = np.where(loose, [known[n][0] for n in names], 1e-4 * bounds[:, 1])
+    spread = np.where(loose, [known[n][1] for n in names], 1e-3)
+    rows = np.array(_model_rows(names))
+    both = (rows >= 0) & loose
+    correlation = np.eye(len(names))
+    correlation[np.ix_(both, both)] = model.trait_correlation[np.ix_(rows[both], rows[both])]
+    discrepancy = np.tile([-np.inf, 0.0], (len(names), 1))
+    discrepancy[both] = model.trait_discrepancy[rows[both]]
+    for i, name in enumerate(names):
+        if loose[i] and name in ASSUMED_DISCREPANCY:
+            discrepancy[i] = np.log(ASSUMED_DISCREPANCY[name]), 0.0
     return Setup(
         names,
         free,
         optics,
         np.concatenate([shared, offset]),
+        discrepancy,
         np.stack([model.reflectance_noise, model.transmittance_noise]),
         model.distrust,
         np.asarray(lm.to_unconstrained(jnp.asarray(middle), optics)),
-        np.diag(spread**-2.0),
+        np.linalg.inv(correlation * np.outer(spread, spread)),
     )
 
 
@@ -200,6 +237,14 @@ def leaf_priors(
     pull = np.tile(setup.prior_precision @ setup.prior_mean, (count, 1))
     precision[:, 0, 0] += weight
     pull[:, 0] += weight * np.log(unit / (1.0 - unit))
+    for name, none in (("gap_fraction", 0.0), ("background", 1e-3)):
+        if name in setup.names:
+            # Without transmittance nothing identifies them: taken for a leaf over black.
+            at, (low, high) = setup.names.index(name), leaf_bounds([name])[0]
+            unit = (none - low) / (high - low)
+            weight = np.where(has_t, 0.0, 1e4)
+            precision[:, at, at] += weight
+            pull[:, at] += weight * np.log(unit / (1.0 - unit))
     mean = np.linalg.solve(precision, pull[:, :, None])[:, :, 0]
     return mean.reshape(count, size), precision
 

@@ -7,6 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fynjax import jobs
+from fynjax.io.spectra import prior_decides
 from fynjax.leaf import (
     IntegratingSphere,
     LeafClip,
@@ -81,8 +83,8 @@ def test_intervals_cover_leaves_drawn_from_the_error_model():
 
 def test_slopes_of_the_fit_are_those_of_the_forward_model():
     """The two tangents that make the Jacobian, against differences through instrument and leaf."""
-    setup = make_setup("D", LeafOverBackground(0.4, 0.1), None, None)
-    x = jnp.array([1.7, 35.0, 8.0, 1.0, 0.05, 0.012, 0.008])
+    setup = make_setup("D", LeafOverBackground(None, None), None, None)
+    x = jnp.array([1.7, 35.0, 8.0, 1.0, 0.05, 0.012, 0.008, 0.1, 0.4])
     value, slopes = jax.jit(lambda x: lm.observed_and_slopes(x, setup.optics))(x)
     read = jax.jit(lambda x: lm.observed(x, setup.optics))
     np.testing.assert_allclose(value, read(x), rtol=1e-12)
@@ -138,6 +140,47 @@ def test_stack_is_the_limit_of_adding_leaves():
     for _ in range(200):
         pile = r + t**2 * pile / (1 - r * pile)
     np.testing.assert_allclose(LeafStack().observe(r, t)[0], pile, atol=1e-9)
+
+
+def test_gaps_between_needles_are_estimated_where_transmittance_shows_them(tmp_path):
+    truth, r, t = leaves(8, seed=5)
+    gap = np.linspace(-0.04, 0.2, 8)[:, None]
+    seen_r, seen_t = (1 - gap) * r, (1 - gap) * t + gap
+    needles = LeafOverBackground(gap_fraction=None)
+    fit = fit_leaf(GRID, seen_r, seen_t, measurement=needles)
+    assert fit.estimated == ("gap_fraction",)
+    assert "gap_fraction" not in fit.names
+    error = np.abs(fit.measurement - gap)
+    assert np.all(error < 0.03)
+    assert np.all(error < 3 * fit.measurement_deviation)
+    as_broad = fit_leaf(GRID, seen_r, seen_t)
+    off = [
+        np.log(np.asarray(f.parameters.chlorophyll) / truth["chlorophyll"]) for f in (fit, as_broad)
+    ]
+    assert np.sqrt(np.mean(off[0] ** 2)) < 0.3 * np.sqrt(np.mean(off[1] ** 2))
+    alone = fit_leaf(GRID, seen_r, measurement=needles)
+    np.testing.assert_allclose(alone.measurement, 0.0, atol=0.01)
+
+    columns = {"wavelength": GRID, "a_R": seen_r[7], "a_T": seen_t[7]}
+    pd.DataFrame(columns).to_csv(tmp_path / "needle.csv", index=False)
+    jobs.fit_leaf([tmp_path / "needle.csv"], tmp_path / "out", leaf_shape="needle")
+    row = pd.read_csv(tmp_path / "out" / "traits.csv").iloc[0]
+    assert row["gap_fraction"] == pytest.approx(0.2, abs=0.03)
+    assert row["area"] == "projected"
+    with pytest.raises(ValueError, match="leaf_shape"):
+        jobs.fit_leaf([tmp_path / "needle.csv"], tmp_path / "out", leaf_shape="round")
+
+
+def test_it_is_said_where_the_prior_decides_and_where_traits_are_unusual():
+    """An instrument that ends at 1000 nm says little of water and dry matter."""
+    _, r, t = leaves(8, seed=6)
+    fit = fit_leaf(GRID, r, t)
+    assert prior_decides(fit) == [""] * 8
+    cut = fit_leaf(GRID, np.where(GRID < 1000, r, np.nan))
+    assert prior_decides(cut) == ["water, dry_matter"] * 8
+    odd = prospect(LeafParameters(water=0.19, dry_matter=0.002, chlorophyll=3.0, structure=1.2))
+    many = [np.tile(np.asarray(part), (8, 1)) for part in (odd.reflectance, odd.transmittance)]
+    assert set(fit_leaf(GRID, *many).reason.tolist()) == {LeafStatus.unusual}
 
 
 @pytest.mark.slow

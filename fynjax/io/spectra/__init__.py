@@ -4,6 +4,7 @@ from fynjax.io.spectra._asd import read_asd
 from fynjax.io.spectra._envi import header_numbers, in_nanometres, open_envi, read_header
 from fynjax.io.spectra._leaf_results import (
     posterior_dataset,
+    prior_decides,
     species_table,
     spectra_dataset,
     traits_table,
@@ -20,6 +21,7 @@ __all__ = [
     "note",
     "open_envi",
     "posterior_dataset",
+    "prior_decides",
     "read_asd",
     "read_header",
     "read_spectra",

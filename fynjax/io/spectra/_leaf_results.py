@@ -26,7 +26,9 @@ def traits_table(fit: LeafFit, files: Sequence[str], names: Sequence[str]) -> pd
     - `files`, `names`: file and name of each spectrum.
 
     **Returns:** file, name, parameters (units of `LeafParameters`), their standard deviations and
-    the ends of their 90 % intervals, rmse of the fit [-], inflation of the error [-], and status.
+    the ends of their 90 % intervals, what was estimated of the measurement, rmse of the fit [-],
+    inflation of the error [-], traits that the prior decides, and status. Traits are per projected
+    area of the leaf: of a cylinder, half of its surface is 1.57 times that.
     """
     columns: dict[str, Any] = {"file": list(files), "name": list(names)}
     for i, name in enumerate(fit.names):
@@ -34,8 +36,30 @@ def traits_table(fit: LeafFit, files: Sequence[str], names: Sequence[str]) -> pd
         columns[f"{name}_sd"] = fit.standard_deviation[:, i]
         columns[f"{name}_lower90"] = fit.lower[:, i]
         columns[f"{name}_upper90"] = fit.upper[:, i]
-    columns |= {"rmse": fit.rmse, "error_inflation": fit.inflation, "status": list(fit.status)}
+    for i, name in enumerate(fit.estimated):
+        columns[name] = fit.measurement[:, i]
+        columns[f"{name}_sd"] = fit.measurement_deviation[:, i]
+    columns |= {
+        "rmse": fit.rmse,
+        "error_inflation": fit.inflation,
+        "area": "projected",
+        "prior_decides": prior_decides(fit),
+        "status": list(fit.status),
+    }
     return pd.DataFrame(columns)
+
+
+def prior_decides(fit: LeafFit) -> list[str]:
+    """Traits of each leaf of `fit` of whose prior variance the spectrum leaves more than half.
+
+    Anthocyanins are not named: of a green leaf a spectrum says no more than that they are few.
+    """
+    named = [name for name in fit.names if name not in ("structure", "anthocyanins")]
+    columns = [fit.names.index(name) for name in named]
+    return [
+        ", ".join(name for name, at in zip(named, columns) if share[at] > 0.5)
+        for share in fit.prior_share
+    ]
 
 
 def write_traits_csv(table: pd.DataFrame, path: str | Path) -> None:
