@@ -1,7 +1,7 @@
 """Figures of the leaf layer beside its peers: `python -m tests.benchmarks.bench_leaf [FOLDER]`.
 
 FOLDER holds the leaf data (default: `FYNJAX_SHARED_DATA`/leaf). Peers that are not installed are
-named and skipped. Times are CPU time, the least of several calls, all threads added up.
+named and skipped. Accuracy on campaigns left out: `leaf_campaigns`. Times are CPU time, the least of several calls, all threads added up.
 """
 
 import importlib
@@ -26,7 +26,6 @@ from fynjax.leaf import (
     sample_leaf_posterior,
 )
 from fynjax.leaf._error_model import to_bins
-from fynjax.leaf.data.estimate_error_model import SETS, estimate
 
 TRAITS = {
     "chlorophyll": ("cab", 1.0),
@@ -188,17 +187,6 @@ def posterior(folder: Path) -> None:
     print(f"posterior: {drawn.effective_size.sum() / took:.0f} effective draws a CPU second")
 
 
-def left_out(folder: Path) -> None:
-    """The same with an error model that has not seen the set: what a foreign campaign gets."""
-    for name in SETS:
-        others = [other for other in SETS if other != name]
-        model = estimate(folder, others)
-        print(f"error model of {' and '.join(others)}:")
-        for use in ("RT", "R"):
-            for domain in ("full", "optimal"):
-                accuracy(folder, name, use, domain=domain, error_model=model)
-
-
 def asd_files(folder: Path) -> None:
     """How many real ASD files give reflectance, and why the others do not."""
     files = sorted((folder / "asd").glob("*.asd"))
@@ -226,7 +214,6 @@ def main(folder: Path, error_model: ErrorModel | None = None) -> None:
         ("california_asd", "R", "optimal"),
     ):  # fmt: skip
         accuracy(folder, name, use, domain=domain, error_model=error_model)
-    left_out(folder)
 
 
 if __name__ == "__main__":

@@ -173,7 +173,13 @@ def test_calibrate_and_fit_leaf_pass_their_files(capsys, calls, plot, tmp_path):
     arguments = ["fit-leaf", *spectra, "--output", tmp_path / "t", "--version", "PRO"]
     assert call(capsys, *arguments)[0] == 0
     assert calls[1][1][0] == spectra
-    assert calls[1][2] == {"version": "PRO", "measurement": "sphere", "domain": "full", "seed": 0}
+    assert calls[1][2] == {
+        "version": "PRO",
+        "measurement": "sphere",
+        "leaf_shape": "broad",
+        "domain": "full",
+        "seed": 0,
+    }
 
 
 def one_line(status, out, err):
