@@ -391,13 +391,14 @@ def voxel_values(scene: VoxelScene) -> int:
     return 3 * scene.area_density.shape[0] + _SUN_FIELDS * high * wide**2
 
 
-def check_picture(scene: VoxelScene, pixels: int, slabs: int) -> None:
+def check_picture(scene: VoxelScene, pixels: int, slabs: int, together: int = 1) -> None:
     """Raise `InputError` where a picture of so many pixels would not fit in this machine's memory,
-    if it is rendered in one piece, through `slabs` layers in each of which leaves scatter alike."""
+    if it is rendered in one piece, through `slabs` layers in each of which leaves scatter alike;
+    where blocks of `together` x `together` pixels are one in the bands."""
     available = _memory()
     size = scene.area_density.dtype.itemsize
     classes, bands = scene.area_density.shape[0], scene.illumination.sun.shape[0]
-    each = _PIXEL_FIELDS + 3 * classes + 4 * bands
+    each = _PIXEL_FIELDS + 3 * classes + 4 * bands / together**2
     columns = math.prod(scene.shape[1:])
     need = size * (pixels * each + slabs * columns * (classes + bands * len(scene.classes.angles)))
     if need > available:

@@ -103,22 +103,26 @@ def render_rays(
     sublayers: int,
     lean: float,
     chunk: int,
+    together: int = 1,
 ) -> Radiance:
     """Radiance along each ray, in `sublayers` pieces of each layer of the finest voxels, of which
-    a ray crosses `lean` sideways in a layer, at most.
+    a ray crosses `lean` sideways in a layer, at most; means of blocks of `together` x `together`.
 
-    `chunk` bands of a reduced field are held at once. Differentiable in everything but the
-    lattice's integers.
+    `chunk` bands of a reduced field are held at once. Its rays are followed one by one through the
+    plants, once for all bands; the diffuse light, which is smooth, is taken along the middle of a
+    block. Differentiable in everything but the lattice's integers.
     """
     cut = _cut(scene, diffuse.factor(scene), sublayers, lean)
     slabs_of_scene = scene.shape[0] * scene.structure_factor[0] * sublayers // cut.pieces
-    check_picture(scene, math.prod(rays.shape), slabs_of_scene)
+    check_picture(scene, math.prod(rays.shape), slabs_of_scene, together)
     composition = _composition(scene, cut)
     if isinstance(diffuse, DiffuseField):
         lit = _Lit.create(scene, sun, diffuse, rays, ordinates, composition, cut)
         view, sums = _look(scene, sun, rays, composition, cut, lit)
-        return Radiance(*_radiance(scene, sun, rays, lit, view, sums), view.gap)
-    view, slabs = _look(scene, sun, rays, composition, cut, None)
+        radiance = Radiance(*_radiance(scene, sun, rays, lit, view, sums), view.gap)
+        return jax.tree.map(lambda image: _mean_of_blocks(image, together), radiance)
+    view, slabs = _look(scene, sun, rays, composition, cut, None, together)
+    rays = rays.together(together)
     count = scene.illumination.sun.shape[0]
     size = min(chunk, count)
 
@@ -226,11 +230,13 @@ def _look(
     composition: Float[Array, "slab class y x"],
     cut: _Cut,
     lit: _Lit | None,
+    together: int = 1,
 ) -> tuple[_View, Any]:
     """Follow the rays down through the slabs.
 
     Returns what they view and, with `lit`, the radiance of leaves and terrain out of the diffuse
-    light; without it the `_Slab`s, stacked along a first axis.
+    light; without it the `_Slab`s, stacked along a first axis, and all of it as means of blocks of
+    `together` x `together` rays.
     """
     _, ny, nx = scene.shape
     classes = scene.classes
@@ -292,6 +298,23 @@ def _look(
             end = now, gap + ended, through + ended * lit_share
         return (depth, below, sunlit, viewed, states, end), None
 
+    def in_blocks(of_rays: Any) -> Any:
+        return jax.tree.map(lambda a: _mean_of_blocks(a, together) if a.ndim > 1 else a, of_rays)
+
+    def slab_in_blocks(met: _Slab, total: Array, mixed: Array) -> _Slab:
+        if together == 1:
+            return met
+        # Rays count by the area they meet, which light is nearly in proportion to: within a block
+        # area changes much, the light of an area little.
+        middle = rays.together(together).sampler(
+            met.height, voxels, smooth=scene.structure is not None
+        )
+        area = middle(mixed.sum(axis=0))
+        met = in_blocks(met._replace(viewed=met.viewed * total))
+        return met._replace(
+            viewed=jnp.where(area > 0, met.viewed / jnp.where(area > 0, area, 1.0), 0.0)
+        )
+
     none = jnp.zeros(rays.shape, dtype)
     hilly = scene.terrain is not None
 
@@ -316,7 +339,7 @@ def _look(
         met = _Slab(height, viewed, ground)
         carry = depth, above, sunlit + lit_path * area, states, blocked
         if lit is None:
-            return (carry, sums), met
+            return (carry, sums), slab_in_blocks(met, mixture[0], mixed)
         return (carry, lit.add(sums, met, scattered)), None
 
     by_slab = lambda field: field.reshape(-1, cut.pieces, *field.shape[1:])  # noqa: E731
@@ -351,7 +374,7 @@ def _look(
     if not hilly:
         shared = sum((state[0] + state[1] for state in states), start=jnp.zeros((), dtype))
         level = _GroundInView(jnp.zeros((), dtype), gap, gap * jnp.exp(shared - at_ground))
-    return _View(sunlit, level, gap), slabs if lit is None else sums
+    return in_blocks(_View(sunlit, level, gap)), slabs if lit is None else sums
 
 
 def _radiance(
@@ -379,6 +402,15 @@ def _radiance(
     )
     ground = sums[1] if view.ground is None else lit.on_ground(view.ground)
     return first, sums[0], ground
+
+
+def _mean_of_blocks(image: Float[Array, "*field row column"], size: int) -> Array:
+    """Means of blocks of `size` x `size` pixels."""
+    if size == 1:
+        return image
+    *fields, rows, columns = image.shape
+    cut = image.reshape(*fields, rows // size, size, columns // size, size)
+    return cut.mean(axis=(-3, -1))
 
 
 def _members(classes: OpticalClasses, kind: tuple[int, int]) -> list[float]:

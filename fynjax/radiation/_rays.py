@@ -84,6 +84,10 @@ class AbstractRays(eqx.Module):
         """
 
     @abc.abstractmethod
+    def together(self, size: int) -> "AbstractRays":
+        """Rays along the middle of each block of `size` x `size` rays, as wide as the block."""
+
+    @abc.abstractmethod
     def sampler(
         self,
         height: Array,
@@ -156,6 +160,13 @@ class RayLattice(AbstractRays):
         if self.nodes == 1:
             return values
         return jnp.einsum("rj,...ji,ci->...rc", weight_y, values, weight_x)
+
+    def together(self, size: int) -> "RayLattice":
+        mean = lambda axis: axis.reshape(-1, size).mean(axis=1)  # noqa: E731
+        axes = (self.x, self.y, self.slope_x, self.slope_y)
+        return RayLattice(
+            *map(mean, axes), self.footprint * size, self.nodes, self.altitude, self.ends
+        )
 
     @property
     def central(self) -> Float[Array, " 3"]:
@@ -236,6 +247,15 @@ class RayField(AbstractRays):
     def towards(self) -> Float[Array, "row column 3"]:
         vectors = jnp.stack([self.slope_x, self.slope_y, jnp.ones_like(self.slope_x)], axis=-1)
         return vectors * self.cosine[..., None]
+
+    def together(self, size: int) -> "RayField":
+        rows, columns = self.shape
+
+        def mean(field: Array) -> Array:
+            return field.reshape(rows // size, size, columns // size, size).mean(axis=(1, 3))
+
+        means = map(mean, (self.x, self.y, self.slope_x, self.slope_y, self.width * size))
+        return RayField(*means, self.altitude, self.nodes)
 
     @property
     def central(self) -> Float[Array, " 3"]:
@@ -469,14 +489,11 @@ def _chebyshev(
         return middle[None], jnp.ones((slopes.shape[0], 1), slopes.dtype)
     unit = np.cos(np.pi * (np.arange(count) + 0.5) / count)
     position = (slopes - middle) / jnp.where(half > 0, half, 1.0)
-    weights = []
-    for node in range(count):
-        others = np.delete(unit, node)
-        factors = (position[:, None] - jnp.asarray(others, slopes.dtype)) / jnp.asarray(
-            unit[node] - others, slopes.dtype
-        )
-        weights.append(jnp.prod(factors, axis=1))
-    return middle + half * jnp.asarray(unit, slopes.dtype), jnp.stack(weights, axis=1)
+    others = np.stack([np.delete(unit, node) for node in range(count)])
+    apart = jnp.asarray(unit[:, None] - others, slopes.dtype)
+    factors = (position[:, None, None] - jnp.asarray(others, slopes.dtype)) / apart
+    weights = jnp.prod(factors, axis=2)
+    return middle + half * jnp.asarray(unit, slopes.dtype), weights
 
 
 def pixel_projection(

@@ -368,22 +368,26 @@ def render(light: Light, rays: AbstractRays, *, chunk: int = 8) -> Radiance:
     >>> radiance.total.shape, round(float(radiance.gap.mean()), 2)  # exp(-G LAI) = exp(-0.5)
     ((2, 8, 8), 0.61)
     """
+    return render_up_to(light, rays, _steepest(rays), chunk)
+
+
+def _steepest(rays: AbstractRays) -> Array:
+    # Rays that are known stay so inside `jit`, lest all layers be cut as for slanted ones.
+    with jax.ensure_compile_time_eval() if concrete(rays) else contextlib.nullcontext():
+        return jnp.rad2deg(jnp.arccos(jnp.min(rays.cosine)))
+
+
+def render_up_to(
+    light: Light, rays: AbstractRays, steepest: Array | float, chunk: int = 8, together: int = 1
+) -> Radiance:
+    """`render` for rays whose zenith angle is `steepest` at most [degrees]; means of blocks of
+    `together` x `together` rays."""
     check_whole("chunk", chunk)
     if rays.sensor_height < light.scene.height:
         raise InputError(
             f"the sensor must stand above the grid, which is {light.scene.height:g} m high, but "
             f"is at {rays.sensor_height:g} m: rays begin above the canopy"
         )
-    # Rays that are known stay so inside `jit`, lest all layers be cut as for slanted ones.
-    with jax.ensure_compile_time_eval() if concrete(rays) else contextlib.nullcontext():
-        steepest = jnp.rad2deg(jnp.arccos(jnp.min(rays.cosine)))
-    return render_up_to(light, rays, steepest, chunk)
-
-
-def render_up_to(
-    light: Light, rays: AbstractRays, steepest: Array | float, chunk: int = 8
-) -> Radiance:
-    """`render` for rays whose zenith angle is `steepest` at most [degrees]."""
     across = aspect(light.scene)
     sublayers = light.accuracy.sublayers or pieces(steepest, across)
     return render_rays(
@@ -395,11 +399,17 @@ def render_up_to(
         sublayers,
         float(sublayers) if isinstance(steepest, jax.core.Tracer) else _lean(steepest, across),
         chunk,
+        together,
     )
 
 
 def reflectance_factor(
-    light: Light, rays: AbstractRays, *, chunk: int = 8, steepest: float | None = None
+    light: Light,
+    rays: AbstractRays,
+    *,
+    chunk: int = 8,
+    steepest: float | None = None,
+    together: int = 1,
 ) -> Float[Array, "band row column"]:
     """Reflectance factor along each ray [-]: pi times radiance over the incident irradiance.
 
@@ -407,6 +417,8 @@ def reflectance_factor(
 
     - `steepest`: zenith angle that no ray exceeds [degrees], for rays that are traced values; left
       out, layers are then cut as for rays that cross a voxel in each.
+    - `together`: rays along an edge of the blocks whose means are returned; must divide rows and
+      columns. Of many bands (`Accuracy.solves`) a block costs little more than a ray.
 
     It is what an image holds after calibration with a panel.
 
@@ -427,10 +439,15 @@ def reflectance_factor(
     Array([0.08, 0.33], dtype=float64)
     """
     incident = light.scene.illumination.incident[:, None, None]
+    check_whole("together", together)
+    if any(size % together for size in rays.shape):
+        raise InputError(
+            f"`together` must divide the rows and columns of rays, but {together} does not divide "
+            f"{rays.shape[0]} x {rays.shape[1]}"
+        )
     if steepest is None:
-        radiance = render(light, rays, chunk=chunk)
-    else:
-        radiance = render_up_to(light, rays, steepest, chunk)
+        steepest = _steepest(rays)
+    radiance = render_up_to(light, rays, steepest, chunk, together)
     return jnp.pi * radiance.total / incident
 
 

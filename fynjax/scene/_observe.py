@@ -66,7 +66,8 @@ _AT_550 = (550.0 / 500.0) ** -1.14
 """Optical depth of aerosol at 550 nm over that at 500 nm, by Ångström's law as SPCTRL2 has it."""
 SAMPLES = 2
 """Rays along the edge of a voxel where pixels are wider than voxels. With a finer structure there
-is one to each of its own, but in hundreds of bands, whose rays are dear, they are as wide."""
+is one to each of its own; in hundreds of bands they are followed once, and the light of a band is
+taken along the middle of blocks of them, this many along the edge of a voxel."""
 _VOXELS = 20_000_000  # times bands that are rendered at once
 
 
@@ -176,6 +177,8 @@ class AimedSensor(eqx.Module):
     """Rows and columns of rays over the scene where pixels are wider than voxels; else None."""
     samples: int = eqx.field(static=True)
     """Of these, along the edge of a voxel."""
+    together: int = eqx.field(static=True)
+    """Of these, along an edge of the blocks of rays that share the light of many bands."""
     steepest: float = eqx.field(static=True)
     """Zenith angle that no ray exceeds, in whole steps of 5, lest each height of the sensor compile
     anew [degrees]."""
@@ -295,14 +298,16 @@ class AimedSensor(eqx.Module):
         """
         light = solve_light(voxels, self.accuracy)
         chunk = min(max(_VOXELS // int(np.prod(voxels.shape)), 8), 32)
-        factor = reflectance_factor(light, self.rays, chunk=chunk, steepest=self.steepest)
+        factor = reflectance_factor(
+            light, self.rays, chunk=chunk, steepest=self.steepest, together=self.together
+        )
         return *self.averages(factor, voxels), light.residual
 
     def averages(
         self, factor: Float[Array, "band row column"], voxels: VoxelScene
     ) -> tuple[Float[Array, "band y x"], Float[Array, " band"]]:
         """Pixels of the image, and its mean over the scene, from the reflectance factor along each
-        of `rays` [-]. Of `voxels` the sides and the boundary count."""
+        of `rays`, or of their blocks [-]. Of `voxels` the sides and the boundary count."""
         edge = slice(self.margin, -self.margin or None)
         within = factor[:, edge, edge]  # the margin repeats pixels of the scene's other side
         mean = within.mean(axis=(1, 2))
@@ -312,7 +317,7 @@ class AimedSensor(eqx.Module):
         sides = tuple(n * voxels.horizontal for n in voxels.shape[1:])
         shares = []
         for axis, count, start, cells, length in zip(
-            ("y", "x"), self.shape, self.origin[::-1], self.fine, sides, strict=True
+            ("y", "x"), self.shape, self.origin[::-1], within.shape[1:], sides, strict=True
         ):
             centres = start + (np.arange(count) + 0.5) * self.pixel
             kernel = None if psf is None else psf.kernel(axis, factor.dtype)  # type: ignore[arg-type]
@@ -362,6 +367,7 @@ class AimedSensor(eqx.Module):
             margin=0,
             fine=fine,
             samples=1,
+            together=1,
             panels=None,
         )
 
@@ -470,7 +476,8 @@ def aim(
     if psf is not None:  # its reach must be known inside transformations
         psf = dataclasses.replace(psf, radius=psf.reach())
     few = accuracy.solves is None or len(sensor.bands) <= accuracy.solves
-    samples = max(scene.finer, SAMPLES) if few else SAMPLES
+    samples = max(scene.finer, SAMPLES)
+    together = 1 if few or samples % SAMPLES else samples // SAMPLES
     resolved = scene.grid.horizontal_size / max(scene.finer, 1)
     wide = pixel > max(resolved, 1e-9) * (1.0 + 1e-6)
     margin = psf.reach() if psf is not None and periodic and not wide else 0
@@ -512,6 +519,7 @@ def aim(
         margin=margin,
         fine=(ny, nx) if wide else None,
         samples=samples,
+        together=together if wide else 1,
         steepest=5.0 * math.ceil(math.degrees(math.atan(slope)) / 5.0 - 1e-6),
         averaged=real_array(max(1.0, (pixel / optics) ** 2)),
         panels=panels_in_picture(panels, (rows, columns), pixel, (west, south)) if panels else None,

@@ -13,6 +13,7 @@ from fynjax.radiation import (
     directional_reflectance,
     fluxes,
     parallel_rays,
+    reflectance_factor,
     render,
     render_tiles,
     solve_light,
@@ -213,3 +214,27 @@ def test_a_structure_that_does_not_divide_the_voxels_is_refused():
     for shape in ((4, 6, 9), (4, 12, 6), (5, 6, 6), (4, 6)):
         with pytest.raises(InputError, match="whole number of finer voxels"):
             solve_light(dataclasses.replace(even, structure=jnp.zeros(shape)), FAST)
+
+
+def test_many_bands_are_seen_along_all_rays_of_a_block():
+    """The light of a band is taken along a block's middle, the plants are met by each ray."""
+    _, structured = scene_of(shrubs(), times=4)
+    accuracy = dataclasses.replace(FAST, solves=1)  # fewer than bands: reduced
+
+    def pixels(image):  # one a voxel
+        return image.reshape(2, 6, -1, 6, image.shape[2] // 6).mean(axis=(2, 4))
+
+    @jax.jit
+    def images(scene):
+        light = solve_light(scene, accuracy)
+        dense, sparse = (fine_rays(scene, per_voxel=n) for n in (4, 2))
+        every, less = (reflectance_factor(light, rays) for rays in (dense, sparse))
+        return tuple(map(pixels, (every, reflectance_factor(light, dense, together=2), less)))
+
+    every, blocks, sparse = images(structured)
+    off = lambda image: float(np.abs(image / every - 1).max())  # noqa: E731
+    assert off(blocks) < 5e-3 < 0.1 < off(sparse)
+    np.testing.assert_allclose(blocks.mean(axis=(1, 2)), every.mean(axis=(1, 2)), rtol=5e-4)
+    uneven = lambda s: reflectance_factor(solve_light(s), fine_rays(s), together=5)  # noqa: E731
+    with pytest.raises(InputError, match=r"`together` must divide .* does not divide 12 x 12"):
+        jax.eval_shape(uneven, structured)
