@@ -69,6 +69,11 @@ _TERMINATED = 143
 """Exit status of `kill`, as shells have it."""
 
 
+_COMPILER = "--xla_backend_extra_options=xla_cpu_disable_slp_vectorizer"
+"""A command compiles some thousand small loops. Without this step of the compiler, which concerns
+processors only, that takes a tenth less time; what comes out is the same, and as fast."""
+
+
 def cache_folder() -> Path:
     """Folder of JAX's compiled programs: `XDG_CACHE_HOME/fynjax`, or `~/.cache/fynjax`."""
     base = os.environ.get("XDG_CACHE_HOME")
@@ -76,8 +81,9 @@ def cache_folder() -> Path:
 
 
 def prepare_jax() -> None:
-    """Keep compiled programs for the next run, where `JAX_COMPILATION_CACHE_DIR` says or, without
-    it, in `cache_folder`."""
+    """Compile quickly, unless `XLA_FLAGS` says how, and keep compiled programs for the next run,
+    where `JAX_COMPILATION_CACHE_DIR` says or, without it, in `cache_folder`. Before JAX is used."""
+    os.environ.setdefault("XLA_FLAGS", _COMPILER)
     import jax
 
     if os.environ.get("JAX_COMPILATION_CACHE_DIR"):

@@ -400,20 +400,26 @@ def test_init_states_means_and_spreads_of_a_prior(capsys, tmp_path, burnt):
     assert "wide" in one_line(*call(capsys, "init", tmp_path / "b", "--prior", "wide"))
 
 
-def test_the_cache_folder_follows_jax_or_xdg(tmp_path):
+def test_the_cache_folder_follows_jax_or_xdg_and_the_compiler_xla_flags(tmp_path):
     code = (
-        "from fynjax.cli._runtime import prepare_jax\nprepare_jax()\nimport jax\n"
-        "print(jax.config.jax_compilation_cache_dir)"
+        "from fynjax.cli._runtime import prepare_jax\nprepare_jax()\nimport jax, os\n"
+        "print(jax.config.jax_compilation_cache_dir, os.environ['XLA_FLAGS'])\n"
+        "jax.numpy.ones(3).sum()"  # flags that the compiler does not know would end it
     )
     own, ours = tmp_path / "own", tmp_path / "fynjax" / "jax"
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
-    for stated, folder in ({"JAX_COMPILATION_CACHE_DIR": str(own)}, own), ({}, ours):
-        environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    theirs = "--xla_cpu_enable_fast_math=false"
+    for stated, shown in (
+        ({"JAX_COMPILATION_CACHE_DIR": str(own), "XLA_FLAGS": theirs}, [str(own), theirs]),
+        ({}, [str(ours), "--xla_backend_extra_options=xla_cpu_disable_slp_vectorizer"]),
+    ):
+        for name in ("JAX_COMPILATION_CACHE_DIR", "XLA_FLAGS"):
+            environment.pop(name, None)
         done = subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, check=True,
             env=environment | stated,
         )  # fmt: skip
-        assert done.stdout.split() == [str(folder)]
+        assert done.stdout.split() == shown
     assert (tmp_path / "fynjax" / "jax").is_dir()
 
 
