@@ -298,15 +298,16 @@ def prepare_transport(
     travel = -direction(light.sun_zenith, light.sun_azimuth).astype(dtype)
     vectors = jnp.asarray(ordinates.vectors, dtype)
     weights = jnp.asarray(ordinates.weights, dtype)
-    phase = jnp.stack(scattering_matrices(classes, ordinates, vectors)) * weights[:, None]
-    sun_phase = jnp.stack(scattering_matrices(classes, ordinates, travel[None]))
+    incoming = jnp.concatenate([vectors, travel[None]])
+    every = jnp.stack(scattering_matrices(classes, ordinates, incoming))
+    phase = every[:, :, :-1] * weights[:, None]
     transport = Transport(
         coarse_grid(scene, cells.density, factor, ordinates),
         cells.density,
         cells.lit,
         cells.reached,
         jnp.swapaxes(phase, 2, 3),
-        sun_phase[:, :, 0],
+        every[:, :, -1],
         classes,
     )
     bands = Bands(

@@ -50,9 +50,11 @@ def area_scattering_of(
         towards, away = incoming @ normals.T, outgoing @ normals.T
         # |a||b| where a b < 0 is reflection, where a b > 0 transmission; split by sign so that the
         # sum over normals is a matrix product.
-        plus, minus = jnp.maximum(towards, 0) * weight, jnp.maximum(-towards, 0) * weight
-        out_plus, out_minus = jnp.maximum(away, 0).T, jnp.maximum(-away, 0).T
-        pairs = [*zip(plus @ out_minus + minus @ out_plus, plus @ out_plus + minus @ out_minus)]
+        lit = jnp.maximum(jnp.concatenate([towards, -towards], axis=1), 0)
+        sides = jnp.concatenate([away, -away])
+        sent = jnp.maximum(jnp.concatenate([-sides, sides], axis=1), 0)
+        both = (lit * jnp.concatenate([weight, weight], axis=2)) @ sent.T
+        pairs = [*zip(*jnp.split(both, 2, axis=2))]
     if len(others) < len(angles):
         pairs.append(_by_spheres(incoming, outgoing))
     place = iter(range(len(others)))
