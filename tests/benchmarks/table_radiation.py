@@ -46,6 +46,7 @@ TESTS: dict[str, Callable[[Setting], Iterator[Row]]] = {
     "gradients": gradients.gradients,
     "image": cost.image,
     "value-and-gradient": cost.value_and_gradient,
+    "example-plot": cost.example_plot,
     "many-bands": spectrum.many_bands,
     "area": cost.cost_against_area,
     "hectare": cost.hectare,
