@@ -254,8 +254,15 @@ class RayField(AbstractRays):
         def mean(field: Array) -> Array:
             return field.reshape(rows // size, size, columns // size, size).mean(axis=(1, 3))
 
-        means = map(mean, (self.x, self.y, self.slope_x, self.slope_y, self.width * size))
-        return RayField(*means, self.altitude, self.nodes)
+        return RayField(
+            mean(self.x),
+            mean(self.y),
+            mean(self.slope_x),
+            mean(self.slope_y),
+            mean(self.width) * size,
+            self.altitude,
+            self.nodes,
+        )
 
     @property
     def central(self) -> Float[Array, " 3"]:

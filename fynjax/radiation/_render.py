@@ -445,9 +445,8 @@ def reflectance_factor(
             f"`together` must divide the rows and columns of rays, but {together} does not divide "
             f"{rays.shape[0]} x {rays.shape[1]}"
         )
-    if steepest is None:
-        steepest = _steepest(rays)
-    radiance = render_up_to(light, rays, steepest, chunk, together)
+    most = _steepest(rays) if steepest is None else steepest
+    radiance = render_up_to(light, rays, most, chunk, together)
     return jnp.pi * radiance.total / incident
 
 

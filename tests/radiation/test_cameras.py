@@ -11,6 +11,7 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.radiation import (
     Accuracy,
+    RayField,
     nadir_rays,
     parallel_rays,
     perspective_rays,
@@ -207,3 +208,19 @@ def test_a_sensor_inside_the_canopy_is_refused(light):
             render(light, rays)
     with pytest.raises(InputError, match="above the grid"):
         render(light, nadir_rays(jnp.zeros(1), jnp.zeros(1), 0.1, (0.0, 0.0, 0.2)))
+
+
+def test_blocks_of_rays_have_their_middle():
+    """Of a frame camera that looks straight down, as a lattice and ray by ray."""
+    at = (jnp.arange(4) + 0.5) * 0.1
+    lattice = nadir_rays(at, at + 0.05, 0.1, (0.3, 0.1, 5.0))
+    width, height = jnp.full((4, 4), 0.1), lattice.altitude
+    y, x = jnp.meshgrid(lattice.y, lattice.x, indexing="ij")
+    slope_y, slope_x = jnp.meshgrid(lattice.slope_y, lattice.slope_x, indexing="ij")
+    field = RayField(x, y, slope_x, slope_y, width, height)
+    few, others = lattice.together(2), field.together(2)
+    np.testing.assert_allclose(few.x, [0.1, 0.3], rtol=1e-12)
+    np.testing.assert_allclose(few.towards, others.towards, rtol=1e-12)
+    np.testing.assert_allclose(others.y, jnp.meshgrid(few.y, few.x, indexing="ij")[0], rtol=1e-12)
+    np.testing.assert_allclose((few.footprint, *others.width.ravel()), 0.2, rtol=1e-12)
+    np.testing.assert_allclose(few.central, lattice.central, rtol=1e-12)
