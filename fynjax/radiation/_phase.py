@@ -53,8 +53,8 @@ def area_scattering_of(
         lit = jnp.maximum(jnp.concatenate([towards, -towards], axis=1), 0)
         sides = jnp.concatenate([away, -away])
         sent = jnp.maximum(jnp.concatenate([-sides, sides], axis=1), 0)
-        both = (lit * jnp.concatenate([weight, weight], axis=2)) @ sent.T
-        pairs = [*zip(*jnp.split(both, 2, axis=2))]
+        factors = (lit * jnp.concatenate([weight, weight], axis=2)) @ sent.T
+        pairs = [*zip(*jnp.split(factors, 2, axis=2))]
     if len(others) < len(angles):
         pairs.append(_by_spheres(incoming, outgoing))
     place = iter(range(len(others)))

@@ -163,9 +163,15 @@ class RayLattice(AbstractRays):
 
     def together(self, size: int) -> "RayLattice":
         mean = lambda axis: axis.reshape(-1, size).mean(axis=1)  # noqa: E731
-        axes = (self.x, self.y, self.slope_x, self.slope_y)
         return RayLattice(
-            *map(mean, axes), self.footprint * size, self.nodes, self.altitude, self.ends
+            mean(self.x),
+            mean(self.y),
+            mean(self.slope_x),
+            mean(self.slope_y),
+            self.footprint * size,
+            self.nodes,
+            self.altitude,
+            self.ends,
         )
 
     @property
