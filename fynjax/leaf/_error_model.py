@@ -237,16 +237,24 @@ def to_bins(wavelength: np.ndarray, spectra: np.ndarray) -> np.ndarray:
     shift = per_bin(finite * wavelength)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean, where = total / count, shift / count
-    out = np.full(mean.shape, np.nan)
-    for i, (row, at) in enumerate(zip(mean, where)):
-        have = np.flatnonzero(np.isfinite(row))
+    out = mean
+    # Spectra of one instrument miss the same bands, and are brought onto the centres at once.
+    patterns, member = np.unique(np.nan_to_num(where), axis=0, return_inverse=True)
+    for number in range(len(patterns)):
+        rows = np.flatnonzero(member == number)
+        have = np.flatnonzero(patterns[number] > 0)
         if have.size == 0:
             continue
         # Re-centre coarse bands: the mean belongs to the mean wavelength of its bands.
-        value = np.interp(centres, at[have], row[have], left=np.nan, right=np.nan)
-        nearest = np.abs(at[have][None, :] - centres[:, None])
-        left = np.where(at[have][None, :] <= centres[:, None], nearest, np.inf).min(1)
-        right = np.where(at[have][None, :] >= centres[:, None], nearest, np.inf).min(1)
-        close = (left + right <= 25.0) | np.isfinite(row)
-        out[i] = np.where(np.isfinite(value), np.where(close, value, np.nan), row)
+        at = patterns[number, have]
+        right = np.clip(np.searchsorted(at, centres), 1, max(have.size - 1, 1))
+        left = right - 1
+        right = np.minimum(right, have.size - 1)
+        step = np.where(right > left, at[right] - at[left], 1.0)
+        share = (centres - at[left]) / step
+        between = (centres >= at[0]) & (centres <= at[-1])
+        close = between & ((at[right] - at[left] <= 25.0) | (patterns[number] > 0))
+        values = mean[np.ix_(rows, have)]
+        filled = values[:, left] + share * (values[:, right] - values[:, left])
+        out[rows] = np.where(close, filled, out[rows])
     return out.reshape(*spectra.shape[:-1], centres.size)

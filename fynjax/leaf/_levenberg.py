@@ -7,6 +7,7 @@ parameters), and the covariance F^T F + D of the errors is inverted through its 
 interface without forming the dense whitened Jacobian of each leaf.
 """
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -222,22 +223,32 @@ def solve(start: np.ndarray, problems: Problem, factors: Any, optics: Optics) ->
     Leaves that have converged leave the batch, which shrinks through few fixed sizes: a few slow
     leaves then cost no more than themselves, and few programs are compiled.
     """
-    count = len(start)
-    first, systems = begin(padded((start, problems), np.arange(count)), factors, optics)
-    state = State(*(np.array(part)[:count] for part in first))
-    kept = np.asarray(systems)[:count]
+    begun = [
+        [np.array(part)[: rows.size] for part in jax.tree.leaves(begin(leaves, factors, optics))]
+        for rows, leaves in batches((start, problems), np.arange(len(start)))
+    ]
+    *parts, kept = (np.concatenate(parts) for parts in zip(*begun))
+    state = State(*parts)
     for _ in range(_ROUNDS):
         left = np.flatnonzero(~state.converged)
         if left.size == 0:
             break
-        moved = advance(padded((state, problems, kept), left), factors, optics)
-        for whole, part in zip(state, moved):
-            whole[left] = np.asarray(part)[: left.size]
+        for rows, leaves in batches((state, problems, kept), left):
+            moved = advance(leaves, factors, optics)
+            for whole, part in zip(state, moved):
+                whole[rows] = np.asarray(part)[: rows.size]
     return state
+
+
+def batches(tree: Any, rows: np.ndarray) -> Iterator[tuple[np.ndarray, Any]]:
+    """Rows in batches of the largest size, and every array of the tree at them, see `padded`."""
+    for at in range(0, rows.size, _SIZES[-1]):
+        part = rows[at : at + _SIZES[-1]]
+        yield part, padded(tree, part)
 
 
 def padded(tree: Any, rows: np.ndarray) -> Any:
     """Rows of every array, repeated up to the next of the fixed batch sizes."""
-    size = next((s for s in _SIZES if s >= rows.size), rows.size)
+    size = next(s for s in _SIZES if s >= rows.size)
     index = np.concatenate([rows, np.repeat(rows[:1], size - rows.size)])
     return jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[index]), tree)

@@ -48,6 +48,9 @@ _REFLECTANCE_LINE, _TRANSMITTANCE_LINE, _LINE_DEVIATION = (1.745, 0.133), (1.330
 ASSUMED_DISCREPANCY = {"proteins": 0.25, "carbon_constituents": 0.25}
 """Discrepancy of traits that were measured in one campaign only, see `ErrorModel` [-]."""
 
+# Leaves that are binned at once: what is made on the way takes a few arrays of their bands.
+_BLOCK = 512
+
 # A band outside spoils its bin, however the bin's mean looks.
 _IMPOSSIBLE = (-0.1, 1.2)
 
@@ -172,18 +175,18 @@ def binned_data(
     for array in given:
         if array.shape != (len(given[0]), grid.size):
             raise InputError(f"spectra must have the shape (leaf, {grid.size}), but {array.shape}")
-    missing = np.full((len(given[0]), grid.size), np.nan)
-    parts = []
-    for part in (reflectance, transmittance):
-        values = missing if part is None else np.atleast_2d(np.asarray(part, float))
-        if detector_changes:
-            values, _ = correct_detector_jumps(grid, values, detector_changes)
-        wrong = (values < _IMPOSSIBLE[0]) | (values > _IMPOSSIBLE[1])
-        binned = to_bins(grid, np.where(wrong, np.nan, values))
-        if wrong.any():
-            binned[to_bins(grid, wrong.astype(float)) > 0] = np.inf
-        parts.append(binned)
-    return np.stack(parts, axis=1)
+    data = np.full((len(given[0]), 2, bin_centres().size), np.nan)
+    for number, part in enumerate((reflectance, transmittance)):
+        for at in range(0, 0 if part is None else len(data), _BLOCK):
+            rows = slice(at, at + _BLOCK)
+            values = np.atleast_2d(np.asarray(part))[rows].astype(np.float64)
+            if detector_changes:
+                values, _ = correct_detector_jumps(grid, values, detector_changes)
+            wrong = (values < _IMPOSSIBLE[0]) | (values > _IMPOSSIBLE[1])
+            data[rows, number] = to_bins(grid, np.where(wrong, np.nan, values))
+            if wrong.any():
+                data[rows, number][to_bins(grid, wrong.astype(float)) > 0] = np.inf
+    return data
 
 
 def usable_bins(

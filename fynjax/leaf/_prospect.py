@@ -5,13 +5,14 @@ absorption tables of Féret et al. 2008, 2017 and 2021, rearranged so that no st
 divides by zero: see `_stack`.
 """
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
@@ -135,6 +136,33 @@ def _stack(
     return first_r + 2.0 * r * t * s * weight, top * weight
 
 
+@jax.custom_jvp
+def _pile(
+    k: Array, structure: Array, first: Array, diffuse: Array, index: Array
+) -> tuple[Array, Array]:
+    """Reflectance and transmittance [band] of N layers that absorb by k."""
+    return _stack(layer_absorptance(k), structure, first, diffuse, index)
+
+
+@partial(_pile.defjvp, symbolic_zeros=True)
+def _pile_jvp(primals: tuple, tangents: tuple) -> tuple[tuple, tuple]:
+    """Each band depends on its own k and on N: their two slopes serve every parameter of a leaf."""
+    bands = [jnp.broadcast_to(value, primals[0].shape) for value in primals]
+
+    def with_one(value: Array, at: int) -> tuple[Array, Array]:
+        inputs = list(bands)
+        inputs[at] = value
+        return _stack(layer_absorptance(inputs[0]), *inputs[1:])
+
+    changes = [jnp.zeros_like(bands[0])] * 2
+    for at, tangent in enumerate(tangents):
+        if not isinstance(tangent, SymbolicZero):
+            one = jnp.ones_like(bands[at])
+            _, slopes = jax.jvp(partial(with_one, at=at), (bands[at],), (one,))
+            changes = [change + slope * tangent for change, slope in zip(changes, slopes)]
+    return with_one(bands[0], 0), tuple(changes)
+
+
 @jax.jit
 def _kernel(
     structure: Array,
@@ -145,7 +173,7 @@ def _kernel(
     index: Float[Array, " band"],
 ) -> tuple[Float[Array, " band"], Float[Array, " band"]]:
     k = jnp.dot(contents, absorption, precision=jax.lax.Precision.HIGHEST) / structure
-    return _stack(layer_absorptance(k), structure, first, diffuse, index)
+    return _pile(k, structure, first, diffuse, index)
 
 
 @lru_cache(maxsize=64)

@@ -1,7 +1,8 @@
 """Figures of the leaf layer beside its peers: `python -m tests.benchmarks.bench_leaf [FOLDER]`.
 
 FOLDER holds the leaf data (default: `FYNJAX_SHARED_DATA`/leaf). Peers that are not installed are
-named and skipped. Accuracy on campaigns left out: `leaf_campaigns`. Times are CPU time, the least of several calls, all threads added up.
+named and skipped. Times are CPU time, the least of several calls, all threads added up. Accuracy on
+campaigns left out: `tests.benchmarks.leaf_campaigns`.
 """
 
 import importlib
