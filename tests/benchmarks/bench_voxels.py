@@ -17,7 +17,8 @@ from collections.abc import Callable
 from typing import Any
 
 SETTINGS = (
-    (0.1, "even"), (0.05, "even"), (0.1, 0.025), (0.05, 0.025), (0.025, 0.025), (0.1, 0.0125),
+    (0.1, "even"), (0.05, "even"), (0.025, "even"),
+    (0.1, 0.025), (0.05, 0.025), (0.025, 0.025), (0.1, 0.0125),
 )  # fmt: skip
 HEAD = "voxel_m structure_m    gap    sun  green    red   edge    NIR  CPU s  peak GiB  ratio"
 
