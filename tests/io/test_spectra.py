@@ -180,6 +180,20 @@ def test_impossible_tables_are_refused_with_the_files_name(tmp_path, columns, me
     assert "bad.csv" in str(caught.value)
 
 
+def test_missing_values_among_plain_numbers_of_a_row(tmp_path):
+    """-999 is one, an empty cell and a word are not numbers; exponents are."""
+    more = ",".join(str(900 + 10 * i) for i in range(8))
+    path, last = tmp_path / "rows.csv", ",0.5" * 8
+    text = f"id,500,600,700,800,{more}\na,0.1,-999,0.2,3e-1{last}\nb,0.1,,.2,1E-1{last}\n"
+    path.write_text(text)
+    values = [s.reflectance[:4] for s in read_spectra(path)]
+    np.testing.assert_array_equal(values, [[0.1, np.nan, 0.2, 0.3], [0.1, np.nan, 0.2, 0.1]])
+    path.write_text(text.replace("b,0.1,", "b,0.1,0.2.1"))
+    with pytest.raises(InputError, match="row 3") as caught:
+        read_spectra(path)
+    assert "0.2.1" in str(caught.value)
+
+
 def test_slightly_negative_transmittance_is_masked_with_a_note(tmp_path):
     """As of needles whose gaps were overcorrected; far below zero it is no such thing."""
     visible = WAVELENGTH < 700

@@ -14,6 +14,8 @@ from fynjax.io.spectra._record import Spectrum, note
 _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _WAVELENGTH = re.compile(r"^(wave[ _]?length|wavelen|wvl?|wl|lambda|nm|[uµμ]m|x)\b", re.I)
 _BAND_NAME = re.compile(r"^(?:[A-Za-z_. ]{0,12}?)(\d{3,4}(?:\.\d+)?|[0-2]\.\d+)\s*_?(nm|[uµμ]m)?$")
+# Cells of digits only, with a comma between them: no sign, since -999 may mean a missing value.
+_PLAIN = re.compile(r"(?:[0-9.,]|[eE][-+]?[0-9])+")
 _MISSING = {"", "na", "nan", "null", "none", "-", "#n/a", "-999", "-9999", "-9999.0", "-999.0"}
 _NAME_KEYS = ("name", "id", "sample", "sample_id", "spectrum", "spectra", "file name", "filename")
 _TRAN = re.compile(r"(^|[ _.\-(])(t|tran|trans|transm|transmittance|tau)(?=$|[ _.\-)%])", re.I)
@@ -67,6 +69,16 @@ def _value(cell: str, file: Path, row: int, column: str) -> float:
             f"expected a number, but found {cell!r}", file=file, row=row, column=column
         )
     return float(cell)
+
+
+def _row_values(cells: Sequence[str], file: Path, row: int, columns: Sequence[str]) -> np.ndarray:
+    """Values of a row of cells; one search instead of one a cell where all are plain numbers."""
+    if _PLAIN.fullmatch(",".join(cells)):
+        try:
+            return np.array([float(cell) for cell in cells])
+        except ValueError:
+            pass  # an empty cell, or one with two points: read one by one, with its place
+    return np.array([_value(c, file, row, name) for c, name in zip(cells, columns)])
 
 
 def _to_nm(wavelength: np.ndarray, label: str, meta: dict[str, Any], file: Path) -> np.ndarray:
@@ -182,7 +194,7 @@ def _by_row(
                 f"expected {len(header)} columns, but found {len(row)}; is the file cut short?",
                 file=file, row=number,
             )  # fmt: skip
-        values = np.array([_value(row[i], file, number, header[i]) for i in bands])
+        values = _row_values([row[i] for i in bands], file, number, [header[i] for i in bands])
         name = row[name_at] if name_at is not None and row[name_at] else f"{file.stem}_{number - 1}"
         row_meta = {**meta, "repairs": list(meta.get("repairs", []))}
         row_meta["columns"] = {header[i]: row[i] for i in others}
