@@ -51,6 +51,8 @@ class Parameter:
     `relative_sd`; without either the parameter cannot be free."""
     distribution: Distribution = "lognormal"
     """Of the prior: lognormal for sizes, areas and amounts, logit-normal for shares."""
+    shared: float = 0.0
+    """Share of the prior's variance that the species of a plot have in common [-]."""
     population: tuple[float, float] | None = None
     """Centre of the prior where no value is stated, and its standard deviation over that."""
     shown: tuple[str, float] | None = None

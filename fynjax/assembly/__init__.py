@@ -2,7 +2,6 @@
 
 from fynjax.assembly._build import build_plot, plot_parameters
 from fynjax.assembly._forward import (
-    STRIDE,
     Prepared,
     batch_for_device,
     image_view,
@@ -15,7 +14,6 @@ from fynjax.assembly._sensing import aim_at_plot, aim_without_air
 from fynjax.assembly._targets import Measured, drone_view, read_targets
 
 __all__ = [
-    "STRIDE",
     "Measured",
     "Prepared",
     "aim_at_plot",

@@ -21,9 +21,6 @@ from fynjax.scene import (
     with_values,
 )
 
-STRIDE = 9
-"""Every so many pixels are rendered, as in a calibration's search."""
-
 
 class Prepared(NamedTuple):
     """A plot as a scene, with its free parameters."""
@@ -32,6 +29,26 @@ class Prepared(NamedTuple):
     scene: Scene
     parameters: PlotParameters
     space: ParameterSpace
+    seed: int
+    """Of everything random."""
+    counts: Float[np.ndarray, " species"]
+    """Plants that find sites."""
+
+    def replant(self, number: int, counts: Float[np.ndarray, " species"] | None = None) -> Scene:
+        """The scene with the plants of another chance, as `calibrate_plot` asks for it.
+
+        **Arguments:** `number` of the chance, 0 for that of `scene`; `counts`, plants that are to
+        find sites, at least those of `self.counts`.
+
+        **Raises:** `InputError` where there is no room for them.
+        """
+        if number:
+            state = np.random.SeedSequence([self.seed, 83, number]).generate_state(1)
+            seed = int(state[0] >> 1)
+        else:
+            seed = self.seed
+        wanted = self.counts if counts is None else np.maximum(self.counts, counts)
+        return build_plot(self.plot, seed=seed, counts=wanted)[0]
 
 
 def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
@@ -53,7 +70,7 @@ def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
     counts = _likely_counts(scene, parameters, space)
     if room_needed(scene, parameters, counts).any():
         scene, _ = build_plot(plot, seed=seed, counts=counts)
-    return Prepared(plot, scene, parameters, space)
+    return Prepared(plot, scene, parameters, space, seed, counts)
 
 
 _DRAWS, _LIKELY = 500, 0.99
@@ -85,7 +102,8 @@ def image_view(
     **Raises:** `InputError` as `drone_sensor` and `aim_without_air`.
     """
     sensor = drone_sensor(plot)
-    return ImageView(tuple(statistics), aim_without_air(plot, scene, parameters, sensor))
+    camera = aim_without_air(plot, scene, parameters, sensor)
+    return ImageView(tuple(statistics), camera, plot.calibration.gain_sd)
 
 
 def batch_for_device() -> int | None:

@@ -37,6 +37,7 @@ from fynjax.metrics import (
     STRUCTURE_METRICS,
     VEGETATION_INDICES,
     StructureSettings,
+    fitting_statistics,
     image_statistics,
     match_wavelengths,
     spectral_mask,
@@ -201,9 +202,13 @@ def image_target(
     extra: dict[str, Any] = {}
     if path.suffix.lower() in (".tif", ".tiff"):
         image = read_drone_image(path, bands=bands, most_pixels=None, progress=progress)
-        names = [IMAGE_STATISTICS[i] for i in _used(plot, IMAGE_STATISTICS, "the statistics")]
+        pixel = plot.sensor.pixel_m if image.pixel_m is None else image.pixel_m
+        assert pixel is not None  # `drone_view` below asks for it
+        side = min(*plot.size_m, pixel * min(image.mask.shape))
+        every = fitting_statistics(IMAGE_STATISTICS, side, pixel)
+        names = [every[i] for i in _used(plot, every, "the statistics")]
         clean = jnp.asarray(np.where(image.mask, image.values, 0.0))
-        value = np.asarray(image_statistics(clean, names, jnp.asarray(image.mask)))
+        value = np.asarray(image_statistics(clean, names, jnp.asarray(image.mask), pixel=pixel))
         extra = {"target_valid_share": float(image.mask.mean())}
         data = weigh_targets(names, value, share)
     else:

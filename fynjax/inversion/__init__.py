@@ -42,6 +42,7 @@ from fynjax.inversion._sensitivity import (
 )
 from fynjax.inversion._sensor_sweep import SensorSetting, even_bands, sweep_sensors
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
+from fynjax.inversion._surrogate import FittedSurrogate, Surrogate, fit_surrogate
 from fynjax.inversion._targets import (
     GAIN,
     IMAGE_STATISTICS,
@@ -57,6 +58,8 @@ from fynjax.inversion._views import (
     PlotForward,
     SpectrumView,
     StructureView,
+    gain_covariance,
+    look,
     nadir_imager,
     spectrum_names,
     spectrum_view,
@@ -79,6 +82,7 @@ __all__ = [
     "Ends",
     "FitResult",
     "FitStatus",
+    "FittedSurrogate",
     "Hyperprior",
     "ImageView",
     "Information",
@@ -94,6 +98,7 @@ __all__ = [
     "SobolIndices",
     "SpectrumView",
     "StructureView",
+    "Surrogate",
     "calibrate_plot",
     "coarser",
     "derivative_measures",
@@ -102,10 +107,13 @@ __all__ = [
     "fisher_information",
     "fit",
     "fit_population",
+    "fit_surrogate",
     "free_space",
+    "gain_covariance",
     "join_data",
     "local_sensitivity",
     "log_marginal",
+    "look",
     "make_space",
     "match_names",
     "nadir_imager",

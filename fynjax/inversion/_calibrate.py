@@ -10,15 +10,23 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.stats import chi2
 
 from fynjax._core.checkpoint import Journal, keep_nothing
 from fynjax._core.errors import InputError
 from fynjax._core.precision import require_double_precision
 from fynjax.canopy import VoxelGrid
 from fynjax.inversion._fit_result import Data, FitResult
-from fynjax.inversion._search import COARSE, CalibrationSettings, End, Search, signature
+from fynjax.inversion._search import (
+    COARSE,
+    CalibrationSettings,
+    End,
+    Replant,
+    Search,
+    signature,
+)
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
-from fynjax.inversion._views import AbstractView, ImageView
+from fynjax.inversion._views import AbstractView, ImageView, gain_covariance
 from fynjax.radiation import Accuracy
 from fynjax.scene import (
     AimedSensor,
@@ -27,7 +35,6 @@ from fynjax.scene import (
     element_count,
     fitted_accuracy,
     named_values,
-    stand_realisation,
 )
 
 
@@ -36,6 +43,12 @@ class Calibration(eqx.Module):
 
     scene: Scene
     """The scene, with more sites held ready where the search needed them."""
+    stands: tuple[Scene, ...]
+    """Plantings over which the search took expectations, in its cheap form."""
+    stand_statistics: Float[np.ndarray, "stand statistic"]
+    """Of each at the estimate, in the cheap form."""
+    stand_slopes: Float[np.ndarray, "stand statistic free"]
+    """Their derivatives by the whitened coordinates."""
     fit: FitResult
     before: PlotParameters
     after: PlotParameters
@@ -45,17 +58,34 @@ class Calibration(eqx.Module):
     """None where no sensor is a drone's camera."""
     image_after: Float[Array, "band y x"] | None
     statistics_before: Float[Array, " statistic"]
-    """Of the full scene at full accuracy."""
+    """Of full scenes at full accuracy, expected over plantings, as those after."""
     statistics_after: Float[Array, " statistic"]
     offset: Float[Array, " statistic"]
-    """What the search's cheap form lacks against the full one, at the estimate."""
+    """What the mean of the search's cheap form over `stands` lacks, at the estimate."""
     data: Data
-    """The targets, their errors grown by what other plantings change."""
+    """The targets, their errors grown by what plantings and the camera's gains change."""
+    gain: Float[np.ndarray, " band"] | None
+    """By what factor each band of the drone's camera is off, as the fit has it [-]: what simulated
+    bands are to be multiplied by. None where no sensor is one."""
+    gain_sd: Float[np.ndarray, " band"] | None
+    """Standard deviation of its logarithm [-]."""
     ends: "Ends"
     """Where the search ended from each start."""
     seconds: dict[str, float]
-    """Wall time of a full render, of a step of the search (a value and the gradient of every
-    statistic, for least squares) and of the whole search, compilation included [s]."""
+    """Wall time of a full render, of a step of the search and of the whole search, compilation
+    included [s]."""
+
+    @property
+    def misfit(self) -> float:
+        """Squared whitened misfit and distance from the prior, at the estimate: of data that the
+        model and the prior explain a chi-square of as many degrees as there are statistics."""
+        return 2.0 * float(self.ends.objective.min())
+
+    @property
+    def probability(self) -> float:
+        """That the model and its prior would give data so far from its expectation [-], were it
+        linear in the parameters: below some 0.01 it does not explain them."""
+        return float(chi2.sf(self.misfit, len(self.data.names)))
 
     @property
     def camera(self) -> AimedSensor | None:
@@ -137,22 +167,23 @@ def calibrate_plot(
     settings: CalibrationSettings | None = None,
     *,
     start: Float[Array, " free"] | None = None,
-    grow: Callable[[Float[np.ndarray, " species"]], Scene] | None = None,
+    replant: Replant | None = None,
     checkpoint: str | Path | None = None,
     report: Callable[[str, float, float], None] | None = None,
 ) -> Calibration:
     """Calibrate the free parameters of a plot to what one or several sensors measured.
 
-    The search looks at some of the pixels, with coarse light in layers twice as thick
-    (`search_form`). What that lacks against the full scene at its own accuracy is measured at the
-    start of each of the rounds and added to its statistics, so that the estimate is one of the
-    full scene; rounds after the first only correct. The estimate is the best of the start and the
-    rounds by the full scene's objective.
+    Where exactly each plant stands nobody measured: it is chance. So the data count as one draw of
+    a normal distribution of the statistics over plantings (synthetic likelihood: Wood 2010, Price
+    et al. 2018). Their expectation and its slopes are means over `stand_realisations` plantings,
+    the same at every step, their covariance is that over `scatter_draws`; errors of the data, of
+    the model and of the camera's gains add to it. All sensors observe the same plants.
 
-    Where exactly each plant stands nobody measured, and the scene leaves it to chance. What that
-    does to the statistics and their slopes is measured at the estimate on other stand
-    realisations, and the uncertainty allows for it (`FitResult.marginal`). All sensors observe the
-    same plants.
+    The search looks at some of the pixels, with coarse light in layers twice as thick
+    (`search_form`). What that lacks against full scenes at their own accuracy is measured at the
+    start of each of the rounds, on the same plants, and added to its statistics; the covariances
+    are renewed there too. Rounds after the first only correct. The estimate is the best of the
+    start and the rounds by the full scenes.
 
     **Arguments:**
 
@@ -162,16 +193,18 @@ def calibrate_plot(
     - `views`: what each sensor yields of `scene`.
     - `settings`: of the search.
     - `start`: whitened coordinates to start from; the prior's centre by default.
-    - `grow`: makes the same scene with sites for so many plants of each species; called before and
-      between rounds where the plants ask for more sites than there are. Without it, or where it
-      raises `InputError`, they get no more.
+    - `replant`: makes the same plot with the plants of another chance, by a number, 0 for those of
+      `scene`; and with sites for so many plants of each species, asked for where the plants of a
+      search need more than there are. Without it other plantings fill the same sites in another
+      order, and plants get no more sites; where it raises `InputError` neither.
     - `checkpoint`: a folder that keeps every step. The same call goes on from it, and ends as if
       it had not been interrupted; `forget_journal` removes it.
     - `report`: called with the stage, the objective and its gradient's norm.
 
     **Returns:** `Calibration`. Its `fit` is that of the best start, `loss`, `gradient_norm` and
-    `steps` those of all its rounds. Where no round improves on a start, that is the estimate:
-    converged if a round ended there within the tolerance, `FitStatus.no_gain` if not.
+    `steps` those of all its rounds. Its `predicted` are expectations over plantings. Where no round
+    improves on a start, that is the estimate: converged if a round ended there within the
+    tolerance, `FitStatus.no_gain` if not.
 
     **Raises:** `InputError` for views that do not yield the data's statistics, a start at which
     these are not finite, a checkpoint of another calibration, and where JAX is limited to 32 bits.
@@ -191,7 +224,7 @@ def calibrate_plot(
     drawn = drawn.clip(-2.0, 2.0)
     journal = None
     if checkpoint is not None:
-        signed = (scene, parameters, data, space, views, first, drawn, grow is None)
+        signed = (scene, parameters, data, space, views, first, drawn, replant is None)
         journal = Journal(checkpoint, signature(signed, settings))
     form = partial(
         search_form,
@@ -200,57 +233,73 @@ def calibrate_plot(
         stride=settings.stride,
         accuracy=settings.accuracy,
     )
-    search = Search(
-        scene, parameters, data, space, views, form, grow, journal or keep_nothing, report
-    )
+    keep = journal or keep_nothing
+    search = Search(scene, parameters, data, space, views, form, replant, settings, keep, report)
     began = time.perf_counter()
     ends = [
-        search.run(u, settings, f"start {i + 1}, " if drawn.size else "")
+        search.run(u, f"start {i + 1}, " if drawn.size else "")
         for i, u in enumerate([first, *map(jnp.asarray, drawn)])
     ]
     best = min(ends, key=lambda end: end.objective)
-    seconds = {"search_s": time.perf_counter() - began, "render_s": float("nan")}
-    result, grown = best.fit, data
-    realisations = range(1, settings.stand_realisations + 1)
-    if realisations and np.isfinite(np.asarray(result.jacobian)).all():
-        plantings = [stand_realisation(search.scene, s) for s in realisations]
-        clock, done = time.perf_counter(), search.done
-        looked = [search.look(best.plot, planted)[0] for planted in plantings]
-        if search.done > done:
-            seconds["render_s"] = (time.perf_counter() - clock) / (search.done - done)
-        slopes = [search.slopes(best.u, stand_realisation(search.quick, s)) for s in realisations]
-        deviations = jnp.stack(looked) - best.statistics
-        grown = data.with_scatter(deviations)
-        result = result.marginal(deviations, jnp.stack(slopes))
-    result = dataclasses.replace(
-        result,
-        loss=np.concatenate(best.losses),
-        gradient_norm=np.concatenate(best.norms),
-        steps=jnp.asarray(sum(map(len, best.losses))),
-    )
-    seconds["step_s"] = float(np.median(np.diff(search.times))) if len(search.times) > 1 else np.nan
-    origin = ends[0]
+    seconds = {
+        "search_s": time.perf_counter() - began,
+        "render_s": search.render_s,
+        "step_s": float(np.median(np.diff(search.times))) if len(search.times) > 1 else np.nan,
+    }
+    origin, reached = ends[0].origin, best.reached
+    gain, gain_sd = _gains(views, reached.image, best.fit)
     return Calibration(
         scene=search.scene,
-        fit=result,
-        before=origin.before,
-        after=best.plot,
+        stands=tuple(best.stands),
+        stand_statistics=best.cheap,
+        stand_slopes=best.slopes,
+        fit=best.fit,
+        before=origin.plot,
+        after=reached.plot,
         views=views,
-        image_before=origin.image_before,
-        image_after=best.image,
-        statistics_before=origin.statistics_before,
-        statistics_after=best.statistics,
-        offset=best.offset,
-        data=grown,
-        ends=_ends(ends, best, result),
+        image_before=origin.image,
+        image_after=reached.image,
+        statistics_before=jnp.asarray(origin.statistics),
+        statistics_after=jnp.asarray(reached.statistics),
+        offset=jnp.asarray(reached.offset),
+        data=reached.data,
+        gain=gain,
+        gain_sd=gain_sd,
+        ends=_ends(ends, best, best.fit),
         seconds=seconds,
     )
+
+
+def _gains(
+    views: Sequence[AbstractView], image: Array | None, fit: FitResult
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """The gains of the drone's camera and the sd of their logarithms, given the data.
+
+    Of the linear model about the estimate, in which gains and parameters are normal beforehand.
+    """
+    slopes = np.zeros((len(fit.data.names), 0))
+    first, prior = 0, np.zeros((0, 0))
+    for view in views:
+        if isinstance(view, ImageView) and image is not None:
+            own = np.asarray(view.gain_slopes(image), float)
+            slopes = np.zeros((len(fit.data.names), own.shape[1]))
+            slopes[first : first + len(view.names)] = own
+            prior = gain_covariance(own.shape[1], view.gain_sd)
+        first += len(view.names)
+    if not slopes.size:
+        return None, None
+    jacobian = np.asarray(fit.jacobian)
+    total = np.asarray(fit.data.covariance) + jacobian @ jacobian.T
+    rest = np.asarray(fit.data.value - fit.predicted) + jacobian @ np.asarray(fit.whitened)
+    weights = np.linalg.solve(total, slopes @ prior).T
+    left = prior - weights @ slopes @ prior
+    return np.exp(weights @ rest), np.sqrt(np.maximum(np.diagonal(left), 0.0))
 
 
 def _ends(ends: Sequence[End], best: End, result: FitResult) -> Ends:
     """How far the ends of a search lie apart, and how many are distinct."""
     sd = np.sqrt(np.diagonal(np.asarray(result.covariance)))
-    places = np.stack([np.asarray(end.u) for end in ends])
+    places = np.stack([np.asarray(end.fit.whitened) for end in ends])
     kept: list[np.ndarray] = []
     for i in np.argsort([end.objective for end in ends], kind="stable"):
         if all(np.max(np.abs(places[i] - other) / sd) > 1.0 for other in kept):
@@ -258,7 +307,7 @@ def _ends(ends: Sequence[End], best: End, result: FitResult) -> Ends:
     return Ends(
         objective=np.array([end.objective for end in ends]),
         whitened=places,
-        apart=np.max(np.abs(places - np.asarray(best.u)) / sd, axis=1),
+        apart=np.max(np.abs(places - np.asarray(best.fit.whitened)) / sd, axis=1),
         minima=len(kept),
     )
 
@@ -268,7 +317,7 @@ def search_form(
     parameters: PlotParameters,
     views: Sequence[AbstractView],
     *,
-    stride: int = 9,
+    stride: int | None = None,
     accuracy: Accuracy = COARSE,
 ) -> tuple[Scene, tuple[AbstractView, ...]]:
     """What a fit searches with: the scene in thick layers, and cheaper forms of its views.
@@ -277,7 +326,8 @@ def search_form(
 
     - `scene`, `parameters`: the plot.
     - `views`: what each sensor yields of `scene`.
-    - `stride`: every so many pixels of a drone's image are rendered along each axis.
+    - `stride`: every so many pixels of a drone's image are rendered along each axis; None: pixels
+      a voxel apart.
     - `accuracy`: of the light.
 
     **Returns:** the scene, and the views of it.

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
-from scipy.special import ndtri, stdtrit
+from scipy.special import stdtrit
 
 from fynjax._core.errors import InputError
 from fynjax.inversion._space import ParameterSpace
@@ -36,8 +37,23 @@ class Data(eqx.Module):
         it leaves to chance. Their second moments, shrunk half-way to the diagonal because
         draws are few, add to the variances.
         """
-        sd, whitener = _scattered(self.sd, self.whitener, deviations)
-        return Data(self.names, self.value, sd, whitener)
+        moments = deviations.T @ deviations / deviations.shape[0]
+        return self.with_covariance(0.5 * (moments + jnp.diag(jnp.diagonal(moments))))
+
+    def with_covariance(
+        self, covariance: Float[Array | np.ndarray, "statistic statistic"]
+    ) -> "Data":
+        """The data with an error added that moves the statistics together, of this covariance."""
+        total = self.covariance + jnp.asarray(covariance)
+        whitener = jnp.linalg.inv(jnp.linalg.cholesky(total))
+        return Data(self.names, self.value, jnp.sqrt(jnp.diagonal(total)), whitener)
+
+    @property
+    def covariance(self) -> Float[Array, "statistic statistic"]:
+        """Of the errors."""
+        if self.whitener is None:
+            return jnp.diag(self.sd**2)
+        return jnp.linalg.inv(self.whitener.T @ self.whitener)
 
     def whiten(self, misfit: Float[Array, " statistic *free"]) -> Float[Array, " statistic *free"]:
         """Misfits in units of the errors, independent of each other."""
@@ -54,14 +70,27 @@ class Data(eqx.Module):
             raise InputError(f"the target {name} must be finite and have a positive sd")
 
 
-@jax.jit
-def _scattered(sd: Array, whitener: Array | None, deviations: Array) -> tuple[Array, Array]:
-    """Standard deviations and whitener of errors `sd`, with the scatter of draws added."""
-    moments = deviations.T @ deviations / deviations.shape[0]
-    spread = jnp.diag(jnp.diagonal(moments))
-    known = jnp.diag(sd**2) if whitener is None else jnp.linalg.inv(whitener.T @ whitener)
-    covariance = known + 0.5 * (moments + spread)
-    return jnp.sqrt(jnp.diagonal(covariance)), jnp.linalg.inv(jnp.linalg.cholesky(covariance))
+def scatter_covariance(
+    draws: Float[np.ndarray, "draw statistic"],
+) -> Float[np.ndarray, "statistic statistic"]:
+    """Covariance of statistics over draws, few as they are.
+
+    Variances are those of the draws. Correlations are drawn towards zero as far as few draws ask
+    for: the oracle-approximating shrinkage of Chen, Wiesel, Eldar & Hero (2010, eq. 23).
+
+    **Arguments:** `draws`, at least two.
+    """
+    count, size = draws.shape
+    deviation = draws - draws.mean(axis=0)
+    sd = deviation.std(axis=0, ddof=1)
+    unit = deviation / np.where(sd > 0, sd, 1.0)
+    correlation = unit.T @ unit / (count - 1)
+    square, total = np.sum(correlation**2), np.trace(correlation)
+    above = (1.0 - 2.0 / size) * square + total**2
+    below = (count - 2.0 / size) * (square - total**2 / size)
+    share = 1.0 if below <= 0 else min(1.0, above / below)
+    shrunk = (1.0 - share) * correlation + share * np.diag(np.diagonal(correlation))
+    return np.asarray(shrunk * sd * sd[:, None])
 
 
 def well_constrained(
@@ -159,8 +188,8 @@ class FitResult(eqx.Module):
 
         Within the bounds, as a standard deviation on either side need not be.
         """
-        sd = jnp.sqrt(jnp.diagonal(self.covariance))
-        return jnp.stack([self.space.physical(self.whitened + ndtri(p) * sd) for p in shares])
+        sd = jnp.sqrt(self.space.own_variance(self.covariance))
+        return self.space.quantiles_about(self.whitened, sd, *shares)
 
     def well_constrained(self, least: float = WELL_CONSTRAINED) -> tuple[str, ...]:
         """Parameters whose variance the data cut by the share `least` or more; by default those
@@ -183,7 +212,11 @@ class FitResult(eqx.Module):
         """
         data = self.data.with_scatter(deviations)
         draws = jax.vmap(data.whiten)(jnp.concatenate([self.jacobian[None], jacobians]))
-        information = repeated_information(draws)
+        return self.with_information(repeated_information(draws))
+
+    def with_information(self, information: Float[Array, "free free"]) -> "FitResult":
+        """The same estimate, with the uncertainty that this information about the whitened
+        coordinates leaves."""
         return dataclasses.replace(self, **posterior(self.space, self.whitened, information))
 
     def weakly_constrained_directions(self, count: int = 3) -> list[dict[str, float]]:
@@ -206,9 +239,9 @@ def main_members(
     ]
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="confidence")
 def repeated_information(
-    draws: Float[Array, "draw statistic free"],
+    draws: Float[Array, "draw statistic free"], *, confidence: float = 0.975
 ) -> Float[Array, "free free"]:
     """Fisher information of what every draw of a random model repeats.
 
@@ -220,7 +253,8 @@ def repeated_information(
     (Student's t). Two draws make one pair, which says nothing of its error: then nothing counts as
     known.
 
-    **Arguments:** `draws`, derivatives of the whitened statistics in each draw.
+    **Arguments:** `draws`, derivatives of the whitened statistics in each draw; `confidence`, that
+    what counts as known is no chance [-]: at 0.5 it is the mean itself.
     """
     total, count = draws.sum(axis=0), draws.shape[0]
     same = jnp.einsum("dsi,dsj->ij", draws, draws)
@@ -231,11 +265,13 @@ def repeated_information(
     kept = (vectors * jnp.maximum(values, 0.0)) @ vectors.T
     first, second = jnp.triu_indices(count, 1)
     pairs = jnp.sum(draws[first] * draws[second], axis=1)  # [pair, free]
-    if count < 3:
+    if confidence == 0.5:
+        own = jnp.maximum(jnp.diagonal(shared), 0.0)
+    elif count < 3:
         own = jnp.zeros_like(size)
     else:
         error = jnp.std(pairs, axis=0, ddof=1) / np.sqrt(len(pairs))
-        own = jnp.maximum(jnp.diagonal(shared) - stdtrit(count - 1, 0.975) * error, 0.0)
+        own = jnp.maximum(jnp.diagonal(shared) - stdtrit(count - 1, confidence) * error, 0.0)
     raised = jnp.diagonal(kept)
     scale = jnp.sqrt(own / jnp.where(raised > 0, raised, 1.0)) * (raised > 0)
     return kept * scale * scale[:, None]
@@ -289,7 +325,7 @@ def posterior(space: ParameterSpace, u: Array, information: Array) -> dict[str, 
     values, vectors = jnp.linalg.eigh(information)
     values, vectors = jnp.maximum(values[::-1], 0.0), vectors[:, ::-1]
     covariance = (vectors / (1.0 + values)) @ vectors.T
-    variance = jnp.diagonal(covariance)
+    variance = space.own_variance(covariance)
     return {
         "sd": space.spread(u, jnp.sqrt(variance)),
         "constrained": 1.0 - variance,

@@ -52,7 +52,9 @@ class Posterior(eqx.Module):
     def constrained(self) -> Float[np.ndarray, " free"]:
         """1 - posterior over prior variance, in whitened coordinates [-]: 0, the data say
         nothing; 1, they say all."""
-        return 1.0 - self.whitened.reshape(-1, len(self.names)).var(axis=0)
+        flat = self.whitened.reshape(-1, len(self.names))
+        mixing = self.space.mixing
+        return 1.0 - (flat if mixing is None else flat @ np.asarray(mixing).T).var(axis=0)
 
     def well_constrained(self, least: float = WELL_CONSTRAINED) -> tuple[str, ...]:
         """As `FitResult.well_constrained`."""

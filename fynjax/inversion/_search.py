@@ -1,8 +1,8 @@
-"""The search of a calibration, from one start: a cheap scene, corrected by the full one."""
+"""The search of a calibration, from one start: cheap scenes of several plantings, corrected by
+whole ones."""
 
 import dataclasses
 import hashlib
-import itertools
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -16,13 +16,27 @@ from jaxtyping import Array, Float
 
 from fynjax._core.checkpoint import Keep
 from fynjax._core.errors import InputError
-from fynjax.inversion._fit import evaluate, fit
-from fynjax.inversion._fit_result import Data, FitResult, FitStatus, fit_result
+from fynjax.inversion._fit import predicted_statistics, statistics_and_jacobian
+from fynjax.inversion._fit_result import (
+    Data,
+    FitResult,
+    FitStatus,
+    fit_result,
+    repeated_information,
+    scatter_covariance,
+)
 from fynjax.inversion._log_posterior import LogPosterior
 from fynjax.inversion._space import ParameterSpace
-from fynjax.inversion._views import AbstractView, PlotForward, look
+from fynjax.inversion._views import (
+    AbstractView,
+    ImageView,
+    PlotForward,
+    informative_directions,
+    look,
+    radiometric_covariance,
+)
 from fynjax.radiation import Accuracy
-from fynjax.scene import PlotParameters, Scene, room_needed, with_values
+from fynjax.scene import PlotParameters, Scene, room_needed, stand_realisation, with_values
 
 COARSE = Accuracy(
     lattice=1,
@@ -40,36 +54,72 @@ COARSE = Accuracy(
 class CalibrationSettings:
     """How a calibration searches, and how far it allows for chance."""
 
-    stride: int = 9
-    """A search renders every so many pixels of a drone's image along each axis."""
+    stride: int | None = None
+    """A search renders every so many pixels of a drone's image along each axis; None: pixels that
+    lie a voxel apart."""
     accuracy: Accuracy = COARSE
     """Of the light in a search."""
     rounds: int = 2
     """Searches one after the other, each corrected by the full scene."""
     stand_realisations: int = 4
-    """Other plantings on which the effect of chance is measured; 0: the image's plants count as
+    """Plantings over which statistics and slopes are expectations; 0: the image's plants count as
     standing where the scene's do."""
-    max_steps: int = 7
+    scatter_draws: int = 16
+    """Plantings from which the covariance of the statistics is estimated."""
+    full_renders: int = 2
+    """Plantings on which what the cheap form lacks is measured, at most `stand_realisations`."""
+    max_steps: int = 12
     """Most steps of the first round; those after have half as many."""
-    tolerance: float = 0.02
-    """As `fit` has it."""
-    solver: Any = "least_squares"
-    """As `fit` has it."""
+    tolerance: float = 0.05
+    """A round ends where another step would lower the objective by less than this, which is half a
+    squared distance in posterior standard deviations."""
     starts: int = 1
     """Searches, the others from draws of the prior; the best is kept."""
     seed: int = 0
     """Of those draws."""
 
     def __post_init__(self) -> None:
-        for name in ("rounds", "starts"):
+        for name in ("rounds", "starts", "max_steps", "full_renders"):
             if getattr(self, name) < 1:
                 raise InputError(f"`{name}` must be at least 1, but is {getattr(self, name)}")
+        if self.stand_realisations and self.scatter_draws < 3:
+            raise InputError(
+                f"`scatter_draws` must be at least 3, but is {self.scatter_draws}: a covariance "
+                "needs some"
+            )
 
 
 _SPARE = 1.5
 """Plants for which sites are made where a species has too few, as a factor on those asked for."""
-_MOST_GROWTHS = 1
-"""Rounds added to a search because its plants needed more sites. Each is compiled anew."""
+_MOST_ROWS = 24
+"""Slopes of an image's statistics are taken along so many directions at most."""
+_PRIOR_DRAWS = 60
+"""Draws of the prior by which these are chosen."""
+_POOR = 0.25
+"""Share of the foretold gain below which the slopes are computed anew."""
+_NOISE = 4.0
+"""What new slopes may promise at the end and not hold, in units of the tolerance: they are good to
+a percent, the tolerance of the light in a search."""
+
+Replant = Callable[[int, Float[np.ndarray, " species"] | None], Scene]
+"""Makes the scene with the plants of a number's chance, 0 being the scene's own, and sites for so
+many plants of each species, or as many as the scene has."""
+
+
+@dataclasses.dataclass
+class Observed:
+    """What the full scene says at one place, over plantings."""
+
+    u: Float[Array, " free"]
+    plot: PlotParameters
+    image: Float[Array, "band y x"] | None
+    """Of the scene's own plants."""
+    statistics: Float[np.ndarray, " statistic"]
+    """Expected over plantings."""
+    offset: Float[np.ndarray, " statistic"]
+    """What the cheap form's mean over the plantings of the search lacks."""
+    data: Data
+    """With the errors of plantings and of the camera's gains at this place."""
 
 
 @dataclasses.dataclass
@@ -78,15 +128,14 @@ class End:
 
     objective: float
     """Half the squared whitened misfit and distance from the prior."""
-    u: Float[Array, " free"]
     fit: FitResult
-    plot: PlotParameters
-    image: Float[Array, "band y x"] | None
-    statistics: Float[Array, " statistic"]
-    offset: Float[Array, " statistic"]
-    before: PlotParameters
-    image_before: Float[Array, "band y x"] | None
-    statistics_before: Float[Array, " statistic"]
+    reached: Observed
+    origin: Observed
+    stands: list[Scene]
+    """Those of the search, in the cheap form."""
+    cheap: Float[np.ndarray, "stand statistic"]
+    """Their statistics there."""
+    slopes: Float[np.ndarray, "stand statistic free"]
     losses: list[np.ndarray]
     norms: list[np.ndarray]
 
@@ -102,148 +151,307 @@ class Search:
         space: ParameterSpace,
         views: Sequence[AbstractView],
         form: Callable[[Scene], tuple[Scene, tuple[AbstractView, ...]]],
-        grow: Callable[[Float[np.ndarray, " species"]], Scene] | None,
+        replant: Replant | None,
+        settings: CalibrationSettings,
         keep: Keep,
         report: Callable[[str, float, float], None] | None,
     ) -> None:
         self.scene, self._parameters, self._data, self._space = scene, parameters, data, space
         self._keep, self._report, self._views = keep, report, tuple(views)
-        self._form, self._grow = form, grow
-        self.quick, cheap_views = form(scene)
+        self._form, self._replant, self._settings = form, replant, settings
+        _, cheap_views = form(scene)
         self._predict = PlotForward(parameters, space.names, cheap_views)
+        self._along: PlotForward | None = None
+        """The same with slopes along the most informative directions of many statistics."""
         self.times: list[float] = []
         """When each step ended that was not one of an earlier run [s]."""
-        self.done = 0
-        """Looks of the full scene that were not those of an earlier run."""
+        self._stand(None)
 
-    def look(self, plot: PlotParameters, planted: Scene | None = None) -> tuple[Array, ...]:
-        """Statistics of the full scene; and, without other plants, the images."""
-        scene = self.scene if planted is None else planted
+    def _stand(self, counts: Float[np.ndarray, " species"] | None) -> None:
+        """Plant the stands over which expectations are taken."""
+        count = max(self._settings.stand_realisations, 1)
+        if self._replant is None:
+            others = [stand_realisation(self.scene, i) for i in range(1, count)]
+        else:
+            others = [self._replant(i, counts) for i in range(1, count)]
+        stands = [self.scene, *others]
+        self.cheap = [self._form(stand)[0] for stand in stands]
+        """The stands in the cheap form."""
+        self._stands = stands[: self._settings.full_renders]
+
+    # -- evaluations ------------------------------------------------------------------------
+
+    def _density(self, cheap: Scene, predict: PlotForward | None = None) -> LogPosterior:
+        none = jnp.zeros(self._data.value.shape)
+        predict = self._predict if predict is None else predict
+        return LogPosterior(predict, self._space, self._data, none, (cheap,))
+
+    def _cheap(self, u: Array, stands: Sequence[Scene]) -> Float[np.ndarray, "stand statistic"]:
+        """Statistics of the cheap form of each of `stands`."""
 
         def step() -> tuple[Array, ...]:
-            found = jax.block_until_ready(look(self._views, scene, plot))
-            return found if planted is None else found[:1]
+            return (jnp.stack([predicted_statistics(self._density(s), u) for s in stands]),)
 
-        found = self._keep(step)
-        self.done += not getattr(self._keep, "repeating", False)
-        return found
+        return np.asarray(self._keep(step)[0])
 
-    def slopes(self, u: Array, quick: Scene) -> Float[Array, "statistic free"]:
-        """Derivatives of the cheap form's statistics, of the plot `quick`."""
-        return self._evaluate(u, quick)[1]
+    def _slopes(self, u: Array) -> Float[np.ndarray, "stand statistic free"]:
+        """Derivatives of the cheap form's statistics, of each stand."""
 
-    def _evaluate(self, u: Array, quick: Scene) -> tuple[Array, Array]:
-        none = jnp.zeros(self._data.value.shape)
-        density = LogPosterior(self._predict, self._space, self._data, none, (quick,))
-        return evaluate(density, u, self._keep)
+        def step() -> tuple[Array, ...]:
+            every = [
+                statistics_and_jacobian(self._density(s, self._along), u)[1] for s in self.cheap
+            ]
+            return (jnp.stack(every),)
 
-    def _objective(self, u: Array, statistics: Array) -> float:
-        rest = self._data.whiten(statistics - self._data.value)
-        return 0.5 * float(rest @ rest + u @ u)
+        return np.asarray(self._keep(step)[0])
+
+    def _whole(self, plot: PlotParameters) -> tuple[np.ndarray, list[Array]]:
+        """Statistics of the full form of some stands [stand, statistic]; images of the first."""
+
+        def step() -> tuple[Array, ...]:
+            every = [look(self._views, stand, plot) for stand in self._stands]
+            return jax.block_until_ready((jnp.stack([one[0] for one in every]), *every[0][1:]))
+
+        began = time.perf_counter()
+        statistics, *images = self._keep(step)
+        if not getattr(self._keep, "repeating", False):
+            self.render_s = (time.perf_counter() - began) / len(self._stands)
+        return np.asarray(statistics), images
+
+    render_s = float("nan")
+    """Wall time of the last full render [s]."""
 
     def _plot(self, u: Array) -> PlotParameters:
         return with_values(self._parameters, self.scene.taxa, self._space.named(u))
 
-    def _short(self, counts: Float[np.ndarray, " species"]) -> bool:
-        """Whether some species has fewer sites than `counts` of its plants need."""
-        return bool(room_needed(self.scene, self._parameters, counts).any())
+    def observe(self, u: Array) -> Observed:
+        """The full scene at `u`: expectation over plantings, and the errors there."""
+        u, plot = jnp.asarray(u), self._plot(u)
+        settings, own = self._settings, len(self.cheap)
+        whole, images = self._whole(plot)
+        draws = [
+            self.cheap[i % own] if i < own else stand_realisation(self.cheap[i % own], i // own)
+            for i in range(max(settings.scatter_draws, own) if settings.stand_realisations else 1)
+        ]
+        scattered = self._cheap(u, draws)
+        lack = whole - scattered[: len(whole)]
+        statistics = scattered.mean(axis=0) + lack.mean(axis=0)
+        covariance = radiometric_covariance(self._views, images)
+        if settings.stand_realisations:
+            chance = scatter_covariance(scattered)
+            # The expectation is a mean over draws, and of what full and cheap renders differ by.
+            share = 1.0 / len(draws)
+            if len(whole) > 1:
+                variance = np.diagonal(chance)
+                some = variance > 0
+                differ = lack.var(axis=0, ddof=1)[some] / variance[some]
+                share += float(differ.mean()) / len(whole) if some.any() else 0.0
+            covariance = covariance + (1.0 + share) * chance
+        sound = np.isfinite(covariance).all() and covariance.any()
+        data = self._data.with_covariance(covariance) if sound else self._data
+        offset = statistics - scattered[:own].mean(axis=0)
+        image = images[0] if images else None
+        return Observed(u, plot, image, statistics, offset, data)
 
-    def _grown(self, plot: PlotParameters) -> bool:
-        """Whether more sites had to be made for the plants of `plot`, and could be."""
-        counts = np.asarray(self.scene.counts(plot))
-        short = room_needed(self.scene, self._parameters, counts) > 0.0
-        if self._grow is None or not short.any():
-            return False
-        try:
-            larger = self._grow(np.where(short, _SPARE * counts, counts))
-        except InputError:  # no room on the plot, or in memory
-            return False
-        self.scene = larger
-        self.quick, _ = self._form(larger)
-        return True
+    def _objective(self, one: Observed, data: Data) -> float:
+        return _objective(data, one.u, one.statistics)
 
-    def _note(self, stage: str, loss: float, norm: float) -> None:
+    def choose_directions(self, data: Data) -> None:
+        """Choose the directions of many statistics along which slopes are taken, by the errors of
+        `data` and draws of the prior."""
+        views = []
+        draws = covariance = None
+        start = 0
+        for view in self._predict.views:
+            part = slice(start, start + len(view.names))
+            start = part.stop
+            if isinstance(view, ImageView) and len(view.names) > _MOST_ROWS:
+                if draws is None or covariance is None:
+                    draws, covariance = self._prior_draws(), np.asarray(data.covariance)
+                chosen = informative_directions(draws[:, part], covariance[part, part], _MOST_ROWS)
+                view = dataclasses.replace(view, directions=chosen)
+            views.append(view)
+        self._along = dataclasses.replace(self._predict, views=tuple(views))
+
+    def _prior_draws(self) -> Float[np.ndarray, "draw statistic"]:
+        """Statistics of the cheap form at draws of the prior, each with other plants."""
+        normal = np.random.default_rng([self._settings.seed, 67])
+        places = normal.normal(size=(_PRIOR_DRAWS, len(self._space.names))).clip(-2.0, 2.0)
+
+        def step() -> tuple[Array, ...]:
+            found = []
+            for i, u in enumerate(places):
+                stand = stand_realisation(self.cheap[i % len(self.cheap)], 1000 + i)
+                found.append(predicted_statistics(self._density(stand), jnp.asarray(u)))
+            return (jnp.stack(found),)
+
+        return np.asarray(self._keep(step)[0])
+
+    # -- the descent ------------------------------------------------------------------------
+
+    def _descend(
+        self, begin: Observed, most: int, stage: str
+    ) -> tuple[np.ndarray, np.ndarray, Any, list[tuple[float, float]]]:
+        """Levenberg-Marquardt from `begin` with the errors there.
+
+        Each step corrects the slopes by what it changed (Broyden 1965). They are computed anew
+        where a step gains much less than they foretold, and at the end.
+
+        **Returns:** the end, the slopes of each stand there, why it ended, and the objective and
+        its gradient's norm after each step.
+        """
+        data, offset = begin.data, begin.offset
+        # The statistics at the start are those of the full scene: the mean over all draws.
+        u, value = np.asarray(begin.u, float), np.asarray(begin.statistics)
+        slopes = self._slopes(jnp.asarray(u))
+        jacobian, fresh = slopes.mean(axis=0), True
+        loss, damping = _objective(data, u, value), 0.0
+        trace: list[tuple[float, float]] = []
+        status = FitStatus.max_steps
+        for _ in range(most):
+            if not (np.isfinite(jacobian).all() and np.isfinite(loss)):
+                status = FitStatus.not_finite
+                break
+            gradient, hessian = _quadratic(data, u, value, jacobian)
+            self._note(trace, stage, loss, float(np.linalg.norm(gradient)))
+            left = 0.5 * gradient @ np.linalg.solve(hessian, gradient)
+            if left < self._settings.tolerance:
+                if not fresh:
+                    slopes = self._slopes(jnp.asarray(u))
+                    jacobian, fresh = slopes.mean(axis=0), True
+                    gradient, hessian = _quadratic(data, u, value, jacobian)
+                    left = 0.5 * gradient @ np.linalg.solve(hessian, gradient)
+                if left < _NOISE * self._settings.tolerance:
+                    status = FitStatus.successful
+                    break
+            move = -np.linalg.solve(hessian + damping * np.eye(u.size), gradient)
+            expected = -gradient @ move - 0.5 * move @ hessian @ move
+            tried = u + move
+            reached = self._cheap(jnp.asarray(tried), self.cheap).mean(axis=0) + offset
+            fall = loss - _objective(data, tried, reached)
+            change = reached - value - jacobian @ move
+            if np.isfinite(fall) and fall > 0:
+                u, value, loss = tried, reached, loss - fall
+                damping = 0.25 * damping if fall > 0.5 * expected else damping
+            elif fresh and left < _NOISE * self._settings.tolerance:
+                status = FitStatus.successful
+                break
+            else:
+                damping = max(4.0 * damping, 1.0)
+            if np.isfinite(fall) and fall > _POOR * expected:
+                jacobian, fresh = jacobian + np.outer(change, move) / (move @ move), False
+            elif fall > 0 or not fresh:
+                slopes = self._slopes(jnp.asarray(u))
+                jacobian, fresh = slopes.mean(axis=0), True
+            elif np.isfinite(fall):
+                jacobian, fresh = jacobian + np.outer(change, move) / (move @ move), False
+        if not fresh:
+            slopes = self._slopes(jnp.asarray(u))
+        return u, slopes, status, trace
+
+    def _note(self, trace: list[tuple[float, float]], stage: str, loss: float, norm: float) -> None:
+        trace.append((loss, norm))
         if not getattr(self._keep, "repeating", False):
             self.times.append(time.perf_counter())
         if self._report is not None:
             self._report(stage, loss, norm)
 
-    def run(self, u: Array, settings: CalibrationSettings, stage: str) -> End:
+    def _grown(self, plot: PlotParameters) -> bool:
+        """Whether more sites had to be made for the plants of `plot`, and could be."""
+        counts = np.asarray(self.scene.counts(plot))
+        short = room_needed(self.scene, self._parameters, counts) > 0.0
+        if self._replant is None or not short.any():
+            return False
+        wanted = np.where(short, _SPARE * counts, counts)
+        try:
+            self.scene = self._replant(0, wanted)
+            self._stand(wanted)
+        except InputError:  # no room on the plot, or in memory
+            return False
+        return True
+
+    def run(self, u: Array, stage: str) -> End:
         """Search from `u`; `stage` begins the name of each round."""
-        before = self._plot(u)
-        self._grown(before)
-        statistics, *images = self.look(before)
-        finite = np.isfinite(np.asarray(statistics))
+        settings = self._settings
+        self._grown(self._plot(u))
+        origin = self.observe(u)
+        finite = np.isfinite(origin.statistics)
         if not finite.all():
             raise InputError(
                 f"the statistic {self._data.names[int(np.argmin(finite))]} is not finite at the "
                 "start. Is the sun near the horizon, or a parameter at the end of its range?"
             )
-        image = images[0] if images else None
-        predicted, jacobian = self._evaluate(u, self.quick)
-        begin = fit_result(
-            self._space, self._data, u, statistics, jacobian, FitStatus.no_gain, 0, np.empty((0, 2))
-        )
-        origin: dict[str, Any] = {
-            "before": before,
-            "image_before": image,
-            "statistics_before": statistics,
-        }
-        best: dict[str, Any] = {
-            "objective": self._objective(u, statistics), "u": u, "plot": before, "image": image,
-            "statistics": statistics, "offset": statistics - predicted, "fit": begin,
-        }  # fmt: skip
+        if self._along is None:
+            self.choose_directions(origin.data)
+        places, ends = [origin], []
         losses: list[np.ndarray] = []
         norms: list[np.ndarray] = []
-        turns = settings.rounds
-        for turn in itertools.count():
-            if turn == turns:
-                break
-            offset = statistics - predicted
-            result = fit(
-                self._predict,
-                self._data,
-                self._space,
-                solver=settings.solver,
-                max_steps=settings.max_steps if turn == 0 else (settings.max_steps + 1) // 2,
-                tolerance=settings.tolerance,
-                start=u,
-                offset=offset,
-                report=partial(self._note, f"{stage}round {turn + 1}"),
-                context=(self.quick,),
-                keep=self._keep,
-                known=(statistics, jacobian),
+        for turn in range(settings.rounds):
+            most = settings.max_steps if turn == 0 else (settings.max_steps + 1) // 2
+            reached, slopes, status, trace = self._descend(
+                places[-1], most, f"{stage}round {turn + 1}"
             )
-            losses.append(np.asarray(result.loss))
-            norms.append(np.asarray(result.gradient_norm))
-            if bool(result.status == FitStatus.not_finite):
+            losses.append(np.array([loss for loss, _ in trace]))
+            norms.append(np.array([norm for _, norm in trace]))
+            if turn == 0:
+                ends.append((slopes if np.array_equal(reached, u) else None, FitStatus.no_gain))
+            if status == FitStatus.not_finite:
+                ends[-1] = (slopes, status)
                 break
-            u, predicted, jacobian = result.whitened, result.predicted - offset, result.jacobian
-            plot = self._plot(u)
-            statistics, *images = self.look(plot)
-            best_was_short = self._short(np.asarray(self.scene.counts(best["plot"])))
-            if turns < settings.rounds + _MOST_GROWTHS and self._grown(plot):
-                # What was reached may have had fewer plants than it asked for: go on from there.
-                turns += 1
-                statistics, *images = self.look(plot)
-                predicted, jacobian = self._evaluate(u, self.quick)
-                result = fit_result(
-                    self._space, self._data, u, statistics, jacobian, FitStatus.no_gain, 0,
-                    np.empty((0, 2)),
-                )  # fmt: skip
-                if best_was_short:
-                    best["objective"] = np.inf
-            reached = self._objective(u, statistics)
-            # The quick scene's best need not be the full scene's.
-            if reached < best["objective"]:
-                best = {
-                    "objective": reached, "u": u, "plot": plot,
-                    "image": images[0] if images else None, "statistics": statistics,
-                    "offset": statistics - predicted, "fit": result,
-                }  # fmt: skip
-            elif bool(result.converged) and _same(u, best["u"], settings.tolerance):
-                best["fit"] = dataclasses.replace(best["fit"], status=result.status)
-        return End(**best, **origin, losses=losses, norms=norms)
+            ends.append((slopes, status))
+            if turn + 1 < settings.rounds:
+                self._grown(self._plot(jnp.asarray(reached)))
+            places.append(self.observe(jnp.asarray(reached)))
+        return self._end(places, ends, losses, norms)
+
+    def _end(
+        self,
+        places: list[Observed],
+        ends: list[tuple[np.ndarray | None, Any]],
+        losses: list[np.ndarray],
+        norms: list[np.ndarray],
+    ) -> End:
+        """The best of the places by the errors at the last."""
+        data = places[-1].data
+        objective = [self._objective(place, data) for place in places]
+        best = int(np.argmin(np.nan_to_num(objective, nan=np.inf)))
+        slopes, status = ends[best]
+        last, final = places[-1], ends[-1][1]
+        if bool(final == FitStatus.successful) and _same(
+            last.u, places[best].u, self._settings.tolerance
+        ):
+            status = final
+        place = places[best]
+        if slopes is None:
+            slopes = self._slopes(place.u)
+        trace = np.stack([np.concatenate(losses), np.concatenate(norms)], axis=1)
+        result = fit_result(
+            self._space, data, place.u, jnp.asarray(place.statistics),
+            jnp.asarray(slopes.mean(axis=0)), status, len(trace), trace,
+        )  # fmt: skip
+        if len(slopes) > 1 and np.isfinite(slopes).all():
+            whitened = jax.vmap(data.whiten)(jnp.asarray(slopes))
+            result = result.with_information(repeated_information(whitened, confidence=0.5))
+        place = dataclasses.replace(place, data=data)
+        cheap = self._cheap(place.u, self.cheap)
+        return End(
+            objective[best], result, place, places[0], self.cheap, cheap, slopes, losses, norms
+        )
+
+
+def _quadratic(
+    data: Data, u: np.ndarray, value: np.ndarray, jacobian: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient and Gauss-Newton Hessian of the objective."""
+    scaled = np.asarray(data.whiten(jnp.asarray(jacobian)))
+    rest = np.asarray(data.whiten(jnp.asarray(value - np.asarray(data.value))))
+    return scaled.T @ rest + u, scaled.T @ scaled + np.eye(u.size)
+
+
+def _objective(data: Data, u: Array | np.ndarray, statistics: Array | np.ndarray) -> float:
+    """Half the squared whitened misfit and distance from the prior."""
+    rest = np.asarray(data.whiten(jnp.asarray(statistics - np.asarray(data.value))))
+    return 0.5 * float(rest @ rest + np.asarray(u) @ np.asarray(u))
 
 
 def _same(u: Array, other: Array, tolerance: float) -> bool:

@@ -9,6 +9,10 @@ their units. The prior of a parameter x is normal in z = location + width u, whe
 
 A lognormal or normal prior is cut at the bounds: z is then location + width t, with t the quantile
 of the cut normal distribution at the probability that u has in a whole one.
+
+Where priors of several parameters hang together, as those of a trait of the species of one plot do,
+the coordinates above are v = R^(1/2) u instead of u, with R their correlation matrix: u stays a
+unit normal, and each parameter keeps its own prior.
 """
 
 import math
@@ -53,12 +57,14 @@ class ParameterSpace(eqx.Module):
     - `prior_sd`: its standard deviation, exact in the parameter's own unit; or instead
     - `width`: the standard deviation of the normal coordinate.
     - `distribution`: "logit-normal", "lognormal" or "normal", of all or one of each.
+    - `correlation`: of the normal coordinates of the priors; none by default.
 
     Made of numbers, not of traced arrays: inside `jax.jit` or `jax.grad` change `location` and
     `width` of a space by `equinox.tree_at`.
 
     **Raises:** `InputError` for a median that is not inside its bounds, a standard deviation or
-    width that is not positive or wider than any such distribution between the bounds.
+    width that is not positive or wider than any such distribution between the bounds, and a
+    `correlation` that is none.
 
     >>> import jax.numpy as jnp
     >>> from fynjax.inversion import ParameterSpace
@@ -82,6 +88,8 @@ class ParameterSpace(eqx.Module):
     cut: Float[Array, "2 free"]
     """Where z is cut below and above, from `location`, in widths."""
     distribution: tuple[Distribution, ...] = eqx.field(static=True)
+    mixing: Float[Array, "free free"] | None
+    """Root of the correlation; None: independent."""
 
     def __init__(
         self,
@@ -93,6 +101,7 @@ class ParameterSpace(eqx.Module):
         *,
         width: ArrayLike | None = None,
         distribution: Distribution | Sequence[Distribution] = "logit-normal",
+        correlation: ArrayLike | None = None,
     ) -> None:
         self.names = tuple(names)
         count = len(self.names)
@@ -118,19 +127,35 @@ class ParameterSpace(eqx.Module):
         self.width, self.location, self.prior_sd = (jnp.asarray(table[i]) for i in (0, 1, 4))
         self.cut = jnp.asarray(table[2:4])
         self.distribution = kinds
+        self.mixing = None if correlation is None else jnp.asarray(_root(correlation, count))
+
+    def together(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
+        """The normal coordinate v of each parameter's own prior, from whitened coordinates."""
+        return u if self.mixing is None else self.mixing @ u
+
+    def own_variance(self, covariance: Float[Array, "free free"]) -> Float[Array, " free"]:
+        """Variance of each parameter's normal coordinate, where the prior's is one, from the
+        covariance of the whitened coordinates."""
+        if self.mixing is None:
+            return jnp.diagonal(covariance)
+        return jnp.sum((self.mixing @ covariance) * self.mixing, axis=1)
 
     def _is(self, kind: Distribution) -> Bool[np.ndarray, " free"]:
         return np.array([own == kind for own in self.distribution], bool)
 
-    def _coordinate(self, u: Array) -> Array:
-        """z from whitened coordinates."""
+    def _coordinate(self, v: Array) -> Array:
+        """z from the normal coordinates."""
         if self._is("logit-normal").all():
-            return self.location + self.width * u
-        return self.location + self.width * _cut_normal(u, *self.cut)
+            return self.location + self.width * v
+        return self.location + self.width * _cut_normal(v, *self.cut)
 
     def physical(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
         """Parameters in their own units from whitened coordinates. Differentiable."""
-        z, log, logit = self._coordinate(u), self._is("lognormal"), self._is("logit-normal")
+        return self._value(self.together(u))
+
+    def _value(self, v: Array) -> Array:
+        """Parameters in their own units from their normal coordinates."""
+        z, log, logit = self._coordinate(v), self._is("lognormal"), self._is("logit-normal")
         share = jnp.where(logit, self.lower, 0.0), jnp.where(logit, self.upper - self.lower, 1.0)
         value = jnp.where(log, jnp.exp(jnp.where(log, z, 0.0)), z)
         return jnp.where(logit, share[0] + share[1] * jax.nn.sigmoid(z), value)
@@ -142,19 +167,24 @@ class ParameterSpace(eqx.Module):
         above = jnp.where(logit, self.upper - values, 1.0)
         z = jnp.where(log | logit, jnp.log(below) - jnp.log(above), values)
         t = (z - self.location) / self.width
-        return t if logit.all() else _whole_normal(t, *self.cut)
+        v = t if logit.all() else _whole_normal(t, *self.cut)
+        return v if self.mixing is None else jnp.linalg.solve(self.mixing, v)
 
     def slope(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
-        """d physical / d u."""
+        """d physical / d v, where v is `together(u)`."""
         return jnp.exp(self.log_slope(u))
 
     def log_slope(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
-        """log |d physical / d u|, finite far out; what a density over values gains over u."""
-        z, log, logit = self._coordinate(u), self._is("lognormal"), self._is("logit-normal")
+        """log |d physical / d v|, finite far out; what a density over values gains over u, but for
+        a constant where priors hang together."""
+        return self._log_slope(self.together(u))
+
+    def _log_slope(self, v: Array) -> Array:
+        z, log, logit = self._coordinate(v), self._is("lognormal"), self._is("logit-normal")
         extent = jnp.where(logit, self.upper - self.lower, 1.0)
         both = jnp.log(extent) + jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)
         rate = jnp.where(logit, both, jnp.where(log, z, 0.0)) + jnp.log(self.width)
-        return rate if logit.all() else rate + _log_rate(u, *self.cut)
+        return rate if logit.all() else rate + _log_rate(v, *self.cut)
 
     def named(self, u: Float[Array, " free"]) -> dict[str, Array]:
         """Parameters by name."""
@@ -163,18 +193,26 @@ class ParameterSpace(eqx.Module):
 
     def quantiles(self, *shares: float) -> Float[Array, "share free"]:
         """Quantiles of the prior of each parameter, in its own unit."""
-        return jnp.stack([self.physical(jnp.full(len(self.names), ndtri(p))) for p in shares])
+        return jnp.stack([self._value(jnp.full(len(self.names), ndtri(p))) for p in shares])
 
     def density(self) -> tuple[Float[Array, "point free"], Float[Array, "point free"]]:
         """Values from the lowest to the highest that the prior makes likely, and its density."""
-        u = jnp.broadcast_to(jnp.linspace(-4.0, 4.0, 201)[:, None], (201, len(self.names)))
-        rate = jax.vmap(self.log_slope)(u)
-        return jax.vmap(self.physical)(u), jnp.exp(norm.logpdf(u) - rate)
+        v = jnp.broadcast_to(jnp.linspace(-4.0, 4.0, 201)[:, None], (201, len(self.names)))
+        rate = jax.vmap(self._log_slope)(v)
+        return jax.vmap(self._value)(v), jnp.exp(norm.logpdf(v) - rate)
+
+    def quantiles_about(
+        self, u: Float[Array, " free"], sd: Float[Array, " free"], *shares: float
+    ) -> Float[Array, "share free"]:
+        """Quantiles, in their own units, of parameters whose normal coordinates are normal about
+        those of `u` with `sd`."""
+        return jnp.stack([self._value(self.together(u) + ndtri(p) * sd) for p in shares])
 
     def spread(self, u: Float[Array, " free"], sd: Float[Array, " free"]) -> Float[Array, " free"]:
-        """Standard deviation, in their own units, of parameters that in whitened coordinates are
-        normal about `u` with `sd`. Differentiable."""
-        values = jax.vmap(self.physical)(u + _NODES[:, None] * sd) - self.physical(u)
+        """Standard deviation, in their own units, of parameters whose normal coordinates are normal
+        about those of `u` with `sd`. Differentiable."""
+        v = self.together(u)
+        values = jax.vmap(self._value)(v + _NODES[:, None] * sd) - self._value(v)
         mean = _NODE_WEIGHT @ values
         return jnp.sqrt(_NODE_WEIGHT @ (values - mean) ** 2)
 
@@ -184,6 +222,20 @@ class ParameterSpace(eqx.Module):
         near = jnp.minimum(values - self.lower, self.upper - values)
         usual = jnp.minimum(self.prior - self.lower, self.upper - self.prior)
         return near < jnp.minimum(_AT_BOUND * (self.upper - self.lower), _NEARER * usual)
+
+
+def _root(correlation: ArrayLike, count: int) -> np.ndarray:
+    """The symmetric root of a correlation matrix."""
+    matrix = np.asarray(correlation, float)
+    good = matrix.shape == (count, count) and np.allclose(matrix, matrix.T, atol=1e-12)
+    if not (good and np.allclose(np.diagonal(matrix), 1.0)):
+        raise InputError(
+            f"`correlation` must be symmetric with ones on its diagonal, for {count} parameters"
+        )
+    values, vectors = np.linalg.eigh(matrix)
+    if values[:1].min(initial=1.0) <= 1e-9:
+        raise InputError("`correlation` must be positive definite: no parameter follows another")
+    return np.asarray((vectors * np.sqrt(values)) @ vectors.T)
 
 
 def _quantile(u: Any, low: Any, high: Any, library: Any, special: Any) -> Any:
@@ -370,7 +422,8 @@ def make_space(values: dict[str, float], relative_sd: Mapping[str, float | None]
     - `relative_sd`: the prior's standard deviation over its median by name, positive [-]; None
       takes that of the parameter's record.
 
-    **Returns:** `ParameterSpace`, its parameters in the order of `values`.
+    **Returns:** `ParameterSpace`, its parameters in the order of `values`. What a prior of a trait
+    is off by is partly common to the species of a plot (`Parameter.shared`).
 
     **Raises:** `InputError` for a value outside its bounds, and a parameter that has no prior.
     """
@@ -399,7 +452,21 @@ def make_space(values: dict[str, float], relative_sd: Mapping[str, float | None]
             stacklevel=2,
         )
     limits = np.asarray(columns, float).reshape(-1, 4)
-    return ParameterSpace(tuple(values), *limits.T, distribution=kinds)
+    return ParameterSpace(
+        tuple(values), *limits.T, distribution=kinds, correlation=_correlation(list(values))
+    )
+
+
+def _correlation(names: Sequence[str]) -> Float[np.ndarray, "free free"] | None:
+    """Correlation of the priors: a trait of one species with that of the others of the plot."""
+    kinds = [parameter_kind(name) for name in names]
+    shared = np.array([PARAMETERS[kind].shared for kind in kinds])
+    if not shared.any():
+        return None
+    alike = np.array(kinds)[:, None] == np.array(kinds)
+    matrix = np.where(alike, shared, 0.0)
+    np.fill_diagonal(matrix, 1.0)
+    return matrix
 
 
 def _fitted_prior(name: str, record: Parameter, value: float, sd: float) -> tuple[float, float]:

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
 from jaxtyping import Array, Float, Int
 
 from fynjax.canopy import FORM_DEFAULTS, VoxelGrid, leaf_angle
@@ -41,10 +42,10 @@ class AbstractView(eqx.Module):
         """The image, of a sensor that makes one, and the statistics. Differentiable."""
 
     @abc.abstractmethod
-    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int) -> Self:
+    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> Self:
         """A cheaper form of the view, for a `scene` of thicker layers (`search_form`): light of
-        `accuracy`, and of a drone's image every `stride`-th pixel along each axis. `scene` is that
-        of the full form."""
+        `accuracy`, and of a drone's image every `stride`-th pixel along each axis, or those a voxel
+        apart. `scene` is that of the full form."""
 
     def predict(self, scene: Scene, parameters: PlotParameters) -> Float[Array, " statistic"]:
         """The statistics. Differentiable in `parameters`."""
@@ -57,22 +58,110 @@ class AbstractView(eqx.Module):
         return jacobian_by_rows(lambda u: self.predict(scene, plot_at(u)).astype(u.dtype), u)
 
 
+class Directions(eqx.Module):
+    """Combinations of statistics that tell most of the parameters, so that derivatives need not be
+    taken of every statistic."""
+
+    rows: Float[Array, "direction statistic"]
+    back: Float[Array, "statistic direction"]
+    """What a unit of each combination is in the statistics."""
+
+
+def informative_directions(
+    draws: Float[np.ndarray, "draw statistic"],
+    covariance: Float[np.ndarray, "statistic statistic"],
+    most: int,
+) -> Directions:
+    """The directions of statistics in which draws of the prior spread most against the errors.
+
+    Where statistics are linear in the parameters these are the directions of most expected
+    information; what the others hold is left out, which costs information and no truth.
+
+    **Arguments:**
+
+    - `draws`: statistics of draws of the prior.
+    - `covariance`: of the errors.
+    - `most`: directions.
+    """
+    root = np.linalg.cholesky(covariance)
+    whitened = np.linalg.solve(root, (draws - draws.mean(axis=0)).T)
+    vectors, _, _ = np.linalg.svd(whitened, full_matrices=False)
+    chosen = vectors[:, :most]
+    rows = np.linalg.solve(root.T, chosen).T
+    return Directions(jnp.asarray(rows), jnp.asarray(root @ chosen))
+
+
 class ImageView(AbstractView):
     """Statistics of a drone's image (`image_statistics`)."""
 
     names: tuple[str, ...] = eqx.field(static=True, converter=tuple)
     camera: AimedSensor
     """The drone's camera over the scene, from `aim`; with the bands that the statistics name."""
+    gain_sd: float = eqx.field(static=True, default=0.0)
+    """What a band's calibration to reflectance may be off by, as a factor [-]."""
+    spacing: float | None = eqx.field(static=True, default=None)
+    """Distance of neighbouring pixels [m]; None: their edge."""
+    directions: "Directions | None" = None
+    """Of the statistics, along which slopes are taken; None: all."""
 
     def observe(
         self, scene: Scene, parameters: PlotParameters
     ) -> tuple[Float[Array, "band y x"], Float[Array, " statistic"]]:
         image = self.camera.observe(scene, parameters).reflectance
-        return image, image_statistics(image, self.names)
+        return image, self._statistics(image)
 
-    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int) -> "ImageView":
+    def _statistics(self, image: Float[Array, "band y x"]) -> Float[Array, " statistic"]:
+        pixel = self.camera.pixel if self.spacing is None else self.spacing
+        return image_statistics(image, self.names, pixel=pixel)
+
+    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "ImageView":
+        if stride is None:
+            stride = max(round(scene.grid.horizontal_size / self.camera.pixel), 1)
         camera = dataclasses.replace(self.camera.sampled(stride), accuracy=accuracy)
-        return dataclasses.replace(self, camera=camera)
+        every = camera.pixel * (stride if camera.fine is None else 1)
+        return dataclasses.replace(self, camera=camera, spacing=every)
+
+    def gain_slopes(self, image: Float[Array, "band y x"]) -> Float[Array, "statistic band"]:
+        """Derivatives of the statistics of `image` by the logarithm of each band's gain."""
+
+        def scaled(log_gain: Array) -> Array:
+            return self._statistics(image * jnp.exp(log_gain)[:, None, None])
+
+        none = jnp.zeros(image.shape[0], image.dtype)
+        return jax.jacfwd(scaled)(none)
+
+
+GAIN_SHARED = 0.5
+"""Share of the variance of the bands' gains that is common to all: light and exposure [-]. An
+assumption."""
+
+
+def gain_covariance(bands: int, sd: float) -> Float[np.ndarray, "band band"]:
+    """Covariance of the logarithms of the gains of a camera's bands, each of `sd` [-]."""
+    own, common = (1.0 - GAIN_SHARED) * np.eye(bands), GAIN_SHARED * np.ones((bands, bands))
+    return np.asarray(sd**2 * (own + common))
+
+
+def radiometric_covariance(
+    views: Sequence[AbstractView], images: Sequence[Float[Array, "band y x"]]
+) -> Float[np.ndarray, "statistic statistic"]:
+    """Covariance of the statistics of all views by what the cameras' gains may be off by.
+
+    **Arguments:** `views`, and the images of those that make one.
+    """
+    blocks, remaining = [], iter(images)
+    for view in views:
+        block = np.zeros((len(view.names),) * 2)
+        if isinstance(view, ImageView):
+            slopes = np.asarray(_gain_slopes(view, next(remaining)), float)
+            block = slopes @ gain_covariance(slopes.shape[1], view.gain_sd) @ slopes.T
+        blocks.append(block)
+    return np.asarray(scipy.linalg.block_diag(*blocks))
+
+
+@eqx.filter_jit
+def _gain_slopes(view: ImageView, image: Array) -> Array:
+    return view.gain_slopes(image)
 
 
 class SpectrumView(AbstractView):
@@ -92,7 +181,7 @@ class SpectrumView(AbstractView):
         voxels = scene.voxels(parameters, self.imager.sensor.bands)
         return None, jax.lax.map(lambda band: self._mean(voxels, band), self._bands)
 
-    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int) -> "SpectrumView":
+    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "SpectrumView":
         imager = dataclasses.replace(self.imager.sampled(_SEARCH_COLUMNS), accuracy=accuracy)
         return dataclasses.replace(self, imager=imager)
 
@@ -200,7 +289,7 @@ class StructureView(AbstractView):
         ).means()
         return None, jnp.stack([found[name.split(".", 1)[1]] for name in self.names])
 
-    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int) -> "StructureView":
+    def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "StructureView":
         return dataclasses.replace(self, grid=scene.grid)
 
 

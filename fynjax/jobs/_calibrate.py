@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from fynjax._core.progress import Progress
-from fynjax.assembly import Measured, build_plot, read_targets
-from fynjax.inversion import Calibration, CalibrationSettings, calibrate_plot, free_space, join_data
+from fynjax.assembly import Measured, prepare, read_targets
+from fynjax.inversion import Calibration, CalibrationSettings, calibrate_plot, join_data
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.raster import write_run
 from fynjax.jobs._calibration_page import (
@@ -134,20 +134,19 @@ def calibrate_to(
     **Raises:** `InputError` as `calibrate`.
     """
     with run.stage("Build the plot", "build"):
-        scene, parameters = build_plot(plot, seed=run.seed)
-        views = [sensor.view_of(scene, parameters) for sensor in measured]
-        space = free_space(scene, parameters, plot.calibration.free, plot.calibration.relative_sd)
+        ready = prepare(plot, None, seed=run.seed)
+        views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
     steps, starts = plot.calibration.max_iterations, plot.calibration.starts
     evaluations = starts * (steps + (steps + 1) // 2)
     with run.stage("Calibrate", "calibrate", total=evaluations):
         result = calibrate_plot(
-            scene,
-            parameters,
+            ready.scene,
+            ready.parameters,
             join_data([sensor.data for sensor in measured]),
-            space,
+            ready.space,
             views,
             CalibrationSettings(max_steps=steps, starts=starts, seed=run.seed),
-            grow=lambda counts: build_plot(plot, seed=run.seed, counts=counts)[0],
+            replant=ready.replant,
             checkpoint=checkpoint,
             report=lambda stage, loss, norm: run.progress.advance(
                 1, stage=stage, loss=f"{loss:.1f}", gradient=f"{norm:.1f}"

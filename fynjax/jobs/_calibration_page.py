@@ -63,7 +63,31 @@ def parameter_sentences(result: Calibration) -> list[str]:
             f"{ends.objective.min():.4g} to {ends.objective.max():.4g}, up to "
             f"{ends.apart.max():.2g} posterior sd apart; the best is kept."
         )
+    lines.append(misfit_sentence(result))
+    if result.gain is not None and result.gain_sd is not None and result.camera is not None:
+        bands = zip(result.camera.sensor.bands.names, result.gain, result.gain_sd, strict=True)
+        each = ", ".join(f"{name} {gain:.3f} ± {gain * sd:.3f}" for name, gain, sd in bands)
+        lines.append(f"Gains of the camera: {each}.")
     return [*lines, result.fit.explanation]
+
+
+_UNLIKELY = 0.01
+"""Probability below which a model counts as not explaining the data [-]."""
+
+
+def misfit_sentence(result: Calibration) -> str:
+    """Whether model and prior explain the data."""
+    count, probability = len(result.data.names), result.probability
+    shown = f"p = {probability:.2g}" if probability >= 1e-3 else "p < 0.001"
+    sentence = (
+        f"Misfit and distance from the prior: chi-square {result.misfit:.0f} for {count} "
+        f"statistics ({shown})"
+    )
+    if probability < _UNLIKELY:
+        return (
+            f"{sentence}: model and prior do not explain the data, so do not trust the intervals."
+        )
+    return f"{sentence}."
 
 
 def _capitalised(text: str) -> str:

@@ -10,7 +10,7 @@ import pandas as pd
 import xarray as xr
 
 from fynjax.assembly import Measured, parameter_columns
-from fynjax.inversion import Calibration, ImageView
+from fynjax.inversion import Calibration
 from fynjax.io.raster import image_array
 from fynjax.jobs._render import plant_counts
 from fynjax.metrics import BANDS, STRUCTURE_METRICS, image_statistics
@@ -59,7 +59,8 @@ class Reference:
 def statistic_table(calibration: Calibration, reference: Reference) -> pd.DataFrame:
     """Every statistic: real, simulated before and after, and another simulation's value.
 
-    Those of a drone's image are computed from it, with the reference's that were not fitted.
+    What was fitted is expected over plantings; the reference's statistics that were not are those
+    of the image of the scene's own plants.
     """
     data = calibration.fit.data
     extra = tuple(name for name in reference.real if name not in data.names)
@@ -73,15 +74,12 @@ def statistic_table(calibration: Calibration, reference: Reference) -> pd.DataFr
             "target_sd": np.concatenate([np.asarray(data.sd), np.full(len(extra), np.nan)]),
         }
     )
-    drawn = [n for view in calibration.views if isinstance(view, ImageView) for n in view.names]
-    drawn += extra
-    of_image = np.isin(names, drawn)
     for column in ("before", "after"):
         image = getattr(calibration, f"image_{column}")
         values = np.full(len(names), np.nan)
         values[: len(data.names)] = getattr(calibration, f"statistics_{column}")
-        if image is not None:
-            values[of_image] = np.asarray(_statistics(image, drawn), float)
+        if image is not None and extra:
+            values[len(data.names) :] = np.asarray(_statistics(image, extra), float)
         table[column] = values
     table["reference"] = [reference.simulated.get(n, np.nan) for n in names]
     for column in ("before", "after", "reference"):

@@ -11,10 +11,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.progress import Progress
 from fynjax.assembly import (
-    STRIDE,
     Prepared,
-    batch_for_device,
-    build_plot,
     parameter_columns,
     prepare,
     read_targets,
@@ -22,16 +19,17 @@ from fynjax.assembly import (
 )
 from fynjax.inversion import (
     CalibrationSettings,
-    PlotForward,
     Posterior,
     SamplingMethod,
     calibrate_plot,
+    fit_surrogate,
     join_data,
     sample_posterior,
     search_form,
 )
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.text import atomic_path
+from fynjax.jobs._calibration_page import misfit_sentence
 from fynjax.jobs._result import JobResult, Number, ParameterSummary
 from fynjax.jobs._run import Run
 from fynjax.report.figures import (
@@ -78,9 +76,10 @@ def posterior(
 ) -> PosteriorResult:
     """Sample the posterior of a plot's parameters given the measurements of one or several sensors.
 
-    The plot is calibrated first. The sampling renders at the accuracy of the calibration's search,
-    corrected by the difference to full accuracy at the estimate; errors of the statistics include
-    the variance over stand realisations.
+    The plot is calibrated first, with the likelihood that the sampling then explores: the data are
+    one draw of the statistics over plantings, with the errors of data, model and camera. Chains ask
+    for more renders than there is time for, so that a surrogate stands for their expectation, its
+    error stated (`fit_surrogate`).
 
     **Arguments:**
 
@@ -131,33 +130,34 @@ def posterior(
             data,
             ready.space,
             views,
-            CalibrationSettings(stride=STRIDE, max_steps=steps),
-            grow=lambda counts: build_plot(read, seed=run.seed, counts=counts)[0],
+            CalibrationSettings(max_steps=steps),
+            replant=ready.replant,
             checkpoint=checkpoint / "calibration",
             report=lambda stage, loss, norm: run.progress.advance(
                 1, stage=stage, loss=f"{loss:.1f}"
             ),
         )
-    quick, cheap = search_form(calibrated.scene, ready.parameters, views, stride=STRIDE)
+    with run.stage("Fit a surrogate"):
+        _, cheap = search_form(calibrated.scene, ready.parameters, views)
+        surrogate, surrogate_error = fit_surrogate(
+            calibrated, ready.parameters, cheap, seed=run.seed
+        )
     sampled = sample_posterior(
-        PlotForward(ready.parameters, ready.space.names, cheap),
+        surrogate,
         calibrated.data,
         ready.space,
         method=method,
         start=calibrated.fit,
-        offset=calibrated.offset,
-        context=(quick,),
         target=target_size,
         max_steps=max_steps,
         seed=run.seed,
-        batch=batch_for_device(),
         checkpoint=None if method == "laplace" else checkpoint / f"{method}.chain",
         progress=run.progress,
     )
     if not sampled.whitened.size:
         raise InputError(f"no posterior: {sampled.status}", file=read.file)
     table = posterior_table(sampled)
-    headline = _headline(ready, sampled, table)
+    headline = [*_headline(ready, sampled, table), misfit_sentence(calibrated)]
     if not sampled.converged and sampled.method != "laplace":
         headline.append(f"The chain is kept in {checkpoint}: the same command goes on with it.")
     record = run.record(inputs)
@@ -166,7 +166,7 @@ def posterior(
         path = run.path("posterior.nc", "every draw, as arviz reads it (InferenceData)")
         with atomic_path(path) as partial:
             sampled.inference_data({k: str(v) for k, v in record.items()}).to_netcdf(str(partial))
-        run.page(_page(ready, sampled, table, headline, record))
+        run.page(_page(ready, sampled, table, headline, record, surrogate_error))
     return run.result(
         PosteriorResult,
         headline=headline,
@@ -229,6 +229,7 @@ def _page(
     table: pd.DataFrame,
     headline: list[str],
     record: dict[str, str | int],
+    surrogate_error: np.ndarray,
 ) -> Page:
     order = np.argsort(-sampled.constrained)
     units = [shown_unit(name) for name in sampled.names]
@@ -238,13 +239,13 @@ def _page(
     prior = factor * values, density / factor
     data = sampled.data
     parts: list[Part] = [f"Status: {sampled.status}."]
-    if sampled.method != "laplace":
-        parts.append(
-            "The chain renders one stand realisation. The errors of the statistics include the "
-            "variance over realisations, but sensitivity that is chance of this one counts as "
-            "information, so that intervals are too narrow where few plants decide. The method "
-            "'laplace' allows for it."
-        )
+    worst = int(surrogate_error.argmax())
+    parts.append(
+        "Chains ask a surrogate for the statistics, linear in all parameters and bent along those "
+        "that the data know most: renders that it was not fitted to differ from it by "
+        f"{np.median(surrogate_error):.2g} standard errors of the data (median over statistics), "
+        f"at worst {surrogate_error[worst]:.2g} ({words(data.names[worst])})."
+    )
     parts += [
         Picture(
             "corner.png",

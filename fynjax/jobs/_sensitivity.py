@@ -10,7 +10,7 @@ import pandas as pd
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.progress import Progress
-from fynjax.assembly import STRIDE, batch_for_device, image_view, prepare, shown_unit
+from fynjax.assembly import batch_for_device, image_view, prepare, shown_unit
 from fynjax.inversion import (
     DerivativeMeasures,
     PlotForward,
@@ -87,7 +87,7 @@ def sensitivity(
         ready = prepare(read, free, seed=run.seed)
     space = ready.space
     views = [image_view(read, ready.scene, ready.parameters, names)]
-    quick, cheap = search_form(ready.scene, ready.parameters, views, stride=STRIDE)
+    quick, cheap = search_form(ready.scene, ready.parameters, views)
     predict = PlotForward(ready.parameters, space.names, cheap)
     at = np.asarray(space.prior)
     with run.stage("Slopes"):

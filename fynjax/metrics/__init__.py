@@ -43,7 +43,11 @@ from fynjax.metrics._spectrometer_indices import (
     SpectrometerIndex,
     spectrometer_indices,
 )
-from fynjax.metrics._statistics import check_statistics, image_statistics
+from fynjax.metrics._statistics import (
+    check_statistics,
+    fitting_statistics,
+    image_statistics,
+)
 from fynjax.metrics.structure import (
     STRUCTURE_METRICS,
     STRUCTURE_PRESETS,
@@ -99,6 +103,7 @@ __all__ = [
     "central_interval",
     "check_statistics",
     "choose_grain",
+    "fitting_statistics",
     "foliage_height_diversity",
     "height_intersection",
     "height_percentile_rmse",

@@ -10,7 +10,9 @@ from fynjax._core.errors import InputError
 from fynjax.metrics._distribution import mean, quantiles, standard_deviation
 from fynjax.metrics._indices import BANDS, VEGETATION_INDICES, smooth_vegetation_indices
 
-_NAME = re.compile(r"^(?P<layer>[A-Za-z]\w*)\.(?P<kind>mean|std|q(?P<percent>\d{1,2}))$")
+_NAME = re.compile(
+    r"^(?P<layer>[A-Za-z]\w*)\.(?P<kind>mean|std(?P<block>\d{1,4}cm)?|q(?P<percent>\d{1,2}))$"
+)
 
 
 def check_statistics(names: Sequence[str]) -> None:
@@ -26,28 +28,45 @@ def check_statistics(names: Sequence[str]) -> None:
         match = _NAME.match(name)
         if match is None or match["layer"] not in (*BANDS, *VEGETATION_INDICES):
             raise InputError(
-                "a statistic must be '<band or index>.<mean|std|qNN>' with a band of "
+                "a statistic must be '<band or index>.<mean|std|stdNNcm|qNN>' with a band of "
                 f"{', '.join(BANDS)} or an index of table 4, but is {name!r}"
             )
+
+
+def fitting_statistics(names: Sequence[str], side: float, pixel: float) -> list[str]:
+    """Those of `names` that an image with the shorter `side` and pixels of `pixel` has [m]: squares
+    of a standard deviation are at least a pixel wide, and four fit along the side."""
+    blocks = {name: match["block"] for name in names if (match := _NAME.match(name))}
+    width = {n: 0.01 * float(b.removesuffix("cm")) for n, b in blocks.items() if b}
+    return [n for n in names if n not in width or pixel <= width[n] <= 0.25 * side]
 
 
 def image_statistics(
     image: Float[Array, "band y x"],
     names: Sequence[str],
     valid: Bool[Array, "y x"] | None = None,
+    *,
+    pixel: float | None = None,
 ) -> Float[Array, " statistic"]:
     """Statistics of bands and vegetation indices over the pixels of an image.
 
     **Arguments:**
 
     - `image`: reflectance [-] of the bands green, red, red_edge, nir, in this order.
-    - `names`: "band or index", a dot, and "mean", "std" or "qNN" (a percentile, 00 to 99), such as
-      "nir.mean", "NDVI.std", "GCI.q25".
+    - `names`: "band or index", a dot, and "mean", "std", "qNN" (a percentile, 00 to 99) or
+      "stdNNcm" (the standard deviation of means over squares of NN cm), such as "nir.mean",
+      "NDVI.std", "GCI.q25", "nir.std40cm".
     - `valid`: true where a pixel counts; all unless given.
+    - `pixel`: edge of a pixel [m], for standard deviations over squares. These are as many whole
+      pixels wide as come nearest; squares that the image's edge cuts are left out.
 
     **Returns:** one value for each name, in the unit of its band or index.
 
-    **Raises:** `InputError` for an unknown name.
+    **Raises:** `InputError` for an unknown name, and for squares without `pixel` or of which fewer
+    than two lie along a side of the image.
+
+    How the standard deviation falls from square to larger square is the image's spatial covariance,
+    by which crowns and gaps of different width differ (Woodcock & Strahler 1987).
 
     Indices are the smooth ones, which are finite in black pixels; pixels where an index is
     undefined are left out of its statistics. Differentiable in `image`.
@@ -77,9 +96,38 @@ def image_statistics(
         layer, mask = layers[match["layer"]]
         if match["kind"] == "mean":
             statistics.append(mean(layer, mask))
+        elif match["block"]:
+            side = _side(match["block"], pixel, layer.shape)
+            statistics.append(standard_deviation(*_square_means(layer, mask, side)))
         elif match["kind"] == "std":
             statistics.append(standard_deviation(layer, mask))
         else:
             share = jnp.asarray([int(match["percent"]) / 100.0], layer.dtype)
             statistics.append(quantiles(layer, share, mask)[0])
     return jnp.stack(statistics)
+
+
+def _side(block: str, pixel: float | None, shape: tuple[int, ...]) -> int:
+    """Pixels along the edge of a square."""
+    if pixel is None:
+        raise InputError(f"`pixel` must be known for a standard deviation over squares of {block}")
+    side = max(round(0.01 * float(block.removesuffix("cm")) / pixel), 1)
+    if side > min(shape) // 2:
+        raise InputError(
+            f"fewer than two squares of {block} lie along a side of an image of "
+            f"{shape[1]} x {shape[0]} pixels of {pixel:g} m: take smaller squares"
+        )
+    return side
+
+
+def _square_means(
+    layer: Float[Array, "y x"], valid: Bool[Array, "y x"], side: int
+) -> tuple[Float[Array, "row column"], Bool[Array, "row column"]]:
+    """Means over squares of `side` pixels, and whether any of their pixels counts."""
+    rows, columns = (n // side for n in layer.shape)
+    cut = (slice(rows * side), slice(columns * side))
+    shape = (rows, side, columns, side)
+    weight = valid[cut].reshape(shape)
+    total = jnp.sum(jnp.where(weight, layer[cut].reshape(shape), 0.0), axis=(1, 3))
+    count = weight.sum(axis=(1, 3))
+    return total / jnp.maximum(count, 1), count > 0

@@ -31,6 +31,12 @@ LEAF_FIELDS = (
 """Leaf parameters of a plot: those of PROSPECT-D, in the order of a leaf table's columns."""
 
 
+OF_A_PLOT = 0.5
+"""Share of the prior variance of a trait that the species of one plot have in common [-]: site, age
+and season move all of them. The shipped prior is learned from plots whose species move together; in
+how far they also differ spectra of whole plots do not say, so half is assumed."""
+
+
 def _share(**record: Any) -> Any:
     bounds: dict[str, Any] = {"lower": 0.0, "upper": 1.0, "usual": (0.0, 1.0)}
     return parameter_field(
@@ -118,6 +124,7 @@ class SpeciesParameters(eqx.Module):
         upper=20.0,
         usual=(0.5, 6.0),
         relative_sd=0.3,
+        shared=OF_A_PLOT,
         description="One-sided leaf area, dead tissue of the shoots included, over the ground area "
         "of the crowns as seen from above: where crowns overlap it counts once. Crowns are taken "
         "to stand at random, so that the share (1 - product of (1 - a)) / sum of a of them is seen "
@@ -132,6 +139,7 @@ class SpeciesParameters(eqx.Module):
         upper=20.0,
         usual=(0.0, 1.5),
         relative_sd=0.3,
+        shared=OF_A_PLOT,
         description="One-sided area of wood, half of its surface, over the ground area of the "
         "crowns as seen from above; counted and bounded as the leaf area index. Wood is stems and "
         "branches below the leafy shoots, and the dead stubs at the base of a tussock; what is "
@@ -146,6 +154,7 @@ class SpeciesParameters(eqx.Module):
         usual=(0.0, 0.6),
         relative_sd=0.3,
         distribution="logit-normal",
+        shared=OF_A_PLOT,
         description="Probability that light which a leaf scatters meets another leaf of its "
         "shoot: 0 for leaves at random in their voxel, 0.44 in a pine shoot (Smolander and "
         "Stenberg 2005). At 0.8 light meets a shoot's leaves five times on average.",
@@ -159,6 +168,7 @@ class SpeciesParameters(eqx.Module):
         usual=(0.0, 0.8),
         sd=0.25,
         distribution="logit-normal",
+        shared=OF_A_PLOT,
         description="Share of the one-sided area of live shoots that is dead or woody: old leaves "
         "and bracts, dead culms and the sheaths on live ones, the twig that bears the leaves. "
         "Stems and branches below the shoots are wood. It reflects as bark, or as the spectrum "
@@ -279,7 +289,7 @@ class PlotParameters(eqx.Module):
 
 PARAMETERS: dict[str, Parameter] = {
     **parameters_of(SpeciesParameters),
-    **{name: LEAF_PARAMETERS[name] for name in LEAF_FIELDS},
+    **{name: dataclasses.replace(LEAF_PARAMETERS[name], shared=OF_A_PLOT) for name in LEAF_FIELDS},
     **parameters_of(GroundParameters),
     **parameters_of(LightParameters),
 }
@@ -327,8 +337,10 @@ def parameter_reference() -> "pd.DataFrame":
     """A table of all parameters, with those of leaves that only PROSPECT-PRO has.
 
     Columns: group, parameter, symbol, name, unit, default, lower, upper, usual_lower, usual_upper,
-    prior_relative_sd, prior_sd (where it is not relative), shown_unit (that of files and tables)
-    and description. All numbers but the last two columns' are in `unit`; NaN where there is none.
+    prior_relative_sd, prior_sd (where it is not relative), prior_distribution, prior_shared (the
+    share of the variance that species of a plot have in common), shown_unit (that of files and
+    tables) and description. All numbers but the last two columns' are in `unit`; NaN where there is
+    none.
     """
     import pandas as pd  # late: the command line need not wait for it
 
@@ -353,6 +365,7 @@ def parameter_reference() -> "pd.DataFrame":
             "prior_relative_sd": record.relative_sd,
             "prior_sd": record.sd,
             "prior_distribution": record.distribution,
+            "prior_shared": record.shared,
             "shown_unit": record.shown_unit,
             "description": record.description,
         }

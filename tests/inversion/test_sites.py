@@ -76,14 +76,17 @@ def test_a_search_gets_the_sites_that_it_asks_for(plot):
     space = free_space(scene, parameters, ["*.cover"], lambda _: 1.0)
     start = np.asarray(CrownCover().observe(scene, parameters)[1])
     data = Data(("crown cover",), jnp.asarray(4.0 * start), jnp.array([0.01]))
-    settings = CalibrationSettings(stand_realisations=0, rounds=1)
+    settings = CalibrationSettings(stand_realisations=0, rounds=2)
     rooms = []
 
-    def grow(counts):
+    def replant(number, counts):
+        assert number == 0  # no other plantings were asked for
         rooms.append(counts)
         return planted(np.maximum(2.5, room_needed(scene, parameters, counts)))[0]
 
-    found = calibrate_plot(scene, parameters, data, space, [CrownCover()], settings, grow=grow)
+    found = calibrate_plot(
+        scene, parameters, data, space, [CrownCover()], settings, replant=replant
+    )
     assert rooms
     np.testing.assert_allclose(found.statistics_after, data.value, rtol=0.06)
     assert len(found.scene.planting.species) > len(scene.planting.species)

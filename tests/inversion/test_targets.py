@@ -15,7 +15,7 @@ from tests.helpers import write_raster
 def test_spreads_and_repeated_ratios_weigh_less():
     names = ("green.mean", "green.std", "NDVI.mean", "SR.mean", "GNDVI.mean")
     data = weigh_targets(names, np.array([0.05, 0.02, 0.7, 6.0, -0.6]), 0.01)
-    share = [0.01, 0.25, 0.01 * 2**0.5, 0.01 * 2**0.5, 0.01]
+    share = [0.01, 0.1, 0.01 * 2**0.5, 0.01 * 2**0.5, 0.01]
     np.testing.assert_allclose(data.sd, np.array(share) * [0.05, 0.02, 0.7, 6.0, 0.6])
 
 

@@ -32,8 +32,17 @@ class CalibrationTable(Strict):
     target_sd: float = number(
         "Relative standard deviation of a mean or quantile that states none",
         "-",
-        default=0.02,
+        default=0.01,
         gt=0,
+        le=1,
+    )
+    gain_sd: float = number(
+        "Standard deviation of the factor by which each band of the drone's camera may be off, "
+        "half of its variance common to all bands: 0.05 with its light sensor alone "
+        "(Schneider-Zapp et al. 2019), 0.03 with panels (Mamaghani & Salvaggio 2019)",
+        "-",
+        default=0.05,
+        ge=0,
         le=1,
     )
     priors: dict[str, Annotated[float, Field(gt=0, le=10)]] = Field(
@@ -42,7 +51,7 @@ class CalibrationTable(Strict):
         "the parameter, which for dead tissue in shoots is 0.25, whatever its value.",
     )
     max_iterations: int = Field(
-        default=7, description="Most steps of the optimiser in a round [-].", ge=1, le=10000
+        default=12, description="Most steps of the optimiser in a round [-].", ge=1, le=10000
     )
     starts: int = Field(
         default=1,

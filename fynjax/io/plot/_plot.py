@@ -171,6 +171,8 @@ class Calibration:
     priors: dict[str, float]
     """Relative prior standard deviation by pattern [-]; without one, that of the parameter."""
     max_iterations: int
+    gain_sd: float = 0.05
+    """What a band of the camera may be off by, as a factor [-]."""
     starts: int = 1
     """Searches: from the prior's centre, the others from draws of the prior."""
 

@@ -353,6 +353,7 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
             free=tuple(calibration.free),
             targets=tuple(calibration.targets),
             target_sd=calibration.target_sd,
+            gain_sd=calibration.gain_sd,
             priors=dict(calibration.priors),
             max_iterations=calibration.max_iterations,
             starts=calibration.starts,

@@ -137,12 +137,13 @@ class StatisticRow(Strict):
     """One row of a target file: a statistic of a real image."""
 
     statistic: str = Field(
-        description="'<band or index>.<mean|std|qNN>', such as 'nir.mean', 'NDVI.std', 'GCI.q25'.",
-        pattern=r"^[A-Za-z][A-Za-z0-9_]*\.(mean|std|q\d{1,2})$",
+        description="'<band or index>.<mean|std|qNN|stdNNcm>', such as 'nir.mean', 'NDVI.std', "
+        "'GCI.q25', 'nir.std40cm' (of means over squares of 40 cm).",
+        pattern=r"^[A-Za-z][A-Za-z0-9_]*\.(mean|std(\d{1,4}cm)?|q\d{1,2})$",
     )
     value: float = number("Its value; a reflectance is a fraction", "-")
     sd: float | None = number(
-        "Its standard deviation; empty takes calibration.target_sd (25 times that for a std)",
+        "Its standard deviation; empty takes calibration.target_sd (ten times that for a std)",
         "-",
         default=None,
         gt=0,

@@ -21,7 +21,7 @@ class TargetStatistics:
 
     file: Path
     names: tuple[str, ...]
-    """'<band or index>.<mean|std|qNN>'."""
+    """'<band or index>.<mean|std|qNN|stdNNcm>'."""
     value: NDArray[np.float64]
     """One for each name [-]."""
     sd: NDArray[np.float64]

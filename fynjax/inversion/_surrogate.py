@@ -1,0 +1,112 @@
+"""Statistics near an estimate without a render, for chains that ask for a hundred thousand."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax._core.checkpoint import Keep, keep_nothing
+from fynjax.inversion._calibrate import Calibration
+from fynjax.inversion._fit import predicted_statistics
+from fynjax.inversion._fit_result import FitResult
+from fynjax.inversion._log_posterior import LogPosterior
+from fynjax.inversion._views import AbstractView, PlotForward
+from fynjax.scene import PlotParameters
+
+_CURVED = 5
+"""Directions along which a surrogate bends: those that the data know most."""
+_RENDERS, _LEFT_OUT = 60, 12
+"""Cheap renders that it is fitted to, and those of them that tell its error."""
+_SPREAD = 1.5
+"""Standard deviations of the posterior over which these lie."""
+
+
+class Surrogate(eqx.Module):
+    """Statistics expected over plantings: linear in all parameters, with a quadratic polynomial
+    along the directions that the data know most.
+
+    A forward model as `sample_posterior` takes it. Differentiable.
+    """
+
+    fit: FitResult
+    """About its estimate."""
+    directions: Float[Array, "direction free"]
+    curvature: Float[Array, "term statistic"]
+
+    def __call__(self, values: Float[Array, " free"]) -> Float[Array, " statistic"]:
+        fit = self.fit
+        away = fit.space.whitened(values) - fit.whitened
+        bent = _products(self.directions @ away) @ self.curvature
+        return fit.predicted + fit.jacobian @ away + bent
+
+
+class FittedSurrogate(NamedTuple):
+    """A surrogate, and how far to trust it."""
+
+    surrogate: Surrogate
+    error: Float[np.ndarray, " statistic"]
+    """Root mean square error of renders that were left out, in units of the errors of the data."""
+
+
+def fit_surrogate(
+    calibration: Calibration,
+    parameters: PlotParameters,
+    views: Sequence[AbstractView],
+    *,
+    seed: int = 0,
+    keep: Keep = keep_nothing,
+) -> FittedSurrogate:
+    """A surrogate of the statistics about the estimate of a calibration.
+
+    Cheap renders at draws of one and a half times the Laplace posterior show how statistics bend.
+    Each is compared with the same plants at the estimate and with their slopes there, so that
+    plantings do not scatter them.
+
+    **Arguments:**
+
+    - `calibration`: with one or more stands.
+    - `parameters`: of the plot; those that are not free count.
+    - `views`: in the cheap form (`search_form`).
+    - `seed`: of the draws.
+    - `keep`: how the renders are done, such as by a `Journal`.
+    """
+    fit = calibration.fit
+    forward = PlotForward(parameters, fit.names, tuple(views))
+    random = np.random.default_rng([seed, 71])
+    centre, covariance = np.asarray(fit.whitened), np.asarray(fit.covariance)
+    draws = random.multivariate_normal(centre, _SPREAD**2 * covariance, _RENDERS, method="eigh")
+    count, none = len(calibration.stands), jnp.zeros(fit.data.value.shape)
+
+    def step() -> tuple[Array, ...]:
+        found = []
+        for i, u in enumerate(draws):
+            stand = calibration.stands[i % count]
+            density = LogPosterior(forward, fit.space, fit.data, none, (stand,))
+            found.append(predicted_statistics(density, jnp.asarray(u)))
+        return (jnp.stack(found),)
+
+    rendered = np.asarray(keep(step)[0])
+    slopes, at_centre = calibration.stand_slopes, calibration.stand_statistics
+    away = draws - centre
+    bent = np.stack(
+        [
+            value - at_centre[i % count] - slopes[i % count] @ move
+            for i, (value, move) in enumerate(zip(rendered, away, strict=True))
+        ]
+    )
+    directions = jnp.asarray(np.asarray(fit.modes)[:_CURVED])
+    terms = np.asarray(_products(jnp.asarray(away) @ directions.T))
+    fitted = slice(_LEFT_OUT, None)
+    curvature = np.linalg.lstsq(terms[fitted], bent[fitted])[0]
+    rest = (bent - terms @ curvature)[:_LEFT_OUT]
+    error = np.sqrt(np.mean(rest**2, axis=0)) / np.asarray(fit.data.sd)
+    return FittedSurrogate(Surrogate(fit, directions, jnp.asarray(curvature)), error)
+
+
+def _products(z: Float[Array, "*draw direction"]) -> Float[Array, "*draw term"]:
+    """All products of two coordinates."""
+    first, second = np.triu_indices(z.shape[-1])
+    return z[..., first] * z[..., second]

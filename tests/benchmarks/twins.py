@@ -1,0 +1,200 @@
+"""Calibrations of images whose truth is known, each of other plants than the search has.
+
+    python -m tests.benchmarks.twins --seeds 20 --size 5
+
+Truths are drawn from the prior and planted by chance of their own; their images are full renders at
+the camera's own pixels, with the camera's noise and gains. Printed: coverage of the intervals with
+its binomial error, the share of the prior variance that estimates explain, by kind of parameter,
+total live cover, time; and the same by ridge regression and a random forest trained on simulations
+of the same prior, which is what a user would do otherwise. Results are kept in `--keep` as they
+come, and a second run goes on with them.
+"""
+
+import argparse
+import dataclasses
+import time
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import ndtri
+from sklearn.ensemble import RandomForestRegressor
+from sklearn.linear_model import RidgeCV
+from sklearn.preprocessing import StandardScaler
+
+from fynjax.assembly import image_view, prepare
+from fynjax.inversion import (
+    IMAGE_STATISTICS,
+    CalibrationSettings,
+    Data,
+    LogPosterior,
+    PlotForward,
+    calibrate_plot,
+    gain_covariance,
+    look,
+    predicted_statistics,
+    search_form,
+    weigh_targets,
+)
+from fynjax.io.plot import example_folder, read_plot
+from fynjax.metrics import image_statistics
+from fynjax.scene import stand_realisation, with_values
+
+FREE = (
+    *(f"species.*.{kind}" for kind in ("cover", "diameter", "leaf_area_index", "dead_fraction")),
+    *("species.*.leaf.chlorophyll", "species.*.leaf.dry_matter"),
+    *("ground.brightness", "ground.litter_fraction"),
+)
+SHARES = (0.5, 0.68, 0.9)
+NOISE = 0.01
+"""Of a pixel of the camera, as a share of its value [-]."""
+
+
+def plot_of(size):
+    """The example plot, smaller, with covers free by a half and the rest by 30 %."""
+    plot = read_plot(example_folder() / "plot.toml")
+    priors = {"*.cover": 0.5, "*": 0.3}
+    calibration = dataclasses.replace(plot.calibration, free=FREE, priors=priors)
+    return dataclasses.replace(plot, size_m=(size, size), calibration=calibration)
+
+
+def truth_image(ready, view, u, number, random):
+    """The statistics of an image of the plot at `u`, planted by its own chance, as a camera with
+    noise and gains measures them."""
+    plot = with_values(ready.parameters, ready.scene.taxa, ready.space.named(jnp.asarray(u)))
+    _, image = look((view,), ready.replant(1000 + number), plot)
+    image = np.asarray(image, float)
+    gain = random.multivariate_normal(np.zeros(4), gain_covariance(4, view.gain_sd))
+    image *= np.exp(gain)[:, None, None] * (1.0 + NOISE * random.normal(size=image.shape))
+    pixel = view.camera.pixel
+    return np.asarray(image_statistics(jnp.asarray(image), view.names, pixel=pixel))
+
+
+def simulations(ready, view, count, random):
+    """Draws of the prior and the statistics of cheap renders of them, each planted anew."""
+    quick, (cheap,) = search_form(ready.scene, ready.parameters, [view])
+    stands = [quick]
+    stands += [search_form(ready.replant(i), ready.parameters, [view])[0] for i in range(1, 8)]
+    none = jnp.zeros(len(view.names))
+    forward = PlotForward(ready.parameters, ready.space.names, (cheap,))
+    data = Data(view.names, none, none + 1)
+    draws = random.normal(size=(count, len(ready.space.names))).clip(-2.2, 2.2)
+    found = []
+    for i, u in enumerate(draws):
+        stand = stand_realisation(stands[i % len(stands)], 5000 + i)
+        density = LogPosterior(forward, ready.space, data, none, (stand,))
+        found.append(np.asarray(predicted_statistics(density, jnp.asarray(u))))
+    return draws, np.array(found)
+
+
+def explained(truth, estimate):
+    """Share of the prior variance that estimates explain, over all truths and parameters."""
+    return 1.0 - np.mean((truth - estimate) ** 2) / np.mean(truth**2)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--size", type=float, default=5.0)
+    parser.add_argument("--train", type=int, default=400)
+    parser.add_argument("--keep", type=Path, required=True)
+    chosen = parser.parse_args()
+    chosen.keep.mkdir(parents=True, exist_ok=True)
+    ready = prepare(plot_of(chosen.size), None, seed=0)
+    names, space = ready.space.names, ready.space
+    statistics = tuple(n for n in IMAGE_STATISTICS if "160cm" not in n or chosen.size >= 5)
+    view = image_view(ready.plot, ready.scene, ready.parameters, statistics)
+    for number in range(chosen.seeds):
+        path = chosen.keep / f"twin_{number:03d}.npz"
+        if path.is_file():
+            continue
+        random = np.random.default_rng([number, 17])
+        truth = random.normal(size=len(names)).clip(-2.2, 2.2)
+        measured = truth_image(ready, view, truth, number, random)
+        data = weigh_targets(statistics, measured, ready.plot.calibration.target_sd)
+        began = time.process_time()
+        found = calibrate_plot(
+            ready.scene, ready.parameters, data, space, [view],
+            CalibrationSettings(seed=number), replant=ready.replant,
+        )  # fmt: skip
+        fit = found.fit
+        np.savez(
+            path,
+            truth=truth,
+            measured=measured,
+            estimate=fit.whitened,
+            covariance=fit.covariance,
+            misfit=2.0 * found.ends.objective[0],
+            seconds=time.process_time() - began,
+            converged=bool(fit.converged),
+        )
+        print(path.name, fit.explanation, f"{time.process_time() - began:.0f} CPU s", flush=True)
+    report(chosen, ready, view, [np.load(p) for p in sorted(chosen.keep.glob("twin_*.npz"))])
+
+
+def report(chosen, ready, view, twins):
+    names, space = ready.space.names, ready.space
+    truth, estimate = (np.stack([t[k] for t in twins]) for k in ("truth", "estimate"))
+    sd = np.sqrt(np.stack([np.diagonal(t["covariance"]) for t in twins]))
+    score = (truth - estimate) / sd
+    print(f"{len(twins)} twins of {chosen.size:g} m, {len(names)} parameters")
+    print(f"converged {np.mean([t['converged'] for t in twins]):.2f}")
+    print(f"CPU s a twin, median {np.median([t['seconds'] for t in twins]):.0f}")
+    for share in SHARES:
+        inside = np.abs(score) < ndtri(0.5 + 0.5 * share)
+        # Parameters of one twin hang together: the error is that of the mean over twins.
+        error = inside.mean(axis=1).std(ddof=1) / np.sqrt(len(twins))
+        print(f"in the {100 * share:.0f} % interval {inside.mean():.3f} +- {error:.3f}")
+    print(f"mean of scores {score.mean():.3f}, their sd {score.std():.3f}")
+    print(f"expected share of the prior variance removed {1.0 - np.mean(sd**2):.3f}")
+    path = chosen.keep / f"train_{chosen.train}.npz"
+    if path.is_file():
+        kept = np.load(path)
+        draws, simulated = kept["draws"], kept["simulated"]
+    else:
+        draws, simulated = simulations(ready, view, chosen.train, np.random.default_rng(23))
+        np.savez(path, draws=draws, simulated=simulated)
+    # What a cheap render lacks against a full one, at the prior's centre.
+    quick, (cheap,) = search_form(ready.scene, ready.parameters, [view])
+    whole = np.asarray(look((view,), ready.scene, ready.parameters)[0])
+    lack = whole / np.asarray(look((cheap,), quick, ready.parameters)[0])
+    random = np.random.default_rng(29)
+    gains = random.multivariate_normal(np.zeros(4), gain_covariance(4, view.gain_sd), len(draws))
+    slopes = np.asarray(view.gain_slopes(look((view,), ready.scene, ready.parameters)[1]))
+    noisy = simulated * lack + gains @ slopes.T
+    scale = StandardScaler().fit(noisy)
+    x, measured = scale.transform(noisy), scale.transform([t["measured"] for t in twins])
+    ridge = RidgeCV(np.logspace(0, 5, 11)).fit(x, draws).predict(measured)
+    forest = RandomForestRegressor(200, min_samples_leaf=3, random_state=0).fit(x, draws)
+    methods = {"calibrate": estimate, "ridge": ridge, "forest": forest.predict(measured)}
+    kinds = [name.split(".", 2)[-1] if name.startswith("species") else name for name in names]
+    print(f"{'share of prior variance explained':40s}" + "".join(f"{m:>11s}" for m in methods))
+    for kind in dict.fromkeys(kinds):
+        place = [i for i, k in enumerate(kinds) if k == kind]
+        values = [explained(truth[:, place], m[:, place]) for m in methods.values()]
+        print(f"{kind:40s}" + "".join(f"{v:11.2f}" for v in values))
+    cover = np.asarray(ready.parameters.species.cover)
+    live = [i for i, t in enumerate(ready.scene.taxa) if "dead" not in t.lower()]
+    common = sorted(live, key=lambda i: -cover[i])[:6]
+    for i in common:
+        place = [names.index(f"species.{ready.scene.taxa[i]}.cover")]
+        values = [explained(truth[:, place], m[:, place]) for m in methods.values()]
+        print(f"cover of {ready.scene.taxa[i]:31s}" + "".join(f"{v:11.2f}" for v in values))
+    place = [names.index(f"species.{ready.scene.taxa[i]}.cover") for i in live]
+    physical = eqx.filter_jit(jax.vmap(space.physical))
+
+    def total(u):
+        return np.asarray(physical(jnp.asarray(u)))[:, place].sum(axis=1)
+
+    prior = total(np.random.default_rng(1).normal(size=(500, len(names)))).std()
+    errors = [np.sqrt(np.mean((total(truth) - total(m)) ** 2)) for m in methods.values()]
+    print(
+        f"{f'total live cover, rmse (prior {prior:.3f})':40s}"
+        + "".join(f"{e:11.3f}" for e in errors)
+    )
+
+
+if __name__ == "__main__":
+    main()
