@@ -121,6 +121,22 @@ class ImageView(AbstractView):
         every = camera.pixel * (stride if camera.fine is None else 1)
         return dataclasses.replace(self, camera=camera, spacing=every)
 
+    def jacobian(
+        self, scene: Scene, plot_at: Callable[[Array], PlotParameters], u: Float[Array, " free"]
+    ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
+        def render(u: Array) -> Array:
+            return self.camera.observe(scene, plot_at(u)).reflectance
+
+        image, to_parameters = jax.vjp(render, u)
+        value, to_image = jax.vjp(self._statistics, image)
+        chosen = self.directions
+        rows = jnp.eye(value.size) if chosen is None else chosen.rows
+        # All slopes by the image at once, so that the loop holds the renderer alone.
+        by_image = jax.vmap(lambda row: to_image(row)[0])(rows.astype(value.dtype))
+        slopes = jax.lax.map(lambda one: to_parameters(one)[0], by_image, batch_size=1)
+        slopes = slopes.astype(u.dtype)
+        return value.astype(u.dtype), slopes if chosen is None else chosen.back @ slopes
+
     def gain_slopes(self, image: Float[Array, "band y x"]) -> Float[Array, "statistic band"]:
         """Derivatives of the statistics of `image` by the logarithm of each band's gain."""
 
@@ -137,7 +153,11 @@ assumption."""
 
 
 def gain_covariance(bands: int, sd: float) -> Float[np.ndarray, "band band"]:
-    """Covariance of the logarithms of the gains of a camera's bands, each of `sd` [-]."""
+    """Covariance of the logarithms of the gains of a camera's bands.
+
+    **Arguments:** `bands`, their number; `sd`, standard deviation of each [-], of whose variance
+    the share `GAIN_SHARED` is common to all.
+    """
     own, common = (1.0 - GAIN_SHARED) * np.eye(bands), GAIN_SHARED * np.ones((bands, bands))
     return np.asarray(sd**2 * (own + common))
 
@@ -333,7 +353,10 @@ def _projections(scene: Scene) -> Float[Array, " class"]:
 def look(
     views: Sequence[AbstractView], scene: Scene, parameters: PlotParameters
 ) -> tuple[Array, ...]:
-    """The statistics of all views, then the images of those that make one."""
+    """The statistics of all views, then the images of those that make one.
+
+    **Arguments:** `views` of a `scene` with `parameters`. Differentiable in these.
+    """
     observed = [view.observe(scene, parameters) for view in views]
     images = [image for image, _ in observed if image is not None]
     return joined([values.astype(float) for _, values in observed]), *images
