@@ -64,6 +64,10 @@ class Calibration(eqx.Module):
     """What the mean of the search's cheap form over `stands` lacks, at the estimate."""
     data: Data
     """The targets, their errors grown by what plantings and the camera's gains change."""
+    degrees: int = eqx.field(static=True)
+    """Statistics, or directions of many, that the likelihood counts."""
+    projector: Float[np.ndarray, "statistic statistic"]
+    """Keeps of statistics what lies along these directions."""
     gain: Float[np.ndarray, " band"] | None
     """By what factor each band of the drone's camera is off, as the fit has it [-]: what simulated
     bands are to be multiplied by. None where no sensor is one."""
@@ -78,14 +82,14 @@ class Calibration(eqx.Module):
     @property
     def misfit(self) -> float:
         """Squared whitened misfit and distance from the prior, at the estimate: of data that the
-        model and the prior explain a chi-square of as many degrees as there are statistics."""
+        model and the prior explain a chi-square of `degrees`."""
         return 2.0 * float(self.ends.objective.min())
 
     @property
     def probability(self) -> float:
         """That the model and its prior would give data so far from its expectation [-], were it
         linear in the parameters: below some 0.01 it does not explain them."""
-        return float(chi2.sf(self.misfit, len(self.data.names)))
+        return float(chi2.sf(self.misfit, self.degrees))
 
     @property
     def camera(self) -> AimedSensor | None:
@@ -263,6 +267,8 @@ def calibrate_plot(
         statistics_after=jnp.asarray(reached.statistics),
         offset=jnp.asarray(reached.offset),
         data=reached.data,
+        degrees=len(reached.weights),
+        projector=search.projector,
         gain=gain,
         gain_sd=gain_sd,
         ends=_ends(ends, best, best.fit),

@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
 from jaxtyping import Array, Float
 
 from fynjax._core.checkpoint import Keep
@@ -120,6 +121,8 @@ class Observed:
     """What the cheap form's mean over the plantings of the search lacks."""
     data: Data
     """With the errors of plantings and of the camera's gains at this place."""
+    weights: Float[np.ndarray, "direction statistic"]
+    """Makes of misfits independent ones of unit size, along the directions that count."""
 
 
 @dataclasses.dataclass
@@ -163,6 +166,10 @@ class Search:
         self._predict = PlotForward(parameters, space.names, cheap_views)
         self._along: PlotForward | None = None
         """The same with slopes along the most informative directions of many statistics."""
+        self.rows: Float[np.ndarray, "direction statistic"] | None = None
+        """These directions, of all views; None: every statistic counts for itself."""
+        self.projector = np.eye(len(data.names))
+        """Keeps of statistics what lies along them."""
         self.times: list[float] = []
         """When each step ended that was not one of an earlier run [s]."""
         self._stand(None)
@@ -251,15 +258,19 @@ class Search:
         data = self._data.with_covariance(covariance) if sound else self._data
         offset = statistics - scattered[:own].mean(axis=0)
         image = images[0] if images else None
-        return Observed(u, plot, image, statistics, offset, data)
+        return Observed(u, plot, image, statistics, offset, data, self._weights(data))
 
-    def _objective(self, one: Observed, data: Data) -> float:
-        return _objective(data, one.u, one.statistics)
+    def _weights(self, data: Data) -> Float[np.ndarray, "direction statistic"]:
+        rows = np.eye(len(data.names)) if self.rows is None else self.rows
+        covariance = rows @ np.asarray(data.covariance) @ rows.T
+        return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows))
 
     def choose_directions(self, data: Data) -> None:
         """Choose the directions of many statistics along which slopes are taken, by the errors of
         `data` and draws of the prior."""
-        views = []
+        views: list[AbstractView] = []
+        rows: list[np.ndarray] = []
+        kept: list[np.ndarray] = []
         draws = covariance = None
         start = 0
         for view in self._predict.views:
@@ -270,8 +281,16 @@ class Search:
                     draws, covariance = self._prior_draws(), np.asarray(data.covariance)
                 chosen = informative_directions(draws[:, part], covariance[part, part], _MOST_ROWS)
                 view = dataclasses.replace(view, directions=chosen)
+                rows.append(np.asarray(chosen.rows))
+                kept.append(np.asarray(chosen.back @ chosen.rows))
+            else:
+                rows.append(np.eye(len(view.names)))
+                kept.append(np.eye(len(view.names)))
             views.append(view)
         self._along = dataclasses.replace(self._predict, views=tuple(views))
+        if draws is not None:
+            self.rows = scipy.linalg.block_diag(*rows)
+            self.projector = scipy.linalg.block_diag(*kept)
 
     def _prior_draws(self) -> Float[np.ndarray, "draw statistic"]:
         """Statistics of the cheap form at draws of the prior, each with other plants."""
@@ -300,26 +319,26 @@ class Search:
         **Returns:** the end, the slopes of each stand there, why it ended, and the objective and
         its gradient's norm after each step.
         """
-        data, offset = begin.data, begin.offset
+        weights, offset, target = begin.weights, begin.offset, np.asarray(begin.data.value)
         # The statistics at the start are those of the full scene: the mean over all draws.
         u, value = np.asarray(begin.u, float), np.asarray(begin.statistics)
         slopes = self._slopes(jnp.asarray(u))
         jacobian, fresh = slopes.mean(axis=0), True
-        loss, damping = _objective(data, u, value), 0.0
+        loss, damping = _objective(weights, u, value - target), 0.0
         trace: list[tuple[float, float]] = []
         status = FitStatus.max_steps
         for _ in range(most):
             if not (np.isfinite(jacobian).all() and np.isfinite(loss)):
                 status = FitStatus.not_finite
                 break
-            gradient, hessian = _quadratic(data, u, value, jacobian)
+            gradient, hessian = _quadratic(weights, u, value - target, jacobian)
             self._note(trace, stage, loss, float(np.linalg.norm(gradient)))
             left = 0.5 * gradient @ np.linalg.solve(hessian, gradient)
             if left < self._settings.tolerance:
                 if not fresh:
                     slopes = self._slopes(jnp.asarray(u))
                     jacobian, fresh = slopes.mean(axis=0), True
-                    gradient, hessian = _quadratic(data, u, value, jacobian)
+                    gradient, hessian = _quadratic(weights, u, value - target, jacobian)
                     left = 0.5 * gradient @ np.linalg.solve(hessian, gradient)
                 if left < _NOISE * self._settings.tolerance:
                     status = FitStatus.successful
@@ -328,7 +347,7 @@ class Search:
             expected = -gradient @ move - 0.5 * move @ hessian @ move
             tried = u + move
             reached = self._cheap(jnp.asarray(tried), self.cheap).mean(axis=0) + offset
-            fall = loss - _objective(data, tried, reached)
+            fall = loss - _objective(weights, tried, reached - target)
             change = reached - value - jacobian @ move
             if np.isfinite(fall) and fall > 0:
                 u, value, loss = tried, reached, loss - fall
@@ -383,6 +402,7 @@ class Search:
             )
         if self._along is None:
             self.choose_directions(origin.data)
+            origin = dataclasses.replace(origin, weights=self._weights(origin.data))
         places, ends = [origin], []
         losses: list[np.ndarray] = []
         norms: list[np.ndarray] = []
@@ -412,8 +432,11 @@ class Search:
         norms: list[np.ndarray],
     ) -> End:
         """The best of the places by the errors at the last."""
-        data = places[-1].data
-        objective = [self._objective(place, data) for place in places]
+        data, weights = places[-1].data, places[-1].weights
+        objective = [
+            _objective(weights, np.asarray(p.u), p.statistics - np.asarray(data.value))
+            for p in places
+        ]
         best = int(np.argmin(np.nan_to_num(objective, nan=np.inf)))
         slopes, status = ends[best]
         last, final = places[-1], ends[-1][1]
@@ -430,9 +453,9 @@ class Search:
             jnp.asarray(slopes.mean(axis=0)), status, len(trace), trace,
         )  # fmt: skip
         if len(slopes) > 1 and np.isfinite(slopes).all():
-            whitened = jax.vmap(data.whiten)(jnp.asarray(slopes))
+            whitened = jnp.asarray(weights @ slopes)
             result = result.with_information(repeated_information(whitened, confidence=0.5))
-        place = dataclasses.replace(place, data=data)
+        place = dataclasses.replace(place, data=data, weights=weights)
         cheap = self._cheap(place.u, self.cheap)
         return End(
             objective[best], result, place, places[0], self.cheap, cheap, slopes, losses, norms
@@ -440,18 +463,16 @@ class Search:
 
 
 def _quadratic(
-    data: Data, u: np.ndarray, value: np.ndarray, jacobian: np.ndarray
+    weights: np.ndarray, u: np.ndarray, misfit: np.ndarray, jacobian: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Gradient and Gauss-Newton Hessian of the objective."""
-    scaled = np.asarray(data.whiten(jnp.asarray(jacobian)))
-    rest = np.asarray(data.whiten(jnp.asarray(value - np.asarray(data.value))))
-    return scaled.T @ rest + u, scaled.T @ scaled + np.eye(u.size)
+    scaled = weights @ jacobian
+    return scaled.T @ (weights @ misfit) + u, scaled.T @ scaled + np.eye(u.size)
 
 
-def _objective(data: Data, u: Array | np.ndarray, statistics: Array | np.ndarray) -> float:
+def _objective(weights: np.ndarray, u: np.ndarray, misfit: np.ndarray) -> float:
     """Half the squared whitened misfit and distance from the prior."""
-    rest = np.asarray(data.whiten(jnp.asarray(statistics - np.asarray(data.value))))
-    return 0.5 * float(rest @ rest + np.asarray(u) @ np.asarray(u))
+    return 0.5 * float(np.sum((weights @ misfit) ** 2) + np.sum(u**2))
 
 
 def _same(u: Array, other: Array, tolerance: float) -> bool:

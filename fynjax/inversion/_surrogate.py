@@ -97,6 +97,7 @@ def fit_surrogate(
             for i, (value, move) in enumerate(zip(rendered, away, strict=True))
         ]
     )
+    bent = bent @ calibration.projector.T
     directions = jnp.asarray(np.asarray(fit.modes)[:_CURVED])
     terms = np.asarray(_products(jnp.asarray(away) @ directions.T))
     fitted = slice(_LEFT_OUT, None)

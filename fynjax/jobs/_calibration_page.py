@@ -77,11 +77,12 @@ _UNLIKELY = 0.01
 
 def misfit_sentence(result: Calibration) -> str:
     """Whether model and prior explain the data."""
-    count, probability = len(result.data.names), result.probability
+    names, count, probability = len(result.data.names), result.degrees, result.probability
+    of = "statistics" if count == names else f"directions of {names} statistics"
     shown = f"p = {probability:.2g}" if probability >= 1e-3 else "p < 0.001"
     sentence = (
         f"Misfit and distance from the prior: chi-square {result.misfit:.0f} for {count} "
-        f"statistics ({shown})"
+        f"{of} ({shown})"
     )
     if probability < _UNLIKELY:
         return (
