@@ -8,6 +8,7 @@ from scipy import stats
 
 from fynjax._core.errors import InputError
 from fynjax.inversion import ParameterSpace, make_space, match_names
+from fynjax.scene._parameters import OF_A_PLOT
 
 
 @pytest.fixture
@@ -267,3 +268,74 @@ def test_the_prior_of_dead_tissue_is_as_wide_whatever_its_value():
     with pytest.warns(UserWarning, match=r"a\.dead_fraction from 0 "):
         green = make_space({"a.dead_fraction": 0.0}, {"a.dead_fraction": None})
     assert 0 < float(green.prior[0]) < 0.05
+
+
+# -- traits that hang together --------------------------------------------------------------
+
+
+@pytest.fixture
+def together():
+    """Two traits that species of a plot share in part, and their covers, which they do not."""
+    names = [f"species.{taxon}.{kind}" for kind in KEPT for taxon in ("Erica", "Restio")]
+    values = dict(zip(names, (0.2, 0.1, 3.0, 2.0, 50.0, 40.0), strict=True))
+    return make_space(values, dict.fromkeys(names))
+
+
+KEPT = ("cover", "leaf_area_index", "leaf.chlorophyll")
+
+
+def test_priors_that_hang_together_keep_their_own_distribution(together):
+    apart = ParameterSpace(
+        together.names, together.lower, together.upper, together.prior,
+        width=together.width, distribution=together.distribution,
+    )  # fmt: skip
+    np.testing.assert_allclose(together.quantiles(0.05, 0.9), apart.quantiles(0.05, 0.9))
+    draws = np.random.default_rng(3).normal(size=(20000, 6))
+    values = np.asarray(jax.vmap(together.physical)(draws))
+    for i, share in enumerate((0.05, 0.9)):
+        below = np.mean(values < np.asarray(together.quantiles(0.05, 0.9))[i], axis=0)
+        np.testing.assert_allclose(below, share, atol=0.01)
+    normal = np.asarray(jax.vmap(apart.whitened)(jnp.asarray(values)))
+    expected = np.eye(6)
+    for first, second in ((2, 3), (4, 5)):
+        expected[first, second] = expected[second, first] = OF_A_PLOT
+    np.testing.assert_allclose(np.corrcoef(normal.T), expected, atol=0.03)
+
+
+def test_whitened_coordinates_of_shared_traits_are_their_inverse(together):
+    u = jnp.array([-1.3, 0.4, 1.2, -0.5, 0.1, 2.0])
+    np.testing.assert_allclose(together.whitened(together.physical(u)), u, atol=1e-9)
+    jacobian = jax.jacfwd(together.physical)(u)
+    volume = np.linalg.slogdet(np.asarray(jacobian))[1]
+    constant = np.linalg.slogdet(np.asarray(together.mixing))[1]
+    assert float(jnp.sum(together.log_slope(u))) + constant == pytest.approx(volume)
+
+
+def test_the_variance_of_one_parameter_is_that_of_its_draws(together):
+    root = np.random.default_rng(5).normal(size=(6, 6)) / 3.0
+    covariance = root @ root.T
+    draws = np.random.default_rng(6).multivariate_normal(np.zeros(6), covariance, 40000)
+    own = np.asarray(jax.vmap(together.together)(draws)).var(axis=0)
+    np.testing.assert_allclose(together.own_variance(jnp.asarray(covariance)), own, rtol=0.03)
+    np.testing.assert_allclose(together.own_variance(jnp.eye(6)), 1.0)
+    sd = jnp.sqrt(together.own_variance(jnp.asarray(covariance)))
+    values = np.asarray(jax.vmap(together.physical)(draws))
+    np.testing.assert_allclose(together.spread(jnp.zeros(6), sd), values.std(axis=0), rtol=0.05)
+
+
+def test_a_correlation_that_is_none_is_refused():
+    def made(correlation):
+        unit = jnp.ones(2)
+        return ParameterSpace(
+            ("a", "b"), 0 * unit, 10 * unit, unit, 0.1 * unit, correlation=correlation
+        )
+
+    assert made([[1.0, 0.5], [0.5, 1.0]]).mixing is not None
+    for bad, text in (
+        ([[1.0, 0.5], [0.4, 1.0]], "symmetric"),
+        ([[1.0, 1.0], [1.0, 1.0]], "positive definite"),
+        ([[2.0, 0.0], [0.0, 2.0]], "ones on its diagonal"),
+        ([[1.0]], "for 2 parameters"),
+    ):
+        with pytest.raises(InputError, match=text):
+            made(bad)

@@ -1,0 +1,58 @@
+"""Statistics of an image by name: spreads over squares."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax._core.errors import InputError
+from fynjax.metrics import fitting_statistics, image_statistics
+
+NAMES = ("nir.std", "nir.std20cm", "nir.std40cm", "NDVI.std40cm")
+
+
+def test_spread_over_squares_is_that_of_their_means():
+    """Squares of two pixels, light and dark in turn: no pattern is left at twice their side."""
+    board = np.kron(np.indices((6, 6)).sum(axis=0) % 2, np.ones((2, 2)))
+    image = np.stack([0.05 + 0.0 * board] * 3 + [0.3 + 0.1 * board])
+    fine, same, coarse = np.asarray(image_statistics(jnp.asarray(image), NAMES[:3], pixel=0.1))
+    assert fine == pytest.approx(0.05)
+    assert same == pytest.approx(0.05)
+    assert coarse == pytest.approx(0.0, abs=1e-9)
+
+
+def test_white_noise_falls_with_the_side_and_what_is_masked_does_not_count():
+    noise = np.random.default_rng(1).normal(size=(4, 120, 120))
+    image = 0.3 + 0.01 * noise
+    found = np.asarray(image_statistics(jnp.asarray(image), NAMES[:3], pixel=0.1))
+    np.testing.assert_allclose(found[1:] / found[0], [0.5, 0.25], rtol=0.06)
+    valid = np.ones((120, 120), bool)
+    valid[:40] = False
+    spoilt = np.where(valid, image, 9.0)
+    masked = image_statistics(jnp.asarray(spoilt), NAMES[:3], jnp.asarray(valid), pixel=0.1)
+    np.testing.assert_allclose(
+        masked, image_statistics(jnp.asarray(image[:, 40:]), NAMES[:3], pixel=0.1), rtol=1e-9
+    )
+
+
+def test_slopes_of_spreads_over_squares():
+    image = jnp.asarray(0.1 + 0.3 * np.random.default_rng(2).random((4, 9, 9)))
+    move = jnp.asarray(np.random.default_rng(3).normal(size=image.shape))
+    weight = jnp.arange(1.0, 5.0)
+
+    def total(step):
+        return weight @ image_statistics(image + step * move, NAMES, pixel=0.1)
+
+    slope = float(jax.grad(total)(0.0))
+    assert slope == pytest.approx(float(total(1e-5) - total(-1e-5)) / 2e-5, rel=1e-6)
+
+
+def test_squares_that_an_image_does_not_hold_are_refused_and_left_out():
+    image = jnp.full((4, 9, 9), 0.2)
+    with pytest.raises(InputError, match="`pixel` must be known"):
+        image_statistics(image, ["nir.std20cm"])
+    with pytest.raises(InputError, match="fewer than two squares of 60cm"):
+        image_statistics(image, ["nir.std60cm"], pixel=0.1)
+    names = ("nir.mean", "nir.std20cm", "nir.std160cm")
+    assert fitting_statistics(names, 5.0, 0.1) == ["nir.mean", "nir.std20cm"]
+    assert fitting_statistics(names, 10.0, 0.3) == ["nir.mean", "nir.std160cm"]
