@@ -16,7 +16,7 @@ from fynjax.inversion._log_posterior import LogPosterior
 from fynjax.inversion._views import AbstractView, PlotForward
 from fynjax.scene import PlotParameters
 
-_CURVED = 5
+_CURVED = 6
 """Directions along which a surrogate bends: those that the data know most."""
 _RENDERS, _LEFT_OUT = 60, 12
 """Cheap renders that it is fitted to, and those of them that tell its error."""

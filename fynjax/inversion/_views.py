@@ -101,6 +101,9 @@ class ImageView(AbstractView):
     """What a band's calibration to reflectance may be off by, as a factor [-]."""
     spacing: float | None = eqx.field(static=True, default=None)
     """Distance of neighbouring pixels [m]; None: their edge."""
+    window: float = eqx.field(static=True, default=0.0)
+    """Share of the pixels that a quantile is the mean of, so that its slopes are not those of one
+    pixel [-]."""
     directions: "Directions | None" = None
     """Of the statistics, along which slopes are taken; None: all."""
 
@@ -112,14 +115,14 @@ class ImageView(AbstractView):
 
     def _statistics(self, image: Float[Array, "band y x"]) -> Float[Array, " statistic"]:
         pixel = self.camera.pixel if self.spacing is None else self.spacing
-        return image_statistics(image, self.names, pixel=pixel)
+        return image_statistics(image, self.names, pixel=pixel, window=self.window)
 
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "ImageView":
         if stride is None:
             stride = max(round(scene.grid.horizontal_size / self.camera.pixel), 1)
         camera = dataclasses.replace(self.camera.sampled(stride), accuracy=accuracy)
         every = camera.pixel * (stride if camera.fine is None else 1)
-        return dataclasses.replace(self, camera=camera, spacing=every)
+        return dataclasses.replace(self, camera=camera, spacing=every, window=_WINDOW)
 
     def jacobian(
         self, scene: Scene, plot_at: Callable[[Array], PlotParameters], u: Float[Array, " free"]
@@ -226,6 +229,8 @@ class SpectrumView(AbstractView):
         return self.imager.image(voxels.bands(band, 1))[1][0]
 
 
+_WINDOW = 0.05
+"""Of quantiles in a search [-]."""
 _SEARCH_COLUMNS = 3
 """Every so many voxel columns are looked at in a search."""
 

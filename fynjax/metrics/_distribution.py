@@ -62,7 +62,11 @@ def standard_deviation(values: Sample, valid: Mask | None = None) -> Scalar:
 
 
 def quantiles(
-    values: Sample, probabilities: Float[Array, " q"], valid: Mask | None = None
+    values: Sample,
+    probabilities: Float[Array, " q"],
+    valid: Mask | None = None,
+    *,
+    window: float = 0.0,
 ) -> Float[Array, " q"]:
     """Quantiles of the valid pixels by linear interpolation, in their unit (NumPy's default).
 
@@ -71,15 +75,26 @@ def quantiles(
     - `values`: pixels of any shape.
     - `probabilities`: in [0, 1].
     - `valid`: true where a pixel counts; all unless given.
+    - `window`: share of the pixels, about that at the quantile, whose mean is taken instead [-].
 
     **Raises:** `InputError` for no pixel, or a mask of another shape.
 
-    Differentiable in `values` almost everywhere, by sorting: each quantile moves with the one or
-    two pixels that it lies on, so no smoothed version is needed.
+    Differentiable in `values` almost everywhere, by sorting. A quantile moves with the one or two
+    pixels that it lies on, whose slopes are those of a sample of one; with a `window` with all
+    pixels in that, whose slopes are near that of the distribution.
     """
     x, weight = _flat(values, valid)
     count = jnp.sum(weight > 0)
     ordered = jnp.sort(jnp.where(weight > 0, x, jnp.inf))
+    if window > 0.0:
+        middle = jnp.atleast_1d(jnp.asarray(probabilities, x.dtype))[:, None]
+        low = jnp.maximum(middle - 0.5 * window, 0.0) * count
+        high = jnp.minimum(middle + 0.5 * window, 1.0) * count
+        rank = jnp.arange(x.size, dtype=x.dtype)
+        share = jnp.clip(jnp.minimum(rank + 1.0, high) - jnp.maximum(rank, low), 0.0, 1.0)
+        finite = jnp.where(jnp.arange(x.size) < count, ordered, 0.0)
+        windowed = share @ finite / jnp.maximum(high - low, jnp.finfo(x.dtype).tiny)[:, 0]
+        return jnp.where((count > 0) & _sound(x), windowed, jnp.nan)
     place = jnp.atleast_1d(jnp.asarray(probabilities, x.dtype)) * (count - 1)
     below = jnp.clip(jnp.floor(place).astype(int), 0, jnp.maximum(count - 1, 0))
     above = jnp.minimum(below + 1, jnp.maximum(count - 1, 0))

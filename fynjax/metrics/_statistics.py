@@ -47,6 +47,7 @@ def image_statistics(
     valid: Bool[Array, "y x"] | None = None,
     *,
     pixel: float | None = None,
+    window: float = 0.0,
 ) -> Float[Array, " statistic"]:
     """Statistics of bands and vegetation indices over the pixels of an image.
 
@@ -59,6 +60,7 @@ def image_statistics(
     - `valid`: true where a pixel counts; all unless given.
     - `pixel`: edge of a pixel [m], for standard deviations over squares. These are as many whole
       pixels wide as come nearest; squares that the image's edge cuts are left out.
+    - `window`: of quantiles, as `quantiles` has it [-].
 
     **Returns:** one value for each name, in the unit of its band or index.
 
@@ -103,7 +105,7 @@ def image_statistics(
             statistics.append(standard_deviation(layer, mask))
         else:
             share = jnp.asarray([int(match["percent"]) / 100.0], layer.dtype)
-            statistics.append(quantiles(layer, share, mask)[0])
+            statistics.append(quantiles(layer, share, mask, window=window)[0])
     return jnp.stack(statistics)
 
 

@@ -21,6 +21,7 @@ from fynjax.inversion import (
     PlotForward,
     _search,
     calibrate_plot,
+    fit_surrogate,
     free_space,
     gain_covariance,
     join_data,
@@ -544,6 +545,26 @@ def test_slopes_along_directions_are_those_of_all_statistics(plot, views):
     chosen = Directions(jnp.asarray(rows), jnp.asarray(np.linalg.pinv(rows)))
     some = slopes(dataclasses.replace(views[0], directions=chosen))
     np.testing.assert_allclose(rows @ some, rows @ every, rtol=1e-4, atol=1e-6)
+
+
+def test_a_surrogate_bends_as_the_model_does(sums, whole):
+    """Quadratic statistics are met where linear ones are not."""
+    model, start, _, space = sums
+    _, cheap = search_form(model, start, [Sums()])
+    surrogate, error = fit_surrogate(whole, start, cheap)
+    assert error.max() < 0.5
+    fit = whole.fit
+    near = np.random.default_rng(9).multivariate_normal(fit.whitened, fit.covariance, 20)
+    bent, straight = [], []
+    for u in map(jnp.asarray, near):
+        plot = with_values(start, TAXA, space.named(u))
+        true = cheap[0].predict(model, plot) + whole.offset
+        bent.append(fit.data.whiten(surrogate(space.physical(u)) - true))
+        linear = fit.predicted + fit.jacobian @ (u - fit.whitened)
+        straight.append(fit.data.whiten(linear - true))
+    bent, straight = (np.sqrt(np.mean(np.square(one))) for one in (bent, straight))
+    assert bent < 0.3 * straight
+    np.testing.assert_allclose(surrogate(space.physical(fit.whitened)), fit.predicted, rtol=1e-9)
 
 
 # -- the camera -----------------------------------------------------------------------------

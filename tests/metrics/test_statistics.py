@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.metrics import fitting_statistics, image_statistics
+from fynjax.metrics import fitting_statistics, image_statistics, quantiles
 
 NAMES = ("nir.std", "nir.std20cm", "nir.std40cm", "NDVI.std40cm")
 
@@ -45,6 +45,24 @@ def test_slopes_of_spreads_over_squares():
 
     slope = float(jax.grad(total)(0.0))
     assert slope == pytest.approx(float(total(1e-5) - total(-1e-5)) / 2e-5, rel=1e-6)
+
+
+def test_windowed_quantiles_are_means_about_the_quantile():
+    x = np.sort(np.random.default_rng(4).normal(size=1000))
+    shares = jnp.array([0.01, 0.25, 0.5, 0.95])
+    found = np.asarray(
+        quantiles(
+            jnp.asarray(np.append(x, 99.0)),
+            shares,
+            jnp.asarray(np.append(np.ones(1000, bool), False)),
+            window=0.05,
+        )
+    )
+    expected = [x[:35].mean(), x[225:275].mean(), x[475:525].mean(), x[925:975].mean()]
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    slope = jax.grad(lambda v: quantiles(v, shares[1:2], window=0.05)[0])(jnp.asarray(x))
+    np.testing.assert_allclose(slope[225:275], 0.02, rtol=1e-9)
+    assert float(slope.sum()) == pytest.approx(1.0)
 
 
 def test_squares_that_an_image_does_not_hold_are_refused_and_left_out():
