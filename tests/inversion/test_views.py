@@ -563,7 +563,7 @@ def test_a_surrogate_bends_as_the_model_does(sums, whole):
         linear = fit.predicted + fit.jacobian @ (u - fit.whitened)
         straight.append(fit.data.whiten(linear - true))
     bent, straight = (np.sqrt(np.mean(np.square(one))) for one in (bent, straight))
-    assert bent < 0.3 * straight
+    assert bent < 0.4 * straight
     np.testing.assert_allclose(surrogate(space.physical(fit.whitened)), fit.predicted, rtol=1e-9)
 
 
