@@ -73,6 +73,8 @@ class Calibration(eqx.Module):
     bands are to be multiplied by. None where no sensor is one."""
     gain_sd: Float[np.ndarray, " band"] | None
     """Standard deviation of its logarithm [-]."""
+    statistics_with_gain: Float[np.ndarray, " statistic"]
+    """Those after, as a camera with these gains measures them."""
     ends: "Ends"
     """Where the search ended from each start."""
     seconds: dict[str, float]
@@ -251,7 +253,7 @@ def calibrate_plot(
         "step_s": float(np.median(np.diff(search.times))) if len(search.times) > 1 else np.nan,
     }
     origin, reached = ends[0].origin, best.reached
-    gain, gain_sd = _gains(views, reached.image, best.fit)
+    gain, gain_sd, with_gain = _gains(views, reached.image, best.fit)
     return Calibration(
         scene=search.scene,
         stands=tuple(best.stands),
@@ -271,6 +273,7 @@ def calibrate_plot(
         projector=search.projector,
         gain=gain,
         gain_sd=gain_sd,
+        statistics_with_gain=with_gain,
         ends=_ends(ends, best, best.fit),
         seconds=seconds,
     )
@@ -278,8 +281,8 @@ def calibrate_plot(
 
 def _gains(
     views: Sequence[AbstractView], image: Array | None, fit: FitResult
-) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """The gains of the drone's camera and the sd of their logarithms, given the data.
+) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray]:
+    """The gains of the drone's camera, the sd of their logarithms, and the statistics with them.
 
     Of the linear model about the estimate, in which gains and parameters are normal beforehand.
     """
@@ -293,13 +296,15 @@ def _gains(
             prior = gain_covariance(own.shape[1], view.gain_sd)
         first += len(view.names)
     if not slopes.size:
-        return None, None
+        return None, None, np.asarray(fit.predicted)
     jacobian = np.asarray(fit.jacobian)
     total = np.asarray(fit.data.covariance) + jacobian @ jacobian.T
     rest = np.asarray(fit.data.value - fit.predicted) + jacobian @ np.asarray(fit.whitened)
     weights = np.linalg.solve(total, slopes @ prior).T
     left = prior - weights @ slopes @ prior
-    return np.exp(weights @ rest), np.sqrt(np.maximum(np.diagonal(left), 0.0))
+    log_gain = weights @ rest
+    sd = np.sqrt(np.maximum(np.diagonal(left), 0.0))
+    return np.exp(log_gain), sd, np.asarray(fit.predicted) + slopes @ log_gain
 
 
 def _ends(ends: Sequence[End], best: End, result: FitResult) -> Ends:

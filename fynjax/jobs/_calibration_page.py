@@ -39,7 +39,8 @@ def agreement_sentences(
                 beside = f" (the paper's own simulation: {low:.1f} to {high:.1f} %)"
             lines.append(
                 f"largest error of {what} {error['before']:.1f} % before, "
-                f"{error['after']:.1f} % after{beside}."
+                f"{error['after']:.1f} % after{beside}, {error['with_gain']:.1f} % with the "
+                "camera's gains as estimated."
             )
         lines = [f"{plot.name}: {lines[0]}", *map(_capitalised, lines[1:])] if lines else []
     for sensor in measured:

@@ -81,8 +81,11 @@ def statistic_table(calibration: Calibration, reference: Reference) -> pd.DataFr
         if image is not None and extra:
             values[len(data.names) :] = np.asarray(_statistics(image, extra), float)
         table[column] = values
+    with_gain = np.full(len(names), np.nan)
+    with_gain[: len(data.names)] = calibration.statistics_with_gain
+    table["with_gain"] = with_gain
     table["reference"] = [reference.simulated.get(n, np.nan) for n in names]
-    for column in ("before", "after", "reference"):
+    for column in ("before", "after", "with_gain", "reference"):
         table[f"{column}_error_percent"] = 100.0 * (table[column] - real) / np.abs(real)
     known = table["statistic"].map(reference.error_percent)
     table["reference_error_percent"] = table["reference_error_percent"].fillna(known)
@@ -90,7 +93,8 @@ def statistic_table(calibration: Calibration, reference: Reference) -> pd.DataFr
 
 
 def largest_errors(statistics: pd.DataFrame) -> pd.DataFrame:
-    """Largest error of the fitted means of bands and of indices [%], before and after.
+    """Largest error of the fitted means of bands and of indices [%], before and after, and with
+    the camera's gains.
 
     Rows are "a band mean" and "a fitted index mean"; one of which nothing was fitted is left out.
     """
@@ -98,13 +102,14 @@ def largest_errors(statistics: pd.DataFrame) -> pd.DataFrame:
     is_band = means["statistic"].str.split(".").str[0].isin(BANDS)
     parts = {"a band mean": means[is_band], "a fitted index mean": means[~is_band]}
     rows = {
-        what: [part[f"{when}_error_percent"].abs().max() for when in ("before", "after")]
+        what: [part[f"{when}_error_percent"].abs().max() for when in _WHEN]
         for what, part in parts.items()
         if len(part)
     }
-    return pd.DataFrame.from_dict(rows, orient="index", columns=["before", "after"])
+    return pd.DataFrame.from_dict(rows, orient="index", columns=_WHEN)
 
 
+_WHEN = ["before", "after", "with_gain"]
 _COLUMNS = ["real", "target_sd", "before", "after"]
 
 
