@@ -23,6 +23,7 @@ from fynjax.inversion._search import (
     End,
     Replant,
     Search,
+    objective_of,
     signature,
 )
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
@@ -85,7 +86,8 @@ class Calibration(eqx.Module):
     def misfit(self) -> float:
         """Squared whitened misfit and distance from the prior, at the estimate: of data that the
         model and the prior explain a chi-square of `degrees`."""
-        return 2.0 * float(self.ends.objective.min())
+        rest = self.data.whiten(self.fit.predicted - self.data.value)
+        return float(rest @ rest + self.fit.whitened @ self.fit.whitened)
 
     @property
     def probability(self) -> float:
@@ -246,14 +248,23 @@ def calibrate_plot(
         search.run(u, f"start {i + 1}, " if drawn.size else "")
         for i, u in enumerate([first, *map(jnp.asarray, drawn)])
     ]
-    best = min(ends, key=lambda end: end.objective)
+    # By one likelihood: errors differ between the ends.
+    judge = ends[0].reached
+    best = min(
+        ends,
+        key=lambda end: objective_of(
+            judge.weights,
+            np.asarray(end.reached.u),
+            end.reached.statistics - np.asarray(judge.data.value),
+        ),
+    )
     seconds = {
         "search_s": time.perf_counter() - began,
         "render_s": search.render_s,
         "step_s": float(np.median(np.diff(search.times))) if len(search.times) > 1 else np.nan,
     }
     origin, reached = ends[0].origin, best.reached
-    gain, gain_sd, with_gain = _gains(views, reached.image, best.fit)
+    gain, gain_sd, with_gain = _gains(views, reached.image, best.fit, reached.weights)
     return Calibration(
         scene=search.scene,
         stands=tuple(best.stands),
@@ -280,7 +291,10 @@ def calibrate_plot(
 
 
 def _gains(
-    views: Sequence[AbstractView], image: Array | None, fit: FitResult
+    views: Sequence[AbstractView],
+    image: Array | None,
+    fit: FitResult,
+    weights: Float[np.ndarray, "direction statistic"],
 ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray]:
     """The gains of the drone's camera, the sd of their logarithms, and the statistics with them.
 
@@ -294,15 +308,17 @@ def _gains(
             slopes = np.zeros((len(fit.data.names), own.shape[1]))
             slopes[first : first + len(view.names)] = own
             prior = gain_covariance(own.shape[1], view.gain_sd)
+            break  # the image is that of the first
         first += len(view.names)
     if not slopes.size:
         return None, None, np.asarray(fit.predicted)
-    jacobian = np.asarray(fit.jacobian)
-    total = np.asarray(fit.data.covariance) + jacobian @ jacobian.T
-    rest = np.asarray(fit.data.value - fit.predicted) + jacobian @ np.asarray(fit.whitened)
-    weights = np.linalg.solve(total, slopes @ prior).T
-    left = prior - weights @ slopes @ prior
-    log_gain = weights @ rest
+    jacobian, by_gain = weights @ np.asarray(fit.jacobian), weights @ slopes
+    total = np.eye(len(weights)) + jacobian @ jacobian.T
+    rest = weights @ np.asarray(fit.data.value - fit.predicted)
+    rest = rest + jacobian @ np.asarray(fit.whitened)
+    share = np.linalg.solve(total, by_gain @ prior).T
+    left = prior - share @ by_gain @ prior
+    log_gain = share @ rest
     sd = np.sqrt(np.maximum(np.diagonal(left), 0.0))
     return np.exp(log_gain), sd, np.asarray(fit.predicted) + slopes @ log_gain
 

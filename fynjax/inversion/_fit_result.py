@@ -48,9 +48,16 @@ class Data(eqx.Module):
         whitener = jnp.linalg.inv(jnp.linalg.cholesky(total))
         return Data(self.names, self.value, jnp.sqrt(jnp.diagonal(total)), whitener)
 
+    def along(self, weights: Float[np.ndarray, "direction statistic"]) -> "Data":
+        """The same data, of which only directions count: `weights` makes of misfits independent
+        ones of unit size, as many as there are statistics, or fewer."""
+        whitener = np.zeros((len(self.names),) * 2)
+        whitener[: len(weights)] = weights
+        return Data(self.names, self.value, self.sd, jnp.asarray(whitener))
+
     @property
     def covariance(self) -> Float[Array, "statistic statistic"]:
-        """Of the errors."""
+        """Of the errors; not of data of which only directions count."""
         if self.whitener is None:
             return jnp.diag(self.sd**2)
         return jnp.linalg.inv(self.whitener.T @ self.whitener)
@@ -176,7 +183,10 @@ class FitResult(eqx.Module):
             sentence = FitStatus[self.status]  # type: ignore[misc]
         for found, what in (
             (self.space.at_bound(self.estimate), "At a bound: {}."),
-            (_flat(self.jacobian), "No statistic depends on {}: flat, left at the prior."),
+            (
+                _flat(self.space, self.jacobian),
+                "No statistic depends on {}: flat, left at the prior.",
+            ),
         ):
             named = [name for name, at in zip(self.names, np.asarray(found)) if at]
             more = f" and {len(named) - 3} more" if len(named) > 3 else ""
@@ -251,7 +261,7 @@ def repeated_information(
     whose slopes are all chance drown the others. Each is then scaled to its own mean, less what
     chance alone exceeds in one case of forty: so many standard errors of the mean over the pairs
     (Student's t). Two draws make one pair, which says nothing of its error: then nothing counts as
-    known.
+    known, unless the mean itself is asked for.
 
     **Arguments:** `draws`, derivatives of the whitened statistics in each draw; `confidence`, that
     what counts as known is no chance [-]: at 0.5 it is the mean itself.
@@ -277,9 +287,14 @@ def repeated_information(
     return kept * scale * scale[:, None]
 
 
-def _flat(jacobian: Array) -> Bool[Array, " free"]:
+def _flat(space: ParameterSpace, jacobian: Array) -> Bool[Array, " free"]:
     """Parameters on which no statistic depends."""
-    return jnp.max(jnp.abs(jacobian), axis=0, initial=0.0) == 0.0
+    size = jnp.max(jnp.abs(jacobian), axis=0, initial=0.0)
+    if space.mixing is None:
+        return size == 0.0
+    # Of its own slopes, which those by shared coordinates mix; to the rounding of the solution.
+    own = jnp.linalg.solve(space.mixing, jacobian.T).T
+    return jnp.max(jnp.abs(own), axis=0, initial=0.0) <= 1e-9 * jnp.max(size, initial=0.0)
 
 
 def fit_result(
@@ -295,7 +310,7 @@ def fit_result(
     """The result of a fit that ended at `u`: uncertainty, and what there is to doubt."""
     estimate = space.physical(u)
     for found, doubt in (
-        (_flat(jacobian), FitStatus.flat),
+        (_flat(space, jacobian), FitStatus.flat),
         (space.at_bound(estimate), FitStatus.at_bound),
     ):
         # Bounds go before what is flat: they are set last.

@@ -78,7 +78,9 @@ class Posterior(eqx.Module):
         """
         arviz = _arviz()
         with _many_chains():
-            draws = arviz.convert_to_dataset({"u": self.whitened})
+            mixing = self.space.mixing
+            own = self.whitened if mixing is None else self.whitened @ np.asarray(mixing).T
+            draws = arviz.convert_to_dataset({"u": own})
         found = {
             "ess_bulk": arviz.ess(draws, method="bulk"),
             "ess_tail": arviz.ess(draws, method="tail"),

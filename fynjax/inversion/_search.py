@@ -77,7 +77,7 @@ class CalibrationSettings:
     starts: int = 1
     """Searches, the others from draws of the prior; the best is kept."""
     seed: int = 0
-    """Of those draws."""
+    """Of those draws, and of those that choose directions of many statistics."""
 
     def __post_init__(self) -> None:
         for name in ("rounds", "starts", "max_steps", "full_renders"):
@@ -167,7 +167,11 @@ class Search:
         """Keeps of statistics what lies along them."""
         self.times: list[float] = []
         """When each step ended that was not one of an earlier run [s]."""
-        self._stand(None)
+        try:
+            self._stand(None)
+        except InputError:  # another chance finds no room: the same sites in another order
+            self._replant = None
+            self._stand(None)
 
     def _stand(self, counts: Float[np.ndarray, " species"] | None) -> None:
         """Plant the stands over which expectations are taken."""
@@ -236,13 +240,17 @@ class Search:
             for i in range(max(settings.scatter_draws, own) if settings.stand_realisations else 1)
         ]
         scattered = self._cheap(u, draws)
+        finite = np.isfinite(scattered).all(axis=1)
+        if finite.sum() > own:  # of some plantings a statistic may be undefined
+            scattered = scattered[finite | (np.arange(len(draws)) < own)]
         lack = whole - scattered[: len(whole)]
         statistics = scattered.mean(axis=0) + lack.mean(axis=0)
         covariance = radiometric_covariance(self._views, images)
         if settings.stand_realisations:
             chance = scatter_covariance(scattered)
-            # The expectation is a mean over draws, and of what full and cheap renders differ by.
-            share = 1.0 / len(draws)
+            # The expectation is a mean over draws, of which those that fill the same sites count
+            # as one, and of what full and cheap renders differ by.
+            share = 1.0 / own
             if len(whole) > 1:
                 variance = np.diagonal(chance)
                 some = variance > 0
@@ -299,7 +307,8 @@ class Search:
                 found.append(predicted_statistics(self._density(stand), jnp.asarray(u)))
             return (jnp.stack(found),)
 
-        return np.asarray(self._keep(step)[0])
+        found = np.asarray(self._keep(step)[0])
+        return found[np.isfinite(found).all(axis=1)]
 
     # -- the descent ------------------------------------------------------------------------
 
@@ -320,7 +329,7 @@ class Search:
         # The statistics at the start are those of the full scene: the mean over all draws.
         u, value = np.asarray(begin.u, float), np.asarray(begin.statistics)
         jacobian = slopes.mean(axis=0)
-        loss, damping = _objective(weights, u, value - target), 0.0
+        loss, damping = objective_of(weights, u, value - target), 0.0
         trace: list[tuple[float, float]] = []
         for _ in range(most):
             if not (np.isfinite(jacobian).all() and np.isfinite(loss)):
@@ -332,7 +341,7 @@ class Search:
             move = -np.linalg.solve(hessian + damping * np.eye(u.size), gradient)
             expected = -gradient @ move - 0.5 * move @ hessian @ move
             reached = self._cheap(jnp.asarray(u + move), self.cheap).mean(axis=0) + offset
-            fall = loss - _objective(weights, u + move, reached - target)
+            fall = loss - objective_of(weights, u + move, reached - target)
             if np.isfinite(fall):
                 change = reached - value - jacobian @ move
                 jacobian = jacobian + np.outer(change, move) / (move @ move)
@@ -352,7 +361,7 @@ class Search:
 
     def _grown(self, plot: PlotParameters) -> bool:
         """Whether more sites had to be made for the plants of `plot`, and could be."""
-        counts = np.asarray(self.scene.counts(plot))
+        counts, before = np.asarray(self.scene.counts(plot)), self.scene
         short = room_needed(self.scene, self._parameters, counts) > 0.0
         if self._replant is None or not short.any():
             return False
@@ -361,6 +370,7 @@ class Search:
             self.scene = self._replant(0, wanted)
             self._stand(wanted)
         except InputError:  # no room on the plot, or in memory
+            self.scene = before
             return False
         return True
 
@@ -392,14 +402,15 @@ class Search:
             if status == FitStatus.not_finite:
                 ends[-1] = (ends[-1][0], status)
                 break
-            if turn + 1 < settings.rounds:
-                self._grown(self._plot(jnp.asarray(reached)))
+            if turn + 1 < settings.rounds and self._grown(self._plot(jnp.asarray(reached))):
+                places, ends = [], []  # what was of other stands compares with nothing
             places.append(self.observe(jnp.asarray(reached)))
             ends.append((self._slopes(places[-1].u), status))
-        return self._end(places, ends, losses, norms)
+        return self._end(origin, places, ends, losses, norms)
 
     def _end(
         self,
+        origin: Observed,
         places: list[Observed],
         ends: list[tuple[np.ndarray, Any]],
         losses: list[np.ndarray],
@@ -407,8 +418,10 @@ class Search:
     ) -> End:
         """The best of the places by the errors at the last."""
         data, weights = places[-1].data, places[-1].weights
+        # The same likelihood for whoever goes on with these data: along the directions alone.
+        counted = data.along(weights)
         objective = [
-            _objective(weights, np.asarray(p.u), p.statistics - np.asarray(data.value))
+            objective_of(weights, np.asarray(p.u), p.statistics - np.asarray(data.value))
             for p in places
         ]
         best = int(np.argmin(np.nan_to_num(objective, nan=np.inf)))
@@ -421,17 +434,15 @@ class Search:
         place = places[best]
         trace = np.stack([np.concatenate(losses), np.concatenate(norms)], axis=1)
         result = fit_result(
-            self._space, data, place.u, jnp.asarray(place.statistics),
+            self._space, counted, place.u, jnp.asarray(place.statistics),
             jnp.asarray(slopes.mean(axis=0)), status, len(trace), trace,
         )  # fmt: skip
-        if len(slopes) > 1 and np.isfinite(slopes).all():
+        if np.isfinite(slopes).all() and len(slopes) > 1:
             whitened = jnp.asarray(weights @ slopes)
             result = result.with_information(repeated_information(whitened, confidence=0.5))
-        place = dataclasses.replace(place, data=data, weights=weights)
+        place = dataclasses.replace(place, data=counted, weights=weights)
         cheap = self._cheap(place.u, self.cheap)
-        return End(
-            objective[best], result, place, places[0], self.cheap, cheap, slopes, losses, norms
-        )
+        return End(objective[best], result, place, origin, self.cheap, cheap, slopes, losses, norms)
 
 
 def _quadratic(
@@ -442,7 +453,7 @@ def _quadratic(
     return scaled.T @ (weights @ misfit) + u, scaled.T @ scaled + np.eye(u.size)
 
 
-def _objective(weights: np.ndarray, u: np.ndarray, misfit: np.ndarray) -> float:
+def objective_of(weights: np.ndarray, u: np.ndarray, misfit: np.ndarray) -> float:
     """Half the squared whitened misfit and distance from the prior."""
     return 0.5 * float(np.sum((weights @ misfit) ** 2) + np.sum(u**2))
 

@@ -92,8 +92,8 @@ class _OverUnits(eqx.Module):
     over: Over = eqx.field(static=True)
 
     def __call__(self, coordinate: Array) -> Array:
-        if self.over == "prior":  # unit normal
-            values = self.space.physical(coordinate)
+        if self.over == "prior":  # unit normals: indices are of one parameter each
+            values = self.space.alone(coordinate)
         else:  # 0 to 1
             values = self.space.lower + (self.space.upper - self.space.lower) * coordinate
         return self.predict(values, *self.context)

@@ -10,7 +10,7 @@ their units. The prior of a parameter x is normal in z = location + width u, whe
 A lognormal or normal prior is cut at the bounds: z is then location + width t, with t the quantile
 of the cut normal distribution at the probability that u has in a whole one.
 
-Where priors of several parameters hang together, as those of a trait of the species of one plot do,
+Where priors of several parameters are correlated, as those of a trait of the species of a plot are,
 the coordinates above are v = R^(1/2) u instead of u, with R their correlation matrix: u stays a
 unit normal, and each parameter keeps its own prior.
 """
@@ -151,10 +151,11 @@ class ParameterSpace(eqx.Module):
 
     def physical(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
         """Parameters in their own units from whitened coordinates. Differentiable."""
-        return self._value(self.together(u))
+        return self.alone(self.together(u))
 
-    def _value(self, v: Array) -> Array:
-        """Parameters in their own units from their normal coordinates."""
+    def alone(self, v: Float[Array, " free"]) -> Float[Array, " free"]:
+        """Parameters in their own units from their own normal coordinates, as if no priors were
+        correlated. Differentiable."""
         z, log, logit = self._coordinate(v), self._is("lognormal"), self._is("logit-normal")
         share = jnp.where(logit, self.lower, 0.0), jnp.where(logit, self.upper - self.lower, 1.0)
         value = jnp.where(log, jnp.exp(jnp.where(log, z, 0.0)), z)
@@ -176,7 +177,7 @@ class ParameterSpace(eqx.Module):
 
     def log_slope(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
         """log |d physical / d v|, finite far out; what a density over values gains over u, but for
-        a constant where priors hang together."""
+        a constant where priors are correlated."""
         return self._log_slope(self.together(u))
 
     def _log_slope(self, v: Array) -> Array:
@@ -193,26 +194,26 @@ class ParameterSpace(eqx.Module):
 
     def quantiles(self, *shares: float) -> Float[Array, "share free"]:
         """Quantiles of the prior of each parameter, in its own unit."""
-        return jnp.stack([self._value(jnp.full(len(self.names), ndtri(p))) for p in shares])
+        return jnp.stack([self.alone(jnp.full(len(self.names), ndtri(p))) for p in shares])
 
     def density(self) -> tuple[Float[Array, "point free"], Float[Array, "point free"]]:
         """Values from the lowest to the highest that the prior makes likely, and its density."""
         v = jnp.broadcast_to(jnp.linspace(-4.0, 4.0, 201)[:, None], (201, len(self.names)))
         rate = jax.vmap(self._log_slope)(v)
-        return jax.vmap(self._value)(v), jnp.exp(norm.logpdf(v) - rate)
+        return jax.vmap(self.alone)(v), jnp.exp(norm.logpdf(v) - rate)
 
     def quantiles_about(
         self, u: Float[Array, " free"], sd: Float[Array, " free"], *shares: float
     ) -> Float[Array, "share free"]:
         """Quantiles, in their own units, of parameters whose normal coordinates are normal about
         those of `u` with `sd`."""
-        return jnp.stack([self._value(self.together(u) + ndtri(p) * sd) for p in shares])
+        return jnp.stack([self.alone(self.together(u) + ndtri(p) * sd) for p in shares])
 
     def spread(self, u: Float[Array, " free"], sd: Float[Array, " free"]) -> Float[Array, " free"]:
         """Standard deviation, in their own units, of parameters whose normal coordinates are normal
         about those of `u` with `sd`. Differentiable."""
         v = self.together(u)
-        values = jax.vmap(self._value)(v + _NODES[:, None] * sd) - self._value(v)
+        values = jax.vmap(self.alone)(v + _NODES[:, None] * sd) - self.alone(v)
         mean = _NODE_WEIGHT @ values
         return jnp.sqrt(_NODE_WEIGHT @ (values - mean) ** 2)
 

@@ -78,8 +78,11 @@ def statistic_table(calibration: Calibration, reference: Reference) -> pd.DataFr
         image = getattr(calibration, f"image_{column}")
         values = np.full(len(names), np.nan)
         values[: len(data.names)] = getattr(calibration, f"statistics_{column}")
-        if image is not None and extra:
-            values[len(data.names) :] = np.asarray(_statistics(image, extra), float)
+        camera = calibration.camera
+        if image is not None and camera is not None and extra:
+            values[len(data.names) :] = np.asarray(
+                _statistics(image, extra, pixel=camera.pixel), float
+            )
         table[column] = values
     with_gain = np.full(len(names), np.nan)
     with_gain[: len(data.names)] = calibration.statistics_with_gain

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
+from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.progress import Progress
@@ -26,6 +27,7 @@ from fynjax.inversion import (
     join_data,
     sample_posterior,
     search_form,
+    signature,
 )
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.text import atomic_path
@@ -130,7 +132,9 @@ def posterior(
             data,
             ready.space,
             views,
-            CalibrationSettings(max_steps=steps),
+            CalibrationSettings(
+                max_steps=steps, starts=ready.plot.calibration.starts, seed=run.seed
+            ),
             replant=ready.replant,
             checkpoint=checkpoint / "calibration",
             report=lambda stage, loss, norm: run.progress.advance(
@@ -140,7 +144,11 @@ def posterior(
     with run.stage("Fit a surrogate"):
         _, cheap = search_form(calibrated.scene, ready.parameters, views)
         surrogate, surrogate_error = fit_surrogate(
-            calibrated, ready.parameters, cheap, seed=run.seed
+            calibrated,
+            ready.parameters,
+            cheap,
+            seed=run.seed,
+            keep=Journal(checkpoint / "surrogate", signature(calibrated.fit.whitened, run.seed)),
         )
     sampled = sample_posterior(
         surrogate,
@@ -244,7 +252,9 @@ def _page(
         "Chains ask a surrogate for the statistics, linear in all parameters and bent along those "
         "that the data know most: renders that it was not fitted to differ from it by "
         f"{np.median(surrogate_error):.2g} standard errors of the data (median over statistics), "
-        f"at worst {surrogate_error[worst]:.2g} ({words(data.names[worst])})."
+        f"at worst {surrogate_error[worst]:.2g} ({words(data.names[worst])}). Its slopes are means "
+        "over a few plantings: what of them is chance counts as knowledge in a chain, so that its "
+        "intervals may be narrower than those of the method 'laplace', which leaves that out."
     )
     parts += [
         Picture(

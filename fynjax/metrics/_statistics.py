@@ -125,11 +125,12 @@ def _side(block: str, pixel: float | None, shape: tuple[int, ...]) -> int:
 def _square_means(
     layer: Float[Array, "y x"], valid: Bool[Array, "y x"], side: int
 ) -> tuple[Float[Array, "row column"], Bool[Array, "row column"]]:
-    """Means over squares of `side` pixels, and whether any of their pixels counts."""
+    """Means over squares of `side` pixels, and whether at least half of their pixels count: the
+    mean of fewer scatters more."""
     rows, columns = (n // side for n in layer.shape)
     cut = (slice(rows * side), slice(columns * side))
     shape = (rows, side, columns, side)
     weight = valid[cut].reshape(shape)
     total = jnp.sum(jnp.where(weight, layer[cut].reshape(shape), 0.0), axis=(1, 3))
     count = weight.sum(axis=(1, 3))
-    return total / jnp.maximum(count, 1), count > 0
+    return total / jnp.maximum(count, 1), 2 * count >= side**2
