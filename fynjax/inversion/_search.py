@@ -69,7 +69,7 @@ class CalibrationSettings:
     """Plantings from which the covariance of the statistics is estimated."""
     full_renders: int = 2
     """Plantings on which what the cheap form lacks is measured, at most `stand_realisations`."""
-    max_steps: int = 12
+    max_steps: int = 30
     """Most steps of the first round; those after have half as many."""
     tolerance: float = 0.05
     """A round ends where another step would lower the objective by less than this, which is half a

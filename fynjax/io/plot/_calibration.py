@@ -51,7 +51,7 @@ class CalibrationTable(Strict):
         "the parameter, which for dead tissue in shoots is 0.25, whatever its value.",
     )
     max_iterations: int = Field(
-        default=12, description="Most steps of the optimiser in a round [-].", ge=1, le=10000
+        default=30, description="Most steps of the optimiser in a round [-].", ge=1, le=10000
     )
     starts: int = Field(
         default=1,
