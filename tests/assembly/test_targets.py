@@ -94,7 +94,8 @@ def test_a_spectrum_is_compared_in_some_bands_outside_the_water_windows(plot, tm
     covariance = np.linalg.inv(np.asarray(one.data.whitener.T @ one.data.whitener))
     value = curve(centre)
     noise = reflectance_noise(one.bands, value, plot.sun.zenith_deg)
-    extra = np.diagonal(covariance) - (0.03 * value) ** 2 - 0.003**2 - (0.02 * value) ** 2
+    share = plot.calibration.target_sd
+    extra = np.diagonal(covariance) - (0.03 * value) ** 2 - 0.003**2 - (share * value) ** 2
     np.testing.assert_allclose(extra, noise**2, rtol=1e-6)
     assert np.all((noise > 1e-5) & (noise < 0.02))
     assert covariance[0, 1] == pytest.approx(0.03**2 * value[0] * value[1] + 0.003**2)
