@@ -392,7 +392,8 @@ class Search:
         ends = [(self._slopes(u), FitStatus.no_gain)]
         losses: list[np.ndarray] = []
         norms: list[np.ndarray] = []
-        for turn in range(settings.rounds):
+        turn, turns = 0, settings.rounds
+        while turn < turns:
             most = settings.max_steps if turn == 0 else (settings.max_steps + 1) // 2
             reached, status, trace = self._descend(
                 places[-1], ends[-1][0], most, f"{stage}round {turn + 1}"
@@ -402,8 +403,11 @@ class Search:
             if status == FitStatus.not_finite:
                 ends[-1] = (ends[-1][0], status)
                 break
-            if turn + 1 < settings.rounds and self._grown(self._plot(jnp.asarray(reached))):
+            if self._grown(self._plot(jnp.asarray(reached))):
                 places, ends = [], []  # what was of other stands compares with nothing
+                # It had fewer plants than it asked for: go on from there, once more at most.
+                turns = min(max(turns, turn + 2), settings.rounds + 1)
+            turn += 1
             places.append(self.observe(jnp.asarray(reached)))
             ends.append((self._slopes(places[-1].u), status))
         return self._end(origin, places, ends, losses, norms)

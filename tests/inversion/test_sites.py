@@ -76,7 +76,7 @@ def test_a_search_gets_the_sites_that_it_asks_for(plot):
     space = free_space(scene, parameters, ["*.cover"], lambda _: 1.0)
     start = np.asarray(CrownCover().observe(scene, parameters)[1])
     data = Data(("crown cover",), jnp.asarray(4.0 * start), jnp.array([0.01]))
-    settings = CalibrationSettings(stand_realisations=0, rounds=2)
+    settings = CalibrationSettings(stand_realisations=0, rounds=1)
     rooms = []
 
     def replant(number, counts):

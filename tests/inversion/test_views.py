@@ -18,6 +18,7 @@ from fynjax.inversion import (
     FitStatus,
     ImageView,
     LogPosterior,
+    ParameterSpace,
     PlotForward,
     _search,
     calibrate_plot,
@@ -35,7 +36,8 @@ from fynjax.inversion import (
     weigh_structure,
     weigh_targets,
 )
-from fynjax.inversion._fit_result import scatter_covariance
+from fynjax.inversion._calibrate import _gains
+from fynjax.inversion._fit_result import fit_result, scatter_covariance
 from fynjax.inversion._views import (
     Directions,
     _projections,
@@ -48,6 +50,7 @@ from fynjax.scene import stand_realisation, with_values
 from fynjax.sensors import BandSet
 from tests.scene.plots import TAXA, densities, drone, small_parameters, small_plot
 
+BAND_MEANS = ("green.mean", "red.mean", "red_edge.mean", "nir.mean")
 BANDS = BandSet(("a", "b", "c"), (550.0, 860.0, 1650.0), (20.0, 20.0, 20.0))
 FREE = ("species.Erica irregularis.cover", "species.*.height", "*irregularis.leaf.water")
 ACCURACY = dataclasses.replace(COARSE, coarsening=(2, 2), levels=1, tolerance=1e-11, iterations=200)
@@ -568,6 +571,24 @@ def test_a_surrogate_bends_as_the_model_does(sums, whole):
 
 
 # -- the camera -----------------------------------------------------------------------------
+
+
+def test_the_gains_of_a_camera_are_estimated(views):
+    """An image that is brighter in one band than the plants can make it."""
+    view = dataclasses.replace(views[0], names=BAND_MEANS, gain_sd=0.05)
+    image = jnp.asarray(0.05 + 0.3 * np.random.default_rng(2).random((4, 6, 6)))
+    gain = np.array([1.08, 1.0, 0.94, 1.0])
+    value = view._statistics(image * gain[:, None, None])
+    own = Data(BAND_MEANS, value, 0.001 * value)
+    data = own.with_covariance(radiometric_covariance((view,), (image,)))
+    space = ParameterSpace(("a",), [0.0], [1.0], [0.5], [0.1])
+    predicted, flat = view._statistics(image), jnp.zeros((4, 1))
+    status = FitStatus.successful
+    result = fit_result(space, data, jnp.zeros(1), predicted, flat, status, 1, np.empty((0, 2)))
+    found, sd, with_gain = _gains((view,), image, result, np.asarray(data.whitener))
+    np.testing.assert_allclose(found, gain, rtol=0.005)
+    assert sd.max() < 0.0012  # the means are known to a thousandth
+    np.testing.assert_allclose(with_gain, value, rtol=0.005)
 
 
 def test_gains_of_a_camera_move_statistics_as_stated(views):
