@@ -45,6 +45,15 @@ Spectra = Annotated[
 ]
 
 
+def _wavelengths(text: str) -> list[float]:
+    """Wavelengths [nm] of a list with commas."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        message = f"expected wavelengths in nm such as 1000,1830, but found {text!r}"
+        raise typer.BadParameter(message, param_hint="--detector-changes") from None
+
+
 @command("fit-leaf")
 def fit_leaf(
     spectra: Spectra,
@@ -59,6 +68,17 @@ def fit_leaf(
     domain: Annotated[
         Domain, typer.Option(help="Wavelengths to fit: all, or the published sub-domains.")
     ] = Domain.full,
+    panel: Annotated[
+        Path | None,
+        typer.Option(help="Table of the white panel's own reflectance, where files lack it."),
+    ] = None,
+    detector_changes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NM,...",
+            help="Where detectors change, such as 1000,1830; ASD files state it themselves.",
+        ),
+    ] = None,
     groups: Annotated[
         Path | None,
         typer.Option(help="CSV with columns name and species: fit leaves of a species together."),
@@ -81,6 +101,11 @@ def fit_leaf(
     for path in spectra:
         existing_file(path, "a leaf spectrum")
     further: dict[str, Any] = {}
+    if panel is not None:
+        existing_file(panel, "a table of the panel's reflectance")
+        further["panel"] = panel
+    if detector_changes is not None:
+        further["detector_changes"] = _wavelengths(detector_changes)
     if groups is not None:
         existing_file(groups, "a table of species")
         further["groups"] = groups

@@ -15,10 +15,12 @@ from fynjax.io.spectra import (
     note,
     posterior_dataset,
     prior_decides,
+    read_curve,
     read_usable_spectra,
     species_table,
     spectra_dataset,
     traits_table,
+    with_panel,
     write_leaf_netcdf,
     write_traits_csv,
 )
@@ -105,9 +107,11 @@ def _measurement(name: str, shape: str) -> AbstractMeasurement:
     )
 
 
-def _without_jumps(spectrum: Spectrum) -> Spectrum:
-    """The spectrum with the jumps of its detectors taken out, if the file says where they are."""
-    changes = spectrum.meta.get("splices", [])
+def _without_jumps(spectrum: Spectrum, changes: Sequence[float] | None) -> Spectrum:
+    """The spectrum with the jumps of its detectors taken out at `changes` [nm], or, if None, where
+    the file says that they change."""
+    stated = changes is not None
+    changes = spectrum.meta.get("splices", []) if changes is None else changes
     if not changes:
         return spectrum
     meta = {**spectrum.meta, "repairs": list(spectrum.meta["repairs"])}
@@ -119,6 +123,8 @@ def _without_jumps(spectrum: Spectrum) -> Spectrum:
                 if np.isfinite(jump) and abs(jump) > _NOTED_JUMP:
                     what = "taken out" if abs(jump) <= LARGEST_JUMP else "too large, left alone"
                     note(meta, f"detectors change at {at:g} nm: {100 * jump:+.1f} %, {what}")
+                if stated and not np.isfinite(jump):
+                    note(meta, f"detectors change at {at:g} nm: too few bands beside it to tell")
         parts.append(values)
     return Spectrum(spectrum.name, spectrum.wavelength, parts[0], parts[1], meta)
 
@@ -176,6 +182,8 @@ def fit_leaf(
     measurement: str = "sphere",
     leaf_shape: LeafShape = "broad",
     domain: FitDomain = "full",
+    panel: str | Path | None = None,
+    detector_changes: Sequence[float] | None = None,
     groups: str | Path | None = None,
     posterior: Sampling = "none",
     seed: int = 0,
@@ -197,6 +205,10 @@ def fit_leaf(
       was measured their part of the field of view is estimated, of a leaf clip also what lies
       behind.
     - `domain`: "full" or "optimal".
+    - `panel`: file of the white panel's own reflectance, for spectra relative to it; those of ASD
+      files that hold it are absolute already.
+    - `detector_changes`: wavelengths where detectors change [nm], at which jumps are taken out of
+      all spectra, see `correct_detector_jumps`; `None` for those that an ASD file states.
     - `groups`: a CSV with the columns `name` (of a spectrum) and `species`: leaves of a species are
       fitted together, and `species.csv` holds the mean leaf and five material variants of each.
     - `posterior`: "none", or sample it by "emcee" or "nuts" into `posterior.nc`.
@@ -212,6 +224,7 @@ def fit_leaf(
     Example: `jobs.fit_leaf(["leaves.csv"], "results", version="PRO")`.
     """
     instrument = _measurement(measurement, leaf_shape)
+    curve = None if panel is None else read_curve(panel, "the panel")
     refused: list[tuple[str, str, InputError]] = []
     spectra: list[tuple[str, Spectrum]] = []
     for path in paths:
@@ -219,8 +232,14 @@ def fit_leaf(
             usable, bad = read_usable_spectra(path)
         except InputError as error:
             usable, bad = [], [("", error)]
-        spectra += [(str(path), _without_jumps(spectrum)) for spectrum in usable]
         refused += [(str(path), name, error) for name, error in bad]
+        for spectrum in usable:
+            try:
+                absolute = spectrum if curve is None else with_panel(spectrum, *curve)
+            except InputError as error:
+                refused.append((str(path), spectrum.name, error))
+            else:
+                spectra.append((str(path), _without_jumps(absolute, detector_changes)))
     if not spectra:
         raise refused[0][2] if refused else InputError("no file of spectra was given")
     r = np.stack([_on_grid(s, s.reflectance) for _, s in spectra])
@@ -290,6 +309,13 @@ def _result(
     warnings = [f"Refused: {error}" for _, _, error in refused[:_NAMED_REFUSALS]]
     if len(refused) > _NAMED_REFUSALS:
         warnings.append(f"{len(refused) - _NAMED_REFUSALS} more were refused, see traits.csv.")
+    relative = sum(s.meta.get("panel") == "unknown" for _, s in spectra)
+    if relative:
+        warnings.append(
+            f"The reflectance of {relative} ASD spectra is relative to a white panel whose own "
+            "reflectance is not in the file: 1 to 2 % too high with a usual panel, 6 % at 2500 nm. "
+            "Give its table by --panel."
+        )
     return run.result(
         FitLeafResult,
         headline=headline,

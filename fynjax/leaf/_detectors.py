@@ -36,11 +36,11 @@ def correct_detector_jumps(
     ratio right over left minus 1 [-], NaN where it could not be measured. NumPy; not
     differentiable.
 
-    **Raises:** `InputError` for changes that do not ascend.
+    **Raises:** `InputError` for changes that are not finite or do not ascend.
     """
     changes = [float(c) for c in changes]
-    if any(b <= a for a, b in pairwise(changes)):
-        raise InputError(f"`changes` must ascend, but are {changes}")
+    if not np.isfinite(changes).all() or any(b <= a for a, b in pairwise(changes)):
+        raise InputError(f"`changes` must be wavelengths that ascend, but are {changes}")
     grid = np.asarray(wavelength, float)
     spectra = np.asarray(spectra, float)
     rows = np.atleast_2d(spectra).reshape(-1, grid.size)

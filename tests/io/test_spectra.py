@@ -65,6 +65,61 @@ def test_every_real_asd_file_with_a_white_reference_gives_reflectance(shared_dat
     assert len(files) == 20
 
 
+def test_a_panel_calibration_in_an_asd_file_makes_reflectance_absolute(shared_data):
+    """Real files: target over white, times the series ABS, where the format's layout puts it."""
+    absolute = {}
+    for file in sorted((shared_data / "leaf" / "asd").glob("*.asd")):
+        data = file.read_bytes()
+        if data[186] == 2:  # radiance
+            continue
+        (spectrum,) = read_spectra(file)
+        if spectrum.meta["panel"] == "unknown":
+            continue
+        body = 8 * 2151
+        target, white = (np.frombuffer(data, "<f8", 2151, at) for at in (484, 484 + body + 20))
+        panel = np.frombuffer(data, "<f8", 2151, 484 + 2 * body + 20 + 54 + 1 + 29)
+        whole = np.isfinite(spectrum.reflectance)
+        np.testing.assert_allclose(
+            spectrum.reflectance[whole], (target / white * panel)[whole], rtol=1e-12
+        )
+        assert any("white panel's own" in sentence for sentence in spectrum.meta["repairs"])
+        absolute[file.name] = panel[500]
+    assert len(absolute) == 3
+    np.testing.assert_allclose(list(absolute.values()), 0.99, atol=1e-3)
+
+
+def calibrated(kind=1, series=(0,), panel=0.98, end=None):
+    """`asd`, and behind it a material report, a dependent variable and series of calibrations."""
+    report = bytes(2) + 20 * (struct.pack("<H", 2) + b"ab") + struct.pack("<H", 1) + bytes(10)
+    report += 2 * (struct.pack("<H", 1) + b"c") + bytes(92)
+    variables = struct.pack("<HH", 0xFFFF, 1) + bytes(10) + struct.pack("<H", 3) + b"lma"
+    variables += bytes(10) + struct.pack("<f", 2.0)
+    heads = b"".join(struct.pack("<b20sihh", kind, b"panel", 0, 0, 0) for kind in series)
+    values = b"".join(np.full(2151, panel if kind == 0 else 7.0).tobytes() for kind in series)
+    whole = asd(kind=kind) + report + variables + bytes([len(series)]) + heads + values
+    return whole[:end]
+
+
+@pytest.mark.parametrize(
+    ("content", "factor"),
+    [
+        (calibrated(), 0.98),
+        (calibrated(series=(1, 0, 2)), 0.98),
+        (calibrated(kind=6), 1.0),
+        (calibrated(series=(1, 2, 3)), 1.0),
+        (calibrated(panel=np.nan), 1.0),
+        (calibrated(end=-100), 1.0),
+        (calibrated(end=-17300), 1.0),
+    ],
+    ids=["ABS", "among others", "transmittance", "no ABS", "damaged", "cut short", "no series"],
+)
+def test_the_panel_is_found_behind_reports_and_variables(tmp_path, content, factor):
+    (tmp_path / "leaf.asd").write_bytes(content)
+    (spectrum,) = read_spectra(tmp_path / "leaf.asd")
+    values = spectrum.transmittance if spectrum.reflectance is None else spectrum.reflectance
+    np.testing.assert_allclose(values, factor * np.linspace(0.1, 0.5, 2151), rtol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -350,6 +405,52 @@ def test_jumps_of_an_asd_are_taken_out_and_said(tmp_path):
     traits = pd.read_csv(tmp_path / "out" / "traits.csv")
     for trait in ("chlorophyll", "water", "dry_matter"):
         np.testing.assert_allclose(traits[trait][1], traits[trait][0], rtol=0.03)
+
+
+def test_panel_and_detectors_of_a_table_are_stated_on_the_command_line(tmp_path, capsys):
+    """A panel of 0.98 and a first detector 4 % low undone: the traits of the true spectrum."""
+    edge = 1000.0
+    relative = np.where(edge >= WAVELENGTH, 0.96, 1.0) * R / 0.98
+    panel = table(tmp_path / "panel.csv", {"wavelength": [400, 2500], "panel": [0.98, 0.98]})
+    plain = table(tmp_path / "plain.csv", {"wavelength": WAVELENGTH, "a": R})
+    drift = table(tmp_path / "drift.csv", {"wavelength": WAVELENGTH, "a": relative})
+    traits = {}
+    for path, options in (
+        (plain, []),
+        (drift, ["--panel", str(panel), "--detector-changes", f"{edge:g},3000"]),
+    ):
+        out = tmp_path / path.stem
+        with pytest.raises(SystemExit) as caught:
+            main(["fit-leaf", str(path), "--output", str(out), *options])
+        assert not caught.value.code, capsys.readouterr().err
+        traits[path.stem] = pd.read_csv(out / "traits.csv").iloc[0]
+    for trait in ("chlorophyll", "water", "dry_matter"):
+        np.testing.assert_allclose(traits["drift"][trait], traits["plain"][trait], rtol=0.03)
+    said = traits["drift"]["repairs"]
+    for sentence in ("reflectance, 0.980 to 0.980", "1000 nm: +4", "3000 nm: too few bands"):
+        assert sentence in said
+    for option, value, word in (
+        ("--detector-changes", "1000;1830", "1000,1830"),
+        ("--detector-changes", "1830,1000", "ascend"),
+        ("--panel", str(tmp_path / "none.csv"), "none.csv"),
+    ):
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as caught:
+            main(["fit-leaf", str(plain), "--output", str(tmp_path / "o"), option, value])
+        assert caught.value.code
+        assert word in capsys.readouterr().err
+
+
+def test_an_unknown_panel_is_said_once(tmp_path):
+    for name in "ab":
+        (tmp_path / f"{name}.asd").write_bytes(asd())
+    result = fit_leaf([tmp_path / "a.asd", tmp_path / "b.asd"], tmp_path / "out")
+    (said,) = [warning for warning in result.warnings if "panel" in warning]
+    assert "2 ASD spectra" in said
+    curve = table(tmp_path / "panel.csv", {"wavelength": [500, 2500], "panel": [0.9, 0.9]})
+    result = fit_leaf([tmp_path / "a.asd"], tmp_path / "out", panel=curve)
+    assert not result.warnings
+    assert any("150 bands beyond" in repair.repair for repair in result.repairs)
 
 
 def test_water_in_milligrams_is_named_as_the_likely_slip():

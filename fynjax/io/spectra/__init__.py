@@ -11,6 +11,7 @@ from fynjax.io.spectra._leaf_results import (
     write_leaf_netcdf,
     write_traits_csv,
 )
+from fynjax.io.spectra._panel import read_curve, with_panel
 from fynjax.io.spectra._read import read_spectra, read_usable_spectra, reflectances
 from fynjax.io.spectra._record import Spectrum, note
 
@@ -23,6 +24,7 @@ __all__ = [
     "posterior_dataset",
     "prior_decides",
     "read_asd",
+    "read_curve",
     "read_header",
     "read_spectra",
     "read_usable_spectra",
@@ -30,6 +32,7 @@ __all__ = [
     "species_table",
     "spectra_dataset",
     "traits_table",
+    "with_panel",
     "write_leaf_netcdf",
     "write_traits_csv",
 ]

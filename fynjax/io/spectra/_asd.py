@@ -2,7 +2,8 @@
 
 Layout after the maker's "ASD File Format, Version 8" (Analytical Spectral Devices, 2010): a header
 of 484 bytes, the spectrum, the white reference with a header of its own. Target and reference are
-stored as counts whatever the data type says; reflectance is their ratio.
+stored as counts whatever the data type says; reflectance is their ratio, times that of the white
+panel where the file holds its calibration.
 """
 
 import struct
@@ -27,6 +28,9 @@ _TYPES = {
     8: "absorbance",
 }
 _FORMATS = {0: ("<f4", 4), 1: ("<i4", 4), 2: ("<f8", 8)}
+# Strings of the material report; bytes of an array's header, of a constituent's numbers.
+_REPORT_STRINGS, _ARRAY, _CONSTITUENT = 20, 10, 92
+_CALIBRATION, _ABSOLUTE = "<b20sihh", 0
 
 
 def is_asd(data: bytes) -> bool:
@@ -43,8 +47,10 @@ def read_asd(path: str | Path, data: bytes | None = None) -> Spectrum:
     - `data`: its content, if it was read already.
 
     **Returns:** a `Spectrum` with target over white reference, unchecked: outdoor spectra hold any
-    number in the water bands. `meta` has the version, type, instrument, integration time [ms],
-    gains, and the wavelengths of the detector changes, `splices` [nm].
+    number in the water bands. Reflectance is multiplied by that of the white panel if the file
+    holds it (versions 7 and 8, calibration of type ABS). `meta` has the version, type, instrument,
+    integration time [ms], gains, the wavelengths of the detector changes, `splices` [nm], and
+    `panel`, "applied" or "unknown".
 
     **Raises:** `InputError` for a version below 6, a file cut short, radiance or irradiance (its
     reference block need not be a white panel), a missing white reference, or one that is zero.
@@ -113,6 +119,57 @@ def read_asd(path: str | Path, data: bytes | None = None) -> Spectrum:
         note(meta, f"{int(dead.sum())} bands with zero white reference set to missing")
     wavelength = start + step * np.arange(count)
     through = kind == "transmittance"
+    panel = None if through else _panel(data, offset + 20 + length + size * count, count)
+    if not through:
+        meta["panel"] = "unknown" if panel is None else "applied"
+    if panel is not None:
+        ratio = ratio * panel
+        note(
+            meta,
+            "multiplied by the white panel's own reflectance in the file, "
+            f"{panel.min():.3f} to {panel.max():.3f}",
+        )
     return Spectrum(
         path.stem, wavelength, None if through else ratio, ratio if through else None, meta
     )
+
+
+def _panel(data: bytes, offset: int, count: int) -> np.ndarray | None:
+    """Reflectance of the white panel after the reference, which ends at `offset`, if it is there.
+
+    Between lie the material report and the dependent variables, of changing length.
+    """
+    if data[:3] == b"as6":
+        return None
+    try:
+        offset = _after_strings(data, offset + 2, _REPORT_STRINGS)
+        (constituents,) = struct.unpack_from("<H", data, offset)
+        offset += 2 + (_ARRAY if constituents else 2)
+        for _ in range(constituents):
+            offset = _after_strings(data, offset, 2) + _CONSTITUENT
+        (variables,) = struct.unpack_from("<H", data, offset + 2)
+        offset += 4
+        if variables:
+            offset = _after_strings(data, offset + _ARRAY, variables) + _ARRAY + 4 * variables
+        else:
+            offset += 4
+        (series,) = struct.unpack_from("<B", data, offset)
+        step = struct.calcsize(_CALIBRATION)
+        kinds = [
+            struct.unpack_from(_CALIBRATION, data, offset + 1 + step * i)[0] for i in range(series)
+        ]
+        if _ABSOLUTE not in kinds:
+            return None
+        offset += 1 + step * series + 8 * count * kinds.index(_ABSOLUTE)
+        panel = np.frombuffer(data, "<f8", count, offset)
+    except (struct.error, ValueError):  # cut short behind the spectra, which are whole
+        return None
+    usable = np.isfinite(panel).all() and panel.min() > 0.0 and panel.max() < 1.1
+    return panel if usable else None
+
+
+def _after_strings(data: bytes, offset: int, count: int) -> int:
+    """Where `count` strings with their length in front end."""
+    for _ in range(count):
+        offset += 2 + int(struct.unpack_from("<H", data, offset)[0])
+    return offset
