@@ -15,6 +15,7 @@ from fynjax.cli._bioscape import bioscape
 from fynjax.cli._build import build
 from fynjax.cli._calibrate import calibrate
 from fynjax.cli._calibrate_plots import calibrate_plots
+from fynjax.cli._convert import convert
 from fynjax.cli._demo import demo
 from fynjax.cli._fit_leaf import fit_leaf
 from fynjax.cli._information import information
@@ -53,6 +54,7 @@ app.command()(posterior)
 app.command()(sensitivity)
 app.command()(information)
 app.command("fit-leaf")(fit_leaf)
+app.command()(convert)
 app.command()(plant)
 app.command()(learn)
 app.command()(terrain)

@@ -41,7 +41,10 @@ class Posterior(StrEnum):
 
 Spectra = Annotated[
     list[Path],
-    typer.Argument(metavar="SPECTRUM...", help="Spectrum files: ASD binary, CSV or text."),
+    typer.Argument(
+        metavar="SPECTRUM...",
+        help="Files of spectra, or folders of them: ASD, SVC, Spectral Evolution, CSV, text, ENVI.",
+    ),
 ]
 
 
@@ -52,6 +55,31 @@ def _wavelengths(text: str) -> list[float]:
     except ValueError:
         message = f"expected wavelengths in nm such as 1000,1830, but found {text!r}"
         raise typer.BadParameter(message, param_hint="--detector-changes") from None
+
+
+PanelTable = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="Table of the white panel's own reflectance, where files lack it."
+    ),
+]
+
+
+def existing_panel(path: Path | None) -> None:
+    """Refuse what is no file."""
+    from fynjax.io.text import existing_file
+
+    if path is not None:
+        existing_file(path, "a table of the panel's reflectance")
+
+
+def existing_spectra(paths: list[Path]) -> None:
+    """Refuse what is neither a file nor a folder."""
+    from fynjax.io.text import existing_file
+
+    for path in paths:
+        if not path.is_dir():
+            existing_file(path, "a file of spectra")
 
 
 @command("fit-leaf")
@@ -68,10 +96,7 @@ def fit_leaf(
     domain: Annotated[
         Domain, typer.Option(help="Wavelengths to fit: all, or the published sub-domains.")
     ] = Domain.full,
-    panel: Annotated[
-        Path | None,
-        typer.Option(help="Table of the white panel's own reflectance, where files lack it."),
-    ] = None,
+    panel: PanelTable = None,
     detector_changes: Annotated[
         str | None,
         typer.Option(
@@ -98,12 +123,9 @@ def fit_leaf(
     """
     from fynjax.io.text import existing_file
 
-    for path in spectra:
-        existing_file(path, "a leaf spectrum")
+    existing_spectra(spectra)
     further: dict[str, Any] = {}
-    if panel is not None:
-        existing_file(panel, "a table of the panel's reflectance")
-        further["panel"] = panel
+    existing_panel(panel)
     if detector_changes is not None:
         further["detector_changes"] = _wavelengths(detector_changes)
     if groups is not None:
@@ -120,6 +142,7 @@ def fit_leaf(
         measurement=measurement,
         leaf_shape=leaf_shape.value,
         domain=domain.value,
+        panel=panel,
         seed=seed,
         progress=progress,
         **further,

@@ -4,6 +4,8 @@ from ._calibrate import CalibrateResult as CalibrateResult
 from ._calibrate import calibrate as calibrate
 from ._calibrate import calibrate_to as calibrate_to
 from ._calibration_tables import Reference as Reference
+from ._convert import ConvertResult as ConvertResult
+from ._convert import convert as convert
 from ._fit_leaf import FitLeafResult as FitLeafResult
 from ._fit_leaf import fit_leaf as fit_leaf
 from ._information import InformationResult as InformationResult

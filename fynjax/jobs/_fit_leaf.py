@@ -15,17 +15,22 @@ from fynjax.io.spectra import (
     note,
     posterior_dataset,
     prior_decides,
-    read_curve,
-    read_usable_spectra,
     species_table,
     spectra_dataset,
     traits_table,
-    with_panel,
-    write_leaf_netcdf,
+    write_spectra_netcdf,
     write_traits_csv,
 )
-from fynjax.jobs._result import JobResult, Record
+from fynjax.jobs._result import JobResult
 from fynjax.jobs._run import Run
+from fynjax.jobs._spectra import (
+    RefusedSpectrum,
+    SpectrumRepair,
+    refused_spectra,
+    repairs,
+    usable_spectra,
+    warnings_of_reading,
+)
 from fynjax.leaf import (
     LARGEST_JUMP,
     AbstractMeasurement,
@@ -55,24 +60,6 @@ Sampling = Literal["none", "emcee", "nuts"]
 _GRID = np.arange(350.0, 2501.0)
 _NOTED_JUMP = 0.005
 """Relative jump between detectors from which on a repair is noted [-]."""
-_NAMED_REFUSALS = 5
-"""Refused spectra that the warnings name."""
-
-
-class RefusedSpectrum(Record):
-    """A spectrum that could not be used, and why."""
-
-    file: str
-    name: str
-    reason: str
-
-
-class SpectrumRepair(Record):
-    """What was repaired while a spectrum was read."""
-
-    file: str
-    name: str
-    repair: str
 
 
 class FitLeafResult(JobResult):
@@ -197,7 +184,7 @@ def fit_leaf(
 
     **Arguments:**
 
-    - `paths`: files of any format that `read_spectra` takes.
+    - `paths`: files of any format that `read_spectra` takes, and folders of them.
     - `output`: folder, made if missing.
     - `version`: "5", "D" or "PRO".
     - `measurement`: "sphere", "leaf-clip" or "stack".
@@ -224,24 +211,8 @@ def fit_leaf(
     Example: `jobs.fit_leaf(["leaves.csv"], "results", version="PRO")`.
     """
     instrument = _measurement(measurement, leaf_shape)
-    curve = None if panel is None else read_curve(panel, "the panel")
-    refused: list[tuple[str, str, InputError]] = []
-    spectra: list[tuple[str, Spectrum]] = []
-    for path in paths:
-        try:
-            usable, bad = read_usable_spectra(path)
-        except InputError as error:
-            usable, bad = [], [("", error)]
-        refused += [(str(path), name, error) for name, error in bad]
-        for spectrum in usable:
-            try:
-                absolute = spectrum if curve is None else with_panel(spectrum, *curve)
-            except InputError as error:
-                refused.append((str(path), spectrum.name, error))
-            else:
-                spectra.append((str(path), _without_jumps(absolute, detector_changes)))
-    if not spectra:
-        raise refused[0][2] if refused else InputError("no file of spectra was given")
+    read, refused = usable_spectra(paths, panel)
+    spectra = [(file, _without_jumps(spectrum, detector_changes)) for file, spectrum in read]
     r = np.stack([_on_grid(s, s.reflectance) for _, s in spectra])
     t = np.stack([_on_grid(s, s.transmittance) for _, s in spectra])
     files, names = [f for f, _ in spectra], [s.name for _, s in spectra]
@@ -272,7 +243,7 @@ def fit_leaf(
     write_traits_csv(table, run.path("traits.csv", what))
     what = "measured, fitted and predicted R and T on the fit's bins"
     dataset = spectra_dataset(fit, files, names, settings)
-    write_leaf_netcdf(dataset, run.path("spectra.nc", what))
+    write_spectra_netcdf(dataset, run.path("spectra.nc", what))
     run.picture(Picture("spectra.png", leaf_fit_figure(fit, names), "measured and fitted spectra"))
     if together is not None:
         what = "mean leaf and material variants of each species"
@@ -283,7 +254,7 @@ def fit_leaf(
         )
         what = "draws of the parameters and of T from the posterior"
         dataset = posterior_dataset(draws, fit, files, names, settings)
-        write_leaf_netcdf(dataset, run.path("posterior.nc", what))
+        write_spectra_netcdf(dataset, run.path("posterior.nc", what))
     return _result(run, fit, spectra, refused)
 
 
@@ -306,20 +277,10 @@ def _result(
             f"Of {decided} the prior says more than the spectrum about a trait, see the column "
             "prior_decides."
         )
-    warnings = [f"Refused: {error}" for _, _, error in refused[:_NAMED_REFUSALS]]
-    if len(refused) > _NAMED_REFUSALS:
-        warnings.append(f"{len(refused) - _NAMED_REFUSALS} more were refused, see traits.csv.")
-    relative = sum(s.meta.get("panel") == "unknown" for _, s in spectra)
-    if relative:
-        warnings.append(
-            f"The reflectance of {relative} ASD spectra is relative to a white panel whose own "
-            "reflectance is not in the file: 1 to 2 % too high with a usual panel, 6 % at 2500 nm. "
-            "Give its table by --panel."
-        )
     return run.result(
         FitLeafResult,
         headline=headline,
-        warnings=warnings,
+        warnings=warnings_of_reading(spectra, refused, "traits.csv"),
         converged=good == len(spectra),
         status="ok"
         if good == len(spectra) and not refused
@@ -327,10 +288,6 @@ def _result(
         spectra=len(spectra),
         converged_spectra=good,
         doubtful_spectra=len(spectra) - good,
-        refused=[RefusedSpectrum(file=f, name=n, reason=str(e)) for f, n, e in refused],
-        repairs=[
-            SpectrumRepair(file=f, name=s.name, repair=sentence)
-            for f, s in spectra
-            for sentence in s.meta["repairs"]
-        ],
+        refused=refused_spectra(refused),
+        repairs=repairs(spectra),
     )

@@ -26,6 +26,7 @@ from fynjax.io.text import write_text
 from fynjax.jobs import (
     BuildResult,
     CalibrateResult,
+    ConvertResult,
     FitLeafResult,
     InformationResult,
     PatternResult,
@@ -43,6 +44,7 @@ from fynjax.jobs import (
 Summary = Annotated[
     BuildResult
     | CalibrateResult
+    | ConvertResult
     | FitLeafResult
     | InformationResult
     | PatternResult

@@ -12,6 +12,7 @@ import xarray as xr
 from fynjax._core.errors import InputError
 from fynjax.cli import main
 from fynjax.io.spectra._read import read_spectra
+from fynjax.jobs._convert import convert
 from fynjax.jobs._fit_leaf import fit_leaf
 from fynjax.leaf import LeafParameters, prospect
 from tests.helpers import assert_valid_summary
@@ -456,3 +457,70 @@ def test_an_unknown_panel_is_said_once(tmp_path):
 def test_water_in_milligrams_is_named_as_the_likely_slip():
     with pytest.raises(ValueError, match="mg/cm2"):
         LeafParameters(water=12.0)
+
+
+SIG = """/*** Spectra Vista SIG Data ***/
+name= leaf.sig
+instrument= HI: 1162060 (HR-1024i)
+units= Radiance, Radiance
+data=
+ 980.0  1000.00  400.00  40.00
+ 990.0  1000.00  410.00  41.00
+ 1000.0  1000.00  900.00  90.00
+ 984.0  1000.00  900.00  90.00
+ 994.0  1000.00  420.00  42.00
+ 1004.0  1000.00  430.00  43.00
+"""
+SED = """Comment: leaf
+Instrument: PSR-3500_SN1566060 [3]
+Measurement: REFLECTANCE
+Columns [4]:
+Data:
+Wvl\tNorm. DN (Ref.)\tNorm. DN (Target)\tReflect. %
+ 350.0\t7.5E+0\t3.0E-1\t4.0
+ 351.0\t7.5E+0\t3.0E-1\t5.0
+"""
+
+
+def test_overlapping_detectors_of_svc_are_cut_in_the_middle(tmp_path):
+    (tmp_path / "leaf.sig").write_text(SIG)
+    (spectrum,) = read_spectra(tmp_path / "leaf.sig")
+    np.testing.assert_allclose(spectrum.wavelength, [980.0, 990.0, 994.0, 1004.0])
+    np.testing.assert_allclose(spectrum.reflectance, [0.40, 0.41, 0.42, 0.43])
+    assert spectrum.meta["splices"] == [992.0]
+    assert "overlap" in spectrum.meta["repairs"][1]
+
+
+def test_spectral_evolution_gives_its_reflectance(tmp_path):
+    (tmp_path / "leaf.sed").write_text(SED)
+    (spectrum,) = read_spectra(tmp_path / "leaf.sed")
+    np.testing.assert_allclose(spectrum.reflectance, [0.04, 0.05])
+    (tmp_path / "leaf.sed").write_text(SED.replace("Reflect. %", "Rad. (Other)"))
+    with pytest.raises(InputError, match="no column of reflectance"):
+        read_spectra(tmp_path / "leaf.sed")
+    (tmp_path / "short.sig").write_text(SIG.replace("  43.00", ""))
+    with pytest.raises(InputError, match=r"short\.sig, row 11: expected 4 columns"):
+        read_spectra(tmp_path / "short.sig")
+
+
+def test_conversion_keeps_every_value_and_says_what_was_refused(tmp_path):
+    folder = tmp_path / "campaign" / "day 1"
+    folder.mkdir(parents=True)
+    (folder / "50% shade.asd").write_bytes(asd(count=3, start=978.0))
+    for name in ("leaf.sig", "leaf.txt"):
+        (folder / name).write_text(SIG)
+    (folder / "notes.txt").write_text("rain after noon\n")
+    table(folder / "pair.csv", {"nm": [980, 990], "oak R 3_T": [0.2, 0.3], "oak R 3_R": [0.5, 0.4]})
+    result = convert([tmp_path / "campaign"], tmp_path / "out")
+    assert (result.spectra, result.bands) == (4, 6)
+    assert [r.file for r in result.refused] == [str(folder / "notes.txt")]
+    nc = xr.load_dataset(tmp_path / "out" / "spectra.nc")
+    assert list(nc.spectrum.values) == ["50% shade", "leaf", "leaf_2", "oak R 3"]
+    assert nc.reflectance.attrs["units"] == "1"
+    assert nc.wavelength.attrs["standard_name"] == "radiation_wavelength"
+    assert "HR-1024i" in nc.header.values[1]
+    again = read_spectra(tmp_path / "out" / "spectra.csv")
+    assert [s.name for s in again] == ["50pct shade", "leaf", "leaf_2", "oak R 3"]
+    for spectrum, reflectance in zip(again, nc.reflectance.values, strict=True):
+        np.testing.assert_allclose(spectrum.reflectance, reflectance, rtol=1e-6)
+    np.testing.assert_allclose(again[3].transmittance, nc.transmittance.values[3], rtol=1e-6)

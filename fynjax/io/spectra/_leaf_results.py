@@ -130,8 +130,8 @@ def spectra_dataset(
     )
 
 
-def write_leaf_netcdf(dataset: xr.Dataset, path: str | Path) -> None:
-    """Write a `dataset` of leaf spectra to the file `path`, as compressed NetCDF-4."""
+def write_spectra_netcdf(dataset: xr.Dataset, path: str | Path) -> None:
+    """Write a `dataset` of spectra to the file `path`, as compressed NetCDF-4."""
     floats = [key for key, v in dataset.data_vars.items() if v.dtype.kind == "f"]
     with atomic_path(path) as partial:
         dataset.to_netcdf(partial, engine="netcdf4", encoding={k: {"zlib": True} for k in floats})

@@ -2,6 +2,7 @@
 
 import codecs
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from fynjax._core.errors import InputError
 from fynjax.io.spectra._asd import is_asd, read_asd
 from fynjax.io.spectra._envi import read_envi_library
+from fynjax.io.spectra._field import read_field_spectrum
 from fynjax.io.spectra._record import Spectrum, check_spectrum
 from fynjax.io.spectra._text import read_text_spectra
 from fynjax.io.text import existing_file, read_bytes
@@ -17,10 +19,11 @@ from fynjax.io.text import existing_file, read_bytes
 def read_spectra(path: str | Path) -> list[Spectrum]:
     r"""Read every spectrum of a file.
 
-    Recognised by content, not by name: ASD binary (versions 6, 7, 8); ASD's ASCII export; ECOSTRESS
-    and older ASTER library text; CSV and TSV with a wavelength column and one column a spectrum, or
-    wide with one row a spectrum and wavelengths as column names (EcoSIS, SPECCHIO); ENVI spectral
-    libraries (give the `.sli` or its `.hdr`). A `.gz` ending is unpacked.
+    Recognised by content, not by name: ASD binary (versions 6, 7, 8); ASD's ASCII export;
+    reflectance of SVC (`.sig`) and Spectral Evolution (`.sed`); ECOSTRESS and older ASTER library
+    text; CSV and TSV with a wavelength column and one column a spectrum, or wide with one row a
+    spectrum and wavelengths as column names (EcoSIS, SPECCHIO); ENVI spectral libraries (give the
+    `.sli` or its `.hdr`). A `.gz` ending is unpacked.
 
     **Arguments:**
 
@@ -85,7 +88,8 @@ def read_usable_spectra(
         wide = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
         text = data.decode("utf-16" if wide else "utf-8-sig", errors="replace")
         try:
-            spectra = read_text_spectra(text, path)
+            field = read_field_spectrum(text, path)
+            spectra = read_text_spectra(text, path) if field is None else [field]
         except csv.Error as error:
             raise InputError(f"cannot be read as a table ({error})", file=path) from error
     else:
@@ -100,6 +104,51 @@ def read_usable_spectra(
         except InputError as error:
             refused.append((spectrum.name, error))
     return usable, refused
+
+
+def read_spectra_files(
+    paths: Sequence[str | Path],
+) -> tuple[list[tuple[str, Spectrum]], list[tuple[str, str, InputError]]]:
+    """The usable spectra of files and folders, and what could not be used.
+
+    **Arguments:**
+
+    - `paths`: files of any format that `read_spectra` takes, and folders: of them every file in
+      them and below is read, but hidden ones and ENVI headers, which belong to a data file.
+
+    **Returns:** file and spectrum of each that can be used; file, name and error of the others,
+    the name empty where the whole file cannot be read.
+
+    **Raises:** `InputError` where no spectrum can be used, with the first reason.
+    """
+    spectra: list[tuple[str, Spectrum]] = []
+    refused: list[tuple[str, str, InputError]] = []
+    for file in _files(paths):
+        try:
+            usable, bad = read_usable_spectra(file)
+        except InputError as error:
+            usable, bad = [], [("", error)]
+        spectra += [(str(file), spectrum) for spectrum in usable]
+        refused += [(str(file), name, error) for name, error in bad]
+    if not spectra:
+        raise refused[0][2] if refused else InputError("no file of spectra was given")
+    return spectra, refused
+
+
+def _files(paths: Sequence[str | Path]) -> list[Path]:
+    """Files, and those in folders and below them."""
+    files = []
+    for path in map(Path, paths):
+        if not path.is_dir():
+            files.append(path)
+            continue
+        inside = sorted(p for p in path.rglob("*") if p.is_file())
+        inside = [p for p in inside if p.suffix.lower() != ".hdr"]
+        shown = [p for p in inside if not any(s[0] == "." for s in p.relative_to(path).parts)]
+        if not shown:
+            raise InputError("expected files of spectra, but the folder has none", file=path)
+        files += shown
+    return files
 
 
 def _is_text(data: bytes) -> bool:

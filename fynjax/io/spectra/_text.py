@@ -61,7 +61,8 @@ def _rows(text: str) -> _Rows:
     return _Rows(lines, split)
 
 
-def _value(cell: str, file: Path, row: int, column: str) -> float:
+def cell_value(cell: str, file: Path, row: int, column: str) -> float:
+    """The number in a cell; NaN for the marks of a missing value."""
     if cell.lower() in _MISSING:
         return float("nan")
     if not _NUMBER.match(cell):
@@ -78,7 +79,7 @@ def _row_values(cells: Sequence[str], file: Path, row: int, columns: Sequence[st
             return np.array([float(cell) for cell in cells])
         except ValueError:
             pass  # an empty cell, or one with two points: read one by one, with its place
-    return np.array([_value(c, file, row, name) for c, name in zip(cells, columns)])
+    return np.array([cell_value(c, file, row, name) for c, name in zip(cells, columns)])
 
 
 def _to_nm(wavelength: np.ndarray, label: str, meta: dict[str, Any], file: Path) -> np.ndarray:
@@ -159,9 +160,11 @@ def _paired(
             values = values / 100.0
             note(row_meta, "converted from percent as the header says")
         clean = re.sub(r"\(?%\)?|\[%\]|percent", "", label, flags=re.I).strip(" _")
-        through, back = _TRAN.search(clean), _REFL.search(clean)
-        kind = "transmittance" if through and not back else "reflectance"
-        match = through if kind == "transmittance" else back
+        # Where a name has several such marks, as 'leaf R 3_T', the last one tells.
+        marks = [*_REFL.finditer(clean), *_TRAN.finditer(clean)]
+        match = max(marks, key=lambda m: m.start(2), default=None)
+        through = match is not None and match.re is _TRAN
+        kind = "transmittance" if through else "reflectance"
         base = (clean[: match.start()] + clean[match.end() :]).strip(" _.-()") if match else clean
         record = records.setdefault(base or stem, {"meta": row_meta})
         if kind in record:  # two columns whose names differ only in case or marks
@@ -260,7 +263,7 @@ def read_text_spectra(text: str, file: Path) -> list[Spectrum]:
                 file=file, row=start + number,
             )  # fmt: skip
         for i in range(width):
-            values[number, i] = _value(
+            values[number, i] = cell_value(
                 row[i], file, start + number, names[i] if i else "wavelength"
             )
     meta: dict[str, Any] = {"format": "table, one column a spectrum"}

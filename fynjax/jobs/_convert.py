@@ -1,0 +1,98 @@
+"""What `fynjax convert` does: spectra of any format in, one CSV and one NetCDF out."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import pandas as pd
+
+from fynjax._core.progress import Progress
+from fynjax.io.spectra import (
+    measured_dataset,
+    measured_table,
+    write_spectra_netcdf,
+)
+from fynjax.jobs._result import JobResult
+from fynjax.jobs._run import Run
+from fynjax.jobs._spectra import (
+    RefusedSpectrum,
+    SpectrumRepair,
+    refused_spectra,
+    repairs,
+    usable_spectra,
+    warnings_of_reading,
+)
+
+
+class ConvertResult(JobResult):
+    """Result of `convert`: how many spectra were written, repaired and refused."""
+
+    command: Literal["convert"] = "convert"
+    spectra: int
+    bands: int
+    refused: list[RefusedSpectrum]
+    repairs: list[SpectrumRepair]
+
+
+def convert(
+    paths: Sequence[str | Path],
+    output: str | Path,
+    *,
+    panel: str | Path | None = None,
+    progress: Progress | None = None,
+) -> ConvertResult:
+    """Write the spectra of files of any format as one CSV and one NetCDF.
+
+    A file or a spectrum that cannot be used does not stop the others.
+
+    **Arguments:**
+
+    - `paths`: files of any format that `read_spectra` takes, and folders of them.
+    - `output`: folder, made if missing.
+    - `panel`: table of the white panel's own reflectance, as of `fit_leaf`.
+    - `progress`: advances by stage.
+
+    **Returns:** `ConvertResult`. Writes `spectra.csv` (wavelengths in nm, a column a spectrum,
+    fractions), `spectra.nc` (CF conventions, with file, format and header of each spectrum) and
+    `sources.csv` (what was read, repaired and refused).
+
+    **Raises:** `InputError` if no file holds a usable spectrum.
+
+    Example: `jobs.convert(["campaign"], "spectra")`.
+    """
+    run = Run(output, progress=progress)
+    with run.stage("reading", "read"):
+        spectra, refused = usable_spectra(paths, panel)
+    dataset = measured_dataset(spectra, run.record([*(file for file, _ in spectra), panel]))
+    what = "reflectance and transmittance over wavelength, one column a spectrum"
+    with run.stage("writing", "write"):
+        run.table("spectra.csv", measured_table(dataset), what, "%.7g")
+        what = "the same with units, file, format and header of each spectrum"
+        write_spectra_netcdf(dataset, run.path("spectra.nc", what))
+    names = dataset["spectrum"].values
+    rows = [
+        {
+            "name": name,
+            "file": file,
+            "format": spectrum.meta.get("format", ""),
+            "bands": spectrum.wavelength.size,
+            "from_nm": spectrum.wavelength[0],
+            "to_nm": spectrum.wavelength[-1],
+            "repairs": "; ".join(spectrum.meta["repairs"]),
+        }
+        for name, (file, spectrum) in zip(names, spectra)
+    ]
+    rows += [{"name": n, "file": f, "refused": str(error)} for f, n, error in refused]
+    run.table("sources.csv", pd.DataFrame(rows), "what was read, repaired and refused")
+    bands = dataset.sizes["wavelength"]
+    ends = f"{dataset['wavelength'].values[0]:g} to {dataset['wavelength'].values[-1]:g} nm"
+    return run.result(
+        ConvertResult,
+        headline=[f"{len(spectra)} spectra of {bands} bands, {ends}, as fractions."],
+        warnings=warnings_of_reading(spectra, refused, "sources.csv"),
+        status="ok" if not refused else f"{len(refused)} refused: see sources.csv",
+        spectra=len(spectra),
+        bands=bands,
+        refused=refused_spectra(refused),
+        repairs=repairs(spectra),
+    )
