@@ -56,7 +56,7 @@ def build_plot(
     room on the plot or in memory.
     """
     seed = plot.seed if seed is None else seed
-    check_memory(plot)
+    check_memory(plot, room=PlantingRules.room if plot.crowns is None else 1.0)
     patches = cover_patches(plot, seed)
     fractions = plot.ground.fractions
     if plot.ground.map is not None and patches is not None:
@@ -98,6 +98,7 @@ def build_plot(
         terrain=ground_heights(plot),
         sky=_sky(plot),
         sky_pattern=plot.sky.pattern,
+        crowns=plot.crowns,
     )
     scene = plant(rules=rules)
     if plot.parameters is not None:

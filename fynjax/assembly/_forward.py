@@ -38,10 +38,12 @@ class Prepared(NamedTuple):
         """The scene with the plants of another chance, as `calibrate_plot` asks for it.
 
         **Arguments:** `number` of the chance, 0 for that of `scene`; `counts`, plants that are to
-        find sites, at least those of `self.counts`.
+        find sites, at least those of `self.counts`. Known plants are the same in every scene.
 
         **Raises:** `InputError` where there is no room for them.
         """
+        if self.scene.known_plants:
+            return self.scene
         if number:
             state = np.random.SeedSequence([self.seed, 83, number]).generate_state(1)
             seed = int(state[0] >> 1)

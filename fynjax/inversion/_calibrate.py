@@ -114,6 +114,8 @@ class Ends(eqx.Module):
     """Ends that differ: in some parameter by more than its posterior standard deviation."""
 
 
+_OF_COUNTS = (".cover", ".packing", ".fill")
+"""Parameters of a species that have no effect but on how many plants there are."""
 _OF_LEAVES = ("leaf_area_index", "shoot_clumping", "dead_fraction")
 """Parameters of a species that have no effect without leaves."""
 
@@ -126,9 +128,10 @@ def free_space(
 ) -> ParameterSpace:
     """The free parameters of a plot by name pattern, with priors about their present values.
 
-    Parameters without effect (leaves of deadwood, the moisture of a soil and the aerosol of a sky
-    that were given) and covers of zero, of species, char or rock, are left out. A prior that does
-    not lie between its bounds is moved or narrowed, with a warning (`make_space`).
+    Parameters without effect are left out (leaves of deadwood, the moisture of a soil and the
+    aerosol of a sky that were given, covers, packing and fill of known plants, whose number they
+    would give), and covers of zero, of species, char or rock. A prior that does not lie between its
+    bounds is moved or narrowed, with a warning (`make_space`).
 
     **Arguments:**
 
@@ -156,6 +159,8 @@ def _without_effect(name: str, scene: Scene, parameters: PlotParameters) -> bool
         if not name.startswith(f"species.{taxon}."):
             continue
         if float(parameters.species.cover[i]) == 0.0:
+            return True
+        if scene.known_plants and name.endswith(_OF_COUNTS):
             return True
         leafless = float(parameters.species.leaf_area_index[i]) == 0.0
         of_leaves = (".leaf." in name, name.endswith(_OF_LEAVES))
@@ -199,7 +204,7 @@ def calibrate_plot(
     - `data`: the statistics of all views, one after the other (`join_data`).
     - `space`: the free parameters with their priors.
     - `views`: what each sensor yields of `scene`.
-    - `settings`: of the search.
+    - `settings`: of the search. Of known plants there is one planting.
     - `start`: whitened coordinates to start from; the prior's centre by default.
     - `replant`: makes the same plot with the plants of another chance, by a number, 0 for those of
       `scene`; and with sites for so many plants of each species, asked for where the plants of a
@@ -219,6 +224,8 @@ def calibrate_plot(
     """
     require_double_precision("`calibrate_plot`")
     settings = CalibrationSettings() if settings is None else settings
+    if scene.known_plants:
+        settings = dataclasses.replace(settings, stand_realisations=0)
     views = tuple(views)
     yielded = tuple(name for view in views for name in view.names)
     if yielded != data.names:

@@ -342,9 +342,12 @@ def _headline(plot: Plot, instances: Instances, table: pd.DataFrame, area: Stand
     species, whole = table.iloc[:-1], table.iloc[-1]
     worst = (species.counted_percent - species.asked_percent).abs().max()
     lx, ly = plot.size_m
+    how = "as many as eq. (10) says." if plot.crowns_note is None else "which are known."
+    known = [] if plot.crowns_note is None else [plot.crowns_note]
     return [
         f"{plot.name}, {lx:g} m x {ly:g} m: {len(instances)} plants of {len(species)} species, "
-        "as many as eq. (10) says.",
+        f"{how}",
+        *known,
         f"Covers asked for sum to {whole.asked_percent:.1f} %, crowns in full to "
         f"{whole.crowns_percent:.1f} %; overlapping, they leave "
         f"{100 - whole.species_percent:.1f} % of the ground bare.",

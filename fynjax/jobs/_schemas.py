@@ -12,6 +12,7 @@ from pydantic import Field, TypeAdapter
 
 from fynjax.io.instruments import BandRow, CurveRow, LidarFile, NoiseRow, SensorFile
 from fynjax.io.plot import (
+    CrownRow,
     LeafRow,
     ParameterRow,
     PlotFile,
@@ -64,6 +65,7 @@ Summary = Annotated[
 SCHEMAS: dict[str, Any] = {
     "plot": PlotFile,
     "species_table_row": SpeciesRow,
+    "crowns_row": CrownRow,
     "leaf_table_row": LeafRow,
     "sky_table_row": SkyRow,
     "sky_pattern_row": SkyPatternRow,

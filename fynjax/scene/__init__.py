@@ -42,6 +42,7 @@ from fynjax.scene._parameters import (
 )
 from fynjax.scene._planting import (
     MOST_LISTED,
+    Crowns,
     Planting,
     draw_planting,
     element_count,
@@ -77,6 +78,7 @@ __all__ = [
     "PARAMETERS",
     "USUAL_LEAF",
     "AimedSensor",
+    "Crowns",
     "Ground",
     "GroundParameters",
     "Instances",

@@ -1,4 +1,4 @@
-"""Where plants may stand, how they are turned and how large each is: drawn once.
+"""Where plants may stand, how they are turned and how large each is: drawn once, or known.
 
 Turn and lean of a plant are fixed, so each of its area elements lies at site + diameter a +
 height b with fixed vectors a and b: all plants of all species are placed in one expression.
@@ -171,6 +171,68 @@ OF_PLANTS = ("species", "place", "foot", "azimuth", "tilt", "size", "stature", "
 """What a `Planting` has of each plant."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Crowns:
+    """Plants that are known, such as those of a crown map."""
+
+    species: Int[np.ndarray, " plant"]
+    """Which species each belongs to."""
+    foot: Float[np.ndarray, "plant 2"]
+    """East and north of the plot's south-west corner [m]."""
+    diameter: Float[np.ndarray, " plant"]
+    """Of the crown [m]."""
+    height: Float[np.ndarray, " plant"]
+    """[m]"""
+
+    def sizes(self, species: int) -> tuple[float, float]:
+        """Diameter [m] whose square is the mean of the squares of a species' crowns, and the height
+        of its highest plant [m]. Not of a species without crowns."""
+        mine = self.species == species
+        mean = np.sqrt(np.mean(self.diameter[mine] ** 2))
+        return float(mean), float(self.height[mine].max())
+
+
+def known_planting(
+    crowns: Crowns,
+    forms: Sequence[str],
+    diameter: Float[np.ndarray, " species"],
+    height: Float[np.ndarray, " species"],
+    rotation_spread: Sequence[float],
+    branches: Sequence[float],
+    models: Sequence[PlantModel | None],
+    *,
+    resolved: float,
+    structured: bool,
+    seed: int,
+    dtype: str,
+) -> Planting:
+    """The planting of known plants, all of which stand.
+
+    **Arguments:**
+
+    - `crowns`: the plants.
+    - `branches`: copies of its model that make a plant, of each species.
+    - `seed`: of how plants are turned and lean and which individuals they are.
+    - the others as `draw_planting` has them.
+
+    Sizes are relative to `Crowns.sizes`: parameters of these diameters and heights give the crowns
+    as they are, and others scale them.
+    """
+    individuals: list[dict[str, np.ndarray]] = []
+    for i, count in enumerate(branches):
+        mine = np.repeat(np.flatnonzero(crowns.species == i), round(count))
+        drawn = _individuals(crowns.foot[mine], i, rotation_spread[i], 0.0, seed)
+        if len(mine):
+            mean, greatest = crowns.sizes(i)
+            drawn["size"] = crowns.diameter[mine] / mean
+            drawn["stature"] = crowns.height[mine] / greatest
+        individuals.append(drawn)
+    planting = _of_individuals(
+        individuals, forms, diameter, height, models, resolved, structured, seed, dtype
+    )
+    return dataclasses.replace(planting, place=jnp.zeros_like(planting.place))
+
+
 def draw_planting(
     forms: Sequence[str],
     wanted: Float[np.ndarray, " species"],
@@ -236,6 +298,23 @@ def draw_planting(
                 drawn[name] = np.concatenate([values, drawn[name][len(values) :]])
             individuals[i] = drawn
         feet = np.concatenate(sites if not len(feet) else [feet, *sites])
+    return _of_individuals(
+        individuals, forms, diameter, height, models, resolved, structured, seed, dtype
+    )
+
+
+def _of_individuals(
+    individuals: Sequence[dict[str, np.ndarray]],
+    forms: Sequence[str],
+    diameter: Float[np.ndarray, " species"],
+    height: Float[np.ndarray, " species"],
+    models: Sequence[PlantModel | None],
+    resolved: float,
+    structured: bool,
+    seed: int,
+    dtype: str,
+) -> Planting:
+    """The planting of the plants of each species, with the shapes of these."""
     shapes: list[PlantModel] = []
     plants: list[dict[str, np.ndarray]] = []
     own: list[int] = []

@@ -36,7 +36,14 @@ from fynjax.radiation import Illumination, RahmanPintyVerstraete, VoxelScene
 from fynjax.scene._ground import COVERS, Ground, ground_shares
 from fynjax.scene._optics import class_angles, inclination, optical_classes
 from fynjax.scene._parameters import GroundParameters, LightParameters, PlotParameters
-from fynjax.scene._planting import Planting, draw_planting, leafy_species, no_plants
+from fynjax.scene._planting import (
+    Crowns,
+    Planting,
+    draw_planting,
+    known_planting,
+    leafy_species,
+    no_plants,
+)
 from fynjax.scene._spectra import Spectrum, background_spectrum, band_wavelengths
 from fynjax.scene._table import (
     check_leaves,
@@ -195,6 +202,8 @@ class Scene(eqx.Module):
     """Whether leaves have the size of their form: what the sun lights is then seen the better, the
     nearer sun and sight are. False: points, which have no hot spot."""
     dtype: str = eqx.field(static=True)
+    known_plants: bool = eqx.field(static=True, default=False)
+    """Whether the plants of `planting` are known and all stand, whatever covers are."""
 
     @classmethod
     def from_table(
@@ -284,7 +293,10 @@ class Scene(eqx.Module):
         return 0.0 if self.terrain is None else float(np.mean(self.terrain))
 
     def counts(self, parameters: PlotParameters) -> Float[Array, " species"]:
-        """Real number of plants of each species, eq. (10) without its ceiling [-]."""
+        """Real number of plants of each species, eq. (10) without its ceiling [-]; of known plants
+        their number."""
+        if self.known_plants:
+            return jnp.bincount(self.planting.species, length=len(self.taxa)).astype(float)
         species = parameters.species
         packing = CrownPacking(
             species.packing,
@@ -569,6 +581,7 @@ def build_scene(
     sky_pattern: Float[np.ndarray, "zenith azimuth"] | None = None,
     dead_tissue: Spectrum | None = None,
     hot_spot: bool = False,
+    crowns: Crowns | None = None,
     dtype: str = "float32",
 ) -> Scene:
     """Draw what is random about a scene, once.
@@ -585,9 +598,12 @@ def build_scene(
       `Scene`; left out, even planting on level, shipped ground under a clear, even sky, dead tissue
       as bark.
     - `hot_spot`: whether leaves have the size of their form, see `Scene`.
+    - `crowns`: plants that are known, in place of those that are drawn; `rules` on how many plants
+      there are, where, and of which size then do not count.
     - `dtype`: floating type that the scene is computed in.
 
-    **Raises:** `InputError` where the plants do not fit, or voxels do not divide the sides.
+    **Raises:** `InputError` where the plants do not fit, crowns are outside the plot, or voxels do
+    not divide the sides.
 
     Not differentiable: the parameters come in again where the scene is observed.
     """
@@ -614,8 +630,8 @@ def build_scene(
         minimum_area=tuple(one.minimum_area for one in species),
         leaf_angles=tuple(None if plant is None else inclination(plant) for plant in plants),
         boundary=boundary,
-        softness=rules.softness,
-        softness_plants=rules.softness_plants,
+        softness=rules.softness if crowns is None else 0.0,
+        softness_plants=rules.softness_plants if crowns is None else 0.0,
         flowering=rules.flowering,
         tuft=rules.tuft,
         finer=finer,
@@ -626,10 +642,34 @@ def build_scene(
         dead_tissue=dead_tissue,
         hot_spot=hot_spot,
         dtype=dtype,
+        known_plants=crowns is not None,
     )
     if finer:
         _check_structure(scene)
         scene = dataclasses.replace(scene, tuft=_fitting_tuft(scene))
+    if crowns is not None:
+        within = (crowns.foot >= 0.0) & (crowns.foot < np.asarray(extent))
+        outside = np.asarray(~within.all(axis=1))
+        if outside.any():
+            x, y = crowns.foot[np.argmax(outside)]
+            raise InputError(
+                f"{int(outside.sum())} of {outside.size} crowns are outside the plot of "
+                f"{extent[0]:g} m x {extent[1]:g} m, the first at ({x:g}, {y:g})"
+            )
+        planting = known_planting(
+            crowns,
+            forms,
+            np.asarray(size.diameter),
+            np.asarray(size.height),
+            spread,
+            scene.branches,
+            plants,
+            resolved=rules.resolved(voxel),
+            structured=finer > 0,
+            seed=seed,
+            dtype=dtype,
+        )
+        return eqx.tree_at(lambda s: s.planting, scene, planting)
     planting = draw_planting(
         forms,
         np.asarray(scene.counts(parameters)),
@@ -710,6 +750,7 @@ def room_needed(
 
 def stand_realisation(scene: Scene, seed: int) -> Scene:
     """The same plot with other plants standing: each species fills its sites in another order.
+    Known plants stand where they do.
 
     **Arguments:**
 

@@ -34,6 +34,7 @@ from fynjax.io.plot._prior import (
     write_prior,
 )
 from fynjax.io.plot._rows import (
+    CrownRow,
     LeafRow,
     ParameterRow,
     SkyPatternRow,
@@ -61,6 +62,7 @@ __all__ = [
     "SHIPPED_PRIORS",
     "Air",
     "Calibration",
+    "CrownRow",
     "Ground",
     "LeafRow",
     "LeafSource",

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fynjax.scene import PARAMETERS, parameter_kind
+from fynjax.scene import PARAMETERS, Crowns, parameter_kind
 from fynjax.sensors import Panel
 
 Floats = NDArray[np.float64]
@@ -236,6 +236,10 @@ class Plot:
     """Table of values that replace those above, for `build_plot`."""
     air: Air | None = None
     """The plot file's [atmosphere]; `None` where it has none."""
+    crowns: Crowns | None = None
+    """The plants, where they are known; `None`: as the species table has them, by chance."""
+    crowns_note: str | None = None
+    """How far covers and sizes that follow from the crowns are from the species table's."""
 
     @property
     def taxa(self) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import FORM_DEFAULTS
+from fynjax.io.plot._crowns import with_crowns
 from fynjax.io.plot._plot import Calibration, Floats, Ground, LeafSource, Plot, Sky, Species
 from fynjax.io.plot._plot_tables import COVER_FRACTIONS, PlotFile
 from fynjax.io.plot._rows import LeafRow, SkyPatternRow, SkyRow, SpeciesRow
@@ -201,6 +202,7 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
 
     species_path = named("plot", "species_table", parsed.plot.species_table, "a species table")
     assert species_path is not None
+    crowns_path = named("plot", "crowns", parsed.plot.crowns, "a table of crowns")
     leaf_path = named("plot", "leaf_table", parsed.plot.leaf_table, "a leaf table")
     map_path = named("plot", "probability_map", parsed.plot.probability_map, "a GeoTIFF")
     terrain_path = named("plot", "terrain", parsed.plot.terrain, "a GeoTIFF")
@@ -300,7 +302,7 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
     inputs = (
         *(path, species_path, leaf_path, map_path, sky_path, soil_path, cover_map),
         *(terrain_path, sensor_path, air_path, values_path, dead_path),
-        pattern_path,
+        *(pattern_path, crowns_path),
         *cover_paths,
         *(entry.plant for entry in species),
         *spectra,
@@ -312,7 +314,7 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
     wood = 1.0 if wood is None and dead_path is not None else wood
     moisture = wet if parsed.ground.moisture is None else parsed.ground.moisture
     calibration = parsed.calibration
-    return Plot(
+    plot = Plot(
         file=path,
         name=parsed.plot.name,
         size_m=size,
@@ -360,3 +362,4 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
         ),
         inputs=tuple(p for p in inputs if p is not None),
     )
+    return plot if crowns_path is None else with_crowns(plot, crowns_path)

@@ -45,6 +45,13 @@ class PlotTable(Strict):
     species_table: str = Field(
         default="species.csv", description="Species table; a path from this file's folder."
     )
+    crowns: str | None = Field(
+        default=None,
+        description="Crowns of the plants, where these are known: a CSV table, or a GeoPackage of "
+        "points or polygons; a path from this file's folder. They replace what is drawn, and give "
+        "cover, diameter and height of each species in place of the species table. Left out: the "
+        "plants stand by chance.",
+    )
     leaf_table: str | None = Field(
         default=None,
         description="Leaf table; a path from this file's folder. Left out: usual leaves.",

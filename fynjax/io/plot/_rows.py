@@ -72,6 +72,41 @@ class SpeciesRow(Strict):
     )
 
 
+class CrownRow(Strict):
+    """One row of the table of crowns: one plant whose place and size are known."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        "diameter_cm": _diameter_slip,
+        "height_m": lambda v: f"Centimetres? In m this is {v / 100:g}." if v > 20 else None,
+    }
+
+    taxon: str = Field(
+        description="Name as in the species table. A crown whose leaves are to be told apart has a "
+        "name and a row of its own there.",
+        min_length=1,
+    )
+    x_m: float | None = number("Foot, east of the plot's south-west corner", "m", default=None)
+    y_m: float | None = number("Foot, north of it", "m", default=None)
+    easting_m: float | None = number(
+        "Foot in the coordinates of the plot's maps, instead of x_m and y_m", "m", default=None
+    )
+    northing_m: float | None = number("The same, northward", "m", default=None)
+    diameter_cm: float = quantity(
+        PARAMETERS["diameter"], note="of this crown, the mean of its two extents"
+    )
+    height_m: float = quantity(PARAMETERS["height"], note="of this plant")
+
+    @model_validator(mode="after")
+    def _one_place(self) -> "CrownRow":
+        own, on_map = (self.x_m, self.y_m), (self.easting_m, self.northing_m)
+        if (None in own) == (None in on_map) or own.count(None) == 1 or on_map.count(None) == 1:
+            raise ValueError(
+                "expected either x_m and y_m, from the plot's south-west corner, or easting_m and "
+                "northing_m, in the coordinates of its maps"
+            )
+        return self
+
+
 def _per_area_slip(value: float) -> str | None:
     if value >= 5:
         return f"g m-2? In g cm-2 (or cm of water) this is {value / 1e4:g}."
