@@ -9,7 +9,7 @@ from fynjax.assembly._forward import (
     prepare,
     shown_unit,
 )
-from fynjax.assembly._memory import check_memory
+from fynjax.assembly._memory import check_memory, stand_size
 from fynjax.assembly._sensing import aim_at_plot, aim_without_air
 from fynjax.assembly._targets import Measured, drone_view, read_targets
 
@@ -28,4 +28,5 @@ __all__ = [
     "prepare",
     "read_targets",
     "shown_unit",
+    "stand_size",
 ]

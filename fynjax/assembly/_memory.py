@@ -8,6 +8,7 @@ from fynjax._core.memory import total_memory
 from fynjax.io.plot import Plot
 from fynjax.scene import MOST_LISTED, PlantingRules, element_count
 
+_EVEN = 'leaves that fill them evenly (structure_m = "even")'
 _ELEMENT_BYTES, _PLANT_BYTES = 80, 700
 """Memory that an area element takes while it is listed and placed, and a plant while a plot is
 built: measured at 100 m x 100 m."""
@@ -30,19 +31,7 @@ def check_memory(
 
     **Raises:** `InputError` with what is needed and what there is.
     """
-    area, elements, plants = float(np.prod(plot.size_m)), 0.0, 0.0
-    rules = PlantingRules(structure=plot.structure_m)
-    structured = rules.finer(plot.voxel_m) > 0
-    standing = 0.0
-    for s, held_ready in zip(plot.species, np.broadcast_to(room, len(plot.species))):
-        crown = np.pi / 4.0 * s.diameter_m**2 * (1.0 - s.packing) * s.fill
-        each = max(crown, s.minimum_object_area_m2 or 0.0)
-        count = (s.branches or 1) * area * s.cover / each
-        plants += held_ready * count
-        own = count * element_count(
-            s.diameter_m, s.height_m, rules.resolved(plot.voxel_m), structured=structured
-        )
-        standing, elements = standing + own, elements + held_ready * own
+    plants, elements, standing = _held_ready(plot, room)
     there = total_memory() / 2**30
     held = min(elements, MOST_LISTED)
     if listed:
@@ -53,6 +42,41 @@ def check_memory(
             f"the plants of {plot.size_m[0]:g} m x {plot.size_m[1]:g} m in voxels of "
             f"{plot.voxel_m:g} m need about {needed:.0f} GiB of memory, but this machine has "
             f"{there:.0f} GiB. Take a smaller plot or larger voxels"
-            + (', or leaves that fill them evenly (structure_m = "even").' if structured else "."),
+            + (
+                ', or leaves that fill them evenly (structure_m = "even").'
+                if _structured(plot)
+                else "."
+            ),
             file=plot.file,
         )
+
+
+def stand_size(plot: Plot) -> tuple[float, float]:
+    """Plants that a plot's covers ask for, and their area elements, both about.
+
+    **Arguments:** `plot`, as `read_plot` gives it.
+    """
+    plants, _, standing = _held_ready(plot, 1.0)
+    return plants, standing
+
+
+def _structured(plot: Plot) -> bool:
+    return PlantingRules(structure=plot.structure_m).finer(plot.voxel_m) > 0
+
+
+def _held_ready(
+    plot: Plot, room: float | Float[np.ndarray, " species"]
+) -> tuple[float, float, float]:
+    """Sites held ready, their area elements, and the elements of the plants that stand."""
+    area, plants, elements, standing = float(np.prod(plot.size_m)), 0.0, 0.0, 0.0
+    resolved = PlantingRules(structure=plot.structure_m).resolved(plot.voxel_m)
+    for s, held_ready in zip(plot.species, np.broadcast_to(room, len(plot.species))):
+        crown = np.pi / 4.0 * s.diameter_m**2 * (1.0 - s.packing) * s.fill
+        each = max(crown, s.minimum_object_area_m2 or 0.0)
+        count = (s.branches or 1) * area * s.cover / each
+        plants += held_ready * count
+        own = count * element_count(
+            s.diameter_m, s.height_m, resolved, structured=_structured(plot)
+        )
+        standing, elements = standing + own, elements + held_ready * own
+    return plants, elements, standing

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import Job, OwnSeed, command
+from fynjax.cli._runtime import Job, OwnSeed, PlotPath, command
 
 
 class View(StrEnum):

@@ -1,13 +1,13 @@
 """`fynjax calibrate`."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from fynjax.cli._bioscape import PriorFile
-from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import Checkpoint, Job, OwnSeed, command
+from fynjax.cli._runtime import Checkpoint, Job, OwnSeed, PlotPath, command
 
 Targets = Annotated[
     list[Path],
@@ -30,7 +30,12 @@ Bands = Annotated[
 ]
 
 
-@command("calibrate", forget=True)
+def work(given: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What tells the cost of an inversion."""
+    return {"plot": given["plot"], "files": given["target"]}
+
+
+@command("calibrate", forget=True, work=work)
 def calibrate(
     plot: PlotPath,
     target: Targets,

@@ -1,15 +1,20 @@
 """`fynjax calibrate-plots`."""
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 import typer
 
 from fynjax.cli._bioscape import SHIPPED, OnlyPlots, PriorFile, TraitLibrary
 from fynjax.cli._runtime import Checkpoint, Job, Seed, command
-from fynjax.cli._validate_plots import Size, Tables, Voxel, check_voxel
+from fynjax.cli._validate_plots import Size, Tables, Voxel, check_voxel, field_tables
 
 
-@command("calibrate-plots", forget=True)
+def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
+    return field_tables([given["folder"]], given)
+
+
+@command("calibrate-plots", forget=True, work=_work)
 def calibrate_plots(
     folder: Tables,
     plot: OnlyPlots = None,

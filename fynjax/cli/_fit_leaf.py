@@ -1,5 +1,6 @@
 """`fynjax fit-leaf`."""
 
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -82,7 +83,11 @@ def existing_spectra(paths: list[Path]) -> None:
             existing_file(path, "a file of spectra")
 
 
-@command("fit-leaf")
+def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
+    return {"files": given["spectra"], "posterior": given["posterior"].value}
+
+
+@command("fit-leaf", work=_work)
 def fit_leaf(
     spectra: Spectra,
     version: Annotated[Version, typer.Option(help="PROSPECT version.")] = Version.D,

@@ -1,16 +1,21 @@
 """`fynjax information`."""
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 import typer
 
 from fynjax._core.errors import InputError
 from fynjax.cli._posterior import Free
-from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import Job, OwnSeed, command
+from fynjax.cli._runtime import Job, OwnSeed, PlotPath, command
 
 
-@command("information")
+def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
+    suns = (given["sun"] or "plot").split(",")
+    return {"plot": given["plot"], "sun_zenith": suns, "realisations": given["realisations"]}
+
+
+@command("information", work=_work)
 def information(
     plot: PlotPath,
     gsd: Annotated[

@@ -1,16 +1,21 @@
 """`fynjax learn`."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from fynjax.cli._bioscape import OnlyPlots, TraitLibrary
 from fynjax.cli._runtime import Checkpoint, Job, Seed, command
-from fynjax.cli._validate_plots import Size, Voxel, check_voxel
+from fynjax.cli._validate_plots import Size, Voxel, check_voxel, field_tables
 
 
-@command("learn", forget=True)
+def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
+    return field_tables(given["folders"], given)
+
+
+@command("learn", forget=True, work=_work)
 def learn(
     folders: Annotated[
         list[Path],

@@ -5,9 +5,8 @@ from typing import Annotated, Literal
 import typer
 
 from fynjax.cli._bioscape import PriorFile
-from fynjax.cli._calibrate import Bands, Targets
-from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import Checkpoint, Job, OwnSeed, command
+from fynjax.cli._calibrate import Bands, Targets, work
+from fynjax.cli._runtime import Checkpoint, Job, OwnSeed, PlotPath, command
 
 Free = Annotated[
     list[str] | None,
@@ -19,7 +18,7 @@ Free = Annotated[
 ]
 
 
-@command("posterior")
+@command("posterior", work=work)
 def posterior(
     plot: PlotPath,
     target: Targets,

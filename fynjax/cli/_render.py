@@ -1,18 +1,9 @@
 """`fynjax render`."""
 
-from pathlib import Path
-from typing import Annotated
-
-import typer
-
-from fynjax.cli._runtime import Checkpoint, Job, OwnSeed, command
-
-PlotPath = Annotated[
-    Path, typer.Argument(metavar="PLOT.toml", help="Plot file; `fynjax init` writes one.")
-]
+from fynjax.cli._runtime import Checkpoint, Job, OwnSeed, PlotPath, command
 
 
-@command("render", forget=True)
+@command("render", forget=True, work=lambda given: {"plot": given["plot"]})
 def render(
     plot: PlotPath,
     checkpoint: Checkpoint = None,

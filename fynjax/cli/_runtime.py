@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
+from fynjax._core.progress import NullProgress, Progress
 
 if TYPE_CHECKING:
     from fynjax.jobs import JobResult
@@ -39,6 +39,9 @@ OwnSeed = Annotated[
         min=0, max=2**31 - 1, help="Seed of everything random; the plot file's if left out."
     ),
 ]
+PlotPath = Annotated[
+    Path, typer.Argument(metavar="PLOT.toml", help="Plot file; `fynjax init` writes one.")
+]
 Output = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
 Json = Annotated[
     bool, typer.Option("--json", help="Print a summary as JSON on stdout, and nothing else.")
@@ -56,6 +59,14 @@ AllowOutside = Annotated[
     typer.Option(
         "--allow-outside",
         help="The plot file may name files outside its folder; for plot files that you trust.",
+    ),
+]
+DryRun = Annotated[
+    bool,
+    typer.Option(
+        "--dry-run",
+        help="Say what would be read and written, and about how long and how much memory it "
+        "takes; compute and write nothing.",
     ),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars and no text.")]
@@ -107,15 +118,24 @@ def checkpoint_beside(output: Path, checkpoint: Path | None) -> Path:
     return output.with_name(f"{output.name}.checkpoint") if checkpoint is None else checkpoint
 
 
+Work = Callable[[Mapping[str, Any]], Mapping[str, Any]]
+"""What of a command's options tells its cost, as arguments of `fynjax.jobs.estimate`."""
+
+
 def command(
-    name: str, *, forget: bool = False, further: Mapping[str, Any] | None = None
+    name: str,
+    *,
+    forget: bool = False,
+    further: Mapping[str, Any] | None = None,
+    work: Work | None = None,
 ) -> Callable[[Callable[..., Job]], Callable[..., None]]:
     """Make a command of a function that takes options and returns a job.
 
     Adds the options that every command has: --output, --json, --quiet, --strict; and
-    --allow-outside to one that takes a `plot`. A function with the option `checkpoint` is given the
-    folder of the unfinished run; with `forget` its journal goes when the run has succeeded.
-    `further`, annotations of options that the function takes as `**options`.
+    --allow-outside to one that takes a plot file. A function with the option `checkpoint` is given
+    the folder of the unfinished run; with `forget` its journal goes when the run has succeeded.
+    `further`, annotations of options that the function takes as `**options`. With `work`, a command
+    that may take long gets --dry-run, and says beforehand how long it takes.
     """
     shared: dict[str, tuple[Any, Any]] = {
         **{key: (annotation, None) for key, annotation in (further or {}).items()},
@@ -128,8 +148,13 @@ def command(
     def decorate(function: Callable[..., Job]) -> Callable[..., None]:
         signature = inspect.signature(function)
         options_of_all = dict(shared)
-        if "plot" in signature.parameters:
+        has_plot = "plot" in signature.parameters and (
+            signature.parameters["plot"].annotation is PlotPath
+        )
+        if has_plot:
             options_of_all["allow_outside"] = (AllowOutside, False)
+        if work is not None:
+            options_of_all["dry_run"] = (DryRun, False)
 
         @functools.wraps(function)
         def run(
@@ -139,13 +164,18 @@ def command(
             quiet: bool,
             strict: bool,
             allow_outside: bool = False,
+            dry_run: bool = False,
             **options: Any,
         ) -> None:
             checkpoint = None
             if "checkpoint" in options:
                 checkpoint = checkpoint_beside(output, options["checkpoint"])
                 options["checkpoint"] = checkpoint
-            job = _trusting(function, options) if allow_outside else function(**options)
+            ready = functools.partial(_ready, function, options, has_plot, allow_outside)
+            if dry_run and work is not None:
+                _show_estimate(name, output, ready, work, as_json=json)
+                return
+            job = _announced(name, output, ready, work)
             result = run_job(
                 name, job, output, as_json=json, quiet=quiet, checkpoint=checkpoint, forget=forget
             )
@@ -171,16 +201,72 @@ def command(
     return decorate
 
 
-def _trusting(function: Callable[..., Job], options: Mapping[str, Any]) -> Job:
-    """A job whose plot file may name files outside its folder."""
+def _ready(
+    function: Callable[..., Job], options: Mapping[str, Any], has_plot: bool, allow_outside: bool
+) -> tuple[Job, Mapping[str, Any]]:
+    """The job of a command and its options, of which the plot file is read.
 
-    def job(folder: Path, progress: Progress) -> "JobResult":
+    With `allow_outside` it may name files outside its folder.
+    """
+    if has_plot:
         from fynjax.io.plot import read_plot
 
-        plot = read_plot(options["plot"], allow_outside=True)
-        return function(**{**options, "plot": plot})(folder, progress)
+        plot = read_plot(options["plot"], allow_outside=allow_outside)
+        options = {**options, "plot": plot}
+    return function(**options), options
+
+
+def _announced(
+    name: str,
+    output: Path,
+    ready: Callable[[], tuple[Job, Mapping[str, Any]]],
+    work: Work | None,
+) -> Job:
+    """A job that says beforehand how long it takes, where that is long and progress is shown."""
+
+    def job(folder: Path, progress: Progress) -> "JobResult":
+        task, options = ready()
+        if work is not None and not isinstance(progress, NullProgress):
+            from fynjax.jobs import estimate
+
+            expected = estimate(name, output, **work(options))
+            if expected.is_long():
+                print(f"fynjax: {expected.sentence()}", file=sys.stderr)
+        return task(folder, progress)
 
     return job
+
+
+def _show_estimate(
+    name: str,
+    output: Path,
+    ready: Callable[[], tuple[Job, Mapping[str, Any]]],
+    work: Work,
+    *,
+    as_json: bool,
+) -> None:
+    """What a command would do, on stdout."""
+    prepare_jax()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        _, options = ready()
+        from fynjax.jobs import estimate
+
+        expected = estimate(name, output, **work(options))
+    for line in dict.fromkeys(map(_message, caught)):
+        print(f"fynjax: warning: {line}", file=sys.stderr)
+    if as_json:
+        print(expected.model_dump_json(indent=2))
+        return
+    rows = [("reads", path) for path in expected.reads]
+    rows += [("writes", f"{expected.writes}, whose {name} results would be replaced"
+              if _listed_files(output, name) else expected.writes)]  # fmt: skip
+    rows += list(expected.counts.items())
+    for what, text in rows:
+        print(f"{what:<8}{text}")
+    print(expected.sentence())
+    print("Nothing was computed or written. Such estimates are right within a factor of 2 to 3.")
 
 
 def _listed_files(output: Path, command: str) -> list[str]:

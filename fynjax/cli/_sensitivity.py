@@ -1,15 +1,24 @@
 """`fynjax sensitivity`."""
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 import typer
 
 from fynjax.cli._posterior import Free
-from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import Job, OwnSeed, command
+from fynjax.cli._runtime import Job, OwnSeed, PlotPath, command
 
 
-@command("sensitivity")
+def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
+    return {
+        "plot": given["plot"],
+        "metrics": given["metrics"].split(","),
+        "derivative_samples": given["derivatives"],
+        "sobol_samples": given["sobol"],
+    }
+
+
+@command("sensitivity", work=_work)
 def sensitivity(
     plot: PlotPath,
     metrics: Annotated[

@@ -1,12 +1,12 @@
 """`fynjax simulate`."""
 
+from collections.abc import Mapping
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from fynjax.cli._render import PlotPath
-from fynjax.cli._runtime import Job, OwnSeed, command
+from fynjax.cli._runtime import Job, OwnSeed, PlotPath, command
 
 
 class Product(StrEnum):
@@ -17,7 +17,11 @@ class Product(StrEnum):
     radiance = "radiance"
 
 
-@command("simulate")
+def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
+    return {key: given[key] for key in ("plot", "sensor", "altitude", "pixel")}
+
+
+@command("simulate", work=_work)
 def simulate(
     plot: PlotPath,
     sensor: Annotated[

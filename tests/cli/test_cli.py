@@ -6,6 +6,7 @@ The jobs themselves are stood in for: what is tested is the door, not the house.
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -119,6 +120,13 @@ def test_demo_writes_moves_and_prints(capsys, calls, tmp_path):
     assert "image.tif  the image" in out
 
 
+def test_long_work_is_announced_where_progress_is_shown(capsys, calls, tmp_path, monkeypatch):
+    monkeypatch.setattr("rich.console.Console.is_terminal", True)
+    _, _, err = call(capsys, "demo", "--output", tmp_path / "o")
+    assert re.search(r"fynjax: Roughly \d+ min of one core.* GiB of memory \(.* are free\)", err)
+    assert "Roughly" not in call(capsys, "demo", "--quiet", "--output", tmp_path / "o")[2]
+
+
 def test_json_is_all_that_stdout_has(capsys, calls, tmp_path):
     status, out, err = call(capsys, "demo", "--output", tmp_path / "o", "--json")
     assert (status, err) == (0, "")
@@ -143,15 +151,16 @@ def test_a_plot_is_read_once_and_its_seed_taken_unless_given(
     plot.write_text(text.replace("seed = 0", "seed = 11"), "utf-8")
     read, built = [], []
 
-    def count(path):
+    def count(path, **options):
         read.append(path)
-        return read_plot(path)
+        return read_plot(path, **options)
 
     def build(plot, *, seed=None, **_):
         built.append(seed)
         raise InputError("far enough")
 
-    monkeypatch.setattr("fynjax.io.plot._plot_file.read_plot", count)
+    for module in ("fynjax.io.plot", "fynjax.io.plot._plot_file"):
+        monkeypatch.setattr(f"{module}.read_plot", count)
     for module in ("jobs._render", "jobs._build", "jobs._simulate", "assembly._forward"):
         monkeypatch.setattr(f"fynjax.{module}.build_plot", build)
     for seed in ([], ["--seed", 3]):
@@ -166,7 +175,7 @@ def test_calibrate_and_fit_leaf_pass_their_files(capsys, calls, plot, tmp_path):
     done = call(capsys, "calibrate", plot, "--target", target, "--output", tmp_path / "o")
     assert done[0] == 0
     assert calls[0][0] == "calibrate"
-    assert calls[0][1][:2] == (plot, [target])
+    assert (calls[0][1][0].file, calls[0][1][1]) == (plot, [target])
     spectra = [tmp_path / "a.csv", tmp_path / "b.asd"]
     for path in spectra:
         path.write_text("x")
@@ -178,6 +187,7 @@ def test_calibrate_and_fit_leaf_pass_their_files(capsys, calls, plot, tmp_path):
         "measurement": "sphere",
         "leaf_shape": "broad",
         "domain": "full",
+        "panel": None,
         "seed": 0,
     }
 

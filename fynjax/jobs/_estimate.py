@@ -1,0 +1,244 @@
+"""What a command would read and write, and about how long and how much memory it takes.
+
+From counts (area, voxels, pixels, bands, steps, spectra) times costs measured on the example plot
+on one core of a server: the table 'Measured' of the README and the comments below. Rough by
+nature: right within a factor of two to three.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fynjax._core.memory import free_memory
+from fynjax.assembly import stand_size
+from fynjax.io.instruments import load_instrument
+from fynjax.io.plot import Plot, optical_pixel, sensor_altitude, visible_sensor
+from fynjax.jobs._result import Record
+from fynjax.sensors import Lidar, Sensor
+
+_START_S = 20.0
+"""Reading, imports, tracing, planting and figures [CPU s]: `render` of 5 m takes 25 in all, once
+compiled (busy machine)."""
+_COMPILE_IMAGE_S, _COMPILE_GRADIENT_S, _COMPILE_SEARCH_S = 21.0, 74.0, 150.0
+"""Compilation of an image, of its gradient, and of all programs of a calibration [CPU s]; it is
+kept for later runs of the same sizes."""
+_GRADIENT_IMAGES = 2.7
+"""A gradient in images, at 10 and 20 m."""
+_STEP_IMAGES = 3.5
+"""A step of a search in images: the demo takes 270 CPU s after compilation for 26 steps."""
+_PLOT_S = 37.0
+"""`calibrate-plots`: 18 plots of 5 m in voxels of 25 cm take 11 CPU minutes."""
+_LEAF_START_S, _LEAF_S, _LEAF_BYTES = 10.0, 0.006, 17e3
+"""What few leaves take and each of many that are fitted together [CPU s], and the least that a file
+holds of one: 2151 bands of 8 bytes."""
+_PARAMETERS = 8
+"""Parameters of a species that are free by default, those of the ground counted with them."""
+_LONG_S = 60.0
+"""Work that takes longer is announced."""
+_START_GIB = 1.0
+"""Memory of a process that has loaded everything."""
+
+
+class Estimate(Record):
+    """What a command would do. Writes nothing."""
+
+    command: str
+    reads: list[str]
+    writes: str
+    """Folder of the results."""
+    counts: dict[str, str]
+    """What there is to compute, by its name."""
+    seconds: float | None
+    """Time of one core, without compilation [s]; None where it was never measured."""
+    compilation_s: float
+    """Time of compilation where nothing is kept from earlier runs [s]."""
+    memory_gib: float | None
+    free_gib: float
+    """Memory that this machine has free now."""
+
+    def is_long(self) -> bool:
+        """Whether a user wants to know the time before."""
+        return self.seconds is not None and self.seconds + self.compilation_s >= _LONG_S
+
+    def sentence(self) -> str:
+        """Time and memory in a sentence."""
+        if self.seconds is None or self.memory_gib is None:
+            return "How long it takes was not measured for this command."
+        return (
+            f"Roughly {_shown(self.seconds)} of one core"
+            + (
+                f", and {_shown(self.compilation_s)} of compilation the first time"
+                if self.compilation_s
+                else ""
+            )
+            + f"; {self.memory_gib:.1f} GiB of memory ({self.free_gib:.1f} are free)."
+        )
+
+
+@dataclass(frozen=True)
+class _Cost:
+    counts: dict[str, str]
+    seconds: float | None
+    compilation: float
+    memory: float | None
+
+
+def estimate(
+    command: str,
+    output: str | Path,
+    *,
+    plot: Plot | None = None,
+    files: Sequence[str | Path] = (),
+    plots: int = 0,
+    **options: Any,
+) -> Estimate:
+    """What a command would read and write, and about how long and how much memory it takes.
+
+    **Arguments:**
+
+    - `command`: its name on the command line.
+    - `output`: folder of the results.
+    - `plot`: as read, for commands that take a plot file.
+    - `files`: what is read besides.
+    - `plots`: number of plots, for commands that take field tables.
+    - `options`: those of the job that change its cost; others are ignored.
+
+    **Returns:** `Estimate`: numbers are right within a factor of two to three.
+
+    **Raises:** `InputError` for a sensor that there is not.
+
+    Example: `jobs.estimate("render", "output", plot=read_plot("plot.toml")).sentence()`.
+    """
+    if plot is not None:
+        cost = _plot_cost(command, plot, options)
+    elif command == "fit-leaf":
+        cost = _leaf_cost(files, options)
+    else:
+        cost = _tables_cost(command, plots, options)
+    inputs = [] if plot is None else [plot.file, *plot.inputs]
+    return Estimate(
+        command=command,
+        reads=list(dict.fromkeys(str(p) for p in (*inputs, *files))),
+        writes=str(output),
+        counts=cost.counts,
+        seconds=cost.seconds,
+        compilation_s=cost.compilation,
+        memory_gib=cost.memory,
+        free_gib=free_memory() / 2**30,
+    )
+
+
+def _plot_cost(command: str, plot: Plot, options: Mapping[str, Any]) -> _Cost:
+    chosen = options.get("sensor") or plot.sensor.path or plot.sensor.name
+    sensor = chosen if isinstance(chosen, (Sensor, Lidar)) else load_instrument(chosen)
+    counts, seconds, gradient = _scene_counts(plot), 0.0, command not in ("render", "simulate")
+    if isinstance(sensor, Lidar):
+        return _Cost({**counts, "sensor": f"LiDAR {sensor.name}"}, None, 0.0, None)
+    bands, pixels = len(visible_sensor(sensor).bands), _pixels(plot, sensor, options)
+    counts["image"] = f"{_count(pixels)} pixels in {bands} bands"
+    image = _image_seconds(plot, pixels, bands)
+    compilation = _COMPILE_GRADIENT_S if gradient else _COMPILE_IMAGE_S
+    if command in ("calibrate", "demo", "posterior"):
+        steps = plot.calibration.max_iterations * plot.calibration.starts
+        counts["search"] = f"at most {steps} steps"
+        seconds, compilation = _STEP_IMAGES * steps * image, _COMPILE_SEARCH_S
+    elif command == "sensitivity":
+        parameters = _PARAMETERS * len(plot.species)
+        samples = int(options.get("derivative_samples", 0))
+        renders = int(options.get("sobol_samples", 0)) * (parameters + 2)
+        counts["samples"] = f"{samples} with derivatives, {renders} renders"
+        metrics = len(options.get("metrics", ("one",)))
+        seconds = image * (_GRADIENT_IMAGES * metrics * (1 + samples) + renders)
+    elif command == "information":
+        suns = options.get("sun_zenith") or (0.0,)
+        stands = len(suns) * int(options.get("realisations", 4))
+        counts["stands"] = f"{stands} of which slopes are taken"
+        seconds = stands * _PARAMETERS * len(plot.species) * image
+    else:
+        seconds = image
+    memory = _image_gib(plot, gradient=gradient)
+    return _Cost(counts, _START_S + seconds, compilation, memory)
+
+
+def _scene_counts(plot: Plot) -> dict[str, str]:
+    """Voxels and plants of a plot."""
+    plants, elements = stand_size(plot)
+    side = [round(size / plot.voxel_m) for size in plot.size_m]
+    layers = math.ceil(max(plot.height_m, default=0.0) / plot.voxel_m)
+    return {
+        "plot": f"{plot.size_m[0]:g} m x {plot.size_m[1]:g} m, {side[0]} x {side[1]} x {layers} "
+        f"voxels of {100 * plot.voxel_m:g} cm",
+        "plants": f"{_count(plants)} of {len(plot.species)} species, {_count(elements)} area "
+        "elements",
+    }
+
+
+def _pixels(plot: Plot, sensor: Sensor, options: Mapping[str, Any]) -> float:
+    own = plot.sensor.name == sensor.name
+    pixel = options.get("pixel") or (plot.sensor.stated_pixel_m if own else None)
+    if pixel is None:
+        height = options.get("altitude") or (plot.sensor.stated_altitude_m if own else None)
+        pixel = optical_pixel(sensor, height or sensor_altitude(sensor))
+    return float(np.prod(np.ceil(np.array(plot.size_m) / pixel)))
+
+
+def _image_seconds(plot: Plot, pixels: float, bands: int) -> float:
+    """Time of an image on one core [s], after compilation.
+
+    The example plot of 10 m takes 2 to 3 s, with voxels of 2.5 cm 8.9 s, a hectare 403 s; 416 bands
+    take 8.7 times one.
+    """
+    area = float(np.prod(plot.size_m))
+    own = 0.5 + 1.6 * area / 100.0 + 0.4 * area / plot.voxel_m**2 / 1e4 + 0.4 * pixels / 1.6e5
+    return own * (min(bands, 8) / 4.0 + max(bands - 8, 0) / 40.0)
+
+
+def _image_gib(plot: Plot, *, gradient: bool) -> float:
+    """Memory of an image, or of its gradient [GiB].
+
+    The example plot takes 0.9 (10 m), 2.4 (20 m), with voxels of 2.5 cm 2.0, a hectare, whose
+    plants are made window by window, 8.7; a gradient 2.3, 4.8, and 4.3.
+    """
+    area = float(np.prod(plot.size_m)) / 100.0
+    structured = area if area <= 9.0 else 9.0 + 0.04 * (area - 9.0)
+    own = 0.4 * structured + 0.07 * area * 0.01 / plot.voxel_m**2
+    return _START_GIB + (_GRADIENT_IMAGES * own if gradient else own)
+
+
+def _leaf_cost(files: Sequence[str | Path], options: Mapping[str, Any]) -> _Cost:
+    there = [p for f in map(Path, files) for p in (f.rglob("*") if f.is_dir() else [f])]
+    size = sum(p.stat().st_size for p in there if p.is_file())
+    most = max(1, round(size / _LEAF_BYTES))
+    counts = {"spectra": f"at most about {most} in {len(there)} files of {size / 1e6:.3g} MB"}
+    if options.get("posterior", "none") != "none":
+        return _Cost(counts, None, 0.0, None)
+    return _Cost(counts, _LEAF_START_S + _LEAF_S * most, 30.0, _START_GIB + most * 4e5 / 2**30)
+
+
+def _tables_cost(command: str, plots: int, options: Mapping[str, Any]) -> _Cost:
+    counts = {"plots": str(plots)}
+    resolution = options.get("resolution")
+    if command != "calibrate-plots" or resolution is None:
+        return _Cost(counts, None, 0.0, None)
+    columns = (resolution.size_m / resolution.voxel_m) ** 2
+    counts["voxels"] = f"{columns:g} columns a plot"
+    return _Cost(counts, plots * _PLOT_S * columns / 400.0, _COMPILE_SEARCH_S, 2.0)
+
+
+def _count(number: float) -> str:
+    """A count to two digits, such as 4 200."""
+    return f"{float(f'{number:.2g}'):,.0f}".replace(",", " ")
+
+
+def _shown(seconds: float) -> str:
+    """A time as people say it."""
+    if seconds < 90.0:
+        return f"{seconds:.1g} s" if seconds < 10.0 else f"{round(seconds, -1):g} s"
+    minutes = seconds / 60.0
+    if minutes < 90.0:
+        return f"{minutes:.1g} min" if minutes < 10.0 else f"{round(minutes, -1):g} min"
+    return f"{minutes / 60.0:.2g} h"

@@ -1,0 +1,54 @@
+"""Estimates beforehand: counts of the files, costs as measured, nothing written."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from fynjax.cli import main
+from fynjax.io.plot import example_folder, read_plot
+from fynjax.jobs import estimate
+
+PLOT = read_plot(example_folder() / "plot.toml")
+
+
+@pytest.mark.parametrize(
+    ("size", "voxel", "seconds"),
+    # As the README states them, of one core after compilation.
+    [(10.0, 0.1, 3.0), (10.0, 0.025, 8.9), (100.0, 0.1, 403.0)],
+)
+def test_time_of_an_image_is_as_measured_within_a_factor_of_two(size, voxel, seconds):
+    sensor = replace(PLOT.sensor, stated_pixel_m=0.1 if size > 10 else 0.025)
+    plot = replace(PLOT, size_m=(size, size), voxel_m=voxel, sensor=sensor)
+    some, none = estimate("render", "out", plot=plot), estimate(
+        "render", "out", plot=replace(plot, size_m=(1e-3, 1e-3))
+    )  # fmt: skip
+    assert 0.45 < (some.seconds - none.seconds) / seconds < 2.2
+
+
+def test_time_of_the_demo_is_as_measured_within_a_factor_of_two():
+    demo = estimate("demo", "out", plot=PLOT)
+    assert 0.5 < (demo.seconds + demo.compilation_s) / 420.0 < 2.0
+    assert 0.5 < demo.memory_gib / 3.1 < 2.0
+    assert "min of one core" in demo.sentence()
+    assert demo.is_long()
+    unknown = estimate("simulate", "out", plot=PLOT, sensor="scanning_lidar")
+    assert unknown.seconds is None
+    assert "not measured" in unknown.sentence()
+
+
+def test_a_dry_run_says_what_it_would_do_and_writes_nothing(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    plot = example_folder() / "plot.toml"
+    with pytest.raises(SystemExit) as end:
+        main(["calibrate", str(plot), "--target", str(plot), "--dry-run", "--output", "out"])
+    shown = capsys.readouterr().out
+    assert end.value.code == 0
+    assert f"reads   {plot}" in shown
+    assert "writes  out\n" in shown
+    assert "100 x 100" in shown
+    assert "160 000 pixels in 4 bands" in shown
+    with pytest.raises(SystemExit):
+        main(["fit-leaf", str(plot), "--dry-run", "--json", "--output", "out"])
+    assert json.loads(capsys.readouterr().out)["writes"] == "out"
+    assert not list(tmp_path.iterdir())
