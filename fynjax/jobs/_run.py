@@ -11,7 +11,7 @@ import pandas as pd
 from fynjax._core.memory import peak_memory
 from fynjax._core.precision import enable_double_precision
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.io.raster import provenance
+from fynjax.io.raster import provenance, write_qgis_style
 from fynjax.io.text import write_text
 from fynjax.jobs._result import JobResult
 from fynjax.report.pages import Page, Picture, Table, write_page
@@ -87,7 +87,10 @@ class Run:
         return Table(rows, caption, folded=folded)
 
     def result(self, kind: type[Result], **fields: Any) -> Result:
-        """The job's result: `fields`, and what the run knows itself."""
+        """The job's result: `fields`, and what the run knows itself. Rasters get their styles."""
+        for name in [n for n in self.files if n.endswith(".tif")]:
+            style = write_qgis_style(self.folder / name)
+            self.files[style.name] = f"style of {name}, which QGIS takes by itself"
         self.total()
         return kind(
             output=str(self.folder),

@@ -38,7 +38,12 @@ def image(tmp_path: Path) -> Path:
 def test_an_image_becomes_a_map(image: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     summary = run(str(image), "--levels", "0,128,255", "--output", str(out))
-    assert sorted(p.name for p in out.iterdir()) == ["map.tif", "pattern.png", "summary.json"]
+    assert sorted(p.name for p in out.iterdir()) == [
+        "map.qml",
+        "map.tif",
+        "pattern.png",
+        "summary.json",
+    ]
     assert (out / "pattern.png").stat().st_size > 20_000
     assert json.loads((out / "summary.json").read_text("utf-8")) == summary
     assert summary["map"]["bounds_m"] == pytest.approx([500.0, 900.0, 506.0, 906.0])

@@ -1,6 +1,7 @@
 """Image products: what is written is what other readers find, and what is read back."""
 
 import dataclasses
+from xml.etree import ElementTree
 
 import numpy as np
 import pyproj
@@ -10,7 +11,7 @@ import spectral
 import xarray as xr
 
 from fynjax._core.errors import InputError
-from fynjax.io.raster import Cube, read_cube
+from fynjax.io.raster import Cube, read_cube, write_geotiff, write_qgis_style
 from fynjax.io.raster._cubes import (
     NODATA,
     write_cube_envi,
@@ -210,3 +211,22 @@ def test_a_place_on_earth_is_found_by_every_reader(tmp_path, system):
             pyproj.CRS.from_user_input(system), ignore_axis_order=True
         )
         assert found.origin_m == (600000.5, 6180001.0)
+
+
+def test_qgis_shows_infrared_red_green_stretched_and_single_bands_as_a_ramp(folder, tmp_path):
+    style = ElementTree.parse(write_qgis_style(folder / "reflectance.tif")).getroot()
+    renderer = style.find("pipe/rasterrenderer")
+    assert style.tag == "qgis"
+    assert [renderer.get(f"{c}Band") for c in ("red", "green", "blue")] == ["5", "3", "2"]
+    infrared = cube().values[4]
+    ends = np.quantile(infrared[np.isfinite(infrared)], [0.02, 0.98])
+    stretch = renderer.find("redContrastEnhancement")
+    shown = [float(stretch.find(end).text) for end in ("minValue", "maxValue")]
+    np.testing.assert_allclose(shown, ends, rtol=1e-5)
+
+    write_geotiff(tmp_path / "height.tif", np.arange(12.0).reshape(1, 3, 4), ["z"], pixel_m=1.0)
+    style = ElementTree.parse(write_qgis_style(tmp_path / "height.tif")).getroot()
+    assert style.find("pipe/rasterrenderer").get("type") == "singlebandpseudocolor"
+    values = [float(item.get("value")) for item in style.iter("item")]
+    assert values == sorted(values)
+    np.testing.assert_allclose([values[0], values[-1]], [0.22, 10.78])

@@ -11,9 +11,9 @@ from rasterio import Affine
 
 from fynjax._core.errors import InputError
 from fynjax.cli import main
-from fynjax.io.raster import read_cube
+from fynjax.io.raster import colour_bands, read_cube
 from fynjax.jobs._simulate import simulate
-from fynjax.report.figures._products import colour_bands, quick_looks, spectrum_figure
+from fynjax.report.figures._products import quick_looks, spectrum_figure
 from tests.helpers import assert_valid_summary, write_raster
 
 PLOT = """
@@ -131,7 +131,7 @@ def test_the_record_says_what_was_done(run):
 def test_pictures_take_the_bands_that_lie_near(run):
     _, folder = run
     cube = read_cube(folder / "reflectance.hdr")
-    assert colour_bands(cube) == {"green": 0, "red": 1, "nir": 2}
+    assert colour_bands(cube.wavelength, cube.good) == {"green": 0, "red": 1, "nir": 2}
     assert set(quick_looks(cube, "x")) == {"true_like.png", "false_colour.png"}
     (axes,) = spectrum_figure({"reflectance": cube}).axes
     assert axes.get_ylabel() == "reflectance [-]"

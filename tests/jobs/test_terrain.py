@@ -39,10 +39,12 @@ def test_command_writes_the_terrain_of_a_cloud(cloud_file, tmp_path, capfd):
     invoke(cloud_file, "--size", 20, "--cell", 0.5, "--json", "--output", output)
     summary = json.loads(capfd.readouterr().out)
     assert sorted(p.name for p in output.iterdir()) == [
+        "canopy_height.qml",
         "canopy_height.tif",
         "summary.json",
         "terrain.obj",
         "terrain.png",
+        "terrain.qml",
         "terrain.tif",
     ]
     assert set(summary["files"]) == {p.name for p in output.iterdir()} - {"summary.json"}
@@ -124,7 +126,7 @@ def test_raster_is_cut_out_and_resampled(tmp_path):
     )
     write_terrain(tmp_path / "dtm.tif", whole)
     summary = terrain(tmp_path / "dtm.tif", tmp_path, size=10.0, cell=0.25)
-    assert set(summary.files) == {"terrain.tif", "terrain.obj", "terrain.png"}
+    assert set(summary.files) == {"terrain.tif", "terrain.qml", "terrain.obj", "terrain.png"}
     part = read_terrain(tmp_path / "terrain.tif")
     np.testing.assert_allclose(part.bounds, np.add([10, 10, 20, 20], [*CORNER, *CORNER]))
     x, y = part.centres

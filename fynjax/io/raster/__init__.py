@@ -21,6 +21,7 @@ from fynjax.io.raster._netcdf import (
 )
 from fynjax.io.raster._over_plot import read_over_plot
 from fynjax.io.raster._probability import read_probability_map, write_probability_map
+from fynjax.io.raster._qgis import colour_bands, write_qgis_style
 from fynjax.io.raster._reader import METRES, Raster, RasterFile, open_raster
 from fynjax.io.raster._writer import write_geotiff
 
@@ -36,6 +37,7 @@ __all__ = [
     "align_bands",
     "check_metric",
     "check_netcdf",
+    "colour_bands",
     "file_hash",
     "image_array",
     "open_raster",
@@ -51,5 +53,6 @@ __all__ = [
     "write_cubes_netcdf",
     "write_geotiff",
     "write_probability_map",
+    "write_qgis_style",
     "write_run",
 ]

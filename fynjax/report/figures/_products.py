@@ -6,27 +6,11 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from fynjax.io.raster import QUANTITIES, Cube
+from fynjax.io.raster import QUANTITIES, Cube, colour_bands
 from fynjax.report.figures._image import composites
 from fynjax.report.figures._style import BLUE, GREY, style
 
-_SEEN = {"green": 560.0, "red": 660.0, "nir": 860.0}
-"""Colours of a picture and where they lie [nm]."""
-_FAR = 45.0  # nm from there to the nearest band, up to which it serves
 _FEW = 25  # bands of which each is drawn
-
-
-def colour_bands(cube: Cube) -> dict[str, int]:
-    """Place of the good band nearest to green, red and near infrared; only those that are near."""
-    places = np.flatnonzero(cube.good)
-    if cube.wavelength is None or places.size == 0:
-        return {}
-    bands = {}
-    for name, wanted in _SEEN.items():
-        away = np.abs(cube.wavelength[places] - wanted)
-        if away.min() <= _FAR:
-            bands[name] = int(places[away.argmin()])
-    return bands
 
 
 def quick_looks(cube: Cube, title: str) -> dict[str, Figure]:
@@ -35,7 +19,7 @@ def quick_looks(cube: Cube, title: str) -> dict[str, Figure]:
     **Arguments:** `cube`, the reflectance [-]; `title` of the pictures. Pictures of bands that the
     sensor does not have are left out.
     """
-    bands = colour_bands(cube)
+    bands = colour_bands(cube.wavelength, cube.good)
     if cube.pixel_m is None or not {"green", "red"} <= set(bands):
         return {}
     image = cube.values[list(bands.values())]
