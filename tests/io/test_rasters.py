@@ -7,7 +7,7 @@ from rasterio import Affine
 
 from fynjax._core.errors import InputError
 from fynjax.compare import DroneImage, read_drone_image
-from fynjax.io.raster import read_cube, write_geotiff
+from fynjax.io.raster import open_raster, read_cube, write_geotiff
 from tests.helpers import write_raster
 
 BANDS = ("green", "red", "red_edge", "nir")
@@ -204,3 +204,40 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, image):
     assert [p.name for p in tmp_path.iterdir()] == ["i.tif"]
     with pytest.raises(ValueError, match="4 bands"):
         write(path, image[:3])
+
+
+VRT = """<VRTDataset rasterXSize="20" rasterYSize="30"><VRTRasterBand dataType="Float32" band="1">
+<SimpleSource><SourceFilename relativeToVRT="{}">{}</SourceFilename><SourceBand>1</SourceBand>
+</SimpleSource></VRTRasterBand></VRTDataset>"""
+
+
+def test_a_virtual_raster_reads_its_own_folder_only_and_no_network(tmp_path, image):
+    folder = tmp_path / "plot"
+    for place in (folder, tmp_path):
+        write(place / "image.tif", image)
+    virtual = folder / "map.vrt"
+    (folder / "inner.vrt").write_text(VRT.format(1, "image.tif"))
+    for name in ("image.tif", "inner.vrt"):
+        virtual.write_text(VRT.format(1, name))
+        with open_raster(virtual, "a map") as raster:
+            np.testing.assert_array_equal(raster.dataset.read(1)[::-1], image[0])
+    (folder / "link.tif").symlink_to(tmp_path / "image.tif")
+    (folder / "inner.vrt").write_text(VRT.format(0, tmp_path / "image.tif"))
+    secret = tmp_path / "image.tif"
+    for relative, name in [
+        (1, "../image.tif"), (0, secret), (1, "link.tif"), (1, "inner.vrt"), (1, "map.vrt"),
+        (0, "/vsicurl/http://127.0.0.1:9/image.tif"), (0, f"/vsizip/{secret}"), (0, "NONE:x"),
+    ]:  # fmt: skip
+        for disguised in (virtual, folder / "map.tif"):
+            disguised.write_text(VRT.format(relative, name))
+            with (
+                pytest.raises(InputError, match=r"own folder or below.*gdal_translate"),
+                open_raster(disguised, "a map"),
+            ):
+                pass
+    service = folder / "service.tif"
+    service.write_text("<GDAL_WMS><Service name='TMS'><ServerUrl>http://127.0.0.1:9/</ServerUrl>"
+                       "</Service></GDAL_WMS>")  # fmt: skip
+    for other in (service, "/vsicurl/http://127.0.0.1:9/image.tif"):
+        with pytest.raises(InputError), open_raster(other, "a map"):
+            pass

@@ -30,7 +30,7 @@ from fynjax._core.memory import total_memory
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.io.raster._crs import check_metric, is_local
 from fynjax.io.spectra import header_numbers, in_nanometres, open_envi
-from fynjax.io.text import check_stated_size, existing_file
+from fynjax.io.text import check_stated_size, existing_file, read_bytes
 
 METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its heights."""
@@ -347,9 +347,70 @@ class RasterFile:
             )
 
 
+_FORMATS = ("GTiff", "ENVI", "HFA", "AAIGrid", "SRTMHGT", "EHdr", "PNG", "JPEG", "VRT")
+"""Drivers of GDAL that read the file they are given, and open no other place that it names."""
+_DEEPEST = 8
+"""Virtual rasters within each other, at most."""
+
+
+def check_sources(path: Path, within: Path | None = None, depth: int = 0) -> None:
+    """Refuse a virtual raster that reads files outside its folder, or from a network.
+
+    Who wrote it would else choose what of this machine is read.
+
+    **Arguments:**
+
+    - `path`: any file; only a virtual raster (VRT) is looked into.
+    - `within`: where its sources must lie, its own folder by default.
+    - `depth`: how many virtual rasters led to it.
+
+    **Raises:** `InputError`.
+    """
+    with path.open("rb") as file:
+        head = file.read(1 << 16)
+    if b"<VRTDataset" not in head or head[:2] in (b"II", b"MM"):  # the latter are TIFF
+        return
+    within = path.parent.resolve() if within is None else within
+    text = read_bytes(path)
+    try:
+        if b"<!" in text.replace(b"<!--", b""):
+            raise InputError("a virtual raster must not define entities, but does", file=path)
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(f"cannot be read as a virtual raster ({error})", file=path) from error
+    if root.get("subClass") or depth > _DEEPEST:  # warped and processed ones name more than sources
+        raise _elsewhere(path, root.get("subClass") or "too many within each other")
+    for element in root.iter():
+        if element.tag in ("PixelFunctionCode", "OpenOptions"):  # a script; an address, perhaps
+            raise _elsewhere(path, element.tag)
+        if element.tag not in ("SourceFilename", "SourceDataset"):
+            continue
+        name = (element.text or "").strip()
+        relative = element.get("relativeToVRT") == "1"
+        try:
+            source = (path.parent / name if relative else Path(name)).resolve()
+            inside = source.is_relative_to(within) and source.is_file()
+        except (OSError, RuntimeError, ValueError):
+            inside = False
+        if not inside:
+            raise _elsewhere(path, name)
+        check_sources(source, within, depth + 1)
+
+
+def _elsewhere(path: Path, name: str) -> InputError:
+    return InputError(
+        f"expected a virtual raster of files in its own folder or below, but it names {name!r}. "
+        f"If you trust it, make it a GeoTIFF: gdal_translate {path.name} {path.stem}.tif",
+        file=path,
+    )
+
+
 @contextmanager
 def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
-    """A raster open for reading: GeoTIFF, ENVI (data or header file), or what else GDAL reads.
+    """A raster open for reading: GeoTIFF, ENVI (data or header), IMG, ASC, HGT, BIL, PNG or JPEG.
+
+    A virtual raster (VRT) is read where all its sources lie in its own folder or below. No address
+    of a network is followed: formats of GDAL that hold one are not read.
 
     **Arguments:**
 
@@ -358,10 +419,12 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
 
     **Returns:** a context manager that gives a `RasterFile`.
 
-    **Raises:** `InputError` for a file that is missing, cut short, damaged or no raster, and an
-    ENVI header that lacks a field; also where GDAL fails inside the block.
+    **Raises:** `InputError` for a file that is missing, cut short, damaged or no raster, an ENVI
+    header that lacks a field, and a VRT with sources elsewhere; also where GDAL fails
+    inside the block.
     """
     path = existing_file(path, what)
+    check_sources(path)
     header_path = path
     beside = (path.with_suffix(".hdr"), path.with_name(path.name + ".hdr"))
     tiff = path.suffix.lower() in (".tif", ".tiff")
@@ -371,7 +434,7 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            dataset = rasterio.open(path)
+            dataset = rasterio.io.DatasetReader(path, driver=list(_FORMATS))
         with dataset:
             if not dataset.count:
                 raise InputError(f"expected {what}, but GDAL sees no bands in it", file=path)
