@@ -21,6 +21,12 @@ from fynjax.inversion._fit import (
 )
 from fynjax.inversion._fit_result import WELL_CONSTRAINED, Data, FitResult, FitStatus
 from fynjax.inversion._information import Information, fisher_information
+from fynjax.inversion._known_plants import (
+    PIXEL_SD,
+    KnownPlants,
+    block_of,
+    calibrate_known_plants,
+)
 from fynjax.inversion._log_posterior import LogPosterior
 from fynjax.inversion._population import (
     Hyperprior,
@@ -73,6 +79,7 @@ __all__ = [
     "GAIN",
     "IMAGE_STATISTICS",
     "OFFSET",
+    "PIXEL_SD",
     "WELL_CONSTRAINED",
     "AbstractView",
     "Calibration",
@@ -86,6 +93,7 @@ __all__ = [
     "Hyperprior",
     "ImageView",
     "Information",
+    "KnownPlants",
     "LinearPlots",
     "LocalSensitivity",
     "LogPosterior",
@@ -99,6 +107,8 @@ __all__ = [
     "SpectrumView",
     "StructureView",
     "Surrogate",
+    "block_of",
+    "calibrate_known_plants",
     "calibrate_plot",
     "coarser",
     "derivative_measures",

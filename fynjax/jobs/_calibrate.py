@@ -7,11 +7,13 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
+from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.assembly import Measured, prepare, read_targets
 from fynjax.inversion import Calibration, CalibrationSettings, calibrate_plot, join_data
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.raster import write_run
+from fynjax.jobs._calibrate_known import known_plants
 from fynjax.jobs._calibration_page import (
     agreement_sentences,
     calibration_page,
@@ -81,7 +83,8 @@ def calibrate(
     - `plot`: a plot, or the path of its plot file.
     - `targets`: files of the measurements, at most one of each kind: a drone image (GeoTIFF) or
       its statistics (CSV); a spectrum, or an image of many bands; a point cloud or its structure
-      (CSV).
+      (CSV). Of a plot with crowns an image (GeoTIFF) of the whole plot counts alone, pixel by
+      pixel (`calibrate_known_plants`).
     - `output`: folder of the results, made if missing.
     - `prior`: learned population of what the plot's files leave open (`with_prior`); none by
       default.
@@ -103,8 +106,49 @@ def calibrate(
     read = with_prior(as_plot(plot), prior)
     paths = [targets] if isinstance(targets, Path) else list(targets)
     run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
+    if read.crowns is not None and paths[0].suffix.lower() in (".tif", ".tiff"):
+        return _calibrate_known(read, paths, run, bands)
     measured = read_targets(read, paths, bands=bands, seed=run.seed, progress=run.progress)
     return calibrate_to(read, measured, run, inputs=(*read.inputs, *paths), checkpoint=checkpoint)
+
+
+def _calibrate_known(
+    plot: Plot, paths: Sequence[Path], run: Run, bands: Sequence[str] | None
+) -> CalibrateResult:
+    """Calibrate a plot whose plants are known to an image, pixel by pixel."""
+    if len(paths) > 1:
+        raise InputError(
+            "expected the image alone: where plants are known it counts pixel by pixel, beside "
+            "which other targets would say nothing",
+            file=paths[1],
+        )
+    result, parameters, table, headline = known_plants(
+        plot, paths[0], run, bands, (*plot.inputs, *paths)
+    )
+    fit, rows = result.fit, table.rename(columns={"real": "target"})
+    summary = StatisticSummary.model_fields.keys() & set(rows.columns)
+    return run.result(
+        CalibrateResult,
+        headline=headline,
+        converged=bool(fit.converged),
+        status="ok" if fit.converged else f"not converged: {fit.explanation}",
+        targets=[
+            TargetSummary(
+                kind="image",
+                file=paths[0].name,
+                description=f"{paths[0].name}: {result.degrees} means of blocks of pixels.",
+                target_valid_share=float(np.isfinite(result.measured[0]).mean()),
+            )
+        ],
+        parameters=parameters[list(ParameterSummary.model_fields)].to_dict("records"),
+        statistics=rows[sorted(summary)].to_dict("records"),
+        weakly_constrained_directions=fit.weakly_constrained_directions(),
+        starts=StartSummary(
+            objective=result.ends.objective.tolist(),
+            apart_sd=result.ends.apart.tolist(),
+            minima=result.ends.minima,
+        ),
+    )
 
 
 def calibrate_to(

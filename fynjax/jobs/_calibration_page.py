@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from fynjax.assembly import Measured
-from fynjax.inversion import Calibration
+from fynjax.inversion import Calibration, KnownPlants
 from fynjax.io.plot import Plot
 from fynjax.jobs._calibration_tables import Reference, largest_errors, sensor_misfit, sensor_table
 from fynjax.jobs._render import SHOWN_INDICES, index_images
@@ -49,7 +49,7 @@ def agreement_sentences(
     return lines
 
 
-def parameter_sentences(result: Calibration) -> list[str]:
+def parameter_sentences(result: Calibration | KnownPlants) -> list[str]:
     """Which parameters the data constrain, and where the searches ended."""
     constrained, ends = result.fit.well_constrained(), result.ends
     lines = [
@@ -76,7 +76,7 @@ _UNLIKELY = 0.01
 """Probability below which a model counts as not explaining the data [-]."""
 
 
-def misfit_sentence(result: Calibration) -> str:
+def misfit_sentence(result: Calibration | KnownPlants) -> str:
     """Whether model and prior explain the data."""
     names, count, probability = len(result.data.names), result.degrees, result.probability
     of = "statistics" if count == names else f"directions of {names} statistics"
@@ -125,8 +125,8 @@ def calibration_page(
             sections.append(sensor_section(sensor, sensor_table(sensor, statistics)))
     sections += [
         Section("", [Table(statistics, "Every statistic.", folded=True)]),
-        _parameter_section(result, parameters),
-        _search_section(run, result, memory),
+        parameter_section(result, parameters),
+        search_section(run, result, memory),
     ]
     lead = " ".join(agreement_sentences(plot, measured, statistics, reference))
     return Page(f"Calibration: {plot.name}", lead, sections, keys, run.record(inputs))
@@ -187,7 +187,8 @@ def _image_sections(
     return [Section("The image", images), Section("Against the real image", against)]
 
 
-def _parameter_section(result: Calibration, parameters: pd.DataFrame) -> Section:
+def parameter_section(result: Calibration | KnownPlants, parameters: pd.DataFrame) -> Section:
+    """Prior and estimate of every parameter."""
     directions = "; ".join(
         ", ".join(f"{name} {weight:+.2f}" for name, weight in direction.items())
         for direction in result.fit.weakly_constrained_directions()
@@ -213,7 +214,8 @@ def _parameter_section(result: Calibration, parameters: pd.DataFrame) -> Section
     )
 
 
-def _search_section(run: Run, result: Calibration, memory: float) -> Section:
+def search_section(run: Run, result: Calibration | KnownPlants, memory: float) -> Section:
+    """How the search went; `memory` at its peak [MiB]."""
     convergence = convergence_plot(result.fit.loss, result.fit.gradient_norm)
     parts: list[Part] = [Picture("convergence.png", convergence, "objective at each evaluation")]
     ends = result.ends

@@ -10,7 +10,7 @@ import pandas as pd
 import xarray as xr
 
 from fynjax.assembly import Measured, parameter_columns
-from fynjax.inversion import Calibration
+from fynjax.inversion import Calibration, KnownPlants
 from fynjax.io.raster import image_array
 from fynjax.jobs._render import plant_counts
 from fynjax.metrics import BANDS, STRUCTURE_METRICS, image_statistics
@@ -19,7 +19,7 @@ from fynjax.scene import PARAMETERS, AimedSensor, Scene, named_values, parameter
 _statistics = eqx.filter_jit(image_statistics)
 
 
-def parameter_table(calibration: Calibration) -> pd.DataFrame:
+def parameter_table(calibration: Calibration | KnownPlants) -> pd.DataFrame:
     """Every free parameter: prior, estimate, and how far the data pinned it down."""
     fit = calibration.fit
     low, high = fit.quantiles(0.05, 0.95)

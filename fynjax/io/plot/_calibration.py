@@ -45,6 +45,24 @@ class CalibrationTable(Strict):
         ge=0,
         le=1,
     )
+    pixel_sd: float = number(
+        "Where the plants are known: relative error of a block of pixels, of camera and model, "
+        "independent of other blocks. Of the light 1 to 2 % against a path tracer; where single "
+        "leaves are resolved, and for crowns that are not quite as stated, more",
+        "-",
+        default=0.05,
+        gt=0,
+        le=1,
+    )
+    block_m: float | None = number(
+        "Where the plants are known: side of the blocks of pixels whose means are compared, a "
+        "whole number of pixels; left out, the smallest of which an image has at most 40 000 "
+        "values",
+        "m",
+        default=None,
+        gt=0,
+        le=1000,
+    )
     priors: dict[str, Annotated[float, Field(gt=0, le=10)]] = Field(
         default_factory=dict,
         description="Relative standard deviation of the prior, by pattern [-]. Left out: that of "

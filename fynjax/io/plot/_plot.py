@@ -175,6 +175,10 @@ class Calibration:
     """What a band of the camera may be off by, as a factor [-]."""
     starts: int = 1
     """Searches: from the prior's centre, the others from draws of the prior."""
+    pixel_sd: float = 0.05
+    """Relative error of a pixel's mean where plants are known [-]."""
+    block_m: float | None = None
+    """Side of the blocks of pixels compared there [m]; `None`: as many as are not too many."""
 
     def is_free(self, name: str) -> bool:
         """Whether parameter `name` may move."""

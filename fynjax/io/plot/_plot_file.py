@@ -359,6 +359,8 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
             priors=dict(calibration.priors),
             max_iterations=calibration.max_iterations,
             starts=calibration.starts,
+            pixel_sd=calibration.pixel_sd,
+            block_m=calibration.block_m,
         ),
         inputs=tuple(p for p in inputs if p is not None),
     )

@@ -8,7 +8,7 @@ from fynjax.report.figures._fit import (
     parameter_plot,
     spectrum_plot,
 )
-from fynjax.report.figures._image import composites, index_histograms
+from fynjax.report.figures._image import composites, index_histograms, residual_maps
 from fynjax.report.figures._leaf import leaf_fit_figure
 from fynjax.report.figures._lidar import height_profiles, side_view
 from fynjax.report.figures._pattern import pattern_figure
@@ -73,6 +73,7 @@ __all__ = [
     "predictive_plot",
     "profile_view",
     "quick_looks",
+    "residual_maps",
     "residual_plot",
     "residuals_plot",
     "rgb",

@@ -112,6 +112,32 @@ def composites(
     return figure
 
 
+def residual_maps(residual: ArrayLike, band_names: Sequence[str], *, pixel_m: float) -> Figure:
+    """How far an image is off, band by band, each with the scale of its own largest error.
+
+    **Arguments:**
+
+    - `residual`: [band, y, x] with y to the north, difference of reflectances; NaN is left white.
+    - `band_names`: names of the bands.
+    - `pixel_m`: side of a pixel [m].
+    """
+    residual = np.asarray(residual, float)
+    with style():
+        figure = Figure(figsize=(2.6 * len(residual), 3.2))
+        grid = figure.subplots(1, len(residual), squeeze=False)[0]
+        for axes, values, name in zip(grid, residual, band_names, strict=True):
+            most = max(float(np.nanpercentile(np.abs(values), 99)), 1e-9)
+            height, width = (n * pixel_m for n in values.shape)
+            drawn = axes.imshow(
+                values, origin="lower", extent=(0, width, 0, height), cmap="RdBu_r",
+                vmin=-most, vmax=most, interpolation="nearest",
+            )  # fmt: skip
+            axes.set(title=words(name), xticks=[], yticks=[])
+            figure.colorbar(drawn, ax=axes, location="bottom", shrink=0.9)
+            _scale_bar(axes, width)
+    return figure
+
+
 def index_histograms(
     before: Mapping[str, ArrayLike],
     after: Mapping[str, ArrayLike] | None = None,

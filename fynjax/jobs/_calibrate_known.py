@@ -1,0 +1,177 @@
+"""What `fynjax calibrate` does where the plants are known: the image counts pixel by pixel."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+
+from fynjax._core.errors import InputError
+from fynjax.assembly import aim_at_plot, prepare
+from fynjax.compare import read_drone_image
+from fynjax.inversion import KnownPlants, block_of, calibrate_known_plants
+from fynjax.io.plot import Air, Plot, drone_sensor
+from fynjax.jobs._calibration_page import parameter_section, parameter_sentences, search_section
+from fynjax.jobs._calibration_tables import parameter_table
+from fynjax.jobs._render import check_finite, write_image
+from fynjax.jobs._run import Run, peak_memory_mib
+from fynjax.metrics import BANDS
+from fynjax.report.figures import composites, residual_maps
+from fynjax.report.pages import Page, Picture, Section, Table
+
+
+def known_plants(
+    plot: Plot, path: Path, run: Run, bands: Sequence[str] | None, inputs: Sequence[Path | None]
+) -> tuple[KnownPlants, pd.DataFrame, pd.DataFrame, list[str]]:
+    """Calibrate a plot with crowns to an image, pixel by pixel, and write what comes out.
+
+    **Arguments:**
+
+    - `plot`: with `Plot.crowns`.
+    - `path`: the image, GeoTIFF; it covers the plot and nothing else, its rows from the north.
+    - `run`: the folder and the progress of the job.
+    - `bands`: of the image, as `read_drone_image` has them.
+    - `inputs`: files for the provenance.
+
+    **Returns:** the calibration, the tables of its parameters and of the bands, and its headline.
+
+    **Raises:** `InputError` for an image that does not cover the plot, and as the readers.
+    """
+    with run.stage("Build the plot", "build"):
+        ready = prepare(plot, None, seed=run.seed)
+    image = read_drone_image(path, bands=bands, most_pixels=None, progress=run.progress)
+    pixel = plot.sensor.pixel_m if image.pixel_m is None else image.pixel_m
+    camera = aim_at_plot(
+        plot, ready.scene, ready.parameters, drone_sensor(plot),
+        altitude=plot.sensor.altitude_m, pixel=pixel, air=Air("none"), quiet=True,
+    )  # fmt: skip
+    if camera.shape != image.mask.shape:
+        raise InputError(
+            f"expected an image of the whole plot and nothing else, {camera.shape[0]} rows and "
+            f"{camera.shape[1]} columns of {pixel:g} m, but it has {image.mask.shape[0]} and "
+            f"{image.mask.shape[1]}. Cut it: gdal_translate -projwin",
+            file=path,
+        )
+    order = [BANDS.index(name) for name in camera.sensor.bands.names]
+    settings = plot.calibration
+    block = _block(plot, len(order), camera.shape, pixel)
+    with run.stage("Calibrate", "calibrate", total=settings.max_iterations):
+        result = calibrate_known_plants(
+            ready.scene,
+            ready.parameters,
+            image.values[order],
+            ready.space,
+            camera,
+            block=block,
+            pixel_sd=settings.pixel_sd,
+            gain_sd=max(settings.gain_sd, 1e-6),
+            max_steps=settings.max_iterations,
+            report=lambda stage, loss, norm: run.progress.advance(
+                1, stage=stage, loss=f"{loss:.1f}", gradient=f"{norm:.1f}"
+            ),
+        )
+    run.seconds |= {
+        "render": result.seconds["render_s"],
+        "slopes": result.seconds["slopes_s"],
+        "search": result.seconds["search_s"],
+    }
+    check_finite(jnp.asarray(result.image_after), plot)
+    parameters, table = parameter_table(result), band_table(result)
+    rmse = _relative_rmse(result)
+    headline = [
+        f"{plot.name}: {result.degrees} means of {result.block} x {result.block} pixels compared; "
+        f"their relative error {rmse[0]:.2f} % before, {rmse[1]:.2f} % after.",
+        *([] if plot.crowns_note is None else [plot.crowns_note]),
+        "Covers follow from the crowns and are not free.",
+        *parameter_sentences(result),
+    ]
+    with run.stage("Write"):
+        record = run.record(inputs)
+        run.table("parameters.csv", parameters, "prior, estimate, sd of every parameter")
+        run.table("statistics.csv", table, "every band, real and simulated")
+        blocks = dataclasses.replace(camera, pixel=pixel * result.block)
+        for when, what in (("before", "of the plot file"), ("after", "after calibration")):
+            to = run.path(f"image_{when}.tif", f"image {what}, GeoTIFF")
+            write_image(to, getattr(result, f"image_{when}"), plot, blocks, record)
+        run.page(
+            Page(
+                f"Calibration: {plot.name}",
+                headline[0],
+                [
+                    Section("The image", _pictures(result, blocks.pixel)),
+                    Section("", [Table(table, "Every band.", folded=True)]),
+                    parameter_section(result, parameters),
+                    search_section(run, result, peak_memory_mib()),
+                ],
+                {"relative error after": f"{rmse[1]:.2f} %", "wall time": f"{run.total():.0f} s"},
+                record,
+            )
+        )
+    return result, parameters, table, headline
+
+
+def _block(plot: Plot, bands: int, shape: tuple[int, int], pixel: float) -> int:
+    """Pixels along the edge of a block."""
+    stated = plot.calibration.block_m
+    if stated is None:
+        return block_of(bands, shape)
+    block = round(stated / pixel)
+    if not 1 <= block <= min(shape) or abs(stated - block * pixel) > 1e-3 * pixel:
+        raise InputError(
+            f"expected blocks of a whole number of pixels of {pixel:g} m, no larger than the plot, "
+            f"but got {stated:g} m",
+            file=plot.file,
+            column="calibration.block_m",
+        )
+    return block
+
+
+def _relative_rmse(result: KnownPlants) -> tuple[float, float]:
+    """Of all bands alike, before and after [%]."""
+    mean = np.nanmean(result.measured, axis=(1, 2), keepdims=True)
+    before, after = (
+        100.0 * float(np.sqrt(np.nanmean(((image - result.measured) / mean) ** 2)))
+        for image in (result.image_before, result.image_after)
+    )
+    return before, after
+
+
+def band_table(result: KnownPlants) -> pd.DataFrame:
+    """Mean of each band over the compared blocks, and the root mean square of their errors."""
+    real = result.measured
+    compared = np.isfinite(real)
+    rows: dict[str, list[float]] = {name: [] for name in ("real", "before", "after")}
+    errors: dict[str, list[float]] = {f"{when}_rmse": [] for when in ("before", "after")}
+    for i, here in enumerate(compared):
+        rows["real"].append(float(real[i][here].mean()))
+        for when in ("before", "after"):
+            image = getattr(result, f"image_{when}")[i][here]
+            rows[when].append(float(image.mean()))
+            errors[f"{when}_rmse"].append(float(np.sqrt(np.mean((image - real[i][here]) ** 2))))
+    names = [f"{band}.mean" for band in result.camera.sensor.bands.names]
+    return pd.DataFrame({"statistic": names, "fitted": True, **rows, **errors})
+
+
+def _pictures(result: KnownPlants, pixel: float) -> list[Picture]:
+    names = result.camera.sensor.bands.names
+    images = {
+        "Measured": result.measured,
+        "Before": result.image_before,
+        "After": result.image_after,
+    }
+    return [
+        Picture(
+            "false_colour.png",
+            composites(images, names, pixel_m=pixel),
+            "image measured, before and after, near infrared as red",
+            "False colour.",
+        ),
+        Picture(
+            "residual.png",
+            residual_maps(result.image_after - result.measured, names, pixel_m=pixel),
+            "simulated less measured",
+            "Simulated after calibration, with the camera's gains, less measured.",
+        ),
+    ]

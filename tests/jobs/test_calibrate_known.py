@@ -1,0 +1,127 @@
+"""A small plot whose plants are known, calibrated to a noisy image of other traits."""
+
+import json
+import re
+
+import jax.numpy as jnp
+import jsonschema
+import numpy as np
+import pytest
+
+from fynjax._core.errors import InputError
+from fynjax.assembly import aim_at_plot, prepare
+from fynjax.inversion import calibrate_known_plants
+from fynjax.inversion._known_plants import PixelModel, block_of
+from fynjax.io.plot import Air, drone_sensor, read_plot
+from fynjax.io.raster import write_geotiff
+from fynjax.jobs import calibrate
+from fynjax.jobs._schemas import json_schema
+from fynjax.metrics import BANDS
+from tests.io.test_crowns import CROWNS, write
+from tests.scene.plots import small_plot
+
+pytestmark = pytest.mark.slow
+MORE = """
+[sensor]
+pixel_m = 0.1
+[calibration]
+free = ["species.Erica*.leaf.chlorophyll", "species.*.dead_fraction", "ground.brightness",
+        "species.Erica*.diameter", "species.*.cover"]
+pixel_sd = 0.01
+"""
+CROWDED = (
+    CROWNS
+    + """Erica irregularis,0.4,1.5,50,0.5
+Restio eleocharis,1.6,1.3,40,0.4
+Restio eleocharis,0.9,0.8,30,0.4
+"""
+)
+GAIN = np.array([1.03, 0.98, 1.0, 1.02])
+TRUTH = np.array([1.0, -0.8, 0.6, -1.0, 0.7])
+"""In whitened coordinates."""
+
+
+@pytest.fixture(scope="module")
+def twin(tmp_path_factory):
+    """(plot file, image file, pixel model, its space, the truth, result)."""
+    folder = tmp_path_factory.mktemp("known")
+    path = write(folder, CROWDED, more=MORE)
+    plot = read_plot(path)
+    ready = prepare(plot, None, seed=0)
+    camera = aim_at_plot(
+        plot, ready.scene, ready.parameters, drone_sensor(plot),
+        altitude=plot.sensor.altitude_m, pixel=0.1, air=Air("none"), quiet=True,
+    )  # fmt: skip
+    model = PixelModel(ready.scene, ready.parameters, ready.space.names, camera, 1)
+    truth = ready.space.physical(jnp.asarray(TRUTH))
+    image = np.asarray(model.image(truth), float) * GAIN[:, None, None]
+    image *= 1.0 + 0.01 * np.random.default_rng(3).normal(size=image.shape)
+    write_geotiff(folder / "drone.tif", image, list(BANDS), pixel_m=0.1)
+    result = calibrate(path, folder / "drone.tif", folder / "out")
+    return path, folder / "drone.tif", model, ready.space, truth, result
+
+
+def test_traits_of_known_plants_come_out_within_their_intervals(twin):
+    *_, space, truth, result = twin
+    assert len(space.names) == 5  # covers are not free
+    assert result.converged
+    rows = {row.name: row for row in result.parameters}
+    for name, value in zip(space.names, np.asarray(truth)):
+        row = rows[name]
+        shown = value * (100.0 if row.unit == "cm" else 1.0)
+        assert abs(row.estimate - shown) < 3.0 * row.sd, name
+        assert row.constrained > 0.9, name
+    # Noise of 1 % and nothing else: the misfit is the chi-square of as many values.
+    said = " ".join(result.headline)
+    chi2 = float(said.split("chi-square ")[1].split(" ")[0])
+    assert abs(chi2 - 1600) < 4.0 * np.sqrt(2 * 1600)
+    error = float(said.split(" % after")[0].split()[-1])
+    assert 0.9 < error < 1.2  # of the band's mean, as the noise is of a pixel
+    found = [float(gain) for gain in re.findall(r"([\d.]+) ±", said)]
+    np.testing.assert_allclose(found, GAIN, atol=0.01)
+
+
+def test_the_result_and_its_files_are_as_documented(twin):
+    path, *_, result = twin
+    jsonschema.validate(json.loads(result.model_dump_json()), json_schema("summary"))
+    for file in ("parameters.csv", "image_after.tif", "residual.png", "report.html"):
+        assert (path.parent / "out" / file).is_file()
+    assert {row.statistic for row in result.statistics} == {f"{band}.mean" for band in BANDS}
+
+
+def test_slopes_of_pixels_are_those_of_differences(twin):
+    _, _, model, space, truth, _ = twin
+    values = np.asarray(truth)
+    image, slopes = model.slopes(jnp.asarray(values))
+    weight = np.random.default_rng(0).normal(size=image.shape)
+    for i, name in enumerate(space.names):
+        step = 0.002 * values[i] * np.eye(len(values))[i]  # few elements change their voxel
+        up, down = (np.asarray(model.image(jnp.asarray(values + s)), float) for s in (step, -step))
+        difference = np.sum(weight * (up - down)) / (2.0 * step[i])
+        assert np.sum(weight * slopes[i]) == pytest.approx(difference, rel=0.02), name
+
+
+def test_images_that_do_not_fit_are_refused(twin, tmp_path):
+    path, image, model, space, *_ = twin
+    half = np.full((4, 10, 20), 0.2)
+    write_geotiff(tmp_path / "half.tif", half, list(BANDS), pixel_m=0.1)
+    with pytest.raises(InputError, match="expected an image of the whole plot"):
+        calibrate(path, tmp_path / "half.tif", tmp_path / "out")
+    with pytest.raises(InputError, match="the image alone"):
+        calibrate(path, [image, image], tmp_path / "out")
+    full = np.full((4, 20, 20), 0.2)
+    call = (space, model.camera)
+    with pytest.raises(InputError, match="4 bands, 20 rows"):
+        calibrate_known_plants(model.scene, model.parameters, half, *call)
+    with pytest.raises(InputError, match="no block of"):
+        calibrate_known_plants(model.scene, model.parameters, np.nan * full, *call)
+    with pytest.raises(InputError, match="plants are known"):
+        calibrate_known_plants(small_plot(), model.parameters, full, *call)
+    with pytest.raises(InputError, match="must be positive"):
+        calibrate_known_plants(model.scene, model.parameters, full, *call, pixel_sd=0.0)
+
+
+def test_blocks_are_as_small_as_the_values_allow():
+    assert block_of(4, (100, 100)) == 1
+    assert block_of(4, (200, 200)) == 2
+    assert block_of(4, (400, 400)) == 4
