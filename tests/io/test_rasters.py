@@ -1,5 +1,8 @@
 """GeoTIFFs, checked by rasterio alone; what comes back is what went in."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import rasterio
@@ -241,3 +244,15 @@ def test_a_virtual_raster_reads_its_own_folder_only_and_no_network(tmp_path, ima
     for other in (service, "/vsicurl/http://127.0.0.1:9/image.tif"):
         with pytest.raises(InputError), open_raster(other, "a map"):
             pass
+
+
+def test_the_first_raster_of_a_process_is_read(tmp_path, image):
+    write(tmp_path / "image.tif", image)
+    code = (
+        "import sys; from fynjax.io.raster import open_raster\n"
+        "with open_raster(sys.argv[1], 'an image') as raster: print(raster.shape)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, tmp_path / "image.tif"], capture_output=True, text=True
+    )
+    assert done.stdout == "(30, 20)\n", done.stderr

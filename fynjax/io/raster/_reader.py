@@ -434,7 +434,8 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            dataset = rasterio.io.DatasetReader(path, driver=list(_FORMATS))
+            with rasterio.Env():  # registers GDAL's drivers; `rasterio.open` takes one name only
+                dataset = rasterio.io.DatasetReader(path, driver=list(_FORMATS))
         with dataset:
             if not dataset.count:
                 raise InputError(f"expected {what}, but GDAL sees no bands in it", file=path)
