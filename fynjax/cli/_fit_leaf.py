@@ -25,6 +25,13 @@ class LeafShape(StrEnum):
     culm = "culm"
 
 
+class Area(StrEnum):
+    """Areas that contents are stated per."""
+
+    projected = "projected"
+    half_total = "half_total"
+
+
 class Domain(StrEnum):
     """Wavelengths that enter the fit."""
 
@@ -92,12 +99,33 @@ def fit_leaf(
     spectra: Spectra,
     version: Annotated[Version, typer.Option(help="PROSPECT version.")] = Version.D,
     measurement: Annotated[
-        str, typer.Option(help="How it was measured: sphere, leaf-clip, or stack (needle mats).")
+        str,
+        typer.Option(
+            help="How it was measured: sphere, leaf-clip, probe, or stack (piles, needle mats)."
+        ),
     ] = "sphere",
+    background: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|NUMBER",
+            help="Reflectance behind the leaf of a clip or probe; black by default.",
+        ),
+    ] = None,
+    over_background: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Second readings of the same leaves over --background (repeat for files); the "
+            "first are then over black, and transmittance follows."
+        ),
+    ] = None,
     leaf_shape: Annotated[
         LeafShape,
         typer.Option(help="Of needles and culms the gaps between them are estimated as well."),
     ] = LeafShape.broad,
+    area: Annotated[
+        Area,
+        typer.Option(help="Contents per projected area, or per half of the surface of the leaf."),
+    ] = Area.projected,
     domain: Annotated[
         Domain, typer.Option(help="Wavelengths to fit: all, or the published sub-domains.")
     ] = Domain.full,
@@ -131,6 +159,14 @@ def fit_leaf(
     existing_spectra(spectra)
     further: dict[str, Any] = {}
     existing_panel(panel)
+    if background is not None:
+        further["background"] = background
+    if over_background:
+        further["over_background"] = [
+            existing_file(path, "a reading over the background") for path in over_background
+        ]
+    if area is not Area.projected:
+        further["area"] = area.value
     if detector_changes is not None:
         further["detector_changes"] = _wavelengths(detector_changes)
     if groups is not None:

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from fynjax import leaf
 from fynjax._core.errors import InputError
@@ -15,6 +16,7 @@ from fynjax.io.spectra import (
     note,
     posterior_dataset,
     prior_decides,
+    read_curve,
     species_table,
     spectra_dataset,
     traits_table,
@@ -36,14 +38,21 @@ from fynjax.leaf import (
     AbstractMeasurement,
     FitDomain,
     IntegratingSphere,
+    LeafArea,
     LeafClip,
     LeafFit,
     LeafOverBackground,
+    LeafShape,
     LeafStack,
     ProspectVersion,
+    area_factors,
+    bin_centres,
     correct_detector_jumps,
     fit_leaf_groups,
+    resolved_by_two_readings,
     sample_leaf_posterior,
+    to_bins,
+    transmittance_from_two_readings,
 )
 from fynjax.report.figures import leaf_fit_figure
 from fynjax.report.pages import Picture
@@ -51,10 +60,9 @@ from fynjax.report.pages import Picture
 MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
     "sphere": IntegratingSphere,
     "leaf-clip": LeafClip,
+    "probe": LeafClip,
     "stack": LeafStack,
 }
-LeafShape = Literal["broad", "needle", "culm"]
-"""Shape of the leaves of a file: broad leaves fill the field of view, the others leave gaps."""
 Sampling = Literal["none", "emcee", "nuts"]
 """How the posterior is sampled, if at all."""
 _GRID = np.arange(350.0, 2501.0)
@@ -73,25 +81,90 @@ class FitLeafResult(JobResult):
     repairs: list[SpectrumRepair]
 
 
-def _measurement(name: str, shape: str) -> AbstractMeasurement:
-    """What the instrument records of leaves of a shape.
+def _measurement(
+    name: str, shape: LeafShape, background: Float[np.ndarray, " band"] | None
+) -> AbstractMeasurement:
+    """What the instrument records of leaves of a shape over a background on the file's grid.
 
     Behind the gaps of needles and culms lies the light trap of a sphere, or a face that need not be
-    black; a thick pile has no gaps.
+    black; a thick pile has no gaps and hides what is behind.
     """
     if name not in MEASUREMENTS:
         raise InputError(f"`measurement` must be one of {', '.join(MEASUREMENTS)}, but is {name!r}")
-    if shape not in get_args(LeafShape):
-        known = ", ".join(get_args(LeafShape))
-        raise InputError(f"`leaf_shape` must be one of {known}, but is {shape!r}")
     single = MEASUREMENTS[name]()
-    if shape == "broad" or name == "stack":
+    if name == "stack" or (shape == "broad" and background is None):
         return single
+    behind: Any = 0.0 if name == "sphere" else None
+    if background is not None:
+        binned = to_bins(_GRID, background)
+        have = np.isfinite(binned)
+        behind = np.interp(bin_centres(), bin_centres()[have], binned[have])
     return LeafOverBackground(
-        background=None if name == "leaf-clip" else 0.0,
-        gap_fraction=None,
+        background=behind,
+        gap_fraction=0.0 if shape == "broad" else None,
         offset_deviation=single.offset_deviation,
     )
+
+
+def _background(given: str | Path | float, measurement: str) -> Float[np.ndarray, " band"]:
+    """Reflectance behind the leaves on the file's grid: a number, or the table of that name."""
+    if measurement not in ("leaf-clip", "probe"):
+        raise InputError(
+            f"a background is that of a leaf clip or a probe, but `measurement` is {measurement!r}"
+        )
+    try:
+        level = float(str(given))
+    except ValueError:
+        wavelength, values = read_curve(str(given), "the background")
+        return np.interp(_GRID, wavelength, values, left=np.nan, right=np.nan)
+    if not 0.0 < level <= 1.0:
+        raise InputError(f"`background` must be a reflectance of 0 to 1, but is {level:g}")
+    return np.full(_GRID.shape, level)
+
+
+def _transmittances(
+    over_black: Float[np.ndarray, "leaf band"],
+    first: list[Spectrum],
+    second: list[Spectrum],
+    background: Float[np.ndarray, " band"],
+) -> Float[np.ndarray, "leaf band"]:
+    """T of each leaf from its readings over black and over the background, with a note; NaN where
+    the leaf is opaque to the method.
+
+    Readings belong together by name, or by their order if the names differ.
+    """
+    names = [spectrum.name for spectrum in first]
+    by_name = {spectrum.name: spectrum for spectrum in second}
+    if set(by_name) == set(names):
+        second = [by_name[name] for name in names]
+    if len(second) != len(first):
+        raise InputError(
+            f"each leaf needs a reading over the background, but of {len(first)} leaves there are "
+            f"{len(second)}"
+        )
+    for spectrum in first:
+        if spectrum.transmittance is not None:
+            raise InputError(
+                f"the transmittance of {spectrum.name!r} was measured, so readings over the "
+                "background are one too many"
+            )
+    over = np.stack([_on_grid(spectrum, spectrum.reflectance) for spectrum in second])
+    through = np.asarray(transmittance_from_two_readings(over_black, over, background))
+    # By bins of the fit: the bands left of a bin would be its brighter ones.
+    centres = bin_centres()
+    nearest = np.searchsorted((centres[1:] + centres[:-1]) / 2, _GRID, side="right")
+    binned = (to_bins(_GRID, values) for values in (over_black, through, background))
+    known = resolved_by_two_readings(*binned)[:, nearest]
+    inside = (_GRID >= 450.0) & (_GRID <= 2400.0) & np.isfinite(over_black + over + background)
+    for spectrum, row, resolved in zip(first, inside, known):
+        if not row.any():
+            raise InputError(f"the readings of {spectrum.name!r} have no bands in common")
+        opaque = (row & ~resolved).sum() / row.sum()
+        note(
+            spectrum.meta,
+            f"transmittance from two readings; too opaque for it at {100 * opaque:.0f} % of bands",
+        )
+    return np.where(known, through, np.nan)
 
 
 def _without_jumps(spectrum: Spectrum, changes: Sequence[float] | None) -> Spectrum:
@@ -161,13 +234,26 @@ def _on_grid(spectrum: Spectrum, values: np.ndarray | None) -> np.ndarray:
     return np.where(gap <= 25.0, result, np.nan)
 
 
+def _read(
+    paths: Sequence[str | Path],
+    panel: str | Path | None,
+    detector_changes: Sequence[float] | None,
+) -> tuple[list[tuple[str, Spectrum]], list[tuple[str, str, InputError]]]:
+    """`usable_spectra` of files, without the jumps of their detectors."""
+    spectra, refused = usable_spectra(paths, panel)
+    return [(file, _without_jumps(s, detector_changes)) for file, s in spectra], refused
+
+
 def fit_leaf(
     paths: Sequence[str | Path],
     output: str | Path,
     *,
     version: ProspectVersion = "D",
     measurement: str = "sphere",
+    background: str | Path | float | None = None,
+    over_background: Sequence[str | Path] = (),
     leaf_shape: LeafShape = "broad",
+    area: LeafArea = "projected",
     domain: FitDomain = "full",
     panel: str | Path | None = None,
     detector_changes: Sequence[float] | None = None,
@@ -187,10 +273,18 @@ def fit_leaf(
     - `paths`: files of any format that `read_spectra` takes, and folders of them.
     - `output`: folder, made if missing.
     - `version`: "5", "D" or "PRO".
-    - `measurement`: "sphere", "leaf-clip" or "stack".
+    - `measurement`: "sphere", "leaf-clip", "probe" or "stack", see the classes of
+      `fynjax.leaf` for what each identifies.
+    - `background`: reflectance behind the leaf of a clip or probe, a number or a file; black by
+      default. Where it is missing the leaf's reading is left out.
+    - `over_background`: files of second readings of the same leaves, over `background`; those of
+      `paths` are then over black, and transmittance follows from both
+      (`transmittance_from_two_readings`).
     - `leaf_shape`: "broad", "needle" or "culm". Needles and culms leave gaps: where transmittance
       was measured their part of the field of view is estimated, of a leaf clip also what lies
       behind.
+    - `area`: what contents are stated per in all tables, "projected" or "half_total", see
+      `fynjax.leaf.area_factor`.
     - `domain`: "full" or "optimal".
     - `panel`: file of the white panel's own reflectance, for spectra relative to it; those of ASD
       files that hold it are absolute already.
@@ -210,11 +304,21 @@ def fit_leaf(
 
     Example: `jobs.fit_leaf(["leaves.csv"], "results", version="PRO")`.
     """
-    instrument = _measurement(measurement, leaf_shape)
-    read, refused = usable_spectra(paths, panel)
-    spectra = [(file, _without_jumps(spectrum, detector_changes)) for file, spectrum in read]
+    behind = None if background is None else _background(background, measurement)
+    if over_background and behind is None:
+        raise InputError("readings over a background need its reflectance, `background`")
+    instrument = _measurement(measurement, leaf_shape, None if over_background else behind)
+    factors = area_factors(area, leaf_shape)
+    spectra, refused = _read(paths, panel, detector_changes)
     r = np.stack([_on_grid(s, s.reflectance) for _, s in spectra])
     t = np.stack([_on_grid(s, s.transmittance) for _, s in spectra])
+    if over_background and behind is not None:
+        second, bad = _read(over_background, panel, detector_changes)
+        if bad:
+            raise bad[0][2]
+        t = _transmittances(r, [s for _, s in spectra], [s for _, s in second], behind)
+    elif behind is not None:
+        r = np.where(np.isfinite(behind), r, np.nan)
     files, names = [f for f, _ in spectra], [s.name for _, s in spectra]
     run = Run(output, seed=seed, progress=progress)
     options: dict[str, Any] = {
@@ -230,11 +334,11 @@ def fit_leaf(
         "prospect_version": version,
         "measurement": measurement,
         "leaf_shape": leaf_shape,
-        "area": "projected",
+        "area": area,
         "domain": domain,
         "seed": str(seed),
     }
-    table = traits_table(fit, files, names)
+    table = traits_table(fit, files, names, area, factors)
     table["repairs"] = ["; ".join(s.meta["repairs"]) for _, s in spectra]
     if refused:
         rows = [{"file": f, "name": n, "status": f"refused: {e}"} for f, n, e in refused]
@@ -242,18 +346,19 @@ def fit_leaf(
     what = "parameters, deviations, 90 % intervals and status of each spectrum"
     write_traits_csv(table, run.path("traits.csv", what))
     what = "measured, fitted and predicted R and T on the fit's bins"
-    dataset = spectra_dataset(fit, files, names, settings)
+    dataset = spectra_dataset(fit, files, names, settings, factors)
     write_spectra_netcdf(dataset, run.path("spectra.nc", what))
     run.picture(Picture("spectra.png", leaf_fit_figure(fit, names), "measured and fitted spectra"))
     if together is not None:
         what = "mean leaf and material variants of each species"
-        write_traits_csv(species_table(together, seed), run.path("species.csv", what))
+        leaves = species_table(together, seed, area, factors)
+        write_traits_csv(leaves, run.path("species.csv", what))
     if posterior != "none":
         draws = sample_leaf_posterior(
             _GRID, r, t, sampler=posterior, seed=seed, progress=run.progress, **options
         )
         what = "draws of the parameters and of T from the posterior"
-        dataset = posterior_dataset(draws, fit, files, names, settings)
+        dataset = posterior_dataset(draws, fit, files, names, settings, factors)
         write_spectra_netcdf(dataset, run.path("posterior.nc", what))
     return _result(run, fit, spectra, refused)
 

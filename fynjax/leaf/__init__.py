@@ -4,13 +4,16 @@ Importing it lets JAX compute in 64 bits, unless `JAX_ENABLE_X64=0` is in the en
 """
 
 from fynjax._core.precision import enable_double_precision
+from fynjax.leaf._area import FLAT, ROUND, LeafArea, LeafShape, area_factors
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._detectors import LARGEST_JUMP, correct_detector_jumps
 from fynjax.leaf._error_model import (
     ErrorModel,
+    bin_centres,
     default_error_model,
     estimate_error_model,
     independent_error_model,
+    to_bins,
 )
 from fynjax.leaf._fit import LeafFit, LeafStatus, fit_leaf
 from fynjax.leaf._groups import LeafGroups, fit_leaf_groups
@@ -21,6 +24,7 @@ from fynjax.leaf._measurement import (
     LeafClip,
     LeafOverBackground,
     LeafStack,
+    resolved_by_two_readings,
     transmittance_from_two_readings,
 )
 from fynjax.leaf._parameters import (
@@ -37,14 +41,17 @@ from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
 enable_double_precision()
 
 __all__ = [
+    "FLAT",
     "LARGEST_JUMP",
     "LEAF_PARAMETERS",
     "MEASUREMENT_PARAMETERS",
+    "ROUND",
     "AbstractMeasurement",
     "ErrorModel",
     "FitDomain",
     "IntegratingSphere",
     "Leaf",
+    "LeafArea",
     "LeafClip",
     "LeafFit",
     "LeafGroups",
@@ -52,9 +59,12 @@ __all__ = [
     "LeafOverBackground",
     "LeafParameters",
     "LeafPosterior",
+    "LeafShape",
     "LeafStack",
     "LeafStatus",
     "ProspectVersion",
+    "area_factors",
+    "bin_centres",
     "correct_detector_jumps",
     "default_error_model",
     "estimate_error_model",
@@ -65,7 +75,9 @@ __all__ = [
     "interface_transmissivity",
     "layer_absorptance",
     "prospect",
+    "resolved_by_two_readings",
     "sample_leaf_posterior",
     "structure_from_dry_matter",
+    "to_bins",
     "transmittance_from_two_readings",
 ]

@@ -5,7 +5,8 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from fynjax._core.parameters import Parameter
 
@@ -35,6 +36,12 @@ MEASUREMENT_PARAMETERS = {
 }
 """What a fit can estimate of a measurement with each leaf, with wide priors."""
 
+# Behind a leaf: moves its R at 1130 nm by less than 0.01.
+_DARK = 0.05
+# Repeatability of a field spectrometer's reflectance, and the error of a transmittance from two
+# readings beyond which it says less than the model of the leaf [-].
+_REPEATABILITY, _TOLERATED = 0.002, 0.03
+
 
 class AbstractMeasurement(eqx.Module):
     """How the recorded reflectance and transmittance follow from those of a leaf."""
@@ -46,6 +53,12 @@ class AbstractMeasurement(eqx.Module):
     def estimated(self) -> tuple[str, ...]:
         """Names of `MEASUREMENT_PARAMETERS` that a fit estimates with each leaf."""
         return ()
+
+    @property
+    def leaf_alone(self) -> bool:
+        """Whether R is that of one leaf with nothing bright behind it, so that its level in the
+        near infrared says something of N."""
+        return True
 
     @abc.abstractmethod
     def observe(
@@ -81,6 +94,9 @@ class IntegratingSphere(AbstractMeasurement):
 class LeafClip(AbstractMeasurement):
     """A leaf clip or contact probe over a black face: R + b, with b from specular reflection.
 
+    R alone, so N and the absorbers trade off as of a sphere's R, and with b as well: pigments and
+    water are identified better than N, dry matter least. A face that is not black counts as b.
+
     COSINE with equal angles of light and view (Jay et al. 2016, Remote Sensing of Environment 177,
     220-236). The offset b is marginalised under its prior: as a free parameter it lowers the misfit
     and doubles the error of the water content, because the data do not identify it apart from N.
@@ -103,7 +119,9 @@ class LeafOverBackground(AbstractMeasurement):
     the leaf, meets the background and returns (a geometric series), and the part g of the field of
     view without leaf. What is `None` is estimated with each leaf. T where leaves are opaque (red,
     1940 nm) identifies g. R alone identifies neither: a leaf without T counts as one over black
-    without gaps.
+    without gaps. Over a known bright background R holds R + T^2 B, which identifies what is
+    absorbed, water and dry matter better than R over black does, but not N, whose prior decides,
+    nor therefore T.
     """
 
     background: Float[Any, " band"] | None = 0.0
@@ -119,6 +137,11 @@ class LeafOverBackground(AbstractMeasurement):
         """Those of gap fraction and background that are `None`."""
         names = ("gap_fraction", "background")
         return tuple(name for name in names if getattr(self, name) is None)
+
+    @property
+    def leaf_alone(self) -> bool:
+        """With a background that is black or counts as such without transmittance."""
+        return self.background is None or not np.any(np.asarray(self.background) > _DARK)
 
     def observe(
         self, reflectance: Array, transmittance: Array, *estimated: Array
@@ -142,6 +165,11 @@ class LeafStack(AbstractMeasurement):
     offset_deviation: float = 0.02
     """Prior standard deviation of an offset of R [-]."""
 
+    @property
+    def leaf_alone(self) -> bool:
+        """Many leaves."""
+        return False
+
     def observe(
         self, reflectance: Array, transmittance: Array, *estimated: Array
     ) -> tuple[Array, Array]:
@@ -163,6 +191,11 @@ def transmittance_from_two_readings(
     T^2 = (R_w - R)(1 / B - R), from R_w = R + T^2 B / (1 - R B) for a Lambertian leaf over a black
     face that reflects nothing and a white face of reflectance B.
 
+    An offset common to both readings, such as shine, nearly cancels. A relative error of B of 2 %
+    is one of some 1 % / (1 - R B) of T, at all bands. Not identified: T where the leaf is nearly
+    opaque (`resolved_by_two_readings`), and light that leaves a thick leaf sideways, which counts
+    as absorbed.
+
     **Arguments:** `over_black`, `over_white`: reflectance of the leaf over the black and the white
     face, R and R_w [-]; `white`: reflectance B of the white face [-]. Shape [band], or a number.
 
@@ -172,3 +205,21 @@ def transmittance_from_two_readings(
     r, w, b = jnp.asarray(over_black), jnp.asarray(over_white), jnp.asarray(white)
     square = (w - r) * (1.0 / b - r)
     return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
+
+
+def resolved_by_two_readings(
+    over_black: Float[Any, " band"], through: Float[Any, " band"], white: Float[Any, " band"]
+) -> Bool[np.ndarray, " band"]:
+    """Where `transmittance_from_two_readings` is better known than to 0.03.
+
+    Its error by two readings that repeat within 0.002 is 0.002 sqrt(2) (1 / B - R) / (2 T): a leaf
+    of T below some 0.03 to 0.05 is opaque to this method.
+
+    **Arguments:** `over_black`: R [-]; `through`: T [-]; `white`: B [-]; shape [band].
+
+    **Returns:** a mask [band]. NumPy.
+    """
+    r, t, b = (np.asarray(a, float) for a in (over_black, through, white))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = _REPEATABILITY * (1.0 / b - r) / (np.sqrt(2.0) * t)
+        return error < _TOLERATED

@@ -217,7 +217,7 @@ def leaf_priors(
     """Prior mean and precision of each leaf.
 
     With R or T missing, N and the absorbers trade off against each other, and the plateau in the
-    near infrared constrains N.
+    near infrared constrains N; not of a pile of leaves, nor of one over a bright background.
     """
     count, size = len(data), len(setup.names)
     band = int(np.argmin(np.abs(bin_centres() - _LINE_BAND)))
@@ -234,7 +234,7 @@ def leaf_priors(
     # What the line says beyond the bounds counts as at their edge, where its weight is small.
     unit = np.clip((slope * ratio + offset - low) / (high - low), 0.02, 0.98)
     deviation = _LINE_DEVIATION / ((high - low) * unit * (1.0 - unit))
-    known = "structure" in setup.free
+    known = "structure" in setup.free and setup.optics.measurement.leaf_alone
     weight = np.where((by_r | by_t) & known, deviation**-2.0, 0.0)
     precision = np.tile(setup.prior_precision, (count, 1, 1))
     pull = np.tile(setup.prior_precision @ setup.prior_mean, (count, 1))

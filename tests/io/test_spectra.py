@@ -9,12 +9,14 @@ import pandas as pd
 import pytest
 import xarray as xr
 
+from fynjax import leaf
 from fynjax._core.errors import InputError
 from fynjax.cli import main
+from fynjax.io.spectra import spectra_dataset, traits_table
 from fynjax.io.spectra._read import read_spectra
 from fynjax.jobs._convert import convert
 from fynjax.jobs._fit_leaf import fit_leaf
-from fynjax.leaf import LeafParameters, prospect
+from fynjax.leaf import LeafParameters, area_factors, prospect
 from tests.helpers import assert_valid_summary
 
 WAVELENGTH = np.arange(400.0, 2501.0)
@@ -363,6 +365,7 @@ def test_the_command_fits_groups_and_samples_the_posterior(tmp_path, capsys):
     species = pd.read_csv(out / "species.csv")
     assert species.groupby("species").size().to_dict() == {"Erica": 6, "Protea": 6}
     assert species["chlorophyll"].between(20, 70).all()
+    assert set(species["area"]) == {"projected"}
     with xr.open_dataset(out / "posterior.nc") as data:
         assert data["water"].shape == (2, 400)
         assert 0.005 < float(data["water"][0].median()) < 0.02
@@ -440,6 +443,96 @@ def test_panel_and_detectors_of_a_table_are_stated_on_the_command_line(tmp_path,
             main(["fit-leaf", str(plain), "--output", str(tmp_path / "o"), option, value])
         assert caught.value.code
         assert word in capsys.readouterr().err
+
+
+def over(background):
+    """Reading of `LEAF` over a background (the series of light to and fro)."""
+    return R + T**2 * background / (1 - R * background)
+
+
+def test_readings_over_black_and_white_give_transmittance(tmp_path):
+    """Two readings of a clip identify T as a sphere does, but where the leaf is opaque."""
+    dark = prospect(LeafParameters(chlorophyll=90.0))
+    r, t = np.asarray(dark.reflectance), np.asarray(dark.transmittance)
+    white = 0.95 - 1e-4 * (WAVELENGTH - 400) / 3
+    back = table(tmp_path / "white.csv", {"wavelength": WAVELENGTH, "white": white})
+    black = table(tmp_path / "b.csv", {"wavelength": WAVELENGTH, "leaf": R, "dark": r})
+    bright = r + t**2 * white / (1 - r * white)
+    second = table(
+        tmp_path / "w.csv", {"wavelength": WAVELENGTH, "dark": bright, "leaf": over(white)}
+    )
+    with pytest.raises(SystemExit) as caught:
+        main(["fit-leaf", str(black), "--over-background", str(second), "--background", str(back),
+              "--measurement", "leaf-clip", "--output", str(tmp_path / "out")])  # fmt: skip
+    assert not caught.value.code
+    with xr.open_dataset(tmp_path / "out" / "spectra.nc") as data:
+        got = data["measured_transmittance"].sel(wavelength=slice(450, 2390)).values
+        grid = data["wavelength"].sel(wavelength=slice(450, 2390)).values
+    for values, truth in zip(got, (T, t)):
+        known = np.isfinite(values)
+        np.testing.assert_allclose(
+            values[known], np.interp(grid[known], WAVELENGTH, truth), atol=5e-3
+        )
+        assert np.interp(grid[~known], WAVELENGTH, truth).max(initial=0) < 0.05
+    assert np.isnan(got[1]).sum() > 5
+    traits = pd.read_csv(tmp_path / "out" / "traits.csv").set_index("name")
+    np.testing.assert_allclose(traits.loc["leaf", "structure"], 1.5, atol=0.05)
+    np.testing.assert_allclose(traits["chlorophyll"], [40.0, 90.0], rtol=0.1)
+    assert "opaque for it at 8 %" in traits.loc["leaf", "repairs"]
+
+
+def test_what_lies_behind_a_clip_is_told_from_the_leaf(tmp_path):
+    """Over a known white face chlorophyll and water come out; taken for black they do not."""
+    reading = table(tmp_path / "a.csv", {"wavelength": WAVELENGTH, "a": over(0.9)})
+    fits = {}
+    for behind in (0.9, None):
+        fit_leaf([reading], tmp_path / "out", measurement="leaf-clip", background=behind)
+        fits[behind] = pd.read_csv(tmp_path / "out" / "traits.csv").iloc[0]
+    for trait, truth in (("chlorophyll", 40.0), ("water", 0.01)):
+        assert abs(np.log(fits[0.9][trait] / truth)) < 0.1
+        assert abs(np.log(fits[None][trait] / truth)) > 0.3
+        assert fits[0.9][f"{trait}_lower90"] < truth < fits[0.9][f"{trait}_upper90"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"background": 0.9}, "`measurement` is 'sphere'"),
+        ({"background": 90, "measurement": "probe"}, "0 to 1"),
+        ({"over_background": ["w.csv"], "measurement": "probe"}, "need its reflectance"),
+        ({"over_background": ["w.csv"], "background": 0.9, "measurement": "probe"}, "there are 1"),
+        ({"over_background": ["t.csv"], "background": 0.9, "measurement": "probe"}, "too many"),
+        ({"area": "surface"}, "`area` must be one of projected, half_total"),
+    ],
+)
+def test_options_that_do_not_go_together(tmp_path, monkeypatch, options, message):
+    monkeypatch.chdir(tmp_path)
+    table(tmp_path / "w.csv", {"wavelength": WAVELENGTH, "a": R})
+    paths = [table(tmp_path / "t.csv", {"wavelength": WAVELENGTH, "a_R": R, "a_T": T, "b": R})]
+    if options.get("over_background") == ["t.csv"]:
+        options = options | {"over_background": paths}
+    with pytest.raises(InputError, match=message):
+        fit_leaf(paths, tmp_path / "out", **options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_every_table_states_its_area(tmp_path):
+    """Contents of round leaves per half of the surface are 2 / pi of those per projected area."""
+    assert area_factors("half_total", "broad") == area_factors("projected", "needle")
+    factors = area_factors("half_total", "culm")
+    fit = leaf.fit_leaf(WAVELENGTH, np.stack([R, 0.9 * R]))
+    names = ["a", "b"]
+    flat, round_ = (
+        traits_table(fit, names, names, *state) for state in ((), ("half_total", factors))
+    )
+    assert set(flat["area"]) == {"projected"}
+    assert set(round_["area"]) == {"half_total"}
+    for name in ("chlorophyll", "dry_matter_sd", "water_lower90"):
+        np.testing.assert_allclose(round_[name], 2 / np.pi * flat[name])
+    np.testing.assert_array_equal(round_["structure_sd"], flat["structure_sd"])
+    data = spectra_dataset(fit, names, names, {"area": "half_total"}, factors)
+    np.testing.assert_allclose(data["carotenoids_sd"], round_["carotenoids_sd"])
+    assert data.attrs["area"] == "half_total"
 
 
 def test_an_unknown_panel_is_said_once(tmp_path):

@@ -1,6 +1,6 @@
 """Traits and spectra of fitted leaves, as CSV and NetCDF."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -11,38 +11,55 @@ import xarray as xr
 
 import fynjax
 from fynjax.io.text import atomic_path
-from fynjax.leaf import LEAF_PARAMETERS, LeafFit, LeafGroups, LeafPosterior
+from fynjax.leaf import (
+    LEAF_PARAMETERS,
+    LeafArea,
+    LeafFit,
+    LeafGroups,
+    LeafParameters,
+    LeafPosterior,
+    area_factors,
+)
 
 _UNITS = {name: "1" if p.unit == "-" else p.unit for name, p in LEAF_PARAMETERS.items()}
 """Units as the CF conventions write them."""
+PROJECTED = area_factors("projected", "broad")
+"""Contents as spectra give them."""
 
 
-def traits_table(fit: LeafFit, files: Sequence[str], names: Sequence[str]) -> pd.DataFrame:
+def traits_table(
+    fit: LeafFit,
+    files: Sequence[str],
+    names: Sequence[str],
+    area: LeafArea = "projected",
+    factors: Mapping[str, float] = PROJECTED,
+) -> pd.DataFrame:
     """Traits of fitted leaves, one row for each spectrum.
 
     **Arguments:**
 
     - `fit`: of `fynjax.leaf.fit_leaf`, with one leaf for each spectrum.
     - `files`, `names`: file and name of each spectrum.
+    - `area`, `factors`: what contents are stated per, and `fynjax.leaf.area_factors` of that.
 
     **Returns:** file, name, parameters (units of `LeafParameters`), their standard deviations and
     the ends of their 90 % intervals, what was estimated of the measurement, rmse of the fit [-],
-    inflation of the error [-], traits that the prior decides, and status. Traits are per projected
-    area of the leaf: of a cylinder, half of its surface is 1.57 times that.
+    inflation of the error [-], the area, traits that the prior decides, and status.
     """
     columns: dict[str, Any] = {"file": list(files), "name": list(names)}
     for i, name in enumerate(fit.names):
-        columns[name] = np.asarray(getattr(fit.parameters, name))
-        columns[f"{name}_sd"] = fit.standard_deviation[:, i]
-        columns[f"{name}_lower90"] = fit.lower[:, i]
-        columns[f"{name}_upper90"] = fit.upper[:, i]
+        factor = factors[name]
+        columns[name] = factor * np.asarray(getattr(fit.parameters, name))
+        columns[f"{name}_sd"] = factor * fit.standard_deviation[:, i]
+        columns[f"{name}_lower90"] = factor * fit.lower[:, i]
+        columns[f"{name}_upper90"] = factor * fit.upper[:, i]
     for i, name in enumerate(fit.estimated):
         columns[name] = fit.measurement[:, i]
         columns[f"{name}_sd"] = fit.measurement_deviation[:, i]
     columns |= {
         "rmse": fit.rmse,
         "error_inflation": fit.inflation,
-        "area": "projected",
+        "area": area,
         "prior_decides": prior_decides(fit),
         "status": list(fit.status),
     }
@@ -69,7 +86,11 @@ def write_traits_csv(table: pd.DataFrame, path: str | Path) -> None:
 
 
 def spectra_dataset(
-    fit: LeafFit, files: Sequence[str], names: Sequence[str], settings: dict[str, str]
+    fit: LeafFit,
+    files: Sequence[str],
+    names: Sequence[str],
+    settings: dict[str, str],
+    factors: Mapping[str, float] = PROJECTED,
 ) -> xr.Dataset:
     """Measured, fitted and predicted spectra of leaves, and their traits.
 
@@ -77,7 +98,8 @@ def spectra_dataset(
 
     - `fit`: of `fynjax.leaf.fit_leaf`, with one leaf for each spectrum.
     - `files`, `names`: file and name of each spectrum.
-    - `settings`: how the fit was made; they become attributes.
+    - `settings`: how the fit was made, the area of contents too; they become attributes.
+    - `factors`: `fynjax.leaf.area_factors` of that area.
 
     **Returns:** reflectance and transmittance [leaf, wavelength] as fractions [-], with the 90 %
     interval of transmittance; traits [leaf] in the units of `LeafParameters`; wavelength in nm.
@@ -104,10 +126,10 @@ def spectra_dataset(
         for key, (values, text) in tables.items()
     }
     for i, name in enumerate(fit.names):
-        values = np.asarray(getattr(fit.parameters, name))
+        values = factors[name] * np.asarray(getattr(fit.parameters, name))
         attributes = {"units": _UNITS[name], "long_name": name.replace("_", " ")}
         variables[name] = ("leaf", values, attributes)
-        deviation = fit.standard_deviation[:, i]
+        deviation = factors[name] * fit.standard_deviation[:, i]
         text = f"standard deviation of {name.replace('_', ' ')}"
         variables[f"{name}_sd"] = ("leaf", deviation, attributes | {"long_name": text})
     variables["status"] = ("leaf", np.array(fit.status, dtype=object))
@@ -140,24 +162,33 @@ def write_spectra_netcdf(dataset: xr.Dataset, path: str | Path) -> None:
 _VARIANTS = 5
 
 
-def species_table(groups: LeafGroups, seed: int) -> pd.DataFrame:
+def species_table(
+    groups: LeafGroups,
+    seed: int,
+    area: LeafArea = "projected",
+    factors: Mapping[str, float] = PROJECTED,
+) -> pd.DataFrame:
     """The mean leaf of each species (variant 0), and material variants of it.
 
     **Arguments:**
 
     - `groups`: species means and their spread, as `fynjax.leaf` fits them.
     - `seed`: of the variants.
+    - `area`, `factors`: what contents are stated per, and `fynjax.leaf.area_factors` of that.
 
-    **Returns:** species, variant and parameters, in the units of `LeafParameters`.
+    **Returns:** species, variant, the area and parameters, in the units of `LeafParameters`.
     """
     drawn = groups.variants(_VARIANTS, seed)
+    names = [name for name in groups.names if name in LEAF_PARAMETERS]
+
+    def row(species: str, variant: int, leaf: LeafParameters, at: tuple[int, ...]) -> dict:
+        values = {n: factors[n] * float(np.asarray(getattr(leaf, n))[at]) for n in names}
+        return {"species": species, "variant": variant, **values, "area": area}
+
     rows = []
     for g, species in enumerate(groups.groups):
-        mean = {n: float(np.asarray(getattr(groups.mean, n))[g]) for n in groups.names}
-        rows.append({"species": species, "variant": 0, **mean})
-        for v in range(_VARIANTS):
-            values = {n: float(np.asarray(getattr(drawn, n))[g, v]) for n in groups.names}
-            rows.append({"species": species, "variant": v + 1, **values})
+        rows.append(row(species, 0, groups.mean, (g,)))
+        rows += [row(species, v + 1, drawn, (g, v)) for v in range(_VARIANTS)]
     return pd.DataFrame(rows)
 
 
@@ -167,6 +198,7 @@ def posterior_dataset(
     files: Sequence[str],
     names: Sequence[str],
     settings: dict[str, str],
+    factors: Mapping[str, float] = PROJECTED,
 ) -> xr.Dataset:
     """Draws from the posterior of leaves: parameters and transmittance.
 
@@ -175,7 +207,8 @@ def posterior_dataset(
     - `drawn`: the draws, of `fynjax.leaf`.
     - `fit`: from which they started; it holds the wavelengths.
     - `files`, `names`: file and name of each spectrum.
-    - `settings`: how the draws were made; they become attributes.
+    - `settings`: how the draws were made, the area of contents too; they become attributes.
+    - `factors`: `fynjax.leaf.area_factors` of that area.
 
     **Returns:** parameters [leaf, draw] in the units of `LeafParameters`, transmittance [leaf,
     draw, wavelength] as fractions [-], effective number of draws and status of each leaf.
@@ -183,7 +216,7 @@ def posterior_dataset(
     variables: dict[str, Any] = {
         name: (
             ("leaf", "draw"),
-            drawn.samples[:, :, i],
+            factors.get(name, 1.0) * drawn.samples[:, :, i],
             {"units": _UNITS[name], "long_name": name.replace("_", " ")},
         )
         for i, name in enumerate(drawn.names)

@@ -9,12 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from fynjax.io.plot import FACTORS
-
-FLAT, ROUND = 1.0, math.pi / 2
-"""Half of a leaf's surface over its projected area [-]. A trait library divides by the area that
-a scanner sees; light meets half of the surface (Chen and Black 1992, Plant, Cell and Environment
-15:421). The surface of a long convex solid is pi times its mean plan area (Lang 1991,
-Agricultural and Forest Meteorology 54:191): rolled leaves, culms, succulent fingers."""
+from fynjax.leaf import FLAT, ROUND
 
 ERICOID, DOME, TUFT, BROAD, TWINER = (
     "upright_ericoid", "rounded_shrub", "tussock", "broad_leaved", "climber",
