@@ -2,6 +2,7 @@
 
 import csv
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,8 @@ from fynjax.io.spectra._record import Spectrum, note
 _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _WAVELENGTH = re.compile(r"^(wave[ _]?length|wavelen|wvl?|wl|lambda|nm|[uµμ]m|x)\b", re.I)
 _BAND_NAME = re.compile(r"^(?:[A-Za-z_. ]{0,12}?)(\d{3,4}(?:\.\d+)?|[0-2]\.\d+)\s*_?(nm|[uµμ]m)?$")
-# Cells of digits only, with a comma between them: no sign, since -999 may mean a missing value.
-_PLAIN = re.compile(r"(?:[0-9.,]|[eE][-+]?[0-9])+")
+# What is left of plain numbers between commas: no sign, since -999 may mean a missing value.
+_PLAIN = dict.fromkeys(map(ord, "0123456789.,eE "))
 _MISSING = {"", "na", "nan", "null", "none", "-", "#n/a", "-999", "-9999", "-9999.0", "-999.0"}
 _NAME_KEYS = ("name", "id", "sample", "sample_id", "spectrum", "spectra", "file name", "filename")
 _TRAN = re.compile(r"(^|[ _.\-(])(t|tran|trans|transm|transmittance|tau)(?=$|[ _.\-)%])", re.I)
@@ -25,16 +26,36 @@ _REFL = re.compile(r"(^|[ _.\-(])(r|refl|reflectance|rho)(?=$|[ _.\-)%])", re.I)
 class _Rows(Sequence[list[str]]):
     """Rows of cells, split when asked for: thousands of spectra would not fit as text cells."""
 
-    def __init__(self, lines: list[str], split: Callable[[str], list[str]]) -> None:
-        self._lines, self._split = lines, split
+    def __init__(
+        self, lines: list[str], split: Callable[[str], list[str]], *, commas: bool = False
+    ) -> None:
+        self._lines, self._split, self._commas = lines, split, commas
 
     def __len__(self) -> int:
         return len(self._lines)
 
     def __getitem__(self, at: Any) -> Any:
         if isinstance(at, slice):
-            return _Rows(self._lines[at], self._split)
+            return _Rows(self._lines[at], self._split, commas=self._commas)
         return self._split(self._lines[at])
+
+    def numbers(self, at: int, first: int, count: int) -> tuple[list[str], np.ndarray] | None:
+        """The cells of a row before column `first`, and the `count` numbers that are all the rest.
+
+        None unless those are plain numbers between commas: a tenth of the time of cells.
+        """
+        line = self._lines[at]
+        *before, rest = line.split(",", first)
+        signs = rest.replace("e-", "e").replace("E-", "E") if "-" in rest else rest
+        if not self._commas or '"' in line or len(before) != first or signs.translate(_PLAIN):
+            return None
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", DeprecationWarning)
+                values = np.fromstring(rest, sep=",")
+        except (DeprecationWarning, ValueError):  # an empty cell, or one with two points
+            return None
+        return ([cell.strip() for cell in before], values) if values.size == count else None
 
 
 def _rows(text: str) -> _Rows:
@@ -58,7 +79,7 @@ def _rows(text: str) -> _Rows:
             cells = [c.replace(",", ".") if comma.match(c) else c for c in cells]
         return cells
 
-    return _Rows(lines, split)
+    return _Rows(lines, split, commas=sep == ",")
 
 
 def cell_value(cell: str, file: Path, row: int, column: str) -> float:
@@ -70,16 +91,6 @@ def cell_value(cell: str, file: Path, row: int, column: str) -> float:
             f"expected a number, but found {cell!r}", file=file, row=row, column=column
         )
     return float(cell)
-
-
-def _row_values(cells: Sequence[str], file: Path, row: int, columns: Sequence[str]) -> np.ndarray:
-    """Values of a row of cells; one search instead of one a cell where all are plain numbers."""
-    if _PLAIN.fullmatch(",".join(cells)):
-        try:
-            return np.array([float(cell) for cell in cells])
-        except ValueError:
-            pass  # an empty cell, or one with two points: read one by one, with its place
-    return np.array([cell_value(c, file, row, name) for c, name in zip(cells, columns)])
 
 
 def _to_nm(wavelength: np.ndarray, label: str, meta: dict[str, Any], file: Path) -> np.ndarray:
@@ -176,9 +187,7 @@ def _paired(
     ]
 
 
-def _by_row(
-    rows: Sequence[list[str]], bands: dict[int, float], unit: str, file: Path
-) -> list[Spectrum]:
+def _by_row(rows: _Rows, bands: dict[int, float], unit: str, file: Path) -> list[Spectrum]:
     """Wide layout: one row a spectrum, wavelengths as column names."""
     header, base = rows[0], {"format": "table, one row a spectrum"}
     meta: dict[str, Any] = dict(base)
@@ -191,13 +200,20 @@ def _by_row(
         (i for i in others if header[i].lower() in ("measurement", "type", "kind")), None
     )
     records: dict[str, Spectrum] = {}
-    for number, row in enumerate(rows[1:], 2):
-        if len(row) < len(header):
-            raise InputError(
-                f"expected {len(header)} columns, but found {len(row)}; is the file cut short?",
-                file=file, row=number,
-            )  # fmt: skip
-        values = _row_values([row[i] for i in bands], file, number, [header[i] for i in bands])
+    # Bands behind everything else are read at once.
+    last = others == list(range(len(others)))
+    for number in range(2, len(rows) + 1):
+        plain = rows.numbers(number - 1, len(others), len(bands)) if last else None
+        if plain is not None:
+            row, values = plain
+        else:
+            row = rows[number - 1]
+            if len(row) < len(header):
+                raise InputError(
+                    f"expected {len(header)} columns, but found {len(row)}; is the file cut short?",
+                    file=file, row=number,
+                )  # fmt: skip
+            values = np.array([cell_value(row[i], file, number, header[i]) for i in bands])
         name = row[name_at] if name_at is not None and row[name_at] else f"{file.stem}_{number - 1}"
         row_meta = {**meta, "repairs": list(meta.get("repairs", []))}
         row_meta["columns"] = {header[i]: row[i] for i in others}
@@ -256,7 +272,12 @@ def read_text_spectra(text: str, file: Path) -> list[Spectrum]:
         names[1] = file.stem
     start = len(text.splitlines()) - len(body) + 1
     values = np.empty((len(body), width))
-    for number, row in enumerate(body):
+    for number in range(len(body)):
+        plain = body.numbers(number, 0, width)
+        if plain is not None:
+            values[number] = plain[1]
+            continue
+        row = body[number]
         if len(row) != width:
             raise InputError(
                 f"expected {width} columns, but found {len(row)}; is the file cut short?",
