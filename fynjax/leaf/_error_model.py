@@ -63,6 +63,9 @@ class ErrorModel(eqx.Module):
     and laboratory errors. In the logit coordinate, where it is nearly the relative standard
     deviation, for a leaf of inflation 1. The first column is its logarithm at a dry matter of 0.008
     g cm-2, the second the change of that with the logarithm of dry matter [-]."""
+    species_share: Float[np.ndarray, " trait"]
+    """Share of a trait's error, as variance, that leaves of one species have in common; NaN where
+    it is unknown [-]."""
 
 
 # Sub-domains that estimate N, Car, Chl, and EWT with LMA best in several campaigns: Féret et al.
@@ -95,6 +98,7 @@ def estimate_error_model(
     own_share: float = 0.5,
     trait_correlation: Float[np.ndarray, "trait trait"] | None = None,
     trait_discrepancy: Float[np.ndarray, "trait 2"] | None = None,
+    species_share: Float[np.ndarray, " trait"] | None = None,
 ) -> ErrorModel:
     """Factors of the discrepancy between PROSPECT and measured leaves of several data sets.
 
@@ -112,8 +116,8 @@ def estimate_error_model(
     - `factors`: how many principal factors to keep; the rest becomes independent noise.
     - `own_share`: weight of the empirical covariance of the sets, 0 to 1; the rest is the weight of
       the Gaussian process.
-    - `trait_correlation`, `trait_discrepancy`: fields of the model; none, and a quarter, by
-      default.
+    - `trait_correlation`, `trait_discrepancy`, `species_share`: fields of the model; none, a
+      quarter and 0.4 by default.
 
     **Returns:** `ErrorModel` on `bin_centres()`. NumPy; not differentiable.
     """
@@ -156,6 +160,7 @@ def estimate_error_model(
         _distrust(),
         np.eye(len(POPULATION_TRAITS)) if trait_correlation is None else trait_correlation,
         _assumed_discrepancy() if trait_discrepancy is None else trait_discrepancy,
+        _assumed_share() if species_share is None else species_share,
     )
 
 
@@ -164,6 +169,11 @@ def _assumed_discrepancy() -> Float[np.ndarray, "trait 2"]:
     assumed = np.tile([np.log(0.25), 0.0], (len(POPULATION_TRAITS), 1))
     assumed[POPULATION_TRAITS.index("structure"), 0] = -np.inf
     return assumed
+
+
+def _assumed_share() -> Float[np.ndarray, " trait"]:
+    """About the mean over the traits and campaigns of the package's model."""
+    return np.full(len(POPULATION_TRAITS), 0.4)
 
 
 @cache
@@ -183,7 +193,8 @@ def default_error_model() -> ErrorModel:
         traits = pd.read_csv(file, index_col="trait").loc[list(POPULATION_TRAITS)]
     correlation = traits[list(POPULATION_TRAITS)].to_numpy(float)
     discrepancy = traits[["log_discrepancy", "dry_matter_slope"]].to_numpy(float)
-    return ErrorModel(r, t, noise[0], noise[1], _distrust(), correlation, discrepancy)
+    share = traits["species_share"].to_numpy(float)
+    return ErrorModel(r, t, noise[0], noise[1], _distrust(), correlation, discrepancy, share)
 
 
 def independent_error_model(standard_deviation: float = 0.01) -> ErrorModel:
@@ -207,6 +218,7 @@ def independent_error_model(standard_deviation: float = 0.01) -> ErrorModel:
         np.zeros(bins),
         np.eye(len(POPULATION_TRAITS)),
         _assumed_discrepancy(),
+        _assumed_share(),
     )
 
 

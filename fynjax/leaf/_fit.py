@@ -340,6 +340,18 @@ def fit_chunk(
     """Everything `assemble` needs of some leaves."""
     state, problems, misfit = solve_leaves(setup, data, use, prior)
     covariance = np.linalg.inv(state.hessian)
+    return describe_chunk(setup, state, problems, misfit, covariance, use)
+
+
+def describe_chunk(
+    setup: Setup,
+    state: lm.State,
+    problems: lm.Problem,
+    misfit: np.ndarray,
+    covariance: np.ndarray,
+    use: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """Everything `assemble` needs of leaves at z with that covariance, as the spectra give it."""
     description: dict[str, Any] = describe(setup, problems, state.z, covariance)
     inflation = np.asarray(problems.inflation)
     population = np.diag(np.linalg.inv(setup.prior_precision))

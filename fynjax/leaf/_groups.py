@@ -1,7 +1,7 @@
 """Leaves of several species fitted together: species means and the variation within a species."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,14 +11,14 @@ from jaxtyping import Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.precision import require_double_precision
-from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._coefficients import ProspectVersion
-from fynjax.leaf._error_model import ErrorModel
-from fynjax.leaf._fit import LeafFit, assemble, fit_chunk, solve_leaves
+from fynjax.leaf._error_model import ErrorModel, default_error_model
+from fynjax.leaf._fit import LeafFit, assemble, describe_chunk, solve_leaves
 from fynjax.leaf._measurement import AbstractMeasurement
 from fynjax.leaf._parameters import LEAF_PARAMETERS, LeafParameters
 from fynjax.leaf._problem import (
     FitDomain,
+    Setup,
     binned_data,
     leaf_bounds,
     leaf_priors,
@@ -87,9 +87,11 @@ def fit_leaf_groups(
 
     A hierarchical model: leaves of a species are Gaussian about its mean in the logit of each
     parameter, with a covariance that all species share; means have the wide priors of `fit_leaf`.
-    Mean and covariance are estimated by expectation-maximisation over the Gaussian approximations
-    of the leaves; each leaf is then fitted with its species as prior (Gelman et al. 2013, Bayesian
-    Data Analysis, chapters 5 and 13).
+    Leaves of a species also share a part of what the model is wrong by
+    (`ErrorModel.species_share`), which more leaves do not average out and by which they are not
+    drawn to their mean. The covariance is estimated by expectation-maximisation over the Gaussian
+    approximations of the leaves; intervals hold the uncertainty of the mean and the common error
+    (Gelman et al. 2013, Bayesian Data Analysis, chapters 5 and 13).
 
     **Arguments:**
 
@@ -130,51 +132,88 @@ def fit_leaf_groups(
     member = np.array([labels.index(str(g)) for g in groups])
     use = usable_bins(data, domain, outdoor)
     setup = make_setup(version, measurement, free, error_model)
-    leaf_mean, leaf_precision = leaf_priors(setup, data, use)
+    model = default_error_model() if error_model is None else error_model
+    shared = float(np.nanmean(model.species_share))
+    prior = leaf_priors(setup, data, use)
     # N estimated from the near-infrared plateau is evidence about the leaf, not its species.
-    line = leaf_precision - setup.prior_precision
-    pull = (leaf_precision @ leaf_mean[:, :, None])[:, :, 0]
-    pull = pull - setup.prior_precision @ setup.prior_mean
+    line = prior[1] - setup.prior_precision
+    pull = np.einsum("npq,nq->np", *prior[::-1]) - setup.prior_precision @ setup.prior_mean
     loose = np.isin(setup.names, setup.free)
-    guess = np.diag(np.where(loose, _WITHIN**2, 1e-6))
-    within, prior = guess, (leaf_mean, leaf_precision)
-    means = np.tile(setup.prior_mean, (len(labels), 1))
+    within = guess = np.diag(np.where(loose, _WITHIN**2, 1e-6))
     good = use.sum((1, 2)) >= 10
+    rows = [np.flatnonzero((member == group) & good) for group in range(len(labels))]
     for _ in range(_ROUNDS):
-        state, _, _ = solve_leaves(setup, data, use, prior)
-        means, within = _update(state, member, good, means, within, guess, setup.prior_mean,
-                                setup.prior_precision)  # fmt: skip
+        state, problems, misfit = solve_leaves(setup, data, use, prior)
+        # What the spectrum says of its leaf, to first order: a Gaussian of this precision, and
+        # that times its mean.
+        said = state.hessian - prior[1] + line
+        weighted = np.einsum("npq,nq->np", state.hessian, state.z) + pull
+        weighted -= np.einsum("npq,nq->np", *prior[::-1])
+        species = [_species(said[at], weighted[at], within, shared, setup) for at in rows]
+        scatter = sum((s.scatter.sum(0) for s in species if len(s.scatter) > 1), 0.0 * guess)
+        count = sum(len(s.scatter) for s in species if len(s.scatter) > 1)
+        within = (_GUESS_COUNTS * guess + scatter) / (_GUESS_COUNTS + count)
+        means = np.stack([s.mean for s in species])
         inverse = np.linalg.inv(within)
         precision = inverse + line
         mean = np.linalg.solve(precision, ((means @ inverse)[member] + pull)[:, :, None])
         prior = (mean[:, :, 0], precision)
-    leaves = assemble(setup, [fit_chunk(setup, data, use, prior)], data, use)
+    z, covariance = state.z.copy(), np.linalg.inv(state.hessian)
+    for at, group in zip(rows, species):
+        z[at], covariance[at] = group.leaves, group.covariance
+    state = state._replace(z=z)
+    leaves = assemble(setup, [describe_chunk(setup, state, problems, misfit, covariance, use)],
+                      data, use)  # fmt: skip
     return LeafGroups(labels, _parameters(means, setup.names), means, within, setup.names, leaves)
 
 
-def _update(
-    state: lm.State,
-    member: np.ndarray,
-    good: np.ndarray,
-    means: np.ndarray,
-    within: np.ndarray,
-    guess: np.ndarray,
-    prior_mean: np.ndarray,
-    prior_precision: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Means of the groups and the covariance within them, given the fitted leaves."""
+class _Species(NamedTuple):
+    """What the spectra of one species say together, in the unconstrained coordinates."""
+
+    mean: Float[np.ndarray, " parameter"]
+    leaves: Float[np.ndarray, "leaf parameter"]
+    covariance: Float[np.ndarray, "leaf parameter parameter"]
+    """Of each leaf."""
+    scatter: Float[np.ndarray, "leaf parameter parameter"]
+    """Expected squares and products of what leaves depart from the mean by."""
+
+
+def _species(
+    precision: np.ndarray, weighted: np.ndarray, within: np.ndarray, shared: float, setup: Setup
+) -> _Species:
+    """Mean and leaves of a species from what each spectrum says, a Gaussian of this precision.
+
+    Of the error of each leaf the part s is common to the species, with the share `shared` of its
+    variance: z_i = mean + d_i and what the spectrum says is z_i + s + w_i. Given mean and s the
+    leaves are independent; both are integrated over with their joint Gaussian.
+    """
+    size = len(setup.prior_mean)
+    start = setup.prior_precision
+    if len(precision) == 0:
+        none = np.zeros((0, size, size))
+        return _Species(setup.prior_mean, none[:, 0], none, none)
+    # Directions of which spectra say nothing have the common error of the wide prior.
+    common = np.linalg.inv(precision.mean(0) / shared + start)
+    own, pulled = precision / (1.0 - shared), weighted / (1.0 - shared)
     inverse = np.linalg.inv(within)
-    means = means.copy()
-    scatter, count = _GUESS_COUNTS * guess, _GUESS_COUNTS
-    for group in range(len(means)):
-        rows = np.flatnonzero((member == group) & good)
-        precision = rows.size * inverse + prior_precision
-        right = inverse @ state.z[rows].sum(0) + prior_precision @ prior_mean
-        means[group] = np.linalg.solve(precision, right)
-        if rows.size < 2:
-            continue
-        offset = state.z[rows] - means[group]
-        spread = np.linalg.inv(state.hessian[rows]).sum(0)
-        scatter = scatter + offset.T @ offset + spread + rows.size * np.linalg.inv(precision)
-        count += rows.size
-    return means, scatter / count
+    spread = np.linalg.inv(own + inverse)
+    # Precision and weighted mean of mean + s from each leaf, the leaf itself integrated over.
+    about = own - own @ spread @ own
+    right = (np.einsum("npq,nq->np", np.eye(size) - own @ spread, pulled)).sum(0)
+    total = about.sum(0)
+    joint = np.block([[start + total, total], [total, np.linalg.inv(common) + total]])
+    both = np.linalg.inv(joint)
+    mean, error = np.split(both @ np.concatenate([start @ setup.prior_mean + right, right]), 2)
+    # z_i - mean = spread (own (said - s) - own mean), and what remains of it.
+    gain = spread @ own
+    departure = np.einsum("npq,nq->np", spread, pulled) - gain @ (mean + error)
+    sums = both[:size, :size] + both[:size, size:] + both[size:, :size] + both[size:, size:]
+    way = np.concatenate([np.eye(size) - gain, -gain], axis=2)
+    return _Species(
+        mean,
+        mean + departure,
+        spread + way @ both @ way.transpose(0, 2, 1),
+        departure[:, :, None] * departure[:, None, :]
+        + spread
+        + gain @ sums @ gain.transpose(0, 2, 1),
+    )

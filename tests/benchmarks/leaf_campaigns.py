@@ -132,11 +132,6 @@ def difference(a: np.ndarray, b: np.ndarray, species: np.ndarray) -> tuple[float
     return rmse(a) - rmse(b), float(low), float(high)
 
 
-def species_of(leaves: LeafSet) -> np.ndarray:
-    column = "species" if "species" in leaves.chemistry else "species_code"
-    return leaves.chemistry[column].astype(str).to_numpy()
-
-
 def report(leaves: LeafSet, trait: str, given: str, methods: dict[str, Estimate]) -> None:
     """Print a line a method, the first of which the others are compared with."""
     truth = UNIT[trait] * leaves.measured(trait)
@@ -150,7 +145,7 @@ def report(leaves: LeafSet, trait: str, given: str, methods: dict[str, Estimate]
         line += f" {rmse(errors[name]):6.2f} bias {errors[name].mean():+6.2f}"
         line += f" | 90 %: {100 * inside:3.0f} % in, width {width:5.1f}"
         if name != first:
-            gain = difference(errors[first], errors[name], species_of(leaves)[known])
+            gain = difference(errors[first], errors[name], leaves.species()[known])
             line += " | {} less it {:+.2f} ({:+.2f} to {:+.2f})".format(first, *gain)
         print(line, flush=True)
 

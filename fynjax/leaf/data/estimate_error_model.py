@@ -16,6 +16,9 @@ that tripled the relative error of dry matter in ANGERS, whose leaves are thin f
 *Discrepancy of traits*: each campaign is fitted with the covariance and correlation of the others,
 and the standard deviation is what makes nine of ten 90 % intervals hold the measured value, on the
 average over these sets. How it grows with dry matter is the most likely under Student errors.
+
+*Share of species*: in the same fits, the mean product of the errors of two leaves of a species over
+the mean square, a mean over sets.
 """
 
 import sys
@@ -75,6 +78,11 @@ class LeafSet:
         values = self.chemistry[key].to_numpy(float)
         least = 1e-4 if trait in ("water", "dry_matter") else 0.05
         return np.where(values > least, values, np.nan)
+
+    def species(self) -> np.ndarray:
+        """Name or code of the species of each leaf."""
+        column = "species" if "species" in self.chemistry else "species_code"
+        return self.chemistry[column].astype(str).to_numpy()
 
     def measurement(self) -> AbstractMeasurement:
         """Needles leave gaps that differ from sample to sample."""
@@ -172,9 +180,10 @@ def estimate_spectral(sets: Sequence[LeafSet]) -> ErrorModel:
 
 
 def trait_errors(leaves: LeafSet, model: ErrorModel) -> dict[str, list[np.ndarray]]:
-    """Of each measured trait an array [leaf, 4] for R, and for R and T: error of the fit in the
-    logit, its variance from the spectrum, inflation, and `thickness`."""
+    """Of each measured trait an array [leaf, 5] for R, and for R and T: error of the fit in the
+    logit, its variance from the spectrum, inflation, `thickness`, and number of the species."""
     result: dict[str, list[np.ndarray]] = {}
+    species = np.unique(leaves.species(), return_inverse=True)[1]
     both = np.isfinite(leaves.spectra[:, 1]).any()
     for through in (None, leaves.spectra[:, 1]) if both else (None,):
         fit = fit_leaf(
@@ -193,7 +202,8 @@ def trait_errors(leaves: LeafSet, model: ErrorModel) -> dict[str, list[np.ndarra
             slope = np.ptp(low_high) * unit[1] * (1.0 - unit[1])
             variance = (fit.standard_deviation[:, at] / slope) ** 2
             thick = thickness(np.asarray(fit.parameters.dry_matter))
-            columns = (logit[0] - logit[1], variance, np.minimum(fit.inflation, 10.0), thick)
+            grown = np.minimum(fit.inflation, 10.0)
+            columns = (logit[0] - logit[1], variance, grown, thick, species)
             result.setdefault(trait, []).append(np.stack(columns, 1)[have])
     return result
 
@@ -209,13 +219,13 @@ def discrepancy(errors: Sequence[dict[str, list[np.ndarray]]]) -> np.ndarray:
 
 
 def _level_and_slope(parts: Sequence[np.ndarray], grows: bool) -> tuple[float, float]:
-    """Discrepancy of one trait from its errors in each set [leaf, 4], which count the same.
+    """Discrepancy of one trait from its errors in each set [leaf, 5], which count the same.
 
     The slope, where there may be one, has a prior of 0 +- 0.3, and each set counts as ten leaves:
     leaves of a campaign share much of their error.
     """
     weight = np.concatenate([np.full(len(p), 1.0 / len(p) / len(parts)) for p in parts])
-    error, variance, inflation, thick = np.concatenate(parts).T
+    error, variance, inflation, thick = np.concatenate(parts)[:, :4].T
 
     def scale(log: float, slope: float) -> np.ndarray:
         return np.sqrt(variance + inflation * np.exp(2.0 * (log + slope * thick)))
@@ -240,6 +250,25 @@ def _level_and_slope(parts: Sequence[np.ndarray], grows: bool) -> tuple[float, f
     return level(slope), slope
 
 
+def species_share(errors: Sequence[dict[str, list[np.ndarray]]]) -> np.ndarray:
+    """`ErrorModel.species_share` from the same errors: mean product of two leaves of a species over
+    the mean square, of sets with three species or more of several leaves."""
+    table = np.full(len(POPULATION_TRAITS), np.nan)
+    for row, trait in enumerate(POPULATION_TRAITS):
+        shares = []
+        for part in (part for of in errors for part in of.get(trait, ())):
+            error, species = part[:, 0], part[:, 4].astype(int)
+            leaves = np.bincount(species)
+            several = leaves > 1
+            if several.sum() > 2:
+                sums, squares = np.bincount(species, error), np.bincount(species, error**2)
+                pairs = (sums**2 - squares)[several] / (leaves[several] - 1)
+                shares.append(pairs.sum() / squares[several].sum())
+        if shares:
+            table[row] = np.clip(np.mean(shares), 0.05, 0.95)
+    return table
+
+
 def estimate(folder: Path, campaigns: Sequence[str] = CAMPAIGNS) -> ErrorModel:
     """The error model of some campaigns, such as all but the one that it is tested on."""
     sets = [leaves for name in campaigns for leaves in read(folder, name)]
@@ -256,6 +285,7 @@ def estimate(folder: Path, campaigns: Sequence[str] = CAMPAIGNS) -> ErrorModel:
         model.distrust,
         model.trait_correlation,
         discrepancy(errors),
+        species_share(errors),
     )
 
 
@@ -275,6 +305,7 @@ def write(model: ErrorModel, folder: Path) -> None:
     traits = pd.DataFrame(model.trait_correlation, columns=list(POPULATION_TRAITS))
     traits.insert(0, "trait", POPULATION_TRAITS)
     traits["log_discrepancy"], traits["dry_matter_slope"] = model.trait_discrepancy.T
+    traits["species_share"] = model.species_share
     traits.to_csv(folder / "trait_model.csv", index=False, float_format="%.4g")
 
 
