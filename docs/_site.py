@@ -228,8 +228,9 @@ def parameters() -> str:
                 f"{row['usual_lower']:g} to {row['usual_upper']:g}",
                 prior or "cannot be free",
             )
+            source = f"*Source:* {row['source']}"
             headings = ("symbol", "unit", "unit in files", "default", "bounds", "usual", "prior sd")
-            text += [f"### {row['name']}", f"`{row['parameter']}`. {row['description']}"]
+            text += [f"### {row['name']}", f"`{row['parameter']}`. {row['description']}", source]
             text.append(table(headings, [cells]))
     return "\n\n".join(text)
 

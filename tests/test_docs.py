@@ -124,6 +124,7 @@ def test_options_keys_and_parameters_are_all_listed() -> None:
     for kind, record in PARAMETERS.items():
         assert f"`{kind}`" in listed
         assert record.description in listed
+        assert f"*Source:* {record.source}" in listed
 
 
 def test_pages_take_what_there_is_and_show_small_pictures() -> None:

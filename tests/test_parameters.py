@@ -201,6 +201,7 @@ def check_plots_and_tables(folder):
         assert page.loc[kind, "upper"] == record.upper
         assert page.loc[kind, "unit"] == record.unit
         assert page.loc[kind, "description"] == record.description
+        assert page.loc[kind, "source"] == record.source
 
 
 def check_all(folder):
@@ -292,9 +293,11 @@ def test_the_commented_example_states_the_ranges_of_the_records():
 
 
 def test_a_record_refuses_a_default_outside_its_bounds():
-    words = {"symbol": "x", "name": "X", "unit": "-", "description": "."}
+    words = {"symbol": "x", "name": "X", "unit": "-", "description": ".", "source": "Assumed."}
     with pytest.raises(ValueError, match="outside the bounds"):
         records.Parameter(**words, lower=0.0, upper=1.0, usual=(0.0, 1.0), default=1.5)
+    with pytest.raises(ValueError, match="no source"):
+        records.Parameter(**{**words, "source": " "}, lower=0.0, upper=1.0, usual=(0.0, 1.0))
     record = records.Parameter(**words, lower=0.0, upper=1.0, usual=(0.0, 1.0))
     assert record.contains(float(np.float32(1.0)) + 5e-7)
     assert not record.contains(float("nan"))

@@ -25,7 +25,7 @@ PERCENT, CENTIMETRES = ("%", 100.0), ("cm", 100.0)
 class Parameter:
     """A physical parameter: how it is written, where it may lie, what is known of it beforehand.
 
-    **Raises:** `ValueError` for a default or a usual range outside the bounds.
+    **Raises:** `ValueError` for a default or a usual range outside the bounds, and for no source.
     """
 
     symbol: str
@@ -41,7 +41,9 @@ class Parameter:
     usual: tuple[float, float]
     """Range that is common; values outside it are possible."""
     description: str
-    """What it means, with the reason or the source of its bounds."""
+    """What it means, with the reason of its bounds."""
+    source: str
+    """Where its values, bounds and prior are from; says what is assumed."""
     default: float | None = None
     """Value where nothing is stated; None where there is none, or it is that of the growth form."""
     relative_sd: float | None = None
@@ -61,6 +63,8 @@ class Parameter:
     """Likely slip where a value lies outside the bounds."""
 
     def __post_init__(self) -> None:
+        if not self.source.strip():
+            raise ValueError(f"{self.name}: no source; say so where it is assumed")
         inside = [*self.usual, *(v for v in (self.default,) if v is not None)]
         if not all(self.lower <= value <= self.upper for value in inside):
             raise ValueError(f"{self.name}: default or usual range outside the bounds")

@@ -19,6 +19,7 @@ MEASUREMENT_PARAMETERS = {
         upper=0.6,
         usual=(0.0, 0.2),
         population=(0.03, 1.7),
+        source="Mesarch et al. 1999. Bounds and prior assumed.",
         description="Part of the field of view without leaf. Below zero where a correction for "
         "gaps took off too much. Needles laid side by side leave 0.02 to 0.2 (Mesarch et al. 1999, "
         "Remote Sensing of Environment 68, 177).",
@@ -31,6 +32,7 @@ MEASUREMENT_PARAMETERS = {
         upper=1.0,
         usual=(0.0, 0.5),
         population=(0.05, 1.5),
+        source="Bounds by definition. Prior assumed.",
         description="The same at all bands: near zero of a black face or a light trap.",
     ),
 }

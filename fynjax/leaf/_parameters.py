@@ -48,6 +48,7 @@ class LeafParameters(eqx.Module):
         relative_sd=0.15,
         population=(1.5, 0.44),
         distribution="logit-normal",
+        source="Jacquemoud and Baret 1990; Feret et al. 2008. Default and prior assumed.",
         description="Number of elementary layers of the leaf (Jacquemoud and Baret 1990). Broad "
         "leaves have 1 to 2.7 (ANGERS, LOPEX: Feret et al. 2008); PROSPECT goes on below 1, where "
         "fits of thin leaves and needles end; 5 leaves room for thick, hard leaves.",
@@ -63,6 +64,7 @@ class LeafParameters(eqx.Module):
         default=40.0,
         relative_sd=0.3,
         population=(35.0, 0.61),
+        source="Feret et al. 2008; Di Vittorio 2009. Default and prior assumed.",
         description="Per leaf area. Measured up to 107 in ANGERS (Feret et al. 2008) and 123 in "
         "conifer needles (Di Vittorio 2009).",
         hint="is it in µg/cm2?",
@@ -77,6 +79,7 @@ class LeafParameters(eqx.Module):
         default=8.0,
         relative_sd=0.3,
         population=(8.0, 0.64),
+        source="Feret et al. 2008. Upper bound, default and prior assumed.",
         description="Per leaf area. Measured up to 25 in ANGERS (Feret et al. 2008); twice that "
         "leaves room for leaves in strong sun.",
         hint="is it in µg/cm2?",
@@ -91,6 +94,7 @@ class LeafParameters(eqx.Module):
         default=0.0,
         relative_sd=0.5,
         population=(0.5, 1.5),
+        source="Feret et al. 2017. Upper bound and prior assumed.",
         description="Per leaf area. Red leaves have up to about 40 (Feret et al. 2017).",
         hint="is it in µg/cm2?",
     )
@@ -104,6 +108,7 @@ class LeafParameters(eqx.Module):
         default=0.0,
         relative_sd=0.5,
         population=(0.02, 1.5),
+        source="Jacquemoud et al. 2009. Upper bound and prior assumed.",
         description="Amount relative to PROSPECT's specific absorption (Jacquemoud et al. 2009): 0 "
         "in a green leaf, about 1 in a dead one; 2 darkens a green leaf by half at 550 nm.",
         hint="it is a dimensionless amount, usually 0 to 1",
@@ -118,6 +123,7 @@ class LeafParameters(eqx.Module):
         default=0.01,
         relative_sd=0.3,
         population=(0.01, 0.54),
+        source="Jacquemoud et al. 1996; BioSCape trait library. Default and prior assumed.",
         description="Water per leaf area, in cm or g cm-2. Up to 0.05 in LOPEX (Jacquemoud et al. "
         "1996); culms of restios reach 0.1 and succulents 0.17 (BioSCape trait library, per half "
         "of the surface).",
@@ -133,6 +139,7 @@ class LeafParameters(eqx.Module):
         default=0.009,
         relative_sd=0.3,
         population=(0.008, 0.69),
+        source="Wright et al. 2004; BioSCape trait library. Prior assumed.",
         description="Median 0.009 over the plants of the world (Wright et al. 2004); shrubs of "
         "California reach 0.039, culms and iris leaves of the Cape 0.061 (BioSCape trait library, "
         "per half of the surface).",
@@ -147,6 +154,7 @@ class LeafParameters(eqx.Module):
         usual=(0.0, 0.003),
         default=0.001,
         population=(0.0008, 0.52),
+        source="Feret et al. 2021. Bounds, default and prior assumed.",
         description="Per leaf area, PROSPECT-PRO (Feret et al. 2021); a tenth of the largest dry "
         "matter.",
         hint=_PER_AREA,
@@ -160,6 +168,7 @@ class LeafParameters(eqx.Module):
         usual=(0.0, 0.037),
         default=0.008,
         population=(0.007, 0.7),
+        source="Feret et al. 2021. Bounds, default and prior assumed.",
         description="Cellulose, lignin, starch and sugars per leaf area, PROSPECT-PRO (Feret et "
         "al. 2021); bounded as the dry matter of which they are the most.",
         hint=_PER_AREA,

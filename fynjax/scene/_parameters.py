@@ -60,6 +60,8 @@ class SpeciesParameters(eqx.Module):
         usual=(0.0, 0.6),
         relative_sd=0.25,
         distribution="logit-normal",
+        source="Article on the scene, species table and equation (10); bounds by "
+        "definition. Prior assumed.",
         description="Share of the ground under the crowns, overlap with other species counted "
         "twice. Field crews judge it by eye, to about a quarter.",
     )
@@ -72,6 +74,7 @@ class SpeciesParameters(eqx.Module):
         upper=10.0,
         usual=(0.1, 2.0),
         relative_sd=0.25,
+        source="Article on the scene, species table and equation (7). Bounds and prior assumed.",
         description="Mean of a crown's two horizontal extents, equation (7). A smaller plant "
         "is less than a tenth of a voxel, a larger one is a tree.",
     )
@@ -83,6 +86,7 @@ class SpeciesParameters(eqx.Module):
         upper=20.0,
         usual=(0.1, 4.0),
         relative_sd=0.15,
+        source="Article on the scene, species table. Bounds and prior assumed.",
         description="Of the tallest plant of the species. A smaller plant is less than a tenth of "
         "a voxel, a larger one is a tree.",
     )
@@ -98,6 +102,7 @@ class SpeciesParameters(eqx.Module):
         default=0.0,
         relative_sd=0.3,
         distribution="logit-normal",
+        source="Article on the scene, species table and equation (8). Bounds and prior assumed.",
         description="Share of a crown that lies over its neighbours, PE of equation (8). The "
         "number of plants is as 1 / (1 - PE): a hundredfold at the upper bound.",
     )
@@ -113,6 +118,7 @@ class SpeciesParameters(eqx.Module):
         default=1.0,
         relative_sd=0.3,
         distribution="logit-normal",
+        source="Article on the scene, species table and equation (9). Bounds and prior assumed.",
         description="Share of the crown circle that the plant fills, FF of equation (9). The "
         "number of plants is as 1 / FF: a hundredfold at the lower bound.",
     )
@@ -125,6 +131,7 @@ class SpeciesParameters(eqx.Module):
         usual=(0.5, 6.0),
         relative_sd=0.3,
         shared=OF_A_PLOT,
+        source="Values of growth forms learned from 18 BioSCape plots. Bounds and prior assumed.",
         description="One-sided leaf area, dead tissue of the shoots included, over the ground area "
         "of the crowns as seen from above: where crowns overlap it counts once. Crowns are taken "
         "to stand at random, so that the share (1 - product of (1 - a)) / sum of a of them is seen "
@@ -140,6 +147,7 @@ class SpeciesParameters(eqx.Module):
         usual=(0.0, 1.5),
         relative_sd=0.3,
         shared=OF_A_PLOT,
+        source="Assumed: values of growth forms, bounds and prior.",
         description="One-sided area of wood, half of its surface, over the ground area of the "
         "crowns as seen from above; counted and bounded as the leaf area index. Wood is stems and "
         "branches below the leafy shoots, and the dead stubs at the base of a tussock; what is "
@@ -155,6 +163,8 @@ class SpeciesParameters(eqx.Module):
         relative_sd=0.3,
         distribution="logit-normal",
         shared=OF_A_PLOT,
+        source="Smolander and Stenberg 2003, 2005; values of growth forms learned from "
+        "18 BioSCape plots. Bounds and prior assumed.",
         description="Probability that light which a leaf scatters meets another leaf of its "
         "shoot: 0 for leaves at random in their voxel, 0.44 in a pine shoot (Smolander and "
         "Stenberg 2005). At 0.8 light meets a shoot's leaves five times on average.",
@@ -169,6 +179,8 @@ class SpeciesParameters(eqx.Module):
         sd=0.25,
         distribution="logit-normal",
         shared=OF_A_PLOT,
+        source="Values of growth forms learned from 18 BioSCape plots, prior chosen "
+        "after fits to them; bounds by definition.",
         description="Share of the one-sided area of live shoots that is dead or woody: old leaves "
         "and bracts, dead culms and the sheaths on live ones, the twig that bears the leaves. "
         "Stems and branches below the shoots are wood. It reflects as bark, or as the spectrum "
@@ -193,6 +205,7 @@ class GroundParameters(eqx.Module):
         usual=(0.4, 1.5),
         default=1.0,
         relative_sd=0.3,
+        source="Assumed: bounds after char and quartz sand, default, and prior.",
         description="Factor on the soil's reflectance: a tenth of the shipped dry soil is as "
         "dark as char, 2.5 times as bright as white quartz sand.",
     )
@@ -200,24 +213,28 @@ class GroundParameters(eqx.Module):
         symbol="m",
         name="Soil moisture",
         default=0.0,
+        source="Bounds by definition. Default and prior assumed.",
         description="Share of the wet in the mixed dry and wet soil.",
     )
     litter_fraction: Float[Array, ""] = _share(
         symbol="f_l",
         name="Litter",
         default=0.2,
+        source="Bounds by definition. Default and prior assumed.",
         description="Share of the ground under litter.",
     )
     char_fraction: Float[Array, ""] = _share(
         symbol="f_c",
         name="Char",
         default=0.0,
+        source="Bounds by definition. Default and prior assumed.",
         description="Share of the ground under ash and charcoal.",
     )
     rock_fraction: Float[Array, ""] = _share(
         symbol="f_r",
         name="Rock",
         default=0.0,
+        source="Bounds by definition. Default and prior assumed.",
         description="Share of the ground that is rock.",
     )
     wood_brightness: Float[Array, ""] = parameter_field(
@@ -229,6 +246,7 @@ class GroundParameters(eqx.Module):
         usual=(0.5, 2.0),
         default=1.3,
         relative_sd=0.3,
+        source="Default learned from 18 BioSCape plots. Bounds and prior assumed.",
         description="Factor on the reflectance of bark, deadwood and the dead tissue of shoots: "
         "from charred to bleached. The default is that of the shipped prior, on the shipped bark; "
         "where a spectrum of dead tissue is given, it is 1.",
@@ -251,6 +269,7 @@ class LightParameters(eqx.Module):
         default=30.0,
         relative_sd=0.3,
         distribution="normal",
+        source="Bounds by definition. Default and prior assumed.",
         description="Angle from straight up to the sun, which is above the horizon.",
     )
     sun_azimuth: Float[Array, ""] = parameter_field(
@@ -261,6 +280,7 @@ class LightParameters(eqx.Module):
         upper=360.0,
         usual=(0.0, 360.0),
         default=0.0,
+        source="Bounds by definition. Default assumed.",
         description="Direction to the sun, clockwise from north (90 is east). It repeats itself, "
         "so that it has no prior.",
     )
@@ -273,6 +293,7 @@ class LightParameters(eqx.Module):
         usual=(0.02, 0.5),
         default=0.1,
         relative_sd=0.3,
+        source="Of the clear-sky model, Bird and Riordan 1986. Bounds, default and prior assumed.",
         description="At 500 nm, of the clear-sky model. Above 2 smoke or dust hides the sun.",
     )
 
@@ -304,6 +325,7 @@ FIXED_PARAMETERS: dict[str, Parameter] = {
         lower=1.0,
         upper=1000.0,
         usual=(1.0, 30.0),
+        source="Article on the scene, species table. Bounds assumed.",
         description="Branch models that make up one plant, a whole number.",
     ),
     "rotation_spread": Parameter(
@@ -313,6 +335,7 @@ FIXED_PARAMETERS: dict[str, Parameter] = {
         lower=0.0,
         upper=90.0,
         usual=(0.0, 30.0),
+        source="Article on the scene, equation (5). Bounds assumed.",
         description="Spread of the tilt of the branches, sigma_rot of equation (5).",
     ),
     "minimum_area": Parameter(
@@ -322,6 +345,7 @@ FIXED_PARAMETERS: dict[str, Parameter] = {
         lower=0.0,
         upper=100.0,
         usual=(0.0, 1.0),
+        source="Assumed.",
         description="Ground area that one plant counts for at least.",
     ),
 }
@@ -339,8 +363,7 @@ def parameter_reference() -> "pd.DataFrame":
     Columns: group, parameter, symbol, name, unit, default, lower, upper, usual_lower, usual_upper,
     prior_relative_sd, prior_sd (where it is not relative), prior_distribution, prior_shared (the
     share of the variance that species of a plot have in common), shown_unit (that of files and
-    tables) and description. All numbers but the last two columns' are in `unit`; NaN where there is
-    none.
+    tables), description and source. All numbers are in `unit`; NaN where there is none.
     """
     import pandas as pd  # late: the command line need not wait for it
 
@@ -368,6 +391,7 @@ def parameter_reference() -> "pd.DataFrame":
             "prior_shared": record.shared,
             "shown_unit": record.shown_unit,
             "description": record.description,
+            "source": record.source,
         }
         for group, module in groups.items()
         for field, record in parameters_of(module).items()
