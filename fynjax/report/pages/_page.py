@@ -1,4 +1,8 @@
-"""One HTML page, made from sections: pictures inside, no scripts, no network."""
+"""One HTML page, made from sections: pictures and a small script inside, no network.
+
+Without JavaScript the page shows the same; with it pictures can be zoomed and moved, and rows of
+one name are marked together in all tables.
+"""
 
 import base64
 import html
@@ -44,10 +48,61 @@ summary { cursor: pointer; }
 footer { margin-top: 2.5rem; font-size: .8rem; color: #66665f; border-top: 1px solid #d8d8d4; }
 footer dl { display: grid; grid-template-columns: auto 1fr; gap: .1rem .8rem; }
 footer dt { font-weight: 600; } footer dd { margin: 0; overflow-wrap: anywhere; }
-@media print { body { font-size: 10pt; } main { max-width: none; padding: 0; }
+.view { overflow: hidden; max-width: 100%; width: fit-content; cursor: zoom-in; }
+.view.zoomed { cursor: grab; touch-action: none; }
+.view img { transform-origin: 0 0; user-select: none; }
+tr.same td { background: #ffe9a8; }
+@media print { .view img { transform: none !important; }
+  body { font-size: 10pt; } main { max-width: none; padding: 0; }
   figure, tr, .key { break-inside: avoid; } h2 { break-after: avoid; }
   .scroll { overflow: visible; }
   table { font-size: 7.5pt; } th, td { white-space: normal; } }
+"""
+
+_SCRIPT = """
+for (const image of document.querySelectorAll("figure img")) {
+  const view = document.createElement("div");
+  let scale = 1, x = 0, y = 0, held = null;
+  view.className = "view";
+  view.title = "Double-click: larger (with Shift: all of it). Ctrl and wheel: zoom. Drag: move.";
+  image.replaceWith(view);
+  view.append(image);
+  image.draggable = false;
+  const show = () => {
+    x = Math.min(0, Math.max(x, view.clientWidth * (1 - scale)));
+    y = Math.min(0, Math.max(y, view.clientHeight * (1 - scale)));
+    image.style.transform = `translate(${x}px, ${y}px) scale(${scale})`;
+    view.classList.toggle("zoomed", scale > 1);
+  };
+  const zoom = (event, wanted) => {
+    const next = Math.min(16, Math.max(1, wanted)), at = view.getBoundingClientRect();
+    x = event.clientX - at.left - (event.clientX - at.left - x) * next / scale;
+    y = event.clientY - at.top - (event.clientY - at.top - y) * next / scale;
+    scale = next;
+    show();
+  };
+  view.addEventListener("dblclick", e => zoom(e, e.shiftKey ? 1 : 2 * scale));
+  view.addEventListener("wheel", e => {
+    if (!e.ctrlKey && !e.metaKey) return;
+    e.preventDefault();
+    zoom(e, scale * Math.exp(-0.002 * e.deltaY));
+  }, {passive: false});
+  view.addEventListener("pointerdown", e => {
+    if (scale === 1) return;
+    held = [e.clientX - x, e.clientY - y];
+    view.setPointerCapture(e.pointerId);
+  });
+  view.addEventListener("pointermove", e => {
+    if (held) { x = e.clientX - held[0]; y = e.clientY - held[1]; show(); }
+  });
+  for (const end of ["pointerup", "pointercancel"]) view.addEventListener(end, () => held = null);
+}
+const rows = [...document.querySelectorAll("tr[data-name]")];
+for (const row of rows) for (const enter of [true, false])
+  row.addEventListener(enter ? "mouseenter" : "mouseleave", () => {
+    for (const other of rows)
+      if (other.dataset.name === row.dataset.name) other.classList.toggle("same", enter);
+  });
 """
 
 
@@ -169,7 +224,7 @@ def write_page(page: Page, folder: Path, file: str = "report.html") -> dict[str,
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{title}</title><style>{_CSS}</style></head>\n<body><main>\n"
         + "\n".join(body)
-        + "\n</main></body></html>\n"
+        + f"\n</main><script>{_SCRIPT}</script></body></html>\n"
     )
     write_text(folder / file, text)
     return files
@@ -202,8 +257,9 @@ def _table(table: Table) -> str:
         for c in rows.columns
     )
     columns: Sequence[Any] = list(rows.columns)
+    named = next((i for i, c in enumerate(columns) if c in text), None)
     body = "".join(
-        "<tr>"
+        f"<tr{_row_name(row, named)}>"
         + "".join(
             f"<td{_class(c in text)}>{_cell(value, table.digits)}</td>"
             for c, value in zip(columns, row, strict=True)
@@ -227,6 +283,13 @@ def _footer(record: Mapping[str, Any]) -> str:
         for k, v in record.items()
     )
     return f"<footer><dl>{rows}</dl></footer>"
+
+
+def _row_name(row: Sequence[Any], column: int | None) -> str:
+    """The attribute that rows of one name share: the first text of the row."""
+    if column is None:
+        return ""
+    return f' data-name="{html.escape(str(row[column]), quote=True)}"'
 
 
 def _class(is_text: bool) -> str:
