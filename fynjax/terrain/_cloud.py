@@ -5,7 +5,7 @@ import re
 import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from jaxtyping import Float64, UInt8
@@ -192,11 +192,18 @@ def _read_las(path: Path, unit_stated: bool, height_stated: bool) -> tuple[Any, 
     return x[keep], y[keep], z[keep], classes, system
 
 
+_LASZIP, _EXTRA_BYTES = 22204, 14
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+"""Layers of each kind of item in points of format 6 on: point, colour, colour with near infrared,
+wave packet."""
+
+
 def _check_las_header(path: Path) -> None:
     """`InputError` where a LAS or LAZ header states more than its file can hold.
 
     Fields as in LAS 1.4 R15, tables 3, 5 and 6, and in the LASzip specification 1.4, section 4.
-    A table that states too many chunks makes the decompressor end the process instead of raising.
+    A table that states too many chunks, or layers larger than the file, make the decompressor end
+    the process instead of raising; of layers those of the first chunk are looked at.
     """
     held = path.stat().st_size
     with path.open("rb") as file:
@@ -231,6 +238,30 @@ def _check_las_header(path: Path) -> None:
         chunks = int.from_bytes(file.read(4), "little")
         # Each part begins with a whole point.
         check_stated_size(path, chunks * size, f"{chunks} compressed parts", packed=False)
+        layers, record = 0, _laszip_record(file, header_size, n_records)
+        for at in range(34, len(record) - 5, 6):
+            item, wide, _ = struct.unpack_from("<HHH", record, at)
+            layers += wide if item == _EXTRA_BYTES else _LAYERS.get(item, 0)
+        if layers:  # their sizes follow the first point and the number of points of a part
+            file.seek(start + 8 + size + 4)
+            stated = np.frombuffer(file.read(4 * layers), "<u4")
+            check_stated_size(
+                path, start + int(stated.sum(dtype=np.int64)), "layers of points", packed=False
+            )
+
+
+def _laszip_record(file: BinaryIO, start: int, count: int) -> bytes:
+    """The record that says how points are compressed; empty where there is none."""
+    for _ in range(count):
+        file.seek(start)
+        head = file.read(54)
+        if len(head) < 54:
+            break
+        kind, length = struct.unpack_from("<HH", head, 18)
+        if kind == _LASZIP and head[2:18].rstrip(b"\0") == b"laszip encoded":
+            return file.read(length)
+        start += 54 + length
+    return b""
 
 
 def _las_crs(header: Any, path: Path, unit_stated: bool, height_stated: bool) -> Any:

@@ -3,11 +3,13 @@
 import gzip
 import os
 import shutil
+import struct
 import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import laspy
 import netCDF4
 import numpy as np
 import pytest
@@ -231,3 +233,20 @@ def test_a_sensor_file_may_not_choose_files_elsewhere(tmp_path: Path) -> None:
     shutil.copy(sensor_folder() / "emit_bands.csv", tmp_path)
     with pytest.raises(InputError, match="in this file's folder or below"):
         load_sensor(path)
+
+
+def test_layers_of_a_laz_larger_than_the_file_are_refused_before_they_are_read(
+    tmp_path: Path,
+) -> None:
+    las = laspy.create(point_format=6, file_version="1.4")
+    las.x, las.y, las.z = np.arange(30.0).reshape(3, 10)
+    path = tmp_path / "cloud.laz"
+    las.write(path)
+    assert read_cloud(path).x.size == 10
+    data = bytearray(path.read_bytes())
+    (start,) = struct.unpack_from("<I", data, 96)
+    (size,) = struct.unpack_from("<H", data, 105)
+    struct.pack_into("<I", data, start + 8 + size + 4, 0xFFFFFFF0)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="layers of points"):
+        read_cloud(path)
