@@ -48,8 +48,6 @@ class Calibration(eqx.Module):
     """Plantings over which the search took expectations, in its cheap form."""
     stand_statistics: Float[np.ndarray, "stand statistic"]
     """Of each at the estimate, in the cheap form."""
-    stand_slopes: Float[np.ndarray, "stand statistic free"]
-    """Their derivatives by the whitened coordinates."""
     fit: FitResult
     before: PlotParameters
     after: PlotParameters
@@ -59,8 +57,9 @@ class Calibration(eqx.Module):
     """None where no sensor is a drone's camera."""
     image_after: Float[Array, "band y x"] | None
     statistics_before: Float[Array, " statistic"]
-    """Of full scenes at full accuracy, expected over plantings, as those after."""
+    """Of full scenes at full accuracy, expected over plantings."""
     statistics_after: Float[Array, " statistic"]
+    """The same, expected also over what is unknown of the parameters."""
     offset: Float[Array, " statistic"]
     """What the mean of the search's cheap form over `stands` lacks, at the estimate."""
     data: Data
@@ -188,9 +187,12 @@ def calibrate_plot(
 
     Where exactly each plant stands nobody measured: it is chance. So the data count as one draw of
     a normal distribution of the statistics over plantings (synthetic likelihood: Wood 2010, Price
-    et al. 2018). Their expectation and its slopes are means over `stand_realisations` plantings,
-    the same at every step, their covariance is that over `scatter_draws`; errors of the data, of
-    the model and of the camera's gains add to it. All sensors observe the same plants.
+    et al. 2018). Statistics bend over what is unknown of the parameters, and the slope at one place
+    is that of the few plants that fade in there. So expectation and slopes are means over
+    `stand_realisations` draws of plants and of the parameters about the estimate, the same at every
+    step (statistical linearisation: Garcia-Fernandez et al. 2015): of the prior in the first round,
+    then of the posterior. What such a line leaves of `scatter_draws` is the covariance; errors of
+    the data, of the model and of the camera's gains add to it. All sensors observe the same plants.
 
     The search looks at some of the pixels, with coarse light in layers twice as thick
     (`search_form`). What that lacks against full scenes at their own accuracy is measured at the
@@ -215,9 +217,9 @@ def calibrate_plot(
     - `report`: called with the stage, the objective and its gradient's norm.
 
     **Returns:** `Calibration`. Its `fit` is that of the best start, `loss`, `gradient_norm` and
-    `steps` those of all its rounds. Its `predicted` are expectations over plantings. Where no round
-    improves on a start, that is the estimate: converged if a round ended there within the
-    tolerance, `FitStatus.no_gain` if not.
+    `steps` those of all its rounds. Its `predicted` are expectations over plantings and the
+    posterior. Where no round improves on a start, that is the estimate: converged if a round ended
+    there within the tolerance, `FitStatus.no_gain` if not.
 
     **Raises:** `InputError` for views that do not yield the data's statistics, a start at which
     these are not finite, a checkpoint of another calibration, and where JAX is limited to 32 bits.
@@ -276,7 +278,6 @@ def calibrate_plot(
         scene=search.scene,
         stands=tuple(best.stands),
         stand_statistics=best.cheap,
-        stand_slopes=best.slopes,
         fit=best.fit,
         before=origin.plot,
         after=reached.plot,

@@ -1,5 +1,5 @@
-"""The search of a calibration, from one start: cheap scenes of several plantings, corrected by
-whole ones."""
+"""The search of a calibration, from one start: cheap scenes of several plantings and draws of the
+parameters, corrected by whole ones."""
 
 import dataclasses
 import hashlib
@@ -7,8 +7,9 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.metadata import version
-from typing import Any
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -62,11 +63,13 @@ class CalibrationSettings:
     """Of the light in a search."""
     rounds: int = 2
     """Searches one after the other, each corrected by the full scene."""
-    stand_realisations: int = 4
-    """Plantings over which statistics and slopes are expectations; 0: the image's plants count as
-    standing where the scene's do."""
-    scatter_draws: int = 16
-    """Plantings from which the covariance of the statistics is estimated."""
+    stand_realisations: int = 8
+    """Draws of the plants and of what is unknown of the parameters over which statistics and slopes
+    are expectations; 0: the image's plants count as standing where the scene's do, and slopes are
+    those at one place."""
+    scatter_draws: int = 48
+    """Such draws from which the covariance of the statistics is estimated; those after the first
+    `stand_realisations` fill the sites of these in another order."""
     full_renders: int = 2
     """Plantings on which what the cheap form lacks is measured, at most `stand_realisations`."""
     max_steps: int = 30
@@ -96,26 +99,40 @@ _MOST_ROWS = 24
 """Slopes of an image's statistics are taken along so many directions at most."""
 _PRIOR_DRAWS = 60
 """Draws of the prior by which these are chosen."""
+_FARTHEST = 2.2
+"""Of a draw of a parameter from its mean [standard deviations]."""
 
 Replant = Callable[[int, Float[np.ndarray, " species"] | None], Scene]
 """Makes the scene with the plants of a number's chance, 0 being the scene's own, and sites for so
 many plants of each species, or as many as the scene has."""
 
 
+class Draw(NamedTuple):
+    """Plants, and a place of the parameters."""
+
+    stand: Scene
+    """In the cheap form."""
+    normal: Float[np.ndarray, " free"]
+    """Independent unit normal numbers, from which the place is made."""
+
+
 @dataclasses.dataclass
 class Observed:
-    """What the full scene says at one place, over plantings."""
+    """What the full scene says about one place, over plantings and what is unknown of the
+    parameters."""
 
     u: Float[Array, " free"]
     plot: PlotParameters
     image: Float[Array, "band y x"] | None
     """Of the scene's own plants."""
     statistics: Float[np.ndarray, " statistic"]
-    """Expected over plantings."""
+    """Their expectation."""
+    spread: Float[np.ndarray, "free free"]
+    """Makes what is unknown of the parameters of unit normal numbers."""
     offset: Float[np.ndarray, " statistic"]
-    """What the cheap form's mean over the plantings of the search lacks."""
+    """What the cheap form's mean over the draws of the search lacks."""
     data: Data
-    """With the errors of plantings and of the camera's gains at this place."""
+    """With the errors of plantings, of slopes and of the camera's gains about this place."""
     weights: Float[np.ndarray, "direction statistic"]
     """Makes of misfits independent ones of unit size, along the directions that count."""
 
@@ -133,7 +150,6 @@ class End:
     """Those of the search, in the cheap form."""
     cheap: Float[np.ndarray, "stand statistic"]
     """Their statistics there."""
-    slopes: Float[np.ndarray, "stand statistic free"]
     losses: list[np.ndarray]
     norms: list[np.ndarray]
 
@@ -175,15 +191,31 @@ class Search:
 
     def _stand(self, counts: Float[np.ndarray, " species"] | None) -> None:
         """Plant the stands over which expectations are taken."""
-        count = max(self._settings.stand_realisations, 1)
+        settings = self._settings
+        count = max(settings.stand_realisations, 1)
         if self._replant is None:
             others = [stand_realisation(self.scene, i) for i in range(1, count)]
         else:
             others = [self._replant(i, counts) for i in range(1, count)]
         stands = [self.scene, *others]
+        self._stands = stands[: settings.full_renders]
         self.cheap = [self._form(stand)[0] for stand in stands]
         """The stands in the cheap form."""
-        self._stands = stands[: self._settings.full_renders]
+        most = max(settings.scatter_draws, count) if settings.stand_realisations else 1
+        self._draws = [self._draw(i) for i in range(most)]
+        self._members = self._draws[:count]
+        """Those that each step of the search and its slopes are means over."""
+
+    def _draw(self, number: int) -> Draw:
+        """A draw of plants and parameters. Two in a row are opposite in their parameters, so that
+        what is linear in these leaves a mean as it is."""
+        count, free = len(self.cheap), len(self._space.names)
+        stand = self.cheap[number % count]
+        if number >= count:
+            stand = stand_realisation(stand, number // count)
+        random = np.random.default_rng([self._settings.seed, 83, number // 2])
+        normal = random.normal(size=free).clip(-_FARTHEST, _FARTHEST)
+        return Draw(stand, normal if number % 2 == 0 else -normal)
 
     # -- evaluations ------------------------------------------------------------------------
 
@@ -192,20 +224,34 @@ class Search:
         predict = self._predict if predict is None else predict
         return LogPosterior(predict, self._space, self._data, none, (cheap,))
 
-    def _cheap(self, u: Array, stands: Sequence[Scene]) -> Float[np.ndarray, "stand statistic"]:
-        """Statistics of the cheap form of each of `stands`."""
-
-        def step() -> tuple[Array, ...]:
-            return (jnp.stack([predicted_statistics(self._density(s), u) for s in stands]),)
-
-        return np.asarray(self._keep(step)[0])
-
-    def _slopes(self, u: Array) -> Float[np.ndarray, "stand statistic free"]:
-        """Derivatives of the cheap form's statistics, of each stand."""
+    def _cheap(
+        self, u: Array, spread: np.ndarray, draws: Sequence[Draw]
+    ) -> Float[np.ndarray, "draw statistic"]:
+        """Statistics of the cheap form of each draw about `u`."""
 
         def step() -> tuple[Array, ...]:
             every = [
-                statistics_and_jacobian(self._density(s, self._along), u)[1] for s in self.cheap
+                predicted_statistics(self._density(d.stand), u + jnp.asarray(spread @ d.normal))
+                for d in draws
+            ]
+            return (jnp.stack(every),)
+
+        return np.asarray(self._keep(step)[0])
+
+    def _slopes(self, u: Array, spread: np.ndarray) -> Float[np.ndarray, "member statistic free"]:
+        """Derivatives of the cheap form's statistics, of each member about `u`.
+
+        Their mean is the slope of the linear model that is best for all of `spread`, not only at
+        `u` (statistical linearisation): which plants fade in at `u` is chance, and over what is
+        unknown beforehand statistics bend.
+        """
+
+        def step() -> tuple[Array, ...]:
+            every = [
+                statistics_and_jacobian(
+                    self._density(d.stand, self._along), u + jnp.asarray(spread @ d.normal)
+                )[1]
+                for d in self._members
             ]
             return (jnp.stack(every),)
 
@@ -230,27 +276,32 @@ class Search:
     def _plot(self, u: Array) -> PlotParameters:
         return with_values(self._parameters, self.scene.taxa, self._space.named(u))
 
-    def observe(self, u: Array) -> Observed:
-        """The full scene at `u`: expectation over plantings, and the errors there."""
+    def observe(
+        self, u: Array, spread: np.ndarray, slopes: Float[np.ndarray, "statistic free"]
+    ) -> Observed:
+        """The full scene about `u`: expectation over plantings and `spread`, and the errors there.
+
+        What the mean `slopes` do not explain of draws is their error and how statistics bend. It
+        counts with the plants' chance.
+        """
         u, plot = jnp.asarray(u), self._plot(u)
-        settings, own = self._settings, len(self.cheap)
         whole, images = self._whole(plot)
-        draws = [
-            self.cheap[i % own] if i < own else stand_realisation(self.cheap[i % own], i // own)
-            for i in range(max(settings.scatter_draws, own) if settings.stand_realisations else 1)
-        ]
-        scattered = self._cheap(u, draws)
-        finite = np.isfinite(scattered).all(axis=1)
-        if finite.sum() > own:  # of some plantings a statistic may be undefined
-            scattered = scattered[finite | (np.arange(len(draws)) < own)]
-        lack = whole - scattered[: len(whole)]
-        statistics = scattered.mean(axis=0) + lack.mean(axis=0)
+        none, own = np.zeros_like(spread), len(self._members)
+        same = [Draw(stand, d.normal) for stand, d in zip(self.cheap, self._draws)]
+        lack = whole - self._cheap(u, none, same[: len(whole)])
+        drawn = self._cheap(u, spread, self._draws)
+        moves = np.stack([spread @ d.normal for d in self._draws])
+        rest = drawn - moves @ slopes.T if np.isfinite(slopes).all() else drawn
+        finite = np.isfinite(rest).all(axis=1)
+        if finite.sum() > own:  # of some draws a statistic may be undefined
+            rest = rest[finite | (np.arange(len(rest)) < own)]
+        statistics = rest.mean(axis=0) + lack.mean(axis=0)
         covariance = radiometric_covariance(self._views, images)
-        if settings.stand_realisations:
-            chance = scatter_covariance(scattered)
+        if self._settings.stand_realisations:
+            chance = scatter_covariance(rest)
             # The expectation is a mean over draws, of which those that fill the same sites count
             # as one, and of what full and cheap renders differ by.
-            share = 1.0 / own
+            share = 1.0 / len(self.cheap)
             if len(whole) > 1:
                 variance = np.diagonal(chance)
                 some = variance > 0
@@ -259,9 +310,10 @@ class Search:
             covariance = covariance + (1.0 + share) * chance
         sound = np.isfinite(covariance).all() and covariance.any()
         data = self._data.with_covariance(covariance) if sound else self._data
-        offset = statistics - scattered[:own].mean(axis=0)
+        offset = statistics - drawn[:own].mean(axis=0)
         image = images[0] if images else None
-        return Observed(u, plot, image, statistics, offset, data, self._weights(data))
+        weights = self._weights(data)
+        return Observed(u, plot, image, statistics, spread, offset, data, weights)
 
     def _weights(self, data: Data) -> Float[np.ndarray, "direction statistic"]:
         rows = np.eye(len(data.names)) if self.rows is None else self.rows
@@ -297,30 +349,20 @@ class Search:
 
     def _prior_draws(self) -> Float[np.ndarray, "draw statistic"]:
         """Statistics of the cheap form at draws of the prior, each with other plants."""
-        normal = np.random.default_rng([self._settings.seed, 67])
-        places = normal.normal(size=(_PRIOR_DRAWS, len(self._space.names))).clip(-2.0, 2.0)
-
-        def step() -> tuple[Array, ...]:
-            found = []
-            for i, u in enumerate(places):
-                stand = stand_realisation(self.cheap[i % len(self.cheap)], 1000 + i)
-                found.append(predicted_statistics(self._density(stand), jnp.asarray(u)))
-            return (jnp.stack(found),)
-
-        found = np.asarray(self._keep(step)[0])
-        return found[np.isfinite(found).all(axis=1)]
+        draws = [self._draw(1000 + i) for i in range(_PRIOR_DRAWS)]
+        free = len(self._space.names)
+        drawn = self._cheap(jnp.zeros(free), np.eye(free), draws)
+        return drawn[np.isfinite(drawn).all(axis=1)]
 
     # -- the descent ------------------------------------------------------------------------
 
     def _descend(
         self, begin: Observed, slopes: np.ndarray, most: int, stage: str
     ) -> tuple[np.ndarray, Any, list[tuple[float, float]]]:
-        """Levenberg-Marquardt from `begin` with the errors and the `slopes` of each stand there.
+        """Levenberg-Marquardt from `begin` with the errors and the mean `slopes` there.
 
-        Each step corrects the slopes by what it changed (Broyden 1965). New ones cost as much as
-        tens of steps and are no better: the slope by a crown's diameter or a cover is that of the
-        few plants that fade in there, and over half a prior standard deviation up to three times
-        as large.
+        Each step corrects the slopes by what it changed (Broyden 1965): new ones cost as much as
+        twenty renders of each draw.
 
         **Returns:** the end, why it ended, and the objective and its gradient's norm after each
         step.
@@ -328,7 +370,7 @@ class Search:
         weights, offset, target = begin.weights, begin.offset, np.asarray(begin.data.value)
         # The statistics at the start are those of the full scene: the mean over all draws.
         u, value = np.asarray(begin.u, float), np.asarray(begin.statistics)
-        jacobian = slopes.mean(axis=0)
+        jacobian = np.array(slopes)
         loss, damping = objective_of(weights, u, value - target), 0.0
         trace: list[tuple[float, float]] = []
         for _ in range(most):
@@ -340,7 +382,8 @@ class Search:
                 return u, FitStatus.successful, trace
             move = -np.linalg.solve(hessian + damping * np.eye(u.size), gradient)
             expected = -gradient @ move - 0.5 * move @ hessian @ move
-            reached = self._cheap(jnp.asarray(u + move), self.cheap).mean(axis=0) + offset
+            reached = self._cheap(jnp.asarray(u + move), begin.spread, self._members)
+            reached = reached.mean(axis=0) + offset
             fall = loss - objective_of(weights, u + move, reached - target)
             if np.isfinite(fall):
                 change = reached - value - jacobian @ move
@@ -359,13 +402,17 @@ class Search:
         if self._report is not None:
             self._report(stage, loss, norm)
 
-    def _grown(self, plot: PlotParameters) -> bool:
-        """Whether more sites had to be made for the plants of `plot`, and could be."""
-        counts, before = np.asarray(self.scene.counts(plot)), self.scene
+    def _grown(self, u: Array, draws: Sequence[Draw] = ()) -> bool:
+        """Whether more sites had to be made for the plants at `u` and of `draws` of the prior
+        about it, and could be."""
+        places = jnp.stack([u, *(u + jnp.asarray(d.normal) for d in draws)])
+        counts = np.asarray(_counts(self.scene, self._parameters, self._space, places))
+        before = self.scene
         short = room_needed(self.scene, self._parameters, counts) > 0.0
         if self._replant is None or not short.any():
             return False
-        wanted = np.where(short, _SPARE * counts, counts)
+        asked = np.maximum(_SPARE * counts[0], counts.max(axis=0))
+        wanted = np.where(short, asked, counts[0])
         try:
             self.scene = self._replant(0, wanted)
             self._stand(wanted)
@@ -374,11 +421,23 @@ class Search:
             return False
         return True
 
+    def _spread(self, place: Observed, slopes: np.ndarray) -> np.ndarray:
+        """Makes draws of the posterior, by the errors and slopes of the `place`, of unit normal
+        numbers; none where the plants are known."""
+        if not self._settings.stand_realisations:
+            return np.zeros_like(place.spread)
+        information = _information(place.weights, slopes)
+        values, vectors = np.linalg.eigh(information)
+        return np.asarray((vectors / np.sqrt(1.0 + np.maximum(values, 0.0))) @ vectors.T)
+
     def run(self, u: Array, stage: str) -> End:
         """Search from `u`; `stage` begins the name of each round."""
         settings = self._settings
-        self._grown(self._plot(u))
-        origin = self.observe(u)
+        free = len(self._space.names)
+        none = np.zeros((free, free))
+        prior = np.eye(free) if settings.stand_realisations else none
+        self._grown(u, self._draws if settings.stand_realisations else ())
+        origin = self.observe(u, none, np.zeros((len(self._data.names), free)))
         finite = np.isfinite(origin.statistics)
         if not finite.all():
             raise InputError(
@@ -387,29 +446,32 @@ class Search:
             )
         if self._along is None:
             self.choose_directions(origin.data)
-            origin = dataclasses.replace(origin, weights=self._weights(origin.data))
-        places = [origin]
-        ends = [(self._slopes(u), FitStatus.no_gain)]
+        slopes = self._slopes(u, prior)
+        places = [self.observe(u, prior, slopes.mean(axis=0))]
+        ends = [(slopes, FitStatus.no_gain)]
         losses: list[np.ndarray] = []
         norms: list[np.ndarray] = []
         turn, turns = 0, settings.rounds
         while turn < turns:
             most = settings.max_steps if turn == 0 else (settings.max_steps + 1) // 2
             reached, status, trace = self._descend(
-                places[-1], ends[-1][0], most, f"{stage}round {turn + 1}"
+                places[-1], slopes.mean(axis=0), most, f"{stage}round {turn + 1}"
             )
             losses.append(np.array([loss for loss, _ in trace]))
             norms.append(np.array([norm for _, norm in trace]))
             if status == FitStatus.not_finite:
                 ends[-1] = (ends[-1][0], status)
                 break
-            if self._grown(self._plot(jnp.asarray(reached))):
+            u, spread = jnp.asarray(reached), self._spread(places[-1], slopes)
+            if self._grown(u):
                 places, ends = [], []  # what was of other stands compares with nothing
                 # It had fewer plants than it asked for: go on from there, once more at most.
                 turns = min(max(turns, turn + 2), settings.rounds + 1)
             turn += 1
-            places.append(self.observe(jnp.asarray(reached)))
-            ends.append((self._slopes(places[-1].u), status))
+            if turn < turns:  # the last round moves little: its end has the slopes of its start
+                slopes = self._slopes(u, spread)
+            places.append(self.observe(u, spread, slopes.mean(axis=0)))
+            ends.append((slopes, status))
         return self._end(origin, places, ends, losses, norms)
 
     def _end(
@@ -441,12 +503,31 @@ class Search:
             self._space, counted, place.u, jnp.asarray(place.statistics),
             jnp.asarray(slopes.mean(axis=0)), status, len(trace), trace,
         )  # fmt: skip
-        if np.isfinite(slopes).all() and len(slopes) > 1:
-            whitened = jnp.asarray(weights @ slopes)
-            result = result.with_information(repeated_information(whitened, confidence=0.5))
+        if np.isfinite(slopes).all():
+            result = result.with_information(jnp.asarray(_information(weights, slopes)))
         place = dataclasses.replace(place, data=counted, weights=weights)
-        cheap = self._cheap(place.u, self.cheap)
-        return End(objective[best], result, place, origin, self.cheap, cheap, slopes, losses, norms)
+        plain = [Draw(stand, np.zeros(place.u.size)) for stand in self.cheap]
+        cheap = self._cheap(place.u, place.spread, plain)
+        return End(objective[best], result, place, origin, self.cheap, cheap, losses, norms)
+
+
+def _information(weights: np.ndarray, slopes: np.ndarray) -> Float[np.ndarray, "free free"]:
+    """Fisher information of the mean of the `slopes` of several draws."""
+    if len(slopes) == 1:
+        return np.asarray((weights @ slopes[0]).T @ (weights @ slopes[0]))
+    return np.asarray(repeated_information(jnp.asarray(weights @ slopes), confidence=0.5))
+
+
+@eqx.filter_jit
+def _counts(
+    scene: Scene, parameters: PlotParameters, space: ParameterSpace, places: Array
+) -> Float[Array, "place species"]:
+    """Plants of each species at several places of the whitened coordinates."""
+
+    def at(u: Array) -> Array:
+        return scene.counts(with_values(parameters, scene.taxa, space.named(u)))
+
+    return jax.lax.map(at, places)
 
 
 def _quadratic(

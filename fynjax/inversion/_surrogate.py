@@ -35,12 +35,14 @@ class Surrogate(eqx.Module):
     """About its estimate."""
     directions: Float[Array, "direction free"]
     curvature: Float[Array, "term statistic"]
+    level: Float[Array, " statistic"]
+    """What bends on average over the posterior, which the fit's expectation holds already."""
 
     def __call__(self, values: Float[Array, " free"]) -> Float[Array, " statistic"]:
         fit = self.fit
         away = fit.space.whitened(values) - fit.whitened
-        bent = _products(self.directions @ away) @ self.curvature
-        return fit.predicted + fit.jacobian @ away + bent
+        bent = _terms(self.directions @ away) @ self.curvature
+        return fit.predicted - self.level + fit.jacobian @ away + bent
 
 
 class FittedSurrogate(NamedTuple):
@@ -62,8 +64,7 @@ def fit_surrogate(
     """A surrogate of the statistics about the estimate of a calibration.
 
     Cheap renders at draws of one and a half times the Laplace posterior show how statistics bend.
-    Each is compared with the same plants at the estimate and with their slopes there, so that
-    plantings do not scatter them.
+    Each is compared with the same plants at the estimate, so that plantings scatter them little.
 
     **Arguments:**
 
@@ -89,25 +90,28 @@ def fit_surrogate(
         return (jnp.stack(found),)
 
     rendered = np.asarray(keep(step)[0])
-    slopes, at_centre = calibration.stand_slopes, calibration.stand_statistics
+    at_centre, slopes = calibration.stand_statistics, np.asarray(fit.jacobian)
     away = draws - centre
     bent = np.stack(
         [
-            value - at_centre[i % count] - slopes[i % count] @ move
+            value - at_centre[i % count] - slopes @ move
             for i, (value, move) in enumerate(zip(rendered, away, strict=True))
         ]
     )
     bent = bent @ calibration.projector.T
     directions = jnp.asarray(np.asarray(fit.modes)[:_CURVED])
-    terms = np.asarray(_products(jnp.asarray(away) @ directions.T))
+    terms = np.asarray(_terms(jnp.asarray(away) @ directions.T))
     fitted = slice(_LEFT_OUT, None)
     curvature = np.linalg.lstsq(terms[fitted], bent[fitted])[0]
     rest = (bent - terms @ curvature)[:_LEFT_OUT]
+    over = np.asarray(directions) @ covariance @ np.asarray(directions).T
+    level = over[np.triu_indices(len(directions))] @ curvature[len(directions) :]
     error = np.sqrt(np.mean(rest**2, axis=0)) / np.asarray(fit.data.sd)
-    return FittedSurrogate(Surrogate(fit, directions, jnp.asarray(curvature)), error)
+    surrogate = Surrogate(fit, directions, jnp.asarray(curvature), jnp.asarray(level))
+    return FittedSurrogate(surrogate, error)
 
 
-def _products(z: Float[Array, "*draw direction"]) -> Float[Array, "*draw term"]:
-    """All products of two coordinates."""
+def _terms(z: Float[Array, "*draw direction"]) -> Float[Array, "*draw term"]:
+    """The coordinates, and all products of two."""
     first, second = np.triu_indices(z.shape[-1])
-    return z[..., first] * z[..., second]
+    return jnp.concatenate([z, z[..., first] * z[..., second]], axis=-1)

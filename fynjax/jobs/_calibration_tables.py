@@ -59,7 +59,8 @@ class Reference:
 def statistic_table(calibration: Calibration, reference: Reference) -> pd.DataFrame:
     """Every statistic: real, simulated before and after, and another simulation's value.
 
-    What was fitted is expected over plantings; the reference's statistics that were not are those
+    What was fitted is expected over plantings, and after also over what is unknown of the
+    parameters; the reference's statistics that were not are those
     of the image of the scene's own plants.
     """
     data = calibration.fit.data

@@ -253,8 +253,9 @@ def _page(
         "that the data know most: renders that it was not fitted to differ from it by "
         f"{np.median(surrogate_error):.2g} standard errors of the data (median over statistics), "
         f"at worst {surrogate_error[worst]:.2g} ({words(data.names[worst])}). Its slopes are means "
-        "over a few plantings: what of them is chance counts as knowledge in a chain, so that its "
-        "intervals may be narrower than those of the method 'laplace', which leaves that out."
+        "over a few draws: what of them is chance counts as knowledge in a chain, so that its "
+        "intervals may be narrower than those of the method 'laplace', which leaves that out. That "
+        "statistics bend is part of the errors as well as of the surrogate, which widens both."
     )
     parts += [
         Picture(

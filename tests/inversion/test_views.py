@@ -380,7 +380,7 @@ def test_a_search_that_starts_at_its_optimum_has_converged(sums):
     model, start, data, space = sums
     value = jnp.asarray(Sums().predict(model, start), float)
     same = Data(data.names, value, data.sd)
-    found = calibrated((model, start, same, space))
+    found = calibrated((model, start, same, space), stand_realisations=0)
     assert found.fit.converged
     np.testing.assert_allclose(found.fit.whitened, 0.0, atol=1e-9)
     assert int(found.fit.steps) == len(found.fit.loss) == 2  # one look a round
@@ -394,24 +394,24 @@ class Misleading(Sums):
 
 
 def test_a_search_without_gain_ends_at_its_start(sums):
-    found = calibrated(sums, Misleading(), rounds=1)
+    found = calibrated(sums, Misleading(), rounds=1, stand_realisations=0)
     assert found.fit.status == FitStatus.no_gain
     np.testing.assert_allclose(found.fit.whitened, 0.0)
-    np.testing.assert_allclose(found.fit.predicted, found.statistics_before)
+    np.testing.assert_allclose(found.fit.predicted, found.statistics_after)
     np.testing.assert_allclose(found.statistics_after, found.statistics_before)
 
 
 def test_slopes_are_computed_few_times(sums, monkeypatch):
-    """Steps correct them; they are new at the start and the end of a round."""
+    """Steps correct them; they are new at the start of a round."""
     count = []
     real = _search.statistics_and_jacobian
     monkeypatch.setattr(
         _search, "statistics_and_jacobian", lambda *a: (count.append(1), real(*a))[1]
     )
-    found = calibrated(sums, rounds=1, max_steps=12)
+    found = calibrated(sums, max_steps=12)
     assert found.fit.converged
     assert len(found.fit.loss) > 2
-    assert len(count) == 2 * 2  # of two stands
+    assert len(count) == 2 * 2  # of two draws, in two rounds
 
 
 # -- plantings ------------------------------------------------------------------------------
@@ -436,8 +436,6 @@ def chance(sums):
     """A plot whose plantings are normal draws of known covariance."""
     model, _, _, _ = sums
     parameters = small_parameters()
-    free = [f"species.{taxon}.cover" for taxon in TAXA[:2]]
-    space = free_space(model, parameters, free, lambda _: 0.3)
     root = 0.02 * np.array([[1.0, 0.0, 0.0], [0.5, 1.0, 0.0], [0.0, -0.5, 1.0]])
     place = np.asarray(model.planting.place, float)
 
@@ -446,14 +444,22 @@ def chance(sums):
         changed = np.concatenate([drawn, place[3:]])
         return eqx.tree_at(lambda m: m.planting.place, model, jnp.asarray(changed))
 
+    def space(relative_sd):
+        free = [f"species.{taxon}.cover" for taxon in TAXA[:2]]
+        return free_space(model, parameters, free, lambda _: relative_sd)
+
     return parameters, space, root, replant
 
 
 def test_data_count_as_one_draw_of_what_plantings_scatter(chance):
-    """Against the normal equations with the expectation and the covariance over plantings."""
+    """Against the normal equations with the expectation and the covariance over plantings, where
+    statistics are linear over the posterior."""
     parameters, space, root, replant = chance
+    space = space(0.03)
     count = 40
-    data = Data(Chance().names, jnp.array([0.3, 0.2, 0.45]), jnp.full(3, 0.01))
+    cover = np.asarray(parameters.species.cover)[:2]
+    value = jnp.asarray([*(cover * [1.05, 0.97]), cover.sum()])
+    data = Data(Chance().names, value, jnp.full(3, 0.01))
     settings = CalibrationSettings(
         stand_realisations=count, scatter_draws=count, rounds=3, tolerance=1e-5
     )
@@ -466,10 +472,10 @@ def test_data_count_as_one_draw_of_what_plantings_scatter(chance):
     values = np.array([cover[0], cover[1], cover[0] + cover[1]])
     draws = np.array([values * (1.0 + 0.1 * e) + e for e in places])
     # The full form is that of fewer plantings, but it is the cheap one: nothing is lacking.
-    np.testing.assert_allclose(found.statistics_after, draws.mean(axis=0), rtol=1e-4)
+    np.testing.assert_allclose(found.statistics_after, draws.mean(axis=0), rtol=1e-3)
     extra = np.asarray(found.data.covariance) - 0.01**2 * np.eye(3)
     sample = np.cov(draws.T)
-    np.testing.assert_allclose(np.diagonal(extra), np.diagonal(sample) * (1 + 1 / count), rtol=1e-3)
+    np.testing.assert_allclose(np.diagonal(extra), np.diagonal(sample) * (1 + 1 / count), rtol=5e-3)
     true = root @ root.T
     assert abs(extra[0, 1] / true[0, 1] - 1.0) < 0.5
     # The slope of the objective is zero there, with the mean of the slopes.
@@ -486,6 +492,7 @@ def test_data_count_as_one_draw_of_what_plantings_scatter(chance):
 def test_estimates_over_truths_have_the_stated_spread(chance):
     """Simulation-based calibration: truths of the prior, planted by their own chance."""
     parameters, space, _, replant = chance
+    space = space(0.3)
     settings = CalibrationSettings(stand_realisations=12, scatter_draws=12, rounds=1)
     random, scores, chi = np.random.default_rng(3), [], []
     for number in range(40):
@@ -550,24 +557,28 @@ def test_slopes_along_directions_are_those_of_all_statistics(plot, views):
     np.testing.assert_allclose(rows @ some, rows @ every, rtol=1e-4, atol=1e-6)
 
 
-def test_a_surrogate_bends_as_the_model_does(sums, whole):
+def test_a_surrogate_bends_as_the_model_does(sums):
     """Quadratic statistics are met where linear ones are not."""
     model, start, _, space = sums
+    whole = calibrated(sums, stand_realisations=8, scatter_draws=8)
     _, cheap = search_form(model, start, [Sums()])
     surrogate, error = fit_surrogate(whole, start, cheap)
     assert error.max() < 0.5
     fit = whole.fit
+    lack = Sums().predict(model, whole.after) - cheap[0].predict(model, whole.after)
     near = np.random.default_rng(9).multivariate_normal(fit.whitened, fit.covariance, 20)
     bent, straight = [], []
     for u in map(jnp.asarray, near):
         plot = with_values(start, TAXA, space.named(u))
-        true = cheap[0].predict(model, plot) + whole.offset
+        true = cheap[0].predict(model, plot) + lack
         bent.append(fit.data.whiten(surrogate(space.physical(u)) - true))
         linear = fit.predicted + fit.jacobian @ (u - fit.whitened)
         straight.append(fit.data.whiten(linear - true))
     bent, straight = (np.sqrt(np.mean(np.square(one))) for one in (bent, straight))
-    assert bent < 0.4 * straight
-    np.testing.assert_allclose(surrogate(space.physical(fit.whitened)), fit.predicted, rtol=1e-9)
+    assert bent < 0.5 * straight
+    # The fit's expectation is that of the surrogate over the posterior.
+    mean = np.mean([surrogate(space.physical(jnp.asarray(u))) for u in near], axis=0)
+    assert np.abs(np.asarray(fit.data.whiten(jnp.asarray(mean) - fit.predicted))).max() < 0.6
 
 
 # -- the camera -----------------------------------------------------------------------------
