@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import rasterio
 from rasterio import Affine
+from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import read_plant_mesh
@@ -25,6 +26,7 @@ from fynjax.io.micasense import read_capture
 from fynjax.io.plot import example_folder, read_plot, read_statistics, read_structure
 from fynjax.io.raster import (
     _netcdf,
+    parse_crs,
     read_band_stack,
     read_cube,
     read_probability_map,
@@ -250,3 +252,9 @@ def test_layers_of_a_laz_larger_than_the_file_are_refused_before_they_are_read(
     path.write_bytes(data)
     with pytest.raises(InputError, match="layers of points"):
         read_cloud(path)
+
+
+def test_a_reference_system_that_cannot_be_written_is_not_known() -> None:
+    text = CRS.from_epsg(32734).to_wkt().replace('UNIT["metre",1', 'UNIT["metre",0')
+    with pytest.raises(InputError, match="expected a coordinate reference system"):
+        parse_crs(text, Path("cloud.laz"))

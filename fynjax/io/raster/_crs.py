@@ -30,7 +30,9 @@ def parse_crs(text: str | int, file: Path | None) -> CRS:
     **Raises:** `InputError` for a system that is not known.
     """
     try:
-        return CRS.from_user_input(text)
+        system = CRS.from_user_input(text)
+        system.to_wkt()  # GDAL takes some damaged texts that it cannot write
+        return system
     except CRSError as error:
         raise InputError(
             f"expected a coordinate reference system such as EPSG:32734, but got "
