@@ -112,11 +112,10 @@ class LeafFit(eqx.Module):
     @property
     def status(self) -> tuple[str, ...]:
         """`converged`, or the reason to doubt the result, for each leaf."""
-        sentences = []
-        for code, at_bound in zip(self.reason, self.at_bound):
-            bounded = [name for name, at in zip(self.names, at_bound) if at]
-            listed = ", ".join(bounded) if code == LeafStatus.at_bound else ""
-            sentences.append(_SENTENCES[LeafStatus(code)] + listed)
+        sentences = [_SENTENCES[LeafStatus(code)] for code in self.reason.tolist()]
+        for i in np.flatnonzero(self.reason == LeafStatus.at_bound):
+            bounded = [name for name, at in zip(self.names, self.at_bound[i]) if at]
+            sentences[i] += ", ".join(bounded)
         return tuple(sentences)
 
 

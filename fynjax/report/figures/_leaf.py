@@ -17,7 +17,8 @@ def leaf_fit_figure(fit: LeafFit, names: Sequence[str]) -> Figure:
 
     At most twelve leaves are shown, evenly drawn from all.
     """
-    count = len(fit.status)
+    status = fit.status
+    count = len(status)
     shown = np.unique(np.linspace(0, count - 1, min(count, _SHOWN)).round().astype(int))
     columns = min(3, shown.size)
     rows = -(-shown.size // columns)
@@ -42,7 +43,7 @@ def leaf_fit_figure(fit: LeafFit, names: Sequence[str]) -> Figure:
             panel.plot(grid, 1.0 - fit.measured[i, 1][inside], ".", color="0.45", ms=2.5,
                        label="1 - T measured")  # fmt: skip
         short = names[i] if len(names[i]) <= 32 else "..." + names[i][-29:]
-        doubt = "" if fit.status[i] == "converged" else f"\n{fit.status[i].split(':')[0]}"
+        doubt = "" if status[i] == "converged" else f"\n{status[i].split(':')[0]}"
         panel.set_title(short + doubt, fontsize=8)
     for panel in panels[shown.size :]:
         panel.set_axis_off()
