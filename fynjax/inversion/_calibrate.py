@@ -16,6 +16,7 @@ from fynjax._core.checkpoint import Journal, keep_nothing
 from fynjax._core.errors import InputError
 from fynjax._core.precision import require_double_precision
 from fynjax.canopy import VoxelGrid
+from fynjax.inversion._descent import objective_of
 from fynjax.inversion._fit_result import Data, FitResult
 from fynjax.inversion._search import (
     COARSE,
@@ -23,7 +24,6 @@ from fynjax.inversion._search import (
     End,
     Replant,
     Search,
-    objective_of,
     signature,
 )
 from fynjax.inversion._space import ParameterSpace, make_space, match_names

@@ -54,7 +54,7 @@ def descend(
     for _ in range(most):
         if not (np.isfinite(jacobian).all() and np.isfinite(loss)):
             return Descended(u, value, jacobian, FitStatus.not_finite)
-        gradient, hessian = quadratic(weights, u, value - target, jacobian)
+        gradient, hessian = _quadratic(weights, u, value - target, jacobian)
         note(loss, float(np.linalg.norm(gradient)))
         if 0.5 * gradient @ np.linalg.solve(hessian, gradient) < tolerance:
             return Descended(u, value, jacobian, FitStatus.successful)
@@ -73,7 +73,7 @@ def descend(
     return Descended(u, value, jacobian, FitStatus.max_steps)
 
 
-def quadratic(
+def _quadratic(
     weights: Any, u: np.ndarray, misfit: np.ndarray, jacobian: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Gradient and Gauss-Newton Hessian of the objective."""

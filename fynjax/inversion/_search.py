@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.checkpoint import Keep
 from fynjax._core.errors import InputError
+from fynjax.inversion._descent import Descended, descend, objective_of
 from fynjax.inversion._fit import predicted_statistics, statistics_and_jacobian
 from fynjax.inversion._fit_result import (
     Data,
@@ -367,33 +368,28 @@ class Search:
         **Returns:** the end, why it ended, and the objective and its gradient's norm after each
         step.
         """
-        weights, offset, target = begin.weights, begin.offset, np.asarray(begin.data.value)
-        # The statistics at the start are those of the full scene: the mean over all draws.
-        u, value = np.asarray(begin.u, float), np.asarray(begin.statistics)
-        jacobian = np.array(slopes)
-        loss, damping = objective_of(weights, u, value - target), 0.0
         trace: list[tuple[float, float]] = []
-        for _ in range(most):
-            if not (np.isfinite(jacobian).all() and np.isfinite(loss)):
-                return u, FitStatus.not_finite, trace
-            gradient, hessian = _quadratic(weights, u, value - target, jacobian)
-            self._note(trace, stage, loss, float(np.linalg.norm(gradient)))
-            if 0.5 * gradient @ np.linalg.solve(hessian, gradient) < self._settings.tolerance:
-                return u, FitStatus.successful, trace
-            move = -np.linalg.solve(hessian + damping * np.eye(u.size), gradient)
-            expected = -gradient @ move - 0.5 * move @ hessian @ move
-            reached = self._cheap(jnp.asarray(u + move), begin.spread, self._members)
-            reached = reached.mean(axis=0) + offset
-            fall = loss - objective_of(weights, u + move, reached - target)
-            if np.isfinite(fall):
-                change = reached - value - jacobian @ move
-                jacobian = jacobian + np.outer(change, move) / (move @ move)
-            if np.isfinite(fall) and fall > 0:
-                u, value, loss = u + move, reached, loss - fall
-                damping = 0.25 * damping if fall > 0.5 * expected else damping
-            else:
-                damping = max(4.0 * damping, 1.0)
-        return u, FitStatus.max_steps, trace
+
+        def expected(u: np.ndarray) -> np.ndarray:
+            reached = self._cheap(jnp.asarray(u), begin.spread, self._members)
+            return reached.mean(axis=0) + begin.offset
+
+        end = descend(
+            expected,
+            # The statistics at the start are those of the full scene: the mean over all draws.
+            Descended(
+                np.asarray(begin.u, float),
+                np.asarray(begin.statistics),
+                np.array(slopes),
+                FitStatus.max_steps,
+            ),
+            np.asarray(begin.data.value),
+            begin.weights,
+            most=most,
+            tolerance=self._settings.tolerance,
+            note=lambda loss, norm: self._note(trace, stage, loss, norm),
+        )
+        return end.u, end.status, trace
 
     def _note(self, trace: list[tuple[float, float]], stage: str, loss: float, norm: float) -> None:
         trace.append((loss, norm))
@@ -528,19 +524,6 @@ def _counts(
         return scene.counts(with_values(parameters, scene.taxa, space.named(u)))
 
     return jax.lax.map(at, places)
-
-
-def _quadratic(
-    weights: np.ndarray, u: np.ndarray, misfit: np.ndarray, jacobian: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient and Gauss-Newton Hessian of the objective."""
-    scaled = weights @ jacobian
-    return scaled.T @ (weights @ misfit) + u, scaled.T @ scaled + np.eye(u.size)
-
-
-def objective_of(weights: np.ndarray, u: np.ndarray, misfit: np.ndarray) -> float:
-    """Half the squared whitened misfit and distance from the prior."""
-    return 0.5 * float(np.sum((weights @ misfit) ** 2) + np.sum(u**2))
 
 
 def _same(u: Array, other: Array, tolerance: float) -> bool:
