@@ -8,22 +8,34 @@ its binomial error, the share of the prior variance that estimates explain, by k
 total live cover, time; and the same by ridge regression and a random forest trained on simulations
 of the same prior, which is what a user would do otherwise. Results are kept in `--keep` as they
 come, and a second run goes on with them.
+
+    python -m tests.benchmarks.twins --line --seeds 60 --keep FOLDER
+
+takes of each image only the estimate by the line over the prior that a search starts from: seconds
+an image. `--wrong form` or `soil` plants truths in which one species has another growth form, or on
+another soil; the share of improbable misfits is the power of the diagnosis.
 """
 
 import argparse
 import dataclasses
+import os
+import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 from scipy.special import ndtri
+from scipy.stats import chi2
 from sklearn.ensemble import RandomForestRegressor
 from sklearn.linear_model import RidgeCV
 from sklearn.preprocessing import StandardScaler
 
+from fynjax._core.checkpoint import keep_nothing
 from fynjax.assembly import image_view, prepare
 from fynjax.inversion import (
     IMAGE_STATISTICS,
@@ -38,6 +50,7 @@ from fynjax.inversion import (
     search_form,
     weigh_targets,
 )
+from fynjax.inversion._search import Search
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.metrics import image_statistics
 from fynjax.scene import stand_realisation, with_values
@@ -50,6 +63,25 @@ FREE = (
 SHARES = (0.5, 0.68, 0.9)
 NOISE = 0.01
 """Of a pixel of the camera, as a share of its value [-]."""
+
+
+def wrong_plot(plot, what):
+    """The plot as it is, where the model has it otherwise."""
+    if what == "form":
+        species = list(plot.species)
+        i = next(i for i, one in enumerate(species) if one.taxon == "Erica irregularis")
+        species[i] = dataclasses.replace(species[i], growth_form="tussock")
+        return dataclasses.replace(plot, species=tuple(species))
+    if what == "soil":
+        folder = Path(os.environ.get("FYNJAX_SHARED_DATA", "../shared/data"))
+        soils = np.load(folder / "leaf" / "soil_spectra.npz")
+        of = list(soils["name"]).index("ossl_soil_28")  # reddish: 0.11 at 560, 0.24 at 660 nm
+        path = Path(tempfile.mkdtemp()) / "soil.csv"
+        columns = {"wavelength_nm": soils["wl"], "reflectance": soils["refl"][of]}
+        pd.DataFrame(columns).to_csv(path, index=False)
+        ground = dataclasses.replace(plot.ground, spectrum=path, moisture=0.0)
+        return dataclasses.replace(plot, ground=ground)
+    return plot
 
 
 def plot_of(size):
@@ -89,6 +121,51 @@ def simulations(ready, view, count, random):
     return draws, np.array(found)
 
 
+def line(chosen, ready, truths, view):
+    """Estimates by the line over the prior that a search starts from."""
+    space, free = ready.space, len(ready.space.names)
+    settings = CalibrationSettings(stand_realisations=16, scatter_draws=200)
+    form = partial(
+        search_form, parameters=ready.parameters, views=(view,), accuracy=settings.accuracy
+    )
+    centre = np.asarray(look((view,), ready.scene, ready.parameters)[0])
+    data = weigh_targets(view.names, centre, ready.plot.calibration.target_sd)
+    search = Search(
+        ready.scene, ready.parameters, data, space, (view,), form, ready.replant, settings,
+        keep_nothing, None,
+    )  # fmt: skip
+    none, prior = jnp.zeros(free), np.eye(free)
+    start = search.observe(none, 0.0 * prior, np.zeros((len(view.names), free)))
+    search.choose_directions(start.data)
+    slopes = search._slopes(none, prior).mean(axis=0)
+    place = search.observe(none, prior, slopes)
+    jacobian = place.weights @ slopes
+    covariance = np.linalg.inv(np.eye(free) + jacobian.T @ jacobian)
+    twins = []
+    for number in range(chosen.seeds):
+        random = np.random.default_rng([number, 17])
+        truth = random.normal(size=free).clip(-2.2, 2.2)
+        measured = truth_image(truths, view, truth, number, random)
+        rest = place.weights @ (measured - place.statistics)
+        estimate = covariance @ jacobian.T @ rest
+        misfit = rest @ np.linalg.solve(np.eye(len(rest)) + jacobian @ jacobian.T, rest)
+        twins.append(
+            {
+                "truth": truth,
+                "measured": measured,
+                "estimate": estimate,
+                "covariance": covariance,
+                "misfit": misfit,
+                "seconds": np.nan,
+                "converged": True,
+            }
+        )
+        print(number, f"probability {chi2.sf(misfit, len(rest)):.4f}", flush=True)
+    improbable = np.mean([chi2.sf(t["misfit"], len(jacobian)) < 0.05 for t in twins])
+    print(f"misfits of a probability below 0.05: {improbable:.2f}")
+    return twins
+
+
 def explained(truth, estimate):
     """Share of the prior variance that estimates explain, over all truths and parameters."""
     return 1.0 - np.mean((truth - estimate) ** 2) / np.mean(truth**2)
@@ -100,19 +177,25 @@ def main():
     parser.add_argument("--size", type=float, default=5.0)
     parser.add_argument("--train", type=int, default=400)
     parser.add_argument("--keep", type=Path, required=True)
+    parser.add_argument("--line", action="store_true")
+    parser.add_argument("--wrong", choices=("form", "soil"))
     chosen = parser.parse_args()
     chosen.keep.mkdir(parents=True, exist_ok=True)
     ready = prepare(plot_of(chosen.size), None, seed=0)
     names, space = ready.space.names, ready.space
     statistics = tuple(n for n in IMAGE_STATISTICS if "160cm" not in n or chosen.size >= 5)
     view = image_view(ready.plot, ready.scene, ready.parameters, statistics)
+    truths = ready if chosen.wrong is None else prepare(wrong_plot(ready.plot, chosen.wrong), None)
+    if chosen.line:
+        twins = line(chosen, ready, truths, view)
+        return report(chosen, ready, view, twins) if chosen.wrong is None else None
     for number in range(chosen.seeds):
         path = chosen.keep / f"twin_{number:03d}.npz"
         if path.is_file():
             continue
         random = np.random.default_rng([number, 17])
         truth = random.normal(size=len(names)).clip(-2.2, 2.2)
-        measured = truth_image(ready, view, truth, number, random)
+        measured = truth_image(truths, view, truth, number, random)
         data = weigh_targets(statistics, measured, ready.plot.calibration.target_sd)
         began = time.process_time()
         found = calibrate_plot(
