@@ -513,6 +513,34 @@ def test_estimates_over_truths_have_the_stated_spread(chance):
     assert np.mean(np.array(chi) > 7.81) < 0.2
 
 
+class Hinge(AbstractView):
+    """Flat below the prior's centre, linear above: as of plants that are not there yet."""
+
+    centre: float = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True, default=("a",))
+
+    def observe(self, model, parameters):
+        return None, jnp.maximum(parameters.species.cover[:1] / self.centre - 1.0, 0.0)
+
+    def for_search(self, scene, accuracy, stride):
+        return self
+
+
+def test_slopes_hold_over_what_is_unknown(chance):
+    """The line that is best for a unit normal number above zero has the slope 1/2, and what it
+    leaves has the variance 1/2 - 1/(2 pi) - 1/4."""
+    parameters, space, _, replant = chance
+    view = Hinge(float(parameters.species.cover[0]))
+    data = Data(view.names, jnp.array([0.03 / np.sqrt(2.0 * np.pi)]), jnp.array([0.1]))
+    settings = CalibrationSettings(stand_realisations=100, scatter_draws=400, rounds=1)
+    found = calibrate_plot(
+        replant(0), parameters, data, space(0.03), [view], settings, replant=replant
+    )
+    assert float(found.fit.jacobian[0, 0]) == pytest.approx(0.5 * 0.03, rel=0.1)
+    left = float(found.data.sd[0] ** 2 - 0.1**2) / 0.03**2
+    assert left == pytest.approx(0.25 - 0.5 / np.pi, rel=0.15)
+
+
 def test_the_covariance_over_few_draws_is_shrunk_to_its_variances():
     draws = np.random.default_rng(1).normal(size=(12, 30)) * np.linspace(1.0, 2.0, 30)
     found = scatter_covariance(draws)
