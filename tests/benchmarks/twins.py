@@ -185,7 +185,9 @@ def main():
     names, space = ready.space.names, ready.space
     statistics = tuple(n for n in IMAGE_STATISTICS if "160cm" not in n or chosen.size >= 5)
     view = image_view(ready.plot, ready.scene, ready.parameters, statistics)
-    truths = ready if chosen.wrong is None else prepare(wrong_plot(ready.plot, chosen.wrong), None)
+    truths = ready
+    if chosen.wrong is not None:
+        truths = prepare(wrong_plot(ready.plot, chosen.wrong), None, seed=0)
     if chosen.line:
         twins = line(chosen, ready, truths, view)
         return report(chosen, ready, view, twins) if chosen.wrong is None else None
