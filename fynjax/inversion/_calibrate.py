@@ -60,8 +60,9 @@ class Calibration(eqx.Module):
     """Of full scenes at full accuracy, expected over plantings."""
     statistics_after: Float[Array, " statistic"]
     """The same, expected also over what is unknown of the parameters."""
-    offset: Float[Array, " statistic"]
-    """What the mean of the search's cheap form over `stands` lacks, at the estimate."""
+    spread: Float[np.ndarray, "free free"]
+    """Makes what is unknown of the parameters, over which statistics are expected, of unit normal
+    numbers."""
     data: Data
     """The targets, their errors grown by what plantings and the camera's gains change."""
     degrees: int = eqx.field(static=True)
@@ -286,7 +287,7 @@ def calibrate_plot(
         image_after=reached.image,
         statistics_before=jnp.asarray(origin.statistics),
         statistics_after=jnp.asarray(reached.statistics),
-        offset=jnp.asarray(reached.offset),
+        spread=reached.spread,
         data=reached.data,
         degrees=len(reached.weights),
         projector=search.projector,

@@ -66,8 +66,8 @@ class CalibrationSettings:
     """Searches one after the other, each corrected by the full scene."""
     stand_realisations: int = 8
     """Draws of the plants and of what is unknown of the parameters over which statistics and slopes
-    are expectations; 0: the image's plants count as standing where the scene's do, and slopes are
-    those at one place."""
+    are expectations, better an even number; 0: the image's plants count as standing where the
+    scene's do, and slopes are those at one place."""
     scatter_draws: int = 48
     """Such draws from which the covariance of the statistics is estimated; those after the first
     `stand_realisations` fill the sites of these in another order."""
@@ -87,6 +87,10 @@ class CalibrationSettings:
         for name in ("rounds", "starts", "max_steps", "full_renders"):
             if getattr(self, name) < 1:
                 raise InputError(f"`{name}` must be at least 1, but is {getattr(self, name)}")
+        if self.stand_realisations < 0 or self.stand_realisations == 1:
+            raise InputError(
+                f"`stand_realisations` must be 0 or at least 2, but is {self.stand_realisations}"
+            )
         if self.stand_realisations and self.scatter_draws < 3:
             raise InputError(
                 f"`scatter_draws` must be at least 3, but is {self.scatter_draws}: a covariance "
@@ -136,6 +140,9 @@ class Observed:
     """With the errors of plantings, of slopes and of the camera's gains about this place."""
     weights: Float[np.ndarray, "direction statistic"]
     """Makes of misfits independent ones of unit size, along the directions that count."""
+    rendered: tuple[np.ndarray, list[Array], np.ndarray]
+    """Statistics of the full form of some stands at the place itself, the images of the first,
+    and what the cheap form of the same plants lacks."""
 
 
 @dataclasses.dataclass
@@ -182,6 +189,8 @@ class Search:
         """These directions, of all views; None: every statistic counts for itself."""
         self.projector = np.eye(len(data.names))
         """Keeps of statistics what lies along them."""
+        self._wanted: Float[np.ndarray, " species"] | float = 0.0
+        """Plants for which sites were made."""
         self.times: list[float] = []
         """When each step ended that was not one of an earlier run [s]."""
         try:
@@ -213,7 +222,7 @@ class Search:
         count, free = len(self.cheap), len(self._space.names)
         stand = self.cheap[number % count]
         if number >= count:
-            stand = stand_realisation(stand, number // count)
+            stand = stand_realisation(stand, number)  # no number of a stand of the search
         random = np.random.default_rng([self._settings.seed, 83, number // 2])
         normal = random.normal(size=free).clip(-_FARTHEST, _FARTHEST)
         return Draw(stand, normal if number % 2 == 0 else -normal)
@@ -278,7 +287,11 @@ class Search:
         return with_values(self._parameters, self.scene.taxa, self._space.named(u))
 
     def observe(
-        self, u: Array, spread: np.ndarray, slopes: Float[np.ndarray, "statistic free"]
+        self,
+        u: Array,
+        spread: np.ndarray,
+        slopes: Float[np.ndarray, "statistic free"],
+        rendered: tuple[np.ndarray, list[Array], np.ndarray] | None = None,
     ) -> Observed:
         """The full scene about `u`: expectation over plantings and `spread`, and the errors there.
 
@@ -286,15 +299,16 @@ class Search:
         counts with the plants' chance.
         """
         u, plot = jnp.asarray(u), self._plot(u)
-        whole, images = self._whole(plot)
-        none, own = np.zeros_like(spread), len(self._members)
-        same = [Draw(stand, d.normal) for stand, d in zip(self.cheap, self._draws)]
-        lack = whole - self._cheap(u, none, same[: len(whole)])
+        own = len(self._members)
+        if rendered is None:
+            whole, images = self._whole(plot)
+            rendered = whole, images, whole - self._plain(u)[: len(whole)]
+        whole, images, lack = rendered
         drawn = self._cheap(u, spread, self._draws)
         moves = np.stack([spread @ d.normal for d in self._draws])
         rest = drawn - moves @ slopes.T if np.isfinite(slopes).all() else drawn
         finite = np.isfinite(rest).all(axis=1)
-        if finite.sum() > own:  # of some draws a statistic may be undefined
+        if finite.sum() >= own:  # of some draws a statistic may be undefined
             rest = rest[finite | (np.arange(len(rest)) < own)]
         statistics = rest.mean(axis=0) + lack.mean(axis=0)
         covariance = radiometric_covariance(self._views, images)
@@ -314,7 +328,13 @@ class Search:
         offset = statistics - drawn[:own].mean(axis=0)
         image = images[0] if images else None
         weights = self._weights(data)
-        return Observed(u, plot, image, statistics, spread, offset, data, weights)
+        return Observed(u, plot, image, statistics, spread, offset, data, weights, rendered)
+
+    def _plain(self, u: Array) -> Float[np.ndarray, "stand statistic"]:
+        """Statistics of the cheap form of each stand at `u` itself."""
+        free = len(self._space.names)
+        draws = [Draw(stand, np.zeros(free)) for stand in self.cheap]
+        return self._cheap(u, np.eye(free), draws)
 
     def _weights(self, data: Data) -> Float[np.ndarray, "direction statistic"]:
         rows = np.eye(len(data.names)) if self.rows is None else self.rows
@@ -407,11 +427,13 @@ class Search:
         short = room_needed(self.scene, self._parameters, counts) > 0.0
         if self._replant is None or not short.any():
             return False
-        asked = np.maximum(_SPARE * counts[0], counts.max(axis=0))
-        wanted = np.where(short, asked, counts[0])
+        most = counts.max(axis=0)
+        wanted = np.where(short, np.maximum(_SPARE * counts[0], most), most)
+        wanted = np.maximum(wanted, self._wanted)  # what has grown stays
         try:
             self.scene = self._replant(0, wanted)
             self._stand(wanted)
+            self._wanted = wanted
         except InputError:  # no room on the plot, or in memory
             self.scene = before
             return False
@@ -443,10 +465,11 @@ class Search:
         if self._along is None:
             self.choose_directions(origin.data)
         slopes = self._slopes(u, prior)
-        places = [self.observe(u, prior, slopes.mean(axis=0))]
+        places = [self.observe(u, prior, slopes.mean(axis=0), origin.rendered)]
         ends = [(slopes, FitStatus.no_gain)]
         losses: list[np.ndarray] = []
         norms: list[np.ndarray] = []
+        started = 1
         turn, turns = 0, settings.rounds
         while turn < turns:
             most = settings.max_steps if turn == 0 else (settings.max_steps + 1) // 2
@@ -459,15 +482,21 @@ class Search:
                 ends[-1] = (ends[-1][0], status)
                 break
             u, spread = jnp.asarray(reached), self._spread(places[-1], slopes)
-            if self._grown(u):
-                places, ends = [], []  # what was of other stands compares with nothing
+            grown = self._grown(u)
+            if grown:
+                places, ends, started = [], [], 0  # what was of other stands compares with nothing
                 # It had fewer plants than it asked for: go on from there, once more at most.
                 turns = min(max(turns, turn + 2), settings.rounds + 1)
             turn += 1
-            if turn < turns:  # the last round moves little: its end has the slopes of its start
+            if (
+                turn < turns or grown
+            ):  # the last round moves little: its end has the slopes of its start
                 slopes = self._slopes(u, spread)
             places.append(self.observe(u, spread, slopes.mean(axis=0)))
             ends.append((slopes, status))
+        if settings.stand_realisations and len(places) > started:
+            # The start is an expectation over the prior, which compares with none over a posterior.
+            places, ends = places[started:], ends[started:]
         return self._end(origin, places, ends, losses, norms)
 
     def _end(
@@ -502,13 +531,19 @@ class Search:
         if np.isfinite(slopes).all():
             result = result.with_information(jnp.asarray(_information(weights, slopes)))
         place = dataclasses.replace(place, data=counted, weights=weights)
-        plain = [Draw(stand, np.zeros(place.u.size)) for stand in self.cheap]
-        cheap = self._cheap(place.u, place.spread, plain)
+        cheap = self._plain(place.u)
         return End(objective[best], result, place, origin, self.cheap, cheap, losses, norms)
 
 
 def _information(weights: np.ndarray, slopes: np.ndarray) -> Float[np.ndarray, "free free"]:
-    """Fisher information of the mean of the `slopes` of several draws."""
+    """Fisher information of the mean of the `slopes` of several draws.
+
+    Two in a row are opposite, so that slopes that change with the parameters hang together: only
+    the means of such pairs are independent.
+    """
+    pairs = len(slopes) // 2
+    if pairs >= 2:
+        slopes = slopes[: 2 * pairs].reshape(pairs, 2, *slopes.shape[1:]).mean(axis=1)
     if len(slopes) == 1:
         return np.asarray((weights @ slopes[0]).T @ (weights @ slopes[0]))
     return np.asarray(repeated_information(jnp.asarray(weights @ slopes), confidence=0.5))

@@ -36,7 +36,7 @@ class Surrogate(eqx.Module):
     directions: Float[Array, "direction free"]
     curvature: Float[Array, "term statistic"]
     level: Float[Array, " statistic"]
-    """What bends on average over the posterior, which the fit's expectation holds already."""
+    """What bends on average over what the fit's expectation is taken over: it holds that."""
 
     def __call__(self, values: Float[Array, " free"]) -> Float[Array, " statistic"]:
         fit = self.fit
@@ -104,7 +104,8 @@ def fit_surrogate(
     fitted = slice(_LEFT_OUT, None)
     curvature = np.linalg.lstsq(terms[fitted], bent[fitted])[0]
     rest = (bent - terms @ curvature)[:_LEFT_OUT]
-    over = np.asarray(directions) @ covariance @ np.asarray(directions).T
+    along = np.asarray(directions) @ calibration.spread
+    over = along @ along.T
     level = over[np.triu_indices(len(directions))] @ curvature[len(directions) :]
     error = np.sqrt(np.mean(rest**2, axis=0)) / np.asarray(fit.data.sd)
     surrogate = Surrogate(fit, directions, jnp.asarray(curvature), jnp.asarray(level))

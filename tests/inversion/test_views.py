@@ -493,7 +493,7 @@ def test_estimates_over_truths_have_the_stated_spread(chance):
     """Simulation-based calibration: truths of the prior, planted by their own chance."""
     parameters, space, _, replant = chance
     space = space(0.3)
-    settings = CalibrationSettings(stand_realisations=12, scatter_draws=12, rounds=1)
+    settings = CalibrationSettings(stand_realisations=24, scatter_draws=24, rounds=1)
     random, scores, chi = np.random.default_rng(3), [], []
     for number in range(40):
         truth = random.normal(size=2)
@@ -507,7 +507,7 @@ def test_estimates_over_truths_have_the_stated_spread(chance):
         scores.append((truth - np.asarray(found.fit.whitened)) / sd)
         chi.append(found.misfit)
     scores = np.array(scores)
-    # Eighty scores of unit normals, but for the twelve plantings: sd of their sd is 0.08.
+    # Eighty scores of unit normals, but for the two dozen plantings: sd of their sd is 0.08.
     assert 0.8 < np.sqrt(np.mean(scores**2)) < 1.25
     assert 2.0 < np.mean(chi) < 4.5  # chi-square of three
     assert np.mean(np.array(chi) > 7.81) < 0.2
@@ -539,6 +539,38 @@ def test_slopes_hold_over_what_is_unknown(chance):
     assert float(found.fit.jacobian[0, 0]) == pytest.approx(0.5 * 0.03, rel=0.1)
     left = float(found.data.sd[0] ** 2 - 0.1**2) / 0.03**2
     assert left == pytest.approx(0.25 - 0.5 / np.pi, rel=0.15)
+
+
+class Bent(AbstractView):
+    """A square, which over the prior bends."""
+
+    centre: float = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True, default=("a",))
+
+    def observe(self, model, parameters):
+        return None, (parameters.species.cover[:1] / self.centre) ** 2
+
+    def for_search(self, scene, accuracy, stride):
+        return self
+
+
+def test_estimates_have_the_stated_spread_where_statistics_bend(chance):
+    """Data that tell much, of statistics that double over the prior."""
+    parameters, space, _, replant = chance
+    space, view = space(0.3), Bent(float(parameters.species.cover[0]))
+    settings = CalibrationSettings(scatter_draws=16)
+    random, scores = np.random.default_rng(3), []
+    for _ in range(40):
+        truth = random.normal(size=2)
+        plot = with_values(parameters, TAXA, space.named(jnp.asarray(truth)))
+        value = view.predict(replant(0), plot) * (1.0 + 0.1 * random.normal())
+        data = Data(view.names, value, 0.1 * value)
+        found = calibrate_plot(
+            replant(0), parameters, data, space, [view], settings, replant=replant
+        )
+        sd = np.sqrt(np.diagonal(found.fit.covariance))[0]
+        scores.append((truth[0] - float(found.fit.whitened[0])) / sd)
+    assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.4
 
 
 def test_the_covariance_over_few_draws_is_shrunk_to_its_variances():
