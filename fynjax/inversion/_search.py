@@ -488,9 +488,8 @@ class Search:
                 # It had fewer plants than it asked for: go on from there, once more at most.
                 turns = min(max(turns, turn + 2), settings.rounds + 1)
             turn += 1
-            if (
-                turn < turns or grown
-            ):  # the last round moves little: its end has the slopes of its start
+            # The last round moves little: its end keeps the slopes of its start.
+            if turn < turns or grown:
                 slopes = self._slopes(u, spread)
             places.append(self.observe(u, spread, slopes.mean(axis=0)))
             ends.append((slopes, status))
