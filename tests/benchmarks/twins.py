@@ -234,6 +234,8 @@ def report(chosen, ready, view, twins):
         print(f"in the {100 * share:.0f} % interval {inside.mean():.3f} +- {error:.3f}")
     print(f"mean of scores {score.mean():.3f}, their sd {score.std():.3f}")
     print(f"expected share of the prior variance removed {1.0 - np.mean(sd**2):.3f}")
+    if not chosen.train:
+        return
     path = chosen.keep / f"train_{chosen.train}.npz"
     if path.is_file():
         kept = np.load(path)
