@@ -81,7 +81,7 @@ class CrownRow(Strict):
     }
 
     taxon: str = Field(
-        description="Name as in the species table. A crown whose leaves are to be told apart has a "
+        description="Name as in the species table. For the leaves of one crown alone give it a "
         "name and a row of its own there.",
         min_length=1,
     )

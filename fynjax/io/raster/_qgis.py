@@ -14,7 +14,7 @@ _SHOWN_NM = {"green": 560.0, "red": 660.0, "nir": 860.0}
 _FAR_NM = 45.0
 """A band further from it is not taken for a colour [nm]."""
 _RAMP = ("#440154", "#3b528b", "#21918c", "#5ec962", "#fde725")
-"""Viridis at five equal steps (van der Walt and Smith 2015), told apart by colour-blind readers."""
+"""Viridis at five equal steps (van der Walt and Smith 2015), legible to colour-blind readers."""
 _PIXELS = 512
 """Rows and columns that a stretch is taken from, at most."""
 
