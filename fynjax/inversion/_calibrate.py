@@ -198,8 +198,9 @@ def calibrate_plot(
     The search looks at some of the pixels, with coarse light in layers twice as thick
     (`search_form`). What that lacks against full scenes at their own accuracy is measured at the
     start of each of the rounds, on the same plants, and added to its statistics; the covariances
-    are renewed there too. Rounds after the first only correct. The estimate is the best of the
-    start and the rounds by the full scenes.
+    are renewed there too. Rounds after the first only correct; more than those of the settings
+    follow while the last still moved. The estimate is the end of the last; of known plants the
+    best of the start and the rounds by the full scenes.
 
     **Arguments:**
 
@@ -219,8 +220,8 @@ def calibrate_plot(
 
     **Returns:** `Calibration`. Its `fit` is that of the best start, `loss`, `gradient_norm` and
     `steps` those of all its rounds. Its `predicted` are expectations over plantings and the
-    posterior. Where no round improves on a start, that is the estimate: converged if a round ended
-    there within the tolerance, `FitStatus.no_gain` if not.
+    posterior. Where plants are known and no round improves on a start, that is the estimate:
+    converged if a round ended there within the tolerance, `FitStatus.no_gain` if not.
 
     **Raises:** `InputError` for views that do not yield the data's statistics, a start at which
     these are not finite, a checkpoint of another calibration, and where JAX is limited to 32 bits.

@@ -84,3 +84,17 @@ def _quadratic(
 def objective_of(weights: Any, u: np.ndarray, misfit: np.ndarray) -> float:
     """Half the squared whitened misfit and distance from the prior."""
     return 0.5 * float(np.sum((weights @ misfit) ** 2) + np.sum(u**2))
+
+
+def unsettled(
+    weights: Any,
+    u: np.ndarray,
+    moved: np.ndarray,
+    misfit: np.ndarray,
+    jacobian: np.ndarray,
+) -> float:
+    """Half the squared distance, in posterior standard deviations, that a search `moved` to `u`
+    or that a Gauss-Newton step from there would move: the larger."""
+    gradient, hessian = _quadratic(weights, np.asarray(u), misfit, jacobian)
+    step = np.linalg.solve(hessian, gradient)
+    return 0.5 * float(max(moved @ hessian @ moved, gradient @ step))

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.checkpoint import Keep
 from fynjax._core.errors import InputError
-from fynjax.inversion._descent import Descended, descend, objective_of
+from fynjax.inversion._descent import Descended, descend, objective_of, unsettled
 from fynjax.inversion._fit import predicted_statistics, statistics_and_jacobian
 from fynjax.inversion._fit_result import (
     Data,
@@ -63,7 +63,8 @@ class CalibrationSettings:
     accuracy: Accuracy = COARSE
     """Of the light in a search."""
     rounds: int = 2
-    """Searches one after the other, each corrected by the full scene."""
+    """Searches one after the other, each corrected by the full scene; up to three more follow while
+    the last still moved."""
     stand_realisations: int = 8
     """Draws of the plants and of what is unknown of the parameters over which statistics and slopes
     are expectations, better an even number; 0: the image's plants count as standing where the
@@ -104,6 +105,11 @@ _MOST_ROWS = 24
 """Slopes of an image's statistics are taken along so many directions at most."""
 _PRIOR_DRAWS = 60
 """Draws of the prior by which these are chosen."""
+_SETTLED = 0.2
+"""Further rounds follow while a round moved by more than this, or a step still would: half a
+squared distance in posterior standard deviations."""
+_FURTHER = 3
+"""Rounds beyond those of the settings, at most."""
 _FARTHEST = 2.2
 """Of a draw of a parameter from its mean [standard deviations]."""
 
@@ -469,8 +475,8 @@ class Search:
         ends = [(slopes, FitStatus.no_gain)]
         losses: list[np.ndarray] = []
         norms: list[np.ndarray] = []
-        started = 1
         turn, turns = 0, settings.rounds
+        target = np.asarray(self._data.value)
         while turn < turns:
             most = settings.max_steps if turn == 0 else (settings.max_steps + 1) // 2
             reached, status, trace = self._descend(
@@ -481,21 +487,33 @@ class Search:
             if status == FitStatus.not_finite:
                 ends[-1] = (ends[-1][0], status)
                 break
+            begun = u
             u, spread = jnp.asarray(reached), self._spread(places[-1], slopes)
             grown = self._grown(u)
             if grown:
-                places, ends, started = [], [], 0  # what was of other stands compares with nothing
+                places, ends = [], []  # what was of other stands compares with nothing
                 # It had fewer plants than it asked for: go on from there, once more at most.
                 turns = min(max(turns, turn + 2), settings.rounds + 1)
             turn += 1
             # The last round moves little: its end keeps the slopes of its start.
             if turn < turns or grown:
                 slopes = self._slopes(u, spread)
-            places.append(self.observe(u, spread, slopes.mean(axis=0)))
+            place = self.observe(u, spread, slopes.mean(axis=0))
+            # The round kept its slopes, and the expectation is now over another spread.
+            step = np.asarray(u) - np.asarray(begun), place.statistics - target
+            if turn == turns and unsettled(place.weights, u, *step, slopes.mean(axis=0)) > _SETTLED:
+                if turns < settings.rounds + _FURTHER:
+                    turns += 1
+                    slopes = self._slopes(u, spread)
+                    place = self.observe(u, spread, slopes.mean(axis=0), place.rendered)
+                else:
+                    status = FitStatus.max_steps
+            places.append(place)
             ends.append((slopes, status))
-        if settings.stand_realisations and len(places) > started:
-            # The start is an expectation over the prior, which compares with none over a posterior.
-            places, ends = places[started:], ends[started:]
+        if settings.stand_realisations:
+            # Each is an expectation over a spread of its own, which compares with no other.
+            sound = [i for i, place in enumerate(places) if np.isfinite(place.statistics).all()]
+            places, ends = [places[sound[-1]]], [ends[sound[-1]]]
         return self._end(origin, places, ends, losses, norms)
 
     def _end(
@@ -506,7 +524,7 @@ class Search:
         losses: list[np.ndarray],
         norms: list[np.ndarray],
     ) -> End:
-        """The best of the places by the errors at the last."""
+        """The best of the places, which are of one spread, by the errors at the last."""
         data, weights = places[-1].data, places[-1].weights
         # The same likelihood for whoever goes on with these data: along the directions alone.
         counted = data.along(weights)
