@@ -6,7 +6,7 @@ what its steps returned, and a run that starts again is given those instead of c
 
 import os
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -54,31 +54,66 @@ class Journal:
 
     def __call__(self, step: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
         """Do a step and keep what it returns; or, if an earlier run did it, give that back."""
-        path = self._folder / _STEP.format(self._count)
-        self._count += 1
-        self.repeating = path.is_file()
-        if self.repeating:
-            try:
-                with open(path, "rb") as raw, np.load(raw) as file:
-                    return tuple(jnp.asarray(file[f"a{i}"]) for i in range(len(file.files)))
-            except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-                raise InputError(
-                    "no checkpoint, or a damaged one; remove its folder to start again", file=path
-                ) from error
+        number = self.reserve(1)
+        kept = self.kept(number)
+        self.repeating = kept is not None
+        if kept is not None:
+            return tuple(jnp.asarray(array) for array in kept)
         arrays = step()
-        kept = {f"a{i}": np.asarray(value) for i, value in enumerate(arrays)}
-        _write(path, lambda work: _save(work, kept))
+        self.put(number, arrays)
         return arrays
+
+    def reserve(self, count: int) -> int:
+        """The number of the next of `count` steps, which may be done in any order."""
+        self._count += count
+        return self._count - count
+
+    def kept(self, number: int) -> tuple[np.ndarray, ...] | None:
+        """What a step returned in an earlier run; None if it was not done."""
+        path = self._folder / _STEP.format(number)
+        if not path.is_file():
+            return None
+        try:
+            with open(path, "rb") as raw, np.load(raw) as file:
+                return tuple(file[f"a{i}"] for i in range(len(file.files)))
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise InputError(
+                "no checkpoint, or a damaged one; remove its folder to start again", file=path
+            ) from error
+
+    def put(self, number: int, arrays: Sequence[Array | np.ndarray]) -> None:
+        """Keep what a step returned, and forget how it failed before."""
+        kept = {f"a{i}": np.asarray(value) for i, value in enumerate(arrays)}
+        path = self._folder / _STEP.format(number)
+        try:
+            _write(path, lambda work: _save(work, kept))
+            (self._folder / _FAILED.format(number)).unlink(missing_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"cannot keep what was done: {error.strerror}. What was kept before stays, and "
+                "the same command goes on from it",
+                file=self._folder,
+            ) from error
+
+    def put_failure(self, number: int, text: str) -> Path | None:
+        """Keep how a step failed; gives the file, or None where nothing can be written."""
+        path = self._folder / _FAILED.format(number)
+        try:
+            _write(path, lambda work: work.write_text(text, "utf-8"))
+        except OSError:
+            return None
+        return path
 
 
 _MARK = "calibration.mark"
 _STEP = "calibration.{:04d}.npz"
+_FAILED = "calibration.{:04d}.failed.txt"
 
 
 def forget_journal(folder: str | Path) -> None:
     """Remove a journal, and its folder if nothing else is in it."""
     folder = Path(folder)
-    for pattern in (_MARK, "calibration.*.npz", "calibration.*.work"):
+    for pattern in (_MARK, "calibration.*.npz", "calibration.*.txt", "calibration.*.work"):
         for path in folder.glob(pattern):
             path.unlink()
     if folder.is_dir() and not any(folder.iterdir()):
@@ -91,7 +126,11 @@ def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 
 def _write(path: Path, how: Callable[[Path], object]) -> None:
-    """Beside, then renamed: a kill leaves a whole file or none."""
+    """Beside, then renamed: a kill or a full disk leaves a whole file or none."""
     work = path.with_name(path.name + ".work")
-    how(work)
+    try:
+        how(work)
+    except OSError:
+        work.unlink(missing_ok=True)
+        raise
     os.replace(work, path)

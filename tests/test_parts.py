@@ -1,0 +1,327 @@
+"""Parts of a job on processes: the same results, and what is left when one of them is killed."""
+
+import contextlib
+import errno
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import dask
+import jax
+import jax.numpy as jnp
+import numpy as np
+import psutil
+import pytest
+
+from fynjax._core import parts
+from fynjax._core.checkpoint import Journal, forget_journal
+from fynjax._core.errors import InputError
+from fynjax._core.parts import Pool, Workers, at_work
+
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+"""dask leaves pipes and sockets of processes that died to the garbage collection."""
+
+
+@pytest.fixture(scope="module")
+def two() -> Iterator[Pool]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parts, "_machine", lambda: (2, 8 * 2**30))
+        with at_work(Workers(2)) as pool:
+            yield pool
+
+
+def called(folder: Path, number: int) -> int:
+    """Calls of a part so far."""
+    return len(list(folder.glob(f"{number}.*")))
+
+
+def note(folder: Path, number: int) -> int:
+    (folder / f"{number}.{os.getpid()}.{time.monotonic_ns()}").touch()
+    return called(folder, number)
+
+
+def scaled(number: int, factor: float) -> tuple[np.ndarray, ...]:
+    if number == 5:
+        warnings.warn("five is odd", stacklevel=1)
+    return np.array([number * factor]), np.array(os.getpid())
+
+
+def light(number: int, matrix: np.ndarray) -> tuple[jax.Array, ...]:
+    """Sums and products in both precisions, long enough to be shared among threads."""
+    a = jnp.asarray(matrix) + number
+    wide = jnp.sin(a) @ jnp.cos(a).T
+    return wide, wide.sum(), a.astype(jnp.float32) @ a.astype(jnp.float32), jnp.exp(a).mean(axis=0)
+
+
+def numbered(number: int, folder: Path, faulty: str) -> tuple[np.ndarray, ...]:
+    """The square of a number; part 2 has a fault at its first call, or at all."""
+    calls = note(folder, number)
+    if number == 2 and (calls == 1 or faulty.startswith("always")):
+        match faulty.split()[-1]:
+            case "dies":
+                os.kill(os.getpid(), signal.SIGKILL)
+            case "full":
+                raise OSError(errno.ENOSPC, "No space left on device")
+            case "wrong":
+                raise ValueError("no leaves")
+    return (np.array(number**2),)
+
+
+def slow(number: int, folder: Path) -> tuple[np.ndarray, ...]:
+    note(folder, number)
+    time.sleep(0.2)
+    return (np.array(number),)
+
+
+class Heard:
+    """Progress that counts."""
+
+    def __init__(self) -> None:
+        self.steps, self.names = 0, set()
+
+    def stage(self, name, total=None):
+        return contextlib.nullcontext()
+
+    def advance(self, n=1, **info):
+        self.steps += n
+        self.names.add(info.get("part"))
+
+
+def test_two_processes_give_what_one_does(two) -> None:
+    heard = Heard()
+    names = [f"plot {i}" for i in range(7)]
+    with pytest.warns(UserWarning, match="five is odd"):
+        there = two.all(scaled, range(7), 0.1, names=names, progress=heard)
+    with pytest.warns(UserWarning, match="five is odd"):
+        here = Pool().all(scaled, range(7), 0.1)
+    assert [a[0].tobytes() for a in there] == [a[0].tobytes() for a in here]
+    assert os.getpid() not in {int(pid) for _, pid in there}
+    assert (heard.steps, heard.names) == (7, set(names))
+    matrix = np.random.default_rng(1).normal(size=(300, 300))
+    for a, b in zip(two.all(light, range(4), matrix), Pool().all(light, range(4), matrix)):
+        assert [x.dtype for x in a] == [x.dtype for x in b]
+        assert [x.tobytes() for x in a] == [x.tobytes() for x in b]
+
+
+@pytest.mark.parametrize("fault", ["dies", "full"])
+def test_what_fails_once_costs_its_part_only(two, tmp_path: Path, fault: str) -> None:
+    found = two.all(numbered, range(6), tmp_path, fault)
+    assert [int(a) for (a,) in found] == [0, 1, 4, 9, 16, 25]
+    assert called(tmp_path, 2) == 2
+    # With the process goes what it had done and nobody had fetched.
+    assert sum(called(tmp_path, i) for i in range(6)) <= 7 + parts._AHEAD
+
+
+@pytest.mark.parametrize("where", ["here", "there"])
+@pytest.mark.parametrize(("fault", "why"), [("wrong", "no leaves"), ("full", "No space left")])
+def test_a_part_that_fails_is_named_and_the_others_are_kept(two, tmp_path, where, fault, why):
+    pool = two if where == "there" else Pool()
+    calls, kept = tmp_path / "calls", tmp_path / "kept"
+    calls.mkdir()
+    names = [f"plot {i}" for i in range(4)]
+    with pytest.raises(InputError, match=f"1 of 4 parts failed: plot 2: .*{why}"):
+        pool.all(
+            numbered, range(4), calls, f"always {fault}", names=names, journal=Journal(kept, "s")
+        )
+    assert called(calls, 3) == 1
+    (failed,) = kept.glob("*.failed.txt")
+    assert failed.read_text().startswith("plot 2\n")
+    assert "numbered of\n2\n" in failed.read_text()
+    found = pool.all(numbered, range(4), calls, "", names=names, journal=Journal(kept, "s"))
+    assert [int(a) for (a,) in found] == [0, 1, 4, 9]
+    assert [called(calls, i) for i in (0, 1, 3)] == [1, 1, 1]
+    assert not list(kept.glob("*.failed.txt"))
+    forget_journal(kept)
+    assert not kept.exists()
+
+
+def test_a_part_that_kills_every_worker_is_named(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(parts, "_machine", lambda: (2, 8 * 2**30))
+    failures = dask.config.set({"distributed.scheduler.allowed-failures": 1})
+    with (
+        failures,
+        at_work(Workers(1)) as pool,
+        pytest.raises(InputError, match="1 of 3 parts failed: 3: every worker that tried it died"),
+    ):
+        pool.all(numbered, range(3), tmp_path, "always dies")
+    assert called(tmp_path, 2) == 2
+    assert called(tmp_path, 1) >= 1
+
+
+def test_a_part_that_cannot_be_sent_is_refused(two) -> None:
+    with pytest.raises(TypeError, match="another process can be sent"):
+        two.all(scaled, [threading.Lock()], 1.0)
+    assert len(two.all(scaled, range(2), 1.0)) == 2
+
+
+def test_a_full_disk_of_the_checkpoint_ends_in_one_line(tmp_path: Path, monkeypatch) -> None:
+    journal = Journal(tmp_path / "kept", "s")
+
+    def full(file, **arrays):
+        file.write(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    Pool().all(scaled, [1], 1.0, journal=journal)
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.raises(InputError, match="cannot keep what was done: No space left"):
+        Pool().all(scaled, [2], 1.0, journal=journal)
+    assert sorted(p.name for p in (tmp_path / "kept").iterdir()) == [
+        "calibration.0000.npz",
+        "calibration.mark",
+    ]
+
+
+def test_more_workers_than_the_machine_has_room_for(monkeypatch) -> None:
+    monkeypatch.setattr(parts, "_machine", lambda: (2, 3 * 2**30))
+    for count, why in ((3, "may use 2 cores, but 3 workers"), (2, "1.3 GiB of memory each")):
+        with pytest.raises(InputError, match=why), at_work(Workers(count)):
+            pass
+    with pytest.raises(InputError, match="at least 1"):
+        Workers(0)
+    with pytest.raises(InputError, match="one of the two"):
+        Workers(2, "tcp://127.0.0.1:8786")
+
+
+def test_a_scheduler_that_does_not_answer(monkeypatch) -> None:
+    monkeypatch.setattr(parts, "_CONNECT_SECONDS", 1.0)
+    for address in ("tcp://127.0.0.1:9", "nowhere at all"):
+        with (
+            pytest.raises(InputError, match="no dask scheduler answers"),
+            at_work(Workers(scheduler=address)),
+        ):
+            pass
+
+
+def test_a_worker_of_another_version_is_not_fit(monkeypatch) -> None:
+    settings = parts._settings(this_machine=True)
+    monkeypatch.setattr(parts, "_prepared", None)
+    monkeypatch.setattr(parts, "_versions", lambda: settings.versions | {"jax": "0.1"})
+    assert parts._unfit(settings).startswith("it has jax 0.1, not ")
+
+
+def test_each_worker_takes_an_accelerator_of_its_own(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(parts.metadata, "entry_points", lambda **_: ["cuda"])
+    monkeypatch.setattr(parts.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(parts, "_WAIT_FOR_DEVICE", 0.1)
+    taken = []
+    for _ in range(3):
+        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,6")
+        monkeypatch.setattr(parts, "_device", None)
+        why = parts._take_device()
+        taken.append((os.environ["CUDA_VISIBLE_DEVICES"], parts._device))
+        assert ("2 accelerators" in why) is (len(taken) == 3)
+    assert [name for name, _ in taken] == ["4", "6", "4,6"]
+    for _, lock in taken[:2]:
+        lock.release()
+
+
+CLIENT = """
+import sys
+from pathlib import Path
+from fynjax._core import parts
+from fynjax._core.checkpoint import Journal
+from fynjax._core.parts import Workers, at_work
+from tests.test_parts import slow
+
+if __name__ == "__main__":
+    parts._machine = lambda: (2, 8 * 2**30)
+    calls, kept, scheduler = sys.argv[1:]
+    with at_work(Workers(scheduler=scheduler) if scheduler else Workers(2)) as pool:
+        found = pool.all(slow, range(30), Path(calls), journal=Journal(kept, "s"))
+    print([int(a) for (a,) in found] == list(range(30)))
+"""
+
+
+def client(tmp_path: Path, scheduler: str = "") -> subprocess.Popen:
+    script = tmp_path / "client.py"
+    script.write_text(CLIENT)
+    (tmp_path / "calls").mkdir(exist_ok=True)
+    return subprocess.Popen(
+        [sys.executable, script, tmp_path / "calls", tmp_path / "kept", scheduler],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1])},
+    )  # fmt: skip
+
+
+def until(condition, seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def finished(tmp_path: Path) -> list[Path]:
+    return list((tmp_path / "kept").glob("*.npz"))
+
+
+def test_a_killed_client_leaves_no_workers_and_goes_on(tmp_path: Path) -> None:
+    first = client(tmp_path)
+    until(lambda: len(finished(tmp_path)) >= 3)
+    workers = psutil.Process(first.pid).children(recursive=True)
+    first.kill()
+    first.communicate()
+    _, alive = psutil.wait_procs(workers, timeout=15)
+    assert not alive
+    done = len(finished(tmp_path))
+    assert 3 <= done < 30
+    second = client(tmp_path)
+    assert second.communicate(timeout=60)[0].strip() == "True"
+    # Twice done is at most what was on its way.
+    calls = sum(called(tmp_path / "calls", i) for i in range(30))
+    assert calls <= 30 + 2 + 2 * parts._AHEAD
+
+
+def test_a_killed_scheduler_ends_in_one_line_and_the_next_goes_on(tmp_path: Path) -> None:
+    """With the commands of the documentation."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1])}
+    dask_command = [sys.executable, "-m", "dask"]
+    started: list[subprocess.Popen] = []
+
+    def start(*arguments: str) -> subprocess.Popen:
+        with open(tmp_path / "log", "a", encoding="utf-8") as log:
+            process = subprocess.Popen(
+                [*dask_command, *arguments], stdout=log, stderr=log, env=environment, cwd=tmp_path
+            )
+        started.append(process)
+        return process
+
+    def cluster(port: int) -> tuple[subprocess.Popen, str]:
+        address = f"tcp://127.0.0.1:{port}"
+        scheduler = start("scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard")
+        start("worker", address, "--nthreads", "1", "--nworkers", "2", "--no-dashboard")
+        return scheduler, address
+
+    try:
+        scheduler, address = cluster(free_port())
+        first = client(tmp_path, address)
+        until(lambda: len(finished(tmp_path)) >= 3)
+        scheduler.kill()
+        _, errors = first.communicate(timeout=60)
+        assert "the dask scheduler is gone" in errors.splitlines()[-1]
+        assert 3 <= len(finished(tmp_path)) < 30
+        _, address = cluster(free_port())
+        until(lambda: "Starting established connection" in (tmp_path / "log").read_text())
+        second = client(tmp_path, address)
+        out, errors = second.communicate(timeout=60)
+        assert out.strip() == "True", errors
+    finally:
+        for process in started:
+            children = psutil.Process(process.pid).children(recursive=True)
+            for one in (process, *children):
+                with contextlib.suppress(psutil.NoSuchProcess):
+                    one.kill()
+            process.wait()
+
+
+def free_port() -> int:
+    import socket
+
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
