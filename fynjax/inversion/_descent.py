@@ -93,8 +93,11 @@ def unsettled(
     misfit: np.ndarray,
     jacobian: np.ndarray,
 ) -> float:
-    """Half the squared distance, in posterior standard deviations, that a search `moved` to `u`
-    or that a Gauss-Newton step from there would move: the larger."""
+    """The distance that a search `moved` to `u`, or that a Gauss-Newton step from there would
+    move, along the principal direction where it is largest [posterior standard deviations]."""
     gradient, hessian = _quadratic(weights, np.asarray(u), misfit, jacobian)
-    step = np.linalg.solve(hessian, gradient)
-    return 0.5 * float(max(moved @ hessian @ moved, gradient @ step))
+    if not np.isfinite(hessian).all():
+        return np.inf
+    values, vectors = np.linalg.eigh(hessian)
+    steps = np.stack([moved, np.linalg.solve(hessian, gradient)])
+    return float(np.max(np.abs(steps @ vectors) * np.sqrt(values)))

@@ -105,9 +105,9 @@ _MOST_ROWS = 24
 """Slopes of an image's statistics are taken along so many directions at most."""
 _PRIOR_DRAWS = 60
 """Draws of the prior by which these are chosen."""
-_SETTLED = 0.2
-"""Further rounds follow while a round moved by more than this, or a step still would: half a
-squared distance in posterior standard deviations."""
+_SETTLED = 0.6
+"""Further rounds follow while a round moved farther than this along a principal direction, or a
+step still would [posterior standard deviations]."""
 _FURTHER = 3
 """Rounds beyond those of the settings, at most."""
 _FARTHEST = 2.2
