@@ -10,6 +10,7 @@ that numbers are the same to the bit on processors of one kind.
 """
 
 import contextlib
+import getpass
 import logging
 import os
 import pickle
@@ -118,6 +119,7 @@ class Pool:
         parts: Sequence[Any],
         *shared: Any,
         names: Sequence[str] | None = None,
+        sizes: Sequence[int] | None = None,
         journal: Journal | None = None,
         progress: Progress | None = None,
     ) -> Iterator[tuple[int, Arrays]]:
@@ -129,9 +131,10 @@ class Pool:
         - `parts`: what differs between the calls.
         - `shared`: what all have in common; sent once to each worker.
         - `names`: of the parts, for progress and errors; their numbers by default.
+        - `sizes`: steps of progress that each part is; one by default.
         - `journal`: keeps the arrays of each part; those of an earlier run are given at once. The
           next `len(parts)` of its steps are these.
-        - `progress`: advanced by each part, in the stage that is open.
+        - `progress`: advanced by the size of each part, in the stage that is open.
 
         **Raises:** after all others are done, `InputError` that says which parts failed and why;
         and where the scheduler is lost or results cannot be kept. Warnings of parts are given here.
@@ -145,7 +148,7 @@ class Pool:
             if kept is None:
                 open_parts.append(i)
                 continue
-            progress.advance(1, part=names[i])
+            progress.advance(1 if sizes is None else sizes[i], part=names[i])
             yield i, kept
         failures = _Failures()
         answers = self._answers(function, parts, open_parts, shared, progress)
@@ -162,7 +165,7 @@ class Pool:
                     if journal is not None:
                         journal.put(first + i, answer.arrays)
                     yield i, answer.arrays
-                progress.advance(1, part=names[i])
+                progress.advance(1 if sizes is None else sizes[i], part=names[i])
         if failures.lines:
             raise InputError(_sentence(failures, len(parts), journal is not None))
 
@@ -372,12 +375,10 @@ _ONE_THREAD = {
 
 
 def _versions() -> dict[str, str]:
-    import fynjax
-
-    names = ("jax", "jaxlib", "numpy", "equinox")
+    names = ("fynjax", "jax", "jaxlib", "numpy", "equinox")
     python = ".".join(platform.python_version_tuple()[:2])
     found = {name: metadata.version(name) for name in names}
-    return {"fynjax": fynjax.__version__, "Python": python, **found}
+    return {"Python": python, **found}
 
 
 def _check_workers(client: Any, settings: _Settings, where: str) -> None:
@@ -509,7 +510,7 @@ def _take_device() -> str:
     from filelock import FileLock, Timeout
 
     for name in names:
-        lock = FileLock(Path(tempfile.gettempdir()) / f"fynjax-device-{os.getuid()}-{name}")
+        lock = FileLock(Path(tempfile.gettempdir()) / f"fynjax-device-{getpass.getuser()}-{name}")
         try:
             lock.acquire(timeout=_WAIT_FOR_DEVICE)  # a worker that died may just be going
         except Timeout:

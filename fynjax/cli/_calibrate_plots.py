@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from fynjax.cli._bioscape import SHIPPED, OnlyPlots, PriorFile, TraitLibrary
-from fynjax.cli._runtime import Checkpoint, Job, Seed, command
+from fynjax.cli._runtime import Checkpoint, Job, SchedulerAddress, Seed, WorkerCount, command
 from fynjax.cli._validate_plots import Size, Tables, Voxel, check_voxel, field_tables
 
 
@@ -31,6 +31,8 @@ def calibrate_plots(
         ),
     ] = 3,
     checkpoint: Checkpoint = None,
+    workers: WorkerCount = None,
+    scheduler: SchedulerAddress = None,
     seed: Seed = 0,
 ) -> Job:
     """Infer covers, leaf area, dead tissue, gap and leaf traits of plots from measured spectra.
@@ -44,6 +46,7 @@ def calibrate_plots(
     """
     check_voxel(size, voxel)
     assert checkpoint is not None  # `command` gives the folder
+    from fynjax.jobs import Workers
     from fynjax.studies.bioscape import Resolution
     from fynjax.studies.bioscape import calibrate_plots as run_calibrate_plots
 
@@ -57,5 +60,6 @@ def calibrate_plots(
         realisations=realisations,
         seed=seed,
         checkpoint=checkpoint,
+        workers=Workers(workers, scheduler),
         progress=progress,
     )

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fynjax.cli._runtime import Job, Seed, command
+from fynjax.cli._runtime import Job, SchedulerAddress, Seed, WorkerCount, command
 
 
 class Version(StrEnum):
@@ -144,6 +144,8 @@ def fit_leaf(
     posterior: Annotated[
         Posterior, typer.Option(help="Sample the posterior of each leaf as well.")
     ] = Posterior.none,
+    workers: WorkerCount = None,
+    scheduler: SchedulerAddress = None,
     seed: Seed = 0,
 ) -> Job:
     """Fit PROSPECT to measured leaf spectra.
@@ -185,6 +187,7 @@ def fit_leaf(
         domain=domain.value,
         panel=panel,
         seed=seed,
+        workers=jobs.Workers(workers, scheduler),
         progress=progress,
         **further,
     )

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from fynjax.cli._bioscape import OnlyPlots, TraitLibrary
-from fynjax.cli._runtime import Checkpoint, Job, Seed, command
+from fynjax.cli._runtime import Checkpoint, Job, SchedulerAddress, Seed, WorkerCount, command
 from fynjax.cli._validate_plots import Size, Voxel, check_voxel, field_tables
 
 
@@ -39,6 +39,8 @@ def learn(
         list[str] | None, typer.Option(help="Where the data are from; may be given again.")
     ] = None,
     checkpoint: Checkpoint = None,
+    workers: WorkerCount = None,
+    scheduler: SchedulerAddress = None,
     seed: Seed = 0,
 ) -> Job:
     """Learn what plots share, and how they vary, from the spectra of all at once.
@@ -53,6 +55,7 @@ def learn(
     check_voxel(size, voxel)
     check_voxel(size, max(slope_voxel, voxel))
     assert checkpoint is not None  # `command` gives the folder
+    from fynjax.jobs import Workers
     from fynjax.studies.bioscape import Resolution
     from fynjax.studies.bioscape import learn as run_learn
 
@@ -68,5 +71,6 @@ def learn(
         sources=source or [],
         seed=seed,
         checkpoint=checkpoint,
+        workers=Workers(workers, scheduler),
         progress=progress,
     )

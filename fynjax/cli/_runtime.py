@@ -33,6 +33,24 @@ Checkpoint = Annotated[
         "on from it.",
     ),
 ]
+WorkerCount = Annotated[
+    int | None,
+    typer.Option(
+        "--workers",
+        metavar="N",
+        min=1,
+        help="Do the parts in N processes of this machine, one core each; same results. Needs the "
+        "extra `cluster`.",
+    ),
+]
+SchedulerAddress = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Do the parts on the workers of a dask scheduler, such as tcp://192.168.0.10:8786.",
+    ),
+]
 OwnSeed = Annotated[
     int | None,
     typer.Option(

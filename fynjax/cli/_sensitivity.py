@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from fynjax.cli._posterior import Free
-from fynjax.cli._runtime import Job, OwnSeed, PlotPath, command
+from fynjax.cli._runtime import Job, OwnSeed, PlotPath, SchedulerAddress, WorkerCount, command
 
 
 def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -41,6 +41,8 @@ def sensitivity(
             help="Points of the Sobol design, a power of two; takes N (parameters + 2) renders.",
         ),
     ] = 0,
+    workers: WorkerCount = None,
+    scheduler: SchedulerAddress = None,
     seed: OwnSeed = None,
 ) -> Job:
     """Find which parameters of a plot change which statistics of its image.
@@ -60,5 +62,6 @@ def sensitivity(
         derivative_samples=derivatives,
         sobol_samples=sobol,
         seed=seed,
+        workers=jobs.Workers(workers, scheduler),
         progress=progress,
     )

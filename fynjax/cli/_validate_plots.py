@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from fynjax.cli._bioscape import SHIPPED, OnlyPlots, PriorFile, TraitLibrary
-from fynjax.cli._runtime import Job, Seed, command
+from fynjax.cli._runtime import Checkpoint, Job, SchedulerAddress, Seed, WorkerCount, command
 
 Tables = Annotated[
     Path,
@@ -46,7 +46,7 @@ def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
     return field_tables([given["folder"]], given)
 
 
-@command("validate-plots", work=_work)
+@command("validate-plots", forget=True, work=_work)
 def validate_plots(
     folder: Tables,
     plot: OnlyPlots = None,
@@ -54,15 +54,20 @@ def validate_plots(
     prior: PriorFile = SHIPPED,
     size: Size = 5.0,
     voxel: Voxel = 0.1,
+    checkpoint: Checkpoint = None,
+    workers: WorkerCount = None,
+    scheduler: SchedulerAddress = None,
     seed: Seed = 0,
 ) -> Job:
     """Simulate plots from field tables alone, and compare with their measured spectra.
 
-    Writes a report page, tables, spectra as NetCDF, figures, and the plot files.
+    Writes a report page, tables, spectra as NetCDF, figures, and the plot files. An interrupted run
+    goes on when the same command is given again.
 
     Example:  fynjax validate-plots tables --output validation
     """
     check_voxel(size, voxel)
+    from fynjax.jobs import Workers
     from fynjax.studies.bioscape import Resolution
     from fynjax.studies.bioscape import validate_plots as run_validate_plots
 
@@ -74,5 +79,7 @@ def validate_plots(
         prior=prior,
         resolution=Resolution(size, voxel),
         seed=seed,
+        checkpoint=checkpoint,
+        workers=Workers(workers, scheduler),
         progress=progress,
     )

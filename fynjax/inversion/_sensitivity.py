@@ -13,11 +13,14 @@ from scipy.stats import qmc
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
+from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.inversion._fit import Predict
 from fynjax.inversion._space import ParameterSpace
-from fynjax.inversion._vectorised import evaluate_many, value_and_jacobian
+from fynjax.inversion._vectorised import evaluate_many, memory_batch, value_and_jacobian
 
+_BATCHES = 8
+"""Batches of runs that are sent to a worker at once."""
 Over = Literal["prior", "bounds"]
 """What a parameter ranges over: its prior, or evenly over its bounds."""
 
@@ -140,6 +143,7 @@ def sobol_indices(
     context: tuple[Any, ...] = (),
     seed: int = 0,
     batch: int | None = None,
+    workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> SobolIndices:
     """First-order and total Sobol indices, by SALib (extra `sensitivity`).
@@ -154,6 +158,7 @@ def sobol_indices(
     - `samples`: a power of two.
     - `seed`: of the design and the bootstrap.
     - `batch`: runs computed at once; what the memory holds by default.
+    - `workers`: where batches are computed; in this process by default.
     - `progress`: where to report the runs; nowhere by default.
 
     **Returns:** `SobolIndices`.
@@ -169,7 +174,7 @@ def sobol_indices(
     size = len(space.names)
     problem = {"num_vars": size, "names": list(space.names), "bounds": [[0.0, 1.0]] * size}
     shares = design.sample(problem, samples, calc_second_order=False, seed=seed)
-    values = _run(model, model, shares, metrics, batch, progress)
+    values = _run(model, model, shares, metrics, batch, workers, progress)
     found: dict[str, list[np.ndarray]] = {key: [] for key in ("S1", "S1_conf", "ST", "ST_conf")}
     for column in values.T:
         if np.ptp(column) == 0.0:  # nothing to share out
@@ -210,6 +215,7 @@ def derivative_measures(
     context: tuple[Any, ...] = (),
     seed: int = 0,
     batch: int | None = None,
+    workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> DerivativeMeasures:
     """Derivative-based global sensitivity measures (DGSM), with slopes by autodiff.
@@ -218,8 +224,8 @@ def derivative_measures(
     is the Poincaré constant of the parameter's distribution: 1 / pi^2 for an even one of unit
     range, 1 for a unit normal one (Sobol and Kucherenko 2009; Lamboni et al. 2013).
 
-    **Arguments:** `predict`, `space`, `metrics`, `over`, `samples`, `context`, `seed`, `batch` and
-    `progress` as `sobol_indices` has them. Takes `samples` runs with their Jacobians.
+    **Arguments:** `predict`, `space`, `metrics`, `over`, `samples`, `context`, `seed`, `batch`,
+    `workers` and `progress` as `sobol_indices` has them. Takes `samples` runs with their Jacobians.
 
     **Returns:** `DerivativeMeasures`.
 
@@ -229,7 +235,7 @@ def derivative_measures(
     _check(over, samples)
     model = _OverUnits(predict, space, context, over)
     shares = qmc.Sobol(len(space.names), rng=seed).random(samples)
-    both = _run(_Slopes(model), model, shares, metrics, batch, progress)
+    both = _run(_Slopes(model), model, shares, metrics, batch, workers, progress)
     squared = both[..., 1:] ** 2
     variance = both[..., 0].var(axis=0)
     measure = squared.mean(axis=0)
@@ -258,6 +264,7 @@ def _run(
     shares: np.ndarray,
     metrics: Sequence[str],
     batch: int | None,
+    workers: Workers | None,
     progress: Progress | None,
 ) -> np.ndarray:
     """`function` at all points, finite, its first axis after that of the points the metrics."""
@@ -266,9 +273,15 @@ def _run(
     count = jax.eval_shape(model, jnp.asarray(points[0])).size
     if count != len(metrics):
         raise InputError(f"{len(metrics)} metrics are named, but `predict` gives {count}")
-    with progress.stage("Run the model", len(points)):
-        values = evaluate_many(function, points, batch=batch, advance=progress.advance)
-    values = np.asarray(values, float)
+    batch = memory_batch(function, points[0]) if batch is None else batch
+    some = _BATCHES * batch
+    cut = [points[first : first + some] for first in range(0, len(points), some)]
+    names = [f"runs {i * some + 1} to {i * some + len(p)}" for i, p in enumerate(cut)]
+    with progress.stage("Run the model", len(points)), at_work(workers) as pool:
+        found = pool.all(
+            _values, cut, function, batch, names=names, sizes=[*map(len, cut)], progress=progress
+        )
+    values = np.concatenate([values for (values,) in found]).astype(float)
     bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     if bad.any():
         raise InputError(
@@ -276,3 +289,9 @@ def _run(
             "is a parameter at the end of its range? Narrow its prior"
         )
     return values
+
+
+def _values(
+    points: np.ndarray, function: Callable[[Array], Array], batch: int
+) -> tuple[np.ndarray]:
+    return (evaluate_many(function, points, batch=batch),)

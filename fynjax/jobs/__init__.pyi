@@ -29,6 +29,7 @@ from ._result import Record as Record
 from ._result import Rows as Rows
 from ._result import StatisticSummary as StatisticSummary
 from ._run import Run as Run
+from ._run import Workers as Workers
 from ._run import peak_memory_mib as peak_memory_mib
 from ._sensitivity import SensitivityResult as SensitivityResult
 from ._sensitivity import sensitivity as sensitivity

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from fynjax import leaf
 from fynjax._core.errors import InputError
+from fynjax._core.parts import Workers
 from fynjax._core.progress import Progress
 from fynjax.io.spectra import (
     Spectrum,
@@ -260,6 +261,7 @@ def fit_leaf(
     groups: str | Path | None = None,
     posterior: Sampling = "none",
     seed: int = 0,
+    workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> FitLeafResult:
     """Fit PROSPECT to every leaf spectrum of every file.
@@ -294,6 +296,8 @@ def fit_leaf(
       fitted together, and `species.csv` holds the mean leaf and five material variants of each.
     - `posterior`: "none", or sample it by "emcee" or "nuts" into `posterior.nc`.
     - `seed`: seed of the posterior's random numbers; the fit itself draws none.
+    - `workers`: where chunks of 1024 leaves are fitted; in this process by default. Leaves that
+      are fitted together (`groups`), and posteriors, stay there.
     - `progress`: advances with every chunk of leaves.
 
     **Returns:** `FitLeafResult`. Writes `traits.csv`, `spectra.nc` and a figure into `output`, and
@@ -329,7 +333,7 @@ def fit_leaf(
         together = fit_leaf_groups(_GRID, r, t, groups=_read_groups(groups, names), **options)
         fit = together.leaves
     else:
-        fit = leaf.fit_leaf(_GRID, r, t, progress=run.progress, **options)
+        fit = leaf.fit_leaf(_GRID, r, t, workers=workers, progress=run.progress, **options)
     settings = {
         "prospect_version": version,
         "measurement": measurement,

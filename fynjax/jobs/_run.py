@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import pandas as pd
 
 from fynjax._core.memory import peak_memory
+from fynjax._core.parts import Workers as Workers
 from fynjax._core.precision import enable_double_precision
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.io.raster import provenance, write_qgis_style

@@ -9,6 +9,7 @@ import pandas as pd
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
+from fynjax._core.parts import Workers
 from fynjax._core.progress import Progress
 from fynjax.assembly import batch_for_device, image_view, prepare, shown_unit
 from fynjax.inversion import (
@@ -50,6 +51,7 @@ def sensitivity(
     derivative_samples: int = 0,
     sobol_samples: int = 0,
     seed: int | None = None,
+    workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> SensitivityResult:
     """Slopes and elasticities of a plot's metrics; over the priors too, if samples are asked for.
@@ -65,6 +67,7 @@ def sensitivity(
     - `sobol_samples`: samples for Sobol indices, a power of two, or 0 for none. Each sample takes
       as many renders as there are parameters, and two more.
     - `seed`: seed of every random number; that of the plot file by default.
+    - `workers`: where samples are computed; in this process by default.
     - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `SensitivityResult`. Writes `slopes.csv`, with samples `variance.csv`, figures and
@@ -100,6 +103,7 @@ def sensitivity(
         "context": (quick,),
         "seed": run.seed,
         "batch": batch_for_device(),
+        "workers": workers,
         "progress": run.progress,
     }
     measures = indices = None

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.stats import chi2
 
+from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.leaf import _levenberg as lm
@@ -263,6 +264,7 @@ def fit_leaf(
     detector_changes: Sequence[float] = (),
     error_model: ErrorModel | None = None,
     chunk: int = 1024,
+    workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> LeafFit:
     """Fit PROSPECT to measured reflectance, transmittance, or both, of any number of leaves.
@@ -294,6 +296,7 @@ def fit_leaf(
     - `error_model`: covariance of the model's error, `default_error_model()` by default.
     - `chunk`: leaves that are solved together, 128 at a time until each has converged; memory is
       some 100 MB and 30 kB for each of them.
+    - `workers`: where chunks are fitted; in this process by default.
     - `progress`: where to report the number of leaves fitted; nowhere by default.
 
     **Returns:** `LeafFit`, on bins of 5 and 10 nm. A leaf with fewer than ten usable bins has NaN,
@@ -324,14 +327,24 @@ def fit_leaf(
     use = usable_bins(data, domain, outdoor)
     setup = make_setup(version, measurement, free, error_model)
     prior = leaf_priors(setup, data, use)
-    parts = []
-    with progress.stage("fitting leaves", len(data)):
-        for at in range(0, len(data), chunk):
-            rows = slice(at, at + chunk)
-            chunk_prior = (prior[0][rows], prior[1][rows])
-            parts.append(fit_chunk(setup, data[rows], use[rows], chunk_prior))
-            progress.advance(len(data[rows]))
+    cut = [slice(at, at + chunk) for at in range(0, len(data), chunk)]
+    chunks = [(data[rows], use[rows], (prior[0][rows], prior[1][rows])) for rows in cut]
+    names = [f"leaves {rows.start + 1} to {min(rows.stop, len(data))}" for rows in cut]
+    sizes = [len(data[rows]) for rows in cut]
+    with progress.stage("fitting leaves", len(data)), at_work(workers) as pool:
+        found = pool.all(_chunk_arrays, chunks, setup, names=names, sizes=sizes, progress=progress)
+    parts = [dict(zip(map(str, keys), arrays)) for keys, *arrays in found]
     return assemble(setup, parts, data, use)
+
+
+Chunk = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]
+"""Data of some leaves, which of them to use, and their priors."""
+
+
+def _chunk_arrays(leaves: Chunk, setup: Setup) -> tuple[np.ndarray, ...]:
+    """What `fit_chunk` gives, after the names of it."""
+    found = fit_chunk(setup, *leaves)
+    return np.array(list(found)), *found.values()
 
 
 def fit_chunk(

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fynjax._core.checkpoint import keep_nothing
 from fynjax._core.errors import InputError
 from fynjax.inversion import (
     Data,
@@ -31,6 +30,7 @@ from fynjax.studies.bioscape._inversion import (
     ROOM,
     SOFTNESS,
     Estimate,
+    PlotCase,
     PlotSpectrumForward,
     Reference,
     bias_corrected_data,
@@ -264,7 +264,8 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
     density = LogPosterior(predict, space, blank, zero, (models[-1], parameters))
     spectrum = np.asarray(predicted_statistics(density, truth))
     data = weigh_spectrum(view.names, spectrum, 0.01, gain=0.0, offset=1e-4)
-    estimate = infer_plot(predict, data, space, parameters, models[:-1], keep_nothing)
+    case = PlotCase(data, space, parameters, tuple(models[:-1]))
+    estimate = Estimate.of(space, infer_plot(case, predict))
     assert estimate.converged
     assert estimate.misfit[1] < 0.5 * estimate.misfit[0]
     off = (estimate.whitened - np.asarray(truth)) / np.sqrt(np.diagonal(estimate.covariance))

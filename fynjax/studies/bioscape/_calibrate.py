@@ -11,12 +11,13 @@ from jaxtyping import Float
 
 from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
+from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import Progress
 from fynjax.inversion import Data, signature, spectrum_view
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
 from fynjax.io.raster import file_hash
 from fynjax.jobs import Run
-from fynjax.scene import PlotParameters
+from fynjax.scene import PlotParameters, Scene
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape._inversion import (
     FREE,
@@ -25,6 +26,7 @@ from fynjax.studies.bioscape._inversion import (
     ROOM,
     SOFTNESS,
     Estimate,
+    PlotCase,
     PlotSpectrumForward,
     Reference,
     bias_corrected_data,
@@ -93,6 +95,7 @@ def calibrate_plots(
     realisations: int = 3,
     seed: int = 0,
     checkpoint: str | Path,
+    workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> CalibratePlotsResult:
     """Infer covers, leaf area, dead tissue, gap and leaf traits of plots from their spectra.
@@ -109,12 +112,13 @@ def calibrate_plots(
       them; at least 3.
     - `seed`: seed of the positions of the plants.
     - `checkpoint`: folder that keeps the fit of each plot, from which an interrupted run goes on.
+    - `workers`: where the plots are inferred; in this process by default.
     - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `CalibratePlotsResult`. Writes tables, figures and a page into `output`.
 
     **Raises:** `InputError` for tables that are missing or cannot be read, plots without spectra,
-    and a checkpoint of another run.
+    a checkpoint of another run, plots whose fit failed, and workers as `Workers` has it.
     """
     run = Run(output, seed=seed, progress=progress)
     resolution = Resolution() if resolution is None else resolution
@@ -161,28 +165,37 @@ def calibrate_plots(
     inputs += [] if learned is None else [learned.path]
     settings = (resolution, realisations, seed, [p.name for p in read], FREE, len(bands))
     journal = Journal(checkpoint, signature(settings, [file_hash(p) for p in inputs]))
-    estimates: dict[str, list[Estimate]] = {p.name: [] for p in priors}
-    with run.stage("Infer", total=len(priors) * len(read)):
-        for known_by in priors:
-            for i, plot in enumerate(known_by.plots):
-                known = None if known_by.elsewhere is None else known_by.elsewhere[i]
-                space = prior_space(plot, known, learned)
-                spectrum, bias = data[i], None
-                if known_by.name == BIAS_CORRECTED:
-                    rest = [
-                        np.asarray(d.value) - fit.before
-                        for d, fit in zip(data, estimates[TABLES_PRIOR])
-                    ]
-                    spectrum, bias = bias_corrected_data(
-                        view.names, flights[i], np.delete(np.stack(rest), i, axis=0)
-                    )
-                fit = infer_plot(
-                    predict, spectrum, space, known_by.parameters[i], stands[i], journal,
-                    bias=bias,
-                )  # fmt: skip
-                _check(fit, plot, folder)
-                estimates[known_by.name].append(fit)
-                run.progress.advance(1, plot=plot.name, misfit=f"{fit.misfit[1]:.2f}")
+    free = [prior for prior in priors if prior.name != BIAS_CORRECTED]
+    cases = [
+        _case(prior, i, data[i], learned, stands[i]) for prior in free for i in range(len(read))
+    ]
+    estimates: dict[str, list[Estimate]] = {}
+    with run.stage("Infer", total=len(priors) * len(read)), at_work(workers) as pool:
+
+        def infer(cases: list[PlotCase], of: Sequence[Prior]) -> None:
+            names = [f"plot {plot.name}, {prior.name}" for prior in of for plot in prior.plots]
+            found = pool.all(
+                infer_plot, cases, predict, names=names, journal=journal, progress=run.progress
+            )
+            fits = [Estimate.of(case.space, arrays) for case, arrays in zip(cases, found)]
+            for k, prior in enumerate(of):
+                estimates[prior.name] = fits[k * len(read) : (k + 1) * len(read)]
+                for fit, plot in zip(estimates[prior.name], prior.plots):
+                    _check(fit, plot, folder)
+
+        infer(cases, free)
+        if corrected := [prior for prior in priors if prior.name == BIAS_CORRECTED]:
+            rest = np.stack(
+                [np.asarray(d.value) - f.before for d, f in zip(data, estimates[TABLES_PRIOR])]
+            )
+            cases = []
+            for i in range(len(read)):
+                spectrum, bias = bias_corrected_data(
+                    view.names, flights[i], np.delete(rest, i, axis=0)
+                )
+                case = _case(corrected[0], i, spectrum, learned, stands[i])
+                cases.append(case._replace(bias=bias))
+            infer(cases, corrected)
     with run.stage("Write"):
         findings = _findings(read, priors, estimates, field, bands, data)
         regression = read_leaf_mass_model(folder)
@@ -255,6 +268,15 @@ def _elsewhere(
             {name: (float(mean[i]), float(sd[i])) for name, (mean, sd) in known.items()}
         )
     return Prior(OTHERS_PRIOR, plots, parameters, elsewhere)
+
+
+def _case(
+    prior: Prior, i: int, spectrum: Data, learned: LearnedPrior | None, stands: Sequence[Scene]
+) -> PlotCase:
+    """One plot to infer."""
+    known = None if prior.elsewhere is None else prior.elsewhere[i]
+    space = prior_space(prior.plots[i], known, learned)
+    return PlotCase(spectrum, space, prior.parameters[i], tuple(stands))
 
 
 def _check(fit: Estimate, plot: BioscapePlot, folder: Path) -> None:

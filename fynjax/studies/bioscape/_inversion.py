@@ -7,7 +7,7 @@ parameter moves all species of a plot together, by a factor on what its tables s
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax._core.checkpoint import Keep
 from fynjax.inversion import (
     Data,
     FitResult,
@@ -370,6 +369,15 @@ class Estimate:
     stand_slope: np.ndarray
     """Its derivatives by the whitened parameters [quantity, free]."""
 
+    @classmethod
+    def of(cls, space: ParameterSpace, arrays: Sequence[Array | np.ndarray]) -> Self:
+        """From what `infer_plot` gives."""
+        u, covariance, before, after, misfit, converged, stand, slope = map(np.asarray, arrays)
+        return cls(
+            space, u, covariance, before, after, (float(misfit[0]), float(misfit[1])),
+            bool(converged), stand, slope,
+        )  # fmt: skip
+
     @property
     def constrained(self) -> np.ndarray:
         """1 less posterior over prior variance [-]."""
@@ -404,64 +412,53 @@ class Estimate:
         return 1.0 - float(slope @ self.covariance @ slope) / prior if prior > 0 else 0.0
 
 
+class PlotCase(NamedTuple):
+    """One plot with its spectrum and what is known before."""
+
+    data: Data
+    space: ParameterSpace
+    parameters: PlotParameters
+    scenes: tuple[Scene, ...]
+    """Stand realisations; the first is fitted, the others estimate the variance over them."""
+    bias: Float[np.ndarray, " band"] | None = None
+    """Added to the model's spectrum; `data` then hold the errors of all that, those of realisations
+    too (`bias_corrected_data`)."""
+
+
 def infer_plot(
-    predict: PlotSpectrumForward,
-    data: Data,
-    space: ParameterSpace,
-    parameters: PlotParameters,
-    scenes: Sequence[Scene],
-    keep: Keep,
-    *,
-    bias: Float[np.ndarray, " band"] | None = None,
-    max_steps: int = 20,
-) -> Estimate:
-    """Fit one plot. `scenes` are stand realisations of it; the first is fitted, the others
-    estimate the variance over realisations.
-
-    `bias` is added to the model's spectrum; `data` then hold the errors of all that, those of
-    realisations too (`bias_corrected_data`).
-    """
-    offset = jnp.zeros_like(data.value) if bias is None else jnp.asarray(bias)
-
-    def do() -> tuple[Array, ...]:
-        none = jnp.zeros_like(offset)
-        densities = [
-            LogPosterior(predict, space, data, none, (scene, parameters)) for scene in scenes
-        ]
-        start = jnp.zeros(len(space.names))
-        prior_spectra = jnp.stack([predicted_statistics(density, start) for density in densities])
-        grown = data.with_scatter(prior_spectra[1:] - prior_spectra[0]) if bias is None else data
-        result: FitResult = fit(
-            predict,
-            grown,
-            space,
-            max_steps=max_steps,
-            tolerance=0.02,
-            context=densities[0].context,
-            offset=offset,
-            report=lambda *_: None,  # step by step: `evaluate` then needs no program of its own
-        )
-        others = [
-            evaluate(replace(density, data=grown), result.whitened) for density in densities[1:]
-        ]
-        deviations = jnp.stack([value for value, _ in others]) + offset - result.predicted
-        if bias is not None:
-            deviations = jnp.zeros_like(deviations)
-        scattered = replace(result, data=data).marginal(
-            deviations, jnp.stack([slope for _, slope in others])
-        )
-        spectra = (prior_spectra[0] + offset, result.predicted)
-        rest = [grown.whiten(spectrum - grown.value) for spectrum in spectra]
-        return (
-            result.whitened, scattered.covariance, prior_spectra[0], result.predicted,
-            jnp.stack([jnp.sqrt(jnp.mean(r**2)) for r in rest]), jnp.asarray(result.converged),
-            *_stand(predict, space, result.whitened, scenes[0], parameters),
-        )  # fmt: skip
-
-    u, covariance, before, after, misfit, converged, stand, slope = map(np.asarray, keep(do))
-    return Estimate(
-        space, u, covariance, before, after, (float(misfit[0]), float(misfit[1])), bool(converged),
-        stand, slope,
+    case: PlotCase, predict: PlotSpectrumForward, max_steps: int = 20
+) -> tuple[Array, ...]:
+    """Fit one plot: the arrays of an `Estimate`."""
+    data, space, parameters, scenes, bias = case
+    none = jnp.zeros_like(data.value)
+    offset = none if bias is None else jnp.asarray(bias)
+    densities = [LogPosterior(predict, space, data, none, (scene, parameters)) for scene in scenes]
+    start = jnp.zeros(len(space.names))
+    prior_spectra = jnp.stack([predicted_statistics(density, start) for density in densities])
+    grown = data.with_scatter(prior_spectra[1:] - prior_spectra[0]) if bias is None else data
+    result: FitResult = fit(
+        predict,
+        grown,
+        space,
+        max_steps=max_steps,
+        tolerance=0.02,
+        context=densities[0].context,
+        offset=offset,
+        report=lambda *_: None,  # step by step: `evaluate` then needs no program of its own
+    )
+    others = [evaluate(replace(density, data=grown), result.whitened) for density in densities[1:]]
+    deviations = jnp.stack([value for value, _ in others]) + offset - result.predicted
+    if bias is not None:
+        deviations = jnp.zeros_like(deviations)
+    scattered = replace(result, data=data).marginal(
+        deviations, jnp.stack([slope for _, slope in others])
+    )
+    spectra = (prior_spectra[0] + offset, result.predicted)
+    rest = [grown.whiten(spectrum - grown.value) for spectrum in spectra]
+    return (
+        result.whitened, scattered.covariance, prior_spectra[0], result.predicted,
+        jnp.stack([jnp.sqrt(jnp.mean(r**2)) for r in rest]), jnp.asarray(result.converged),
+        *_stand(predict, space, result.whitened, scenes[0], parameters),
     )  # fmt: skip
 
 

@@ -6,21 +6,21 @@ of coarser voxels than values: the estimate ends where the values of the fine on
 """
 
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
+from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import Progress
 from fynjax.inversion import (
     LinearPlots,
+    ParameterSpace,
     Population,
     fit_population,
     signature,
@@ -65,17 +65,6 @@ _FARTHEST = 2.0
 _FEWEST = 4
 
 
-@dataclass(frozen=True)
-class Stand:
-    """A plot to learn from."""
-
-    plot: BioscapePlot
-    measured: Float[np.ndarray, " statistic"]
-    """Logarithm of the mean spectrum, and the share that tables leave to the ground."""
-    fine: tuple[Scene, PlotParameters]
-    coarse: tuple[Scene, PlotParameters]
-
-
 def learn(
     folders: Sequence[str | Path],
     output: str | Path,
@@ -89,6 +78,7 @@ def learn(
     sources: Sequence[str] = (),
     seed: int = 0,
     checkpoint: str | Path,
+    workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> LearnResult:
     """Learn what plots share, and how they vary, from the tables and spectra of all at once.
@@ -105,12 +95,14 @@ def learn(
       their hashes are added to the sources.
     - `seed`: seed of the positions of the plants.
     - `checkpoint`: folder that keeps the linearisations, from which an interrupted run goes on.
+    - `workers`: where the plots are simulated; in this process by default.
     - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `LearnResult`. Writes `prior.toml`, tables, figures and a page into `output`.
 
     **Raises:** `InputError` for tables that are missing or cannot be read, fewer than four plots
-    with a spectrum, plots of one name, other bands, and a checkpoint of another run.
+    with a spectrum, plots of one name, other bands, a checkpoint of another run, plots
+    that failed, and workers as `Workers` has it.
     """
     run = Run(output, seed=seed, progress=progress)
     resolution = Resolution() if resolution is None else resolution
@@ -119,10 +111,6 @@ def learn(
         fine = build_scenes(files, resolution, [seed] * len(files))
         wide = Resolution(resolution.size_m, max(slope_voxel_m, resolution.voxel_m))
         coarse = fine if wide == resolution else build_scenes(files, wide, [seed] * len(files))
-    stands = [
-        Stand(p, np.append(np.asarray(log_reflectance(jnp.asarray(m))), uncovered(p)), f, c)
-        for p, m, f, c in zip(read, measured, fine, coarse)
-    ]
     inputs = sorted(p for folder in folders for p in Path(folder).glob("*.csv"))
     inputs += [] if traits is None else [Path(traits)]
     space, prior = population_space(), hyperprior(np.asarray(bands.centre))
@@ -133,45 +121,45 @@ def learn(
         PopulationForward(spectrum_view(bands, *scenes[0], ACCURACY), forms)
         for scenes in (fine, coarse)
     ]
-    value = eqx.filter_jit(lambda m, u, *stand: m(space.physical(u), *stand))
-    slope = eqx.filter_jit(lambda m, u, *stand: m.linearised(space, u, *stand)[1])
-
-    def each(
-        stage: str, at: np.ndarray, what: Callable[[Stand, np.ndarray], jnp.ndarray]
-    ) -> np.ndarray:
-        """`what` of each plot at its own parameters."""
-        results = []
-        with run.stage(stage, total=len(stands)):
-            for stand, u in zip(stands, at):
-                (result,) = journal(partial(_alone, what, stand, u))
-                if not np.isfinite(result).all():
-                    raise InputError(f"the spectrum of plot {stand.plot.name!r} is not finite")
-                results.append(np.asarray(result))
-                run.progress.advance(1, plot=stand.plot.name)
-        return np.stack(results)
-
-    def simulate(stand: Stand, u: np.ndarray) -> jnp.ndarray:
-        return value(models[0], jnp.asarray(u), *stand.fine)
-
-    def differentiate(stand: Stand, u: np.ndarray) -> jnp.ndarray:
-        return slope(models[1], jnp.asarray(u), *stand.coarse)
-
-    u = np.zeros((len(stands), len(PER_PLOT)))
-    before = np.empty(0)
-    for turn in range(PASSES):
-        of = f"({turn + 1} of {PASSES})"
-        predicted = each(f"Simulate {of}", u, simulate)
-        before = before if turn else predicted
-        slopes = each(f"Differentiate {of}", u, differentiate)
-        linear = linear_plots(np.stack([s.measured for s in stands]), predicted, slopes, u)
-        population = fit_population(linear, prior)
-        wanted = plot_parameters_of(population, linear)
-        u = u + np.clip(wanted - u, -_FARTHEST, _FARTHEST)
-    with run.stage("Leave each plot out"):
-        left_out = [
-            fit_population(linear.without(i), prior, population) for i in range(len(stands))
+    names = [f"plot {p.name}" for p in read]
+    statistics = np.stack(
+        [
+            np.append(np.asarray(log_reflectance(jnp.asarray(m))), uncovered(p))
+            for p, m in zip(read, measured)
         ]
-    apart = np.stack([p.mean[:-1] for p in left_out])
+    )
+    u = np.zeros((len(read), len(PER_PLOT)))
+    before = np.empty(0)
+    with at_work(workers) as pool:
+
+        def each(stage: str, at: np.ndarray, differentiated: bool = False) -> np.ndarray:
+            """Statistics or their derivatives of each plot at its own parameters."""
+            scenes = coarse if differentiated else fine
+            with run.stage(stage, total=len(read)):
+                found = pool.all(
+                    differentiate if differentiated else simulate,
+                    list(zip(scenes, at)), models[differentiated], space,
+                    names=names, journal=journal, progress=run.progress,
+                )  # fmt: skip
+            for plot, (result,) in zip(read, found):
+                if not np.isfinite(result).all():
+                    raise InputError(f"the spectrum of plot {plot.name!r} is not finite")
+            return np.stack([result for (result,) in found])
+
+        for turn in range(PASSES):
+            of = f"({turn + 1} of {PASSES})"
+            predicted = each(f"Simulate {of}", u)
+            before = before if turn else predicted
+            slopes = each(f"Differentiate {of}", u, differentiated=True)
+            linear = linear_plots(statistics, predicted, slopes, u)
+            population = fit_population(linear, prior)
+            wanted = plot_parameters_of(population, linear)
+            u = u + np.clip(wanted - u, -_FARTHEST, _FARTHEST)
+        with run.stage("Leave each plot out"):
+            left_out = [
+                fit_population(linear.without(i), prior, population) for i in range(len(read))
+            ]
+        apart = each("Simulate plots left out", np.stack([p.mean[:-1] for p in left_out]))
     lesson = Lesson(
         title=title,
         licence=licence,
@@ -184,10 +172,7 @@ def learn(
         population=population,
         left_out=left_out,
         ground=np.array([uncovered(p) for p in read]),
-        predicted={
-            ASSUMED: before,
-            LEFT_OUT: each("Simulate plots left out", apart, simulate),
-        },
+        predicted={ASSUMED: before, LEFT_OUT: apart},
         parameters=u,
         resolution=resolution,
     )
@@ -271,7 +256,39 @@ def _read(
     return read, bands, [f.mean(axis=0) for f in flights], files, remarks
 
 
-def _alone(
-    what: Callable[[Stand, np.ndarray], jnp.ndarray], stand: Stand, u: np.ndarray
-) -> tuple[jnp.ndarray, ...]:
-    return (what(stand, u),)
+PlotAt = tuple[tuple[Scene, PlotParameters], np.ndarray]
+"""A plot, and its own parameters, whitened."""
+
+
+def simulate(plot: PlotAt, model: PopulationForward, space: ParameterSpace) -> tuple[Array]:
+    """The statistics of a plot."""
+    scene, u = plot
+    return (_value(model, space, jnp.asarray(u), *scene),)
+
+
+def differentiate(plot: PlotAt, model: PopulationForward, space: ParameterSpace) -> tuple[Array]:
+    """Their derivatives by its parameters."""
+    scene, u = plot
+    return (_slope(model, space, jnp.asarray(u), *scene),)
+
+
+@eqx.filter_jit
+def _value(
+    model: PopulationForward,
+    space: ParameterSpace,
+    u: Array,
+    scene: Scene,
+    parameters: PlotParameters,
+) -> Array:
+    return model(space.physical(u), scene, parameters)
+
+
+@eqx.filter_jit
+def _slope(
+    model: PopulationForward,
+    space: ParameterSpace,
+    u: Array,
+    scene: Scene,
+    parameters: PlotParameters,
+) -> Array:
+    return model.linearised(space, u, scene, parameters)[1]

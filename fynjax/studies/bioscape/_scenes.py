@@ -4,20 +4,18 @@ Plots differ in species, numbers of plants and heights. Here they get one shape:
 in slots, as many of each growth form as any plot needs, and what a plot does not fill is empty.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax.assembly import plot_parameters
 from fynjax.canopy import FORM_DEFAULTS, VoxelGrid
-from fynjax.inversion import nadir_imager
 from fynjax.io.plot import Plot
 from fynjax.radiation import Accuracy, render, solve_light
 from fynjax.scene import (
@@ -29,7 +27,6 @@ from fynjax.scene import (
     SceneSpecies,
     build_scene,
 )
-from fynjax.sensors import BandSet
 
 ACCURACY = Accuracy(sublayers=2, coarsening=(2, 2), levels=2, refine=False, solves=25)
 
@@ -190,13 +187,9 @@ def nadir_spectrum(imager: AimedSensor, scene: Scene, parameters: PlotParameters
     )
 
 
-def simulate(
-    scenes: Sequence[tuple[Scene, PlotParameters]], bands: BandSet, done: Callable[[int], None]
-) -> list[PlotSpectrum]:
-    """The spectrum of each plot in `bands`; `done` hears of each."""
-    imager = nadir_imager(bands, *scenes[0], ACCURACY)
-    spectra = []
-    for number, (scene, parameters) in enumerate(scenes):
-        spectra.append(jax.tree.map(np.asarray, nadir_spectrum(imager, scene, parameters)))
-        done(number)
-    return spectra
+def simulate_plot(
+    scene: tuple[Scene, PlotParameters], imager: AimedSensor
+) -> tuple[Array, Array, Array]:
+    """The fields of a plot's `PlotSpectrum`."""
+    found = nadir_spectrum(imager, *scene)
+    return found.reflectance, found.ground_seen, found.residual

@@ -7,16 +7,26 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
+from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import Progress
 from fynjax.compare import PlotSpectraPair
+from fynjax.inversion import nadir_imager, signature
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
+from fynjax.io.raster import file_hash
 from fynjax.jobs import Run
 from fynjax.metrics import spectral_mask
 from fynjax.sensors import BandSet
 from fynjax.studies.bioscape._plot_files import flights, run_bioscape
 from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
-from fynjax.studies.bioscape._scenes import PlotSpectrum, Resolution, build_scenes, simulate
+from fynjax.studies.bioscape._scenes import (
+    ACCURACY,
+    PlotSpectrum,
+    Resolution,
+    build_scenes,
+    simulate_plot,
+)
 from fynjax.studies.bioscape._spectra import (
     PlotSpectra,
     Spectrometer,
@@ -38,6 +48,8 @@ def validate_plots(
     prior: str | Path = DEFAULT_PRIOR,
     resolution: Resolution | None = None,
     seed: int = 0,
+    checkpoint: str | Path | None = None,
+    workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> ValidatePlotsResult:
     """Simulate the spectra of a folder's plots from its tables and compare them with the measured.
@@ -51,11 +63,15 @@ def validate_plots(
       learned. Plots that it was learned from have the values learned from all others.
     - `resolution`: size and voxels of the simulated plots, see `Resolution`.
     - `seed`: seed of the positions of the plants.
+    - `checkpoint`: folder that keeps each plot's spectrum, from which an interrupted run goes on;
+      none by default.
+    - `workers`: where the plots are simulated; in this process by default.
     - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `ValidatePlotsResult`. Writes tables, figures and a page into `output`.
 
-    **Raises:** `InputError` for tables that are missing or cannot be read.
+    **Raises:** `InputError` for tables that are missing or cannot be read, a checkpoint of another
+    run, plots that failed, and workers as `Workers` has it.
     """
     run = Run(output, seed=seed, progress=progress)
     resolution = Resolution() if resolution is None else resolution
@@ -77,8 +93,19 @@ def validate_plots(
     files = [read_plot(run.folder / "plots" / p.name / "plot.toml") for p in read]
     with run.stage("Plant the plots"):
         scenes = build_scenes(files, resolution, [seed] * len(files))
-    with run.stage("Simulate", total=len(read)):
-        spectra = simulate(scenes, bands, lambda n: run.progress.advance(1, plot=read[n].name))
+    inputs = [*sorted(folder.glob("*.csv")), traits, None if learned is None else learned.path]
+    journal = None
+    if checkpoint is not None:
+        settings = (resolution, seed, [p.name for p in read], bands.names)
+        hashes = [file_hash(Path(path)) for path in inputs if path is not None]
+        journal = Journal(checkpoint, signature(settings, hashes))
+    imager = nadir_imager(bands, *scenes[0], ACCURACY)
+    with run.stage("Simulate", total=len(read)), at_work(workers) as pool:
+        names = [f"plot {p.name}" for p in read]
+        found = pool.all(
+            simulate_plot, scenes, imager, names=names, journal=journal, progress=run.progress
+        )
+    spectra = [PlotSpectrum(*arrays) for arrays in found]  # type: ignore[arg-type]
     _check_finite(spectra, read)
     pair = PlotSpectraPair(
         tuple(p.name for p in read),
@@ -96,7 +123,6 @@ def validate_plots(
     with run.stage("Write"):
         about = plot_table(read, files, spectra, measured)
         about["prior"] = [prior_words(learned, plot) for plot in read]
-        inputs = [*sorted(folder.glob("*.csv")), traits, None if learned is None else learned.path]
         return write_report(
             run,
             pair,
