@@ -184,6 +184,7 @@ def test_calibrate_and_fit_leaf_pass_their_files(capsys, calls, plot, tmp_path):
     assert calls[1][1][0] == spectra
     assert calls[1][2] == {
         "version": "PRO",
+        "workers": jobs.Workers(),
         "measurement": "sphere",
         "leaf_shape": "broad",
         "domain": "full",
