@@ -9,6 +9,8 @@ All processes compute with the settings of the one that asked (precision, compil
 that numbers are the same to the bit on processors of one kind.
 """
 
+import asyncio
+import concurrent.futures
 import contextlib
 import getpass
 import logging
@@ -53,6 +55,7 @@ _LEAST_MEMORY = 2 * 2**30
 """Of a worker: compiling alone takes about half of it [bytes]."""
 _WAIT_FOR_DEVICE = 2.0
 _SHOWN = 3
+_CANCELLED = (asyncio.CancelledError, concurrent.futures.CancelledError)
 
 
 @dataclass(frozen=True)
@@ -234,7 +237,7 @@ class _DaskPool(Pool):
                     else:
                         raise _lost(client)
                     future.release()
-        except (distributed.client.FutureCancelledError, OSError, RuntimeError) as error:
+        except (*_CANCELLED, OSError, RuntimeError) as error:
             if isinstance(error, RuntimeError) and client.status == "running":
                 raise
             raise _lost(client) from error
@@ -259,12 +262,14 @@ def at_work(workers: Workers | None = None) -> Iterator[Pool]:
         if workers.count is not None:
             settings = _settings(this_machine=True)
             memory = _share_of_memory(workers.count)
-            keep = {
+            keep: dict[str, Any] = {
                 f"distributed.worker.memory.{name}": False for name in ("target", "spill", "pause")
             }
             dask = require("dask", "cluster")
             with contextlib.ExitStack() as stack:
                 scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="fynjax-workers-"))
+                # One part at a time, so that none is blamed for a worker that died of another.
+                keep["distributed.scheduler.worker-saturation"] = 1.0
                 stack.enter_context(dask.config.set(keep))
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # of ports, which nobody asked for
