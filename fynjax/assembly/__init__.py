@@ -11,11 +11,22 @@ from fynjax.assembly._forward import (
 )
 from fynjax.assembly._memory import check_memory, stand_size
 from fynjax.assembly._sensing import aim_at_plot, aim_without_air
+from fynjax.assembly._stands import (
+    STAND_QUANTITIES,
+    StandQuantity,
+    Stands,
+    StandSettings,
+    simulate_stands,
+)
 from fynjax.assembly._targets import Measured, drone_view, read_targets
 
 __all__ = [
+    "STAND_QUANTITIES",
     "Measured",
     "Prepared",
+    "StandQuantity",
+    "StandSettings",
+    "Stands",
     "aim_at_plot",
     "aim_without_air",
     "batch_for_device",
@@ -28,5 +39,6 @@ __all__ = [
     "prepare",
     "read_targets",
     "shown_unit",
+    "simulate_stands",
     "stand_size",
 ]

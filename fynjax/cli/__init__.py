@@ -21,6 +21,7 @@ from fynjax.cli._fit_leaf import fit_leaf
 from fynjax.cli._information import information
 from fynjax.cli._init import init
 from fynjax.cli._learn import learn
+from fynjax.cli._map import map_command
 from fynjax.cli._pattern import pattern
 from fynjax.cli._plant import plant
 from fynjax.cli._posterior import posterior
@@ -30,6 +31,7 @@ from fynjax.cli._sensitivity import sensitivity
 from fynjax.cli._sensors import sensors
 from fynjax.cli._simulate import simulate
 from fynjax.cli._terrain import terrain
+from fynjax.cli._train import train
 from fynjax.cli._validate import validate
 from fynjax.cli._validate_plots import validate_plots
 from fynjax.cli._view import view
@@ -57,6 +59,8 @@ app.command("fit-leaf")(fit_leaf)
 app.command()(convert)
 app.command()(plant)
 app.command()(learn)
+app.command()(train)
+app.command("map")(map_command)
 app.command()(terrain)
 app.command()(reflectance)
 app.command()(bioscape)

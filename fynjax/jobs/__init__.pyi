@@ -12,6 +12,8 @@ from ._fit_leaf import FitLeafResult as FitLeafResult
 from ._fit_leaf import fit_leaf as fit_leaf
 from ._information import InformationResult as InformationResult
 from ._information import information as information
+from ._map import MapResult as MapResult
+from ._map import map_cube as map_cube
 from ._pattern import PatternResult as PatternResult
 from ._pattern import pattern as pattern
 from ._plant import PlantResult as PlantResult
@@ -39,6 +41,11 @@ from ._simulate import simulate as simulate
 from ._simulate_lidar import SimulateLidarResult as SimulateLidarResult
 from ._terrain import TerrainResult as TerrainResult
 from ._terrain import terrain as terrain
+from ._train import Training as Training
+from ._train import TrainResult as TrainResult
+from ._train import read_training as read_training
+from ._train import train as train
+from ._train import write_training as write_training
 from ._validate import ValidateResult as ValidateResult
 from ._validate import ValidationData as ValidationData
 from ._validate import validate as validate

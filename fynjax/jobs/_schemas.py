@@ -30,6 +30,7 @@ from fynjax.jobs import (
     ConvertResult,
     FitLeafResult,
     InformationResult,
+    MapResult,
     PatternResult,
     PlantResult,
     PosteriorResult,
@@ -39,6 +40,7 @@ from fynjax.jobs import (
     SimulateLidarResult,
     SimulateResult,
     TerrainResult,
+    TrainResult,
     ValidateResult,
 )
 
@@ -48,6 +50,7 @@ Summary = Annotated[
     | ConvertResult
     | FitLeafResult
     | InformationResult
+    | MapResult
     | PatternResult
     | PlantResult
     | PosteriorResult
@@ -57,6 +60,7 @@ Summary = Annotated[
     | SimulateResult
     | SimulateLidarResult
     | TerrainResult
+    | TrainResult
     | ValidateResult,
     Field(description="What `--json` prints and `summary.json` holds, by the command."),
 ]

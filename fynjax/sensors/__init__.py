@@ -12,6 +12,7 @@ from fynjax.sensors._camera_counts import (
     counts_to_radiance,
     radiance_to_counts,
 )
+from fynjax.sensors._channels import Channels, group_bands
 from fynjax.sensors._empirical_line import (
     EmpiricalLine,
     Panel,
@@ -80,14 +81,13 @@ from fynjax.sensors.lidar import (
 )
 
 __all__ = [
-    "RADIANCE_UNITS",
-    "SPACE",
     "AbstractCamera",
     "AbstractNoise",
     "Atmosphere",
     "BandSet",
     "CameraNoise",
     "CameraRadiometry",
+    "Channels",
     "ClearAir",
     "EmpiricalLine",
     "FlashGeometry",
@@ -101,7 +101,9 @@ __all__ = [
     "PanelReading",
     "PointSpread",
     "PushbroomCamera",
+    "RADIANCE_UNITS",
     "RadiometricNoise",
+    "SPACE",
     "ScanGeometry",
     "Sensor",
     "SunPosition",
@@ -121,6 +123,7 @@ __all__ = [
     "expected_returns",
     "frame_of",
     "ground_irradiance",
+    "group_bands",
     "irradiance_line",
     "is_transparent",
     "lidar_folder",

@@ -1,7 +1,7 @@
 """Prior files: what plots share, and how they vary, learned from many plots (`fynjax learn`)."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -202,24 +202,39 @@ class LearnedPrior:
         found = next(p for p in self.file.parameters if p.name == name)
         return math.hypot(found.mean_sd, found.plot_sd, found.plot_sd if elsewhere else 0.0)
 
-    def draws(self, count: int, *, seed: int = 0) -> dict[str, Float[np.ndarray, " draw"]]:
+    def draws(
+        self, count: int, *, seed: int = 0, groups: int = 1, shared: Sequence[str] = ()
+    ) -> dict[str, Float[np.ndarray, " draw"]]:
         """Parameters of plots elsewhere (`sd`), each of a region of its own.
 
         Normal in the logit between the bounds of a parameter, or the logarithm of one without an
         upper bound. Errors of the means are correlated as the file has it; what plots and regions
         differ by in dead tissue or leaf area is the same in all growth forms.
 
-        **Arguments:** `count`, number of plots; `seed`.
+        **Arguments:**
+
+        - `count`: number of plots.
+        - `seed`: of the draws.
+        - `groups`, `shared`: each `groups` plots that follow each other are alike in the kinds of
+          parameters that `shared` names, such as "leaf_area_index"; the others are drawn given
+          these. `groups` must divide `count`.
         """
         random = np.random.default_rng(seed)
         rows = self.file.parameters
+        kinds = [p.name.split(".")[0] for p in rows]
+        alike = np.array([kind in shared for kind in kinds])
         sd = np.array([p.mean_sd for p in rows])
         error = np.asarray(self.file.mean_correlation) * np.outer(sd, sd)
         of_mean = random.multivariate_normal(
             np.zeros(len(rows)), error, count, check_valid="ignore"
         )
-        kinds = [p.name.split(".")[0] for p in rows]
         effect = {kind: random.normal(0.0, math.sqrt(2.0), count) for kind in dict.fromkeys(kinds)}
+        if groups > 1 and alike.any():
+            first = np.arange(count) // groups * groups
+            # Matheron's rule: draws are moved by what the shared ones, once set, tell of them.
+            gain = error[:, alike] @ np.linalg.pinv(error[np.ix_(alike, alike)])
+            of_mean = of_mean + (of_mean[first][:, alike] - of_mean[:, alike]) @ gain.T
+            effect |= {kind: effect[kind][first] for kind in shared if kind in effect}
         drawn = {}
         for p, kind, apart in zip(rows, kinds, of_mean.T, strict=True):
             low, high = _bounds(p.name)

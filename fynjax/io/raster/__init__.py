@@ -2,6 +2,7 @@
 
 from fynjax.io.raster._align import Alignment, align_bands
 from fynjax.io.raster._band_stack import BandStack, read_band_stack
+from fynjax.io.raster._blocks import CubeBlocks, MapWriter, open_blocks
 from fynjax.io.raster._cover_map import read_cover_map
 from fynjax.io.raster._crs import UNITS, check_metric, parse_crs
 from fynjax.io.raster._cubes import (
@@ -32,6 +33,8 @@ __all__ = [
     "Alignment",
     "BandStack",
     "Cube",
+    "CubeBlocks",
+    "MapWriter",
     "Raster",
     "RasterFile",
     "align_bands",
@@ -40,6 +43,7 @@ __all__ = [
     "colour_bands",
     "file_hash",
     "image_array",
+    "open_blocks",
     "open_raster",
     "parse_crs",
     "provenance",

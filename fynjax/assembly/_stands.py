@@ -1,0 +1,385 @@
+"""Stands drawn from a learned prior, and their spectra: what a regression from spectra to covers
+and leaves is trained with.
+
+Nobody knows which species grow in a pixel. A stand has a species of each growth form, whose covers,
+sizes and leaves are drawn. One planted stand is lit with many sets of leaves, dead tissue and soil:
+all of them are bands of one scene, whose diffuse light is reduced to a few solves.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax.canopy import table1_2006
+from fynjax.inversion import nadir_imager
+from fynjax.io.plot import BY_FORM, LEAFY_FORMS, LearnedPrior, leaf_factors
+from fynjax.leaf import FLAT, ROUND, LeafParameters, structure_from_dry_matter
+from fynjax.radiation import Accuracy, render, solve_light
+from fynjax.scene import (
+    PARAMETERS,
+    USUAL_LEAF,
+    AimedSensor,
+    GroundParameters,
+    LightParameters,
+    PlantingRules,
+    PlotParameters,
+    Scene,
+    SceneSpecies,
+    build_scene,
+    species_parameters,
+    stand_realisation,
+)
+from fynjax.sensors import BandSet
+
+
+@dataclass(frozen=True)
+class StandQuantity:
+    """A quantity of a stand that a spectrum may tell."""
+
+    words: str
+    unit: str
+    description: str
+
+
+STAND_QUANTITIES: dict[str, StandQuantity] = {
+    "live_cover": StandQuantity(
+        "live cover", "1", "Share of the ground under crowns of live plants, seen from above."
+    ),
+    "dead_cover": StandQuantity(
+        "dead cover",
+        "1",
+        "Share of the ground, seen from above and not under live crowns, with dead plants that "
+        "stand or with litter.",
+    ),
+    "bare_cover": StandQuantity(
+        "bare ground", "1", "Share of the ground, seen from above, that is soil or rock."
+    ),
+    "dead_fraction": StandQuantity(
+        "dead tissue of live shoots",
+        "1",
+        "Share of the area of the shoots of live plants that is dead, brown or woody.",
+    ),
+    "leaf_area": StandQuantity(
+        "live leaf area", "m2 m-2", "One-sided area of live leaves over the ground."
+    ),
+    "leaf_mass_per_area": StandQuantity(
+        "leaf mass per area",
+        "g m-2",
+        "Dry mass over projected area of live leaves as crews measure it, mean over the crowns.",
+    ),
+    "water_content": StandQuantity(
+        "leaf water content", "%", "Water over fresh mass of live leaves, mean over the crowns."
+    ),
+    "chlorophyll": StandQuantity(
+        "leaf chlorophyll", "ug cm-2", "Chlorophyll over area of live leaves, mean over the crowns."
+    ),
+}
+"""What is known of every simulated stand, in the order of its columns."""
+
+FORMS = (*LEAFY_FORMS, "deadwood")
+"""A species each."""
+_ROUND = ("upright_ericoid", "tussock", "climber")
+"""Forms with needles, culms or threads for leaves; the others have flat ones."""
+_SHARES = {
+    "upright_ericoid": 1.0,
+    "rounded_shrub": 0.3,
+    "tussock": 1.0,
+    "broad_leaved": 0.7,
+    "climber": 0.05,
+}
+"""Concentration of a Dirichlet distribution of the forms' shares of live crowns: most stands are of
+one or two forms, and ericoids and tussocks are as common as all others, as in fynbos."""
+_COVERED, _DEAD = (2.0, 1.0), (0.8, 1.2)
+"""Beta distributions of the share of the ground under live crowns (0.67 on average; bare and closed
+stands occur), and of the share of the rest that is dead."""
+_STANDING = (2.0, 2.0)
+"""Of the share of dead cover that stands: the rest is litter."""
+_MOST_CROWNS = 3.0
+"""Crowns over ground, at most [-]: crowns at random then leave a twentieth free."""
+_LEAF_MASS, _LEAF_MASS_SD = 260.0, (0.25, 0.45)
+"""Leaf mass per projected area [g m-2]: median, and standard deviation of its logarithm between
+stands and between the forms of a stand; those of 66 species of the Cape Peninsula
+(PeninsulaTraitLibrary.csv, doi:10.5281/zenodo.14198989) have 0.58 in all."""
+_WATER, _WATER_SD = 0.55, (0.25, 0.4)
+"""Water over fresh mass [-], and standard deviations of its logit; sources as above."""
+_PIGMENT_SD = (0.2, 0.2)
+"""Of the logarithm of chlorophyll, between stands and forms: an assumption."""
+_MOST_WATER = 0.05
+"""[cm] What PROSPECT was made with (LOPEX, Jacquemoud et al. 1996)."""
+_SIZE_SD = 0.3
+"""Of the logarithm of crown diameters and of heights: an assumption."""
+_TALLEST = 2.0
+"""Heights above are cut [m], lest the grid be mostly air."""
+_PACKING = 0.75
+"""Planted with this overlap, so that covers of a form stay below 1; no more than a way to state
+them (equation 8)."""
+_CELL = 0.1
+"""Side of the cells in which the cover of crowns is counted [m]."""
+_GEOMETRY = ("leaf_area_index", "shoot_clumping")
+"""What the stand is planted with, so that all its sets of leaves share it."""
+
+
+@dataclass(frozen=True)
+class StandSettings:
+    """How stands are simulated."""
+
+    sun_zenith: tuple[float, float] = (30.0, 30.0)
+    """Least and greatest zenith angle of the sun; drawn evenly between [degrees]."""
+    size_m: float = 3.0
+    """Side of a stand [m]; it repeats itself without end."""
+    voxel_m: float = 0.25
+    """Edge of a voxel [m]."""
+    together: int = 16
+    """Sets of leaves, dead tissue and soil of each planted stand."""
+    solves: int = 25
+    """Bands, of all sets together, that the diffuse light is solved in."""
+
+
+@dataclass(frozen=True)
+class Stands:
+    """Stands and their spectra."""
+
+    quantities: Float[np.ndarray, "stand quantity"]
+    """`STAND_QUANTITIES`."""
+    reflectance: Float[np.ndarray, "stand band"]
+    """Mean reflectance factor from straight above [-]."""
+    residual: float
+    """Largest share of the source of diffuse light that the reduced solution leaves over [-]."""
+
+
+def simulate_stands(
+    numbers: tuple[int, ...],
+    bands: BandSet,
+    prior: LearnedPrior,
+    settings: StandSettings,
+    seed: int,
+) -> Stands:
+    """Simulate stands by their numbers. The same number and seed give the same stands, whatever
+    other numbers are asked for.
+
+    **Arguments:**
+
+    - `numbers`: of the planted stands; each gives `settings.together` rows.
+    - `bands`: of the spectra.
+    - `prior`: growth forms, leaves, dead tissue and soil.
+    - `settings`: see `StandSettings`.
+    - `seed`: of everything random.
+
+    **Returns:** `Stands`, row after row in the order of `numbers`.
+    """
+    scene, planted, imager = _planted(bands, settings)
+    quantities, spectra, residual = [], [], 0.0
+    for number in numbers:
+        drawn = _draw(prior, settings, number, seed)
+        stand = stand_realisation(scene, int(drawn.rng.integers(2**31)))
+        parameters = replace(planted, species=drawn.species, light=drawn.light)
+        found, left = _spectra(imager, stand, parameters, drawn.optics)
+        spectra.append(np.asarray(found, float))
+        residual = max(residual, float(left))
+        quantities.append(_quantities(stand, parameters, drawn))
+    return Stands(np.concatenate(quantities), np.concatenate(spectra), residual)
+
+
+@lru_cache(maxsize=2)
+def _planted(
+    bands: BandSet, settings: StandSettings
+) -> tuple[Scene, PlotParameters, AimedSensor]:
+    """The scene that all stands are realisations of: sites for as many plants as any may have."""
+    diameter, height = _sizes()
+    values: dict[str, list[float | None]] = {
+        "cover": [_MOST_CROWNS * (1.0 - _PACKING)] * len(FORMS),
+        "diameter": list(diameter * np.exp(-_SIZE_SD)),
+        "height": [_TALLEST] * len(FORMS),
+        "packing": [_PACKING] * len(FORMS),
+        "fill": [1.0] * len(FORMS),
+    }
+    species, leaf = species_parameters(FORMS, values, [None] * len(FORMS))
+    parameters = PlotParameters(species, leaf, GroundParameters(), LightParameters())
+    scene = build_scene(
+        [SceneSpecies(form, form) for form in FORMS],
+        parameters,
+        extent=(settings.size_m, settings.size_m),
+        voxel=settings.voxel_m,
+        seed=0,
+        rules=PlantingRules(structure="even", room=1.0, softness=0.0),
+    )
+    accuracy = Accuracy(
+        lattice=1, sublayers=1, coarsening=(2, 2), levels=2, refine=False, solves=settings.solves
+    )
+    return scene, parameters, nadir_imager(bands, scene, parameters, accuracy)
+
+
+def _sizes() -> tuple[Float[np.ndarray, " form"], Float[np.ndarray, " form"]]:
+    """Usual crown diameter and greatest height of each form [m]: means of the shipped table."""
+    table = table1_2006().groupby("growth_form")[["mean_diameter_cm", "height_max_m"]].mean()
+    rows = table.loc[list(FORMS)]
+    return rows["mean_diameter_cm"].to_numpy() / 100.0, rows["height_max_m"].to_numpy()
+
+
+class _Optics(eqx.Module):
+    """What the sets of a stand differ by: a first axis of sets everywhere."""
+
+    leaf: LeafParameters
+    dead_fraction: Float[Array, "set form"]
+    ground: GroundParameters
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    rng: np.random.Generator
+    species: Any
+    light: LightParameters
+    optics: _Optics
+    leaf_mass: Float[np.ndarray, "set form"]
+    """As crews measure it [g m-2]."""
+    water: Float[np.ndarray, "set form"]
+    """Over fresh mass [-]."""
+
+
+def _draw(prior: LearnedPrior, settings: StandSettings, number: int, seed: int) -> _Drawn:
+    rng = np.random.default_rng([seed, number])
+    count, forms, leafy = settings.together, len(FORMS), len(LEAFY_FORMS)
+    at = prior.draws(count, seed=int(rng.integers(2**31)), groups=count, shared=_GEOMETRY)
+
+    def by_form(kind: str) -> Float[np.ndarray, "set form"]:
+        values = [at[f"{kind}.{form}"] for form in LEAFY_FORMS]
+        return np.stack([*values, np.zeros(count)], axis=1)
+
+    def around(median: float, sds: tuple[float, float]) -> Float[np.ndarray, "set form"]:
+        apart = sds[0] * rng.normal(size=(count, 1)) + sds[1] * rng.normal(size=(count, forms))
+        return median * np.exp(apart)
+
+    live, dead = rng.beta(*_COVERED), rng.beta(*_DEAD)
+    standing = dead * rng.beta(*_STANDING)
+    shares = rng.dirichlet(list(_SHARES.values()))
+    crowns = np.minimum(
+        -np.log1p(-np.append(live * np.ones(leafy), standing)), _MOST_CROWNS
+    ) * np.append(shares, 1.0)
+    diameter, height = _sizes()
+    diameter = diameter * np.exp(np.clip(_SIZE_SD * rng.normal(size=forms), -_SIZE_SD, None))
+    height = height * np.exp(_SIZE_SD * rng.normal())
+    values: dict[str, Any] = {
+        "cover": crowns * (1.0 - _PACKING),
+        "diameter": diameter,
+        "height": np.clip(height, 0.1, _TALLEST),
+        "packing": [_PACKING] * forms,
+        "fill": [1.0] * forms,
+        **{kind: by_form(kind)[0] for kind in BY_FORM},
+    }
+    species, _ = species_parameters(FORMS, values, [None] * forms)
+    light = LightParameters(
+        sun_zenith=jnp.asarray(rng.uniform(*settings.sun_zenith)),
+        sun_azimuth=jnp.asarray(rng.uniform(0.0, 360.0)),
+    )
+    leaf_mass = around(_LEAF_MASS, _LEAF_MASS_SD)
+    odds = around(_WATER / (1.0 - _WATER), _WATER_SD)
+    ratio = np.array([ROUND if form in _ROUND else FLAT for form in FORMS])
+    dry = np.minimum(leaf_mass / ratio / 1e4, PARAMETERS["dry_matter"].upper)
+    pigment = around(1.0, _PIGMENT_SD)
+    usual = prior.values()["chlorophyll"]  # which the usual leaf is already times
+    leaf = {
+        "structure": np.asarray(structure_from_dry_matter(dry)),
+        **{name: USUAL_LEAF[name] / usual * pigment for name in ("chlorophyll", "carotenoids")},
+        **{
+            name: np.full_like(dry, USUAL_LEAF[name]) for name in ("anthocyanins", "brown_pigments")
+        },
+        "water": np.minimum(dry * odds, _MOST_WATER),
+        "dry_matter": dry,
+    }
+    for name, factor in leaf_factors(at).items():
+        record = PARAMETERS[name]
+        leaf[name] = np.clip(leaf[name] * factor[:, None], record.lower, record.upper)
+    litter = (dead - standing) / (1.0 - standing)
+    ground = GroundParameters(
+        brightness=jnp.asarray(at["soil_brightness"]),
+        moisture=jnp.asarray(rng.beta(1.0, 3.0, count)),
+        litter_fraction=jnp.asarray(rng.beta(2.0 * litter + 0.05, 2.05 - 2.0 * litter, count)),
+        char_fraction=jnp.zeros(count),
+        rock_fraction=jnp.zeros(count),
+        wood_brightness=jnp.asarray(at["wood_brightness"]),
+    )
+    leaves = LeafParameters.many(**{name: value.ravel() for name, value in leaf.items()})
+    leaves = jax.tree.map(lambda a: a.reshape(count, forms), leaves)
+    optics = _Optics(leaves, jnp.asarray(by_form("dead_fraction")), ground)
+    return _Drawn(rng, species, light, optics, leaf_mass, odds / (1.0 + odds))
+
+
+@eqx.filter_jit
+def _spectra(
+    imager: AimedSensor, scene: Scene, parameters: PlotParameters, optics: _Optics
+) -> tuple[Float[Array, "set band"], Float[Array, ""]]:
+    """Spectra of all sets, as bands of one scene."""
+    bands = imager.sensor.bands
+
+    def of(one: _Optics) -> Any:
+        species = replace(parameters.species, dead_fraction=one.dead_fraction)
+        return scene.voxels(
+            replace(parameters, leaf=one.leaf, species=species, ground=one.ground), bands
+        )
+
+    varying = lambda v: (  # noqa: E731
+        v.classes.reflectance,
+        v.classes.transmittance,
+        v.ground,
+        v.illumination.sun,
+        v.illumination.sky,
+    )
+    rho, tau, *rest = jax.vmap(lambda one: varying(of(one)))(optics)
+    sets = rho.shape[0]
+    joined = [jnp.moveaxis(a, 0, 1).reshape(a.shape[1], -1) for a in (rho, tau)]
+    joined += [a.reshape(-1) for a in rest]
+    voxels = eqx.tree_at(varying, of(jax.tree.map(lambda a: a[0], optics)), tuple(joined))
+    light = solve_light(voxels, imager.accuracy)
+    image = render(light, imager.rays, chunk=len(bands))
+    mean = jnp.pi * image.total.mean(axis=(1, 2)) / voxels.illumination.incident
+    return mean.reshape(sets, -1), jnp.max(light.residual)
+
+
+def _quantities(
+    scene: Scene, parameters: PlotParameters, drawn: _Drawn
+) -> Float[np.ndarray, "set quantity"]:
+    """`STAND_QUANTITIES` of each set of a planted stand."""
+    species, planting = parameters.species, scene.planting
+    area = np.asarray(scene.crown_areas(parameters), float)
+    owner = np.asarray(planting.species)
+    size = np.asarray(species.diameter)[owner] * np.asarray(planting.size)
+    stands = area > 1e-3 * size**2
+    weight = area[stands] / (0.25 * np.pi * size[stands] ** 2)
+    side = scene.grid.extent[0]
+    middle = (np.arange(round(side / _CELL)) + 0.5) * _CELL
+    away = np.abs(np.asarray(planting.foot)[stands][:, None, :] - middle[None, :, None])
+    squared = np.minimum(away, side - away) ** 2
+    under = squared[:, :, None, 0] + squared[:, None, :, 1] <= 0.25 * size[stands, None, None] ** 2
+    free = 1.0 - weight[:, None, None] * under  # share of a cell that each crown leaves free
+    is_live = owner[stands] < len(LEAFY_FORMS)
+    not_live = np.prod(free[is_live], axis=0)
+    open_ground = float((not_live * np.prod(free[~is_live], axis=0)).mean())
+    live = 1.0 - float(not_live.mean())
+    litter = np.asarray(drawn.optics.ground.litter_fraction, float)
+    shown = np.asarray(scene.crown_share(parameters), float)
+    crowns = np.bincount(owner, area, len(FORMS))[:-1] / side**2 * float(shown)
+    shoots = crowns * np.asarray(species.leaf_area_index, float)[:-1]
+    dead = np.asarray(drawn.optics.dead_fraction, float)[:, :-1]
+    share = crowns / max(crowns.sum(), 1e-12) if crowns.sum() > 0 else np.full(len(crowns), 0.2)
+    leafy = shoots / shoots.sum() if shoots.sum() > 0 else share
+    chlorophyll = np.asarray(drawn.optics.leaf.chlorophyll, float)
+    count = len(litter)
+    return np.stack(
+        [
+            np.full(count, live),
+            1.0 - live - (1.0 - litter) * open_ground,
+            (1.0 - litter) * open_ground,
+            dead @ leafy,
+            (1.0 - dead) @ shoots,
+            drawn.leaf_mass[:, :-1] @ share,
+            100.0 * drawn.water[:, :-1] @ share,
+            chlorophyll[:, :-1] @ share,
+        ],
+        axis=1,
+    )

@@ -1,0 +1,58 @@
+"""`fynjax map`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fynjax.cli._runtime import Checkpoint, Job, command
+
+
+@command("map")
+def map_command(
+    cube: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CUBE", help="Surface reflectance: ENVI, GeoTIFF, NetCDF or zarr, of any size."
+        ),
+    ],
+    training: Annotated[
+        Path,
+        typer.Option(metavar="FILE", help="Training for this sensor and sun (`fynjax train`)."),
+    ],
+    likely: Annotated[
+        float,
+        typer.Option(
+            metavar="SHARE",
+            help="Pixels less like the simulations than this share of these are masked.",
+        ),
+    ] = 0.99,
+    keep_unlike: Annotated[
+        bool, typer.Option("--keep-unlike", help="Do not mask them; the map of it stays.")
+    ] = False,
+    skip_damaged: Annotated[
+        bool,
+        typer.Option("--skip-damaged", help="Leave rows that cannot be read without data."),
+    ] = False,
+    checkpoint: Checkpoint = None,
+) -> Job:
+    """Map covers, leaf area and leaf traits of a cube, each with its uncertainty.
+
+    Writes one cloud-optimised GeoTIFF: of each quantity mean, standard deviation and 5 and 95 %
+    quantile, and how unlike the simulations a pixel is. The cube is read block by block.
+
+    Example:  fynjax map flight.hdr --training emit_30/training.nc --output maps
+    """
+    from fynjax import jobs
+
+    assert checkpoint is not None
+    return lambda folder, progress: jobs.map_cube(
+        cube,
+        training,
+        folder,
+        likely=likely,
+        keep_unlike=keep_unlike,
+        skip_damaged=skip_damaged,
+        checkpoint=checkpoint,
+        progress=progress,
+    )

@@ -1,0 +1,306 @@
+"""Amortised posteriors: a regression from spectra to what made them, with uncertainty.
+
+Trained once on simulations, applied to any number of pixels. Quantities are regressed as normal
+scores of the prior, so that no interval leaves what the prior deems possible; a small network gives
+their mean and covariance (a density network, Bishop 1994; as posterior estimation from simulations,
+Papamakarios and Murray 2016, arXiv:1605.06376). How unlike the simulations a spectrum is, is its
+Mahalanobis distance from all of them.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.stats
+from jaxtyping import Array, Float
+
+from fynjax._core.extras import require
+
+DARKEST = 0.005
+"""Reflectance below which its logarithm says nothing [-]."""
+OWN_SD, OFFSET_SD = 0.01, 0.003
+"""Error of each channel for itself, as a factor, and of all together, as a reflectance [-]."""
+_SCORES = np.linspace(-4.0, 4.0, 161)
+_PROBABILITY = np.linspace(0.0, 0.999, 1000)
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
+_STEADY = 1e-3
+"""Least standard deviation of a normal score."""
+
+
+class AmortisedPosterior(eqx.Module):
+    """What spectra tell of quantities. `train_posterior` makes one."""
+
+    middle: Float[Array, " channel"]
+    """Mean logarithm of reflectance of the simulations."""
+    rows: Float[Array, "feature channel"]
+    """Makes features of deviations from that."""
+    precision: Float[Array, "channel channel"]
+    """Inverse covariance of the logarithms of the simulations."""
+    layers: tuple[tuple[Float[Array, "in out"], Float[Array, " out"]], ...]
+    """Weights and offsets of the network."""
+    values: Float[Array, "quantity score"]
+    """Quantities at even steps of their normal scores from -4 to 4."""
+    distance: Float[Array, " probability"]
+    """Quantiles of the distance of held-out simulations, 0 to 0.999 in steps of 0.001 [-]."""
+
+    def scores(
+        self, log_reflectance: Float[Array, "pixel channel"]
+    ) -> tuple[Float[Array, "pixel quantity"], Float[Array, "pixel quantity quantity"]]:
+        """Mean of the normal scores, and a factor L of their covariance L L'."""
+        x = (log_reflectance - self.middle) @ self.rows.T
+        for weight, offset in self.layers[:-1]:
+            x = jax.nn.silu(x @ weight + offset)
+        weight, offset = self.layers[-1]
+        out = x @ weight + offset
+        count = self.values.shape[0]
+        mean, lower = out[:, :count], out[:, count:]
+        factor = jnp.zeros((len(out), count, count), out.dtype)
+        factor = factor.at[:, *np.tril_indices(count, -1)].set(lower[:, count:])
+        diagonal = jax.nn.softplus(lower[:, :count]) + _STEADY
+        return mean, factor + diagonal[:, :, None] * jnp.eye(count, dtype=out.dtype)
+
+    def unlikeness(
+        self, log_reflectance: Float[Array, "pixel channel"], probability: float = 0.99
+    ) -> Float[Array, " pixel"]:
+        """Distance from the simulations, over that within which the share `probability` of
+        held-out simulations lies [-]: above 1 a spectrum is unlike nearly all of them."""
+        apart = log_reflectance - self.middle
+        distance = jnp.sqrt(jnp.sum((apart @ self.precision) * apart, axis=1))
+        return distance / jnp.interp(probability, _PROBABILITY, self.distance)
+
+
+class PixelEstimates(eqx.Module):
+    """Posterior of the quantities of pixels, each in its unit."""
+
+    mean: Float[Array, "pixel quantity"]
+    sd: Float[Array, "pixel quantity"]
+    lower: Float[Array, "pixel quantity"]
+    """5 % quantile."""
+    upper: Float[Array, "pixel quantity"]
+    """95 % quantile."""
+    unlikeness: Float[Array, " pixel"]
+    """See `AmortisedPosterior.unlikeness`."""
+
+
+@eqx.filter_jit
+def estimate_pixels(
+    posterior: AmortisedPosterior,
+    reflectance: Float[Array, "pixel channel"],
+    probability: float | Array = 0.99,
+    interval: float | Array = 0.9,
+) -> PixelEstimates:
+    """Quantities of pixels from their channels.
+
+    **Arguments:**
+
+    - `posterior`: from `train_posterior`.
+    - `reflectance`: mean of each channel [-]; NaN in gives NaN out.
+    - `probability`: of the limit of `unlikeness`.
+    - `interval`: share of the posterior between `lower` and `upper`.
+    """
+    spectrum = jnp.log(jnp.maximum(reflectance, DARKEST))
+    mean, factor = posterior.scores(spectrum)
+    sd = jnp.sqrt(jnp.sum(factor**2, axis=2))
+    reach = jax.scipy.stats.norm.ppf(0.5 + 0.5 * jnp.asarray(interval, mean.dtype))
+    at = [mean + sd * float(node) for node in _NODES] + [mean - reach * sd, mean + reach * sd]
+    *nodes, lower, upper = (_value(posterior.values, z) for z in at)
+    weights = _WEIGHTS / _WEIGHTS.sum()
+    first = sum(float(w) * x for w, x in zip(weights, nodes))
+    second = sum(float(w) * (x - first) ** 2 for w, x in zip(weights, nodes))
+    return PixelEstimates(
+        first, jnp.sqrt(second), lower, upper, posterior.unlikeness(spectrum, probability)
+    )
+
+
+def _value(
+    values: Float[Array, "quantity score"], z: Float[Array, "pixel quantity"]
+) -> Float[Array, "pixel quantity"]:
+    """Quantities at normal scores."""
+    step = float(_SCORES[1] - _SCORES[0])
+    place = jnp.clip((z - _SCORES[0]) / step, 0.0, len(_SCORES) - 1.0)
+    below = jnp.clip(jnp.nan_to_num(jnp.floor(place)).astype(jnp.int32), 0, len(_SCORES) - 2)
+    which = jnp.arange(values.shape[0])
+    low, high = values[which, below], values[which, below + 1]
+    return low + (high - low) * (place - below)
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """How the regression does on simulations that it was not trained with."""
+
+    count: int
+    coverage: Float[np.ndarray, "interval quantity"]
+    """Share of the truths inside the central intervals of `INTERVALS` [-]."""
+    rmse: Float[np.ndarray, " quantity"]
+    explained: Float[np.ndarray, " quantity"]
+    """Share of the variance of the simulations [-]."""
+
+
+INTERVALS = (0.5, 0.68, 0.9)
+"""Central intervals whose coverage is held against the truth."""
+
+
+def train_posterior(
+    reflectance: Float[np.ndarray, "stand channel"],
+    quantities: Float[np.ndarray, "stand quantity"],
+    error: Float[np.ndarray, "channel channel"],
+    *,
+    together: int = 1,
+    held_out: float = 0.15,
+    features: int = 16,
+    width: int = 96,
+    steps: int = 6000,
+    batch: int = 1024,
+    seed: int = 0,
+    done: Callable[[int], None] = lambda _: None,
+) -> tuple[AmortisedPosterior, HeldOut]:
+    """Train a regression from spectra to what made them.
+
+    **Arguments:**
+
+    - `reflectance`: of the simulations, without errors [-].
+    - `quantities`: what made them, each in its unit.
+    - `error`: covariance of the logarithm of reflectance by which real spectra differ from
+      simulated ones.
+    - `together`: each so many simulations that follow each other share a stand, and are held out
+      together.
+    - `held_out`: share of the simulations, the last, that is kept for the test.
+    - `features`: combinations of channels that the network sees, at most.
+    - `width`: of its two hidden layers.
+    - `steps`, `batch`: of the optimisation; errors are drawn anew in each step.
+    - `seed`: of the errors and the start.
+    - `done`: hears of each hundredth of the steps.
+
+    **Returns:** the posterior, and how it does on the simulations held out.
+
+    **Raises:** `MissingExtraError` without optax.
+    """
+    optax: Any = require("optax", "map")
+    rng = np.random.default_rng([seed, 7])
+    groups = len(reflectance) // together
+    train = together * max(groups - max(round(held_out * groups), 1), 1)
+    root = np.linalg.cholesky(error + OWN_SD**2 * np.eye(len(error)))
+    values = _tables(quantities[:train])
+    target = np.stack(
+        [np.interp(q, table, _SCORES) for q, table in zip(quantities.T, values)], axis=1
+    )
+    logs = _with_errors(reflectance, root, rng)
+    middle = logs[:train].mean(axis=0)
+    covariance = np.cov(logs[:train], rowvar=False)
+    clean = np.log(np.maximum(reflectance[:train], DARKEST))
+    rows = _features(clean - clean.mean(axis=0), root, features)
+    rows = rows / np.std((logs[:train] - middle) @ rows.T, axis=0)[:, None]
+    single = lambda a: jnp.asarray(a, jnp.float32)  # noqa: E731
+    count = quantities.shape[1]
+    sizes = [len(rows), width, width, count + count * (count + 1) // 2]
+    layers = tuple(
+        (single(rng.normal(size=(a, b)) / np.sqrt(a) * (0.1 if b == sizes[-1] else 1.0)),
+         single(np.zeros(b)))
+        for a, b in zip(sizes, sizes[1:])
+    )  # fmt: skip
+    posterior = AmortisedPosterior(
+        single(middle), single(rows), single(np.linalg.inv(covariance)), layers, single(values),
+        single(np.ones(len(_PROBABILITY))),
+    )  # fmt: skip
+    data = single(reflectance[:train]), single(target[:train])
+    posterior = _optimised(optax, posterior, data, single(root), steps, batch, seed, done)
+    test = logs[train:]
+    distance = np.asarray(posterior.unlikeness(single(test)))
+    limits = np.quantile(distance, _PROBABILITY)
+    posterior = eqx.tree_at(lambda p: p.distance, posterior, single(limits))
+    return posterior, _held_out(posterior, np.exp(test), quantities[train:])
+
+
+def _tables(quantities: Float[np.ndarray, "stand quantity"]) -> Float[np.ndarray, "quantity score"]:
+    """Quantities at even steps of their normal scores; strictly rising."""
+    share = scipy.stats.norm.cdf(_SCORES)
+    tables = np.quantile(quantities, share, axis=0).T
+    scale = np.ptp(tables, axis=1, keepdims=True)
+    return tables + 1e-6 * scale * np.linspace(0.0, 1.0, len(_SCORES))
+
+
+def _with_errors(
+    reflectance: Float[np.ndarray, "stand channel"], root: np.ndarray, rng: np.random.Generator
+) -> Float[np.ndarray, "stand channel"]:
+    apart = rng.normal(size=reflectance.shape) @ root.T
+    offset = OFFSET_SD * rng.normal(size=(len(reflectance), 1))
+    return np.log(np.maximum(reflectance * np.exp(apart) + offset, DARKEST))
+
+
+def _features(
+    apart: Float[np.ndarray, "stand channel"], root: np.ndarray, most: int
+) -> Float[np.ndarray, "feature channel"]:
+    """Combinations of channels in which simulations spread most against the errors."""
+    whitened = np.linalg.solve(root, apart.T)
+    vectors, _, _ = np.linalg.svd(whitened @ whitened.T)
+    return np.linalg.solve(root.T, vectors[:, :most]).T
+
+
+def _optimised(
+    optax: Any,
+    posterior: AmortisedPosterior,
+    data: tuple[Array, Array],
+    root: Array,
+    steps: int,
+    batch: int,
+    seed: int,
+    done: Callable[[int], None],
+) -> AmortisedPosterior:
+    schedule = optax.cosine_decay_schedule(3e-3, steps)
+    optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule))
+    size = min(batch, len(data[0]))
+
+    def loss(layers: Any, key: Array) -> Array:
+        which, own, common = jax.random.split(key, 3)
+        place = jax.random.randint(which, (size,), 0, len(data[0]))
+        reflectance, target = data[0][place], data[1][place]
+        apart = jax.random.normal(own, reflectance.shape, reflectance.dtype) @ root.T
+        offset = OFFSET_SD * jax.random.normal(common, (size, 1), reflectance.dtype)
+        spectrum = jnp.log(jnp.maximum(reflectance * jnp.exp(apart) + offset, DARKEST))
+        mean, factor = eqx.tree_at(lambda p: p.layers, posterior, layers).scores(spectrum)
+        left = jax.scipy.linalg.solve_triangular(factor, (target - mean)[..., None], lower=True)
+        diagonal = jnp.diagonal(factor, axis1=1, axis2=2)
+        return jnp.mean(0.5 * jnp.sum(left**2, axis=(1, 2)) + jnp.sum(jnp.log(diagonal), axis=1))
+
+    @jax.jit
+    def some(state: Any, keys: Array) -> Any:
+        def one(state: Any, key: Array) -> tuple[Any, None]:
+            layers, memory = state
+            change, memory = optimiser.update(jax.grad(loss)(layers, key), memory, layers)
+            return (optax.apply_updates(layers, change), memory), None
+
+        return jax.lax.scan(one, state, keys)[0]
+
+    state = posterior.layers, optimiser.init(posterior.layers)
+    parts = min(100, steps)
+    for number, keys in enumerate(_parts(seed, steps, parts)):
+        state = some(state, keys)
+        done(number)
+    return eqx.tree_at(lambda p: p.layers, posterior, state[0])
+
+
+def _parts(seed: int, steps: int, parts: int) -> list[Array]:
+    """Keys of the steps, in parts of one length."""
+    each = -(-steps // parts)
+    keys = jax.random.split(jax.random.key(seed), each * parts)
+    return [keys[i * each : (i + 1) * each] for i in range(parts)]
+
+
+def _held_out(
+    posterior: AmortisedPosterior,
+    reflectance: Float[np.ndarray, "stand channel"],
+    truth: Float[np.ndarray, "stand quantity"],
+) -> HeldOut:
+    spectra = jnp.asarray(reflectance, jnp.float32)
+    coverage = []
+    for interval in INTERVALS:
+        found = estimate_pixels(posterior, spectra, 0.99, interval)
+        inside = (truth >= np.asarray(found.lower)) & (truth <= np.asarray(found.upper))
+        coverage.append(inside.mean(axis=0))
+    rmse = np.sqrt(np.mean((np.asarray(found.mean) - truth) ** 2, axis=0))
+    explained = 1.0 - rmse**2 / np.var(truth, axis=0)
+    return HeldOut(len(truth), np.stack(coverage), rmse, explained)

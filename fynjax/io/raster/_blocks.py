@@ -1,0 +1,322 @@
+"""Cubes by blocks of rows, and maps written by blocks: neither is ever in memory as a whole."""
+
+import json
+import math
+import os
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+import rasterio.shutil
+import xarray as xr
+from jaxtyping import Bool, Float
+from rasterio import Affine
+from rasterio.crs import CRS
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.windows import Window
+
+from fynjax._core.errors import InputError
+from fynjax.io.raster._netcdf import check_netcdf
+from fynjax.io.raster._reader import RasterFile, open_raster
+from fynjax.io.raster._writer import LOCAL_FRAME
+from fynjax.io.text import atomic_path
+
+_SIZE = 2**27
+"""Bytes of a block, about."""
+_MOST_REFLECTANCE = 2.5
+"""Beyond, values are no reflectance factors but counts, such as ten thousandths."""
+_DARK = -0.01
+"""Below, a value is a mark for missing data: spectrometers' noise about black is smaller."""
+_INNER = 512
+"""Side of the tiles of a map [pixels]."""
+
+
+@dataclass(frozen=True)
+class CubeBlocks:
+    """An open image of reflectance, to be read by blocks of rows, row 0 at the top of the file."""
+
+    path: Path
+    shape: tuple[int, int]
+    """Rows and columns."""
+    wavelength: Float[np.ndarray, " band"]
+    """Centre of each band [nm]; NaN where the file says none."""
+    fwhm: Float[np.ndarray, " band"]
+    """Full width at half maximum [nm]; NaN as above."""
+    good: Bool[np.ndarray, " band"]
+    """Bands that are to be used."""
+    transform: Affine
+    """From column and row to x and y; the identity without a place."""
+    crs: str | None
+    """Coordinate reference system as WKT."""
+    source: Any
+    """What `read` takes values of."""
+
+    @property
+    def rows_at_once(self) -> int:
+        """Rows of a block that fits well in memory."""
+        row = 4 * self.shape[1] * len(self.wavelength)
+        return int(min(max(_SIZE // max(row, 1), 1), self.shape[0]))
+
+    def read(self, start: int, rows: int) -> Float[np.ndarray, "row column band"]:
+        """Reflectance of `rows` rows from `start` on, as the file scales it [-]; NaN without data.
+
+        **Raises:** `InputError` naming the rows where they cannot be read.
+        """
+        window = Window(0, start, self.shape[1], rows)
+        try:
+            if isinstance(self.source, RasterFile):
+                raster = self.source.read(
+                    self.source.bands, window=window, zero_is_data=False, dtype=np.float32
+                )
+                values = np.moveaxis(raster.values, 0, 2)
+                t = self.transform
+                return values[::-1] if t.is_identity or t.e < 0 else values
+            part = self.source.isel({self.source.dims[0]: slice(start, start + rows)})
+            values = np.asarray(part.values, np.float32)
+        except (RasterioError, OSError, RuntimeError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                f"rows {start + 1} to {start + rows} cannot be read ({error}). Is the file damaged "
+                "there?",
+                file=self.path,
+            ) from error
+        values = np.where(np.abs(values) > 1e6, np.nan, values)
+        return np.where((values == 0).all(axis=2, keepdims=True), np.nan, values)
+
+    def scale(self) -> float:
+        """What values are divided by to become reflectance factors: 1, or 10 000 where a sample of
+        the pixels shows that they are ten thousandths.
+
+        **Raises:** `InputError` for values that are neither, such as radiance, and without data.
+        """
+        step = max(self.shape[0] // 4, 1)
+        parts = [self.read(start, 1) for start in range(0, self.shape[0], step)]
+        values = np.concatenate([p.reshape(-1, p.shape[2]) for p in parts])[:, self.good]
+        values = values[np.isfinite(values) & (values > _DARK)]
+        if not values.size:  # the sampled rows may lie in a border
+            return 1.0
+        high = float(np.quantile(values, 0.95))
+        if high <= _MOST_REFLECTANCE:
+            return 1.0
+        if 100.0 < high <= 1e4 * _MOST_REFLECTANCE:
+            return 1e4
+        raise InputError(
+            "expected reflectance, as shares or in ten thousandths, but 5 % of the values are "
+            f"above {high:.3g}. Is this radiance, or in percent?",
+            file=self.path,
+        )
+
+
+@contextmanager
+def open_blocks(path: str | Path) -> Iterator[CubeBlocks]:
+    """Open an image of reflectance of any size: ENVI, GeoTIFF, NetCDF or zarr.
+
+    **Arguments:** `path`; of an ENVI image the header or the data. NetCDF (as EMIT's are, too) and
+    zarr hold a variable `reflectance` and its wavelengths.
+
+    **Raises:** `InputError` for what is none of these, as `open_raster`, and for a variable of
+    other than three dimensions.
+    """
+    path = Path(path)
+    if path.suffix.lower() in (".nc", ".nc4", ".zarr"):
+        with _open_dataset(path) as cube:
+            yield cube
+        return
+    with open_raster(path, "an image") as file:
+        places = np.array(file.bands) - 1
+        yield CubeBlocks(
+            path=file.path,
+            shape=file.shape,
+            wavelength=np.asarray(file.wavelengths)[places],
+            fwhm=np.asarray(file.fwhm)[places],
+            good=np.asarray(file.good)[places] & _not_bad(file)[places],
+            transform=file.dataset.transform,
+            crs=file.crs.to_wkt() if file.crs else None,
+            source=file,
+        )
+
+
+def _not_bad(file: RasterFile) -> Bool[np.ndarray, " band"]:
+    """Bands that a GeoTIFF's own tags do not call bad."""
+    marks = [file.dataset.tags(n).get("bbl", "1") for n in range(1, file.dataset.count + 1)]
+    return np.array([mark.strip() not in ("0", "0.0", "false") for mark in marks])
+
+
+@contextmanager
+def _open_dataset(path: Path) -> Iterator[CubeBlocks]:
+    if not path.exists():
+        raise InputError("expected an image, but there is no such file", file=path)
+    zarr = path.suffix.lower() == ".zarr"
+    if not zarr:
+        check_netcdf(path)
+    try:
+        kind: dict[str, Any] = {"engine": "zarr", "consolidated": False} if zarr else {}
+        data = xr.open_dataset(path, **kind)
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"cannot be read as an image ({error})", file=path) from error
+    bands = xr.Dataset()
+    try:
+        if "reflectance" not in data:
+            raise InputError(
+                f"expected a variable 'reflectance', but it has {', '.join(map(str, data)) or 'none'}",
+                file=path,
+            )
+        values = data["reflectance"]
+        if values.ndim != 3:
+            raise InputError(
+                f"expected reflectance of three dimensions, but it has {values.dims}", file=path
+            )
+        names = ("band", "bands", "wavelength", "wavelengths")
+        spectral = next((d for d in values.dims if d in names), values.dims[0])
+        values = values.transpose(*(d for d in values.dims if d != spectral), spectral)
+        if not zarr:
+            try:  # EMIT keeps its bands in a group of their own
+                bands = xr.open_dataset(path, group="sensor_band_parameters")
+            except (OSError, KeyError, ValueError):
+                pass
+        count = values.sizes[spectral]
+
+        def column(*known: str) -> Float[np.ndarray, " band"] | None:
+            for source in (data, bands):
+                for name in known:
+                    if name in source.variables and source[name].size == count:
+                        return np.asarray(source[name].values, float)
+            return None
+
+        wavelength, width = column("wavelength", "wavelengths"), column("fwhm")
+        good = column("good_wavelengths", "reflectance_good")
+        crs, transform = _place(data, values)
+        # In memory y rises to the north; a block is as in a file, its first row northernmost.
+        y = values.dims[0]
+        if y in values.coords and values.sizes[y] > 1 and values[y][0] < values[y][-1]:
+            values = values.isel({y: slice(None, None, -1)})
+        yield CubeBlocks(
+            path=path,
+            shape=(values.shape[0], values.shape[1]),
+            wavelength=np.full(count, np.nan) if wavelength is None else wavelength,
+            fwhm=np.full(count, np.nan) if width is None else width,
+            good=np.ones(count, bool) if good is None else good != 0,
+            transform=transform,
+            crs=crs,
+            source=values,
+        )
+    finally:
+        data.close()
+        bands.close()
+
+
+def _place(data: xr.Dataset, values: xr.DataArray) -> tuple[str | None, Affine]:
+    mapping = values.attrs.get("grid_mapping", "crs")
+    wkt = data[mapping].attrs.get("crs_wkt") if mapping in data.variables else None
+    y, x = values.dims[:2]
+    if wkt is None or x not in values.coords or y not in values.coords:
+        return wkt, Affine.identity()
+    xs, ys = np.asarray(values[x], float), np.asarray(values[y], float)
+    pixel = float(values.attrs.get("pixel_m", abs(xs[1] - xs[0]) if len(xs) > 1 else 1.0))
+    return wkt, Affine(pixel, 0.0, xs.min() - pixel / 2, 0.0, -pixel, ys.max() + pixel / 2)
+
+
+class MapWriter:
+    """Maps of one raster that are written block by block, in any order: a tiled GeoTIFF in the
+    making, and which of its blocks are there. `finish` makes a cloud-optimised GeoTIFF of it."""
+
+    def __init__(
+        self,
+        folder: Path,
+        signature: str,
+        bands: Sequence[tuple[str, str]],
+        like: CubeBlocks,
+        blocks: int,
+    ) -> None:
+        """Begin in `folder`, or go on with what an interrupted run of the same `signature` left.
+
+        `bands` have names and units. Raises `InputError` for a folder of another run.
+        """
+        self._folder, self._bands, self._like = folder, tuple(bands), like
+        self._file, mark = folder / "maps.tif", folder / "maps.json"
+        self._mark = mark
+        self.done = np.zeros(blocks, bool)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"cannot write here: {error.strerror}", file=folder) from error
+        if mark.is_file():
+            kept = json.loads(mark.read_text("utf-8"))
+            if kept["signature"] != signature:
+                raise InputError(
+                    "this checkpoint is of another run: another cube, training or settings. Choose "
+                    "another output, or remove it to start again",
+                    file=folder,
+                )
+            if self._file.is_file():
+                self.done[kept["done"]] = True
+                return
+        rows, columns = like.shape
+        profile: dict[str, Any] = {
+            "driver": "GTiff",
+            "dtype": "float32",
+            "count": len(self._bands),
+            "height": rows,
+            "width": columns,
+            "crs": CRS.from_user_input(like.crs) if like.crs else CRS.from_wkt(LOCAL_FRAME),
+            "transform": like.transform,
+            "nodata": float("nan"),
+            "interleave": "band",
+            "bigtiff": "if_safer",
+        }
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(self._file, "w", **profile):
+                pass
+        self._keep(signature)
+
+    def _keep(self, signature: str) -> None:
+        state = {"signature": signature, "done": np.flatnonzero(self.done).tolist()}
+        work = self._mark.with_suffix(".work")
+        work.write_text(json.dumps(state), "utf-8")
+        os.replace(work, self._mark)
+
+    def write(self, block: int, start: int, values: Float[np.ndarray, "band row column"]) -> None:
+        """Write a block whose first row is `start`."""
+        _, rows, columns = values.shape
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(self._file, "r+") as file:
+                file.write(values.astype(np.float32), window=Window(0, start, columns, rows))
+        self.done[block] = True
+        self._keep(json.loads(self._mark.read_text("utf-8"))["signature"])
+
+    def finish(self, path: Path, tags: Mapping[str, Any]) -> None:
+        """Write all of it as a cloud-optimised GeoTIFF, whole or not at all."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(self._file, "r+") as file:
+                file.descriptions = tuple(name for name, _ in self._bands)
+                file.units = tuple(unit for _, unit in self._bands)
+                file.update_tags(**{k: str(v) for k, v in tags.items()})
+            with atomic_path(path) as partial:
+                rasterio.shutil.copy(
+                    self._file, partial, driver="COG", compress="deflate", predictor="3",
+                    blocksize=_INNER, overview_resampling="average", bigtiff="if_safer",
+                )  # fmt: skip
+
+    def read(self, step: int = 1) -> Float[np.ndarray, "band row column"]:
+        """All bands, every `step`-th row and column."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(self._file) as file:
+                size = (math.ceil(file.height / step), math.ceil(file.width / step))
+                return np.asarray(file.read(out_shape=(file.count, *size)))
+
+    def forget(self) -> None:
+        """Remove what was in the making."""
+        for path in (self._file, self._mark, self._file.with_suffix(".tif.aux.xml")):
+            path.unlink(missing_ok=True)
+        if self._folder.is_dir() and not any(self._folder.iterdir()):
+            self._folder.rmdir()

@@ -1,0 +1,279 @@
+"""From a cube to maps with uncertainty: what `fynjax map` does."""
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any, Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field
+
+from fynjax._core.errors import InputError
+from fynjax._core.progress import Progress
+from fynjax.assembly import STAND_QUANTITIES
+from fynjax.inversion import estimate_pixels, signature
+from fynjax.io.raster import CubeBlocks, MapWriter, file_hash, open_blocks
+from fynjax.jobs._result import JobResult, Number, Record
+from fynjax.jobs._run import Run
+from fynjax.jobs._train import Training, read_training
+from fynjax.report.figures import maps_figure
+from fynjax.report.pages import Page, Picture, Section, Table
+
+_AT_ONCE = 8192
+"""Pixels that are estimated at once."""
+_SHOWN = 800
+"""Pixels of a picture's longer side."""
+UNLIKENESS = "unlikeness"
+_KINDS = ("", "_sd", "_q05", "_q95")
+
+
+class QuantityMap(Record):
+    """A map, over the pixels that are not masked."""
+
+    quantity: str
+    unit: str
+    mean: Number
+    q05: Number = Field(description="5 % quantile over pixels.")
+    q95: Number
+    typical_sd: Number = Field(description="Median of the standard deviation of a pixel.")
+
+
+class MapResult(JobResult):
+    """Result of `map`."""
+
+    command: Literal["map"] = "map"
+    pixels: int
+    without_data: int
+    masked: int = Field(description="Pixels with data that are unlike the simulations.")
+    unlike_beyond: float = Field(description="Share of simulations that are less unlike [-].")
+    damaged_rows: list[tuple[int, int]] = Field(
+        [], description="First and last row of the blocks that could not be read."
+    )
+    maps: list[QuantityMap]
+
+
+def map_cube(
+    cube: str | Path,
+    training: str | Path,
+    output: str | Path,
+    *,
+    likely: float = 0.99,
+    keep_unlike: bool = False,
+    skip_damaged: bool = False,
+    checkpoint: str | Path,
+    progress: Progress | None = None,
+) -> MapResult:
+    """Map covers, leaf area and leaf traits of a cube of reflectance, each with its uncertainty.
+
+    **Arguments:**
+
+    - `cube`: ENVI, GeoTIFF, NetCDF or zarr, surface reflectance.
+    - `training`: file of `train`, for the sensor and about the sun of the cube.
+    - `output`: folder of the results, made if missing.
+    - `likely`: pixels more unlike the simulations than this share of them are masked [-].
+    - `keep_unlike`: do not mask them.
+    - `skip_damaged`: leave blocks that cannot be read without data, instead of an error.
+    - `checkpoint`: folder of the unfinished maps, from which an interrupted run goes on.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `MapResult`. Writes `maps.tif` (cloud-optimised: of each quantity mean, standard
+    deviation and 5 and 95 % quantile, and how unlike the simulations pixels are), a picture and a
+    page into `output`.
+
+    **Raises:** `InputError` for a cube or training that cannot be read or do not go together.
+    """
+    run = Run(output, progress=progress)
+    if not 0.5 <= likely < 0.9995:
+        raise InputError(f"expected a share of the simulations from 0.5 to 0.999, but got {likely}")
+    trained = read_training(training)
+    with open_blocks(cube) as source:
+        weights = _weights(source, trained)
+        scale = source.scale()
+        rows = source.rows_at_once
+        starts = range(0, source.shape[0], rows)
+        names = [
+            (f"{name}{kind}", quantity.unit)
+            for name, quantity in STAND_QUANTITIES.items()
+            for kind in _KINDS
+        ] + [(UNLIKENESS, "1")]
+        stated = source.path.stat()
+        of_cube = (str(source.path.resolve()), stated.st_size, stated.st_mtime_ns)
+        settings = (of_cube, likely, keep_unlike, rows)
+        writer = MapWriter(
+            Path(checkpoint), signature(settings, [file_hash(training)]), names, source, len(starts)
+        )
+        damaged: list[tuple[int, int]] = []
+        with run.stage("Map", "maps", total=len(starts)):
+            for number, start in enumerate(starts):
+                if not writer.done[number]:
+                    count = min(rows, source.shape[0] - start)
+                    try:
+                        values = source.read(start, count)
+                    except InputError as error:
+                        if not skip_damaged:
+                            raise InputError(
+                                f"{error} With --skip-damaged such rows are left without data."
+                            ) from error
+                        damaged.append((start + 1, start + count))
+                        values = np.full(
+                            (count, source.shape[1], len(source.wavelength)), np.nan, np.float32
+                        )
+                    writer.write(
+                        number, start, _maps(trained, values, weights, scale, likely, keep_unlike)
+                    )
+                run.progress.advance(1)
+        step = max(1, -(-max(source.shape) // _SHOWN))
+        picture = writer.read(step)
+        record: dict[str, Any] = {
+            **run.record([training]),
+            "cube": source.path.name,
+            "training": json.dumps({k: str(v) for k, v in trained.record.items()}),
+            "masked_beyond": likely if not keep_unlike else "nothing",
+        }
+        with run.stage("Write"):
+            writer.finish(run.path("maps.tif", "all maps, a band each, cloud-optimised"), record)
+    result = _summary(run, picture, step, source, damaged, likely, keep_unlike, trained, record)
+    writer.forget()
+    return result
+
+
+def _weights(source: CubeBlocks, trained: Training) -> Float[np.ndarray, "channel band"]:
+    """What makes channels of the cube's bands."""
+    wavelength = source.wavelength
+    if np.isnan(wavelength).all():
+        raise InputError(
+            "expected a cube that states the wavelengths of its bands, but this one does not. "
+            "Write them into its header",
+            file=source.path,
+        )
+    try:
+        return trained.channels.weights(wavelength, source.good)
+    except InputError as error:
+        raise InputError(str(error), file=source.path) from error
+
+
+def _maps(
+    trained: Training,
+    values: Float[np.ndarray, "row column band"],
+    weights: Float[np.ndarray, "channel band"],
+    scale: float,
+    likely: float,
+    keep_unlike: bool,
+) -> Float[np.ndarray, "map row column"]:
+    """Maps of a block."""
+    rows, columns, bands = values.shape
+    used = weights.any(axis=0)
+    pixels = values.reshape(-1, bands)[:, used]
+    channels = pixels @ (weights[:, used].T / scale).astype(np.float32)
+    there = np.isfinite(channels).all(axis=1) & (channels > -0.05).all(axis=1)
+    there &= (channels < 2.5).all(axis=1)
+    place = np.flatnonzero(there)
+    count = len(STAND_QUANTITIES)
+    maps = np.full((len(pixels), count * len(_KINDS) + 1), np.nan, np.float32)
+    for start in range(0, len(place), _AT_ONCE):
+        some = place[start : start + _AT_ONCE]
+        padded = np.zeros((_AT_ONCE, channels.shape[1]), np.float32)
+        padded[: len(some)] = channels[some]
+        found = estimate_pixels(trained.posterior, jnp.asarray(padded), likely)
+        parts = (found.mean, found.sd, found.lower, found.upper)
+        each = np.stack([np.asarray(p)[: len(some)] for p in parts], axis=2)
+        unlike = np.asarray(found.unlikeness)[: len(some)]
+        if not keep_unlike:
+            each[unlike > 1.0] = np.nan
+        maps[some, :-1] = each.reshape(len(some), -1)
+        maps[some, -1] = unlike
+    return np.ascontiguousarray(maps.T).reshape(-1, rows, columns)
+
+
+def _summary(
+    run: Run,
+    maps: Float[np.ndarray, "map row column"],
+    step: int,
+    source: CubeBlocks,
+    damaged: list[tuple[int, int]],
+    likely: float,
+    keep_unlike: bool,
+    trained: Training,
+    record: dict[str, Any],
+) -> MapResult:
+    import pandas as pd
+
+    unlike = maps[-1]
+    with_data = np.isfinite(unlike)
+    masked = with_data & (unlike > 1.0)
+    pixels = source.shape[0] * source.shape[1]
+    share = pixels / unlike.size  # of a large cube a sample of the pixels is counted
+    found = []
+    shown = {}
+    for i, (name, quantity) in enumerate(STAND_QUANTITIES.items()):
+        mean, sd = maps[i * len(_KINDS)], maps[i * len(_KINDS) + 1]
+        shown[name] = mean, sd
+        ok = np.isfinite(mean)
+        q05, q95 = np.quantile(mean[ok], [0.05, 0.95]) if ok.any() else (np.nan, np.nan)
+        found.append(
+            QuantityMap(
+                quantity=name,
+                unit=quantity.unit,
+                mean=float(mean[ok].mean()) if ok.any() else np.nan,
+                q05=float(q05),
+                q95=float(q95),
+                typical_sd=float(np.median(sd[ok])) if ok.any() else np.nan,
+            )
+        )
+    lacking, out = round(share * float((~with_data).sum())), round(share * float(masked.sum()))
+    if damaged:
+        warnings.warn(
+            f"{source.path}: rows {', '.join(f'{a} to {b}' for a, b in damaged)} could not be read "
+            "and are without data",
+            stacklevel=2,
+        )
+    seen = max(pixels - lacking, 1)
+    headline = [
+        f"{pixels} pixels, {lacking} without data; {out} ({100 * out / seen:.0f} % of the others) "
+        f"are less like the simulations than {100 * likely:g} % of these, and "
+        + ("kept." if keep_unlike else "masked."),
+    ]
+    status = "ok"
+    if out > 0.5 * seen:
+        status = "most pixels are unlike the simulations"
+        headline.append(
+            "Most pixels are unlike what the training knows: other vegetation, another sun, other "
+            "units, or clouds. Do not read the rest as if it were this vegetation."
+        )
+    figure = maps_figure(
+        {n: (*shown[n], q.words, q.unit) for n, q in STAND_QUANTITIES.items()}, unlike, likely
+    )
+    what = "maps, their standard deviations, and how unlike the simulations pixels are"
+    run.page(
+        Page(
+            title=f"Maps of {source.path.name}",
+            lead=headline[0],
+            sections=[
+                Section("Maps", [Picture("maps.png", figure, what)]),
+                Section(
+                    "In numbers",
+                    [
+                        Table(
+                            pd.DataFrame([m.model_dump() for m in found]),
+                            "Over the pixels that are not masked.",
+                        ),
+                        *(f"{q.words}: {q.description}" for q in STAND_QUANTITIES.values()),
+                    ],
+                ),
+            ],
+            record=record,
+        )
+    )
+    return run.result(
+        MapResult,
+        headline=headline,
+        status=status,
+        pixels=pixels,
+        without_data=lacking,
+        masked=out,
+        unlike_beyond=likely,
+        damaged_rows=damaged,
+        maps=found,
+    )

@@ -1,0 +1,317 @@
+"""From a learned prior to a regression for the spectra of a sensor: what `fynjax train` does."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from pydantic import Field
+
+from fynjax._core.checkpoint import Journal
+from fynjax._core.errors import InputError
+from fynjax._core.extras import require
+from fynjax._core.progress import Progress
+from fynjax.assembly import STAND_QUANTITIES, StandSettings, simulate_stands
+from fynjax.inversion import (
+    INTERVALS,
+    AmortisedPosterior,
+    HeldOut,
+    signature,
+    train_posterior,
+)
+from fynjax.io.instruments import load_sensor
+from fynjax.io.plot import DEFAULT_PRIOR, read_prior
+from fynjax.io.raster import file_hash, open_blocks, write_run
+from fynjax.io.text import existing_file
+from fynjax.jobs._result import JobResult, Number, Record
+from fynjax.jobs._run import Run
+from fynjax.sensors import BandSet, Channels, group_bands
+
+_PART = 4
+"""Planted stands of one part."""
+_FEWEST = 200
+_KIND = "fynjax training of maps"
+
+
+class QuantityScore(Record):
+    """How well a quantity is told on simulations that were held out."""
+
+    quantity: str
+    unit: str
+    rmse: Number
+    explained: Number = Field(description="Share of the variance of the simulations [-].")
+    inside_50: Number = Field(description="Share of the truths inside the 50 % interval [-].")
+    inside_68: Number
+    inside_90: Number
+
+
+class TrainResult(JobResult):
+    """Result of `train`."""
+
+    command: Literal["train"] = "train"
+    sensor: str
+    channels: int
+    simulations: int
+    held_out: int
+    sun_zenith_deg: tuple[float, float]
+    prior: str
+    scores: list[QuantityScore]
+
+
+@dataclass(frozen=True)
+class Training:
+    """A regression, and the spectra that it is for."""
+
+    posterior: AmortisedPosterior
+    channels: Channels
+    bands: int
+    """Of the sensor that it was trained for."""
+    record: dict[str, Any]
+    """How it came to be."""
+
+
+def train(
+    output: str | Path,
+    *,
+    sensor: str | Path | None = None,
+    like: str | Path | None = None,
+    sun_zenith: tuple[float, float] = (30.0, 30.0),
+    prior: str | Path = DEFAULT_PRIOR,
+    simulations: int = 20000,
+    steps: int = 6000,
+    seed: int = 0,
+    checkpoint: str | Path,
+    progress: Progress | None = None,
+) -> TrainResult:
+    """Simulate stands and their spectra, and train a regression from spectra to stands.
+
+    **Arguments:**
+
+    - `output`: folder of the results, made if missing.
+    - `sensor`: name of a shipped sensor or path of a sensor file, or instead
+    - `like`: a cube, for whose good bands to train.
+    - `sun_zenith`: least and greatest zenith angle of the sun [degrees].
+    - `prior`: learned population, see `fynjax.io.plot.read_prior`.
+    - `simulations`: number of spectra, rounded up to whole stands.
+    - `steps`: of the optimisation.
+    - `seed`: of everything random.
+    - `checkpoint`: folder that keeps the simulations, from which an interrupted run goes on.
+    - `progress`: where to report the stages; nowhere by default.
+
+    **Returns:** `TrainResult`. Writes `training.nc` and `scores.csv` into `output`.
+
+    **Raises:** `InputError` for a prior of "none", neither or both of `sensor` and `like`, angles
+    out of order, and too few simulations; `MissingExtraError` without optax.
+    """
+    run = Run(output, seed=seed, progress=progress)
+    require("optax", "map")
+    if (sensor is None) == (like is None):
+        raise InputError("expected either a sensor or a cube whose bands to train for (--like)")
+    low, high = sun_zenith
+    if not 0.0 <= low <= high <= 75.0:
+        raise InputError(
+            f"expected zenith angles of the sun from 0 to 75 degrees, the least first, but got "
+            f"{low:g} and {high:g}"
+        )
+    if simulations < _FEWEST:
+        raise InputError(f"expected {_FEWEST} simulations or more, but got {simulations}")
+    learned = read_prior(prior)
+    if learned is None:
+        raise InputError("expected a learned prior to draw stands from, but got none")
+    name, bands, good = _bands(sensor, like)
+    channels, joined = group_bands(bands, good)
+    settings = StandSettings(sun_zenith=(low, high))
+    stands = -(-simulations // settings.together)
+    parts = [
+        tuple(range(start, min(start + _PART, stands))) for start in range(0, stands, _PART)
+    ]
+    inputs = [learned.path, *([like] if like is not None else [])]
+    journal = Journal(
+        checkpoint, signature((settings, joined, seed, stands), [file_hash(learned.path)])
+    )
+    quantities, spectra, residual = [], [], 0.0
+    with run.stage("Simulate", "simulation", total=len(parts)):
+        for part in parts:
+
+            def simulate(part: tuple[int, ...] = part) -> tuple[Any, ...]:
+                made = simulate_stands(part, joined, learned, settings, seed)
+                if not np.isfinite(made.reflectance).all():
+                    raise InputError(f"the spectra of stands {part} are not finite")
+                return made.quantities, made.reflectance, np.asarray(made.residual)
+
+            one, spectrum, left = journal(simulate)
+            quantities.append(np.asarray(one))
+            spectra.append(np.asarray(spectrum))
+            residual = max(residual, float(left))
+            run.progress.advance(1)
+    with run.stage("Train", "training", total=100):
+        posterior, held_out = train_posterior(
+            np.concatenate(spectra),
+            np.concatenate(quantities),
+            learned.error_covariance(channels.centre),
+            together=settings.together,
+            steps=steps,
+            seed=seed,
+            done=lambda _: run.progress.advance(1),
+        )
+    count = stands * settings.together
+    record = {
+        **run.record(inputs),
+        "title": "Regression from spectra to covers and leaves",
+        "kind": _KIND,
+        "sensor": name,
+        "sensor_bands": len(bands),
+        "prior": learned.file.title,
+        "simulations": count,
+        "sun_zenith_deg": json.dumps([low, high]),
+        "stand_size_m": settings.size_m,
+        "voxel_m": settings.voxel_m,
+        "largest_residual": f"{residual:.2g}",
+    }
+    with run.stage("Write"):
+        write_training(
+            run.path("training.nc", "the regression, for `fynjax map --training`"),
+            Training(posterior, channels, len(bands), record),
+        )
+        scores = _scores(held_out)
+        import pandas as pd
+
+        run.table(
+            "scores.csv",
+            pd.DataFrame([s.model_dump() for s in scores]),
+            "errors and coverage of intervals on simulations held out",
+        )
+    worst = min(s.inside_90 or 0.0 for s in scores), max(s.inside_90 or 0.0 for s in scores)
+    told = sorted(scores, key=lambda s: -(s.explained or 0.0))
+    return run.result(
+        TrainResult,
+        headline=[
+            f"{count} spectra of {name} in {len(channels.centre)} channels, sun at {low:g} to "
+            f"{high:g} degrees.",
+            f"On {held_out.count} held out the 90 % intervals hold {100 * worst[0]:.0f} to "
+            f"{100 * worst[1]:.0f} % of the truths.",
+            "Share of the variance told: "
+            + ", ".join(f"{s.quantity} {s.explained or 0.0:.2f}" for s in told)
+            + ".",
+        ],
+        sensor=name,
+        channels=len(channels.centre),
+        simulations=count,
+        held_out=held_out.count,
+        sun_zenith_deg=(low, high),
+        prior=learned.file.title,
+        scores=scores,
+    )
+
+
+def _bands(
+    sensor: str | Path | None, like: str | Path | None
+) -> tuple[str, BandSet, np.ndarray | None]:
+    """Name, bands, and which of them are to be used."""
+    if sensor is not None:
+        loaded = load_sensor(sensor)
+        return loaded.name, loaded.bands, None
+    assert like is not None
+    with open_blocks(like) as cube:
+        centre, width, good = cube.wavelength, cube.fwhm, cube.good
+        path = cube.path
+    if np.isnan(centre).any():
+        raise InputError(
+            "expected a cube that states the wavelength of each band, but this one does not. Name "
+            "the sensor instead",
+            file=path,
+        )
+    if np.isnan(width).any():  # bands of a spectrometer are about as wide as they lie apart
+        width = np.abs(np.gradient(centre))
+    names = tuple(f"band {n}" for n in range(1, len(centre) + 1))
+    return Path(path).name, BandSet(names, centre, width), good
+
+
+def _scores(held_out: HeldOut) -> list[QuantityScore]:
+    inside = dict(zip(INTERVALS, held_out.coverage, strict=True))
+    return [
+        QuantityScore(
+            quantity=name,
+            unit=quantity.unit,
+            rmse=held_out.rmse[i],
+            explained=held_out.explained[i],
+            inside_50=inside[0.5][i],
+            inside_68=inside[0.68][i],
+            inside_90=inside[0.9][i],
+        )
+        for i, (name, quantity) in enumerate(STAND_QUANTITIES.items())
+    ]
+
+
+def write_training(path: Path, training: Training) -> None:
+    """Write a regression as NetCDF, whole or not at all."""
+    posterior, channels = training.posterior, training.channels
+
+    def of(dims: tuple[str, ...], values: Any, name: str, unit: str = "1") -> Any:
+        return dims, np.asarray(values), {"long_name": name, "units": unit}
+
+    variables = {
+        "lower": of(("channel",), channels.lower, "lower end of the channel", "nm"),
+        "upper": of(("channel",), channels.upper, "upper end of the channel", "nm"),
+        "centre": of(("channel",), channels.centre, "mean of the centres of its bands", "nm"),
+        "middle": of(("channel",), posterior.middle, "mean logarithm of reflectance"),
+        "rows": of(("feature", "channel"), posterior.rows, "features of that"),
+        "precision": of(
+            ("channel", "channel_2"), posterior.precision, "inverse covariance of that"
+        ),
+        "values": of(
+            ("quantity", "score"), posterior.values, "quantities at normal scores -4 to 4"
+        ),
+        "distance": of(
+            ("probability",), posterior.distance, "quantiles of the distance of held-out spectra"
+        ),
+    }
+    for i, (weight, offset) in enumerate(posterior.layers):
+        variables[f"weight_{i}"] = of((f"in_{i}", f"out_{i}"), weight, f"weights of layer {i}")
+        variables[f"offset_{i}"] = of((f"out_{i}",), offset, f"offsets of layer {i}")
+    names = ("quantity", list(STAND_QUANTITIES), {"long_name": "quantity"})
+    data = xr.Dataset(variables, coords={"quantity": names})
+    write_run(path, data, training.record)
+
+
+def read_training(path: str | Path) -> Training:
+    """Read a regression that `train` wrote.
+
+    **Raises:** `InputError` for a file that is missing or is none, and for other quantities than
+    this version of fynjax has.
+    """
+    path = existing_file(path, "a training (`fynjax train` writes training.nc)")
+    try:
+        with xr.open_dataset(path, engine="netcdf4") as data:
+            data = data.load()
+        record = dict(data.attrs)
+        if record.get("kind") != _KIND:
+            raise KeyError("kind")
+        names = [str(name) for name in data["quantity"].values]
+        single = lambda name: jnp.asarray(data[name].values, jnp.float32)  # noqa: E731
+        count = sum(str(name).startswith("weight_") for name in data.variables)
+        posterior = AmortisedPosterior(
+            *(single(name) for name in ("middle", "rows", "precision")),
+            tuple((single(f"weight_{i}"), single(f"offset_{i}")) for i in range(count)),
+            *(single(name) for name in ("values", "distance")),
+        )
+        channels = Channels(*(np.asarray(data[n].values) for n in ("lower", "upper", "centre")))
+        bands = int(record["sensor_bands"])
+    except (OSError, KeyError, ValueError, RuntimeError) as error:
+        raise InputError(
+            "expected a training file as `fynjax train` writes it, but this is none, or it is "
+            "damaged",
+            file=path,
+        ) from error
+    if names != list(STAND_QUANTITIES):
+        raise InputError(
+            f"expected a training for {', '.join(STAND_QUANTITIES)}, but it is for "
+            f"{', '.join(names)}. Train again with this version.",
+            file=path,
+        )
+    if not all(np.isfinite(np.asarray(a)).all() for a in (posterior.rows, posterior.values)):
+        raise InputError("expected a training of finite numbers. Is it damaged?", file=path)
+    return Training(posterior, channels, bands, record)

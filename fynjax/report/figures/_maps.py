@@ -1,0 +1,67 @@
+"""Maps of quantities beside their standard deviations."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import matplotlib
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
+
+from fynjax.report.figures._style import style
+
+_MASKED = "#D9D9D4"
+
+
+def maps_figure(
+    maps: Mapping[
+        str, tuple[Float[np.ndarray, "row column"], Float[np.ndarray, "row column"], str, str]
+    ],
+    unlikeness: Float[np.ndarray, "row column"],
+    likely: float,
+) -> Figure:
+    """Each map, and below it its standard deviation; at the end how unlike training pixels are.
+
+    **Arguments:**
+
+    - `maps`: mean, standard deviation, words and unit, by name; row 0 at the top.
+    - `unlikeness`: 1 at the limit.
+    - `likely`: share of simulations within the limit [-].
+    """
+    across = 3
+    rows = -(-(len(maps) + 1) // across)
+    high, wide = unlikeness.shape
+    side = float(np.clip(high / wide, 0.25, 2.5))
+    with style():
+        figure = Figure(figsize=(9.6, rows * (2.9 * side + 0.9) * 1.0))
+        grid: Any = figure.subplots(rows, 2 * across, squeeze=False)
+        cells = [(r, 2 * c) for r in range(rows) for c in range(across)]
+        for (r, c), (mean, sd, words, unit) in zip(cells, maps.values()):
+            label = "" if unit == "1" else f" [{unit}]"
+            _show(figure, grid[r, c], mean, "viridis", f"{words}{label}", unit == "1")
+            _show(figure, grid[r, c + 1], sd, "magma", "its sd", False)
+        r, c = cells[len(maps)]
+        _show(
+            figure, grid[r, c], np.clip(unlikeness, 0.0, 3.0), "cividis",
+            f"unlikeness (1: {100 * likely:g} %)", False,
+        )  # fmt: skip
+        for r, c in [*((a, b + 1) for a, b in cells[len(maps) :]), *cells[len(maps) + 1 :]]:
+            grid[r, c].set_axis_off()
+        for r, c in cells[len(maps) + 1 :]:
+            grid[r, c + 1].set_axis_off()
+    return figure
+
+
+def _show(figure: Figure, axes: Any, values: Any, colours: str, title: str, share: bool) -> None:
+    known = values[np.isfinite(values)]
+    low, high = (0.0, 1.0) if share else (
+        np.quantile(known, [0.02, 0.98]) if known.size else (0.0, 1.0)
+    )  # fmt: skip
+    image = axes.imshow(
+        np.ma.masked_invalid(values), cmap=matplotlib.colormaps[colours], vmin=low,
+        vmax=max(high, low + 1e-6), interpolation="nearest",
+    )  # fmt: skip
+    axes.set_facecolor(_MASKED)
+    axes.set_title(title, fontsize=8)
+    axes.set(xticks=[], yticks=[])
+    figure.colorbar(image, ax=axes, orientation="horizontal", pad=0.03, shrink=0.9)
