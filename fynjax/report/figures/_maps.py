@@ -33,7 +33,7 @@ def maps_figure(
     high, wide = unlikeness.shape
     side = float(np.clip(high / wide, 0.25, 2.5))
     with style():
-        figure = Figure(figsize=(9.6, rows * (2.9 * side + 0.9) * 1.0))
+        figure = Figure(figsize=(10.2, rows * (1.65 * side + 0.75)), layout="constrained")
         grid: Any = figure.subplots(rows, 2 * across, squeeze=False)
         cells = [(r, 2 * c) for r in range(rows) for c in range(across)]
         for (r, c), (mean, sd, words, unit) in zip(cells, maps.values()):

@@ -1,0 +1,80 @@
+"""The regression against a posterior in closed form: linear model, normal prior, normal errors."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax.inversion import INTERVALS, estimate_pixels, train_posterior
+
+pytest.importorskip("optax")
+
+SLOPE = np.array([[0.5, 0.1], [0.3, -0.4], [-0.1, 0.3], [0.2, 0.2]])
+ERROR = 0.15**2 * (0.5 + 0.5 * np.eye(4))
+BRIGHT = -0.7  # so bright that an error of 0.003 in reflectance is little
+
+
+def simulated(count, seed):
+    rng = np.random.default_rng(seed)
+    quantities = rng.normal(size=(count, 2))
+    return np.exp(BRIGHT + quantities @ SLOPE.T), quantities
+
+
+@pytest.fixture(scope="module")
+def trained():
+    return train_posterior(*simulated(6000, 1), ERROR, features=4, width=32, steps=1200, batch=512)
+
+
+def closed_form(logs):
+    precision = np.linalg.inv(ERROR + 1e-4 * np.eye(4))
+    covariance = np.linalg.inv(np.eye(2) + SLOPE.T @ precision @ SLOPE)
+    return (logs - BRIGHT) @ (covariance @ SLOPE.T @ precision).T, np.sqrt(np.diagonal(covariance))
+
+
+def test_mean_and_spread_are_those_of_the_closed_form(trained):
+    clean, truth = simulated(2000, 2)
+    noise = np.random.default_rng(3).multivariate_normal(np.zeros(4), ERROR, 2000)
+    logs = np.log(clean) + noise
+    found = estimate_pixels(trained[0], jnp.asarray(np.exp(logs), jnp.float32))
+    mean, sd = closed_form(logs)
+    middle = np.all(np.abs(mean) < 1.5, axis=1)  # tails are of few simulations
+    assert np.sqrt(np.mean((np.asarray(found.mean) - mean)[middle] ** 2)) < 0.15 * sd.mean()
+    assert np.median(np.asarray(found.sd)[middle], axis=0) == pytest.approx(sd, rel=0.1)
+    inside = (np.asarray(found.lower) <= truth) & (truth <= np.asarray(found.upper))
+    assert inside.mean(axis=0) == pytest.approx(0.9, abs=0.03)
+
+
+def test_held_out_coverage_is_reported_as_it_is(trained):
+    held_out = trained[1]
+    assert held_out.count == 900
+    assert held_out.coverage == pytest.approx(np.array(INTERVALS)[:, None] * np.ones(2), abs=0.06)
+    assert (held_out.explained > 0.5).all()
+
+
+def test_spectra_that_nothing_simulated_makes_are_unlike(trained):
+    posterior = trained[0]
+    like = np.log(simulated(1000, 4)[0])
+    like += np.random.default_rng(5).multivariate_normal(np.zeros(4), ERROR, 1000)
+    share = np.mean(np.asarray(posterior.unlikeness(jnp.asarray(like, jnp.float32))) > 1.0)
+    assert share == pytest.approx(0.01, abs=0.015)
+    # Brighter in one channel alone by 1: six errors off, in a way that no quantity makes.
+    odd = like + np.array([0.0, 0.0, 1.0, 0.0])
+    assert np.mean(np.asarray(posterior.unlikeness(jnp.asarray(odd, jnp.float32))) > 1.0) > 0.9
+
+
+def test_estimates_never_leave_what_was_simulated():
+    clean, quantities = simulated(1500, 6)
+    share = 1.0 / (1.0 + np.exp(-quantities))
+    posterior, _ = train_posterior(clean, share, ERROR, width=16, steps=100, batch=256)
+    extreme = jnp.asarray(np.exp(np.random.default_rng(7).normal(-1.0, 2.0, (500, 4))), jnp.float32)
+    found = estimate_pixels(posterior, extreme)
+    for values in (found.mean, found.lower, found.upper):
+        assert np.isfinite(np.asarray(values)).all()
+        assert (np.asarray(values) > 0.0).all() and (np.asarray(values) < 1.0).all()
+
+
+def test_missing_values_stay_missing(trained):
+    pixels = jnp.asarray([[0.5, 0.5, np.nan, 0.5], [0.5, 0.5, 0.5, 0.5]], jnp.float32)
+    found = estimate_pixels(trained[0], pixels)
+    assert np.isnan(np.asarray(found.unlikeness)).tolist() == [True, False]
+    assert np.isnan(np.asarray(found.mean)[0]).all()
+    assert np.isfinite(np.asarray(found.mean)[1]).all()

@@ -1,0 +1,154 @@
+"""`fynjax train` and `fynjax map` on a camera's few bands."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+import rasterio
+
+from fynjax import jobs
+from fynjax._core.errors import InputError
+from fynjax.assembly import STAND_QUANTITIES, StandSettings, simulate_stands
+from fynjax.assembly import _stands as stands
+from fynjax.io.plot import read_prior
+from fynjax.io.raster import Cube, write_cube_envi
+from fynjax.radiation import render, solve_light
+from fynjax.sensors import group_bands, shipped_sensor
+
+pytest.importorskip("optax")
+
+SENSOR = "sentinel_2a"
+SETTINGS = StandSettings(size_m=2.0, together=4, sun_zenith=(20.0, 40.0))
+
+
+@pytest.fixture(scope="module")
+def known():
+    channels, bands = group_bands(shipped_sensor(SENSOR).bands)
+    return channels, bands, read_prior("fynbos_2023")
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("train")
+    result = jobs.train(
+        folder / "out", sensor=SENSOR, sun_zenith=(25.0, 35.0), simulations=200, steps=60,
+        checkpoint=folder / "checkpoint",
+    )  # fmt: skip
+    return folder, result
+
+
+def test_stands_are_those_of_their_number(known):
+    _, bands, prior = known
+    both = simulate_stands((3, 4), bands, prior, SETTINGS, 1)
+    one = simulate_stands((4,), bands, prior, SETTINGS, 1)
+    assert np.array_equal(both.reflectance[4:], one.reflectance)
+    assert np.array_equal(both.quantities[4:], one.quantities)
+    names = list(STAND_QUANTITIES)
+    covers = [names.index(n) for n in ("live_cover", "dead_cover", "bare_cover")]
+    assert both.quantities[:, covers].sum(axis=1) == pytest.approx(1.0)
+    assert (both.quantities >= 0.0).all()
+
+
+def test_spectra_of_sets_taken_together_are_those_of_each_alone(known):
+    """Against a solve of every band of one set, on the same voxels."""
+    _, bands, prior = known
+    scene, planted, imager = stands._planted(bands, SETTINGS)
+    drawn = stands._draw(prior, SETTINGS, 2, 1)
+    parameters = dataclasses.replace(planted, species=drawn.species, light=drawn.light)
+    together, residual = stands._spectra(imager, scene, parameters, drawn.optics)
+    assert float(residual) < 0.01
+    alone = jax.tree.map(lambda a: a[1], drawn.optics)
+    species = dataclasses.replace(parameters.species, dead_fraction=alone.dead_fraction)
+    one = dataclasses.replace(parameters, leaf=alone.leaf, species=species, ground=alone.ground)
+    voxels = scene.voxels(one, bands)
+    accuracy = dataclasses.replace(imager.accuracy, solves=None)
+    image = eqx.filter_jit(lambda v: render(solve_light(v, accuracy), imager.rays).total)(voxels)
+    expected = np.pi * np.asarray(image.mean(axis=(1, 2)) / voxels.illumination.incident)
+    assert np.asarray(together)[1] == pytest.approx(expected, rel=0.01)
+
+
+def test_a_training_is_read_back_as_it_was_written(trained, tmp_path):
+    folder, result = trained
+    assert result.simulations == 208 and len(result.scores) == len(STAND_QUANTITIES)
+    path = folder / "out" / "training.nc"
+    one = jobs.read_training(path)
+    jobs.write_training(tmp_path / "again.nc", one)
+    again = jobs.read_training(tmp_path / "again.nc")
+    for a, b in zip(jax.tree.leaves(one.posterior), jax.tree.leaves(again.posterior), strict=True):
+        assert np.array_equal(a, b)
+    assert one.record["sensor"] == SENSOR and "fynbos" in one.record["prior"].lower()
+    damaged = tmp_path / "damaged.nc"
+    damaged.write_bytes(path.read_bytes()[:3000])
+    with pytest.raises(InputError, match="training"):
+        jobs.read_training(damaged)
+
+
+def cube_of(folder, known, **changes):
+    channels, bands, prior = known
+    made = simulate_stands((7, 8, 9), bands, prior, SETTINGS, 5)
+    values = made.reflectance.T.reshape(len(bands), 3, 4).copy()
+    values[:, 1, 2] = np.nan
+    values[:, 0, 0] = np.linspace(1.5, 0.1, len(bands))  # no vegetation looks like this
+    cube = Cube(
+        values=values,
+        names=bands.names,
+        wavelength=np.asarray(channels.centre),
+        fwhm=np.asarray(bands.fwhm),
+        good=np.ones(len(bands), bool),
+        pixel_m=10.0,
+        origin_m=(300000.0, 6200000.0),
+        crs="EPSG:32734",
+    )
+    write_cube_envi(folder / "cube.hdr", dataclasses.replace(cube, **changes), {})
+    return folder / "cube.hdr"
+
+
+def test_maps_lie_where_the_cube_lies_and_mask_what_is_unlike(trained, known, tmp_path):
+    path = cube_of(tmp_path, known)
+    training = trained[0] / "out" / "training.nc"
+    result = jobs.map_cube(path, training, tmp_path / "out", checkpoint=tmp_path / "work")
+    assert result.pixels == 12 and result.without_data == 1 and result.masked >= 1
+    with rasterio.open(tmp_path / "out" / "maps.tif") as file:
+        assert file.crs.to_epsg() == 32734 and file.transform.a == 10.0
+        maps = dict(zip(file.descriptions, file.read(), strict=True))
+    # North is up: row 2 of the file is the southernmost, row 0 of the cube.
+    assert maps["unlikeness"][2, 0] > 1.0 and np.isnan(maps["live_cover"][2, 0])
+    assert np.isnan(maps["unlikeness"][1, 2]) and np.isnan(maps["live_cover"][1, 2])
+    shown = np.isfinite(maps["live_cover"])
+    assert shown.sum() == 12 - 1 - result.masked
+    for name in STAND_QUANTITIES:
+        assert (maps[f"{name}_q05"] <= maps[f"{name}_q95"])[shown].all()
+        assert (maps[f"{name}_sd"] > 0)[shown].all()
+    kept = jobs.map_cube(
+        path, training, tmp_path / "kept", keep_unlike=True, checkpoint=tmp_path / "work"
+    )
+    assert kept.masked == result.masked
+    with rasterio.open(tmp_path / "kept" / "maps.tif") as file:
+        assert np.isfinite(file.read(1)).sum() == 11
+
+
+def test_cubes_that_do_not_go_with_the_training_are_refused(trained, known, tmp_path):
+    training = trained[0] / "out" / "training.nc"
+    count = len(known[0].centre)
+    for changes, message in (
+        ({"good": np.arange(count) != 2}, "expected a good band between"),
+        ({"wavelength": np.asarray(known[0].centre) + 150.0}, "fynjax train --like"),
+        ({"wavelength": None, "fwhm": None}, "states the wavelengths"),
+    ):
+        path = cube_of(tmp_path, known, **changes)
+        with pytest.raises(InputError, match=message):
+            jobs.map_cube(path, training, tmp_path / "out", checkpoint=tmp_path / "work")
+        assert not (tmp_path / "out" / "maps.tif").exists()
+
+
+def test_wrong_arguments_are_refused(tmp_path):
+    for given, message in (
+        ({}, "either a sensor or a cube"),
+        ({"sensor": SENSOR, "sun_zenith": (40.0, 30.0)}, "the least first"),
+        ({"sensor": SENSOR, "simulations": 10}, "200 simulations or more"),
+        ({"sensor": SENSOR, "prior": "none"}, "a learned prior"),
+    ):
+        with pytest.raises(InputError, match=message):
+            jobs.train(tmp_path / "out", checkpoint=tmp_path / "work", **given)
