@@ -61,7 +61,8 @@ def test_commands_and_their_options_exist() -> None:
         text = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "200"}).output
         for option in ("--output", "--seed", "--json", "--quiet"):
             # In some of them nothing is drawn.
-            if option != "--seed" or name not in ("terrain", "bioscape", "reflectance", "convert"):
+            without = ("terrain", "bioscape", "reflectance", "convert", "map")
+            if option != "--seed" or name not in without:
                 assert option in text, f"{name} {option}"
     used = {
         line.split()[1]

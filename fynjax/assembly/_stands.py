@@ -187,11 +187,9 @@ def simulate_stands(
 
 
 @lru_cache(maxsize=2)
-def _planted(
-    bands: BandSet, settings: StandSettings
-) -> tuple[Scene, PlotParameters, AimedSensor]:
+def _planted(bands: BandSet, settings: StandSettings) -> tuple[Scene, PlotParameters, AimedSensor]:
     """The scene that all stands are realisations of: sites for as many plants as any may have."""
-    diameter, height = _sizes()
+    diameter, _ = _sizes()
     values: dict[str, list[float | None]] = {
         "cover": [_MOST_CROWNS * (1.0 - _PACKING)] * len(FORMS),
         "diameter": list(diameter * np.exp(-_SIZE_SD)),

@@ -9,6 +9,7 @@ Mahalanobis distance from all of them.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import equinox as eqx
@@ -64,7 +65,7 @@ class AmortisedPosterior(eqx.Module):
         return mean, factor + diagonal[:, :, None] * jnp.eye(count, dtype=out.dtype)
 
     def unlikeness(
-        self, log_reflectance: Float[Array, "pixel channel"], probability: float = 0.99
+        self, log_reflectance: Float[Array, "pixel channel"], probability: float | Array = 0.99
     ) -> Float[Array, " pixel"]:
         """Distance from the simulations, over that within which the share `probability` of
         held-out simulations lies [-]: above 1 a spectrum is unlike nearly all of them."""
@@ -109,8 +110,9 @@ def estimate_pixels(
     at = [mean + sd * float(node) for node in _NODES] + [mean - reach * sd, mean + reach * sd]
     *nodes, lower, upper = (_value(posterior.values, z) for z in at)
     weights = _WEIGHTS / _WEIGHTS.sum()
-    first = sum(float(w) * x for w, x in zip(weights, nodes))
-    second = sum(float(w) * (x - first) ** 2 for w, x in zip(weights, nodes))
+    share = jnp.asarray(weights, mean.dtype)
+    first = jnp.tensordot(share, jnp.stack(nodes), axes=1)
+    second = jnp.tensordot(share, (jnp.stack(nodes) - first) ** 2, axes=1)
     return PixelEstimates(
         first, jnp.sqrt(second), lower, upper, posterior.unlikeness(spectrum, probability)
     )
@@ -200,7 +202,7 @@ def train_posterior(
     layers = tuple(
         (single(rng.normal(size=(a, b)) / np.sqrt(a) * (0.1 if b == sizes[-1] else 1.0)),
          single(np.zeros(b)))
-        for a, b in zip(sizes, sizes[1:])
+        for a, b in pairwise(sizes)
     )  # fmt: skip
     posterior = AmortisedPosterior(
         single(middle), single(rows), single(np.linalg.inv(covariance)), layers, single(values),

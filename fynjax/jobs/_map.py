@@ -7,10 +7,12 @@ from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
 from pydantic import Field
 
 from fynjax._core.errors import InputError
+from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import Progress
 from fynjax.assembly import STAND_QUANTITIES
 from fynjax.inversion import estimate_pixels, signature
@@ -63,6 +65,7 @@ def map_cube(
     keep_unlike: bool = False,
     skip_damaged: bool = False,
     checkpoint: str | Path,
+    workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> MapResult:
     """Map covers, leaf area and leaf traits of a cube of reflectance, each with its uncertainty.
@@ -76,6 +79,7 @@ def map_cube(
     - `keep_unlike`: do not mask them.
     - `skip_damaged`: leave blocks that cannot be read without data, instead of an error.
     - `checkpoint`: folder of the unfinished maps, from which an interrupted run goes on.
+    - `workers`: where blocks are read and estimated; in this process by default.
     - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `MapResult`. Writes `maps.tif` (cloud-optimised: of each quantity mean, standard
@@ -89,7 +93,7 @@ def map_cube(
         raise InputError(f"expected a share of the simulations from 0.5 to 0.999, but got {likely}")
     trained = read_training(training)
     with open_blocks(cube) as source:
-        weights = _weights(source, trained)
+        _weights(source, trained)  # errors before any work
         scale = source.scale()
         rows = source.rows_at_once
         starts = range(0, source.shape[0], rows)
@@ -105,25 +109,19 @@ def map_cube(
             Path(checkpoint), signature(settings, [file_hash(training)]), names, source, len(starts)
         )
         damaged: list[tuple[int, int]] = []
-        with run.stage("Map", "maps", total=len(starts)):
-            for number, start in enumerate(starts):
-                if not writer.done[number]:
-                    count = min(rows, source.shape[0] - start)
-                    try:
-                        values = source.read(start, count)
-                    except InputError as error:
-                        if not skip_damaged:
-                            raise InputError(
-                                f"{error} With --skip-damaged such rows are left without data."
-                            ) from error
-                        damaged.append((start + 1, start + count))
-                        values = np.full(
-                            (count, source.shape[1], len(source.wavelength)), np.nan, np.float32
-                        )
-                    writer.write(
-                        number, start, _maps(trained, values, weights, scale, likely, keep_unlike)
-                    )
-                run.progress.advance(1)
+        left = [i for i in range(len(starts)) if not writer.done[i]]
+        parts = [(starts[i], min(rows, source.shape[0] - starts[i])) for i in left]
+        shared = str(source.path), trained, scale, likely, keep_unlike, skip_damaged
+        with run.stage("Map", "maps", total=len(parts)), at_work(workers) as pool:
+            done = pool.each(
+                _mapped, parts, *shared,
+                names=[f"rows {a + 1} to {a + n}" for a, n in parts], progress=run.progress,
+            )  # fmt: skip
+            for i, (maps, unreadable) in done:
+                start, count = parts[i]
+                if unreadable:
+                    damaged.append((start + 1, start + count))
+                writer.write(left[i], start, np.asarray(maps))
         step = max(1, -(-max(source.shape) // _SHOWN))
         picture = writer.read(step)
         record: dict[str, Any] = {
@@ -152,6 +150,33 @@ def _weights(source: CubeBlocks, trained: Training) -> Float[np.ndarray, "channe
         return trained.channels.weights(wavelength, source.good)
     except InputError as error:
         raise InputError(str(error), file=source.path) from error
+
+
+def _mapped(
+    part: tuple[int, int],
+    path: str,
+    trained: Training,
+    scale: float,
+    likely: float,
+    keep_unlike: bool,
+    skip_damaged: bool,
+) -> tuple[np.ndarray, ...]:
+    """Maps of a block of rows, and whether it could not be read."""
+    start, count = part
+    with open_blocks(path) as source:
+        weights = _weights(source, trained)
+        unreadable = False
+        try:
+            values = source.read(start, count)
+        except InputError as error:
+            if not skip_damaged:
+                raise InputError(
+                    f"{error} With --skip-damaged such rows are left without data."
+                ) from error
+            unreadable = True
+            shape = (count, source.shape[1], len(source.wavelength))
+            values = np.full(shape, np.nan, np.float32)
+    return _maps(trained, values, weights, scale, likely, keep_unlike), np.asarray(unreadable)
 
 
 def _maps(
@@ -198,8 +223,6 @@ def _summary(
     trained: Training,
     record: dict[str, Any],
 ) -> MapResult:
-    import pandas as pd
-
     unlike = maps[-1]
     with_data = np.isfinite(unlike)
     masked = with_data & (unlike > 1.0)

@@ -7,12 +7,14 @@ from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import xarray as xr
 from pydantic import Field
 
 from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
+from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import Progress
 from fynjax.assembly import STAND_QUANTITIES, StandSettings, simulate_stands
 from fynjax.inversion import (
@@ -23,7 +25,7 @@ from fynjax.inversion import (
     train_posterior,
 )
 from fynjax.io.instruments import load_sensor
-from fynjax.io.plot import DEFAULT_PRIOR, read_prior
+from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, read_prior
 from fynjax.io.raster import file_hash, open_blocks, write_run
 from fynjax.io.text import existing_file
 from fynjax.jobs._result import JobResult, Number, Record
@@ -84,6 +86,7 @@ def train(
     steps: int = 6000,
     seed: int = 0,
     checkpoint: str | Path,
+    workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> TrainResult:
     """Simulate stands and their spectra, and train a regression from spectra to stands.
@@ -99,6 +102,7 @@ def train(
     - `steps`: of the optimisation.
     - `seed`: of everything random.
     - `checkpoint`: folder that keeps the simulations, from which an interrupted run goes on.
+    - `workers`: where stands are simulated; in this process by default.
     - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `TrainResult`. Writes `training.nc` and `scores.csv` into `output`.
@@ -125,28 +129,19 @@ def train(
     channels, joined = group_bands(bands, good)
     settings = StandSettings(sun_zenith=(low, high))
     stands = -(-simulations // settings.together)
-    parts = [
-        tuple(range(start, min(start + _PART, stands))) for start in range(0, stands, _PART)
-    ]
+    parts = [tuple(range(start, min(start + _PART, stands))) for start in range(0, stands, _PART)]
     inputs = [learned.path, *([like] if like is not None else [])]
     journal = Journal(
         checkpoint, signature((settings, joined, seed, stands), [file_hash(learned.path)])
     )
-    quantities, spectra, residual = [], [], 0.0
-    with run.stage("Simulate", "simulation", total=len(parts)):
-        for part in parts:
-
-            def simulate(part: tuple[int, ...] = part) -> tuple[Any, ...]:
-                made = simulate_stands(part, joined, learned, settings, seed)
-                if not np.isfinite(made.reflectance).all():
-                    raise InputError(f"the spectra of stands {part} are not finite")
-                return made.quantities, made.reflectance, np.asarray(made.residual)
-
-            one, spectrum, left = journal(simulate)
-            quantities.append(np.asarray(one))
-            spectra.append(np.asarray(spectrum))
-            residual = max(residual, float(left))
-            run.progress.advance(1)
+    with run.stage("Simulate", "simulation", total=len(parts)), at_work(workers) as pool:
+        made = pool.all(
+            _simulated, parts, joined, learned, settings, seed,
+            names=[f"stands {part[0]} to {part[-1]}" for part in parts],
+            journal=journal, progress=run.progress,
+        )  # fmt: skip
+    quantities, spectra, left = zip(*made, strict=True)
+    residual = max(float(one) for one in left)
     with run.stage("Train", "training", total=100):
         posterior, held_out = train_posterior(
             np.concatenate(spectra),
@@ -177,8 +172,6 @@ def train(
             Training(posterior, channels, len(bands), record),
         )
         scores = _scores(held_out)
-        import pandas as pd
-
         run.table(
             "scores.csv",
             pd.DataFrame([s.model_dump() for s in scores]),
@@ -207,6 +200,15 @@ def train(
     )
 
 
+def _simulated(
+    part: tuple[int, ...], bands: BandSet, prior: LearnedPrior, settings: StandSettings, seed: int
+) -> tuple[np.ndarray, ...]:
+    made = simulate_stands(part, bands, prior, settings, seed)
+    if not np.isfinite(made.reflectance).all():
+        raise InputError("their spectra are not finite")
+    return made.quantities, made.reflectance, np.asarray(made.residual)
+
+
 def _bands(
     sensor: str | Path | None, like: str | Path | None
 ) -> tuple[str, BandSet, np.ndarray | None]:
@@ -227,7 +229,7 @@ def _bands(
     if np.isnan(width).any():  # bands of a spectrometer are about as wide as they lie apart
         width = np.abs(np.gradient(centre))
     names = tuple(f"band {n}" for n in range(1, len(centre) + 1))
-    return Path(path).name, BandSet(names, centre, width), good
+    return Path(path).name, BandSet(names, tuple(centre), tuple(width)), good
 
 
 def _scores(held_out: HeldOut) -> list[QuantityScore]:
@@ -294,9 +296,12 @@ def read_training(path: str | Path) -> Training:
         single = lambda name: jnp.asarray(data[name].values, jnp.float32)  # noqa: E731
         count = sum(str(name).startswith("weight_") for name in data.variables)
         posterior = AmortisedPosterior(
-            *(single(name) for name in ("middle", "rows", "precision")),
-            tuple((single(f"weight_{i}"), single(f"offset_{i}")) for i in range(count)),
-            *(single(name) for name in ("values", "distance")),
+            middle=single("middle"),
+            rows=single("rows"),
+            precision=single("precision"),
+            layers=tuple((single(f"weight_{i}"), single(f"offset_{i}")) for i in range(count)),
+            values=single("values"),
+            distance=single("distance"),
         )
         channels = Channels(*(np.asarray(data[n].values) for n in ("lower", "upper", "centre")))
         bands = int(record["sensor_bands"])

@@ -81,6 +81,8 @@ from fynjax.sensors.lidar import (
 )
 
 __all__ = [
+    "RADIANCE_UNITS",
+    "SPACE",
     "AbstractCamera",
     "AbstractNoise",
     "Atmosphere",
@@ -101,9 +103,7 @@ __all__ = [
     "PanelReading",
     "PointSpread",
     "PushbroomCamera",
-    "RADIANCE_UNITS",
     "RadiometricNoise",
-    "SPACE",
     "ScanGeometry",
     "Sensor",
     "SunPosition",

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -108,11 +109,11 @@ def group_bands(
     lower = np.array([centre[g[0]] - h for g, h in zip(groups, half)])
     upper = np.array([centre[g[-1]] + h for g, h in zip(groups, half)])
     middle = np.array([centre[g].mean() for g in groups])
-    curves = [_response(bands.select(group)) for group in groups]
     names = tuple(f"{value:.0f}nm" for value in middle)
     if len(set(names)) < len(names):
         names = tuple(f"{value:.6g}nm" for value in middle)
-    joined = BandSet(names, middle, upper - lower, curves=curves)
+    curves: Any = [_response(bands.select(group)) for group in groups]
+    joined = BandSet(names, tuple(middle), tuple(upper - lower), curves=curves)
     return Channels(lower, upper, middle), joined
 
 

@@ -30,10 +30,9 @@ def write_cube(path: Path, sensor: str, rows: int, columns: int) -> None:
     centre = np.asarray(bands.centre)
     rng = np.random.default_rng(0)
     spectrum = 0.05 + 0.2 / (1.0 + np.exp(-(centre - 720.0) / 15.0)) - 5e-5 * (centre - 400.0)
-    profile = dict(
-        driver="ENVI", dtype="float32", count=len(centre), height=rows, width=columns,
-        crs="EPSG:32734", transform=rasterio.Affine(5, 0, 0, 0, -5, 0), interleave="bip",
-    )  # fmt: skip
+    profile = {"driver": "ENVI", "dtype": "float32", "interleave": "bip", "crs": "EPSG:32734"}
+    profile |= {"count": len(centre), "height": rows, "width": columns}
+    profile["transform"] = rasterio.Affine(5, 0, 0, 0, -5, 0)
     listed = lambda values: "{" + ",".join(f"{v:.6g}" for v in values) + "}"  # noqa: E731
     with rasterio.open(path, "w", **profile) as file:
         bright = rng.uniform(0.8, 1.2, (1, rows, columns))

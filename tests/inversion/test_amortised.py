@@ -69,7 +69,8 @@ def test_estimates_never_leave_what_was_simulated():
     found = estimate_pixels(posterior, extreme)
     for values in (found.mean, found.lower, found.upper):
         assert np.isfinite(np.asarray(values)).all()
-        assert (np.asarray(values) > 0.0).all() and (np.asarray(values) < 1.0).all()
+        assert (np.asarray(values) > 0.0).all()
+        assert (np.asarray(values) < 1.0).all()
 
 
 def test_missing_values_stay_missing(trained):

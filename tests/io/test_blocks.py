@@ -100,17 +100,24 @@ def test_a_damaged_block_is_named(tmp_path):
     path = tmp_path / "cube.tif"
     values = np.random.default_rng(1).uniform(0.05, 0.5, (4, 64, 64)).astype(np.float32)
     profile = {"driver": "GTiff", "count": 4, "height": 64, "width": 64, "dtype": "float32"}
+    profile["transform"] = rasterio.Affine(5.0, 0.0, 0.0, 0.0, -5.0, 0.0)
     with rasterio.open(path, "w", **profile, compress="deflate", blockysize=8) as file:
         file.write(values)
-    with rasterio.open(path) as file:  # the last strip of the last band lies at the end
-        assert file.block_shapes[0][0] == 8
     content = bytearray(path.read_bytes())
-    content[-400:] = bytes(400)
+    half = len(content) // 2
+    content[half : half + 500] = bytes(500)
     path.write_bytes(content)
+    errors = {}
     with open_blocks(path) as blocks:
-        assert np.isfinite(blocks.read(0, 8)).all()
-        with pytest.raises(InputError, match=r"rows 57 to 64 cannot be read"):
-            blocks.read(56, 8)
+        for start in range(0, 64, 8):
+            try:
+                assert np.isfinite(blocks.read(start, 8)).all()
+            except InputError as error:
+                errors[start] = str(error)
+    assert 1 <= len(errors) <= 2
+    for start, text in errors.items():
+        assert str(path) in text
+        assert f"rows {start + 1} to {start + 8} cannot be read" in text
 
 
 def test_maps_go_on_where_they_were_interrupted(tmp_path, cube):
@@ -129,9 +136,11 @@ def test_maps_go_on_where_they_were_interrupted(tmp_path, cube):
     assert not (tmp_path / "work").exists()
     with rasterio.open(tmp_path / "maps.tif") as file:
         assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
-        assert file.descriptions == ("one", "two") and file.units == ("1", "g m-2")
+        assert file.descriptions == ("one", "two")
+        assert file.units == ("1", "g m-2")
         assert file.crs.to_epsg() == 32734
         assert file.transform @ (0, 9) == pytest.approx((300000.0, 6200000.0))
         assert file.tags()["history"] == "made"
         values = file.read()
-    assert (values[:, :5] == 1.0).all() and (values[:, 5:] == 2.0).all()
+    assert (values[:, :5] == 1.0).all()
+    assert (values[:, 5:] == 2.0).all()

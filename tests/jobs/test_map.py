@@ -20,7 +20,7 @@ from fynjax.sensors import group_bands, shipped_sensor
 pytest.importorskip("optax")
 
 SENSOR = "sentinel_2a"
-SETTINGS = StandSettings(size_m=2.0, together=4, sun_zenith=(20.0, 40.0))
+SETTINGS = StandSettings(sun_zenith=(25.0, 35.0))
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +43,8 @@ def test_stands_are_those_of_their_number(known):
     _, bands, prior = known
     both = simulate_stands((3, 4), bands, prior, SETTINGS, 1)
     one = simulate_stands((4,), bands, prior, SETTINGS, 1)
-    assert np.array_equal(both.reflectance[4:], one.reflectance)
-    assert np.array_equal(both.quantities[4:], one.quantities)
+    assert np.array_equal(both.reflectance[16:], one.reflectance)
+    assert np.array_equal(both.quantities[16:], one.quantities)
     names = list(STAND_QUANTITIES)
     covers = [names.index(n) for n in ("live_cover", "dead_cover", "bare_cover")]
     assert both.quantities[:, covers].sum(axis=1) == pytest.approx(1.0)
@@ -71,14 +71,16 @@ def test_spectra_of_sets_taken_together_are_those_of_each_alone(known):
 
 def test_a_training_is_read_back_as_it_was_written(trained, tmp_path):
     folder, result = trained
-    assert result.simulations == 208 and len(result.scores) == len(STAND_QUANTITIES)
+    assert result.simulations == 208
+    assert len(result.scores) == len(STAND_QUANTITIES)
     path = folder / "out" / "training.nc"
     one = jobs.read_training(path)
     jobs.write_training(tmp_path / "again.nc", one)
     again = jobs.read_training(tmp_path / "again.nc")
     for a, b in zip(jax.tree.leaves(one.posterior), jax.tree.leaves(again.posterior), strict=True):
         assert np.array_equal(a, b)
-    assert one.record["sensor"] == SENSOR and "fynbos" in one.record["prior"].lower()
+    assert one.record["sensor"] == SENSOR
+    assert "fynbos" in one.record["prior"].lower()
     damaged = tmp_path / "damaged.nc"
     damaged.write_bytes(path.read_bytes()[:3000])
     with pytest.raises(InputError, match="training"):
@@ -88,7 +90,7 @@ def test_a_training_is_read_back_as_it_was_written(trained, tmp_path):
 def cube_of(folder, known, **changes):
     channels, bands, prior = known
     made = simulate_stands((7, 8, 9), bands, prior, SETTINGS, 5)
-    values = made.reflectance.T.reshape(len(bands), 3, 4).copy()
+    values = made.reflectance[::4].T.reshape(len(bands), 3, 4).copy()
     values[:, 1, 2] = np.nan
     values[:, 0, 0] = np.linspace(1.5, 0.1, len(bands))  # no vegetation looks like this
     cube = Cube(
@@ -109,13 +111,18 @@ def test_maps_lie_where_the_cube_lies_and_mask_what_is_unlike(trained, known, tm
     path = cube_of(tmp_path, known)
     training = trained[0] / "out" / "training.nc"
     result = jobs.map_cube(path, training, tmp_path / "out", checkpoint=tmp_path / "work")
-    assert result.pixels == 12 and result.without_data == 1 and result.masked >= 1
+    assert result.pixels == 12
+    assert result.without_data == 1
+    assert result.masked >= 1
     with rasterio.open(tmp_path / "out" / "maps.tif") as file:
-        assert file.crs.to_epsg() == 32734 and file.transform.a == 10.0
+        assert file.crs.to_epsg() == 32734
+        assert file.transform.a == 10.0
         maps = dict(zip(file.descriptions, file.read(), strict=True))
     # North is up: row 2 of the file is the southernmost, row 0 of the cube.
-    assert maps["unlikeness"][2, 0] > 1.0 and np.isnan(maps["live_cover"][2, 0])
-    assert np.isnan(maps["unlikeness"][1, 2]) and np.isnan(maps["live_cover"][1, 2])
+    assert maps["unlikeness"][2, 0] > 1.0
+    assert np.isnan(maps["live_cover"][2, 0])
+    assert np.isnan(maps["unlikeness"][1, 2])
+    assert np.isnan(maps["live_cover"][1, 2])
     shown = np.isfinite(maps["live_cover"])
     assert shown.sum() == 12 - 1 - result.masked
     for name in STAND_QUANTITIES:

@@ -12,7 +12,8 @@ def test_hundreds_of_bands_become_some_thirty_outside_the_water_windows():
     assert 20 <= len(bands) <= 36
     assert not ((channels.centre > 1340) & (channels.centre < 1460)).any()
     assert not ((channels.centre > 1790) & (channels.centre < 2100)).any()
-    assert channels.centre.min() >= 430 and channels.centre.max() <= 2400
+    assert channels.centre.min() >= 430
+    assert channels.centre.max() <= 2400
     assert (channels.upper > channels.lower).all()
 
 
@@ -45,7 +46,8 @@ def test_bad_bands_are_left_out_and_their_channel_is_missed():
     first = np.flatnonzero((centre >= channels.lower[5]) & (centre <= channels.upper[5]))
     good[first[0]] = False
     weights = channels.weights(centre, good)
-    assert weights[5, first[0]] == 0.0 and weights[5].sum() == pytest.approx(1.0)
+    assert weights[5, first[0]] == 0.0
+    assert weights[5].sum() == pytest.approx(1.0)
     good[first] = False
     with pytest.raises(InputError, match="expected a good band between"):
         channels.weights(centre, good)

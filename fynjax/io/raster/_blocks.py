@@ -5,7 +5,7 @@ import math
 import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, listed
 from fynjax.io.raster._netcdf import check_netcdf
 from fynjax.io.raster._reader import RasterFile, open_raster
 from fynjax.io.raster._writer import LOCAL_FRAME
@@ -164,7 +164,7 @@ def _open_dataset(path: Path) -> Iterator[CubeBlocks]:
     try:
         if "reflectance" not in data:
             raise InputError(
-                f"expected a variable 'reflectance', but it has {', '.join(map(str, data)) or 'none'}",
+                f"expected a variable 'reflectance', but it has {listed(map(str, data)) or 'none'}",
                 file=path,
             )
         values = data["reflectance"]
@@ -176,10 +176,9 @@ def _open_dataset(path: Path) -> Iterator[CubeBlocks]:
         spectral = next((d for d in values.dims if d in names), values.dims[0])
         values = values.transpose(*(d for d in values.dims if d != spectral), spectral)
         if not zarr:
-            try:  # EMIT keeps its bands in a group of their own
+            with suppress(OSError, KeyError, ValueError):
+                # EMIT keeps its bands in a group of their own.
                 bands = xr.open_dataset(path, group="sensor_band_parameters")
-            except (OSError, KeyError, ValueError):
-                pass
         count = values.sizes[spectral]
 
         def column(*known: str) -> Float[np.ndarray, " band"] | None:
