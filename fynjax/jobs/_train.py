@@ -249,7 +249,10 @@ def _scores(held_out: HeldOut) -> list[QuantityScore]:
 
 
 def write_training(path: Path, training: Training) -> None:
-    """Write a regression as NetCDF, whole or not at all."""
+    """Write a regression as NetCDF, whole or not at all.
+
+    **Arguments:** `path`; `training`, such as `read_training` gives.
+    """
     posterior, channels = training.posterior, training.channels
 
     def of(dims: tuple[str, ...], values: Any, name: str, unit: str = "1") -> Any:
@@ -281,6 +284,10 @@ def write_training(path: Path, training: Training) -> None:
 
 def read_training(path: str | Path) -> Training:
     """Read a regression that `train` wrote.
+
+    **Arguments:** `path` of its `training.nc`.
+
+    **Returns:** `Training`.
 
     **Raises:** `InputError` for a file that is missing or is none, and for other quantities than
     this version of fynjax has.
