@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from fynjax.cli._runtime import Checkpoint, Job, command
+from fynjax.cli._runtime import Checkpoint, Job, SchedulerAddress, WorkerCount, command
 
 
 @command("map")
@@ -35,6 +35,8 @@ def map_command(
         typer.Option("--skip-damaged", help="Leave rows that cannot be read without data."),
     ] = False,
     checkpoint: Checkpoint = None,
+    workers: WorkerCount = None,
+    scheduler: SchedulerAddress = None,
 ) -> Job:
     """Map covers, leaf area and leaf traits of a cube, each with its uncertainty.
 
@@ -54,5 +56,6 @@ def map_command(
         keep_unlike=keep_unlike,
         skip_damaged=skip_damaged,
         checkpoint=checkpoint,
+        workers=jobs.Workers(workers, scheduler),
         progress=progress,
     )

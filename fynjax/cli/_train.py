@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax.cli._runtime import Checkpoint, Job, Seed, command
+from fynjax.cli._runtime import Checkpoint, Job, SchedulerAddress, Seed, WorkerCount, command
 
 
 @command("train", forget=True)
@@ -35,6 +35,8 @@ def train(
     ] = 20000,
     seed: Seed = 0,
     checkpoint: Checkpoint = None,
+    workers: WorkerCount = None,
+    scheduler: SchedulerAddress = None,
 ) -> Job:
     """Train a regression from spectra of a sensor to covers and leaves, for `fynjax map`.
 
@@ -56,6 +58,7 @@ def train(
         simulations=simulations,
         seed=seed,
         checkpoint=checkpoint,
+        workers=jobs.Workers(workers, scheduler),
         progress=progress,
     )
 
