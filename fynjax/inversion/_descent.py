@@ -95,7 +95,7 @@ def unsettled(
 ) -> float:
     """The distance that a search `moved` to `u`, or that a Gauss-Newton step from there would
     move, along the principal direction where it is largest [posterior standard deviations]."""
-    gradient, hessian = _quadratic(weights, np.asarray(u), misfit, jacobian)
+    gradient, hessian = _quadratic(weights, u, misfit, jacobian)
     if not np.isfinite(hessian).all():
         return np.inf
     values, vectors = np.linalg.eigh(hessian)

@@ -500,8 +500,11 @@ class Search:
                 slopes = self._slopes(u, spread)
             place = self.observe(u, spread, slopes.mean(axis=0))
             # The round kept its slopes, and the expectation is now over another spread.
-            step = np.asarray(u) - np.asarray(begun), place.statistics - target
-            if turn == turns and unsettled(place.weights, u, *step, slopes.mean(axis=0)) > _SETTLED:
+            end, misfit = np.asarray(u), place.statistics - target
+            left = unsettled(
+                place.weights, end, end - np.asarray(begun), misfit, slopes.mean(axis=0)
+            )
+            if turn == turns and left > _SETTLED:
                 if turns < settings.rounds + _FURTHER:
                     turns += 1
                     slopes = self._slopes(u, spread)
