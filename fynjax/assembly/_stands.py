@@ -40,7 +40,7 @@ from fynjax.sensors import BandSet
 
 @dataclass(frozen=True)
 class StandQuantity:
-    """A quantity of a stand that a spectrum may tell."""
+    """A quantity of a stand that is estimated from its spectrum."""
 
     words: str
     unit: str

@@ -33,7 +33,7 @@ _STEADY = 1e-3
 
 
 class AmortisedPosterior(eqx.Module):
-    """What spectra tell of quantities. `train_posterior` makes one."""
+    """Posterior of quantities, given a spectrum. `train_posterior` makes one."""
 
     middle: Float[Array, " channel"]
     """Mean logarithm of reflectance of the simulations."""

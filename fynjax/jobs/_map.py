@@ -108,7 +108,6 @@ def map_cube(
         writer = MapWriter(
             Path(checkpoint), signature(settings, [file_hash(training)]), names, source, len(starts)
         )
-        damaged: list[tuple[int, int]] = []
         left = [i for i in range(len(starts)) if not writer.done[i]]
         parts = [(starts[i], min(rows, source.shape[0] - starts[i])) for i in left]
         shared = str(source.path), trained, scale, likely, keep_unlike, skip_damaged
@@ -118,10 +117,11 @@ def map_cube(
                 names=[f"rows {a + 1} to {a + n}" for a, n in parts], progress=run.progress,
             )  # fmt: skip
             for i, (maps, unreadable) in done:
-                start, count = parts[i]
-                if unreadable:
-                    damaged.append((start + 1, start + count))
-                writer.write(left[i], start, np.asarray(maps))
+                start, _ = parts[i]
+                writer.write(left[i], start, np.asarray(maps), damaged=bool(unreadable))
+        damaged = [
+            (starts[i] + 1, min(starts[i] + rows, source.shape[0])) for i in sorted(writer.damaged)
+        ]
         step = max(1, -(-max(source.shape) // _SHOWN))
         picture = writer.read(step)
         record: dict[str, Any] = {
@@ -252,14 +252,14 @@ def _summary(
             "and are without data",
             stacklevel=2,
         )
-    seen = max(pixels - lacking, 1)
+    valid = max(pixels - lacking, 1)
     headline = [
-        f"{pixels} pixels, {lacking} without data; {out} ({100 * out / seen:.0f} % of the others) "
+        f"{pixels} pixels, {lacking} without data; {out} ({100 * out / valid:.0f} % of the others) "
         f"are less like the simulations than {100 * likely:g} % of these, and "
         + ("kept." if keep_unlike else "masked."),
     ]
     status = "ok"
-    if out > 0.5 * seen:
+    if out > 0.5 * valid:
         status = "most pixels are unlike the simulations"
         headline.append(
             "Most pixels are unlike what the training knows: other vegetation, another sun, other "

@@ -39,7 +39,7 @@ _KIND = "fynjax training of maps"
 
 
 class QuantityScore(Record):
-    """How well a quantity is told on simulations that were held out."""
+    """Errors of a quantity on simulations that were held out."""
 
     quantity: str
     unit: str
@@ -178,7 +178,7 @@ def train(
             "errors and coverage of intervals on simulations held out",
         )
     worst = min(s.inside_90 or 0.0 for s in scores), max(s.inside_90 or 0.0 for s in scores)
-    told = sorted(scores, key=lambda s: -(s.explained or 0.0))
+    ranked = sorted(scores, key=lambda s: -(s.explained or 0.0))
     return run.result(
         TrainResult,
         headline=[
@@ -186,8 +186,8 @@ def train(
             f"{high:g} degrees.",
             f"On {held_out.count} held out the 90 % intervals hold {100 * worst[0]:.0f} to "
             f"{100 * worst[1]:.0f} % of the truths.",
-            "Share of the variance told: "
-            + ", ".join(f"{s.quantity} {s.explained or 0.0:.2f}" for s in told)
+            "Share of the variance explained: "
+            + ", ".join(f"{s.quantity} {s.explained or 0.0:.2f}" for s in ranked)
             + ".",
         ],
         sensor=name,

@@ -125,9 +125,10 @@ def test_maps_go_on_where_they_were_interrupted(tmp_path, cube):
     names = [("one", "1"), ("two", "g m-2")]
     with open_blocks(tmp_path / "cube.hdr") as blocks:
         first = MapWriter(tmp_path / "work", "s", names, blocks, 2)
-        first.write(1, 5, np.full((2, 4, 6), 2.0))
+        first.write(1, 5, np.full((2, 4, 6), 2.0), damaged=True)
         again = MapWriter(tmp_path / "work", "s", names, blocks, 2)
         assert again.done.tolist() == [False, True]
+        assert again.damaged == {1}
         again.write(0, 0, np.full((2, 5, 6), 1.0))
         again.finish(tmp_path / "maps.tif", {"history": "made"})
         with pytest.raises(InputError, match="of another run"):

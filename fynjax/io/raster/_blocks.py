@@ -241,6 +241,8 @@ class MapWriter:
         self._file, mark = folder / "maps.tif", folder / "maps.json"
         self._mark = mark
         self.done = np.zeros(blocks, bool)
+        self.damaged: set[int] = set()
+        """Blocks of the cube that could not be read, of an interrupted run too."""
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -255,6 +257,7 @@ class MapWriter:
                 )
             if self._file.is_file():
                 self.done[kept["done"]] = True
+                self.damaged = set(kept["damaged"])
                 return
         rows, columns = like.shape
         profile: dict[str, Any] = {
@@ -276,19 +279,33 @@ class MapWriter:
         self._keep(signature)
 
     def _keep(self, signature: str) -> None:
-        state = {"signature": signature, "done": np.flatnonzero(self.done).tolist()}
+        state = {
+            "signature": signature,
+            "done": np.flatnonzero(self.done).tolist(),
+            "damaged": sorted(self.damaged),
+        }
         work = self._mark.with_suffix(".work")
         work.write_text(json.dumps(state), "utf-8")
         os.replace(work, self._mark)
 
-    def write(self, block: int, start: int, values: Float[np.ndarray, "band row column"]) -> None:
-        """Write a block whose first row is `start`."""
+    def write(
+        self,
+        block: int,
+        start: int,
+        values: Float[np.ndarray, "band row column"],
+        *,
+        damaged: bool = False,
+    ) -> None:
+        """Write a block whose first row is `start`; `damaged` where the cube has no data there
+        because it could not be read."""
         _, rows, columns = values.shape
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             with rasterio.open(self._file, "r+") as file:
                 file.write(values.astype(np.float32), window=Window(0, start, columns, rows))
         self.done[block] = True
+        if damaged:
+            self.damaged.add(block)
         self._keep(json.loads(self._mark.read_text("utf-8"))["signature"])
 
     def finish(self, path: Path, tags: Mapping[str, Any]) -> None:
