@@ -58,7 +58,7 @@ def shared_data() -> Path:
 def forget_compiled() -> Iterator[None]:
     """Frees what earlier files have compiled once it takes much memory; until then it serves."""
     yield
-    if psutil.Process().memory_info().rss > 2 * 2**30:
+    if psutil.Process().memory_info().rss > 3 * 2**30:
         jax.clear_caches()
         gc.collect()
         getattr(ctypes.CDLL(None), "malloc_trim", int)(0)  # glibc keeps what is freed

@@ -9,6 +9,7 @@ import math
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 
@@ -25,16 +26,17 @@ def axis_weights(
     length = count * spacing
     cell = jnp.arange(count, dtype=centres.dtype)
 
-    def covered(x: Float[Array, " point"]) -> Float[Array, "point cell"]:
+    def covered(x: Float[Array, "*turn point"]) -> Float[Array, "*turn point cell"]:
         """Length of each cell that lies below x, in cells."""
-        return jnp.clip(x[:, None] / spacing - cell, 0.0, 1.0)
+        return jnp.clip(x[..., None] / spacing - cell, 0.0, 1.0)
 
-    def overlap(x: Float[Array, " point"]) -> Float[Array, "point cell"]:
+    def overlap(x: Float[Array, "*turn point"]) -> Float[Array, "*turn point cell"]:
         return covered(x + 0.5 * width) - covered(x - 0.5 * width)
 
     if boundary == "periodic":
-        wrapped = jnp.mod(centres, length)
-        total = overlap(wrapped) + overlap(wrapped - length) + overlap(wrapped + length)
+        # All turns at once: a third as many operations to compile.
+        turns = np.array([[0.0], [-length], [length]], centres.dtype)
+        total = overlap(jnp.mod(centres, length) + turns).sum(axis=0)
     else:
         total = overlap(centres)
     return total * (spacing / width)

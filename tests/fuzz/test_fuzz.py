@@ -16,10 +16,10 @@ from tests.fuzz.run import _tried, fuzz
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of memory are set as Unix has them")
 def test_damaged_files_end_in_one_clear_error() -> None:
-    counts, broken = fuzz(list(READERS), seed=0, each=30)
+    counts, broken = fuzz(list(READERS), seed=0, each=16)
     assert [f"{o.reader} {o.number}: {o.text}" for o in broken] == []
     assert all(count["refused"] > 3 for count in counts.values())
-    assert sum(count["accepted"] for count in counts.values()) > 200
+    assert sum(count["accepted"] for count in counts.values()) > 100
 
 
 def test_every_seed_is_a_valid_file(tmp_path: Path) -> None:

@@ -49,7 +49,11 @@ def bent(x):
 BENT = Data(DATA.names, jnp.exp(DATA.value / 4) * jnp.array([1.1, 0.9, 1.2, 1.0]), DATA.sd)
 
 
-@pytest.mark.parametrize("name", SOLVERS)
+LONG = {name: pytest.mark.study for name in ("Dogleg", "jaxopt.LBFGS")}
+"""Of their kind another is tried anyway."""
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=LONG.get(name, ())) for name in SOLVERS])
 def test_a_solver_object_ends_where_a_name_does(name):
     named = fit(bent, BENT, SPACE, tolerance=1e-9, max_steps=100)
     result = fit(bent, BENT, SPACE, solver=SOLVERS[name], max_steps=200)
@@ -75,7 +79,9 @@ def many_data():
     return jnp.asarray(BENT.value * (1 + shifts))
 
 
-@pytest.mark.parametrize("name", ["least_squares", "BFGS", "jaxopt.LBFGSB"])
+@pytest.mark.parametrize(
+    "name", ["least_squares", "BFGS", pytest.param("jaxopt.LBFGSB", marks=pytest.mark.study)]
+)
 def test_fits_mapped_over_data_are_those_of_a_loop(name):
     solver = SOLVERS.get(name, name)
 

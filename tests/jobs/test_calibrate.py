@@ -51,17 +51,14 @@ def test_an_image_that_the_plot_explains_already_is_not_made_worse(rendered, tmp
 
 
 @pytest.mark.slow
-def test_a_table_of_statistics_is_approached(rendered, tmp_path):
-    summary, folder = rendered
-    mean = {row.statistic: row.before for row in summary.statistics}
+def test_a_table_of_statistics_is_approached(tmp_path):
+    """Of an image that is brighter by 15 % in the near infrared and by 40 % in the red."""
+    path = write_plot(tmp_path, MORE)
     table = tmp_path / "table.csv"
-    table.write_text(
-        f"statistic,value,sd\nnir.mean,{1.15 * mean['nir.mean']},\n"
-        f"red.mean,{1.4 * mean['red.mean']},\ngreen.mean,{mean['green.mean']},1000\n"
-    )
+    table.write_text("statistic,value,sd\nnir.mean,0.329,\nred.mean,0.22,\ngreen.mean,0.133,1000\n")
     output = tmp_path / "output"
     output.mkdir()
-    other = calibrate(folder / "plot.toml", table, output, seed=0)
+    other = calibrate(path, table, output, seed=0)
     assert misfit(other, "after") < 0.2 * misfit(other, "before")
     # No index is a target, so the headline has none.
     assert other.headline[0].startswith("small: largest error of a band mean")

@@ -38,7 +38,13 @@ def clumps(first: str, second: str, parts: int = 1) -> VoxelScene:
     )
 
 
-@pytest.fixture(scope="module", params=[("planophile", "spherical"), ("erectophile", "planophile")])
+@pytest.fixture(
+    scope="module",
+    params=[
+        ("planophile", "spherical"),
+        pytest.param(("erectophile", "planophile"), marks=pytest.mark.study),
+    ],
+)
 def both(request):
     scene = clumps(*request.param)
     accuracy = Accuracy(

@@ -130,7 +130,9 @@ def test_energy_is_closed():
     np.testing.assert_allclose(total, 1.0, atol=1e-5)
 
 
-@pytest.mark.parametrize("changes", [{}, {"leaf_diameter": 0.05}])
+@pytest.mark.parametrize(
+    "changes", [pytest.param({}, marks=pytest.mark.study), {"leaf_diameter": 0.05}]
+)
 def test_an_even_structure_changes_nothing(changes):
     density = np.repeat(shrubs()[:, :, :1, :1], 6, axis=2).repeat(6, axis=3)
     even, _ = scene_of(density, zenith=35.0, **changes)

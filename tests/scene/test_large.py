@@ -83,7 +83,7 @@ def test_elements_placed_part_by_part_make_the_same_voxels(monkeypatch):
     assert float(slope) == pytest.approx(float(difference), rel=1e-4)
 
 
-@pytest.mark.parametrize("boundary", ["periodic", "open"])
+@pytest.mark.parametrize("boundary", ["periodic", pytest.param("open", marks=pytest.mark.study)])
 def test_windows_make_the_picture_of_the_whole(monkeypatch, boundary):
     """Leaves finer than the voxels, and area elements that are not listed for the whole plot."""
     plot = {"extent": (3.2, 4.8), "voxel": 0.2, "structure": 0.1, "boundary": boundary}
