@@ -49,7 +49,7 @@ def bent(x):
 BENT = Data(DATA.names, jnp.exp(DATA.value / 4) * jnp.array([1.1, 0.9, 1.2, 1.0]), DATA.sd)
 
 
-LONG = {name: pytest.mark.study for name in ("Dogleg", "jaxopt.LBFGS")}
+LONG = dict.fromkeys(("Dogleg", "jaxopt.LBFGS"), pytest.mark.study)
 """Of their kind another is tried anyway."""
 
 
