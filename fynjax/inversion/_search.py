@@ -189,6 +189,8 @@ class Search:
         self._form, self._replant, self._settings = form, replant, settings
         _, cheap_views = form(scene)
         self._predict = PlotForward(parameters, space.names, cheap_views)
+        self._none = jnp.zeros(data.value.shape)
+        """No offset of the statistics."""
         self._along: PlotForward | None = None
         """The same with slopes along the most informative directions of many statistics."""
         self.rows: Float[np.ndarray, "direction statistic"] | None = None
@@ -236,9 +238,8 @@ class Search:
     # -- evaluations ------------------------------------------------------------------------
 
     def _density(self, cheap: Scene, predict: PlotForward | None = None) -> LogPosterior:
-        none = jnp.zeros(self._data.value.shape)
         predict = self._predict if predict is None else predict
-        return LogPosterior(predict, self._space, self._data, none, (cheap,))
+        return LogPosterior(predict, self._space, self._data, self._none, (cheap,))
 
     def _cheap(
         self, u: Array, spread: np.ndarray, draws: Sequence[Draw]

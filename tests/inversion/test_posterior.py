@@ -5,6 +5,7 @@ import subprocess
 import sys
 import textwrap
 from contextlib import nullcontext
+from functools import cache
 from pathlib import Path
 
 import jax
@@ -45,10 +46,16 @@ def curved(x):
 CURVED = Data(("s", "t"), jnp.array([0.12, 0.9]), jnp.array([0.03, 0.1]))
 
 
+@cache
+def drawn(method):
+    """Draws that several tests look at."""
+    need(method)
+    return sample_posterior(predict, DATA, SPACE, method=method, target=6000.0, seed=2)
+
+
 @pytest.mark.parametrize("method", SAMPLERS)
 def test_draws_are_those_of_the_normal_posterior(method):
-    need(method)
-    found = sample_posterior(predict, DATA, SPACE, method=method, target=6000.0, seed=2)
+    found = drawn(method)
     assert found.status.startswith("converged")
     mean, covariance = posterior()
     sd = np.sqrt(np.diag(covariance))
@@ -74,8 +81,7 @@ def test_the_ensemble_is_as_wide_as_what_it_samples():
 
 @pytest.mark.parametrize("method", SAMPLERS)
 def test_what_the_data_cannot_see_is_named_and_stays_at_its_prior(method):
-    need(method)
-    found = sample_posterior(predict, DATA, SPACE, method=method, target=500.0)
+    found = drawn(method)
     assert found.converged
     assert "flat" in found.status
     ((name, weight),) = (one for one in found.flat[0] if abs(one[1]) > 0.01)
@@ -276,7 +282,7 @@ def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path, method, end):
 
 def test_it_is_saved_as_inference_data_and_diagnosed(tmp_path):
     az = arviz()
-    found = sample_posterior(predict, DATA, SPACE, target=2000.0)
+    found = drawn("emcee")
     diagnostics = found.diagnostics()
     assert all(one["r_hat"] < 1.03 for one in diagnostics.values())
     assert all(one["ess_bulk"] > 500 for one in diagnostics.values())
