@@ -150,7 +150,8 @@ class Stands:
     reflectance: Float[np.ndarray, "stand band"]
     """Mean reflectance factor from straight above [-]."""
     residual: float
-    """Largest share of the source of diffuse light that the reduced solution leaves over [-]."""
+    """Largest share of the source of diffuse light that the reduced solution leaves over in the
+    first set of a stand [-]."""
 
 
 def simulate_stands(
@@ -336,7 +337,7 @@ def _spectra(
     light = solve_light(voxels, imager.accuracy)
     image = render(light, imager.rays, chunk=len(bands))
     mean = jnp.pi * image.total.mean(axis=(1, 2)) / voxels.illumination.incident
-    return mean.reshape(sets, -1), jnp.max(light.residual)
+    return mean.reshape(sets, -1), jnp.max(light.diffuse.bands(0, len(bands)).residual)
 
 
 def _quantities(

@@ -192,7 +192,9 @@ class _Lit(eqx.Module):
         scattered = _scattered(scene, diffuse, rays.central, ordinates, composition, cut)
         turning = projection / in_middle.astype(projection.dtype)[:, None, None]
         if projection.shape[1:] == (1, 1):  # parallel rays
-            scattered = scattered.sum(axis=1, keepdims=True)
+            # A sum of slices: that over an axis takes ten times as long on a CPU.
+            parts = (scattered[:, [i]] for i in range(scattered.shape[1]))
+            scattered = sum(parts, start=jnp.zeros((), scattered.dtype))
             turning = jnp.ones_like(turning[:1])
         return cls(
             scattered,
@@ -499,7 +501,7 @@ def _scattered(
         field = jnp.einsum("ko,bozyx->kbzyx", share, diffuse.intensity)
         field = upsample(field, times, scene.boundary)
         area = jnp.einsum("kcb,scyx->kbsyx", optics * mine[:, None], composition)
-        return jnp.sum(area * field, axis=0)
+        return area[0] * field[0] + area[1] * field[1]
 
     # One program for all distributions; recomputed in the backward pass, no field is kept.
     each = jnp.swapaxes(shares, 0, 1), jnp.asarray(mine, dtype)

@@ -56,6 +56,10 @@ class DiffuseField(eqx.Module):
         depth, _, width = self.intensity.shape[2:]
         return scene.shape[0] // depth, scene.shape[2] // width
 
+    def bands(self, start: Int[Array, ""] | int, size: int) -> "DiffuseField":
+        """The field of `size` bands from `start` on, which may be a traced value."""
+        return jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, start, size), self)
+
 
 def scattering_matrices(
     classes: OpticalClasses, ordinates: Ordinates, incoming: Float[Array, "incoming 3"]

@@ -8,6 +8,9 @@ solutions, by Galerkin's condition (a reduced basis: Quarteroni, Manzoni and Neg
 with the band's own ground and light then gives its field, and what its equation leaves over.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -22,6 +25,10 @@ from fynjax.radiation._scene import VoxelScene
 _RECOLLISION = 0.6
 """Rough share of scattered light that meets a leaf again; only the choice of bands uses it."""
 
+_AT_ONCE = 2**16
+"""Elements of the fields that are made at once: of small ones several, as the steps of a sweep
+cost more than what they do."""
+
 
 class ReducedField(eqx.Module):
     """The diffuse light of all bands, as combinations of the sources of a few."""
@@ -33,12 +40,12 @@ class ReducedField(eqx.Module):
     coefficients: Float[Array, "band vector"]
     chosen: Int[Array, " vector"]
     """Bands that were solved."""
-    ground: Float[Array, "band y x"]
-    """Diffuse irradiance on the ground, per level area."""
-    top: Float[Array, " band"]
-    """Mean upward flux at the top."""
-    residual: Float[Array, " band"]
-    """What the equation of the source leaves over, relative to the source [-]."""
+
+    @property
+    def residual(self) -> Float[Array, " band"]:
+        """What the equation of the source leaves over, relative to the source [-]: a sweep for
+        each band, when it is asked for."""
+        return self._of_bands((self.optics, self.coefficients), lambda field: field.residual)
 
     def factor(self, scene: VoxelScene) -> tuple[int, int]:
         """Voxels in one cell, in height and in width."""
@@ -51,21 +58,21 @@ class ReducedField(eqx.Module):
         Memory, in both modes of differentiation, is that of these bands' fields.
         """
         coefficients = jax.lax.dynamic_slice_in_dim(self.coefficients, start, size)
-        return jax.lax.map(
-            jax.checkpoint(lambda at: _field(self.transport, self.basis, *at)),
-            (self.optics.slice(start, size), coefficients),
-        )
+        return self._of_bands((self.optics.slice(start, size), coefficients), lambda field: field)
 
+    def _of_bands(
+        self, bands: tuple[Bands, Float[Array, "band vector"]], take: Callable[[DiffuseField], Any]
+    ) -> Any:
+        """What `take` takes of the field of each band; fields are not kept for a derivative."""
 
-def _field(
-    transport: Transport,
-    basis: Float[Array, "vector ordinate z y x"],
-    band: Bands,
-    coefficients: Float[Array, " vector"],
-) -> DiffuseField:
-    source = jnp.tensordot(coefficients, basis, axes=1)
-    lit = transport.light(source, band.sky, band.sun, band.ground, band.shape)
-    return transport.field(band, source, lit)
+        def of_band(at: tuple[Bands, Array]) -> Any:
+            band, coefficients = at
+            source = jnp.tensordot(coefficients, self.basis, axes=1)
+            lit = self.transport.light(source, band.sky, band.sun, band.ground, band.shape)
+            return take(self.transport.field(band, source, lit))
+
+        together = min(max(_AT_ONCE // self.basis[0].size, 1), bands[1].shape[0])
+        return jax.lax.map(jax.checkpoint(of_band), bands, batch_size=together)
 
 
 def solve_reduced(
@@ -122,13 +129,7 @@ def solve_reduced(
         jax.checkpoint(lambda at: system.solve(*at)),
         (bands.reflectance, bands.transmittance, soil, lights),
     )
-
-    def totals(at: tuple[Bands, Array]) -> tuple[Array, Array, Array]:
-        field = _field(transport, basis, *at)
-        return field.ground, field.top, field.residual
-
-    ground, top, residual = jax.lax.map(jax.checkpoint(totals), (bands, coefficients))
-    return ReducedField(transport, bands, basis, coefficients, chosen, ground, top, residual)
+    return ReducedField(transport, bands, basis, coefficients, chosen)
 
 
 def check_reducible(scene: VoxelScene) -> None:
