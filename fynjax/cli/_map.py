@@ -34,6 +34,9 @@ def map_command(
         bool,
         typer.Option("--skip-damaged", help="Leave rows that cannot be read without data."),
     ] = False,
+    zarr: Annotated[
+        bool, typer.Option("--zarr", help="Write maps.zarr as well, a variable each.")
+    ] = False,
     checkpoint: Checkpoint = None,
     workers: WorkerCount = None,
     scheduler: SchedulerAddress = None,
@@ -55,6 +58,7 @@ def map_command(
         likely=likely,
         keep_unlike=keep_unlike,
         skip_damaged=skip_damaged,
+        zarr=zarr,
         checkpoint=checkpoint,
         workers=jobs.Workers(workers, scheduler),
         progress=progress,

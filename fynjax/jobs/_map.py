@@ -64,6 +64,7 @@ def map_cube(
     likely: float = 0.99,
     keep_unlike: bool = False,
     skip_damaged: bool = False,
+    zarr: bool = False,
     checkpoint: str | Path,
     workers: Workers | None = None,
     progress: Progress | None = None,
@@ -78,6 +79,7 @@ def map_cube(
     - `likely`: pixels more unlike the simulations than this share of them are masked [-].
     - `keep_unlike`: do not mask them.
     - `skip_damaged`: leave blocks that cannot be read without data, instead of an error.
+    - `zarr`: write `maps.zarr` as well.
     - `checkpoint`: folder of the unfinished maps, from which an interrupted run goes on.
     - `workers`: where blocks are read and estimated; in this process by default.
     - `progress`: where to report the stages; nowhere by default.
@@ -132,9 +134,24 @@ def map_cube(
         }
         with run.stage("Write"):
             writer.finish(run.path("maps.tif", "all maps, a band each, cloud-optimised"), record)
+            if zarr:
+                path = run.path("maps.zarr", "all maps, a variable each, for xarray")
+                writer.finish_zarr(path, record, _long_names())
     result = _summary(run, picture, step, source, damaged, likely, keep_unlike, trained, record)
     writer.forget()
     return result
+
+
+_OF_KIND = ("{}", "standard deviation of {}", "5 % quantile of {}", "95 % quantile of {}")
+
+
+def _long_names() -> dict[str, str]:
+    named = {
+        f"{name}{kind}": words.format(quantity.words)
+        for name, quantity in STAND_QUANTITIES.items()
+        for kind, words in zip(_KINDS, _OF_KIND, strict=True)
+    }
+    return named | {UNLIKENESS: "distance from the simulations over that of most of them"}
 
 
 def _weights(source: CubeBlocks, trained: Training) -> Float[np.ndarray, "channel band"]:

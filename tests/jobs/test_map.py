@@ -7,13 +7,15 @@ import jax
 import numpy as np
 import pytest
 import rasterio
+import xarray as xr
 
 from fynjax import jobs
 from fynjax._core.errors import InputError
 from fynjax.assembly import STAND_QUANTITIES, StandSettings, simulate_stands
 from fynjax.assembly import _stands as stands
 from fynjax.io.plot import read_prior
-from fynjax.io.raster import Cube, write_cube_envi
+from fynjax.io.raster import Cube, CubeBlocks, write_cube_envi
+from fynjax.jobs import _map as job
 from fynjax.radiation import render, solve_light
 from fynjax.sensors import group_bands, shipped_sensor
 
@@ -43,8 +45,8 @@ def test_stands_are_those_of_their_number(known):
     _, bands, prior = known
     both = simulate_stands((3, 4), bands, prior, SETTINGS, 1)
     one = simulate_stands((4,), bands, prior, SETTINGS, 1)
-    assert np.array_equal(both.reflectance[16:], one.reflectance)
-    assert np.array_equal(both.quantities[16:], one.quantities)
+    assert np.array_equal(both.reflectance[SETTINGS.together :], one.reflectance)
+    assert np.array_equal(both.quantities[SETTINGS.together :], one.quantities)
     names = list(STAND_QUANTITIES)
     covers = [names.index(n) for n in ("live_cover", "dead_cover", "bare_cover")]
     assert both.quantities[:, covers].sum(axis=1) == pytest.approx(1.0)
@@ -71,7 +73,7 @@ def test_spectra_of_sets_taken_together_are_those_of_each_alone(known):
 
 def test_a_training_is_read_back_as_it_was_written(trained, tmp_path):
     folder, result = trained
-    assert result.simulations == 208
+    assert result.simulations == 216
     assert len(result.scores) == len(STAND_QUANTITIES)
     path = folder / "out" / "training.nc"
     one = jobs.read_training(path)
@@ -90,7 +92,7 @@ def test_a_training_is_read_back_as_it_was_written(trained, tmp_path):
 def cube_of(folder, known, **changes):
     channels, bands, prior = known
     made = simulate_stands((7, 8, 9), bands, prior, SETTINGS, 5)
-    values = made.reflectance[::4].T.reshape(len(bands), 3, 4).copy()
+    values = made.reflectance[::6].T.reshape(len(bands), 3, 4).copy()
     values[:, 1, 2] = np.nan
     values[:, 0, 0] = np.linspace(1.5, 0.1, len(bands))  # no vegetation looks like this
     cube = Cube(
@@ -110,7 +112,9 @@ def cube_of(folder, known, **changes):
 def test_maps_lie_where_the_cube_lies_and_mask_what_is_unlike(trained, known, tmp_path):
     path = cube_of(tmp_path, known)
     training = trained[0] / "out" / "training.nc"
-    result = jobs.map_cube(path, training, tmp_path / "out", checkpoint=tmp_path / "work")
+    result = jobs.map_cube(
+        path, training, tmp_path / "out", zarr=True, checkpoint=tmp_path / "work"
+    )
     assert result.pixels == 12
     assert result.without_data == 1
     assert result.masked >= 1
@@ -118,6 +122,16 @@ def test_maps_lie_where_the_cube_lies_and_mask_what_is_unlike(trained, known, tm
         assert file.crs.to_epsg() == 32734
         assert file.transform.a == 10.0
         maps = dict(zip(file.descriptions, file.read(), strict=True))
+    with xr.open_zarr(tmp_path / "out" / "maps.zarr", consolidated=False) as same:
+        assert set(same.data_vars) == {*maps, "crs"}
+        for name, values in maps.items():
+            np.testing.assert_array_equal(same[name], values)
+        assert same["leaf_area_sd"].attrs["units"] == "m2 m-2"
+        assert "32734" in same["crs"].attrs["crs_wkt"]
+        assert same["x"].values.tolist() == [300005.0, 300015.0, 300025.0, 300035.0]
+        assert same["y"].values.tolist() == [6200025.0, 6200015.0, 6200005.0]
+        assert same.attrs["history"].startswith("20")
+        assert same["live_cover"].attrs["grid_mapping"] == "crs"
     # North is up: row 2 of the file is the southernmost, row 0 of the cube.
     assert maps["unlikeness"][2, 0] > 1.0
     assert np.isnan(maps["live_cover"][2, 0])
@@ -134,6 +148,34 @@ def test_maps_lie_where_the_cube_lies_and_mask_what_is_unlike(trained, known, tm
     assert kept.masked == result.masked
     with rasterio.open(tmp_path / "kept" / "maps.tif") as file:
         assert np.isfinite(file.read(1)).sum() == 11
+
+
+def test_an_interrupted_map_goes_on_and_is_that_of_one_run(trained, known, tmp_path, monkeypatch):
+    path = cube_of(tmp_path, known)
+    training = trained[0] / "out" / "training.nc"
+    monkeypatch.setattr(CubeBlocks, "rows_at_once", 1)
+    began, real = [], job._mapped
+
+    def mapped(part, *shared):
+        began.append(part)
+        if len(began) == 3:
+            raise KeyboardInterrupt
+        return real(part, *shared)
+
+    whole = jobs.map_cube(path, training, tmp_path / "whole", checkpoint=tmp_path / "other")
+    monkeypatch.setattr(job, "_mapped", mapped)
+    with pytest.raises(KeyboardInterrupt):
+        jobs.map_cube(path, training, tmp_path / "out", checkpoint=tmp_path / "work")
+    assert not (tmp_path / "out" / "maps.tif").exists()
+    again = jobs.map_cube(path, training, tmp_path / "out", checkpoint=tmp_path / "work")
+    assert began == [(0, 1), (1, 1), (2, 1), (2, 1)]
+    assert again.maps == whole.maps
+    with (
+        rasterio.open(tmp_path / "out" / "maps.tif") as one,
+        rasterio.open(tmp_path / "whole" / "maps.tif") as other,
+    ):
+        np.testing.assert_array_equal(one.read(), other.read())
+    assert not (tmp_path / "work").exists()
 
 
 def test_cubes_that_do_not_go_with_the_training_are_refused(trained, known, tmp_path):

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -21,7 +22,8 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from fynjax._core.errors import InputError, listed
-from fynjax.io.raster._netcdf import check_netcdf
+from fynjax._core.extras import require
+from fynjax.io.raster._netcdf import CONVENTIONS, check_netcdf, with_history
 from fynjax.io.raster._reader import RasterFile, open_raster
 from fynjax.io.raster._writer import LOCAL_FRAME
 from fynjax.io.text import atomic_path
@@ -321,6 +323,52 @@ class MapWriter:
                     self._file, partial, driver="COG", compress="deflate", predictor="3",
                     blocksize=_INNER, overview_resampling="average", bigtiff="if_safer",
                 )  # fmt: skip
+
+    def finish_zarr(self, path: Path, tags: Mapping[str, Any], names: Mapping[str, str]) -> None:
+        """Write all of it as a zarr group of one array a map, whole or not at all. `names` are the
+        long names of the maps. Raises `MissingExtraError` without zarr."""
+        zarr: Any = require("zarr", "map")
+        partial = path.with_name(f"{path.name}.partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            file = rasterio.open(self._file)
+        with file:
+            rows, columns = file.shape
+            there = file.transform
+            placed = not there.is_identity
+            crs = self._like.crs
+            group = zarr.open_group(partial, mode="w")
+            group.attrs.update({"Conventions": CONVENTIONS, **with_history(tags)})
+            reference = group.create_array("crs", shape=(), dtype="int32")
+            reference.attrs.update(
+                {"long_name": "coordinate reference system", "crs_wkt": crs or LOCAL_FRAME}
+            )
+            for axis, count, step, start in (
+                ("y", rows, there.e, there.f), ("x", columns, there.a, there.c)
+            ):  # fmt: skip
+                middles = start + step * (np.arange(count) + 0.5)
+                coordinate = group.create_array(
+                    axis, shape=(count,), dtype="float64", dimension_names=(axis,)
+                )
+                coordinate[:] = middles
+                words = f"{axis} of the middles of pixels"
+                coordinate.attrs.update({"units": "m" if placed else "1", "long_name": words})
+                if placed:
+                    coordinate.attrs["standard_name"] = f"projection_{axis}_coordinate"
+            for i, (name, unit) in enumerate(self._bands, start=1):
+                values = group.create_array(
+                    name, shape=(rows, columns), dtype="float32", dimension_names=("y", "x"),
+                    chunks=(min(_INNER, rows), min(_INNER, columns)), fill_value=float("nan"),
+                )  # fmt: skip
+                values.attrs.update(
+                    {"units": unit, "long_name": names[name], "grid_mapping": "crs"}
+                )
+                for row in range(0, rows, _INNER):
+                    some = min(_INNER, rows - row)
+                    values[row : row + some] = file.read(i, window=Window(0, row, columns, some))
+        shutil.rmtree(path, ignore_errors=True)
+        os.replace(partial, path)
 
     def read(self, step: int = 1) -> Float[np.ndarray, "band row column"]:
         """All bands, every `step`-th row and column."""

@@ -187,6 +187,13 @@ def grid_mapping(crs: str) -> xr.DataArray:
     return xr.DataArray(np.int32(0), attrs=attributes)
 
 
+def with_history(record: Mapping[str, str | int]) -> dict[str, str | int]:
+    """The attributes of a file with the line of history that CF asks for, if they say when and by
+    what command it was made."""
+    history = f"{record.get('date_created', '')} {record.get('command', '')}".strip()
+    return {**record, **({"history": history} if history else {})}
+
+
 def write_run(
     path: str | Path, dataset: xr.Dataset, attributes: Mapping[str, str | int] | None = None
 ) -> None:
@@ -208,15 +215,8 @@ def write_run(
         numeric = variable.dtype.kind in "fiu" and "crs_wkt" not in variable.attrs
         if numeric and "units" not in variable.attrs:
             raise ValueError(f"variable {name!r} must have `units`, but has none")
-    record = dict(attributes or {})
-    history = f"{record.get('date_created', '')} {record.get('command', '')}".strip()
     dataset = dataset.assign_attrs(
-        {
-            "Conventions": CONVENTIONS,
-            **dataset.attrs,
-            **record,
-            **({"history": history} if history else {}),
-        }
+        {"Conventions": CONVENTIONS, **dataset.attrs, **with_history(attributes or {})}
     )
     encoding: dict[Any, dict[str, Any]] = {
         name: {
