@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import laspy
 import numpy as np
 import trimesh
@@ -18,6 +19,7 @@ from fynjax._core.errors import InputError
 from fynjax.assembly import plot_parameters
 from fynjax.canopy import plant_model_from_mesh, plant_model_from_points, read_scan
 from fynjax.compare import read_drone_image, read_spectra_sample
+from fynjax.inversion import AmortisedPosterior
 from fynjax.io.instruments import load_lidar, load_sensor, read_atmosphere
 from fynjax.io.micasense import panel_reflectance, read_capture
 from fynjax.io.plot import (
@@ -29,6 +31,7 @@ from fynjax.io.plot import (
     with_parameter_table,
 )
 from fynjax.io.raster import (
+    open_blocks,
     read_band_stack,
     read_cover_map,
     read_cube,
@@ -37,12 +40,14 @@ from fynjax.io.raster import (
 )
 from fynjax.io.raster._cubes import Cube, write_cube_envi, write_cube_geotiff, write_cubes_netcdf
 from fynjax.io.spectra import read_spectra
+from fynjax.jobs import Training, read_training, write_training
 from fynjax.scene import COVERS
-from fynjax.sensors import lidar_folder
+from fynjax.sensors import Channels, lidar_folder
 from fynjax.terrain import read_cloud, read_terrain
 from tests.canopy.test_scan import ball
 from tests.helpers import write_ply, write_raster
 from tests.io.rededge_files import lit, panel_scene, write_rededge
+from tests.io.test_crowns import write as write_crowns
 from tests.io.test_parameter_values import TABLE as PARAMETER_TABLE
 from tests.io.test_plot_light import PATTERN
 from tests.io.test_sensor_file import OWN as SENSOR
@@ -303,6 +308,27 @@ def _shipped(name: str) -> Callable[[Path], Any]:
     return lambda folder: shutil.copy(lidar_folder() / name, folder / name)
 
 
+def _blocks(name: str) -> Callable[[Path], Any]:
+    def read(folder: Path) -> Any:
+        with open_blocks(folder / name) as cube:
+            return cube.scale(), [cube.read(start, 1) for start in range(min(cube.shape[0], 100))]
+
+    return read
+
+
+def _training(folder: Path) -> None:
+    """A regression of no use."""
+    layer = jnp.ones((2, 44), jnp.float32), jnp.zeros(44, jnp.float32)
+    waves = np.arange(450.0, 850.0, 100.0)
+    posterior = AmortisedPosterior(
+        jnp.zeros(4), jnp.ones((2, 4)), jnp.eye(4), (layer,),
+        jnp.tile(jnp.linspace(0.0, 1.0, 161), (8, 1)), jnp.linspace(0.0, 4.0, 1000),
+    )  # fmt: skip
+    channels = Channels(waves - 20.0, waves + 20.0, waves)
+    record = {"kind": "fynjax training of maps", "sensor_bands": 4}
+    write_training(folder / "training.nc", Training(posterior, channels, 4, record))
+
+
 READERS: dict[str, Reader] = {
     "asd": Reader(
         lambda folder: (folder / "leaf.asd").write_bytes(asd(count=300, start=400.0)),
@@ -333,6 +359,19 @@ READERS: dict[str, Reader] = {
         lambda folder: write_cubes_netcdf(folder / "cube.nc", {"reflectance": _cube()}, {}),
         _one("cube.nc", lambda path: read_spectra_sample([path])), True,
     ),
+    "blocks-envi": Reader(
+        lambda folder: write_cube_envi(folder / "cube.hdr", _cube(), {}), _blocks("cube.hdr"), True
+    ),
+    "blocks-geotiff": Reader(
+        lambda folder: write_cube_geotiff(folder / "cube.tif", _cube(), {}),
+        _blocks("cube.tif"), True,
+    ),
+    "blocks-netcdf": Reader(
+        lambda folder: write_cubes_netcdf(folder / "cube.nc", {"reflectance": _cube()}, {}),
+        _blocks("cube.nc"), True,
+    ),
+    "training": Reader(_training, _one("training.nc", read_training)),
+    "crowns": Reader(write_crowns, _one("plot.toml", read_plot)),
     "image": Reader(_image, _one("image.tif", read_drone_image), True),
     "bands": Reader(
         _raster("bands.tif", np.uint16, 4),

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -256,3 +257,19 @@ def test_the_first_raster_of_a_process_is_read(tmp_path, image):
         [sys.executable, "-c", code, tmp_path / "image.tif"], capture_output=True, text=True
     )
     assert done.stdout == "(30, 20)\n", done.stderr
+
+
+def test_words_of_gdal_that_are_no_text_print_nothing(tmp_path, monkeypatch):
+    path = tmp_path / "image.tif"
+    place = Affine(1.0, 0.0, 4e5, 0.0, -1.0, 6e6)
+    write_raster(path, np.ones((1, 4, 4), np.float32), transform=place, crs="EPSG:32734")
+    with rasterio.open(path, "r+") as file:
+        file.update_tags(area="plot")
+    content = path.read_bytes()
+    assert content.count(b"<GDALMetadata>") == 1
+    path.write_bytes(content.replace(b"<GDALMetadata>", b"<GDAL\xc2etadata>"))
+    said = []
+    monkeypatch.setattr(sys, "unraisablehook", said.append)
+    with suppress(InputError), open_raster(path, "an image"):
+        pass
+    assert not said

@@ -6,7 +6,7 @@ import os
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from rasterio.windows import Window
 
 from fynjax._core.errors import InputError, listed
 from fynjax._core.extras import require
+from fynjax.io.raster._crs import parse_crs
 from fynjax.io.raster._netcdf import CONVENTIONS, check_netcdf, with_history
 from fynjax.io.raster._reader import RasterFile, open_raster
 from fynjax.io.raster._writer import LOCAL_FRAME
@@ -154,67 +155,79 @@ def _not_bad(file: RasterFile) -> Bool[np.ndarray, " band"]:
 def _open_dataset(path: Path) -> Iterator[CubeBlocks]:
     if not path.exists():
         raise InputError("expected an image, but there is no such file", file=path)
+    with ExitStack() as opened:
+        try:
+            cube = _cube_of(path, opened)
+        except _UNREADABLE as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"cannot be read as an image ({error})", file=path) from error
+        yield cube
+
+
+_UNREADABLE = (OSError, ValueError, KeyError, RuntimeError, AttributeError, TypeError)
+"""What the libraries raise at damaged files."""
+
+
+def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
     zarr = path.suffix.lower() == ".zarr"
     if not zarr:
         check_netcdf(path)
-    try:
-        kind: dict[str, Any] = {"engine": "zarr", "consolidated": False} if zarr else {}
-        data = xr.open_dataset(path, **kind)
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"cannot be read as an image ({error})", file=path) from error
-    bands = xr.Dataset()
-    try:
-        if "reflectance" not in data:
-            raise InputError(
-                f"expected a variable 'reflectance', but it has {listed(map(str, data)) or 'none'}",
-                file=path,
-            )
-        values = data["reflectance"]
-        if values.ndim != 3:
-            raise InputError(
-                f"expected reflectance of three dimensions, but it has {values.dims}", file=path
-            )
-        names = ("band", "bands", "wavelength", "wavelengths")
-        spectral = next((d for d in values.dims if d in names), values.dims[0])
-        values = values.transpose(*(d for d in values.dims if d != spectral), spectral)
-        if not zarr:
-            with suppress(OSError, KeyError, ValueError):
-                # EMIT keeps its bands in a group of their own.
-                bands = xr.open_dataset(path, group="sensor_band_parameters")
-        count = values.sizes[spectral]
-
-        def column(*known: str) -> Float[np.ndarray, " band"] | None:
-            for source in (data, bands):
-                for name in known:
-                    if name in source.variables and source[name].size == count:
-                        return np.asarray(source[name].values, float)
-            return None
-
-        wavelength, width = column("wavelength", "wavelengths"), column("fwhm")
-        good = column("good_wavelengths", "reflectance_good")
-        crs, transform = _place(data, values)
-        # In memory y rises to the north; a block is as in a file, its first row northernmost.
-        y = values.dims[0]
-        if y in values.coords and values.sizes[y] > 1 and values[y][0] < values[y][-1]:
-            values = values.isel({y: slice(None, None, -1)})
-        yield CubeBlocks(
-            path=path,
-            shape=(values.shape[0], values.shape[1]),
-            wavelength=np.full(count, np.nan) if wavelength is None else wavelength,
-            fwhm=np.full(count, np.nan) if width is None else width,
-            good=np.ones(count, bool) if good is None else good != 0,
-            transform=transform,
-            crs=crs,
-            source=values,
+    kind: dict[str, Any] = {"engine": "zarr", "consolidated": False} if zarr else {}
+    data = opened.enter_context(xr.open_dataset(path, **kind))
+    if "reflectance" not in data:
+        raise InputError(
+            f"expected a variable 'reflectance', but it has {listed(map(str, data)) or 'none'}",
+            file=path,
         )
-    finally:
-        data.close()
-        bands.close()
+    values = data["reflectance"]
+    if values.ndim != 3 or values.dtype.kind not in "fiu" or not values.size:
+        raise InputError(
+            "expected reflectance as numbers of three dimensions, but it has "
+            f"{dict(values.sizes)} of {values.dtype}",
+            file=path,
+        )
+    names = ("band", "bands", "wavelength", "wavelengths")
+    spectral = next((d for d in values.dims if d in names), values.dims[0])
+    values = values.transpose(*(d for d in values.dims if d != spectral), spectral)
+    bands = xr.Dataset()
+    if not zarr:
+        with suppress(*_UNREADABLE):
+            # EMIT keeps its bands in a group of their own.
+            bands = opened.enter_context(xr.open_dataset(path, group="sensor_band_parameters"))
+    count = values.sizes[spectral]
+
+    def column(*known: str) -> Float[np.ndarray, " band"] | None:
+        for source in (data, bands):
+            for name in known:
+                if name in source.variables and source[name].size == count:
+                    return np.asarray(source[name].values, float).reshape(count)
+        return None
+
+    wavelength, width = column("wavelength", "wavelengths"), column("fwhm")
+    good = column("good_wavelengths", "reflectance_good")
+    crs, transform = _place(path, data, values)
+    # In memory y rises to the north; a block is as in a file, its first row northernmost.
+    y = values.dims[0]
+    if y in values.coords and values.sizes[y] > 1 and values[y][0] < values[y][-1]:
+        values = values.isel({y: slice(None, None, -1)})
+    return CubeBlocks(
+        path=path,
+        shape=(values.shape[0], values.shape[1]),
+        wavelength=np.full(count, np.nan) if wavelength is None else wavelength,
+        fwhm=np.full(count, np.nan) if width is None else width,
+        good=np.ones(count, bool) if good is None else good != 0,
+        transform=transform,
+        crs=crs,
+        source=values,
+    )
 
 
-def _place(data: xr.Dataset, values: xr.DataArray) -> tuple[str | None, Affine]:
+def _place(path: Path, data: xr.Dataset, values: xr.DataArray) -> tuple[str | None, Affine]:
     mapping = values.attrs.get("grid_mapping", "crs")
     wkt = data[mapping].attrs.get("crs_wkt") if mapping in data.variables else None
+    if wkt is not None:
+        wkt = parse_crs(str(wkt), path).to_wkt()
     y, x = values.dims[:2]
     if wkt is None or x not in values.coords or y not in values.coords:
         return wkt, Affine.identity()

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pyproj
+import rasterio
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
@@ -30,8 +31,9 @@ def parse_crs(text: str | int, file: Path | None) -> CRS:
     **Raises:** `InputError` for a system that is not known.
     """
     try:
-        system = CRS.from_user_input(text)
-        system.to_wkt()  # GDAL takes some damaged texts that it cannot write
+        with rasterio.Env():  # GDAL's own words go to the log
+            system = CRS.from_user_input(text)
+            system.to_wkt()  # GDAL takes some damaged texts that it cannot write
         return system
     except CRSError as error:
         raise InputError(

@@ -5,6 +5,7 @@ fynjax. The flip happens here and nowhere else.
 """
 
 import math
+import sys
 import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Sequence
@@ -406,6 +407,18 @@ def _elsewhere(path: Path, name: str) -> InputError:
 
 
 @contextmanager
+def _without_words() -> Iterator[None]:
+    """Without the tracebacks that Python prints where rasterio fails to log words of GDAL that
+    are no text, such as a damaged file's tags in them. Errors themselves are raised."""
+    before = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+
+
+@contextmanager
 def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
     """A raster open for reading: GeoTIFF, ENVI (data or header), IMG, ASC, HGT, BIL, PNG or JPEG.
 
@@ -434,7 +447,8 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.Env():  # registers GDAL's drivers; `rasterio.open` takes one name only
+            # The environment registers GDAL's drivers; `rasterio.open` takes one name only.
+            with _without_words(), rasterio.Env():
                 dataset = rasterio.io.DatasetReader(path, driver=list(_FORMATS))
         with dataset:
             if not dataset.count:

@@ -1,0 +1,97 @@
+"""Maps against field plots: what `fynjax map` says of the BioSCape plots' AVIRIS-NG spectra.
+
+    python -m tests.benchmarks.map_plots [--training training.nc] [--simulations 20000] [--keep DIR]
+
+Trains for the spectra's good bands, unless a training is given. Plots are compared by the mean of
+their flights; the mean of the other plots is what knows nothing of the spectrum.
+"""
+
+import argparse
+import os
+import tempfile
+import warnings
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from fynjax.assembly import STAND_QUANTITIES
+from fynjax.inversion import estimate_pixels
+from fynjax.io.raster import Cube, write_cube_envi
+from fynjax.jobs import read_training, train
+from fynjax.studies.bioscape import read_bioscape
+from fynjax.studies.bioscape._inversion_compare import field_values
+from fynjax.studies.bioscape._spectra import read_plot_spectra, read_spectrometer
+
+TABLES = Path(os.environ.get("FYNJAX_SHARED_DATA", "data")) / "eco" / "bioscape"
+PERCENT = ("live_cover", "dead_cover", "bare_cover")
+
+
+def write_plots(path: Path, spectra: np.ndarray, good: np.ndarray) -> None:
+    """A cube of the spectra, a plot a pixel of one row."""
+    sensor = read_spectrometer(TABLES)
+    cube = Cube(
+        values=np.nan_to_num(spectra).T[:, None, :],
+        names=tuple(f"band {i}" for i in range(1, len(good) + 1)),
+        wavelength=np.asarray(sensor.centre), fwhm=np.asarray(sensor.fwhm), good=good,
+        pixel_m=5.0, origin_m=(0.0, 0.0), crs="EPSG:32734",
+    )  # fmt: skip
+    write_cube_envi(path, cube, {"source": "spectra of BioSCape plots"})
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--training", type=Path)
+    parser.add_argument("--simulations", type=int, default=20000)
+    parser.add_argument("--keep", type=Path)
+    given = parser.parse_args()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        plots = read_bioscape(TABLES)
+    measured = read_plot_spectra(TABLES)
+    plots = [p for p in plots if p.name in measured and measured[p.name].times]
+    spectra = np.stack([measured[p.name].reflectance.mean(axis=0) for p in plots])
+    good = np.isfinite(spectra).all(axis=0)
+    with tempfile.TemporaryDirectory() as work:
+        folder = given.keep or Path(work)
+        folder.mkdir(parents=True, exist_ok=True)
+        training = given.training
+        if training is None:
+            write_plots(folder / "plots.hdr", spectra, good)
+            made = train(
+                folder, like=folder / "plots.hdr", simulations=given.simulations,
+                checkpoint=folder / "checkpoint",
+            )  # fmt: skip
+            print("\n".join(made.headline), made.timings_s)
+            for score in made.scores:
+                print(
+                    f"  {score.quantity}: explained {score.explained:.2f}, inside 50, 68, 90: "
+                    f"{score.inside_50:.2f} {score.inside_68:.2f} {score.inside_90:.2f}"
+                )
+            training = folder / "training.nc"
+        trained = read_training(training)
+    weights = trained.channels.weights(read_spectrometer(TABLES).centre, good)
+    channels = np.nan_to_num(spectra) @ weights.T
+    found = estimate_pixels(trained.posterior, jnp.asarray(channels, jnp.float32))
+    field = field_values(plots).value
+    for name in (*PERCENT, "leaf_mass_per_area", "water_content"):
+        i, scale = list(STAND_QUANTITIES).index(name), 100.0 if name in PERCENT else 1.0
+        mean, low, high = (
+            scale * np.asarray(a)[:, i] for a in (found.mean, found.lower, found.upper)
+        )
+        true = np.asarray(field[name], float)
+        known = np.isfinite(true)
+        mean, low, high, true = (a[known] for a in (mean, low, high, true))
+        others = (true.sum() - true) / (len(true) - 1)
+        rmse = lambda estimate: np.sqrt(np.mean((estimate - true) ** 2))  # noqa: B023, E731
+        print(
+            f"{name:20} RMSE {rmse(mean):.1f}, of the mean of the others {rmse(others):.1f}; bias "
+            f"{(mean - true).mean():.1f}, r {np.corrcoef(mean, true)[0, 1]:.2f}, "
+            f"{100 * np.mean((true >= low) & (true <= high)):.0f} % inside 90 %"
+        )
+    print("unlike the simulations:", np.asarray(found.unlikeness).round(2))
+
+
+if __name__ == "__main__":
+    main()
