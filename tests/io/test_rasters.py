@@ -273,3 +273,13 @@ def test_words_of_gdal_that_are_no_text_print_nothing(tmp_path, monkeypatch):
     with suppress(InputError), open_raster(path, "an image"):
         pass
     assert not said
+
+
+def test_a_mark_of_missing_data_that_the_data_cannot_hold_is_passed_over(tmp_path):
+    np.full((1, 4, 4), 0.2, np.float32).tofile(tmp_path / "cube.dat")
+    (tmp_path / "cube.hdr").write_text(
+        "ENVI\nsamples = 4\nlines = 4\nbands = 1\ndata type = 4\ninterleave = bsq\n"
+        "byte order = 0\nheader offset = 0\ndata ignore value = 1e266\n"
+    )
+    with open_raster(tmp_path / "cube.hdr", "an image") as file:
+        assert file.read([1]).values.min() == np.float32(0.2)

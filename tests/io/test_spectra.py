@@ -198,6 +198,9 @@ def test_ecostress_text(tmp_path):
     path.write_text(head + body[: len(body) // 2].rsplit("\n", 1)[0])
     with pytest.raises(InputError, match="cut short"):
         read_spectra(path)
+    path.write_text(head.replace(f"Values: {WAVELENGTH.size}", "Values: " + "9" * 4301) + body)
+    with pytest.raises(InputError, match=r"expected 9{20} values as the header says"):
+        read_spectra(path)
 
 
 def test_envi_library(tmp_path):

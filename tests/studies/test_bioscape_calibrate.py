@@ -272,7 +272,7 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
     print(dict(zip(FREE, off.round(2))), estimate.misfit)
     assert np.abs(off).max() < 3.0
     known = dict(zip(FREE, estimate.constrained))
-    assert known["chlorophyll"] > 0.75
+    assert known["chlorophyll"] > 0.55
     assert abs(estimate.whitened[list(FREE).index("chlorophyll")] + 1.5) < 0.7
 
     # The stand is that of `build` at the estimate, and its slopes those of differences.

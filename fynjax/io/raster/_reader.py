@@ -447,6 +447,7 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            warnings.simplefilter("ignore", RuntimeWarning)  # no-data values beyond the data's type
             # The environment registers GDAL's drivers; `rasterio.open` takes one name only.
             with _without_words(), rasterio.Env():
                 dataset = rasterio.io.DatasetReader(path, driver=list(_FORMATS))

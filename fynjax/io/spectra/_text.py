@@ -141,9 +141,9 @@ def _ecostress(text: str, file: Path) -> list[Spectrum] | None:
     meta: dict[str, Any] = {"format": "ECOSTRESS", "header": keys}
     table = np.array(rows)
     stated = re.match(r"\d+", keys.get("number of x values", ""))
-    if stated and int(stated[0]) != len(table):
+    if stated and stated[0].lstrip("0") != str(len(table)):
         raise InputError(
-            f"expected {stated[0]} values as the header says, but found {len(table)}; "
+            f"expected {stated[0][:20]} values as the header says, but found {len(table)}; "
             "is the file cut short?",
             file=file,
         )
