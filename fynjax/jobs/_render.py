@@ -24,12 +24,22 @@ from fynjax.io.raster import Cube, file_hash, image_array, write_geotiff, write_
 from fynjax.jobs._result import JobResult, StatisticSummary
 from fynjax.jobs._run import Run
 from fynjax.metrics import BANDS, vegetation_indices
-from fynjax.report.figures import composites, index_histograms, quick_looks, spectrum_figure
-from fynjax.report.pages import Page, Part, Picture, Section, Table
+from fynjax.report.figures import (
+    composites,
+    index_histograms,
+    layer_map,
+    quick_looks,
+    spectrum_figure,
+    words,
+)
+from fynjax.report.pages import Page, Part, Picture, Section, Table, Views
 from fynjax.scene import AimedSensor, PlotParameters, Scene, is_large, observe_in_tiles
 
 SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR")
 """Vegetation indices whose histograms are drawn."""
+
+_MAPPED = ("NDVI", "GNDVI", "OSAVI")
+"""Those that a page shows as maps as well."""
 
 _FEW_BANDS = 8
 """Most bands whose means the headline lists."""
@@ -154,28 +164,40 @@ def _write(
     )
 
 
-def _drone_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Picture]:
+def _drone_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Part]:
     names = camera.sensor.bands.names
     image = image[[names.index(band) for band in BANDS]]
     named, pixel = {plot.name: image}, camera.pixel
-    return [
-        Picture(
+    indices = index_images(image)
+    views = {
+        "Nearly natural": Picture(
             "true_like.png",
             composites(named, BANDS, pixel_m=pixel, kind="true_like"),
             "image, nearly natural colours",
         ),
-        Picture(
+        "False colour": Picture(
             "false_colour.png",
             composites(named, BANDS, pixel_m=pixel),
             "image, near infrared as red",
         ),
-        Picture(
-            "indices.png", index_histograms(index_images(image)), "histograms of vegetation indices"
-        ),
-    ]
+    }
+    for band, layer in zip(BANDS, image, strict=True):
+        label = words(band)
+        label = f"{label[0].upper()}{label[1:]}"
+        what = f"reflectance in the band {words(band)}"
+        views[label] = Picture(
+            f"band_{band}.png", layer_map(layer, f"{label}: reflectance [-]", pixel_m=pixel), what
+        )
+    for name in _MAPPED:
+        figure = layer_map(indices[name], f"{name} [-]", pixel_m=pixel)
+        views[name] = Picture(f"index_{name}.png", figure, f"map of the index {name}")
+    histograms = Picture(
+        "indices.png", index_histograms(indices), "histograms of vegetation indices"
+    )
+    return [Views(views), histograms]
 
 
-def _other_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Picture]:
+def _other_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Part]:
     """Of a sensor without the drone's bands."""
     bands = camera.sensor.bands
     cube = Cube(

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from fynjax.report.pages import Page, Picture, Section, Table, format_number, write_page
+from fynjax.report.pages import Page, Picture, Section, Table, Views, format_number, write_page
 
 
 class Checker(HTMLParser):
@@ -85,6 +85,26 @@ def test_page_is_well_formed_and_needs_no_network(page, tmp_path):
 def html(page, folder):
     write_page(page, folder)
     return (folder / "report.html").read_text("utf-8")
+
+
+def test_views_are_all_on_the_page_each_with_its_label(tmp_path):
+    def picture(file):
+        return Picture(file, Figure(figsize=(1, 1)), "a band")
+
+    views = Views({"Red": picture("red.png"), "NDVI <1>": picture("ndvi.png")})
+    files = write_page(Page("Plot", "", [Section("", [views])]), tmp_path)
+    assert files == {
+        "report.html": "all of it on one page",
+        "red.png": "a band",
+        "ndvi.png": "a band",
+    }
+    assert (tmp_path / "ndvi.png").read_bytes()[:4] == b"\x89PNG"
+    text = (tmp_path / "report.html").read_text("utf-8")
+    inside = re.search(r'<div class="views">(.*?)</div>', text, re.S)[1]
+    assert re.findall(r'data-label="(.*?)"', inside) == ["Red", "NDVI &lt;1&gt;"]
+    assert inside.count("<figure") == 2
+    assert "display: none" not in inside  # without JavaScript all are seen
+    assert Checker(text).stack == []
 
 
 def test_what_users_write_is_text(page, tmp_path):

@@ -8,7 +8,7 @@ from fynjax.report.figures._fit import (
     parameter_plot,
     spectrum_plot,
 )
-from fynjax.report.figures._image import composites, index_histograms, residual_maps
+from fynjax.report.figures._image import composites, index_histograms, layer_map, residual_maps
 from fynjax.report.figures._leaf import leaf_fit_figure
 from fynjax.report.figures._lidar import height_profiles, side_view
 from fynjax.report.figures._maps import maps_figure
@@ -58,6 +58,7 @@ __all__ = [
     "index_histograms",
     "index_pair_histograms",
     "indices_plot",
+    "layer_map",
     "leaf_fit_figure",
     "maps_figure",
     "mean_spectra_plot",

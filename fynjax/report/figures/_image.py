@@ -112,6 +112,35 @@ def composites(
     return figure
 
 
+def layer_map(layer: ArrayLike, title: str, *, pixel_m: float) -> Figure:
+    """One band or index of an image, in grey, with its scale.
+
+    **Arguments:**
+
+    - `layer`: [y, x] with y to the north; what is not finite is left white.
+    - `title`: what it is.
+    - `pixel_m`: side of a pixel [m].
+    """
+    values = np.asarray(layer, float)
+    known = values[np.isfinite(values)]
+    low, high = np.percentile(known, [1, 99]) if known.size else (0.0, 1.0)
+    height, width = (n * pixel_m for n in values.shape)
+    with style():
+        figure = Figure(figsize=(3.6, 4.15))
+        axes = figure.subplots()
+        drawn = axes.imshow(
+            np.where(np.isfinite(values), values, np.nan), origin="lower",
+            extent=(0, width, 0, height), cmap="gray", vmin=low, vmax=max(high, low + 1e-6),
+            interpolation="nearest",
+        )  # fmt: skip
+        axes.set(title=title, xticks=[], yticks=[])
+        figure.colorbar(drawn, ax=axes, location="bottom", shrink=0.9, extend="both").set_label(
+            "1st to 99th percentile. North up.", fontsize=7.5
+        )
+        _scale_bar(axes, width)
+    return figure
+
+
 def residual_maps(residual: ArrayLike, band_names: Sequence[str], *, pixel_m: float) -> Figure:
     """How far an image is off, band by band, each with the scale of its own largest error.
 

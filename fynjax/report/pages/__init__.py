@@ -1,6 +1,15 @@
 """The HTML page of a run, from sections."""
 
-from fynjax.report.pages._page import Page, Part, Picture, Section, Table, format_number, write_page
+from fynjax.report.pages._page import (
+    Page,
+    Part,
+    Picture,
+    Section,
+    Table,
+    Views,
+    format_number,
+    write_page,
+)
 from fynjax.report.pages._sensors import sensor_section
 from fynjax.report.pages._structure import structure_section
 from fynjax.report.pages._validation import drone_section, published_section, spectral_section
@@ -11,6 +20,7 @@ __all__ = [
     "Picture",
     "Section",
     "Table",
+    "Views",
     "drone_section",
     "format_number",
     "published_section",

@@ -1,7 +1,7 @@
 """One HTML page, made from sections: pictures and a small script inside, no network.
 
-Without JavaScript the page shows the same; with it pictures can be zoomed and moved, and rows of
-one name are marked together in all tables.
+Without JavaScript the page shows the same; with it pictures can be zoomed and moved, those of
+one place are shown one at a time, and rows of one name are marked together in all tables.
 """
 
 import base64
@@ -52,6 +52,11 @@ footer dt { font-weight: 600; } footer dd { margin: 0; overflow-wrap: anywhere; 
 .view.zoomed { cursor: grab; touch-action: none; }
 .view img { transform-origin: 0 0; user-select: none; }
 tr.same td { background: #ffe9a8; }
+.choose { display: flex; flex-wrap: wrap; gap: .4rem; margin: 1rem 0 0; }
+.choose button { font: inherit; font-size: .9rem; padding: .35rem .8rem; cursor: pointer;
+  color: inherit; background: #f4f5f1; border: 1px solid #b9b9b2; border-radius: .4rem; }
+.choose button[aria-pressed="true"] { background: #1d1d1b; border-color: #1d1d1b; color: #fff; }
+@media print { .choose { display: none; } .views figure { display: block !important; } }
 @media print { .view img { transform: none !important; }
   body { font-size: 10pt; } main { max-width: none; padding: 0; }
   figure, tr, .key { break-inside: avoid; } h2 { break-after: avoid; }
@@ -96,6 +101,23 @@ for (const image of document.querySelectorAll("figure img")) {
     if (held) { x = e.clientX - held[0]; y = e.clientY - held[1]; show(); }
   });
   for (const end of ["pointerup", "pointercancel"]) view.addEventListener(end, () => held = null);
+}
+for (const views of document.querySelectorAll(".views")) {
+  const figures = [...views.children], bar = document.createElement("div");
+  bar.className = "choose";
+  const choose = chosen => figures.forEach((figure, i) => {
+    figure.style.display = i === chosen ? "" : "none";
+    bar.children[i].setAttribute("aria-pressed", i === chosen);
+  });
+  figures.forEach((figure, i) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.textContent = figure.dataset.label;
+    button.addEventListener("click", () => choose(i));
+    bar.append(button);
+  });
+  views.prepend(bar);
+  choose(0);
 }
 const rows = [...document.querySelectorAll("tr[data-name]")];
 for (const row of rows) for (const enter of [true, false])
@@ -165,8 +187,16 @@ class Table:
     """Whether the table is hidden behind its caption."""
 
 
-Part = str | Picture | Table
-"""A paragraph, a figure or a table."""
+@dataclass(frozen=True)
+class Views:
+    """Pictures of one place, of which a reader chooses the one to see: bands, colours, indices."""
+
+    pictures: Mapping[str, Picture]
+    """By the label of its button; the first is seen first."""
+
+
+Part = str | Picture | Views | Table
+"""A paragraph, a figure, figures to choose from, or a table."""
 
 
 @dataclass(frozen=True)
@@ -212,10 +242,15 @@ def write_page(page: Page, folder: Path, file: str = "report.html") -> dict[str,
         if section.title:
             body.append(f"<h2>{html.escape(section.title)}</h2>")
         for part in section.parts:
+            pictures = part.pictures if isinstance(part, Views) else {}
+            for picture in (part,) if isinstance(part, Picture) else pictures.values():
+                picture.write(folder)
+                files[picture.file] = picture.what
             if isinstance(part, Picture):
-                part.write(folder)
-                files[part.file] = part.what
                 body.append(_picture(part, folder))
+            elif isinstance(part, Views):
+                shown = "".join(_picture(p, folder, label) for label, p in pictures.items())
+                body.append(f'<div class="views">{shown}</div>')
             else:
                 body.append(_table(part) if isinstance(part, Table) else _paragraph(part))
     body.append(_footer(page.record))
@@ -234,14 +269,15 @@ def _paragraph(text: str) -> str:
     return f"<p>{html.escape(text)}</p>"
 
 
-def _picture(picture: Picture, folder: Path) -> str:
+def _picture(picture: Picture, folder: Path, label: str = "") -> str:
     png = (folder / picture.file).read_bytes()
     inches = int.from_bytes(png[16:20], "big") / FIGURE_DPI  # the width in a PNG's header
     caption = picture.caption or f"{picture.what[0].upper()}{picture.what[1:]}."
     text = html.escape(caption, quote=True)
     data = base64.b64encode(png).decode("ascii")
+    mark = f' data-label="{html.escape(label, quote=True)}"' if label else ""
     return (
-        f'<figure><img style="width: {inches * 105:.0f}px" alt="{text}" '
+        f'<figure{mark}><img style="width: {inches * 105:.0f}px" alt="{text}" '
         f'src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>'
     )
 
