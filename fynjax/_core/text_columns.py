@@ -262,10 +262,14 @@ def _head(path: Path, what: str) -> list[str]:
             raw = b"".join(file.readline(_LONGEST_LINE) for _ in range(_HEAD_LINES))
     except OSError as error:
         raise InputError(f"{what} cannot be read: {error.strerror}", file=path) from error
+    if b"\0" in raw:
+        raise InputError(f"expected {what} as UTF-8 text, but this is a binary file", file=path)
     try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = "\0"
-    if "\0" in text:
-        raise InputError(f"expected {what} as text, but this is a binary file", file=path)
-    return text.splitlines()
+        return raw.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"expected {what} as UTF-8 text, but byte 0x{raw[error.start]:02x} is none. Save the "
+            "file again as UTF-8, or is it a binary file?",
+            file=path,
+            row=raw[: error.start].count(b"\n") + 1,
+        ) from error

@@ -1,14 +1,26 @@
 """`fynjax map`."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from fynjax.cli._runtime import Checkpoint, Job, SchedulerAddress, WorkerCount, command
 
 
-@command("map")
+def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What tells the cost of maps: the size of the cube."""
+    from fynjax.io.raster import open_blocks
+
+    with open_blocks(given["cube"]) as source:
+        rows, columns = source.shape[:2]
+        bands = len(source.wavelength)
+    files = [given["cube"], given["training"]]
+    return {"files": files, "pixels": rows * columns, "bands": bands}
+
+
+@command("map", work=_work)
 def map_command(
     cube: Annotated[
         Path,

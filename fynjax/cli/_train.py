@@ -1,7 +1,8 @@
 """`fynjax train`."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -9,7 +10,13 @@ from fynjax._core.errors import InputError
 from fynjax.cli._runtime import Checkpoint, Job, SchedulerAddress, Seed, WorkerCount, command
 
 
-@command("train", forget=True)
+def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What tells the cost of a training."""
+    files = [given["like"]] if given["like"] is not None else []
+    return {"files": files, "simulations": given["simulations"]}
+
+
+@command("train", forget=True, work=_work)
 def train(
     sensor: Annotated[
         str | None,

@@ -28,10 +28,19 @@ _COMPILE_IMAGE_S, _COMPILE_GRADIENT_S, _COMPILE_SEARCH_S = 21.0, 74.0, 150.0
 kept for later runs of the same sizes."""
 _GRADIENT_IMAGES = 2.7
 """A gradient in images, at 10 and 20 m."""
-_STEP_IMAGES = 3.5
-"""A step of a search in images: the demo takes 270 CPU s after compilation for 26 steps."""
-_PLOT_S = 37.0
-"""`calibrate-plots`: 18 plots of 5 m in voxels of 25 cm take 11 CPU minutes."""
+_STEP_IMAGES = 4.5
+"""A step of a search in images, were all steps taken: the example takes 610 CPU s with
+compilation, its rounds at fresh draws of plants included, of which 11 of 30 steps were taken."""
+_SLOPE_IMAGES = 0.3
+"""A parameter's slopes in images: `information` takes 263 CPU s for two stands of the example."""
+_PLOT_S, _COMPILE_PLOT_S = 72.0, 53.0
+"""`calibrate-plots`: 18 plots of 5 m in voxels of 25 cm take 23 CPU minutes, 2 take 142 CPU s."""
+_VALIDATED_S = 26.0
+"""`validate-plots`: 2 plots of 5 m in voxels of 10 cm take 75 CPU s."""
+_TRAIN_S, _SPECTRUM_S = 40.0, 0.018
+"""`train`: 6000 steps, and a spectrum; 2000 spectra take 115 CPU s with compilation."""
+_PIXEL_S = 1.0 / 23_000.0
+"""`map`: a pixel of 425 bands."""
 _LEAF_START_S, _LEAF_S, _LEAF_BYTES = 10.0, 0.006, 17e3
 """What few leaves take and each of many that are fitted together [CPU s], and the least that a file
 holds of one: 2151 bands of 8 bytes."""
@@ -117,6 +126,14 @@ def estimate(
         cost = _plot_cost(command, plot, options)
     elif command == "fit-leaf":
         cost = _leaf_cost(files, options)
+    elif command == "train":
+        count = int(options["simulations"])
+        seconds = _START_S + _TRAIN_S + _SPECTRUM_S * count
+        cost = _Cost({"spectra": _count(count)}, seconds, _COMPILE_IMAGE_S, 1.5)
+    elif command == "map":
+        pixels, bands = int(options["pixels"]), int(options["bands"])
+        counts = {"cube": f"{_count(pixels)} pixels in {bands} bands"}
+        cost = _Cost(counts, _START_S + _PIXEL_S * pixels * bands / 425.0, 0.0, 1.5)
     else:
         cost = _tables_cost(command, plots, options)
     inputs = [] if plot is None else [plot.file, *plot.inputs]
@@ -157,7 +174,7 @@ def _plot_cost(command: str, plot: Plot, options: Mapping[str, Any]) -> _Cost:
         suns = options.get("sun_zenith") or (0.0,)
         stands = len(suns) * int(options.get("realisations", 4))
         counts["stands"] = f"{stands} of which slopes are taken"
-        seconds = stands * _PARAMETERS * len(plot.species) * image
+        seconds = stands * _PARAMETERS * len(plot.species) * _SLOPE_IMAGES * image
     else:
         seconds = image
     memory = _image_gib(plot, gradient=gradient)
@@ -222,11 +239,14 @@ def _leaf_cost(files: Sequence[str | Path], options: Mapping[str, Any]) -> _Cost
 def _tables_cost(command: str, plots: int, options: Mapping[str, Any]) -> _Cost:
     counts = {"plots": str(plots)}
     resolution = options.get("resolution")
-    if command != "calibrate-plots" or resolution is None:
+    if command not in ("calibrate-plots", "validate-plots") or resolution is None:
         return _Cost(counts, None, 0.0, None)
     columns = (resolution.size_m / resolution.voxel_m) ** 2
     counts["voxels"] = f"{columns:g} columns a plot"
-    return _Cost(counts, plots * _PLOT_S * columns / 400.0, _COMPILE_SEARCH_S, 2.0)
+    if command == "validate-plots":
+        seconds = _START_S + plots * _VALIDATED_S * columns / 2500.0
+        return _Cost(counts, seconds, _COMPILE_IMAGE_S, 1.7)
+    return _Cost(counts, plots * _PLOT_S * columns / 400.0, _COMPILE_PLOT_S, 2.1)
 
 
 def _count(number: float) -> str:

@@ -1,5 +1,6 @@
 """What `fynjax fit-leaf` does: files of spectra in, traits and spectra out."""
 
+import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -24,6 +25,7 @@ from fynjax.io.spectra import (
     write_spectra_netcdf,
     write_traits_csv,
 )
+from fynjax.io.text import existing_file, read_text
 from fynjax.jobs._result import JobResult
 from fynjax.jobs._run import Run
 from fynjax.jobs._spectra import (
@@ -192,9 +194,10 @@ def _without_jumps(spectrum: Spectrum, changes: Sequence[float] | None) -> Spect
 
 def _read_groups(path: str | Path, names: Sequence[str]) -> list[str]:
     """The species of each spectrum from a table with the columns `name` and `species`."""
+    file = existing_file(path, "a table of names and species")
     try:
-        table = pd.read_csv(path, dtype=str, keep_default_na=False)
-    except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+        table = pd.read_csv(io.StringIO(read_text(file)), dtype=str, keep_default_na=False)
+    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
         raise InputError(f"expected a table of names and species: {error}", file=path) from error
     for column in ("name", "species"):
         if column not in table:

@@ -258,3 +258,33 @@ def test_a_reference_system_that_cannot_be_written_is_not_known() -> None:
     text = CRS.from_epsg(32734).to_wkt().replace('UNIT["metre",1', 'UNIT["metre",0')
     with pytest.raises(InputError, match="expected a coordinate reference system"):
         parse_crs(text, Path("cloud.laz"))
+
+
+_LONG = "a" * 200_000
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "read", "expected"),
+    [
+        ("leaf.csv", f'wavelength_nm,"{_LONG}\n400,0.1\n'.encode(), read_spectra, "quotation mark"),
+        ("statistics.csv", f"statistic,value,sd\n{_LONG},1,1\n".encode(), read_statistics, "131"),
+        ("statistics.csv", b"statistic,value,sd\nn\xe9,1,1\n", read_statistics, "row 2.*CSV UTF-8"),
+        ("cloud.csv", b"x,y,H\xf6he\n1,2,3\n", read_cloud, "row 1.*UTF-8.*0xf6"),
+        ("own.toml", b"name = " + b"1" * 5000, load_sensor, "a number has thousands of digits"),
+    ],
+)
+def test_errors_say_what_was_expected_and_the_likely_slip(tmp_path, name, content, read, expected):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=expected) as error:
+        read(tmp_path / name)
+    assert name in str(error.value)
+    assert not any(raw in str(error.value) for raw in ("field limit", "codec", "set_int_max"))
+
+
+def test_a_band_name_in_another_encoding_is_said_in_plain_words(tmp_path):
+    path = tmp_path / "image.tif"
+    write_geotiff(path, np.full((1, 4, 4), 0.1, np.float32), ["gruenes"], transform=Affine.scale(2))
+    path.write_bytes(path.read_bytes().replace(b"gruenes", b"gr\xfcn es"))
+    with pytest.raises(InputError, match=r"image.tif: .*byte 0xfc.*name its bands in plain") as e:
+        read_drone_image(path)
+    assert "codec" not in str(e.value)

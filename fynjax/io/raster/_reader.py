@@ -481,7 +481,14 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
                 tags={str(k): str(v) for k, v in (header or dataset.tags()).items()},
                 crs=dataset.crs,
             )
-    except (RasterioError, CRSError, CPLE_BaseError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"expected {what} whose names and tags are UTF-8 text, but byte "
+            f"0x{error.object[error.start]:02x} in one of them is none. Is it damaged, or named "
+            "in another encoding? Copy it again, or name its bands in plain letters.",
+            file=path,
+        ) from error
+    except (RasterioError, CRSError, CPLE_BaseError) as error:
         reason = " ".join(str(error.__cause__ or error).split())
         raise InputError(
             f"cannot be read as {what} ({reason}). Is it cut short, or not a GeoTIFF? "

@@ -40,7 +40,7 @@ def read_header(path: Path) -> dict[str, Any]:
     except (envi.SpyException, LookupError, TypeError, ValueError) as error:
         raise InputError(
             f"cannot be read as an ENVI header, which starts with the word ENVI and has samples, "
-            f"lines, bands and data type ({type(error).__name__}: {' '.join(str(error).split())})",
+            f"lines, bands and data type ({' '.join(str(error).split()).rstrip('.')})",
             file=path,
         ) from error
     return {**header, "layout": layout}

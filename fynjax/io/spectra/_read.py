@@ -13,7 +13,7 @@ from fynjax.io.spectra._envi import read_envi_library
 from fynjax.io.spectra._field import read_field_spectrum
 from fynjax.io.spectra._record import Spectrum, check_spectrum
 from fynjax.io.spectra._text import read_text_spectra
-from fynjax.io.text import existing_file, read_bytes
+from fynjax.io.text import broken_row, existing_file, read_bytes
 
 
 def read_spectra(path: str | Path) -> list[Spectrum]:
@@ -91,7 +91,7 @@ def read_usable_spectra(
             field = read_field_spectrum(text, path)
             spectra = read_text_spectra(text, path) if field is None else [field]
         except csv.Error as error:
-            raise InputError(f"cannot be read as a table ({error})", file=path) from error
+            raise broken_row(path) from error
     else:
         raise InputError(
             "unknown format: neither ASD binary (as6, as7, as8), ENVI spectral library, nor text",

@@ -12,6 +12,7 @@ from fynjax.io.text._files import check_stated_size, existing_file, named_file, 
 from fynjax.io.text._named import shipped_or_own
 from fynjax.io.text._strict import Slip, Strict, number, optional_quantity, quantity
 from fynjax.io.text._tables import (
+    broken_row,
     foreign_rows,
     read_rows,
     read_text,
@@ -25,6 +26,7 @@ __all__ = [
     "Slip",
     "Strict",
     "atomic_path",
+    "broken_row",
     "check_stated_size",
     "did_you_mean",
     "existing_file",

@@ -38,14 +38,28 @@ def read_text(path: Path) -> str:
         text = raw.decode(encoding)
     except UnicodeDecodeError as error:
         raise InputError(
-            f"expected UTF-8 text, but byte 0x{raw[error.start]:02x} is none. "
-            "Save the file again as UTF-8.",
+            f"expected UTF-8 text, but byte 0x{raw[error.start]:02x} is none. Save the file again "
+            "as UTF-8; Excel calls it CSV UTF-8.",
             file=path,
             row=raw[: error.start].count(b"\n") + 1,
         ) from error
     if "\0" in text:
         raise InputError("expected text, but this is a binary file", file=path)
     return text.replace("\r\n", "\n").replace("\r", "\n")  # \r alone ended lines on old Macs
+
+
+def broken_row(path: Path, row: int | None = None) -> InputError:
+    """The error for a row that Python's reader of tables gives up: one with a cell too long.
+
+    **Arguments:** `path` of the table; `row`, where it is known.
+    """
+    longest = f"{csv.field_size_limit():_}".replace("_", " ")
+    return InputError(
+        f"expected cells of at most {longest} characters, but one is longer. Does a quotation mark "
+        "open a cell and none close it, or is this no table?",
+        file=path,
+        row=row,
+    )
 
 
 def split_line(line: str, path: Path, row: int, separator: str = ",") -> list[str]:
@@ -62,9 +76,7 @@ def split_line(line: str, path: Path, row: int, separator: str = ",") -> list[st
     try:
         cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
     except csv.Error as error:
-        raise InputError(f"cannot be read as a row of a table: {error}", file=path, row=row) from (
-            error
-        )
+        raise broken_row(path, row) from error
     return [cell.strip() for cell in cells]
 
 
@@ -85,9 +97,7 @@ def foreign_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
             if any(cell.strip() for cell in cells):
                 yield reader.line_num, cells
     except csv.Error as error:
-        raise InputError(
-            f"cannot be read as a row of a table: {error}", file=path, row=reader.line_num
-        ) from error
+        raise broken_row(path, reader.line_num) from error
 
 
 def split_lines(path: Path) -> Iterator[tuple[int, list[str]]]:

@@ -58,9 +58,12 @@ def read_toml(path: Path, model: type[Model]) -> tuple[Model, str]:
         raw = tomllib.loads(text)
     except (RecursionError, ValueError) as error:  # also of numbers too long to convert
         at = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
-        hint = " Write paths with / or in single quotes." if "escape" in str(error) else ""
+        reason = str(error).split(" (at")[0]
+        if "digits" in reason:  # of Python's, with advice to programmers
+            reason = "a number has thousands of digits"
+        hint = " Write paths with / or in single quotes." if "escape" in reason else ""
         raise InputError(
-            f"expected TOML, but: {str(error).split(' (at')[0]}.{hint}",
+            f"expected TOML, but: {reason}.{hint}",
             file=path,
             row=int(at[1]) if at else None,
             column=int(at[2]) if at else None,
