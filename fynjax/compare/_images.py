@@ -192,7 +192,7 @@ def _check_order(
     """Say which bands were taken by their order, and refuse or doubt what no vegetation is."""
     _, red, _, nir = np.median(pixels, axis=1)
     found = f"near infrared has a median of {nir:.3g} and red of {red:.3g}"
-    say = f"Say what each band of the file is: {_OPTION}"
+    say = f"Say what each band of the file is, {_OPTION}"
     if how == "order":
         if nir < red:
             raise InputError(
@@ -264,7 +264,10 @@ def thinning(rows: int, columns: int, most: int) -> int:
     return step
 
 
-_OPTION = "--bands green,red,red_edge,nir (validate: --real-bands, --simulated-bands)"
+_OPTION = (
+    "such as --bands nir,red_edge,red,green of one with near infrared first (validate: "
+    "--real-bands, --simulated-bands)"
+)
 
 
 def _plain(name: str) -> str:
@@ -325,7 +328,7 @@ def _find_bands(
     raise InputError(
         f"expected the bands {', '.join(BANDS)}, but no single band is known as {absent} among "
         f"{', '.join(shown[:8])}{', ...' if len(shown) > 8 else ''}. Say what each band of the "
-        f"file is: {_OPTION}",
+        f"file is, {_OPTION}",
         file=path,
     )
 
