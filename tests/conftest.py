@@ -18,7 +18,8 @@ from fynjax._core.precision import enable_double_precision
 # Read when JAX is first used; the children of a test inherit it.
 os.environ.setdefault(
     "XLA_FLAGS",
-    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+    " --xla_cpu_use_fusion_emitters=false"
     " --xla_cpu_parallel_codegen_split_count=1",
 )
 enable_double_precision()  # also for the packages that set nothing, such as `fynjax.radiation`

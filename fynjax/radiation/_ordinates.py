@@ -196,6 +196,7 @@ def coarse_grid(
     return dataclasses.replace(coarse, ground_share=bare.ground_share, exposure=scale)
 
 
+@jax.jit  # a program sweeps many times: traced once
 def sweep(
     coarse: Coarse,
     source: Float[Array, "ordinate z y x"],
