@@ -20,7 +20,7 @@ from fynjax.radiation import VoxelScene
 from fynjax.report.figures import height_profiles, side_view
 from fynjax.report.pages import Page, Part, Picture, Section, Table
 from fynjax.scene import LidarObservation, hard_scene, observe
-from fynjax.sensors import Lidar, LidarBeams, LidarReturns
+from fynjax.sensors import FlashGeometry, Lidar, LidarBeams, LidarReturns
 from fynjax.sensors.lidar import GROUND
 
 
@@ -48,8 +48,8 @@ def simulate_lidar(
     - `noise`: whether the receiver is noisy. Which leaf a pencil of light hits is drawn always.
     - `files`: the LiDAR's own file, for the provenance record.
 
-    The optics are those of the plot's leaves, wood and ground at the laser's wavelength. Single
-    scattering, see `lidar_waveforms`.
+    The optics are those of the plot's leaves, wood and ground at the laser's wavelength. Which
+    light comes back, see `lidar_waveforms`.
 
     **Raises:** `InputError` as `build_plot` and `Lidar.beams`, and where no pulse has a return;
     `MissingExtraError` without laspy and lazrs.
@@ -104,6 +104,12 @@ def simulate_lidar(
         percentile_rmse_m=heights.rmse,
         **counts,
     )
+
+
+def _light_of(lidar: Lidar) -> str:
+    if isinstance(lidar.geometry, FlashGeometry):
+        return "Light that is scattered more than once comes late; it is part of the waveforms."
+    return "Light that is scattered more than once has left the narrow beam and is left out."
 
 
 def waveform_dataset(lidar: Lidar, observation: LidarObservation) -> xr.Dataset:
@@ -223,8 +229,7 @@ def _sections(run: Run, plot: Plot, lidar: Lidar, returns: LidarReturns, heights
             "above the third.",
         ),
         Table(heights.table(), "Percentiles of height above ground.", folded=True),
-        f"{lidar.source} Single scattering: light that leaves send on and back more than once is "
-        "left out.",
+        f"{lidar.source} {_light_of(lidar)}",
         run.times(folded=True),
     ]
     return [Section("", parts)]

@@ -3,7 +3,7 @@
 from fynjax.radiation._arrays import voxel_scene
 from fynjax.radiation._canopy import canopy_reflectance
 from fynjax.radiation._check import check_scene, voxel_values
-from fynjax.radiation._fluxes import Fluxes, absorption, fluxes
+from fynjax.radiation._fluxes import Fluxes, absorption, diffuse_sources, fluxes
 from fynjax.radiation._ground import RahmanPintyVerstraete
 from fynjax.radiation._multiple import Cells, DiffuseField
 from fynjax.radiation._phase import area_scattering
@@ -60,6 +60,7 @@ __all__ = [
     "check_light",
     "check_scene",
     "cut_cells",
+    "diffuse_sources",
     "directional_reflectance",
     "fluxes",
     "nadir_rays",

@@ -1,4 +1,4 @@
-"""Where the light goes: albedo, absorption by class and by voxel, transmission."""
+"""Where the light goes: albedo, absorption by class and by voxel, transmission, what is sent on."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from fynjax.canopy import projections
 from fynjax.radiation._blocks import block_mean, spread
+from fynjax.radiation._image import ground_towards, scattered_towards
 from fynjax.radiation._multiple import DiffuseField, ground_shape
 from fynjax.radiation._render import Light
 from fynjax.radiation._scene import VoxelScene
@@ -104,6 +105,49 @@ def absorption(light: Light) -> Float[Array, "band z y x"]:
         return jnp.sum(area * (beam + spread(diffuse, field.factor(scene))), axis=1)
 
     return _by_band(light, absorbed_per_volume)
+
+
+def diffuse_sources(
+    light: Light, towards: Float[Array, " 3"]
+) -> tuple[Float[Array, "band z y x"], Float[Array, "band y x"]]:
+    """What leaves and ground send towards a direction out of the diffuse light: all but the light
+    of the sun that they scatter first.
+
+    **Arguments:**
+
+    - `light`: from `solve_light`.
+    - `towards`: unit vector (east, north, up), up.
+
+    **Returns:** radiance that leaves send per length of the way through each voxel [irradiance
+    unit sr-1 m-1], and radiance of the ground below each column [irradiance unit sr-1], both
+    without what lies between them and the sensor.
+
+    Differentiable in every array of the scene.
+
+    >>> import jax.numpy as jnp
+    >>> from fynjax.radiation import diffuse_sources, solve_light, voxel_scene
+    >>> scene = voxel_scene(
+    ...     area_density=jnp.full((1, 2, 4, 4), 2.0),
+    ...     reflectance=jnp.array([[0.05, 0.45]]),
+    ...     transmittance=jnp.array([[0.03, 0.45]]),
+    ...     voxel=(0.25, 0.25, 0.25),
+    ...     ground=jnp.array([0.2, 0.3]),
+    ...     sun_zenith=30.0,
+    ... )
+    >>> leaves, ground = diffuse_sources(solve_light(scene), jnp.array([0.0, 0.0, 1.0]))
+    >>> leaves.shape, ground.shape
+    ((2, 2, 4, 4), (2, 4, 4))
+    """
+
+    def sources(scene: VoxelScene, field: DiffuseField) -> tuple[Array, Array]:
+        ordinates = light.accuracy.ordinates
+        composition = jnp.moveaxis(scene.area_density, 1, 0)
+        slabs = field.factor(scene)[0]
+        leaves = scattered_towards(scene, field, towards, ordinates, composition, slabs)
+        ground = ground_towards(scene, field, towards, ordinates)
+        return jnp.moveaxis(leaves.sum(axis=1), 0, 1), ground
+
+    return _by_band(light, sources)
 
 
 def _irradiance_on_leaves(

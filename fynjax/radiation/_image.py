@@ -185,11 +185,12 @@ class _Lit(eqx.Module):
         composition: Float[Array, "slab class y x"],
         cut: _Cut,
     ) -> "_Lit":
-        factor = diffuse.factor(scene)
         _, ny, nx = scene.shape
         projection = pixel_projection(scene.classes.angles, rays)
         in_middle = projections(scene.classes.angles, rays.central[2])
-        scattered = _scattered(scene, diffuse, rays.central, ordinates, composition, cut)
+        scattered = scattered_towards(
+            scene, diffuse, rays.central, ordinates, composition, cut.slabs
+        )
         turning = projection / in_middle.astype(projection.dtype)[:, None, None]
         if projection.shape[1:] == (1, 1):  # parallel rays
             # A sum of slices: that over an axis takes ten times as long on a CPU.
@@ -199,7 +200,7 @@ class _Lit(eqx.Module):
         return cls(
             scattered,
             turning,
-            _ground_light(scene, sun, diffuse, rays, factor, ordinates),
+            _ground_light(scene, sun, diffuse, rays, ordinates),
             rays,
             Lattice(ny, nx, scene.horizontal, scene.boundary),
             scene.structure is not None,
@@ -439,7 +440,6 @@ def _ground_light(
     sun: SunField,
     diffuse: DiffuseField,
     rays: AbstractRays,
-    factor: tuple[int, int],
     ordinates: Ordinates,
 ) -> _GroundLight:
     dtype = scene.area_density.dtype
@@ -447,18 +447,30 @@ def _ground_light(
     direct = scene.illumination.sun.astype(dtype)[:, None, None] * soil / jnp.pi
     if sun.incidence is not None:
         direct = direct * sun.incidence
-    fluxes = jnp.asarray(ordinates.fluxes.ravel(), dtype)
     if shape is None:
         towards = jnp.ones((soil.shape[0], 1, 1), dtype)
-        received = jnp.einsum("o,boyx->byx", fluxes, diffuse.falling)
     else:
         sunward = -jnp.concatenate([sun.slope, jnp.ones(1, dtype)]) * sun.cosine
         towards = rays.angular(lambda views: shape.shape(sunward[None], views)[:, 0])
+    return _GroundLight(direct, towards, ground_towards(scene, diffuse, rays.central, ordinates))
+
+
+def ground_towards(
+    scene: VoxelScene, diffuse: DiffuseField, towards: Float[Array, " 3"], ordinates: Ordinates
+) -> Float[Array, "band y x"]:
+    """Radiance that the bare ground sends towards a direction out of the diffuse light."""
+    soil, shape = scene.ground_map, scene.ground_shape
+    dtype = diffuse.falling.dtype
+    fluxes = jnp.asarray(ordinates.fluxes.ravel(), dtype)
+    if shape is None:
+        received = jnp.einsum("o,boyx->byx", fluxes, diffuse.falling)
+    else:
         down = jnp.asarray(ordinates.vectors[: len(fluxes)], dtype)
-        kernel = shape.shape(down, rays.central[None])[:, :, 0] * fluxes
+        kernel = shape.shape(down, towards[None])[:, :, 0] * fluxes
         received = jnp.einsum("bo,boyx->byx", kernel, diffuse.falling)
+    factor = diffuse.factor(scene)
     received = upsample(received[:, None], (1, factor[1]), scene.boundary)[:, 0]
-    return _GroundLight(direct, towards, received * soil / jnp.pi)
+    return received * soil / jnp.pi
 
 
 def _planes(
@@ -472,15 +484,16 @@ def _planes(
     return jnp.concatenate([between.reshape(-1, *depth.shape[1:]), depth[-1:]])
 
 
-def _scattered(
+def scattered_towards(
     scene: VoxelScene,
     diffuse: DiffuseField,
     towards: Float[Array, " 3"],
     ordinates: Ordinates,
     composition: Float[Array, "slab class y x"],
-    cut: _Cut,
+    slabs: int,
 ) -> Float[Array, "slab angle band y x"]:
-    """Radiance per length that leaves scatter towards the sensor out of the diffuse field.
+    """Radiance per length that leaves scatter towards a direction out of the diffuse field, which
+    has so many slabs in a cell.
 
     The field is smooth and comes from the coarse grid; the leaf area it meets is that of the
     voxels.
@@ -488,7 +501,7 @@ def _scattered(
     classes, dtype = scene.classes, diffuse.intensity.dtype
     vectors = jnp.asarray(ordinates.vectors, dtype)
     weights = jnp.asarray(ordinates.weights, dtype)
-    times = cut.slabs, diffuse.factor(scene)[1]
+    times = slabs, diffuse.factor(scene)[1]
     shares = jnp.stack(area_scattering_of(classes.angles, vectors, towards[None]))[..., 0] * weights
     projection = projections(classes.angles, towards[2]).astype(dtype)
     shares = shares * (projection / shares.sum(axis=-1))[..., None]  # [kind, angle, ordinate]

@@ -559,7 +559,7 @@ def observe_lidar(
 
     **Raises:** `InputError` as `Lidar.beams`.
 
-    Single scattering, see `lidar_waveforms`. Not differentiable, as returns are found one by one;
+    Which light it has, see `lidar_waveforms`. Not differentiable, as returns are found one by one;
     `lidar_waveforms` is.
     """
     voxels = _voxels(scene, parameters, lidar.bands)

@@ -87,7 +87,7 @@ def test_energy_of_a_slab_counts_the_gap_once(lidar):
     """Leaves: the integral of rho Gamma exp(-G u s) over the path; ground: rho cos exp(-tau)."""
     scene = slab(2.0, angle="planophile")
     beams = lidar.beams(EXTENT, top=scene.height)
-    waveforms = lidar_waveforms(scene, lidar, beams)
+    waveforms = lidar_waveforms(scene, lidar, beams, multiple=False)
     mu = cosines(beams)
     g = projection("planophile", mu)
     back = np.asarray(backscatter(leaf_angle("planophile"), jnp.asarray(mu)))
@@ -100,7 +100,7 @@ def test_the_shape_of_a_slab_is_its_decay_under_the_pulse():
     """Every sample against a fine quadrature of decay, pulse and sample."""
     scene, lidar = slab(2.0), flash(pencils=1)
     beams = lidar.beams(EXTENT, top=scene.height).select(np.array([40]))
-    found = np.asarray(lidar_waveforms(scene, lidar, beams).canopy[0])
+    found = np.asarray(lidar_waveforms(scene, lidar, beams, multiple=False).canopy[0])
     mu = cosines(beams)[0]
     depth = (np.arange(20000) + 0.5) * (1.0 / mu / 20000)
     sent = 0.45 / 3.0 * 2.0 * np.exp(-0.5 * 2.0 * depth) * (1.0 / mu / 20000)
@@ -212,7 +212,8 @@ def test_draws_repeat_with_their_key():
     scene, lidar = slab(), flash()
     beams = lidar.beams(EXTENT, top=scene.height)
     one, same, other = (
-        lidar_waveforms(scene, lidar, beams, key=jax.random.key(k)).canopy for k in (1, 1, 2)
+        lidar_waveforms(scene, lidar, beams, key=jax.random.key(k), multiple=False).canopy
+        for k in (1, 1, 2)
     )
     assert jnp.array_equal(one, same)
     assert not jnp.array_equal(one, other)
@@ -257,7 +258,8 @@ def test_gradients_are_finite_without_leaves_and_transmitted_light_has_one():
         there = eqx.tree_at(
             lambda s: (s.area_density, s.classes.transmittance), scene, (density, tau)
         )
-        return lidar_waveforms(there, lidar, beams, straight=0.5).total.sum()
+        waveforms = lidar_waveforms(there, lidar, beams, straight=0.5, multiple=False)
+        return waveforms.total.sum()
 
     density, tau = jax.grad(energy, argnums=(0, 1))(scene.area_density, jnp.array([[0.4]]))
     assert np.all(np.isfinite(density))
@@ -289,18 +291,22 @@ def test_transformations_and_batches_agree():
 
 def test_the_gate_cuts_the_record():
     scene, lidar = slab(2.0), flash()
+
+    def total(lidar, beams):
+        return lidar_waveforms(scene, lidar, beams, multiple=False).total
+
     assert lidar.gate is not None
     whole = lidar.beams(EXTENT, top=scene.height)
     short = dataclasses.replace(lidar, gate=(40.0, 49.6))
     beams = short.beams(EXTENT, top=scene.height)
     assert beams.samples == 64
-    cut = lidar_waveforms(scene, short, beams).total
-    np.testing.assert_allclose(cut, lidar_waveforms(scene, lidar, whole).total[:, :64], atol=1e-12)
+    cut = total(short, beams)
+    np.testing.assert_allclose(cut, total(lidar, whole)[:, :64], atol=1e-12)
     late = dataclasses.replace(lidar, gate=(49.45, 50.95))
     beams = late.beams(EXTENT, top=scene.height)
     np.testing.assert_allclose(
-        lidar_waveforms(scene, late, beams).total[:, :9],
-        lidar_waveforms(scene, lidar, whole).total[:, 63:72],
+        total(late, beams)[:, :9],
+        total(lidar, whole)[:, 63:72],
         atol=1e-9,
     )
 

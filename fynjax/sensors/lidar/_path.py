@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 from fynjax._core.math import mean_transmittance
 from fynjax.canopy import AbstractLeafAngle, projections
 from fynjax.radiation import Lattice, RayField, VoxelScene
+from fynjax.sensors.lidar._late import LateLight
 
 _BISECTIONS = 30
 _PLANES = 4  # in a layer: what is thinner than the distance of two may be missed
@@ -20,6 +21,8 @@ class PencilPaths(eqx.Module):
     """Optical depth of each step [-]."""
     source: Float[Array, "step pencil"]
     """What each step would send back without shade, as the reflectance of a plate [-]."""
+    late: Float[Array, "step pencil"] | None
+    """The same out of light that was scattered before."""
     top: Float[Array, " pencil"]
     """Range of the grid's top [m]."""
     step: Float[Array, " pencil"]
@@ -28,6 +31,8 @@ class PencilPaths(eqx.Module):
     """Range of the ground [m]."""
     ground: Float[Array, " pencil"]
     """Reflectance of the ground times the cosine of incidence [-]."""
+    late_ground: Float[Array, " pencil"] | None
+    """What the ground would send out of light that was scattered before [-]."""
 
     def _place(self, distance: Array) -> tuple[Array, Array]:
         """Step and share of it at ranges [point, pencil]."""
@@ -43,23 +48,25 @@ class PencilPaths(eqx.Module):
         in_step = jnp.take_along_axis(self.depth, index, axis=0)
         return jnp.take_along_axis(above, index, axis=0) + share * in_step
 
-    def returned(self, distance: Float[Array, "point pencil"]) -> Float[Array, "point pencil"]:
-        """What the canopy down to a range [m] sends back [-]: each leaf through the gap that the
-        light came by. Exact for even leaf area along a step."""
+    def returned(
+        self, distance: Float[Array, "point pencil"], source: Float[Array, "step pencil"]
+    ) -> Float[Array, "point pencil"]:
+        """What the canopy down to a range [m] sends back of a source [-]: each leaf through the gap
+        that the light came by. Exact for even leaf area along a step."""
         index, share = self._place(distance)
         below = jnp.cumsum(self.depth, axis=0)
         above = below - self.depth
         gap = jnp.exp(-above)
-        whole = self.source * gap * mean_transmittance(self.depth)
+        whole = source * gap * mean_transmittance(self.depth)
         before = jnp.cumsum(whole, axis=0) - whole
         # One read for all: what lies side by side is fetched together.
-        table = jnp.stack([before, self.source * gap, self.depth], axis=-1)
+        table = jnp.stack([before, source * gap, self.depth], axis=-1)
         at = jnp.take_along_axis(table, index[..., None], axis=0)
         return at[..., 0] + share * at[..., 1] * mean_transmittance(share * at[..., 2])
 
-    def hit_by(self, depth: Float[Array, " pencil"]) -> tuple[Array, Array, Array]:
-        """Where the optical depth reaches `depth`: range [m], what a hit there sends back [-], and
-        whether that is above the ground."""
+    def hit_by(self, depth: Float[Array, " pencil"]) -> tuple[Array, Array, Array | None, Array]:
+        """Where the optical depth reaches `depth`: range [m], what a hit there sends back of
+        `source` and of `late` [-], and whether that is above the ground."""
         below = jnp.cumsum(self.depth, axis=0)
         index = jnp.minimum(jnp.sum(below <= depth, axis=0), self.depth.shape[0] - 1)[None]
         in_step = jnp.take_along_axis(self.depth, index, axis=0)[0]
@@ -67,9 +74,13 @@ class PencilPaths(eqx.Module):
         some = in_step > 0
         share = jnp.where(some, (depth - above) / jnp.where(some, in_step, 1.0), 1.0)
         distance = self.top + self.step * (index[0] + share)
-        source = jnp.take_along_axis(self.source, index, axis=0)[0]
-        sent = jnp.where(some, source / jnp.where(some, in_step, 1.0), 0.0)
-        return distance, sent, depth < self.depth_at(self.ground_range[None])[0]
+
+        def sent(source: Array) -> Array:
+            here = jnp.take_along_axis(source, index, axis=0)[0]
+            return jnp.where(some, here / jnp.where(some, in_step, 1.0), 0.0)
+
+        late = None if self.late is None else sent(self.late)
+        return distance, sent(self.source), late, depth < self.depth_at(self.ground_range[None])[0]
 
 
 @eqx.filter_jit
@@ -104,6 +115,7 @@ def trace_pencils(
     pencils: Float[Array, "pencil 2"],
     width: float,
     sublayers: int,
+    late: LateLight | None = None,
 ) -> PencilPaths:
     """One beam through a scene. Differentiable in the scene, and in origin and direction."""
     nz, ny, nx = scene.shape
@@ -123,6 +135,8 @@ def trace_pencils(
     projection = projections(angles, cosine).astype(dtype)
     back = jnp.stack([backscatter(a, cosine).astype(dtype) for a in angles])
     lattice = Lattice(ny, nx, scene.horizontal, scene.boundary)
+    if late is not None:
+        fields = jnp.concatenate([fields, late.leaves[None]])
     structure, (high, wide) = scene.structure, scene.structure_factor
     if structure is not None:
         finest = Lattice(ny * wide, nx * wide, scene.horizontal / wide, scene.boundary)
@@ -130,7 +144,7 @@ def trace_pencils(
     per_layer = high * sublayers
     length = scene.vertical / per_layer / cosine
 
-    def piece(_: None, number: Array) -> tuple[None, tuple[Array, Array]]:
+    def piece(_: None, number: Array) -> tuple[None, tuple[Array, Array, Array | None]]:
         height = ((nz - (number + 0.5) / per_layer) * scene.vertical).astype(dtype)
         layer = nz - 1 - number // per_layer
         here = jax.lax.dynamic_index_in_dim(fields, layer, 1, keepdims=False)
@@ -141,10 +155,11 @@ def trace_pencils(
             fine = jax.lax.dynamic_index_in_dim(structure, layer, 0, keepdims=False)
             total = rays.sampler(height, finest)(fine)[0]
             met = met[:-1] * scene.relative_density(total, met[-1])
-        stop, send = jnp.split(met, 2)
-        return None, (jnp.sum(projection * stop, axis=0), jnp.sum(back * send, axis=0))
+        stop, send, more = jnp.split(met, [len(angles), 2 * len(angles)])
+        stop, send = jnp.sum(projection * stop, axis=0), jnp.sum(back * send, axis=0)
+        return None, (stop, send, None if late is None else more[0])
 
-    _, (stop, send) = jax.lax.scan(piece, None, jnp.arange(nz * per_layer))
+    _, (stop, send, more) = jax.lax.scan(piece, None, jnp.arange(nz * per_layer))
     height, cosine_in, column = _ground(scene, foot, slopes, towards)
     ground = scene.ground_map[0].ravel()[column] * cosine_in
     shape = scene.ground_shape
@@ -153,10 +168,12 @@ def trace_pencils(
     return PencilPaths(
         stop * length,
         send * length,
+        None if more is None else more * length,
         (platform - scene.height) / cosine,
         length,
         (platform - height) / cosine,
         ground.astype(dtype),
+        None if late is None else late.ground.ravel()[column].astype(dtype),
     )
 
 

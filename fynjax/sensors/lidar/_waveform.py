@@ -1,12 +1,13 @@
 """Waveforms of a LiDAR over a voxel scene, and where its light first meets something.
 
-Single scattering: light that leaves or ground scatter once, straight back. Out and back it takes
+Light that leaves or ground scatter once comes straight back. Out and back it takes
 the same path, so a gap that let it in lets it out: the gap probability exp(-tau) counts once (the
 hot spot in full), where two separate directions would have exp(-2 tau). What flat leaves transmit
-goes on forward and is lost to single scattering; light scattered more than once, which arrives
-late and adds to the tail, is left out. By Monte Carlo at 1064 nm on 4 m of the plot of 2006 it is
-1 % of the energy in a footprint of 0.1 m, 2 % in one of 0.25 m and 6 % in one of 1 m; of a flash
-system, which lights the whole scene at once, 14 %, half of it from beyond the ground's range.
+goes on forward and is lost to single scattering. Light scattered more than once arrives late and
+adds to the tail. A flash system lights the whole scene at once: a seventh of its energy comes so,
+and is modelled (`_late`). In the narrow footprint of a scanner it has left before it comes back,
+and is left out: by Monte Carlo at 1064 nm on 4 m of the plot of 2006 it is 1 % of the energy in a
+footprint of 0.1 m, 2 % in one of 0.25 m and 6 % in one of 1 m.
 """
 
 import math
@@ -23,7 +24,8 @@ from scipy.special import ndtr
 
 from fynjax._core.errors import InputError
 from fynjax.radiation import VoxelScene
-from fynjax.sensors.lidar._beams import LidarBeams
+from fynjax.sensors.lidar._beams import FlashGeometry, LidarBeams
+from fynjax.sensors.lidar._late import Delays, LateLight, delays, late_light
 from fynjax.sensors.lidar._path import PencilPaths, canopy_fields, trace_pencils
 from fynjax.sensors.lidar._system import Lidar
 
@@ -58,8 +60,9 @@ def lidar_waveforms(
     straight: float = 0.0,
     sublayers: int = 2,
     batch: int = 1024,
+    multiple: bool = True,
 ) -> Waveforms:
-    """Waveforms of all beams, single scattering.
+    """Waveforms of all beams: light scattered once and, of a flash system, all other.
 
     **Arguments:**
 
@@ -75,6 +78,8 @@ def lidar_waveforms(
       of the light, on its way in and out together.
     - `sublayers`: steps in a layer of voxels; more where beams are far from upright.
     - `batch`: beams at a time, which bounds the memory.
+    - `multiple`: whether a flash system has its light that is scattered more than once, as if it
+      lit all of the scene evenly, from straight above. A scanner never has it.
 
     **Returns:** `Waveforms`, apparent reflectance in each sample. The receiver integrates over a
     sample; the pulse is Gaussian.
@@ -112,8 +117,13 @@ def lidar_waveforms(
     if key is not None:
         hits = jax.random.exponential(key, (len(beams), len(beams.pencils)), dtype)
     grid = _FineGrid(scene, lidar, beams)
+    late, spread = None, None
+    if multiple and isinstance(lidar.geometry, FlashGeometry):
+        late = late_light(scene)
+        spread = _Late.create(delays(late, grid.step, lidar.pulse_sd, 2 * grid.bins), grid, dtype)
     receiver = _Receiver(
         jnp.asarray(grid.to_samples, dtype),
+        spread,
         grid.step,
         grid.count,
         grid.tail,
@@ -128,14 +138,45 @@ def lidar_waveforms(
         (jnp.asarray(beams.start, dtype), jnp.asarray(grid.first), hits),
         (scene, canopy_fields(scene, straight), receiver),
         sublayers,
+        late,
     )
     return Waveforms(canopy, ground)
+
+
+class _Late(eqx.Module):
+    """How late light that was scattered before reaches the samples."""
+
+    heights: Float[Array, " node"]
+    leaves: Float[Array, "node bin sample"]
+    ground: Float[Array, "bin sample"]
+
+    @classmethod
+    def create(cls, delays: Delays, grid: "_FineGrid", dtype: Any) -> "_Late":
+        place = np.arange(grid.bins)
+        later = (place - place[:, None]) % delays.ground.shape[0]
+        to_samples = jnp.asarray(grid.to_samples, dtype)
+
+        def delayed(distribution: Array) -> Array:
+            return distribution.astype(dtype)[later] @ to_samples
+
+        leaves = jax.lax.map(delayed, delays.leaves)
+        return cls(delays.heights.astype(dtype), leaves, delayed(delays.ground))
+
+    def samples(self, energy: Float[Array, " bin"], height: Float[Array, " bin"]) -> Array:
+        """What leaves of such heights sent last, in samples."""
+        last = len(self.heights) - 1
+        at = jnp.interp(height, self.heights, jnp.arange(last + 1, dtype=height.dtype))
+        nodes = jnp.arange(last + 1)[:, None]
+        return jnp.einsum(
+            "nb,nbs->s", energy * jnp.maximum(1.0 - jnp.abs(at - nodes), 0.0), self.leaves
+        )
 
 
 class _Receiver(eqx.Module):
     """What happens to the light that a beam sends back."""
 
     to_samples: Float[Array, "bin sample"]
+    late: _Late | None
     step: float = eqx.field(static=True)
     count: int = eqx.field(static=True)
     tail: int = eqx.field(static=True)
@@ -149,15 +190,35 @@ class _Receiver(eqx.Module):
         scaled = (edges[:, None] - distance) / (math.sqrt(2.0) * self.pulse_sd)
         return 0.5 * jnp.diff(erf(scaled), axis=0)
 
-    def spread(self, path: PencilPaths, start: Array, first: Array) -> Float[Array, " sample"]:
-        """What the canopy sends back of all pencils."""
+    def spread(
+        self, path: PencilPaths, source: Array, start: Array, first: Array
+    ) -> Float[Array, " bin"]:
+        """What the canopy sends back of a source, of all pencils."""
         bins = jnp.arange(self.count + 1)
         edges = start + (first + bins).astype(start.dtype) * self.step
-        energy = jnp.diff(path.returned(edges[:, None]).sum(axis=1))
+        energy = jnp.diff(path.returned(edges[:, None], source).sum(axis=1))
         place = first + self.tail + bins[:-1]
         whole = jnp.zeros(self.to_samples.shape[0], energy.dtype)
         place = jnp.where(place < 0, whole.shape[0], place)
-        return whole.at[place].add(energy, mode="drop") @ self.to_samples
+        return whole.at[place].add(energy, mode="drop")
+
+    def gather(self, distance: Array, energy: Array, start: Array) -> Float[Array, " bin"]:
+        """Points in bins, each shared by the two whose middles are next to it."""
+        count = self.to_samples.shape[0]
+        place = (distance - start) / self.step + self.tail - 0.5
+        low = jnp.floor(jax.lax.stop_gradient(place))
+        share = place - low
+        index = low.astype(int)
+        index = jnp.where(index < 0, count, index)
+        whole = jnp.zeros(count, energy.dtype).at[index].add((1.0 - share) * energy, mode="drop")
+        return whole.at[index + 1].add(share * energy, mode="drop")
+
+    def heights(self, path: PencilPaths, start: Array, top: float) -> Float[Array, " bin"]:
+        """Of the bins, along the middle of the pencils [m]."""
+        bins = jnp.arange(self.to_samples.shape[0], dtype=start.dtype)
+        distance = start + (bins - self.tail + 0.5) * self.step
+        fall = path.depth.shape[0] * path.step  # from the grid's top to its bottom
+        return top * (1.0 - jnp.mean((distance[:, None] - path.top) / fall, axis=1))
 
 
 def _one_waveform(
@@ -166,15 +227,25 @@ def _one_waveform(
     common: tuple[VoxelScene, Array, _Receiver],
 ) -> tuple[Array, Array]:
     start, first, drawn = beam
-    receiver = common[-1]
+    scene, _, receiver = common
+    late = receiver.late
+    later = None
     if drawn is None:
-        gap = jnp.exp(-path.depth_at(path.ground_range[None])[0])
-        ground = receiver.points(path.ground_range, start) @ (gap * path.ground)
-        canopy = receiver.spread(path, start, first)
+        through = jnp.exp(-path.depth_at(path.ground_range[None])[0])
+        canopy = receiver.spread(path, path.source, start, first) @ receiver.to_samples
+        if path.late is not None:
+            later = receiver.spread(path, path.late, start, first)
     else:
-        distance, sent, leaf = path.hit_by(drawn)
+        distance, sent, sent_late, leaf = path.hit_by(drawn)
+        through = jnp.where(leaf, 0.0, 1.0)
         canopy = receiver.points(distance, start) @ jnp.where(leaf, sent, 0.0)
-        ground = receiver.points(path.ground_range, start) @ jnp.where(leaf, 0.0, path.ground)
+        if sent_late is not None:
+            later = receiver.gather(distance, jnp.where(leaf, sent_late, 0.0), start)
+    ground = receiver.points(path.ground_range, start) @ (through * path.ground)
+    if late is not None and later is not None and path.late_ground is not None:
+        canopy = canopy + late.samples(later, receiver.heights(path, start, scene.height))
+        on_ground = receiver.gather(path.ground_range, through * path.late_ground, start)
+        ground = ground + on_ground @ late.ground
     pencils = path.top.shape[0]
     return canopy / pencils, ground / pencils
 
@@ -236,6 +307,7 @@ def _map_beams(
     per_beam: Any,
     common: tuple[VoxelScene, Array, Any],
     sublayers: int,
+    late: LateLight | None = None,
 ) -> tuple[Array, Array]:
     """`function` of each beam's paths, so many beams at a time."""
     dtype = common[0].area_density.dtype
@@ -251,7 +323,7 @@ def _map_beams(
     each = jax.tree.map(padded, (*where, per_beam))
     pencils = jnp.asarray(beams.pencils, dtype)
     width, count = beams.pencil_width, len(beams)
-    canopy_and_ground = _mapped(function, batch, width, sublayers, each, pencils, common)
+    canopy_and_ground = _mapped(function, batch, width, sublayers, each, pencils, common, late)
     return jax.tree.map(lambda a: a[:count], canopy_and_ground)
 
 
@@ -264,12 +336,13 @@ def _mapped(
     each: Any,
     pencils: Array,
     common: tuple[VoxelScene, Array, Any],
+    late: LateLight | None,
 ) -> tuple[Array, Array]:
     scene, fields, _ = common
 
     def trace_beam(beam: Any) -> tuple[Array, Array]:
         origin, direction, per_beam = beam
-        path = trace_pencils(scene, fields, origin, direction, pencils, width, sublayers)
+        path = trace_pencils(scene, fields, origin, direction, pencils, width, sublayers, late)
         return function(path, per_beam, common)
 
     return jax.lax.map(jax.checkpoint(trace_beam), each, batch_size=batch)
@@ -321,4 +394,5 @@ class _FineGrid:
             return x * ndtr(x / sigma) + sigma * density
 
         blurred = ramp(edges[None, :] - bins[:, None])
+        self.bins = count
         self.to_samples = np.diff(-np.diff(blurred, axis=0), axis=1) / self.step
