@@ -11,11 +11,10 @@ from fynjax.assembly import Measured
 from fynjax.inversion import Calibration, KnownPlants
 from fynjax.io.plot import Plot
 from fynjax.jobs._calibration_tables import Reference, largest_errors, sensor_misfit, sensor_table
-from fynjax.jobs._render import SHOWN_INDICES, index_images
+from fynjax.jobs._render import SHOWN_INDICES, image_views, index_images
 from fynjax.jobs._run import Run, peak_memory_mib
-from fynjax.metrics import BANDS, VEGETATION_INDICES
+from fynjax.metrics import VEGETATION_INDICES
 from fynjax.report.figures import (
-    composites,
     constraint_plot,
     convergence_plot,
     error_bars,
@@ -156,20 +155,6 @@ def _image_sections(
         index_images(after, shown),
         {name: target[name] for name in shown if name in target},
     )
-    images = [
-        Picture(
-            "true_like.png",
-            composites(pair, BANDS, pixel_m=pixel, kind="true_like"),
-            "image before and after, nearly natural colours",
-            "Nearly natural colours.",
-        ),
-        Picture(
-            "false_colour.png",
-            composites(pair, BANDS, pixel_m=pixel),
-            "image before and after, near infrared as red",
-            "False colour.",
-        ),
-    ]
     against = [
         Picture(
             "errors.png",
@@ -184,7 +169,10 @@ def _image_sections(
             "Indices over the pixels; the real mean and spread marked.",
         ),
     ]
-    return [Section("The image", images), Section("Against the real image", against)]
+    return [
+        Section("The image", [image_views(pair, pixel)]),
+        Section("Against the real image", against),
+    ]
 
 
 def parameter_section(result: Calibration | KnownPlants, parameters: pd.DataFrame) -> Section:

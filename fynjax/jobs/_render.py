@@ -167,34 +167,38 @@ def _write(
 def _drone_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Part]:
     names = camera.sensor.bands.names
     image = image[[names.index(band) for band in BANDS]]
-    named, pixel = {plot.name: image}, camera.pixel
-    indices = index_images(image)
+    histograms = Picture(
+        "indices.png", index_histograms(index_images(image)), "histograms of vegetation indices"
+    )
+    return [image_views({plot.name: image}, camera.pixel), histograms]
+
+
+def image_views(images: Mapping[str, np.ndarray], pixel_m: float) -> Views:
+    """Images of a drone's bands side by side, to be chosen from: colours, bands, indices."""
     views = {
         "Nearly natural": Picture(
             "true_like.png",
-            composites(named, BANDS, pixel_m=pixel, kind="true_like"),
+            composites(images, BANDS, pixel_m=pixel_m, kind="true_like"),
             "image, nearly natural colours",
         ),
         "False colour": Picture(
             "false_colour.png",
-            composites(named, BANDS, pixel_m=pixel),
+            composites(images, BANDS, pixel_m=pixel_m),
             "image, near infrared as red",
         ),
     }
-    for band, layer in zip(BANDS, image, strict=True):
+    for k, band in enumerate(BANDS):
         label = words(band)
         label = f"{label[0].upper()}{label[1:]}"
-        what = f"reflectance in the band {words(band)}"
-        views[label] = Picture(
-            f"band_{band}.png", layer_map(layer, f"{label}: reflectance [-]", pixel_m=pixel), what
-        )
+        layers = {title: image[k] for title, image in images.items()}
+        figure = layer_map(layers, f"{label}: reflectance [-]", pixel_m=pixel_m)
+        views[label] = Picture(f"band_{band}.png", figure, f"reflectance in the band {words(band)}")
+    indices = {title: index_images(image, _MAPPED) for title, image in images.items()}
     for name in _MAPPED:
-        figure = layer_map(indices[name], f"{name} [-]", pixel_m=pixel)
+        layers = {title: of_image[name] for title, of_image in indices.items()}
+        figure = layer_map(layers, f"{name} [-]", pixel_m=pixel_m)
         views[name] = Picture(f"index_{name}.png", figure, f"map of the index {name}")
-    histograms = Picture(
-        "indices.png", index_histograms(indices), "histograms of vegetation indices"
-    )
-    return [Views(views), histograms]
+    return Views(views)
 
 
 def _other_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Part]:

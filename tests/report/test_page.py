@@ -3,11 +3,14 @@
 import base64
 import re
 from html.parser import HTMLParser
+from io import BytesIO
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
+from PIL import Image
 
 from fynjax.report.pages import Page, Picture, Section, Table, Views, format_number, write_page
 
@@ -70,7 +73,7 @@ def test_page_is_well_formed_and_needs_no_network(page, tmp_path):
     checker = Checker(text)
     assert checker.stack == []
     assert checker.sources
-    assert all(source.startswith("data:image/png;base64,") for source in checker.sources)
+    assert all(re.match("data:image/(png|webp);base64,", source) for source in checker.sources)
     assert not {"link", "iframe", "object", "b" * 2} & set(checker.tags)
     assert checker.tags.count("script") == 1  # the page's own, which asks for nothing
     script = re.search(r"<script>(.*?)</script>", text, re.S)[1]
@@ -79,7 +82,14 @@ def test_page_is_well_formed_and_needs_no_network(page, tmp_path):
     style = re.search(r"<style>(.*?)</style>", text, re.S)[1]
     assert "url(" not in style
     assert "@import" not in style
-    assert base64.b64decode(checker.sources[0].split(",")[1])[:4] == b"\x89PNG"
+    shown, written = (
+        np.asarray(Image.open(one).convert("RGB"), float)
+        for one in (
+            BytesIO(base64.b64decode(checker.sources[0].split(",")[1])),
+            tmp_path / "figure.png",
+        )
+    )
+    assert np.abs(shown - written).mean() < 2.0  # of 255
 
 
 def html(page, folder):
@@ -100,11 +110,58 @@ def test_views_are_all_on_the_page_each_with_its_label(tmp_path):
     }
     assert (tmp_path / "ndvi.png").read_bytes()[:4] == b"\x89PNG"
     text = (tmp_path / "report.html").read_text("utf-8")
-    inside = re.search(r'<div class="views">(.*?)</div>', text, re.S)[1]
+    inside = re.search(r'<div class="views">(.*?</figure></div>)', text, re.S)[1]
     assert re.findall(r'data-label="(.*?)"', inside) == ["Red", "NDVI &lt;1&gt;"]
     assert inside.count("<figure") == 2
     assert "display: none" not in inside  # without JavaScript all are seen
     assert Checker(text).stack == []
+
+
+@pytest.mark.parametrize("by_place", [True, False])
+def test_rows_of_a_figure_are_marked_with_those_of_tables(tmp_path, by_place):
+    """Where a row lies on the page, against the coloured bar in the picture itself."""
+    figure = Figure(figsize=(4, 2), layout="constrained")
+    axes = figure.subplots()
+    names, colours = ["Erica <1>", "Restio"], ["#ff0000", "#0000ff"]
+    if by_place:
+        axes.barh([0, 1], [1.0, 1.0], height=0.5, color=colours)
+        axes.set_yticks([0, 1], names)
+    else:
+        axes.barh(names, [1.0, 1.0], height=0.5, color=colours)
+    axes.set_xlim(0, 1)
+    table = Table(pd.DataFrame({"species": ["Erica <1>"], "cover": [0.2]}))
+    parts = [Picture("bars.png", figure, "bars"), table]
+    text = html(Page("Plot", "", [Section("", parts)]), tmp_path)
+    assert text.count('data-name="Erica &lt;1&gt;"') == 2
+    assert Checker(text).stack == []
+    image = plt.imread(tmp_path / "bars.png")
+    for name, channel in (("Erica &lt;1&gt;", 0), ("Restio", 2)):
+        left, top, wide, high = map(
+            float,
+            re.search(
+                rf'<i data-name="{name}" style="left: (.*?)%; top: (.*?)%; width: (.*?)%; '
+                r'height: (.*?)%"',
+                text,
+            ).groups(),
+        )
+        coloured = (image[..., channel] > 0.9) & (image[..., :3].sum(axis=-1) < 1.3)
+        rows, columns = np.nonzero(coloured)
+        shares = 100 * rows / image.shape[0]
+        assert abs(top + high / 2 - shares.mean()) < 1.0
+        assert high == pytest.approx(2 * np.ptp(shares), rel=0.05)  # bars fill half of a row
+        # It begins with the longer name, which lies left of the bar.
+        names_at = np.nonzero(image[:, : columns.min() - 20, :3].min(axis=(0, 2)) < 0.5)[0]
+        assert left == pytest.approx(100 * names_at.min() / image.shape[1], abs=1.5)
+        assert left + wide == pytest.approx(100 * columns.max() / image.shape[1], abs=1.0)
+
+
+def test_pages_are_dark_where_the_system_is_but_not_on_paper(page, tmp_path):
+    style = re.search(r"<style>(.*?)</style>", html(page, tmp_path), re.S)[1]
+    assert "@media screen and (prefers-color-scheme: dark)" in style
+    used = set(re.findall(r"var\(--(\w+)\)", style))
+    light, dark = (set(re.findall(r"--(\w+):", part)) for part in style.split("@media screen", 1))
+    assert used <= light
+    assert light == dark
 
 
 def test_what_users_write_is_text(page, tmp_path):

@@ -31,7 +31,7 @@ from fynjax.report.figures._scene import plan_view, profile_view, rgb, species_c
 from fynjax.report.figures._scene_oblique import oblique_view
 from fynjax.report.figures._scene_view import check_view, mesh_image
 from fynjax.report.figures._structure import structure_figure, structure_maps
-from fynjax.report.figures._style import FIGURE_DPI, REAL, save_figure, style, words
+from fynjax.report.figures._style import FIGURE_DPI, REAL, named_rows, save_figure, style, words
 from fynjax.report.figures._terrain import terrain_figure
 from fynjax.report.figures._validation import band_box_plot, index_pair_histograms
 from fynjax.report.figures._validation_spectra import (
@@ -66,6 +66,7 @@ __all__ = [
     "metric_plot",
     "misfit_of_plots",
     "misfit_plot",
+    "named_rows",
     "oblique_view",
     "panel_figure",
     "parameter_plot",

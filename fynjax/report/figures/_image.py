@@ -112,32 +112,34 @@ def composites(
     return figure
 
 
-def layer_map(layer: ArrayLike, title: str, *, pixel_m: float) -> Figure:
-    """One band or index of an image, in grey, with its scale.
+def layer_map(layers: Mapping[str, ArrayLike], what: str, *, pixel_m: float) -> Figure:
+    """One band or index of images side by side, in grey, all with one scale.
 
     **Arguments:**
 
-    - `layer`: [y, x] with y to the north; what is not finite is left white.
-    - `title`: what it is.
+    - `layers`: [y, x] with y to the north, by title; what is not finite is left white.
+    - `what`: what is shown, with its unit.
     - `pixel_m`: side of a pixel [m].
     """
-    values = np.asarray(layer, float)
-    known = values[np.isfinite(values)]
+    values = {title: np.asarray(layer, float) for title, layer in layers.items()}
+    known = np.concatenate([layer[np.isfinite(layer)] for layer in values.values()])
     low, high = np.percentile(known, [1, 99]) if known.size else (0.0, 1.0)
-    height, width = (n * pixel_m for n in values.shape)
     with style():
-        figure = Figure(figsize=(3.6, 4.15))
-        axes = figure.subplots()
-        drawn = axes.imshow(
-            np.where(np.isfinite(values), values, np.nan), origin="lower",
-            extent=(0, width, 0, height), cmap="gray", vmin=low, vmax=max(high, low + 1e-6),
-            interpolation="nearest",
-        )  # fmt: skip
-        axes.set(title=title, xticks=[], yticks=[])
-        figure.colorbar(drawn, ax=axes, location="bottom", shrink=0.9, extend="both").set_label(
-            "1st to 99th percentile. North up.", fontsize=7.5
+        figure = Figure(figsize=(3.6 * len(values), 4.15))
+        grid = figure.subplots(1, len(values), squeeze=False)[0]
+        for axes, (title, layer) in zip(grid, values.items(), strict=True):
+            height, width = (n * pixel_m for n in layer.shape)
+            drawn = axes.imshow(
+                np.where(np.isfinite(layer), layer, np.nan), origin="lower",
+                extent=(0, width, 0, height), cmap="gray", vmin=low, vmax=max(high, low + 1e-6),
+                interpolation="nearest",
+            )  # fmt: skip
+            axes.set(title=title, xticks=[], yticks=[])
+            _scale_bar(axes, width)
+        bar = figure.colorbar(
+            drawn, ax=list(grid), location="bottom", shrink=0.9 / len(values), extend="both"
         )
-        _scale_bar(axes, width)
+        bar.set_label(f"{what}, 1st to 99th percentile. North up.", fontsize=7.5)
     return figure
 
 

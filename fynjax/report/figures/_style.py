@@ -9,7 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.category import StrCategoryFormatter
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from fynjax.io.text import atomic_path
 
@@ -65,6 +69,43 @@ def save_figure(figure: Figure, path: str | Path, *, dpi: int = FIGURE_DPI) -> N
     """
     with atomic_path(path) as partial:
         figure.savefig(partial, dpi=dpi, facecolor="white")
+
+
+def named_rows(figure: Figure) -> list[tuple[str, tuple[float, float, float, float]]]:
+    """Rows of a figure that have names for ticks, such as a bar for each species.
+
+    **Arguments:** `figure`, once written: its layout is made then.
+
+    **Returns:** each name with left, top, width and height of its row, names included, in shares of
+    the figure's width and height from its upper left corner.
+    """
+    # Measured as drawn at the figure's own resolution, whatever that of the file was.
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    wide, high = figure.bbox.width, figure.bbox.height
+    rows = []
+    for axes in figure.axes:
+        if not isinstance(axes.yaxis.get_major_formatter(), FuncFormatter | StrCategoryFormatter):
+            continue  # a scale of numbers
+        named = [label for label in axes.get_yticklabels() if label.get_text().strip()]
+        if not named:
+            continue
+        # Middles of the rows, whatever the scale along them.
+        to_pixels = axes.get_yaxis_transform().transform
+        middle = np.array([to_pixels((0.0, label.get_position()[1]))[1] for label in named])
+        extents = [label.get_window_extent(renderer) for label in named]
+        apart = np.diff(np.sort(middle))
+        apart = apart[apart > 0]
+        row = apart.min() if apart.size else 1.6 * max(e.height for e in extents)
+        left, right = min(e.x0 for e in extents), axes.bbox.x1
+        rows += [
+            (
+                label.get_text(),
+                (left / wide, 1.0 - (at + 0.5 * row) / high, (right - left) / wide, row / high),
+            )
+            for label, at in zip(named, middle, strict=True)
+            if axes.bbox.y0 <= at <= axes.bbox.y1
+        ]
+    return rows
 
 
 def words(name: str) -> str:

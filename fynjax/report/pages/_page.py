@@ -1,63 +1,77 @@
 """One HTML page, made from sections: pictures and a small script inside, no network.
 
 Without JavaScript the page shows the same; with it pictures can be zoomed and moved, those of
-one place are shown one at a time, and rows of one name are marked together in all tables.
+one place are shown one at a time, and rows of one name are marked together in all tables and in
+all figures that have a row for each name. Dark where the reader's system is; figures stay on white.
 """
 
 import base64
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from PIL import Image
 
 from fynjax.io.text import write_text
-from fynjax.report.figures import FIGURE_DPI, save_figure
+from fynjax.report.figures import FIGURE_DPI, named_rows, save_figure
+
+_QUALITY = 88  # of WebP: figures' letters stay sharp
 
 _CSS = """
-:root { color-scheme: light; }
+:root { color-scheme: light dark; --page: #fff; --ink: #1d1d1b; --soft: #50504a; --line: #dcdcd8;
+  --plate: #f4f5f1; --edge: #8a8a84; --same: #ffe9a8; }
+@media screen and (prefers-color-scheme: dark) { :root { --page: #191a18; --ink: #ecece6;
+  --soft: #b4b4ac; --line: #3c3d39; --plate: #282a26; --edge: #85857e; --same: #5c4a12; }
+  .picture { border-radius: .4rem; overflow: hidden; filter: brightness(.92); } }
 * { box-sizing: border-box; }
-body { margin: 0; background: #fff; color: #1d1d1b;
+body { margin: 0; background: var(--page); color: var(--ink);
   font: 16px/1.55 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", sans-serif; }
 main { max-width: 62rem; margin: 0 auto; padding: 1.2rem 1rem 3rem; }
 h1 { font-size: 1.7rem; line-height: 1.2; margin: .6rem 0 .2rem; }
-h2 { font-size: 1.2rem; margin: 2.4rem 0 .5rem; padding-top: .6rem; border-top: 1px solid #d8d8d4; }
+h2 { font-size: 1.2rem; margin: 2.4rem 0 .5rem; padding-top: .6rem;
+  border-top: 1px solid var(--line); }
 p { max-width: 44rem; margin: .5rem 0; }
-.lead { color: #55554f; }
+.lead { color: var(--soft); }
 .keys { display: grid; grid-template-columns: repeat(auto-fit, minmax(10.5rem, 1fr)); gap: .6rem;
   margin: 1rem 0; }
-.key { background: #f4f5f1; border-radius: .4rem; padding: .6rem .8rem; }
+.key { background: var(--plate); border-radius: .4rem; padding: .6rem .8rem; }
 .key b { display: block; font-size: 1.35rem; line-height: 1.3; font-weight: 600; }
-.key span { font-size: .85rem; color: #55554f; }
+.key span { font-size: .85rem; color: var(--soft); }
 figure { margin: 1rem 0 1.6rem; }
-figure img { max-width: 100%; height: auto; display: block; }
-figcaption, .caption { font-size: .9rem; color: #44443f; max-width: 44rem; margin: .4rem 0; }
+.picture { position: relative; max-width: 100%; transform-origin: 0 0; user-select: none; }
+.picture img { width: 100%; height: auto; display: block; }
+.picture i { position: absolute; border-radius: 2px; }
+.picture i.same { background: #ffc40066; }
+figcaption, .caption { font-size: .9rem; color: var(--soft); max-width: 44rem; margin: .4rem 0; }
 .scroll { overflow-x: auto; margin: .6rem 0 1.2rem; }
 table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums; }
 th, td { padding: .25rem .7rem .25rem 0; text-align: right; white-space: nowrap;
-  border-bottom: 1px solid #ebebe7; }
-th { vertical-align: bottom; border-bottom: 1.5px solid #8a8a84; font-weight: 600; }
-th small { display: block; font-weight: 400; color: #66665f; }
+  border-bottom: 1px solid var(--line); }
+th { vertical-align: bottom; border-bottom: 1.5px solid var(--edge); font-weight: 600; }
+th small { display: block; font-weight: 400; color: var(--soft); }
 th.text, td.text { text-align: left; }
 details { margin: .6rem 0; }
 summary { cursor: pointer; }
-footer { margin-top: 2.5rem; font-size: .8rem; color: #66665f; border-top: 1px solid #d8d8d4; }
+footer { margin-top: 2.5rem; font-size: .8rem; color: var(--soft);
+  border-top: 1px solid var(--line); }
 footer dl { display: grid; grid-template-columns: auto 1fr; gap: .1rem .8rem; }
 footer dt { font-weight: 600; } footer dd { margin: 0; overflow-wrap: anywhere; }
 .view { overflow: hidden; max-width: 100%; width: fit-content; cursor: zoom-in; }
 .view.zoomed { cursor: grab; touch-action: none; }
-.view img { transform-origin: 0 0; user-select: none; }
-tr.same td { background: #ffe9a8; }
+tr.same td { background: var(--same); }
 .choose { display: flex; flex-wrap: wrap; gap: .4rem; margin: 1rem 0 0; }
 .choose button { font: inherit; font-size: .9rem; padding: .35rem .8rem; cursor: pointer;
-  color: inherit; background: #f4f5f1; border: 1px solid #b9b9b2; border-radius: .4rem; }
-.choose button[aria-pressed="true"] { background: #1d1d1b; border-color: #1d1d1b; color: #fff; }
+  color: inherit; background: var(--plate); border: 1px solid var(--edge); border-radius: .4rem; }
+.choose button[aria-pressed="true"] {
+  background: var(--ink); border-color: var(--ink); color: var(--page); }
 @media print { .choose { display: none; } .views figure { display: block !important; } }
-@media print { .view img { transform: none !important; }
+@media print { .picture { transform: none !important; }
   body { font-size: 10pt; } main { max-width: none; padding: 0; }
   figure, tr, .key { break-inside: avoid; } h2 { break-after: avoid; }
   .scroll { overflow: visible; }
@@ -65,14 +79,14 @@ tr.same td { background: #ffe9a8; }
 """
 
 _SCRIPT = """
-for (const image of document.querySelectorAll("figure img")) {
+for (const image of document.querySelectorAll(".picture")) {
   const view = document.createElement("div");
   let scale = 1, x = 0, y = 0, held = null;
   view.className = "view";
   view.title = "Double-click: larger (with Shift: all of it). Ctrl and wheel: zoom. Drag: move.";
   image.replaceWith(view);
   view.append(image);
-  image.draggable = false;
+  image.firstElementChild.draggable = false;
   const show = () => {
     x = Math.min(0, Math.max(x, view.clientWidth * (1 - scale)));
     y = Math.min(0, Math.max(y, view.clientHeight * (1 - scale)));
@@ -119,7 +133,7 @@ for (const views of document.querySelectorAll(".views")) {
   views.prepend(bar);
   choose(0);
 }
-const rows = [...document.querySelectorAll("tr[data-name]")];
+const rows = [...document.querySelectorAll("[data-name]")];
 for (const row of rows) for (const enter of [true, false])
   row.addEventListener(enter ? "mouseenter" : "mouseleave", () => {
     for (const other of rows)
@@ -274,12 +288,28 @@ def _picture(picture: Picture, folder: Path, label: str = "") -> str:
     inches = int.from_bytes(png[16:20], "big") / FIGURE_DPI  # the width in a PNG's header
     caption = picture.caption or f"{picture.what[0].upper()}{picture.what[1:]}."
     text = html.escape(caption, quote=True)
-    data = base64.b64encode(png).decode("ascii")
+    kind, data = _small(png)
     mark = f' data-label="{html.escape(label, quote=True)}"' if label else ""
-    return (
-        f'<figure{mark}><img style="width: {inches * 105:.0f}px" alt="{text}" '
-        f'src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>'
+    rows = "".join(
+        f'<i data-name="{html.escape(name, quote=True)}" style="left: {100 * left:.2f}%; '
+        f'top: {100 * top:.2f}%; width: {100 * wide:.2f}%; height: {100 * high:.2f}%"></i>'
+        for name, (left, top, wide, high) in named_rows(picture.figure)
     )
+    return (
+        f'<figure{mark}><div class="picture" style="width: {inches * 105:.0f}px">'
+        f'<img alt="{text}" src="data:image/{kind};base64,{data}">{rows}</div>'
+        f"<figcaption>{text}</figcaption></figure>"
+    )
+
+
+def _small(png: bytes) -> tuple[str, str]:
+    """A picture as a page holds it: its kind and its bytes in base 64. Pictures of plots as WebP
+    take a quarter of their PNG, which lies beside the page as a file."""
+    webp = BytesIO()
+    with Image.open(BytesIO(png)) as image:
+        image.convert("RGB").save(webp, "WEBP", quality=_QUALITY, method=3)
+    kind, data = min(("png", png), ("webp", webp.getvalue()), key=lambda one: len(one[1]))
+    return kind, base64.b64encode(data).decode("ascii")
 
 
 def _table(table: Table) -> str:
