@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.checkpoint import Keep, keep_nothing
+from fynjax._core.progress import NullProgress, Progress
 from fynjax.inversion._calibrate import Calibration
 from fynjax.inversion._fit import predicted_statistics
 from fynjax.inversion._fit_result import FitResult
@@ -60,6 +61,7 @@ def fit_surrogate(
     *,
     seed: int = 0,
     keep: Keep = keep_nothing,
+    progress: Progress | None = None,
 ) -> FittedSurrogate:
     """A surrogate of the statistics about the estimate of a calibration.
 
@@ -73,8 +75,10 @@ def fit_surrogate(
     - `views`: in the cheap form (`search_form`).
     - `seed`: of the draws.
     - `keep`: how the renders are done, such as by a `Journal`.
+    - `progress`: where to report the renders; nowhere by default.
     """
     fit = calibration.fit
+    progress = NullProgress() if progress is None else progress
     forward = PlotForward(parameters, fit.names, tuple(views))
     random = np.random.default_rng([seed, 71])
     centre, covariance = np.asarray(fit.whitened), np.asarray(fit.covariance)
@@ -87,9 +91,11 @@ def fit_surrogate(
             stand = calibration.stands[i % count]
             density = LogPosterior(forward, fit.space, fit.data, none, (stand,))
             found.append(predicted_statistics(density, jnp.asarray(u)))
+            progress.advance()
         return (jnp.stack(found),)
 
-    rendered = np.asarray(keep(step)[0])
+    with progress.stage("Render at draws", len(draws)):
+        rendered = np.asarray(keep(step)[0])
     at_centre, slopes = calibration.stand_statistics, np.asarray(fit.jacobian)
     away = draws - centre
     bent = np.stack(

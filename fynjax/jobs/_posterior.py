@@ -148,6 +148,7 @@ def posterior(
             ready.parameters,
             cheap,
             seed=run.seed,
+            progress=run.progress,
             keep=Journal(checkpoint / "surrogate", signature(calibrated.fit.whitened, run.seed)),
         )
     sampled = sample_posterior(
