@@ -11,7 +11,7 @@ from fynjax.assembly import build_plot
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.radiation import RahmanPintyVerstraete
 from fynjax.sensors import shipped_sensor
-from fynjax.sensors.lidar._path import trace_pencils
+from fynjax.sensors.lidar._path import canopy_fields, trace_pencils
 
 PATTERN = "zenith_deg,azimuth_deg,radiance\n" + "".join(
     f"{zenith},{azimuth},{1 + zenith / 90 + (azimuth == 180)}\n"
@@ -69,13 +69,12 @@ def test_lidar_meets_ground_of_that_shape(plot):
     bands = shipped_sensor("mavic_3m").bands
     origin, slant = jnp.array([0.5, 0.2, 50.0]), np.array([0.3, 0.0, -1.0])
     slant = jnp.asarray(slant / np.linalg.norm(slant))
-    paths = [
-        trace_pencils(
-            one.voxels(parameters, bands), jnp.zeros((2, *one.grid.shape[::-1])), origin, slant,
-            jnp.zeros((1, 2)), 0.0, 1,
-        )
-        for one in (scene, lambert)
-    ]  # fmt: skip
+
+    def path(voxels):
+        fields = canopy_fields(voxels, 1.0)
+        return trace_pencils(voxels, fields, origin, slant, jnp.zeros((1, 2)), 0.0, 1)
+
+    paths = [path(one.voxels(parameters, bands)) for one in (scene, lambert)]
     # Straight back: no distance between the tangent points, a phase angle of zero.
     cosine, k, theta, rho_c = -float(slant[2]), 0.8, -0.1, 0.3
     expected = (2 * cosine**3) ** (k - 1) * (1 - theta**2) / (1 + theta) ** 3 * (2 - rho_c)
