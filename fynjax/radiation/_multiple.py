@@ -6,6 +6,7 @@ derivative is one solve with the transposed operator (implicit differentiation),
 through the iterations.
 """
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -95,6 +96,10 @@ class Bands(eqx.Module):
         """The bands of an index, a slice or an array of indices."""
         return jax.tree.map(lambda a: a[index], self)
 
+    def unlit(self) -> "Bands":
+        """The same without sun and sky."""
+        return dataclasses.replace(self, sun=jnp.zeros_like(self.sun), sky=jnp.zeros_like(self.sky))
+
     def slice(self, start: Int[Array, ""] | int, size: int) -> "Bands":
         """`size` bands from `start` on; `start` may be a traced value."""
         return jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, start, size), self)
@@ -181,27 +186,23 @@ class Transport(eqx.Module):
         """What leaves send of one band: out of the diffuse light, and of the sun's."""
         return self.scatter(self.areas(self.density, band), intensity) + self.from_sun(band)
 
-    def operator(self, band: Bands) -> Callable[[Array], Array]:
-        """What a source leaves over of itself, once the light it makes is scattered."""
-        areas = self.areas(self.density, band)
-        return lambda source: source - self.scatter(areas, self.respond(source, band)[0])
-
     def solve(
-        self, band: Bands, tolerance: float, iterations: int, transposed: float | None = None
-    ) -> tuple[Float[Array, "ordinate z y x"], Lit]:
-        """Source of one band, and the light that it makes together with sun and sky; arguments as
-        in `solve_for`."""
-        fixed, constant = jax.lax.stop_gradient((self, band))
-        nothing = jnp.zeros(self.shape, self.density.dtype)
-        first, _, _ = fixed.light(
-            nothing, constant.sky, constant.sun, constant.ground, constant.shape
-        )
-        right = fixed.sent(constant, first)
-        source = _solve(fixed.operator(constant), right, tolerance, iterations)
-        lit = self.light(source, band.sky, band.sun, band.ground, band.shape)
-        return self.complete(
-            band, source, lit, self.from_sun(band), tolerance, iterations, transposed
-        )
+        self,
+        band: Bands,
+        tolerance: float,
+        iterations: int,
+        transposed: float | None = None,
+        *,
+        light: bool = True,
+    ) -> tuple[Float[Array, "ordinate z y x"], Lit | None]:
+        """Source of one band, and with `light` what it makes together with sun and sky; other
+        arguments as in `solve_for`."""
+        emitted = self.from_sun(band)
+        fixed, constant, right = jax.lax.stop_gradient((self, band, emitted))
+        unit = jnp.maximum(_largest(right), jnp.maximum(_largest(constant.sky), constant.sun))
+        send = fixed.sender(constant, right)
+        source, lit = _solve(send, right, unit, tolerance, iterations, known=False, light=light)
+        return self.complete(band, source, lit, emitted, tolerance, iterations, transposed)
 
     def solve_for(
         self,
@@ -210,38 +211,47 @@ class Transport(eqx.Module):
         tolerance: float | Float[Array, ""],
         iterations: int,
         transposed: float,
-    ) -> tuple[Float[Array, "ordinate z y x"], Lit]:
+    ) -> tuple[Float[Array, "ordinate z y x"], Lit | None]:
         """Source that `right` becomes when its light is scattered on and on, and that light.
 
         What is left over is `tolerance` times `right` at most; in the solve of the transposed
         equation, which the derivative takes, `transposed` times.
         """
-        fixed, constant = jax.lax.stop_gradient((self, band))
-        operator = fixed.operator(constant)
-        source = _solve(operator, jax.lax.stop_gradient(right), tolerance, iterations)
-        lit = self.respond(source, band)
+        band = band.unlit()
+        fixed, constant, emitted = jax.lax.stop_gradient((self, band, right))
+        send = fixed.sender(constant, emitted)
+        source, lit = _solve(send, emitted, _largest(emitted), tolerance, iterations)
         return self.complete(band, source, lit, right, tolerance, iterations, transposed)
+
+    def sender(self, band: Bands, emitted: Float[Array, "ordinate z y x"]) -> "_Send":
+        """What leaves send of the light of a source; `whole`: and of sun and sky, and what they
+        emit."""
+        areas = self.areas(self.density, band)
+
+        def send(source: Array, whole: Array) -> tuple[Array, Lit]:
+            lit = self.light(source, whole * band.sky, whole * band.sun, band.ground, band.shape)
+            return self.scatter(areas, lit[0]) + whole * emitted, lit
+
+        return send
 
     def complete(
         self,
         band: Bands,
         source: Float[Array, "ordinate z y x"],
-        lit: Lit,
+        lit: Lit | None,
         emitted: Float[Array, "ordinate z y x"],
         tolerance: float | Float[Array, ""],
         iterations: int,
         transposed: float | None = None,
-    ) -> tuple[Float[Array, "ordinate z y x"], Lit]:
-        """A constant solution of source = scattered light + `emitted`, and its light `lit`, with
-        the derivative of the equation.
+    ) -> tuple[Float[Array, "ordinate z y x"], Lit | None]:
+        """A constant solution of source = scattered light + `emitted`, and its light `lit` if that
+        is wanted, with the derivative of the equation.
 
         The derivative takes one sweep at the solution and one solve, whatever the iterations of
         the solution were.
         """
-        left_over = self.scatter(self.areas(self.density, band), lit[0]) + emitted - source
         backward = tolerance if transposed is None else transposed
-        more, lit_more = _completion(iterations, self, band, left_over, tolerance, backward)
-        return source + more, jax.tree.map(jnp.add, lit, lit_more)
+        return _with_derivative(iterations, self, band, emitted, source, lit, tolerance, backward)
 
     def field(self, band: Bands, source: Float[Array, "ordinate z y x"], lit: Lit) -> DiffuseField:
         """The light of one band, `lit`, that a source makes together with sun and sky."""
@@ -346,92 +356,138 @@ def solve_diffuse(
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _completion(
+def _with_derivative(
     iterations: int,
     transport: Transport,
     band: Bands,
-    left_over: Array,
+    emitted: Array,
+    source: Array,
+    lit: Lit | None,
     tolerance: float | Float[Array, ""],
     transposed: float | Float[Array, ""],
-) -> tuple[Array, Lit]:
-    """Zero, with the derivative of the source and the light that `left_over` makes."""
-    dark = jax.eval_shape(transport.respond, left_over, band)
-    return jnp.zeros_like(left_over), jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), dark)
+) -> tuple[Array, Lit | None]:
+    """`source` and `lit`, with the derivative of the equation that they solve."""
+    return source, lit
 
 
-@_completion.defjvp
-def _completion_derivative(
+@_with_derivative.defjvp
+def _derivative_of_solution(
     iterations: int, at: tuple[Any, ...], change: tuple[Any, ...]
 ) -> tuple[Any, Any]:
     # Constants here: the derivative is right once, a second one misses terms.
-    transport, band, _, tolerance, transposed = jax.lax.stop_gradient(at)
-    operator = transport.operator(band)
+    transport, band, emitted, source, lit, tolerance, transposed = jax.lax.stop_gradient(at)
 
-    def solve_to(tolerance: float | Float[Array, ""]) -> Callable[..., Array]:
-        return lambda matvec, right: _solve(matvec, right, tolerance, iterations)
+    def once(transport: Transport, band: Bands, emitted: Array) -> tuple[Array, Lit]:
+        made = transport.light(source, band.sky, band.sun, band.ground, band.shape)
+        areas = transport.areas(transport.density, band)
+        return transport.scatter(areas, made[0]) + emitted, made
 
-    source = jax.lax.custom_linear_solve(
-        operator, change[2], solve_to(tolerance), transpose_solve=solve_to(transposed)
-    )
-    return _completion(iterations, *at), (source, transport.respond(source, band))
+    _, left_over = jax.jvp(once, (transport, band, emitted), change[:3])
+    unlit = band.unlit()
+
+    # The unknowns are the source and the light that it makes, so that the last sweep of a solve is
+    # one of its loop, and the first one of the transposed solve's.
+    def equation(unknown: tuple[Array, Lit]) -> tuple[Array, Lit]:
+        source, light = unknown
+        made = transport.respond(source, unlit)
+        sent = transport.scatter(transport.areas(transport.density, unlit), made[0])
+        return source - sent, jax.tree.map(jnp.subtract, light, made)
+
+    def solve(_: Any, right: tuple[Array, Lit]) -> tuple[Array, Lit]:
+        send = transport.sender(unlit, right[0])
+        more, made = _solve(send, right[0], _largest(right[0]), tolerance, iterations)
+        return more, jax.tree.map(jnp.add, right[1], made)
+
+    def solve_transposed(_: Any, right: tuple[Array, Lit]) -> tuple[Array, Lit]:
+        areas = transport.areas(transport.density, unlit)
+        back = jax.linear_transpose(lambda x: transport.respond(x, unlit), source)
+        scatter_back = jax.linear_transpose(lambda x: transport.scatter(areas, x), source)
+        emitted, light = right
+
+        def send(x: Array, whole: Array) -> tuple[Array, None]:
+            intensity, *others = jax.tree.map(lambda a: whole * a, light)
+            (sent,) = back((intensity + scatter_back(x)[0], *others))
+            return sent + whole * emitted, None
+
+        unit = jnp.stack([_largest(a) for a in jax.tree.leaves(right)]).max()
+        solution, _ = _solve(send, emitted, unit, transposed, iterations, known=False, light=False)
+        return solution, light
+
+    more, made = jax.lax.custom_linear_solve(equation, left_over, solve, solve_transposed)
+    return (source, lit), (more, None if lit is None else made)
+
+
+_Send = Callable[[Array, Array], tuple[Array, Lit | None]]
 
 
 def _solve(
-    operator: Callable[[Array], Array],
-    right: Array,
+    send: _Send,
+    right: Float[Array, "ordinate z y x"],
+    unit: Float[Array, ""],
     tolerance: float | Float[Array, ""],
     iterations: int,
-) -> Array:
-    """Solve operator(x) = right. Not differentiable."""
-    goal = jnp.asarray(tolerance, right.dtype)
-    # Light is in any unit: squares of very large or small numbers would leave the range.
-    largest = jnp.max(jnp.abs(right))
-    unit = jnp.where(largest > 0, largest, 1.0)
-    return unit * _gcr(operator, right / unit, goal, iterations)
+    *,
+    known: bool = True,
+    light: bool = True,
+) -> tuple[Float[Array, "ordinate z y x"], Lit | None]:
+    """Solve x - send(x, 0) = `right`, and with `light` send that solution whole. No derivative.
 
+    `send(x, whole)` returns what becomes of `x` and the light on the way, for `whole` = 1 with all
+    that does not depend on `x`. Where it is not `known`, `right` gives but the shape, and
+    send(0, 1) the value. `unit`: of the light, since squares of very large or small numbers would
+    leave the range.
 
-def _gcr(
-    matvec: Callable[[Array], Array],
-    right: Array,
-    tolerance: Float[Array, ""],
-    iterations: int,
-) -> Array:
-    """Generalised conjugate residuals (Eisenstat, Elman and Schultz 1983) that keep one direction.
-
-    One product an iteration, and the residual never grows; the operator's symmetric part is
-    positive definite here, because scattering loses light. It is nearly symmetric, so that more
-    directions save an iteration in six at most, where leaves lose nothing, and take memory.
+    Generalised conjugate residuals (Eisenstat, Elman and Schultz 1983) that keep one direction. One
+    product an iteration, and the residual never grows; the operator's symmetric part is positive
+    definite here, because scattering loses light. It is nearly symmetric, so that more directions
+    save an iteration in six at most, where leaves lose nothing, and take memory. First and last
+    light go through the body of the loop too: compiled once, it is a third of the program.
     """
+    dtype = right.dtype
+    square = jnp.asarray(tolerance, dtype) ** 2
+    unit = jnp.where(unit > 0, unit, 1.0).astype(dtype)
+    first, iterating, last, done = range(4)
+    end = last if light else done
+    _, dark = jax.eval_shape(send, right, unit)
 
-    State = tuple[Array, Array, Array, Array, Array]
+    def stage_of(size: Array, goal: Array, count: Array) -> Array:
+        return jnp.where((size > goal) & (count < iterations), iterating, end).astype(jnp.int32)
 
-    def going(state: State) -> Array:
-        _, residual, _, _, count = state
-        return (residual @ residual > goal) & (count < iterations)
-
-    def iterate(state: State) -> State:
-        solution, residual, direction, image, count = state
-        new = matvec(residual.reshape(right.shape)).ravel()
+    def step(state: tuple[Any, ...]) -> tuple[Any, ...]:
+        solution, residual, direction, image, _, goal, count, stage = state
+        within = stage == iterating
+        x = jnp.where(within, residual, unit * solution)
+        sent, lit = send(x.reshape(right.shape), jnp.where(within, 0.0, 1.0).astype(dtype))
+        new = x - sent.ravel()
         # Make the new image orthogonal to the one before, which has unit length.
         share = image @ new
         image, direction = new - share * image, residual - share * direction
         length = jnp.sqrt(image @ image)
-        scale = jnp.where(length > 0, 1.0 / jnp.where(length > 0, length, 1.0), 0.0)
+        some = within & (length > 0)
+        scale = jnp.where(some, 1.0 / jnp.where(some, length, 1.0), 0.0)
         image, direction = image * scale, direction * scale
-        step = image @ residual
-        return (
-            solution + step * direction,
-            residual - step * image,
-            direction,
-            image,
-            count + 1,
-        )
+        along = image @ residual
+        solution = solution + along * direction
+        residual = residual - along * image - jnp.where(stage == first, 1.0 / unit, 0.0) * new
+        size = residual @ residual
+        goal = jnp.where(stage == first, square * size, goal)
+        count = count + within.astype(count.dtype)
+        after = jnp.where(stage == last, done, stage_of(size, goal, count)).astype(stage.dtype)
+        return solution, residual, direction, image, lit if light else None, goal, count, after
 
-    flat = right.ravel()
-    goal = tolerance**2 * (flat @ flat)
-    none = jnp.zeros_like(flat)
-    start = (none, flat, none, none, jnp.zeros((), jnp.int32))
-    return jax.lax.while_loop(going, iterate, start)[0].reshape(right.shape)
+    none, zero = jnp.zeros(right.size, dtype), jnp.zeros((), jnp.int32)
+    residual = right.ravel() / unit if known else none
+    size = residual @ residual
+    goal = square * size
+    stage = stage_of(size, goal, zero) if known else zero + first
+    lit = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), dark) if light else None
+    start = (none, residual, none, none, lit, goal, zero, stage)
+    solution, *_, lit, _, _, _ = jax.lax.while_loop(lambda state: state[-1] < done, step, start)
+    return (unit * solution).reshape(right.shape), lit
+
+
+def _largest(values: Array) -> Float[Array, ""]:
+    return jnp.max(jnp.abs(values))
 
 
 def relative_size(part: Array, whole: Array) -> Float[Array, ""]:

@@ -109,9 +109,9 @@ class GroundShape(eqx.Module):
 class Coarse(eqx.Module):
     """A grid as the sweeps need it; the same for all bands."""
 
-    attenuation: tuple[tuple[Float[Array, "z level one y x"], ...], ...]
+    attenuation: tuple[tuple[Float[Array, "way z level one y x"], ...], ...]
     """Per group of levels: exp(-x), its mean along a step and the mean emission, x the depth of a
-    step."""
+    step; in the order in which light meets the layers on its way down, and on its way up."""
     ground_share: tuple[Float[Array, "z y x"], Float[Array, "z y x"]] | None
     """Share of the light that falls on a cell's bottom and ends there on the ground, and of that
     which comes in through a side [-]; None: the ground is flat, below the last layer."""
@@ -166,7 +166,10 @@ def coarse_grid(
         projection = projections(scene.classes.angles, cosine)
         along = projection.astype(density.dtype) * (dz / (steps * cosine))
         depth = jnp.einsum("al,azyx->zlyx", along, by_angle)[:, :, None]
+        depth = jnp.stack([depth[::-1], depth])
         attenuation.append((jnp.exp(-depth), mean_transmittance(depth), mean_emission(depth)))
+    # The barrier keeps the exponentials out of the sweeps, which would compute them each.
+    attenuation = jax.lax.optimization_barrier(attenuation)
     coarse = Coarse(tuple(attenuation), None, None, ordinates, dx, dz, scene.boundary)
     if scene.terrain is None:
         return coarse
@@ -309,7 +312,7 @@ def sweep(
     hemispheres = (
         jnp.stack([above, jnp.zeros_like(above)]),
         both(by_layer[0], by_layer[1]),
-        both(coarse.attenuation, coarse.attenuation),
+        coarse.attenuation,
         shares,
     )
     entering = jnp.broadcast_to(above[:, :, None, None], (levels, azimuths, *area))

@@ -113,14 +113,15 @@ def solve_reduced(
     lights = jnp.concatenate([sky, bands.sun[:, None]], axis=1)
     chosen = _choose(transport, bands, soil, lights, min(solves, count))
     constant, solved = jax.lax.stop_gradient((transport, bands[chosen]))
-    sources = jax.lax.map(lambda band: constant.solve(band, tolerance, iterations)[0], solved)
+    sources = jax.lax.map(
+        lambda band: constant.solve(band, tolerance, iterations, light=False)[0], solved
+    )
 
     def with_derivative(at: tuple[Bands, Array]) -> Array:
         # The sweep at the solution is recomputed, lest it be kept for every band.
         band, source = at
-        lit = transport.light(source, band.sky, band.sun, band.ground, band.shape)
         sun = transport.from_sun(band)
-        return transport.complete(band, source, lit, sun, tolerance, iterations)[0]
+        return transport.complete(band, source, None, sun, tolerance, iterations)[0]
 
     sources = jax.lax.map(jax.checkpoint(with_derivative), (bands[chosen], sources))
     basis, missing = _orthonormal(sources)
