@@ -187,22 +187,28 @@ class Transport(eqx.Module):
         return self.scatter(self.areas(self.density, band), intensity) + self.from_sun(band)
 
     def solve(
-        self,
-        band: Bands,
-        tolerance: float,
-        iterations: int,
-        transposed: float | None = None,
-        *,
-        light: bool = True,
-    ) -> tuple[Float[Array, "ordinate z y x"], Lit | None]:
-        """Source of one band, and with `light` what it makes together with sun and sky; other
-        arguments as in `solve_for`."""
+        self, band: Bands, tolerance: float, iterations: int, transposed: float | None = None
+    ) -> tuple[Float[Array, "ordinate z y x"], Lit]:
+        """Source of one band, and the light that it makes together with sun and sky; arguments as
+        in `solve_for`."""
+        source, lit = self._constant(band, tolerance, iterations, light=True)
         emitted = self.from_sun(band)
-        fixed, constant, right = jax.lax.stop_gradient((self, band, emitted))
+        return self.complete(band, source, lit, emitted, tolerance, iterations, transposed)
+
+    def source(
+        self, band: Bands, tolerance: float, iterations: int
+    ) -> Float[Array, "ordinate z y x"]:
+        """Source of one band. No derivative."""
+        return self._constant(band, tolerance, iterations, light=False)[0]
+
+    def _constant(
+        self, band: Bands, tolerance: float, iterations: int, *, light: bool
+    ) -> tuple[Float[Array, "ordinate z y x"], Any]:
+        fixed, constant = jax.lax.stop_gradient((self, band))
+        right = fixed.from_sun(constant)
         unit = jnp.maximum(_largest(right), jnp.maximum(_largest(constant.sky), constant.sun))
         send = fixed.sender(constant, right)
-        source, lit = _solve(send, right, unit, tolerance, iterations, known=False, light=light)
-        return self.complete(band, source, lit, emitted, tolerance, iterations, transposed)
+        return _solve(send, right, unit, tolerance, iterations, known=False, light=light)
 
     def solve_for(
         self,
@@ -211,7 +217,7 @@ class Transport(eqx.Module):
         tolerance: float | Float[Array, ""],
         iterations: int,
         transposed: float,
-    ) -> tuple[Float[Array, "ordinate z y x"], Lit | None]:
+    ) -> tuple[Float[Array, "ordinate z y x"], Lit]:
         """Source that `right` becomes when its light is scattered on and on, and that light.
 
         What is left over is `tolerance` times `right` at most; in the solve of the transposed
@@ -243,7 +249,7 @@ class Transport(eqx.Module):
         tolerance: float | Float[Array, ""],
         iterations: int,
         transposed: float | None = None,
-    ) -> tuple[Float[Array, "ordinate z y x"], Lit | None]:
+    ) -> tuple[Float[Array, "ordinate z y x"], Any]:
         """A constant solution of source = scattered light + `emitted`, and its light `lit` if that
         is wanted, with the derivative of the equation.
 
@@ -365,7 +371,7 @@ def _with_derivative(
     lit: Lit | None,
     tolerance: float | Float[Array, ""],
     transposed: float | Float[Array, ""],
-) -> tuple[Array, Lit | None]:
+) -> tuple[Array, Any]:
     """`source` and `lit`, with the derivative of the equation that they solve."""
     return source, lit
 
@@ -429,7 +435,7 @@ def _solve(
     *,
     known: bool = True,
     light: bool = True,
-) -> tuple[Float[Array, "ordinate z y x"], Lit | None]:
+) -> tuple[Float[Array, "ordinate z y x"], Any]:
     """Solve x - send(x, 0) = `right`, and with `light` send that solution whole. No derivative.
 
     `send(x, whole)` returns what becomes of `x` and the light on the way, for `whole` = 1 with all

@@ -113,9 +113,7 @@ def solve_reduced(
     lights = jnp.concatenate([sky, bands.sun[:, None]], axis=1)
     chosen = _choose(transport, bands, soil, lights, min(solves, count))
     constant, solved = jax.lax.stop_gradient((transport, bands[chosen]))
-    sources = jax.lax.map(
-        lambda band: constant.solve(band, tolerance, iterations, light=False)[0], solved
-    )
+    sources = jax.lax.map(lambda band: constant.source(band, tolerance, iterations), solved)
 
     def with_derivative(at: tuple[Bands, Array]) -> Array:
         # The sweep at the solution is recomputed, lest it be kept for every band.
