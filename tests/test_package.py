@@ -1,17 +1,22 @@
 """The package declares what it needs, and says of itself the same everywhere."""
 
 import ast
+import os
 import re
 import subprocess
 import sys
+import tempfile
 import tomllib
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
 import fynjax
+from fynjax._core import compiler
+from fynjax._core.compiler import refuse_wrong_sums
 
 ROOT = Path(__file__).resolve().parents[1]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
@@ -87,3 +92,34 @@ def test_one_version_everywhere() -> None:
 def test_types_are_published() -> None:
     assert (ROOT / "fynjax" / "py.typed").is_file()
     assert "Typing :: Typed" in PROJECT["classifiers"]
+
+
+def test_sums_of_products_are_right() -> None:
+    """What the excluded versions of jaxlib get wrong: shape and size matter, and the threads."""
+    random = np.random.default_rng(0)
+    left, right = (
+        random.normal(size=n).astype(np.float32) for n in ((4, 120, 120), (4, 4, 120, 120))
+    )
+    code = (
+        "import sys, jax, numpy as np\n"
+        "left, right = (np.load(name) for name in sys.argv[1:])\n"
+        "total = jax.jit(lambda a, b: jax.numpy.sum(a[:, None] * b, axis=0))(left, right)\n"
+        "np.testing.assert_allclose(total, np.einsum('ars,abrs->brs', left, right), atol=1e-4)\n"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        files = [Path(folder) / name for name in ("left.npy", "right.npy")]
+        for file, values in zip(files, (left, right), strict=True):
+            np.save(file, values)
+        # As a user's program is compiled, not as tests are.
+        environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+        subprocess.run([sys.executable, "-c", code, *files], check=True, env=environment)
+
+
+def test_a_compiler_that_sums_wrongly_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    refuse_wrong_sums()
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    monkeypatch.setattr(compiler, "version", lambda name: compiler.WRONG_SUMS[0])
+    with pytest.raises(ImportError, match=r"jax==0\.10\.1"):
+        refuse_wrong_sums()
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_experimental_ynn_fusion_type=-reduce")
+    refuse_wrong_sums()

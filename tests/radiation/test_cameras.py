@@ -18,6 +18,8 @@ from fynjax.radiation import (
     reference,
     reflectance_factor,
     render,
+    solve_light,
+    voxel_scene,
 )
 from tests.radiation.scenes import patchy, solver
 from tests.radiation.test_monte_carlo_reference import with_fields
@@ -224,3 +226,28 @@ def test_blocks_of_rays_have_their_middle():
     np.testing.assert_allclose(others.y, jnp.meshgrid(few.y, few.x, indexing="ij")[0], rtol=1e-12)
     np.testing.assert_allclose((few.footprint, *others.width.ravel()), 0.2, rtol=1e-12)
     np.testing.assert_allclose(few.central, lattice.central, rtol=1e-12)
+
+
+def test_a_distant_frame_camera_sees_every_band_as_parallel_rays_do():
+    """Many bands, distributions of leaf normals and pixels at once, in float32 as plots have them:
+    here a compiler gave the third band and those after it the values of the first two."""
+    bands, angles = 4, ("spherical", "planophile", "erectophile", "plagiophile")
+    density = jnp.asarray(np.random.default_rng(3).gamma(0.3, 3.0, (4, 4, 10, 10)), jnp.float32)
+    scene = voxel_scene(
+        density,
+        reflectance=jnp.linspace(0.05, 0.45, bands)[None].repeat(4, 0),
+        transmittance=jnp.linspace(0.03, 0.40, bands)[None].repeat(4, 0),
+        voxel=(0.1, 0.1, 0.1),
+        leaf_angles=angles,
+        ground=jnp.linspace(0.1, 0.3, bands),
+        sun_zenith=30.0,
+    )
+    light = solve_light(scene, Accuracy(refine=False))
+    centres = ((jnp.arange(120) + 0.5) / 120).astype(jnp.float32)
+    nadir = jnp.float32(0.0)
+    parallel = render(light, parallel_rays(centres, centres, 1 / 120, nadir, nadir))
+    frame = render(light, nadir_rays(centres, centres, 1 / 120, (0.5, 0.5, 1e6)))
+    for name in ("sunlit_leaves", "diffuse_leaves", "ground"):
+        want, found = (np.asarray(getattr(one, name)) for one in (parallel, frame))
+        np.testing.assert_allclose(found.mean((1, 2)), want.mean((1, 2)), rtol=1e-4)
+        np.testing.assert_allclose(found, want, atol=2e-3 * want.max())
