@@ -1,8 +1,8 @@
 """What the documentation site takes from its owners when it is built.
 
 A line such as `{{ options build }}` in a page is replaced by what a function below makes of the
-package: options of a command, keys of a file, parameters, sensors, citations, a section of the
-README. Pages of the API, of notebooks and of the project's own files are made here too.
+package: options of a command, keys of a file, parameters, sensors, citations. Pages of the API, of
+notebooks and of the project's own files are made here too.
 
 With `FYNJAX_DOCS_RUN=1` in the environment the notebooks are run (small) and shown with their
 figures.
@@ -270,20 +270,9 @@ def citations() -> str:
 # The project's own files.
 
 
-def readme(heading: str) -> str:
-    """A section of the README."""
-    text = (ROOT / "README.md").read_text("utf-8")
-    found = re.search(rf"^## {heading}\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL)
-    if found is None:
-        raise ValueError(f"README.md has no section '{heading}'")
-    return found[1].strip()
-
-
 _OWNERS: dict[str, Callable[..., str]] = {
     function.__name__: function
-    for function in (
-        *(options, usage, command_list, keys, parameters, forms, sensors, citations, readme),
-    )
+    for function in (*(options, usage, command_list, keys, parameters, forms, sensors, citations),)
 }
 _LINE = re.compile(r"^\{\{ (\w+)(?: ([\w -]+?))? \}\}$", re.MULTILINE)
 

@@ -98,9 +98,12 @@ _TERMINATED = 143
 """Exit status of `kill`, as shells have it."""
 
 
-_COMPILER = "--xla_backend_extra_options=xla_cpu_disable_slp_vectorizer"
-"""A command compiles some thousand small loops. Without this step of the compiler, which concerns
-processors only, that takes a tenth less time; what comes out is the same, and as fast."""
+_COMPILER = (
+    "--xla_backend_extra_options=xla_cpu_disable_slp_vectorizer --xla_cpu_use_fusion_emitters=false"
+)
+"""A command compiles some thousand small loops. Without these two parts of the compiler, which
+concern processors only, that takes a third less time of an image and a sixth of a gradient; what
+comes out is the same, and as fast."""
 
 
 def cache_folder() -> Path:

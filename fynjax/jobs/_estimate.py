@@ -1,7 +1,7 @@
 """What a command would read and write, and about how long and how much memory it takes.
 
 From counts (area, voxels, pixels, bands, steps, spectra) times costs measured on the example plot
-on one core of a server: the table 'Measured' of the README and the comments below. Rough by
+on one core of a server: the page `docs/validation.md` and the comments below. Rough by
 nature: right within a factor of two to three.
 """
 
