@@ -33,7 +33,14 @@ from fynjax.report.figures import (
     words,
 )
 from fynjax.report.pages import Page, Part, Picture, Section, Table, Views
-from fynjax.scene import AimedSensor, PlotParameters, Scene, is_large, observe_in_tiles
+from fynjax.scene import (
+    AimedSensor,
+    PlotParameters,
+    Scene,
+    is_large,
+    observe_in_tiles,
+    standing_scene,
+)
 
 SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR")
 """Vegetation indices whose histograms are drawn."""
@@ -97,7 +104,9 @@ def render(
             image = observe_in_tiles(camera, scene, parameters, keep=keep, progress=run.progress)
             counts = scene.counts(parameters)
         else:
-            image, counts = jax.block_until_ready(_measure(camera, scene, parameters))
+            # Plants that do not stand take time and memory only.
+            stand = standing_scene(scene, parameters)
+            image, counts = jax.block_until_ready(_measure(camera, stand, parameters))
     check_finite(image, read)
     with run.stage("Write"):
         _write(run, read, scene, camera, np.asarray(image), np.asarray(counts))
