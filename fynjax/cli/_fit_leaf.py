@@ -7,7 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
-from fynjax.cli._runtime import Job, SchedulerAddress, Seed, WorkerCount, command
+from fynjax.cli._runtime import (
+    Checkpoint,
+    Job,
+    SchedulerAddress,
+    Seed,
+    WorkerCount,
+    command,
+)
 
 
 class Version(StrEnum):
@@ -94,7 +101,7 @@ def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
     return {"files": given["spectra"], "posterior": given["posterior"].value}
 
 
-@command("fit-leaf", work=_work)
+@command("fit-leaf", forget=True, work=_work)
 def fit_leaf(
     spectra: Spectra,
     version: Annotated[Version, typer.Option(help="PROSPECT version.")] = Version.D,
@@ -144,6 +151,7 @@ def fit_leaf(
     posterior: Annotated[
         Posterior, typer.Option(help="Sample the posterior of each leaf as well.")
     ] = Posterior.none,
+    checkpoint: Checkpoint = None,
     workers: WorkerCount = None,
     scheduler: SchedulerAddress = None,
     seed: Seed = 0,
@@ -187,6 +195,7 @@ def fit_leaf(
         domain=domain.value,
         panel=panel,
         seed=seed,
+        checkpoint=checkpoint,
         workers=jobs.Workers(workers, scheduler),
         progress=progress,
         **further,

@@ -401,7 +401,7 @@ def run_job(
             try:
                 result = job(folder, make_progress(quiet=quiet or as_json))
             except KeyboardInterrupt:
-                if checkpoint is None:
+                if checkpoint is None or not checkpoint.is_dir():
                     raise
                 print(
                     f"fynjax: interrupted; {checkpoint} keeps what was done, and the same command "

@@ -6,7 +6,15 @@ from typing import Annotated, Any
 import typer
 
 from fynjax.cli._posterior import Free
-from fynjax.cli._runtime import Job, OwnSeed, PlotPath, SchedulerAddress, WorkerCount, command
+from fynjax.cli._runtime import (
+    Checkpoint,
+    Job,
+    OwnSeed,
+    PlotPath,
+    SchedulerAddress,
+    WorkerCount,
+    command,
+)
 
 
 def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -18,7 +26,7 @@ def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
     }
 
 
-@command("sensitivity", work=_work)
+@command("sensitivity", forget=True, work=_work)
 def sensitivity(
     plot: PlotPath,
     metrics: Annotated[
@@ -41,6 +49,7 @@ def sensitivity(
             help="Points of the Sobol design, a power of two; takes N (parameters + 2) renders.",
         ),
     ] = 0,
+    checkpoint: Checkpoint = None,
     workers: WorkerCount = None,
     scheduler: SchedulerAddress = None,
     seed: OwnSeed = None,
@@ -62,6 +71,7 @@ def sensitivity(
         derivative_samples=derivatives,
         sobol_samples=sobol,
         seed=seed,
+        checkpoint=checkpoint,
         workers=jobs.Workers(workers, scheduler),
         progress=progress,
     )

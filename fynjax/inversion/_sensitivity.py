@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from scipy.special import ndtri
 from scipy.stats import qmc
 
+from fynjax._core.checkpoint import Journal, keep_nothing
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers, at_work
@@ -143,6 +144,7 @@ def sobol_indices(
     context: tuple[Any, ...] = (),
     seed: int = 0,
     batch: int | None = None,
+    journal: Journal | None = None,
     workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> SobolIndices:
@@ -158,6 +160,7 @@ def sobol_indices(
     - `samples`: a power of two.
     - `seed`: of the design and the bootstrap.
     - `batch`: runs computed at once; what the memory holds by default.
+    - `journal`: keeps what batches gave, for a run that is interrupted; nothing does by default.
     - `workers`: where batches are computed; in this process by default.
     - `progress`: where to report the runs; nowhere by default.
 
@@ -174,14 +177,14 @@ def sobol_indices(
     size = len(space.names)
     problem = {"num_vars": size, "names": list(space.names), "bounds": [[0.0, 1.0]] * size}
     shares = design.sample(problem, samples, calc_second_order=False, seed=seed)
-    values = _run(model, model, shares, metrics, batch, workers, progress)
+    values = _run(model, model, shares, metrics, batch, journal, workers, progress)
     found: dict[str, list[np.ndarray]] = {key: [] for key in ("S1", "S1_conf", "ST", "ST_conf")}
     for column in values.T:
         if np.ptp(column) == 0.0:  # nothing to share out
             rows: Any = dict.fromkeys(found, np.zeros(size))
         else:
-            rows = analysis.analyze(
-                problem, column, calc_second_order=False, print_to_console=False, seed=seed
+            rows = analysis.analyze(  # whose bootstrap takes a seed of 0 for none
+                problem, column, calc_second_order=False, print_to_console=False, seed=seed + 1
             )
         for key, one in found.items():
             one.append(np.asarray(rows[key], float))
@@ -215,6 +218,7 @@ def derivative_measures(
     context: tuple[Any, ...] = (),
     seed: int = 0,
     batch: int | None = None,
+    journal: Journal | None = None,
     workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> DerivativeMeasures:
@@ -225,7 +229,8 @@ def derivative_measures(
     range, 1 for a unit normal one (Sobol and Kucherenko 2009; Lamboni et al. 2013).
 
     **Arguments:** `predict`, `space`, `metrics`, `over`, `samples`, `context`, `seed`, `batch`,
-    `workers` and `progress` as `sobol_indices` has them. Takes `samples` runs with their Jacobians.
+    `journal`, `workers` and `progress` as `sobol_indices` has them. Takes `samples` runs with their
+    Jacobians.
 
     **Returns:** `DerivativeMeasures`.
 
@@ -235,7 +240,7 @@ def derivative_measures(
     _check(over, samples)
     model = _OverUnits(predict, space, context, over)
     shares = qmc.Sobol(len(space.names), rng=seed).random(samples)
-    both = _run(_Slopes(model), model, shares, metrics, batch, workers, progress)
+    both = _run(_Slopes(model), model, shares, metrics, batch, journal, workers, progress)
     squared = both[..., 1:] ** 2
     variance = both[..., 0].var(axis=0)
     measure = squared.mean(axis=0)
@@ -264,6 +269,7 @@ def _run(
     shares: np.ndarray,
     metrics: Sequence[str],
     batch: int | None,
+    journal: Journal | None,
     workers: Workers | None,
     progress: Progress | None,
 ) -> np.ndarray:
@@ -273,14 +279,17 @@ def _run(
     count = jax.eval_shape(model, jnp.asarray(points[0])).size
     if count != len(metrics):
         raise InputError(f"{len(metrics)} metrics are named, but `predict` gives {count}")
-    batch = memory_batch(function, points[0]) if batch is None else batch
+    if batch is None:  # as in the run that was interrupted, whatever memory is free by now
+        keep = keep_nothing if journal is None else journal
+        batch = int(keep(lambda: (jnp.asarray(memory_batch(function, points[0])),))[0])
     some = _BATCHES * batch
     cut = [points[first : first + some] for first in range(0, len(points), some)]
     names = [f"runs {i * some + 1} to {i * some + len(p)}" for i, p in enumerate(cut)]
     with progress.stage("Run the model", len(points)), at_work(workers) as pool:
         found = pool.all(
-            _values, cut, function, batch, names=names, sizes=[*map(len, cut)], progress=progress
-        )
+            _values, cut, function, batch,
+            names=names, sizes=[*map(len, cut)], journal=journal, progress=progress,
+        )  # fmt: skip
     values = np.concatenate([values for (values,) in found]).astype(float)
     bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     if bad.any():

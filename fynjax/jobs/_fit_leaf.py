@@ -9,10 +9,13 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
+import fynjax
 from fynjax import leaf
+from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers
 from fynjax._core.progress import Progress
+from fynjax.inversion import signature
 from fynjax.io.spectra import (
     Spectrum,
     note,
@@ -69,6 +72,8 @@ MEASUREMENTS: dict[str, Callable[[], AbstractMeasurement]] = {
 Sampling = Literal["none", "emcee", "nuts"]
 """How the posterior is sampled, if at all."""
 _GRID = np.arange(350.0, 2501.0)
+_PART = 1024
+"""Leaves that are fitted together, in memory of some 130 MB."""
 _NOTED_JUMP = 0.005
 """Relative jump between detectors from which on a repair is noted [-]."""
 
@@ -264,6 +269,7 @@ def fit_leaf(
     groups: str | Path | None = None,
     posterior: Sampling = "none",
     seed: int = 0,
+    checkpoint: str | Path | None = None,
     workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> FitLeafResult:
@@ -299,6 +305,9 @@ def fit_leaf(
       fitted together, and `species.csv` holds the mean leaf and five material variants of each.
     - `posterior`: "none", or sample it by "emcee" or "nuts" into `posterior.nc`.
     - `seed`: seed of the posterior's random numbers; the fit itself draws none.
+    - `checkpoint`: folder that keeps what each 1024 leaves of a larger table gave, from which an
+      interrupted run goes on; none by default. Leaves that are fitted together (`groups`), and
+      posteriors, are not kept.
     - `workers`: where chunks of 1024 leaves are fitted; in this process by default. Leaves that
       are fitted together (`groups`), and posteriors, stay there.
     - `progress`: advances with every chunk of leaves.
@@ -307,7 +316,8 @@ def fit_leaf(
     where asked for `species.csv` and `posterior.nc`.
 
     **Raises:** `InputError` if no file holds a usable spectrum, or the table of groups is wrong,
-    or for an unknown measurement; `MissingExtraError` for a sampler not installed.
+    or for an unknown measurement, or a checkpoint of another run; `MissingExtraError` for a sampler
+    not installed.
 
     Example: `jobs.fit_leaf(["leaves.csv"], "results", version="PRO")`.
     """
@@ -336,7 +346,13 @@ def fit_leaf(
         together = fit_leaf_groups(_GRID, r, t, groups=_read_groups(groups, names), **options)
         fit = together.leaves
     else:
-        fit = leaf.fit_leaf(_GRID, r, t, workers=workers, progress=run.progress, **options)
+        journal = None
+        if checkpoint is not None and len(r) > _PART:
+            journal = Journal(checkpoint, signature(r, t, options, fynjax.__version__))
+        fit = leaf.fit_leaf(
+            _GRID, r, t,
+            chunk=_PART, journal=journal, workers=workers, progress=run.progress, **options,
+        )  # fmt: skip
     settings = {
         "prospect_version": version,
         "measurement": measurement,

@@ -7,6 +7,8 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
+import fynjax
+from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers
@@ -19,9 +21,11 @@ from fynjax.inversion import (
     derivative_measures,
     local_sensitivity,
     search_form,
+    signature,
     sobol_indices,
 )
 from fynjax.io.plot import Plot, as_plot
+from fynjax.io.raster import file_hash
 from fynjax.jobs._result import JobResult, Rows
 from fynjax.jobs._run import Run
 from fynjax.metrics import check_statistics
@@ -51,6 +55,7 @@ def sensitivity(
     derivative_samples: int = 0,
     sobol_samples: int = 0,
     seed: int | None = None,
+    checkpoint: str | Path | None = None,
     workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> SensitivityResult:
@@ -67,13 +72,16 @@ def sensitivity(
     - `sobol_samples`: samples for Sobol indices, a power of two, or 0 for none. Each sample takes
       as many renders as there are parameters, and two more.
     - `seed`: seed of every random number; that of the plot file by default.
+    - `checkpoint`: folder that keeps what samples gave, from which an interrupted run goes on; none
+      by default.
     - `workers`: where samples are computed; in this process by default.
     - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `SensitivityResult`. Writes `slopes.csv`, with samples `variance.csv`, figures and
     a page into `output`.
 
-    **Raises:** `InputError` as `read_plot`, and for a metric that is unknown or missing;
+    **Raises:** `InputError` as `read_plot`, for a metric that is unknown or missing, and for a
+    checkpoint of another run;
     `MissingExtraError` for Sobol indices without SALib.
 
     Example: `jobs.sensitivity("plot.toml", Path("results"), metrics=["NDVI.mean"])`.
@@ -99,10 +107,16 @@ def sensitivity(
         raise InputError(
             "a metric or its slope is not finite at the plot's parameters", file=read.file
         )
+    journal = None
+    if checkpoint is not None and (derivative_samples or sobol_samples):
+        hashes = [file_hash(path) for path in read.inputs]
+        asked = (names, space.names, derivative_samples, sobol_samples, run.seed)
+        journal = Journal(checkpoint, signature(read, hashes, asked, fynjax.__version__))
     common: dict[str, Any] = {
         "context": (quick,),
         "seed": run.seed,
         "batch": batch_for_device(),
+        "journal": journal,
         "workers": workers,
         "progress": run.progress,
     }

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.stats import chi2
 
+from fynjax._core.checkpoint import Journal
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import NullProgress, Progress
@@ -264,6 +265,7 @@ def fit_leaf(
     detector_changes: Sequence[float] = (),
     error_model: ErrorModel | None = None,
     chunk: int = 1024,
+    journal: Journal | None = None,
     workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> LeafFit:
@@ -296,6 +298,7 @@ def fit_leaf(
     - `error_model`: covariance of the model's error, `default_error_model()` by default.
     - `chunk`: leaves that are solved together, 128 at a time until each has converged; memory is
       some 100 MB and 30 kB for each of them.
+    - `journal`: keeps what each chunk gave, for a fit that is interrupted; nothing does by default.
     - `workers`: where chunks are fitted; in this process by default.
     - `progress`: where to report the number of leaves fitted; nowhere by default.
 
@@ -332,7 +335,10 @@ def fit_leaf(
     names = [f"leaves {rows.start + 1} to {min(rows.stop, len(data))}" for rows in cut]
     sizes = [len(data[rows]) for rows in cut]
     with progress.stage("fitting leaves", len(data)), at_work(workers) as pool:
-        found = pool.all(_chunk_arrays, chunks, setup, names=names, sizes=sizes, progress=progress)
+        found = pool.all(
+            _chunk_arrays, chunks, setup,
+            names=names, sizes=sizes, journal=journal, progress=progress,
+        )  # fmt: skip
     parts = [dict(zip(map(str, keys), arrays)) for keys, *arrays in found]
     return assemble(setup, parts, data, use)
 

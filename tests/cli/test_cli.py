@@ -190,6 +190,7 @@ def test_calibrate_and_fit_leaf_pass_their_files(capsys, calls, plot, tmp_path):
         "domain": "full",
         "panel": None,
         "seed": 0,
+        "checkpoint": tmp_path / "t.checkpoint",
     }
 
 

@@ -1,11 +1,14 @@
 """Sensitivities against closed forms: slopes, and the function of Ishigami and Homma (1990)."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax.inversion import ParameterSpace, derivative_measures, local_sensitivity, sobol_indices
+from fynjax.inversion import _sensitivity as module
 
 A, B = 7.0, 0.1
 CUBE = ParameterSpace(
@@ -124,3 +127,38 @@ def test_wrong_arguments_and_values_are_refused(monkeypatch):
     monkeypatch.setitem(sys.modules, "SALib", None)
     with pytest.raises(MissingExtraError, match=r"fynjax\[sensitivity\]"):
         sobol_indices(ishigami, CUBE, METRICS)
+
+
+def test_interrupted_runs_go_on_and_give_what_one_run_does(tmp_path, monkeypatch):
+    """Slopes, then indices, in one checkpoint, interrupted in both."""
+    pytest.importorskip("SALib", reason="the extra `sensitivity` is not installed")
+    memory, calls, real = [], [], module._values
+
+    def both(journal=None):
+        options = {"over": "bounds", "samples": 16, "journal": journal}
+        slopes = derivative_measures(ishigami, CUBE, METRICS, **options)
+        return slopes, sobol_indices(ishigami, CUBE, METRICS, **options)
+
+    def interrupted(points, function, batch):
+        calls.append(len(points))
+        if len(calls) in (2, 5):
+            raise KeyboardInterrupt
+        return real(points, function, batch)
+
+    def memory_batch(*_):
+        memory.append(True)
+        return 2 * len(memory)  # ever more is free
+
+    monkeypatch.setattr(module, "memory_batch", memory_batch)
+    monkeypatch.setattr(module, "_BATCHES", 4)
+    whole = both()
+    memory.clear()
+    monkeypatch.setattr(module, "_values", interrupted)
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            both(Journal(tmp_path / "kept", "s"))
+    again = both(Journal(tmp_path / "kept", "s"))
+    for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(whole), strict=True):
+        np.testing.assert_array_equal(a, b)
+    # 16 points of slopes by 4 times 2, then 80 runs by 4 times 4.
+    assert calls == [8, 8, 8, 16, 16, 16, 16, 16, 16]

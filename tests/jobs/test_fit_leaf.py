@@ -1,6 +1,5 @@
 """The parts of `fit-leaf`: on processes, and after an interruption."""
 
-import functools
 from datetime import UTC, datetime
 
 import jax
@@ -8,12 +7,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fynjax import jobs, leaf
+from fynjax import jobs
 from fynjax._core import parts
+from fynjax.cli import main
 from fynjax.io.spectra import _leaf_results
+from fynjax.jobs import _fit_leaf as job
 from fynjax.leaf import LeafParameters, prospect
+from fynjax.leaf import _fit as fit
 
-LEAVES, CHUNK = 10, 4
+LEAVES, PART = 10, 4
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +44,9 @@ class Noon(datetime):
 
 
 @pytest.fixture(autouse=True)
-def chunks(monkeypatch):
+def small_parts(monkeypatch):
     """Few leaves are a part."""
-    monkeypatch.setattr(leaf, "fit_leaf", functools.partial(leaf.fit_leaf, chunk=CHUNK))
+    monkeypatch.setattr(job, "_PART", PART)
     monkeypatch.setattr(_leaf_results, "datetime", Noon)
 
 
@@ -65,3 +67,48 @@ def test_files_of_two_workers_are_those_of_one_process(table, tmp_path, monkeypa
     assert without_times(here) == without_times(there)
     assert set(contents(tmp_path / "here")) == {"traits.csv", "spectra.nc", "spectra.png"}
     assert contents(tmp_path / "here") == contents(tmp_path / "there")
+
+
+def test_an_interrupted_fit_goes_on_and_is_that_of_one_run(table, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("fynjax.cli._runtime.prepare_jax", lambda: None)
+    jobs.fit_leaf([table], tmp_path / "whole")
+    sizes, real = [], fit._chunk_arrays
+
+    def interrupted(leaves, setup):
+        sizes.append(len(leaves[0]))
+        if len(sizes) == 2:
+            raise KeyboardInterrupt
+        return real(leaves, setup)
+
+    monkeypatch.setattr(fit, "_chunk_arrays", interrupted)
+    kept = tmp_path / "out.checkpoint"
+
+    def command(*more):
+        with pytest.raises(SystemExit) as end:
+            main(["fit-leaf", str(table), "--quiet", "--output", str(tmp_path / "out"), *more])
+        return end.value.code, capsys.readouterr().err
+
+    status, error = command()
+    assert (status, sizes) == (130, [4, 4])
+    assert f"{kept} keeps what was done" in error
+    assert not (tmp_path / "out").exists()
+    status, error = command("--version", "PRO")
+    assert status == 2
+    assert "of another run" in error
+    assert command() == (0, "")
+    assert sizes == [4, 4, 4, 2]
+    assert not kept.exists()
+    found, whole = contents(tmp_path / "out"), contents(tmp_path / "whole")
+    assert {name: found[name] for name in whole} == whole
+
+
+def test_a_table_of_one_part_needs_no_checkpoint(table, tmp_path, monkeypatch):
+    monkeypatch.setattr(job, "_PART", LEAVES)
+
+    def interrupted(leaves, setup):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(fit, "_chunk_arrays", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        jobs.fit_leaf([table], tmp_path / "out", checkpoint=tmp_path / "kept")
+    assert not (tmp_path / "kept").exists()

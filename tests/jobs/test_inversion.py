@@ -6,6 +6,7 @@ import pytest
 import xarray as xr
 
 from fynjax._core.errors import InputError
+from fynjax.inversion import _sensitivity as samples
 from fynjax.jobs._information import information, limit_table
 from fynjax.jobs._posterior import posterior
 from fynjax.jobs._sensitivity import sensitivity
@@ -86,6 +87,31 @@ def test_a_plot_tells_what_moves_its_metrics(plot, tmp_path):
     assert all(row["bound"] >= 0 for row in result.variance)
     with pytest.raises(InputError, match="a statistic must be"):
         sensitivity(plot, tmp_path, metrics=["nir.middle"], seed=0)
+
+
+@pytest.mark.slow
+def test_interrupted_samples_go_on_and_give_what_one_run_does(plot, tmp_path, monkeypatch):
+    options = {"metrics": ["nir.mean"], "derivative_samples": 16, "seed": 0}
+    kept, runs, real = tmp_path / "kept", [], samples._values
+
+    def interrupted(points, *shared):
+        runs.append(len(points))
+        if len(runs) == 2:
+            raise KeyboardInterrupt
+        return real(points, *shared)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(samples, "_values", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            sensitivity(plot, tmp_path / "again", checkpoint=kept, **options)
+        again = sensitivity(plot, tmp_path / "again", checkpoint=kept, **options)
+    assert runs == [8, 8, 8]
+    whole = sensitivity(plot, tmp_path / "whole", **options)
+    assert again.variance == whole.variance
+    for name in ("slopes.csv", "variance.csv"):
+        assert (tmp_path / "again" / name).read_text() == (tmp_path / "whole" / name).read_text()
+    with pytest.raises(InputError, match="of another run"):
+        sensitivity(plot, tmp_path / "other", checkpoint=kept, **options | {"seed": 1})
 
 
 @pytest.mark.study
