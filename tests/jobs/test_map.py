@@ -1,6 +1,12 @@
 """`fynjax train` and `fynjax map` on a camera's few bands."""
 
 import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -176,6 +182,74 @@ def test_an_interrupted_map_goes_on_and_is_that_of_one_run(trained, known, tmp_p
     ):
         np.testing.assert_array_equal(one.read(), other.read())
     assert not (tmp_path / "work").exists()
+
+
+COMMAND = """
+import sys, time
+from pathlib import Path
+from fynjax.cli import main
+from fynjax.io.raster import CubeBlocks
+from fynjax.jobs import _map as job
+
+log, stuck, *arguments = sys.argv[1:]
+CubeBlocks.rows_at_once, real = 1, job._mapped
+
+def mapped(part, *shared):
+    with open(log, "a") as file:
+        print(part[0], file=file, flush=True)
+    if part[0] == int(stuck):
+        time.sleep(600)
+    return real(part, *shared)
+
+job._mapped = mapped
+main(arguments)
+"""
+
+
+def test_a_killed_map_goes_on_and_is_that_of_one_run(trained, known, tmp_path, monkeypatch):
+    """SIGKILL of the command in its second block of three."""
+    path, log = cube_of(tmp_path, known), tmp_path / "log"
+    script = tmp_path / "command.py"
+    script.write_text(COMMAND)
+
+    training, output = trained[0] / "out" / "training.nc", tmp_path / "out"
+
+    def command(stuck):
+        return subprocess.Popen(
+            [sys.executable, script, log, str(stuck), "map", path, "--training", training,
+             "--output", output, "--quiet"],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
+        )  # fmt: skip
+
+    def begun():
+        return log.read_text().split() if log.exists() else []
+
+    first = command(stuck=1)
+    end = time.monotonic() + 120
+    while begun() != ["0", "1"]:
+        assert first.poll() is None, first.communicate()[0]
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    first.kill()
+    first.communicate()
+    assert first.returncode == -signal.SIGKILL
+    assert not output.exists()
+    second = command(stuck=-1)
+    said, _ = second.communicate(timeout=120)
+    assert (second.returncode, said) == (0, "")
+    assert begun() == ["0", "1", "1", "2"]
+    assert not (tmp_path / "out.checkpoint").exists()
+    monkeypatch.setattr(CubeBlocks, "rows_at_once", 1)
+    jobs.map_cube(path, training, tmp_path / "whole", checkpoint=tmp_path / "other")
+    with (
+        rasterio.open(output / "maps.tif") as one,
+        rasterio.open(tmp_path / "whole" / "maps.tif") as other,
+    ):
+        np.testing.assert_array_equal(one.read(), other.read())
+        assert one.descriptions == other.descriptions
+        own = {"date_created": "", "command": ""}
+        assert one.tags() | own == other.tags() | own
 
 
 def test_cubes_that_do_not_go_with_the_training_are_refused(trained, known, tmp_path):
