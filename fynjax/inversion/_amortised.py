@@ -3,8 +3,15 @@
 Trained once on simulations, applied to any number of pixels. Quantities are regressed as normal
 scores of the prior, so that no interval leaves what the prior deems possible; a small network gives
 their mean and covariance (a density network, Bishop 1994; as posterior estimation from simulations,
-Papamakarios and Murray 2016, arXiv:1605.06376). How unlike the simulations a spectrum is, is its
-Mahalanobis distance from all of them.
+Papamakarios and Murray 2016, arXiv:1605.06376).
+
+How unlike the simulations a spectrum is, is told by two distances. Along the few directions in
+which simulations spread more than the errors, it is that to the nearest of them in units of the
+errors (as the area of applicability of Meyer and Pebesma 2021, doi:10.1111/2041-210X.13650):
+simulations fill no ellipsoid there, and one around them all would hold much that none is like.
+Along all others it is the Mahalanobis distance of what is left (the Q statistic of Jackson and
+Mudholkar 1979, doi:10.1080/00401706.1979.10489779): in a sum of both, the long tail of the few
+would hide it.
 """
 
 from collections.abc import Callable
@@ -26,7 +33,9 @@ DARKEST = 0.005
 OWN_SD, OFFSET_SD = 0.01, 0.003
 """Error of each channel for itself, as a factor, and of all together, as a reflectance [-]."""
 _SCORES = np.linspace(-4.0, 4.0, 161)
-_PROBABILITY = np.linspace(0.0, 0.999, 1000)
+_PROBABILITY = np.linspace(0.0, 0.9995, 2000)
+_POINTS = 512
+"""Simulations that stand for all: more do not change what is masked, and cost time."""
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
 _STEADY = 1e-3
 """Least standard deviation of a normal score."""
@@ -39,14 +48,19 @@ class AmortisedPosterior(eqx.Module):
     """Mean logarithm of reflectance of the simulations."""
     rows: Float[Array, "feature channel"]
     """Makes features of deviations from that."""
-    precision: Float[Array, "channel channel"]
-    """Inverse covariance of the logarithms of the simulations."""
+    within: Float[Array, "direction channel"]
+    """Makes coordinates of these deviations, in units of the errors, along the directions in which
+    simulations spread more than the errors."""
+    points: Float[Array, "point direction"]
+    """Simulations there: every other is near one of them."""
+    outside: Float[Array, "rest channel"]
+    """Makes coordinates along all other directions, of unit covariance for simulations."""
     layers: tuple[tuple[Float[Array, "in out"], Float[Array, " out"]], ...]
     """Weights and offsets of the network."""
     values: Float[Array, "quantity score"]
     """Quantities at even steps of their normal scores from -4 to 4."""
-    distance: Float[Array, " probability"]
-    """Quantiles of the distance of held-out simulations, 0 to 0.999 in steps of 0.001 [-]."""
+    distance: Float[Array, "2 probability"]
+    """Quantiles of both distances of held-out simulations, 0 to 0.9995 in steps of 0.0005 [-]."""
 
     def scores(
         self, log_reflectance: Float[Array, "pixel channel"]
@@ -67,11 +81,21 @@ class AmortisedPosterior(eqx.Module):
     def unlikeness(
         self, log_reflectance: Float[Array, "pixel channel"], probability: float | Array = 0.99
     ) -> Float[Array, " pixel"]:
-        """Distance from the simulations, over that within which the share `probability` of
-        held-out simulations lies [-]: above 1 a spectrum is unlike nearly all of them."""
+        """The larger of both distances, each over its limit [-]: above 1 a spectrum is unlike
+        nearly all simulations. Limits are such that the share `probability` of held-out simulations
+        is below 1, if both distances are independent."""
+        share = jnp.sqrt(jnp.asarray(probability, self.distance.dtype))
+        limits = jax.vmap(lambda row: jnp.interp(share, _PROBABILITY, row))(self.distance)
+        return jnp.max(self.distances(log_reflectance) / limits, axis=1)
+
+    def distances(self, log_reflectance: Float[Array, "pixel channel"]) -> Float[Array, "pixel 2"]:
+        """From the nearest simulation within the directions of all, and outside of these [-]."""
         apart = log_reflectance - self.middle
-        distance = jnp.sqrt(jnp.sum((apart @ self.precision) * apart, axis=1))
-        return distance / jnp.interp(probability, _PROBABILITY, self.distance)
+        at = apart @ self.within.T
+        squares = jnp.sum(self.points**2, axis=1) - 2.0 * at @ self.points.T
+        nearest = jnp.min(squares, axis=1) + jnp.sum(at**2, axis=1)
+        left = jnp.sum((apart @ self.outside.T) ** 2, axis=1)
+        return jnp.sqrt(jnp.maximum(jnp.stack([nearest, left], axis=1), 0.0))
 
 
 class PixelEstimates(eqx.Module):
@@ -192,10 +216,14 @@ def train_posterior(
     )
     logs = _with_errors(reflectance, root, rng)
     middle = logs[:train].mean(axis=0)
-    covariance = np.cov(logs[:train], rowvar=False)
     clean = np.log(np.maximum(reflectance[:train], DARKEST))
-    rows = _features(clean - clean.mean(axis=0), root, features)
+    spread, directions = _directions(clean - clean.mean(axis=0), root)
+    rows = directions[:features]
     rows = rows / np.std((logs[:train] - middle) @ rows.T, axis=0)[:, None]
+    few = int(np.clip(np.sum(spread > 1.0), 1, len(spread) - 1))
+    within, outside = directions[:few], directions[few:]
+    left = np.atleast_2d(np.cov((logs[:train] - middle) @ outside.T, rowvar=False))
+    outside = np.linalg.solve(np.linalg.cholesky(left), outside)
     single = lambda a: jnp.asarray(a, jnp.float32)  # noqa: E731
     count = quantities.shape[1]
     sizes = [len(rows), width, width, count + count * (count + 1) // 2]
@@ -204,15 +232,15 @@ def train_posterior(
          single(np.zeros(b)))
         for a, b in pairwise(sizes)
     )  # fmt: skip
+    points = _spread_out((clean - middle) @ within.T)
     posterior = AmortisedPosterior(
-        single(middle), single(rows), single(np.linalg.inv(covariance)), layers, single(values),
-        single(np.ones(len(_PROBABILITY))),
+        single(middle), single(rows), single(within), single(points), single(outside), layers,
+        single(values), single(np.ones((2, len(_PROBABILITY)))),
     )  # fmt: skip
     data = single(reflectance[:train]), single(target[:train])
     posterior = _optimised(optax, posterior, data, single(root), steps, batch, seed, done)
     test = logs[train:]
-    distance = np.asarray(posterior.unlikeness(single(test)))
-    limits = np.quantile(distance, _PROBABILITY)
+    limits = np.quantile(np.asarray(posterior.distances(single(test))), _PROBABILITY, axis=0).T
     posterior = eqx.tree_at(lambda p: p.distance, posterior, single(limits))
     return posterior, _held_out(posterior, np.exp(test), quantities[train:])
 
@@ -233,13 +261,28 @@ def _with_errors(
     return np.log(np.maximum(reflectance * np.exp(apart) + offset, DARKEST))
 
 
-def _features(
-    apart: Float[np.ndarray, "stand channel"], root: np.ndarray, most: int
-) -> Float[np.ndarray, "feature channel"]:
-    """Combinations of channels in which simulations spread most against the errors."""
+def _directions(
+    apart: Float[np.ndarray, "stand channel"], root: np.ndarray
+) -> tuple[Float[np.ndarray, " direction"], Float[np.ndarray, "direction channel"]]:
+    """Combinations of channels with errors of unit covariance, and the variance of simulations in
+    each, the largest first."""
     whitened = np.linalg.solve(root, apart.T)
-    vectors, _, _ = np.linalg.svd(whitened @ whitened.T)
-    return np.linalg.solve(root.T, vectors[:, :most]).T
+    vectors, spread, _ = np.linalg.svd(whitened @ whitened.T / len(apart))
+    return spread, np.linalg.solve(root.T, vectors).T
+
+
+def _spread_out(
+    points: Float[np.ndarray, "stand direction"],
+) -> Float[np.ndarray, "point direction"]:
+    """Some of the points, each the farthest from those before it (Gonzalez 1985,
+    doi:10.1016/0304-3975(85)90224-5), so that no point is far from them."""
+    squares = lambda i: np.sum((points - points[i]) ** 2, axis=1)  # noqa: E731
+    chosen = [int(np.argmin(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))]
+    nearest = squares(chosen[0])
+    for _ in range(min(_POINTS, len(points)) - 1):
+        chosen.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, squares(chosen[-1]))
+    return points[chosen]
 
 
 def _optimised(

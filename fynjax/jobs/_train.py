@@ -264,14 +264,20 @@ def write_training(path: Path, training: Training) -> None:
         "centre": of(("channel",), channels.centre, "mean of the centres of its bands", "nm"),
         "middle": of(("channel",), posterior.middle, "mean logarithm of reflectance"),
         "rows": of(("feature", "channel"), posterior.rows, "features of that"),
-        "precision": of(
-            ("channel", "channel_2"), posterior.precision, "inverse covariance of that"
+        "within": of(
+            ("direction", "channel"), posterior.within, "directions in which simulations spread"
         ),
+        "points": of(
+            ("point", "direction"), posterior.points, "simulations along these, errors are 1"
+        ),
+        "outside": of(("rest", "channel"), posterior.outside, "all other directions"),
         "values": of(
             ("quantity", "score"), posterior.values, "quantities at normal scores -4 to 4"
         ),
         "distance": of(
-            ("probability",), posterior.distance, "quantiles of the distance of held-out spectra"
+            ("place", "probability"),
+            posterior.distance,
+            "quantiles of the distance of held-out spectra, within and outside",
         ),
     }
     for i, (weight, offset) in enumerate(posterior.layers):
@@ -305,7 +311,9 @@ def read_training(path: str | Path) -> Training:
         posterior = AmortisedPosterior(
             middle=single("middle"),
             rows=single("rows"),
-            precision=single("precision"),
+            within=single("within"),
+            points=single("points"),
+            outside=single("outside"),
             layers=tuple((single(f"weight_{i}"), single(f"offset_{i}")) for i in range(count)),
             values=single("values"),
             distance=single("distance"),
@@ -314,8 +322,8 @@ def read_training(path: str | Path) -> Training:
         bands = int(record["sensor_bands"])
     except (OSError, KeyError, ValueError, RuntimeError) as error:
         raise InputError(
-            "expected a training file as `fynjax train` writes it, but this is none, or it is "
-            "damaged",
+            "expected a training file as this version's `fynjax train` writes it, but this is "
+            "none, one of another version, or damaged",
             file=path,
         ) from error
     if names != list(STAND_QUANTITIES):

@@ -61,6 +61,52 @@ def test_spectra_that_nothing_simulated_makes_are_unlike(trained):
     assert np.mean(np.asarray(posterior.unlikeness(jnp.asarray(odd, jnp.float32))) > 1.0) > 0.9
 
 
+def test_the_share_of_simulations_that_is_unlike_is_the_one_asked_for(trained):
+    noise = np.random.default_rng(9).multivariate_normal(np.zeros(4), ERROR, 4000)
+    logs = jnp.asarray(np.log(simulated(4000, 8)[0]) + noise, jnp.float32)
+    for probability in (0.8, 0.9, 0.99):
+        share = np.mean(np.asarray(trained[0].unlikeness(logs, probability)) < 1.0)
+        assert share == pytest.approx(probability, abs=0.03)
+
+
+CHANNELS = 16
+SMALL = 0.05
+WAVES = np.linalg.qr(np.random.default_rng(10).normal(size=(CHANNELS, CHANNELS)))[0].T
+
+
+def unlike(quantities, logs):
+    """How unlike `logs` are, trained on stands of which each quantity is along one of `WAVES`."""
+    sizes = quantities @ WAVES[: quantities.shape[1]]
+    error = SMALL**2 * np.eye(CHANNELS)
+    posterior, _ = train_posterior(
+        np.exp(BRIGHT + sizes), quantities, error, width=8, steps=2, batch=64
+    )
+    return np.asarray(posterior.unlikeness(jnp.asarray(BRIGHT + logs, jnp.float32)))
+
+
+def test_what_lies_between_simulations_is_unlike_them():
+    """Stands have one of two quantities, never both: an ellipsoid around all holds both."""
+    rng = np.random.default_rng(11)
+    one = rng.random(4000) < 0.5
+    quantities = rng.normal(size=(4000, 2)) * np.stack([one, ~one], axis=1)
+    logs = np.array([[1.5, 0.0], [0.0, -1.5], [0.0, 0.0], [1.5, 1.5], [-1.2, 1.2]]) @ WAVES[:2]
+    found = unlike(quantities, logs)
+    assert (found[:3] < 1.0).all()
+    assert (found[3:] > 2.0).all()
+    ellipsoid = np.sum((logs @ WAVES[:2].T) ** 2, axis=1) / quantities.var(axis=0)[0]
+    assert (ellipsoid < np.quantile(np.sum(quantities**2, axis=1) / 0.5, 0.99)).all()
+
+
+def test_a_residual_is_not_hidden_by_the_tail_of_what_varies():
+    """A tenth of the stands varies ten times as much: so far may not be what no stand does."""
+    rng = np.random.default_rng(12)
+    quantities = rng.normal(size=(4000, 1)) * np.where(rng.random((4000, 1)) < 0.1, 3.0, 0.3)
+    residual = SMALL * 6.5 * WAVES[7]  # 42 where 15 channels have 15, and 99.5 % below 33
+    found = unlike(quantities, np.stack([0.3 * WAVES[0], 3.0 * WAVES[0], residual]))
+    assert (found[:2] < 1.0).all()
+    assert found[2] > 1.0
+
+
 def test_estimates_never_leave_what_was_simulated():
     clean, quantities = simulated(1500, 6)
     share = 1.0 / (1.0 + np.exp(-quantities))

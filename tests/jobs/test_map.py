@@ -10,6 +10,7 @@ from pathlib import Path
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import rasterio
@@ -19,11 +20,14 @@ from fynjax import jobs
 from fynjax._core.errors import InputError
 from fynjax.assembly import STAND_QUANTITIES, StandSettings, simulate_stands
 from fynjax.assembly import _stands as stands
+from fynjax.inversion import estimate_pixels
 from fynjax.io.plot import read_prior
 from fynjax.io.raster import Cube, CubeBlocks, write_cube_envi
 from fynjax.jobs import _map as job
 from fynjax.radiation import render, solve_light
 from fynjax.sensors import group_bands, shipped_sensor
+from fynjax.studies.bioscape._spectra import read_plot_spectra, read_spectrometer
+from tests.benchmarks.map_plots import write_plots
 
 pytest.importorskip("optax")
 
@@ -250,6 +254,35 @@ def test_a_killed_map_goes_on_and_is_that_of_one_run(trained, known, tmp_path, m
         assert one.descriptions == other.descriptions
         own = {"date_created": "", "command": ""}
         assert one.tags() | own == other.tags() | own
+
+
+@pytest.mark.slow
+def test_plots_of_fynbos_are_like_the_simulations_and_other_surfaces_are_not(shared_data, tmp_path):
+    tables = shared_data / "eco" / "bioscape"
+    sensor, measured = read_spectrometer(tables), read_plot_spectra(tables)
+    plots = np.stack([m.reflectance.mean(axis=0) for m in measured.values()])
+    good = np.isfinite(plots).all(axis=0)
+    write_plots(tmp_path / "plots.hdr", plots, good)
+    jobs.train(
+        tmp_path, like=tmp_path / "plots.hdr", simulations=720, steps=2,
+        checkpoint=tmp_path / "work",
+    )  # fmt: skip
+    training = jobs.read_training(tmp_path / "training.nc")
+    channels = training.channels.weights(sensor.centre, good).T
+    lawn = np.loadtxt(shared_data / "eco" / "avirisng" / "insitu_BeckmanLawn.txt")
+    others = [
+        np.interp(sensor.centre, *lawn.T[:2]),
+        np.interp(sensor.centre, [450, 600, 700, 800], [0.05, 0.03, 0.01, 0.006]),  # water
+        np.full(len(good), 0.6),  # cloud
+    ]
+
+    def unlikeness(spectra):
+        pixels = jnp.asarray(np.nan_to_num(spectra) @ channels, jnp.float32)
+        return np.asarray(estimate_pixels(training.posterior, pixels).unlikeness)
+
+    assert len(plots) >= 18
+    assert np.mean(unlikeness(plots) > 1.0) < 0.1
+    assert (unlikeness(np.stack(others)) > 1.0).all()
 
 
 def test_cubes_that_do_not_go_with_the_training_are_refused(trained, known, tmp_path):
