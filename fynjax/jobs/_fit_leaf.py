@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-import fynjax
 from fynjax import leaf
 from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
@@ -348,7 +347,7 @@ def fit_leaf(
     else:
         journal = None
         if checkpoint is not None and len(r) > _PART:
-            journal = Journal(checkpoint, signature(r, t, options, fynjax.__version__))
+            journal = Journal(checkpoint, signature(r, t, options))
         fit = leaf.fit_leaf(
             _GRID, r, t,
             chunk=_PART, journal=journal, workers=workers, progress=run.progress, **options,

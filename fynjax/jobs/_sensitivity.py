@@ -7,7 +7,6 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-import fynjax
 from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
@@ -111,7 +110,7 @@ def sensitivity(
     if checkpoint is not None and (derivative_samples or sobol_samples):
         hashes = [file_hash(path) for path in read.inputs]
         asked = (names, space.names, derivative_samples, sobol_samples, run.seed)
-        journal = Journal(checkpoint, signature(read, hashes, asked, fynjax.__version__))
+        journal = Journal(checkpoint, signature(read, hashes, asked))
     common: dict[str, Any] = {
         "context": (quick,),
         "seed": run.seed,

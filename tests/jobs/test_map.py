@@ -17,6 +17,7 @@ import rasterio
 import xarray as xr
 
 from fynjax import jobs
+from fynjax._core import parts
 from fynjax._core.errors import InputError
 from fynjax.assembly import STAND_QUANTITIES, StandSettings, simulate_stands
 from fynjax.assembly import _stands as stands
@@ -93,6 +94,10 @@ def test_a_training_is_read_back_as_it_was_written(trained, tmp_path):
         assert np.array_equal(a, b)
     assert one.record["sensor"] == SENSOR
     assert "fynbos" in one.record["prior"].lower()
+    with xr.open_dataset(path) as data:
+        data.drop_vars("within").to_netcdf(tmp_path / "earlier.nc")
+    with pytest.raises(InputError, match="one of another version"):
+        jobs.read_training(tmp_path / "earlier.nc")
     damaged = tmp_path / "damaged.nc"
     damaged.write_bytes(path.read_bytes()[:3000])
     with pytest.raises(InputError, match="training"):
@@ -186,6 +191,22 @@ def test_an_interrupted_map_goes_on_and_is_that_of_one_run(trained, known, tmp_p
     ):
         np.testing.assert_array_equal(one.read(), other.read())
     assert not (tmp_path / "work").exists()
+
+
+def test_a_map_of_two_workers_is_that_of_one_process(trained, known, tmp_path, monkeypatch):
+    pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    monkeypatch.setattr(parts, "_machine", lambda: (2, 8 * 2**30))
+    monkeypatch.setattr(CubeBlocks, "rows_at_once", 1)
+    path, training = cube_of(tmp_path, known), trained[0] / "out" / "training.nc"
+    for name, workers in (("here", None), ("there", jobs.Workers(2))):
+        jobs.map_cube(
+            path, training, tmp_path / name, checkpoint=tmp_path / "work", workers=workers
+        )
+    with (
+        rasterio.open(tmp_path / "here" / "maps.tif") as one,
+        rasterio.open(tmp_path / "there" / "maps.tif") as other,
+    ):
+        assert one.read().tobytes() == other.read().tobytes()
 
 
 COMMAND = """
