@@ -91,6 +91,12 @@ def main() -> None:
             f"{100 * np.mean((true >= low) & (true <= high)):.0f} % inside 90 %"
         )
     print("unlike the simulations:", np.asarray(found.unlikeness).round(2))
+    flights = np.nan_to_num(np.concatenate([measured[p.name].reflectance for p in plots]))
+    single = estimate_pixels(trained.posterior, jnp.asarray(flights @ weights.T, jnp.float32))
+    print(
+        f"masked: {int(np.sum(found.unlikeness > 1))} of {len(plots)} plots, "
+        f"{int(np.sum(single.unlikeness > 1))} of their {len(flights)} overflights"
+    )
 
 
 if __name__ == "__main__":
