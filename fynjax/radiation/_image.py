@@ -110,8 +110,10 @@ def render_rays(
 
     `chunk` bands of a reduced field are held at once. Its rays are followed one by one through the
     plants, once for all bands; the diffuse light, which is smooth, is taken along the middle of a
-    block. Differentiable in everything but the lattice's integers.
+    block. Differentiable in everything but the lattice's integers. Rays take the floating type of
+    the scene.
     """
+    rays = jax.tree.map(lambda numbers: jnp.asarray(numbers, scene.area_density.dtype), rays)
     cut = _cut(scene, diffuse.factor(scene), sublayers, lean)
     slabs_of_scene = scene.shape[0] * scene.structure_factor[0] * sublayers // cut.pieces
     check_picture(scene, math.prod(rays.shape), slabs_of_scene, together)

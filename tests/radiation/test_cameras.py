@@ -251,3 +251,30 @@ def test_a_distant_frame_camera_sees_every_band_as_parallel_rays_do():
         want, found = (np.asarray(getattr(one, name)) for one in (parallel, frame))
         np.testing.assert_allclose(found.mean((1, 2)), want.mean((1, 2)), rtol=1e-4)
         np.testing.assert_allclose(found, want, atol=2e-3 * want.max())
+
+
+@pytest.mark.parametrize(("of_scene", "of_rays"), [("float32", "float64"), ("float64", "float32")])
+def test_rays_take_the_floating_type_of_the_scene(of_scene, of_rays):
+    """Scenes are mostly in single precision, while places of pixels come from maps in double."""
+    scene = voxel_scene(
+        jnp.full((1, 2, 4, 4), 2.0, of_scene),
+        reflectance=jnp.full((1, 1), 0.05, of_scene),
+        transmittance=jnp.full((1, 1), 0.03, of_scene),
+        voxel=(0.25, 0.25, 0.25),
+        ground=jnp.full(1, 0.2, of_scene),
+        sun_zenith=jnp.asarray(30.0, of_scene),
+    )
+    light = solve_light(scene)
+    centres = (jnp.arange(4, dtype=of_rays) + 0.5) * 0.25
+    kinds = {
+        "parallel": parallel_rays(centres, centres, 0.25, 10.0, 20.0),
+        "nadir": nadir_rays(centres, centres, 0.25, (0.5, 0.5, 30.0)),
+        "perspective": perspective_rays(
+            (0.5, 0.5, 30.0), (0.5, 0.5, 0.0), rows=4, columns=4, field_of_view=1.9, dtype=of_rays
+        ),
+    }
+    for rays in kinds.values():
+        same = jax.tree.map(lambda numbers: jnp.asarray(numbers, of_scene), rays)
+        image, expected = reflectance_factor(light, rays), reflectance_factor(light, same)
+        assert image.dtype == of_scene
+        np.testing.assert_allclose(image, expected, rtol=1e-5)
