@@ -33,6 +33,7 @@ from fynjax.io.raster import (
     write_geotiff,
 )
 from fynjax.io.spectra import read_spectra
+from fynjax.io.text import named_file
 from fynjax.sensors import sensor_folder
 from fynjax.terrain import read_cloud, read_terrain
 
@@ -169,6 +170,20 @@ def test_what_is_no_file_is_called_by_its_name(tmp_path: Path, make: Any, words:
     for read in (read_statistics, read_spectra, read_cloud):
         with pytest.raises(InputError, match=words):
             read(path)
+
+
+@pytest.mark.parametrize(
+    ("target", "words"),
+    [("gone.csv", "a link to 'gone.csv', which is not there"), ("b.csv", "leads back to itself")],
+)
+def test_a_link_that_a_plot_file_names_is_called_a_link(
+    tmp_path: Path, target: str, words: str
+) -> None:
+    owner = tmp_path / "plot.toml"
+    (tmp_path / "b.csv").symlink_to(target)
+    (tmp_path / "c.csv").touch()
+    with pytest.raises(InputError, match=rf"row 3.*'b.csv': expected a table, but .*{words}"):
+        named_file(owner, "b.csv", "a table", within=tmp_path, row=3)
 
 
 def test_a_name_that_no_file_can_have() -> None:

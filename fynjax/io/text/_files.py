@@ -76,18 +76,22 @@ def named_file(
 
     **Raises:** `InputError` for a file elsewhere, and as `existing_file`.
     """
+    place = owner.parent / name
     try:
-        path = (owner.parent / name).resolve()
+        path = place.resolve()
         if within is not None and not path.is_relative_to(within.resolve()):
             raise InputError(
                 f"expected {what} in this file's folder or below. Copy it there; for a plot file "
                 "that you trust, allow other places: --allow-outside (`allow_outside`)"
             )
-        return existing_file(path, what)
+        existing_file(place, what)  # as it is named: of a link that leads nowhere it says so
+        return path
     except InputError as error:
         text = str(error).removeprefix(f"{error.file}: ")
-    except (OSError, RuntimeError, ValueError):  # a link in a loop, a null character
+    except ValueError:  # a null character
         text = f"expected {what}, but no file can have this name"
+    except (OSError, RuntimeError) as error:  # a link in a loop
+        text = f"expected {what}, but {_why_not(place, error)}"
     raise InputError(f"{name!r}: {text}", file=owner, row=row, column=column)
 
 
