@@ -379,7 +379,7 @@ def _page(
         "its memory": f"{memory / 1024:.1f} GiB",
     }
     cover = Table(
-        table,
+        table.drop(columns="equation_10_without_ceiling"),
         "Cover. Counted: crowns less packing and gaps, what eq. (10) steers to the cover asked "
         "for. Ground under the species: overlap counts once.",
         headers=_COVER_HEADERS,

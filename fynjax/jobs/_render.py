@@ -48,6 +48,9 @@ SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR"
 _MAPPED = ("NDVI", "GNDVI", "OSAVI")
 """Those that a page shows as maps as well."""
 
+_ROUNDING = 1e-3
+"""Share of a plant that is none, but the rounding of a count."""
+
 _FEW_BANDS = 8
 """Most bands whose means the headline lists."""
 
@@ -159,7 +162,7 @@ def _write(
     pictures = _drone_pictures if set(BANDS) <= set(bands.names) else _other_pictures
     parts: list[Part] = [
         *pictures(plot, camera, image),
-        Table(pd.DataFrame({"taxon": scene.taxa, "plants": counts}), "Plants, equation (10)."),
+        _plants(plot, scene, counts),
     ]
     means = itertools.islice(zip(bands.names, image.mean((1, 2)), strict=True), _FEW_BANDS)
     run.page(
@@ -171,6 +174,17 @@ def _write(
             record,
         )
     )
+
+
+def _plants(plot: Plot, scene: Scene, counts: np.ndarray) -> Table:
+    """How many plants of each species stand on the plot, the one that fades in among them."""
+    whole = np.ceil(np.asarray(counts, float) - _ROUNDING).astype(int)
+    caption = (
+        "Plants, as many as equation (10) says. The last of a species fades in with its cover."
+    )
+    if plot.crowns_note is not None:
+        caption = "Plants, which are known."
+    return Table(pd.DataFrame({"taxon": scene.taxa, "plants": whole}), caption)
 
 
 def _drone_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Part]:

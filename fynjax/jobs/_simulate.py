@@ -31,6 +31,11 @@ AIR_MODELS = ("table", "clear-sky", "none")
 """What an atmosphere may be named by, instead of a file."""
 PRODUCTS = ("reflectance", "radiance")
 """Image products that can be written."""
+_LOOKS = {
+    "true_like.png": "nearly natural colours",
+    "false_colour.png": "near infrared as red",
+}
+"""What a quick look shows."""
 
 
 class SimulateResult(JobResult):
@@ -255,7 +260,7 @@ def _write(
             file,
             figure,
             "quick look",
-            f"{first.quantity.capitalize()}, {file[:-4].replace('_', ' ')}.",
+            f"{first.quantity.capitalize()}, {_LOOKS[file]}.",
         )
         for file, figure in quick_looks(first, plot.name).items()
     ]
@@ -263,7 +268,7 @@ def _write(
         "spectrum.png",
         spectrum_figure(cubes),
         "mean and range of the pixels by wavelength",
-        "Mean over the pixels, and their range.",
+        "Mean over the pixels and their range; of few pixels, each.",
     )
     lead = f"What {instrument.name} measures of the plot."
     run.page(Page(plot.name, lead, [Section("", [*pictures, spectrum])], record=record))

@@ -1,9 +1,12 @@
 """`fynjax render`: what it writes, and that one process compiles its programs once."""
 
+import re
+
 import jax
 import numpy as np
 import pytest
 import rasterio
+import xarray as xr
 
 from fynjax._core.errors import InputError
 from fynjax.jobs import render, simulate
@@ -48,3 +51,16 @@ def test_an_interrupted_large_image_goes_on(tmp_path, monkeypatch):
     assert made == [0]
     with pytest.raises(InputError, match="of another run"):
         render(plot, tmp_path / "out", seed=1, checkpoint=tmp_path / "kept")
+
+
+def test_the_page_of_a_render_counts_whole_plants(tmp_path):
+    """A plant that fades in with its cover stands there; 311.8 plants are none."""
+    plot = test_simulate.write_plot(tmp_path)
+    render(plot, tmp_path / "out")
+    with xr.open_dataset(tmp_path / "out" / "run.nc") as run:
+        count = run["plants"].item()
+    assert count % 1 > 0.01
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    shown = re.search(r"Erica irregularis</td><td>([^<]*)<", page)
+    assert shown is not None
+    assert shown[1] == str(int(np.ceil(count)))

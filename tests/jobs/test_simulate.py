@@ -1,6 +1,7 @@
 """`fynjax simulate`: a small plot, a camera of one's own, and what the run leaves."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -132,9 +133,24 @@ def test_pictures_take_the_bands_that_lie_near(run):
     _, folder = run
     cube = read_cube(folder / "reflectance.hdr")
     assert colour_bands(cube.wavelength, cube.good) == {"green": 0, "red": 1, "nir": 2}
-    assert set(quick_looks(cube, "x")) == {"true_like.png", "false_colour.png"}
-    (axes,) = spectrum_figure({"reflectance": cube}).axes
+    large = replace(cube, values=np.tile(cube.values, (1, 4, 4)))
+    assert set(quick_looks(large, "x")) == {"true_like.png", "false_colour.png"}
+    (axes,) = spectrum_figure({"reflectance": large}).axes
     assert axes.get_ylabel() == "reflectance [-]"
+
+
+def test_few_pixels_are_shown_by_their_spectra_and_not_as_colours(run):
+    """16 pixels stretched to red, green and blue show nothing but their noise."""
+    summary, folder = run
+    cube = read_cube(folder / "reflectance.hdr")
+    assert quick_looks(cube, "x") == {}
+    assert not {"true_like.png", "false_colour.png"} & set(summary.files)
+    (axes,) = spectrum_figure({"reflectance": cube}).axes
+    drawn = np.array([line.get_ydata() for line in axes.lines])
+    wanted = cube.values[:3].reshape(3, -1).T
+    np.testing.assert_allclose(drawn[:16, :3], wanted)
+    np.testing.assert_allclose(drawn[16, :3], wanted.mean(axis=0), rtol=1e-6)
+    assert "4 x 4 pixels, and each of them" in axes.get_title(loc="left")
 
 
 WRONG = [

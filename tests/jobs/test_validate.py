@@ -1,5 +1,6 @@
 """The numbers of a validation against SciPy and NumPy, and the files of a run."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from fynjax.compare._spectral import SpectralComparison, compare_spectra
 from fynjax.io.raster import write_geotiff
 from fynjax.jobs._validate import ValidationData, validate
 from fynjax.metrics import BANDS, VEGETATION_INDICES, spectral_mask
+from fynjax.report.pages import Picture, drone_section
 from tests.compare.test_spectra import WAVE, cube, write_csv, write_envi
 from tests.helpers import assert_valid_summary
 
@@ -265,3 +267,16 @@ def test_pixels_of_other_scales_are_warned_of(folder: Path, tmp_path: Path) -> N
     with pytest.warns(UserWarning, match=r"differ in size \(30 m and 0.1 m\).*gdalwarp -tr 30 30"):
         result = validate(data, tmp_path / "out")
     assert "DIRSIG" not in " ".join(result.headline)
+
+
+def test_images_of_which_one_would_be_a_dot_are_not_shown_side_by_side(
+    drone: DroneComparison,
+) -> None:
+    """A plot of 4 m on the scale of a satellite's image is four pixels."""
+
+    def pictures(of):
+        return {part.file for part in drone_section(of).parts if isinstance(part, Picture)}
+
+    assert "drone_images.png" in pictures(drone)
+    far = dataclasses.replace(drone, real=dataclasses.replace(drone.real, pixel_m=30.0))
+    assert "drone_images.png" not in pictures(far)

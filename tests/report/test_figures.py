@@ -73,6 +73,42 @@ def test_composite_is_north_up_and_shares_its_stretch(image):
     assert "blue, which the camera lacks" in " ".join(text_of(true_like))
 
 
+def test_a_sensor_with_blue_is_shown_in_its_own_blue(image):
+    """Of 425 bands none is lacking."""
+    names = ("blue", *BANDS)
+    image = np.concatenate([0.5 * image[:1], image])
+    figure = composites({"Image": image}, names, pixel_m=0.5, kind="true_like")
+    said = " ".join(text_of(figure))
+    assert "lacks" not in said
+    assert "True colour: red, green and blue are those of the sensor" in said
+    shown = figure.axes[0].images[0].get_array()
+    top = np.percentile(image[[2, 1, 0]], 99, axis=(1, 2)).max()
+    np.testing.assert_allclose(shown[..., 2], np.sqrt(np.clip(image[0] / top, 0, 1)), rtol=1e-6)
+
+
+def test_an_image_alone_is_as_large_as_two_and_its_caption_lies_inside(image):
+    alone, two = (
+        composites({str(n): image for n in range(count)}, BANDS, pixel_m=0.5, kind="true_like")
+        for count in (1, 2)
+    )
+    for figure in (alone, two):
+        assert 6.0 < figure.get_figwidth() < 9.4
+        renderer = FigureCanvasAgg(figure).get_renderer()
+        figure.draw(renderer)
+        box = figure._supxlabel.get_window_extent(renderer)
+        assert box.x0 >= 0
+        assert box.x1 <= figure.bbox.width
+
+
+def test_an_image_that_was_not_calibrated_is_not_called_before():
+    values = {"NDVI": np.linspace(0.2, 0.8, 50)}
+    assert "before" not in text_of(index_histograms(values))
+    real = text_of(index_histograms(values, target={"NDVI": (0.5, 0.1)}))
+    assert "simulated" in real
+    assert "before" not in real
+    assert {"before", "after"} <= set(text_of(index_histograms(values, values)))
+
+
 def test_parameters_are_sorted_in_panels_with_units(table):
     figure = parameter_plot(table)
     assert len(figure.axes) == 4

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from fynjax.io.raster._reader import open_raster
 from fynjax.io.text import write_text
 
-_SHOWN_NM = {"green": 560.0, "red": 660.0, "nir": 860.0}
+_SHOWN_NM = {"blue": 475.0, "green": 560.0, "red": 660.0, "nir": 860.0}
 _FAR_NM = 45.0
 """A band further from it is not taken for a colour [nm]."""
 _RAMP = ("#440154", "#3b528b", "#21918c", "#5ec962", "#fde725")
@@ -22,7 +22,7 @@ _PIXELS = 512
 def colour_bands(
     wavelength: Float[np.ndarray, " band"] | None, good: Bool[np.ndarray, " band"]
 ) -> dict[str, int]:
-    """Place of the good band nearest to green, red and near infrared; only those that are near.
+    """Place of the good band nearest to blue, green, red and near infrared; only of those near it.
 
     **Arguments:** `wavelength` of the bands [nm], NaN where unknown; `good`, those to be used.
     """

@@ -23,6 +23,18 @@ _COMPOSITES: dict[str, tuple[tuple[str, str, str], str]] = {
         "True-like colour: blue, which the camera lacks, is 0.7 times the darker of red and green",
     ),
 }
+_TRUE_COLOUR = ("red", "green", "blue"), "True colour: red, green and blue are those of the sensor"
+
+_LARGEST, _TOGETHER = 6.2, 9.2
+"""Width of a picture that stands alone, and of all that stand side by side [inches]; a page is 9.4
+wide."""
+_LETTERS = 18.5
+"""Letters of a caption to an inch."""
+
+
+def _side(count: int) -> float:
+    """Width of each of `count` pictures side by side [inches]."""
+    return min(_LARGEST, _TOGETHER / count)
 
 
 def _channels(
@@ -74,15 +86,19 @@ def composites(
       `{"Before": ..., "After": ...}`.
     - `band_names`: names of the bands; green, red and (for false colour) nir are needed.
     - `pixel_m`: side of a pixel [m].
-    - `kind`: 'false_colour' (nir, red, green) or 'true_like'.
+    - `kind`: 'false_colour' (nir, red, green) or 'true_like', whose blue is that of the band blue,
+      where there is one.
     """
     channels, what = _COMPOSITES[kind]
+    if kind == "true_like" and "blue" in band_names:
+        channels, what = _TRUE_COLOUR
     stacks = {title: _channels(image, band_names, channels) for title, image in images.items()}
     shared = kind == "true_like"
     limits = _limits(list(stacks.values()), shared)
     with style():
         count = len(stacks)
-        figure = Figure(figsize=(3.6 * count, 4.15))
+        side = _side(count)
+        figure = Figure(figsize=(side * count, side + 0.55))
         grid = figure.subplots(1, count, squeeze=False)[0]
         for axes, (title, stack) in zip(grid, stacks.items(), strict=True):
             rgb = np.stack(
@@ -107,7 +123,8 @@ def composites(
             + " (1st to 99th percentile)"
         )
         shown = f"Reflectance shown: {ranges}, square root. North up."
-        lines = [textwrap.fill(line, 68 * count) for line in (f"{what}.", shown)]
+        wide = int(_LETTERS * side * count)
+        lines = [textwrap.fill(line, wide) for line in (f"{what}.", shown)]
         figure.supxlabel("\n".join(lines), fontsize=7.5, color="#333333")
     return figure
 
@@ -125,7 +142,8 @@ def layer_map(layers: Mapping[str, ArrayLike], what: str, *, pixel_m: float) -> 
     known = np.concatenate([layer[np.isfinite(layer)] for layer in values.values()])
     low, high = np.percentile(known, [1, 99]) if known.size else (0.0, 1.0)
     with style():
-        figure = Figure(figsize=(3.6 * len(values), 4.15))
+        side = _side(len(values))
+        figure = Figure(figsize=(side * len(values), side + 0.55))
         grid = figure.subplots(1, len(values), squeeze=False)[0]
         for axes, (title, layer) in zip(grid, values.items(), strict=True):
             height, width = (n * pixel_m for n in layer.shape)
@@ -181,7 +199,8 @@ def index_histograms(
 
     **Arguments:**
 
-    - `before`, `after`: pixel values of each index, any shape; NaN is left out.
+    - `before`, `after`: pixel values of each index, any shape; NaN is left out. `before` alone is
+      an image that was not calibrated, and is called so nowhere.
     - `target`: mean and standard deviation over the pixels of the real image, by index; a NaN
       standard deviation draws the mean alone.
     - `columns`: panels in a row; `bins`: bins of a histogram.
@@ -220,7 +239,8 @@ def index_histograms(
             axes.set(title=name, yticks=[], xlim=(edges[0], edges[-1]))
             axes.locator_params(axis="x", nbins=4)
             axes.spines["left"].set_visible(False)
-        handles: list[Artist] = [matplotlib.patches.Patch(color=BEFORE, alpha=0.55, label="before")]
+        name = "simulated" if after is None else "before"
+        handles: list[Artist] = [matplotlib.patches.Patch(color=BEFORE, alpha=0.55, label=name)]
         if after is not None:
             handles.append(matplotlib.lines.Line2D([], [], color=AFTER, label="after"))
         if target:
@@ -229,6 +249,7 @@ def index_histograms(
                     [], [], color=REAL, ls=(0, (4, 2)), label="real image: mean (grey: ±1 sd)"
                 )
             )
-        figure.legend(handles=handles, loc="outside upper left", ncols=len(handles))
+        if len(handles) > 1:
+            figure.legend(handles=handles, loc="outside upper left", ncols=len(handles))
         figure.supxlabel("Index value [-]; height is the density of pixels", fontsize=8.5)
     return figure

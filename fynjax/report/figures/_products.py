@@ -1,5 +1,6 @@
 """Pictures of an image product: quick looks and spectra."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 import matplotlib
@@ -8,18 +9,23 @@ from matplotlib.figure import Figure
 
 from fynjax.io.raster import QUANTITIES, Cube, colour_bands
 from fynjax.report.figures._image import composites
-from fynjax.report.figures._style import BLUE, GREY, style
+from fynjax.report.figures._style import BLUE, GREY, SKY, style
 
 _FEW = 25  # bands of which each is drawn
+_FEW_PIXELS = 64
+"""Pixels that are no picture: the spectrum of each is drawn instead."""
 
 
 def quick_looks(cube: Cube, title: str) -> dict[str, Figure]:
     """Pictures of a reflectance image, by file name.
 
     **Arguments:** `cube`, the reflectance [-]; `title` of the pictures. Pictures of bands that the
-    sensor does not have are left out.
+    sensor does not have are left out, as are those of so few pixels that they show nothing:
+    `spectrum_figure` has a line for each of them.
     """
     bands = colour_bands(cube.wavelength, cube.good)
+    if math.prod(cube.values.shape[1:]) <= _FEW_PIXELS:
+        return {}
     if cube.pixel_m is None or not {"green", "red"} <= set(bands):
         return {}
     image = cube.values[list(bands.values())]
@@ -31,12 +37,13 @@ def quick_looks(cube: Cube, title: str) -> dict[str, Figure]:
 
 
 def spectrum_figure(cubes: Mapping[str, Cube]) -> Figure:
-    """Mean and range over the pixels of each cube against wavelength; gaps where bands are bad.
+    """Mean and range over the pixels of each cube against wavelength; gaps where bands are bad. Of
+    few pixels each has a line.
 
     **Arguments:** `cubes`, by the name of the quantity.
     """
     with style():
-        figure = Figure(figsize=(6.4, 1.0 + 2.1 * len(cubes)))
+        figure = Figure(figsize=(8.6, 1.0 + 2.6 * len(cubes)))
         grid = figure.subplots(len(cubes), 1, squeeze=False, sharex=True)[:, 0]
         for axes, (name, cube) in zip(grid, cubes.items(), strict=True):
             _draw(axes, cube)
@@ -45,7 +52,9 @@ def spectrum_figure(cubes: Mapping[str, Cube]) -> Figure:
             axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
             axes.grid(True)
         rows, columns = next(iter(cubes.values())).values.shape[1:]
-        spread = "" if rows * columns == 1 else ", and the range of 5 to 95 % of them"
+        spread = ", and the range of 5 to 95 % of them"
+        if rows * columns <= _FEW_PIXELS:
+            spread = ", and each of them (light)" if rows * columns > 1 else ""
         grid[0].set_title(f"Mean of {columns} x {rows} pixels{spread}")
         grid[-1].set_xlabel("wavelength [nm]")
     return figure
@@ -62,8 +71,15 @@ def _draw(axes: matplotlib.axes.Axes, cube: Cube) -> None:
     mean[known] = np.nanmean(flat[known], axis=1)
     low[known], high[known] = np.nanpercentile(flat[known], [5, 95], axis=1)
     if len(x) > _FEW:
-        axes.fill_between(x, low, high, color=BLUE, alpha=0.25, lw=0)
-        axes.plot(x, mean, color=BLUE, lw=1.1)
+        if flat.shape[1] <= _FEW_PIXELS:
+            axes.plot(x, flat, color=SKY, lw=0.5, alpha=0.8)
+        else:
+            axes.fill_between(x, low, high, color=BLUE, alpha=0.25, lw=0)
+        axes.plot(x, mean, color=BLUE, lw=1.3)
+        return
+    if flat.shape[1] <= _FEW_PIXELS:
+        axes.plot(x, flat, "o", ms=2.0, color=SKY, alpha=0.8)
+        axes.plot(x, mean, "o", ms=4.5, color=BLUE)
         return
     spread = np.stack([mean - low, high - mean])
     axes.errorbar(

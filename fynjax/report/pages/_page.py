@@ -53,7 +53,8 @@ figcaption, .caption { font-size: .9rem; color: var(--soft); max-width: 44rem; m
 table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums; }
 th, td { padding: .25rem .7rem .25rem 0; text-align: right; white-space: nowrap;
   border-bottom: 1px solid var(--line); }
-th { vertical-align: bottom; border-bottom: 1.5px solid var(--edge); font-weight: 600; }
+th { white-space: normal; vertical-align: bottom; border-bottom: 1.5px solid var(--edge);
+  font-weight: 600; }
 th small { display: block; font-weight: 400; color: var(--soft); }
 th.text, td.text { text-align: left; }
 details { margin: .6rem 0; }

@@ -26,6 +26,8 @@ from fynjax.report.pages._page import Part, Picture, Section, Table
 
 _THUMBNAIL = 320
 """Pixels of a picture's longer side."""
+_SMALLEST = 16
+"""Pixels of a side below which a picture on the other's scale shows nothing."""
 
 _PAPER = (
     "Columns called 'paper' hold what the fynbos scene paper prints for its plot burnt in 2006, "
@@ -184,7 +186,8 @@ def spectral_section(spectra: SpectralComparison) -> Section:
 def _pictures(
     real: DroneImage, simulated: DroneImage
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...], float] | None:
-    """Both images on pixels of one size, for `composites`; none where a pixel size is unknown."""
+    """Both images on pixels of one size, for `composites`; none where a pixel size is unknown, or
+    one of them would be a few pixels beside the other."""
     sizes = [image.pixel_m for image in (real, simulated)]
     if None in sizes:
         return None
@@ -204,6 +207,6 @@ def _pictures(
             for e, n in zip(extent, image.values.shape[1:], strict=True)
         )
         pictures[title] = image.values[:, y[:, None], x[None, :]]
-    if any(np.isnan(p).all() for p in pictures.values()):
+    if any(min(p.shape[1:]) < _SMALLEST or np.isnan(p).all() for p in pictures.values()):
         return None
     return pictures, BANDS, pixel
