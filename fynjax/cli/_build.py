@@ -1,7 +1,8 @@
 """`fynjax build`."""
 
+from collections.abc import Mapping
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -15,7 +16,11 @@ class View(StrEnum):
     meshes = "meshes"
 
 
-@command("build")
+def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
+    return {key: given[key] for key in ("plot", "size")}
+
+
+@command("build", work=_work)
 def build(
     plot: PlotPath,
     seed: OwnSeed = None,

@@ -287,7 +287,10 @@ def _show_estimate(
     for what, text in rows:
         print(f"{what:<8}{text}")
     print(expected.sentence())
-    print("Nothing was computed or written. Such estimates are right within a factor of 2 to 3.")
+    right = (
+        "" if expected.seconds is None else " Such estimates are right within a factor of 2 to 3."
+    )
+    print(f"Nothing was computed or written.{right}")
 
 
 def _listed_files(output: Path, command: str) -> list[str]:

@@ -54,7 +54,7 @@ InputPath = Annotated[
 ]
 
 
-@command("terrain")
+@command("terrain", work=lambda given: {"files": [given["file"]]})
 def terrain(
     file: InputPath,
     cell: Annotated[

@@ -119,7 +119,7 @@ def build(
     if view == "meshes":
         check_view()
     read = as_plot(plot)
-    read = read if size is None else _resized(read, size)
+    read = read if size is None else resized(read, size)
     chosen = read.seed if seed is None else seed
     run = Run(output, seed=chosen, progress=progress)
     check_memory(read, listed=True)
@@ -220,7 +220,7 @@ def _layers(instances: Instances, scene: Scene) -> np.ndarray:
     return np.arange(np.ceil(1.1 * instances.height.max(initial=step) / step) + 1.0) * step
 
 
-def _resized(plot: Plot, size: float) -> Plot:
+def resized(plot: Plot, size: float) -> Plot:
     """The plot with another side; voxels must divide it and crowns fit."""
     widest = float(plot.diameter_m.max())
     count = round(size / plot.voxel_m) if np.isfinite(size) else 0

@@ -17,8 +17,11 @@ from fynjax._core.memory import free_memory
 from fynjax.assembly import stand_size
 from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import Plot, optical_pixel, sensor_altitude, visible_sensor
+from fynjax.io.raster import open_raster
+from fynjax.io.text import existing_file
+from fynjax.jobs._build import resized
 from fynjax.jobs._result import Record
-from fynjax.sensors import Lidar, Sensor
+from fynjax.sensors import FlashGeometry, Lidar, Sensor
 
 _START_S = 20.0
 """Reading, imports, tracing, planting and figures [CPU s]: `render` of 5 m takes 25 in all, once
@@ -44,6 +47,25 @@ _PIXEL_S = 1.0 / 23_000.0
 _LEAF_START_S, _LEAF_S, _LEAF_BYTES = 10.0, 0.006, 17e3
 """What few leaves take and each of many that are fitted together [CPU s], and the least that a file
 holds of one: 2151 bands of 8 bytes."""
+_BUILD_S, _BUILD_AREA_S = 17.0, 0.013
+"""`build`: reading, compilation and pictures, and a square metre of the example plot; 10 m take 17
+CPU s, 20 m 22, a hectare some 150."""
+_BUILD_GIB, _BUILD_AREA_GIB = 1.9, 6.2e-4
+"""The same of memory: 10 m take 2.1, 20 m 2.4, a hectare 8.0."""
+_LIDAR_S, _PULSE_S, _COMPILE_FLASH_S = 17.0, 3e-4, 18.0
+"""A LiDAR over the example plot: reading, planting and figures, a pulse, and what a flash compiles
+besides; a scanner's 314 pulses take 19 CPU s, 10 404 of a flash 38, 65 540 52."""
+_LIDAR_GIB, _PULSE_GIB = 1.1, 1.3e-5
+"""The same of memory: 1.0, 1.4 and 2.0."""
+_POINT_BYTES = {".laz": 6.0, ".las": 30.0, ".ply": 15.0}
+"""Of a point in a file of a cloud; of other files some 30, as text."""
+_POINT_S, _POINT_GIB = 2.5e-6, 1.5e-7
+"""`terrain`: 2 million points take 10 CPU s and 0.8 GiB, of which 5 and 0.5 are the start."""
+_CLUSTERED_S, _CLUSTERED_GIB = 4.5e-7, 9e-8
+"""`pattern`: a pixel; 4.3 million in four bands take 7.3 CPU s and 0.9 GiB, of which 5.5 and 0.55
+are the start."""
+_ELEMENT_S = 1.5e-5
+"""`plant`: 5000 elements take 5.8 CPU s, 200 000 8.4."""
 _PARAMETERS = 8
 """Parameters of a species that are free by default, those of the ground counted with them."""
 _LONG_S = 60.0
@@ -130,6 +152,14 @@ def estimate(
         count = int(options["simulations"])
         seconds = _START_S + _TRAIN_S + _SPECTRUM_S * count
         cost = _Cost({"spectra": _count(count)}, seconds, _COMPILE_IMAGE_S, 1.5)
+    elif command == "plant":
+        elements = int(options["elements"])
+        counts = {"plant": f"{_count(elements)} area elements"}
+        cost = _Cost(counts, 6.0 + _ELEMENT_S * elements, 0.0, 0.7)
+    elif command == "terrain":
+        cost = _cloud_cost(files)
+    elif command == "pattern":
+        cost = _pattern_cost(files)
     elif command == "map":
         pixels, bands = int(options["pixels"]), int(options["bands"])
         counts = {"cube": f"{_count(pixels)} pixels in {bands} bands"}
@@ -150,11 +180,22 @@ def estimate(
 
 
 def _plot_cost(command: str, plot: Plot, options: Mapping[str, Any]) -> _Cost:
+    if command == "build":
+        size = options.get("size")
+        plot = plot if size is None else resized(plot, size)
+        area = float(np.prod(plot.size_m))
+        memory = _BUILD_GIB + _BUILD_AREA_GIB * area
+        return _Cost(_scene_counts(plot), _BUILD_S + _BUILD_AREA_S * area, 0.0, memory)
     chosen = options.get("sensor") or plot.sensor.path or plot.sensor.name
     sensor = chosen if isinstance(chosen, (Sensor, Lidar)) else load_instrument(chosen)
     counts, seconds, gradient = _scene_counts(plot), 0.0, command not in ("render", "simulate")
     if isinstance(sensor, Lidar):
-        return _Cost({**counts, "sensor": f"LiDAR {sensor.name}"}, None, 0.0, None)
+        top = max(plot.height_m, default=0.0)
+        pulses = len(sensor.beams(plot.size_m, top=top, seed=plot.seed))
+        counts["sensor"] = f"LiDAR {sensor.name}, {_count(pulses)} pulses"
+        compilation = _COMPILE_FLASH_S if isinstance(sensor.geometry, FlashGeometry) else 0.0
+        memory = _LIDAR_GIB + _PULSE_GIB * pulses
+        return _Cost(counts, _LIDAR_S + _PULSE_S * pulses, compilation, memory)
     bands, pixels = len(visible_sensor(sensor).bands), _pixels(plot, sensor, options)
     counts["image"] = f"{_count(pixels)} pixels in {bands} bands"
     image = _image_seconds(plot, pixels, bands)
@@ -224,6 +265,23 @@ def _image_gib(plot: Plot, *, gradient: bool) -> float:
     structured = area if area <= 9.0 else 9.0 + 0.04 * (area - 9.0)
     own = 0.4 * structured + 0.07 * area * 0.01 / plot.voxel_m**2
     return _START_GIB + (_GRADIENT_IMAGES * own if gradient else own)
+
+
+def _cloud_cost(files: Sequence[str | Path]) -> _Cost:
+    """Of a cloud, or of a height raster, which costs less, by the size of the file."""
+    size = sum(existing_file(p, "a cloud or a height raster").stat().st_size for p in files)
+    points = sum(
+        Path(p).stat().st_size / _POINT_BYTES.get(Path(p).suffix.lower(), 30.0) for p in files
+    )
+    counts = {"file": f"{size / 1e6:.3g} MB, about {_count(points)} points if it is a cloud"}
+    return _Cost(counts, 5.0 + _POINT_S * points, 0.0, 0.5 + _POINT_GIB * points)
+
+
+def _pattern_cost(files: Sequence[str | Path]) -> _Cost:
+    with open_raster(files[0], "an image") as raster:
+        pixels, bands = raster.dataset.width * raster.dataset.height, raster.dataset.count
+    counts = {"image": f"{_count(pixels)} pixels in {max(bands, len(files))} bands"}
+    return _Cost(counts, 5.5 + _CLUSTERED_S * pixels, 0.0, 0.55 + _CLUSTERED_GIB * pixels)
 
 
 def _leaf_cost(files: Sequence[str | Path], options: Mapping[str, Any]) -> _Cost:

@@ -23,6 +23,9 @@ from fynjax.scene import LidarObservation, hard_scene, observe
 from fynjax.sensors import FlashGeometry, Lidar, LidarBeams, LidarReturns
 from fynjax.sensors.lidar import GROUND
 
+_SEEN_M = 1.0
+"""Height above the ground for which the gap between frames is told [m]."""
+
 
 class SimulateLidarResult(JobResult):
     """What `simulate` measured with a LiDAR."""
@@ -86,7 +89,7 @@ def simulate_lidar(
         what = "percentiles of height of returns and of planted area"
         run.table("heights.csv", heights.table(), what, None)
     counts = _counts(plot, beams, returns)
-    headline = _headline(plot, lidar, counts, heights)
+    headline = [*_headline(plot, lidar, counts, heights), *_seams(plot, lidar)]
     warnings = _warnings(lidar, voxels, beams)
     with run.stage("Draw", "figures"):
         run.total()
@@ -182,6 +185,22 @@ def _warnings(lidar: Lidar, voxels: VoxelScene, beams: LidarBeams) -> list[str]:
     if (share := float(np.mean(high < lidar.gate[0]))) > 0:
         lost.append(f"{100 * share:.0f} % of the pulses may begin above the range gate")
     return [f"{text}, {lidar.gate[0]:g} to {lidar.gate[1]:g} m" for text in lost]
+
+
+def _seams(plot: Plot, lidar: Lidar) -> list[str]:
+    """Where the frames of a flash camera leave slits in the cloud: they are pyramids, and meet at
+    the ground at best."""
+    at = lidar.geometry
+    if not isinstance(at, FlashGeometry) or max(plot.size_m) <= at.frame_step * (1 + 1e-6):
+        return []
+    pixel = 1e-3 * at.pixel_pitch_um / at.focal_length_mm
+    strips = [at.frame_step - pixel * count * (at.altitude - _SEEN_M) for count in at.array]
+    if max(strips) <= 0:
+        return []
+    return [
+        f"Frames stand {at.frame_step:g} m apart and narrow upward: between two of them a strip of "
+        f"{max(strips):.2f} m of what is {_SEEN_M:g} m high is not seen, so the cloud has slits."
+    ]
 
 
 def _counts(plot: Plot, beams: LidarBeams, returns: LidarReturns) -> dict[str, float]:

@@ -2,12 +2,16 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fynjax.cli import main
 from fynjax.io.plot import example_folder, read_plot
+from fynjax.io.raster import write_geotiff
 from fynjax.jobs import estimate
+from fynjax.metrics import BANDS
 from fynjax.studies.bioscape import Resolution
 
 PLOT = read_plot(example_folder() / "plot.toml")
@@ -33,7 +37,7 @@ def test_time_of_the_demo_is_as_measured_within_a_factor_of_two():
     assert 0.5 < demo.memory_gib / 3.1 < 2.0
     assert "min of one core" in demo.sentence()
     assert demo.is_long()
-    unknown = estimate("simulate", "out", plot=PLOT, sensor="scanning_lidar")
+    unknown = estimate("fit-leaf", "out", files=(), posterior="emcee")
     assert unknown.seconds is None
     assert "not measured" in unknown.sentence()
 
@@ -46,6 +50,11 @@ def test_time_of_the_demo_is_as_measured_within_a_factor_of_two():
         ("calibrate", {"plot": PLOT}, 612.0),
         ("sensitivity", {"plot": PLOT, "metrics": ("a", "b", "c", "d")}, 75.0),
         ("information", {"plot": PLOT, "realisations": 2}, 263.0),
+        ("simulate", {"plot": PLOT, "sensor": "flash_lidar_paper"}, 52.0),
+        ("build", {"plot": PLOT}, 17.0),
+        ("build", {"plot": PLOT, "size": 20.0}, 22.0),
+        ("build", {"plot": PLOT, "size": 100.0}, 150.0),
+        ("plant", {"elements": 200_000}, 8.4),
         ("train", {"simulations": 2000}, 115.0),
         ("validate-plots", {"plots": 2, "resolution": Resolution(5.0, 0.1)}, 75.0),
         ("calibrate-plots", {"plots": 2, "resolution": Resolution(5.0, 0.25)}, 142.0),
@@ -83,3 +92,34 @@ def test_a_dry_run_says_what_it_would_do_and_writes_nothing(tmp_path, capsys, mo
         main(["fit-leaf", str(plot), "--dry-run", "--json", "--output", "out"])
     assert json.loads(capsys.readouterr().out)["writes"] == "out"
     assert not list(tmp_path.iterdir())
+
+
+def test_a_dry_run_counts_what_a_file_holds(tmp_path, capsys, monkeypatch):
+    """Plants of a build on the side asked for, points of a cloud, pixels of an image."""
+    monkeypatch.chdir(tmp_path)
+    Path("cloud.laz").write_bytes(bytes(12_000_000))
+    write_geotiff("image.tif", np.full((4, 300, 200), 0.2), BANDS, pixel_m=0.1)
+    for arguments, said in (
+        (["build", str(PLOT.file), "--size", "20"], "20 m x 20 m, 200 x 200 x 27 voxels of 10 cm"),
+        (["terrain", "cloud.laz"], "12 MB, about 2 000 000 points"),
+        (["pattern", "image.tif"], "60 000 pixels in 4 bands"),
+        (["plant", "Metalasia muricata", "--elements", "5000"], "5 000 area elements"),
+        (["simulate", str(PLOT.file), "--sensor", "flash_lidar_paper"], "66 000 pulses"),
+    ):
+        with pytest.raises(SystemExit) as end:
+            main([*arguments, "--dry-run"])
+        shown = capsys.readouterr().out
+        assert end.value.code == 0
+        assert said in shown
+        assert "of one core" in shown
+    assert sorted(p.name for p in Path().iterdir()) == ["cloud.laz", "image.tif"]
+
+
+def test_where_nothing_was_measured_no_accuracy_is_claimed(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("leaf.csv").write_text("wavelength_nm,leaf\n400,0.1\n", encoding="utf-8")
+    with pytest.raises(SystemExit):
+        main(["fit-leaf", "leaf.csv", "--posterior", "emcee", "--dry-run"])
+    shown = capsys.readouterr().out
+    assert "not measured" in shown
+    assert "factor of" not in shown

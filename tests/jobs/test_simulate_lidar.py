@@ -1,5 +1,7 @@
 """A LiDAR flown over a small plot: its files, opened by other readers."""
 
+from dataclasses import replace
+
 import laspy
 import numpy as np
 import pytest
@@ -7,7 +9,9 @@ import xarray as xr
 from rasterio import Affine
 
 from fynjax._core.errors import InputError
+from fynjax.io.plot import example_folder, read_plot
 from fynjax.jobs import simulate
+from fynjax.jobs._simulate_lidar import _seams
 from tests.helpers import write_raster
 from tests.sensors.lidar_scenes import flash
 from tests.small import write_plot
@@ -88,3 +92,20 @@ def test_a_slope_comes_out_on_its_map(tmp_path):
     assert level == pytest.approx(120.0, abs=0.03)
     assert 6180000 - 0.1 < cloud.y.min() < cloud.y.max() < 6180002.1
     assert "34S" in cloud.header.vlrs.get("WktCoordinateSystemVlr")[0].string
+
+
+@pytest.mark.parametrize("side", [5.0, 10.0])
+def test_slits_between_the_frames_of_a_flash_are_told(side):
+    """Against the lines of sight: the widest gap of where they pass 1 m above the ground."""
+    lidar = flash()
+    plot = replace(read_plot(example_folder() / "plot.toml"), size_m=(side, side))
+    beams = lidar.beams(plot.size_m, top=2.0)
+    steps = (1.0 - beams.origin[:, 2]) / beams.direction[:, 2]
+    x = np.unique((beams.origin[:, 0] + steps * beams.direction[:, 0]).round(6))
+    widest, usual = np.diff(x).max(), np.median(np.diff(x))
+    told = _seams(plot, lidar)
+    if side == 5.0:
+        assert told == []
+        assert widest == pytest.approx(usual, rel=1e-3)
+    else:
+        assert f"a strip of {widest - usual:.2f} m of what is 1 m high" in told[0]

@@ -208,6 +208,17 @@ def test_a_cloud_fills_its_figure_and_its_title_is_whole(extent, count):
     assert min(side.width, above.width) > 0.65
 
 
+def test_one_false_return_high_above_does_not_leave_a_cloud_s_figure_empty():
+    rng = np.random.default_rng(2)
+    position = rng.uniform(0.0, 1.0, (5000, 3)) * (10.0, 10.0, 1.5)
+    heights = []
+    for false in (1.0, 9.0):
+        position[0] = 0.5, 0.5, false  # far from the strip that is shown from the side
+        cloud = SimpleNamespace(position=position, classification=rng.integers(2, 4, 5000))
+        heights.append(side_view(cloud, position[:, 2], (10.0, 10.0)).get_figheight())
+    assert heights[1] == pytest.approx(heights[0])
+
+
 @pytest.mark.parametrize("leaves", [1, 2, 5])
 def test_the_legend_of_leaves_is_whole(leaves):
     grid = np.arange(400.0, 2500.0, 10.0)

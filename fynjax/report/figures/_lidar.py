@@ -35,7 +35,9 @@ def side_view(
     deep = min(_STRIP, ly)
     strip = np.abs(y - 0.5 * ly) <= 0.5 * deep
     top = max(float(np.percentile(height, 99.9)), 0.1)
-    heights = np.clip(_WIDE * np.array([np.ptp(z), ly]) / lx, 0.8, 1.5 * _WIDE)
+    # Of the strip alone: a false return elsewhere must not leave the figure empty.
+    tall = np.ptp(z[strip]) if strip.any() else 0.0
+    heights = np.clip(_WIDE * np.array([tall, ly]) / lx, 0.8, 1.5 * _WIDE)
     spacing = 72.0 * _WIDE / lx * np.sqrt(lx * ly / max(len(x), 1))  # of the points, in points
     size = float(np.clip(0.7 * spacing, 1.0, 3.5) ** 2)
     colours = {"cmap": "viridis", "vmin": 0, "vmax": top, "s": size, "lw": 0, "rasterized": True}

@@ -15,6 +15,8 @@ _COLOURS = {Organ.LEAF: "#3F7D2B", Organ.WOOD: "#6B4A2F", Organ.FLOWER: "#CC79A7
 _MOST_DRAWN = 20_000
 _THINNEST = 0.12
 """Least width of a disc in the picture over its length, so that an edge-on disc is visible [-]."""
+_SLENDER = 0.16
+"""Least half of the width shown, as a share of the height."""
 
 
 def plant_figure(model: MeshPlant) -> Figure:
@@ -55,7 +57,9 @@ def plant_figure(model: MeshPlant) -> Figure:
             axes.set(title=title, xlabel=xlabel, ylabel=ylabel, aspect="equal")
             low, high = place[:, [right, up]].min(axis=0), place[:, [right, up]].max(axis=0)
             margin = 0.5 * length.max() + 0.03 * (high - low).max()
-            axes.set_xlim(low[0] - margin, high[0] + margin)
+            # A slender plant has room for the numbers below it.
+            half = max(0.5 * (high[0] - low[0]) + margin, _SLENDER * (high[1] - low[1]))
+            axes.set_xlim(0.5 * (low[0] + high[0]) - half, 0.5 * (low[0] + high[0]) + half)
             axes.set_ylim(low[1] - margin, high[1] + margin)
             axes.grid()
             axes.xaxis.set_major_locator(
