@@ -143,7 +143,7 @@ def read_drone_image(
         t = file.dataset.transform
         pixel = None
         if not t.is_identity and not (file.crs is not None and file.crs.is_geographic):
-            pixel = float(np.hypot(t.a, t.d))
+            pixel = float(np.sqrt(abs(t.determinant)))  # also of cells that are not square
         crs = None if file.crs is None else file.crs.to_string()
         scaled = any(file.dataset.scales[n - 1] != 1.0 for n in numbers)
         kind = None if scaled else np.result_type(*(file.dataset.dtypes[n - 1] for n in numbers))

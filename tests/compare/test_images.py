@@ -154,3 +154,13 @@ def test_too_few_pixels_for_distributions_are_told(tmp_path: Path) -> None:
     large = read(write_raster(tmp_path / "large.tif", values(), transform=PLACE), bands=BANDS)
     said = " ".join(compare_drone_images(large, one).notes)
     assert "Only 1 pixels of the simulated image" in said
+
+
+def test_a_pixel_of_an_image_is_as_large_as_its_area(tmp_path: Path) -> None:
+    """Cells that are no squares, and those that are rotated."""
+    for name, place in (
+        ("oblong", Affine(0.05, 0, 100.0, 0, -0.20, 200.0)),
+        ("rotated", Affine.rotation(30.0) @ Affine(0.1, 0, 100.0, 0, -0.1, 200.0)),
+    ):
+        image = read(write_raster(tmp_path / f"{name}.tif", values(), transform=place), bands=BANDS)
+        assert image.pixel_m == pytest.approx(0.1)

@@ -303,3 +303,18 @@ def test_a_band_name_in_another_encoding_is_said_in_plain_words(tmp_path):
     with pytest.raises(InputError, match=r"image.tif: .*byte 0xfc.*name its bands in plain") as e:
         read_drone_image(path)
     assert "codec" not in str(e.value)
+
+
+def test_an_order_of_values_that_there_is_not_is_no_guess(tmp_path: Path) -> None:
+    """GDAL takes it for band sequential."""
+    header = tmp_path / "cube.hdr"
+    header.write_text(
+        "ENVI\nsamples = 2\nlines = 2\nbands = 2\ndata type = 4\ninterleave = bsx\n",
+        encoding="utf-8",
+    )
+    (tmp_path / "cube.dat").write_bytes(bytes(32))
+    for path in (header, tmp_path / "cube.dat"):
+        with pytest.raises(InputError, match=r"cube\.hdr: expected the interleave .* got 'bsx'"):
+            read_cube(path)
+    header.write_text(header.read_text("utf-8").replace("bsx", "BIL"), encoding="utf-8")
+    assert read_cube(header).values.shape == (2, 2, 2)

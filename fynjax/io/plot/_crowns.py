@@ -159,9 +159,10 @@ def _read_geopackage(path: Path, plot: Plot) -> list[tuple[int, CrownRow]]:
             warnings.simplefilter("ignore")
             meta, numbers, shapes, columns = pyogrio.raw.read(path, return_fids=True)
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
-        raise InputError(f"expected a GeoPackage, but it cannot be read: {error}", file=path) from (
-            error
-        )
+        why = str(error).split(";")[0].rstrip(".")  # what follows are drivers to try
+        raise InputError(
+            f"expected a GeoPackage, but it cannot be read: {why}", file=path
+        ) from error
     if shapes is None or not len(shapes):
         raise InputError("expected a layer of points or polygons, but it has none", file=path)
     on_map = _on_map(meta["crs"], plot, path)

@@ -16,6 +16,9 @@ _UNSTATED = ("", "unknown", "index")
 _LONGEST = 1e6
 """No file states a longer wavelength: a millimetre in nm."""
 
+_INTERLEAVES = ("bsq", "bil", "bip")
+"""Orders of the values in a data file: bands one by one, by line, by pixel."""
+
 
 def read_header(path: Path) -> dict[str, Any]:
     """Fields of an ENVI header, names in lower case; what stands in braces is a list of texts.
@@ -27,8 +30,8 @@ def read_header(path: Path) -> dict[str, Any]:
     **Returns:** the fields, and `layout` with nrows, ncols, nbands, offset and dtype of the data
     file, as SPy has them.
 
-    **Raises:** `InputError` where it is no ENVI header, or lacks a field without which the data
-    cannot be read.
+    **Raises:** `InputError` where it is no ENVI header, lacks a field without which the data cannot
+    be read, or has its values in an order that there is not.
     """
     from spectral.io import envi  # takes a quarter of a second
 
@@ -43,6 +46,13 @@ def read_header(path: Path) -> dict[str, Any]:
             f"lines, bands and data type ({' '.join(str(error).split()).rstrip('.')})",
             file=path,
         ) from error
+    order = str(header.get("interleave", "bsq")).strip()
+    if order.lower() not in _INTERLEAVES:
+        raise InputError(
+            f"expected the interleave {' or '.join(_INTERLEAVES)}, but got {order[:20]!r}: in which "
+            "order the values stand would be a guess",
+            file=path,
+        )
     return {**header, "layout": layout}
 
 
