@@ -49,8 +49,8 @@ def read_header(path: Path) -> dict[str, Any]:
     order = str(header.get("interleave", "bsq")).strip()
     if order.lower() not in _INTERLEAVES:
         raise InputError(
-            f"expected the interleave {' or '.join(_INTERLEAVES)}, but got {order[:20]!r}: in which "
-            "order the values stand would be a guess",
+            f"expected the interleave {' or '.join(_INTERLEAVES)}, but got {order[:20]!r}: how the "
+            "values are ordered would be a guess",
             file=path,
         )
     return {**header, "layout": layout}
