@@ -14,6 +14,7 @@ from fynjax.compare.structure._pits import sunk, without_pits
 from fynjax.compare.structure._settings import cloud_settings
 from fynjax.jobs._validate import ValidationData, validate
 from fynjax.metrics import STRUCTURE_METRICS, STRUCTURE_PRESETS
+from fynjax.report.pages import Table, structure_section
 from fynjax.terrain import PointCloud
 from tests.compare.test_structure import plot, write_las
 from tests.helpers import assert_valid_summary
@@ -195,3 +196,16 @@ def test_every_number_is_in_the_files(clouds: Path, tmp_path: Path) -> None:
             assert float(file[f"{name}_thinning_low"]) == pytest.approx(
                 row["simulated_thinning_low"]
             )
+
+
+def test_open_tables_of_structure_fit_on_a_page_and_quote_no_other_plot(clouds: Path) -> None:
+    settings = cloud_settings(None, {**FEW, "grain": 2.0})
+    comparison = compare_clouds(clouds / "real.las", clouds / "simulated.las", settings=settings)
+    tables = [part for part in structure_section(comparison).parts if isinstance(part, Table)]
+    shown = [[str(c) for c in table.rows] for table in tables if not table.folded]
+    folded = [str(c) for table in tables if table.folded for c in table.rows]
+    assert [len(columns) for columns in shown] == [9, 11]
+    assert not any(c.startswith("paper") for columns in shown for c in columns)
+    assert {"paper_real", "real_thinning_low", "paper_median_change_percent", "west_m"} <= set(
+        folded
+    )

@@ -2,9 +2,32 @@
 
 import re
 
+import pandas as pd
+
 from fynjax.compare.structure import StructureComparison, cut_off, grain_table
 from fynjax.report.figures import structure_figure, structure_maps
 from fynjax.report.pages._page import Picture, Section, Table
+
+_SHOWN = [
+    "metric", "unit", "real", "real_bootstrap_low", "real_bootstrap_high", "simulated",
+    "simulated_bootstrap_low", "simulated_bootstrap_high", "difference_percent",
+]  # fmt: skip
+"""Columns of the metrics that fit on a page."""
+_EDGES = ("west_m", "south_m", "east_m", "north_m")
+
+
+def _grains(table: pd.DataFrame, caption: str, *, folded: bool = False) -> Table:
+    named = [str(c) for c in table.columns if str(c).endswith(("_percent", "_m", "_m2"))]
+    return Table(
+        table,
+        caption,
+        units={
+            c: "%" if c.endswith("_percent") else c.rsplit("_", 1)[1].replace("m2", "m²")
+            for c in named
+        },
+        headers={c: re.sub("_(percent|m2?)$", "", c).replace("_", " ") for c in named},
+        folded=folded,
+    )
 
 
 def structure_section(structure: StructureComparison) -> Section:
@@ -16,7 +39,7 @@ def structure_section(structure: StructureComparison) -> Section:
     numbers = table.columns.drop(["metric", "unit"])
     table[numbers] = table[numbers].astype(float)
     grains = grain_table(structure.grains, structure.grain, structure.plot)
-    named = [str(c) for c in grains.columns if str(c).endswith(("_percent", "_m", "_m2"))]
+    tried = [c for c in grains.columns if not str(c).startswith("paper") and c not in _EDGES]
     west, south, east, north = structure.bounds
     rows, columns = next(iter(structure.real.cells.values())).shape
     return Section(
@@ -33,27 +56,34 @@ def structure_section(structure: StructureComparison) -> Section:
                 "structure_maps.png", structure_maps(structure), "structure metrics in each cell"
             ),
             Table(
+                table[_SHOWN],
+                "Structure metrics: means over cells at one density of returns, with the bootstrap "
+                "interval over cells.",
+                units={"difference_percent": "%"},
+                headers={"difference_percent": "difference"},
+            ),
+            Table(
                 table,
-                "Structure metrics: means over cells at one density of returns, with the central "
-                "part over thinnings and the bootstrap interval over cells; 'full' is of all "
-                "returns. The paper does not print its layer thickness or conventions, so its "
-                "numbers need not compare.",
+                "Every number of the structure metrics, with the central part over thinnings; "
+                "'full' is of all returns. The paper's are of its plot burnt in 2006; it does not "
+                "print its layer thickness or conventions, so they need not compare.",
+                folded=True,
             ),
             f"{columns} x {rows} = {rows * columns} cells of {structure.grain:g} m, from "
             f"({west:.2f}, {south:.2f}) to ({east:.2f}, {north:.2f}) m, {(east - west):.4g} x "
             f"{(north - south):.4g} m = {(east - west) * (north - south):.4g} m²; "
             f"{100.0 * cut_off(structure.plot, structure.bounds):.1f} % of the plot is in no cell.",
-            Table(
-                grains,
+            _grains(
+                grains[tried],
                 "Grains that were tried, on the sparser cloud. 'median change' is how much the "
                 "metrics change to the next larger grain, in their median; the smallest grain is "
-                "taken that has returns enough and changes little. The paper took 2 m, with 6.1 % "
-                "against 17.9 % at 1 m.",
-                units={
-                    c: "%" if c.endswith("_percent") else c.rsplit("_", 1)[1].replace("m2", "m²")
-                    for c in named
-                },
-                headers={c: re.sub("_(percent|m2?)$", "", c).replace("_", " ") for c in named},
+                "taken that has returns enough and changes little.",
+            ),
+            _grains(
+                grains,
+                "The same with their edges, and with what the paper has of its plot, for which it "
+                "took 2 m, with 6.1 % against 17.9 % at 1 m.",
+                folded=True,
             ),
             Table(
                 structure.settings_table().astype(str),
