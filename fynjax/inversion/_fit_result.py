@@ -343,7 +343,8 @@ def posterior(space: ParameterSpace, u: Array, information: Array) -> dict[str, 
     variance = space.own_variance(covariance)
     return {
         "sd": space.spread(u, jnp.sqrt(variance)),
-        "constrained": 1.0 - variance,
+        # Data never widen this; below zero it is rounding.
+        "constrained": jnp.maximum(1.0 - variance, 0.0),
         "covariance": covariance,
         "information": values,
         "modes": vectors.T,

@@ -18,6 +18,7 @@ from fynjax.jobs._calibration_page import (
     agreement_sentences,
     calibration_page,
     parameter_sentences,
+    status_of,
 )
 from fynjax.jobs._calibration_tables import (
     Reference,
@@ -131,7 +132,7 @@ def _calibrate_known(
         CalibrateResult,
         headline=headline,
         converged=bool(fit.converged),
-        status="ok" if fit.converged else f"not converged: {fit.explanation}",
+        status=status_of(fit),
         targets=[
             TargetSummary(
                 kind="image",
@@ -220,10 +221,7 @@ def calibrate_to(
         ],
         warnings=_short_of_sites(result.scene, result.after),
         converged=bool(result.fit.converged),
-        status="ok"
-        if result.fit.converged
-        else f"not converged: {result.fit.explanation} Allow more steps (max_iterations in the "
-        "plot file), free fewer parameters, or take the estimate with doubt.",
+        status=status_of(result.fit),
         targets=[
             TargetSummary(
                 kind=sensor.kind,

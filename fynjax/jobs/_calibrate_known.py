@@ -13,7 +13,12 @@ from fynjax.assembly import aim_at_plot, prepare
 from fynjax.compare import read_drone_image
 from fynjax.inversion import KnownPlants, block_of, calibrate_known_plants
 from fynjax.io.plot import Air, Plot, drone_sensor
-from fynjax.jobs._calibration_page import parameter_section, parameter_sentences, search_section
+from fynjax.jobs._calibration_page import (
+    doubt_first,
+    parameter_section,
+    parameter_sentences,
+    search_section,
+)
 from fynjax.jobs._calibration_tables import parameter_table
 from fynjax.jobs._render import check_finite, write_image
 from fynjax.jobs._run import Run, peak_memory_mib
@@ -98,7 +103,7 @@ def known_plants(
         run.page(
             Page(
                 f"Calibration: {plot.name}",
-                headline[0],
+                doubt_first(result.fit, headline[0]),
                 [
                     Section("The image", _pictures(result, blocks.pixel)),
                     Section("", [Table(table, "Every band.", folded=True)]),

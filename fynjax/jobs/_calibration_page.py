@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from fynjax.assembly import Measured
-from fynjax.inversion import Calibration, KnownPlants
+from fynjax.inversion import Calibration, FitResult, KnownPlants
 from fynjax.io.plot import Plot
 from fynjax.jobs._calibration_tables import Reference, largest_errors, sensor_misfit, sensor_table
 from fynjax.jobs._render import SHOWN_INDICES, image_views, index_images
@@ -71,6 +71,22 @@ def parameter_sentences(result: Calibration | KnownPlants) -> list[str]:
     return [*lines, result.fit.explanation]
 
 
+def status_of(fit: FitResult) -> str:
+    """'ok', or why the fit is to be doubted and what to do."""
+    if fit.converged:
+        return "ok"
+    return (
+        f"not converged: {fit.explanation} Allow more steps (max_iterations in the plot file), "
+        "free fewer parameters, or take the estimate with doubt."
+    )
+
+
+def doubt_first(fit: FitResult, text: str) -> str:
+    """A page's lead: before anything else, why the fit is to be doubted."""
+    status = status_of(fit)
+    return text if status == "ok" else f"{_capitalised(status)} {text}"
+
+
 _UNLIKELY = 0.01
 """Probability below which a model counts as not explaining the data [-]."""
 
@@ -127,7 +143,8 @@ def calibration_page(
         parameter_section(result, parameters),
         search_section(run, result, memory),
     ]
-    lead = " ".join(agreement_sentences(plot, measured, statistics, reference))
+    agreement = agreement_sentences(plot, measured, statistics, reference)
+    lead = doubt_first(result.fit, " ".join(agreement))
     return Page(f"Calibration: {plot.name}", lead, sections, keys, run.record(inputs))
 
 
@@ -189,7 +206,7 @@ def parameter_section(result: Calibration | KnownPlants, parameters: pd.DataFram
                 "parameters.png",
                 parameter_plot(parameters),
                 "prior and estimate of every parameter",
-                "Prior and estimate, one standard deviation.",
+                "Prior and estimate, each with its 90 % interval.",
             ),
             Picture(
                 "constraint.png",

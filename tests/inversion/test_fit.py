@@ -14,6 +14,7 @@ import pytest
 from fynjax._core.checkpoint import Journal
 from fynjax.errors import InputError
 from fynjax.inversion import Data, FitStatus, ParameterSpace, fit
+from fynjax.inversion._fit_result import posterior as laplace
 from tests.inversion.linear import DATA, MATRIX, SPACE, posterior, predict
 
 
@@ -353,3 +354,13 @@ def test_bad_targets_and_methods_are_refused():
         fit(predict, DATA, SPACE, solver="newton")
     with pytest.raises(InputError, match="max_steps"):
         fit(predict, DATA, SPACE, max_steps=0)
+
+
+def test_no_share_of_the_prior_variance_is_below_zero_by_rounding():
+    """Data that say nothing of a parameter take nothing from its variance."""
+    count = len(SPACE.names)
+    for seed in range(30):
+        slope = np.random.default_rng(seed).normal(size=(1, count)) * 1e-9
+        share = laplace(SPACE, jnp.zeros(count), jnp.asarray(slope.T @ slope))["constrained"]
+        assert share.min() >= 0.0
+        assert share.max() < 1e-12

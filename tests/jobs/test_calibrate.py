@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import jsonschema
@@ -12,6 +13,7 @@ from fynjax._core.progress import NullProgress
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.jobs import calibrate, render
 from fynjax.jobs._calibrate import _short_of_sites
+from fynjax.jobs._calibration_page import doubt_first, status_of
 from fynjax.jobs._render import check_finite
 from fynjax.jobs._schemas import json_schema
 from tests.scene.plots import small_parameters, small_plot
@@ -63,7 +65,10 @@ def test_a_table_of_statistics_is_approached(tmp_path):
     # No index is a target, so the headline has none.
     assert other.headline[0].startswith("small: largest error of a band mean")
     assert "nan" not in " ".join(other.headline)
-    assert "nan %" not in (output / "report.html").read_text("utf-8")
+    page = (output / "report.html").read_text("utf-8")
+    assert "nan %" not in page
+    assert ('<p class="lead">Not converged: ' in page) == (not other.converged)
+    assert "each with its 90 % interval" in page
     assert {"report.html", "parameters.csv", "run.nc"} <= set(other.files)
     assert all((output / name).stat().st_size for name in other.files)
     jsonschema.validate(json.loads(other.model_dump_json()), json_schema("summary"))
@@ -135,3 +140,13 @@ def test_a_spectrum_and_a_cloud_together_after_an_interruption(tmp_path):
     spectrum.write_text(spectrum.read_text().replace("0.26", "0.27"))
     with pytest.raises(InputError, match="another run"):
         calibrate(*arguments, second, seed=0, checkpoint=kept)
+
+
+def test_a_page_says_first_that_the_search_did_not_converge():
+    stopped = SimpleNamespace(converged=False, explanation="Stopped at the limit of steps.")
+    lead = doubt_first(stopped, "Plot: largest error 14 %.")
+    assert lead.startswith("Not converged: Stopped at the limit of steps. Allow more steps")
+    assert lead.endswith("Plot: largest error 14 %.")
+    assert lead[0].lower() + lead[1:] == f"{status_of(stopped)} Plot: largest error 14 %."
+    ended = SimpleNamespace(converged=True, explanation="")
+    assert (status_of(ended), doubt_first(ended, "Plot.")) == ("ok", "Plot.")

@@ -153,6 +153,7 @@ def test_errors_are_absolute_cut_and_may_be_missing():
     np.testing.assert_allclose(widths, [30, 100, 1, np.nan, 22.19, np.nan])
     assert axes.get_xlim()[1] == pytest.approx(110)
     assert "→ 250" in text_of(figure)
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["NIR", "NDVI"]
 
 
 def test_gaps_and_edges_do_not_break_a_figure(tmp_path, image):

@@ -250,7 +250,7 @@ def error_bars(
             handles.append(matplotlib.lines.Line2D([], [], color=VERMILION, lw=1.2))
             labels.append("goal")
         figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
-        axes.set_yticks(np.arange(len(names)), names)
+        axes.set_yticks(np.arange(len(names)), [words(name) for name in names])
         axes.set_ylim(len(names) - 0.45, -0.55)
         axes.tick_params(axis="y", length=0)
         axes.set_xlim(0, min(highest, _FULL_SCALE) * 1.1 or 1)
