@@ -93,7 +93,7 @@ def information(
     first, best = sweep[0]
     covers = [n for n in ready.space.names if n.startswith("species.") and n.endswith(".cover")]
     limits = limit_table(table, covers)
-    sensor = f"{first.bands} bands, pixels of {first.gsd:g} m, noise {100 * first.noise:g} %"
+    sensor = f"{_bands(first.bands)}, pixels of {first.gsd:g} m, noise {100 * first.noise:g} %"
     weak = best.weakly_constrained_directions()
     headline = [
         *_limit_sentences(table, limits),
@@ -170,6 +170,10 @@ def limit_table(table: pd.DataFrame, covers: Sequence[str]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*keys, "cover_percent", "lost_from_gsd_m"])
 
 
+def _bands(count: int) -> str:
+    return f"{count} band{'s' * (count != 1)}"
+
+
 def _limit_sentences(table: pd.DataFrame, limits: pd.DataFrame) -> list[str]:
     """For each number of bands, how many covers are lost at which pixels."""
     finest, coarsest = table["gsd_m"].min(), table["gsd_m"].max()
@@ -177,8 +181,8 @@ def _limit_sentences(table: pd.DataFrame, limits: pd.DataFrame) -> list[str]:
     for count, part in limits.groupby("bands"):
         lost = part["lost_from_gsd_m"]
         lines.append(
-            f"{count} bands: of {len(part)} covers {int((lost <= finest).sum())} exceed their "
-            f"bound at no pixel, {int((lost > finest).sum())} only at fine ones, "
+            f"{_bands(int(str(count)))}: of {len(part)} covers {int((lost <= finest).sum())} "
+            f"exceed their bound at no pixel, {int((lost > finest).sum())} only at fine ones, "
             f"{int(lost.isna().sum())} up to {coarsest:g} m."
         )
     return lines
@@ -195,7 +199,7 @@ def _cover_section(table: pd.DataFrame, limits: pd.DataFrame, covers: Sequence[s
         "bound on each cover against the pixel",
         "Cramér-Rao bound on each species' cover over the cover itself, the other parameters as "
         "uncertain as their priors. In the shaded part the cover is indistinguishable from "
-        "absence; lines that leave the panel have no bound.",
+        "absence; at a triangle it has no bound.",
     )
     rows = limits.assign(parameter=limits["parameter"].map(short_name))
     return Section("Cover", [picture, Table(rows, "Where each cover is lost (–: not here).")])

@@ -75,7 +75,11 @@ def test_figures_stand_what_data_bring():
     )  # fmt: skip
     for figure in (tornado_plot(table), indices_plot(table)):
         figure.canvas.draw()
-    bound_plot(bounds((1.0, 12.0, np.inf)), ["species.A.cover"]).canvas.draw()
+    figure = bound_plot(bounds((1.0, 12.0, np.inf)), ["species.A.cover"])
+    figure.canvas.draw()
+    shown, none = figure.axes[0].lines
+    assert np.isnan(np.asarray(shown.get_ydata())[-1])
+    assert (len(none.get_xdata()), none.get_marker()) == (1, "^")
 
 
 @pytest.mark.study

@@ -223,13 +223,17 @@ def indices_plot(table: pd.DataFrame, *, most: int = 15) -> Figure:
     return figure
 
 
+_HIGHEST = 90.0
+"""Bound over cover up to which numbers are shown [-]."""
+
+
 def bound_plot(
     table: pd.DataFrame, species: Sequence[str], *, labels: Mapping[int, str] | None = None
 ) -> Figure:
     """Bound on the cover of each species over the cover, against the pixel size and bands.
 
     **Arguments:** `table` with the columns parameter, gsd_m, bands, bound, value; `species`, the
-    parameters to show; `labels` of the numbers of bands. Infinite bounds leave the panel.
+    parameters to show; `labels` of the numbers of bands. Triangles mark where there is no bound.
     """
     columns = min(3, len(species))
     rows = -(-len(species) // columns)
@@ -241,9 +245,14 @@ def bound_plot(
             for k, (count, line) in enumerate(part.groupby("bands")):
                 line = line.sort_values("gsd_m")
                 ratio = (line["bound"] / line["value"]).replace(np.inf, np.nan)
-                label = (labels or {}).get(int(str(count)), f"{count} bands")
-                axes.loglog(line["gsd_m"], np.clip(ratio, 0, 90.0), "-o", ms=3, lw=1.2,
-                            color=_SERIES[k % len(_SERIES)], label=label)  # fmt: skip
+                number, colour = int(str(count)), _SERIES[k % len(_SERIES)]
+                label = (labels or {}).get(number, f"{number} band{'s' * (number != 1)}")
+                axes.loglog(line["gsd_m"], np.clip(ratio, 0, _HIGHEST), "-o", ms=3, lw=1.2,
+                            color=colour, label=label)  # fmt: skip
+                none = line["gsd_m"][ratio.isna()]
+                # Side by side, so that each number of bands is seen.
+                axes.plot(none * 1.08**k, np.full(len(none), _HIGHEST / 2), "^", ms=4, mfc="none",
+                          color=colour)  # fmt: skip
             axes.axhspan(1.0, 100.0, color="#F3E3DC", lw=0)
             axes.set_title(short_name(name.removesuffix(".cover")), fontsize=8)
             axes.grid(which="major")
