@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fynjax._core.errors import InputError
 from fynjax._core.memory import free_memory
 from fynjax.assembly import stand_size
 from fynjax.io.instruments import load_instrument
@@ -140,7 +141,8 @@ def estimate(
 
     **Returns:** `Estimate`: numbers are right within a factor of two to three.
 
-    **Raises:** `InputError` for a sensor that there is not.
+    **Raises:** `InputError` for a sensor that there is not, a pixel or an altitude that is no
+    positive number, and a file that is read for its size and is none.
 
     Example: `jobs.estimate("render", "output", plot=read_plot("plot.toml")).sentence()`.
     """
@@ -237,6 +239,10 @@ def _scene_counts(plot: Plot) -> dict[str, str]:
 
 def _pixels(plot: Plot, sensor: Sensor, options: Mapping[str, Any]) -> float:
     own = plot.sensor.name == sensor.name
+    for name in ("pixel", "altitude"):
+        given = options.get(name)
+        if given is not None and not 0.0 < given < math.inf:
+            raise InputError(f"`{name}` must be a positive number of m, but is {given:g}")
     pixel = options.get("pixel") or (plot.sensor.stated_pixel_m if own else None)
     if pixel is None:
         height = options.get("altitude") or (plot.sensor.stated_altitude_m if own else None)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fynjax._core.errors import InputError
 from fynjax.cli import main
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.io.raster import write_geotiff
@@ -123,3 +124,10 @@ def test_where_nothing_was_measured_no_accuracy_is_claimed(tmp_path, capsys, mon
     shown = capsys.readouterr().out
     assert "not measured" in shown
     assert "factor of" not in shown
+
+
+@pytest.mark.parametrize("name", ["pixel", "altitude"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 0.0, -1.0])
+def test_nothing_is_estimated_for_what_is_no_length(name, value):
+    with pytest.raises(InputError, match=f"`{name}` must be a positive number of m"):
+        estimate("simulate", "out", plot=PLOT, **{name: value})
