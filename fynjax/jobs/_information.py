@@ -199,7 +199,8 @@ def _cover_section(table: pd.DataFrame, limits: pd.DataFrame, covers: Sequence[s
         "bound on each cover against the pixel",
         "Cramér-Rao bound on each species' cover over the cover itself, the other parameters as "
         "uncertain as their priors. In the shaded part the cover is indistinguishable from "
-        "absence; at a triangle it has no bound.",
+        "absence. At a triangle so few plantings show no slope that all share, and nothing counts "
+        "as known; more of them (`--realisations`) may.",
     )
     rows = limits.assign(parameter=limits["parameter"].map(short_name))
     return Section("Cover", [picture, Table(rows, "Where each cover is lost (–: not here).")])
