@@ -9,6 +9,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.legend import Legend
 
+from fynjax.canopy import Organ
 from fynjax.report.figures import (
     composites,
     constraint_plot,
@@ -17,6 +18,7 @@ from fynjax.report.figures import (
     index_histograms,
     leaf_fit_figure,
     parameter_plot,
+    plant_figure,
     save_figure,
     side_view,
 )
@@ -233,3 +235,23 @@ def test_the_legend_of_leaves_is_whole(leaves):
         measured=spectra,
     )
     assert_titles_and_legends_lie_inside(leaf_fit_figure(fit, [f"leaf_{i}" for i in range(leaves)]))
+
+
+def test_numbers_below_a_slender_plant_do_not_overlap():
+    rng = np.random.default_rng(0)
+    position = rng.uniform(-1.0, 1.0, (200, 3)) * (0.075, 0.075, 0.89) + (0.0, 0.0, 0.89)
+    organ = np.zeros(200, int)
+    plant = SimpleNamespace(
+        area=np.full(200, 1e-6),
+        position=position,
+        plant=SimpleNamespace(normal=rng.normal(size=(200, 3)), organ=organ),
+        organ_area=dict.fromkeys(Organ, 1e-4),
+    )
+    figure = plant_figure(plant)
+    FigureCanvasAgg(figure).draw()
+    for axes in figure.axes:
+        low, high = axes.get_xlim()
+        shown = [t for t, at in zip(axes.get_xticklabels(), axes.get_xticks()) if low <= at <= high]
+        boxes = [label.get_window_extent() for label in shown]
+        assert len(boxes) > 1
+        assert not any(a.overlaps(b) for a, b in itertools.pairwise(boxes))
