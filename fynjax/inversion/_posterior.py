@@ -1,7 +1,7 @@
 """The posterior of parameters by sampling, or by the Gaussian about the best fit."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,6 +28,8 @@ SamplingMethod = Literal["emcee", "nuts", "laplace"]
 _WALKERS, _CHAINS = 32, 4
 _FLAT = 0.01
 """Information, in units of the prior's, below which a direction counts as flat."""
+_NAMED = 3
+"""Most flat directions that are named one by one."""
 
 
 def sample_posterior(
@@ -183,6 +185,14 @@ def _none(why: str, space: ParameterSpace) -> Draws:
     return Draws(chain, np.empty((0, 1)), 0.0, np.inf, 0.0, f"failed: {why}")
 
 
+def _flatness(flat: Sequence[Mapping[str, float]], count: int) -> str:
+    """Along which of `count` directions the data say nothing: a few by their largest members."""
+    along = "; ".join(", ".join(f"{n} {w:+.2f}" for n, w in one.items()) for one in flat)
+    if len(flat) > _NAMED:
+        along = f"{len(flat)} of {count} combinations of the parameters"
+    return f"flat, the data say nothing along {along}"
+
+
 def _result(
     density: LogPosterior,
     method: str,
@@ -196,9 +206,7 @@ def _result(
     flat = start.weakly_constrained_directions(int((information < _FLAT).sum()))
     status = found.status
     if flat and len(found.chain):
-        shown = "; ".join(", ".join(f"{n} {w:+.2f}" for n, w in one.items()) for one in flat[:3])
-        more = f" and {len(flat) - 3} more" if len(flat) > 3 else ""
-        status += f"; flat, the data say nothing along {shown}{more}"
+        status = f"{status.rstrip('.')}; {_flatness(flat, len(density.space.names))}"
     return Posterior(
         space=density.space,
         data=density.data,

@@ -216,7 +216,8 @@ def posterior_table(sampled: Posterior) -> pd.DataFrame:
 def _headline(ready: Prepared, sampled: Posterior, table: pd.DataFrame) -> list[str]:
     shown = table.iloc[np.argsort(-sampled.constrained)[:5]]
     named = "; ".join(
-        f"{short_name(row.name)} {row.median:.3g} ({row.q05:.3g} to {row.q95:.3g}) {row.unit}, "
+        f"{short_name(row.name)} {row.median:.3g} ({row.q05:.3g} to {row.q95:.3g})"
+        f"{'' if row.unit == '-' else f' {row.unit}'}, "
         f"{max(100.0 * (row.constrained or 0.0), 0.0):.0f} %"
         for row in map(PosteriorParameter.model_validate, shown.to_dict("records"))
     )

@@ -17,6 +17,7 @@ from scipy.integrate import trapezoid
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax._core.sampling import ensemble
 from fynjax.inversion import Data, LogPosterior, ParameterSpace, fit, sample_posterior
+from fynjax.inversion._posterior import _flatness
 from fynjax.inversion._posterior_result import _arviz
 from tests.inversion.linear import DATA, SPACE, posterior, predict
 
@@ -77,6 +78,13 @@ def test_the_ensemble_is_as_wide_as_what_it_samples():
     assert found.status == "converged"
     # The mean of six widths, each of 6000 draws, is known to 0.4 %.
     assert found.chain.reshape(-1, 6).std(axis=0).mean() == pytest.approx(1.0, abs=0.015)
+
+
+def test_few_flat_directions_are_named_and_many_are_counted():
+    one = {"c.cover": 1.0, "a.cover": -0.25}
+    assert _flatness([one], 3) == "flat, the data say nothing along c.cover +1.00, a.cover -0.25"
+    many = _flatness([one] * 95, 101)
+    assert many == "flat, the data say nothing along 95 of 101 combinations of the parameters"
 
 
 @pytest.mark.parametrize("method", SAMPLERS)

@@ -1,5 +1,7 @@
 """What the jobs on posteriors, sensitivities and bounds tell, and one of each on a tiny plot."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -8,7 +10,7 @@ import xarray as xr
 from fynjax._core.errors import InputError
 from fynjax.inversion import _sensitivity as samples
 from fynjax.jobs._information import information, limit_table
-from fynjax.jobs._posterior import posterior
+from fynjax.jobs._posterior import _headline, posterior
 from fynjax.jobs._sensitivity import sensitivity
 from fynjax.report.figures._posterior import (
     bound_plot,
@@ -164,3 +166,21 @@ def test_a_plot_tells_what_sensors_could_know_of_it(plot, tmp_path):
     result = information(plot, tmp_path, gsd=[0.2, 1.0], bands=[1, 2], realisations=2, seed=0)
     assert all((tmp_path / name).stat().st_size for name in result.files)
     assert len(result.limits) == 4
+
+
+def test_a_headline_of_a_posterior_writes_no_unit_where_there_is_none():
+    names = ("prior", "prior_sd", "estimate", "sd", "prior_q05", "prior_q95", "constrained")
+    numbers = dict.fromkeys(names, 0.5) | {"median": 0.37, "q05": 0.2, "q95": 0.5}
+    rows = [
+        {"name": f"species.A.{kind}", "kind": kind, "unit": unit, **numbers}
+        for kind, unit in (("dead_fraction", "-"), ("cover", "%"))
+    ]
+    sampled = SimpleNamespace(
+        constrained=np.array([0.6, 0.5]), misfit=np.array([0.1]), effective_size=400.0,
+        method="laplace", names=("a", "b"), data=SimpleNamespace(names=("nir.mean",)),
+        well_constrained=tuple,
+    )  # fmt: skip
+    plot = SimpleNamespace(plot=SimpleNamespace(name="small"))
+    said = _headline(plot, sampled, pd.DataFrame(rows))[-1]
+    assert "A dead fraction 0.37 (0.2 to 0.5), 50 %" in said
+    assert "A cover 0.37 (0.2 to 0.5) %, 50 %" in said
