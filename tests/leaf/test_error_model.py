@@ -37,6 +37,41 @@ def test_discrepancy_makes_nine_of_ten_intervals_hold():
     assert np.all(np.isneginf(np.delete(table[:, 0], water)))
 
 
+def _sets_of_unlike_errors(draw: np.random.Generator, sets: int) -> list[np.ndarray]:
+    """Errors of sets whose standard deviations are lognormal about 0.2, spread by 0.7."""
+    deviations = 0.2 * np.exp(0.7 * draw.normal(size=sets))
+    return [np.stack([s * draw.normal(size=100), *np.tile([[0.0], [1.0], [0.0], [0.0]], 100)], 1)
+            for s in deviations]  # fmt: skip
+
+
+def test_discrepancy_holds_for_sets_to_come():
+    """Sets differ in the size of their errors: 90 % of the leaves of the next one are held, where
+    the level that holds for the known sets holds less."""
+    draw = np.random.default_rng(2)
+    to_come, known = [], []
+    traits = ("structure", "chlorophyll", "carotenoids")
+    for _ in range(120):
+        sets = {t: _sets_of_unlike_errors(draw, 4) for t in traits}
+        table = discrepancy([{t: [sets[t][i]] for t in sets} for i in range(4)])
+        trait = POPULATION_TRAITS.index("chlorophyll")
+        after = np.concatenate(_sets_of_unlike_errors(draw, 40))[:, 0]
+        width = 1.645 * np.exp(table[trait, 0])
+        to_come.append(np.mean(np.abs(after) < width))
+        errors = np.concatenate(sets["chlorophyll"])[:, 0]
+        known.append(np.mean(np.abs(after) < np.quantile(np.abs(errors), 0.9)))
+    assert np.mean(to_come) == pytest.approx(0.905, abs=0.015)
+    assert np.mean(known) < 0.885
+
+
+def test_the_discrepancy_of_one_set_is_its_own():
+    """Nothing says how the next set differs."""
+    draw = np.random.default_rng(3)
+    (part,) = _sets_of_unlike_errors(draw, 1)
+    table = discrepancy([{"chlorophyll": [part]}])
+    width = 1.645 * np.exp(table[POPULATION_TRAITS.index("chlorophyll"), 0])
+    assert np.mean(np.abs(part[:, 0]) < width) == pytest.approx(0.9, abs=0.01)
+
+
 def test_the_shipped_model_is_a_prior():
     """A correlation that a Gaussian can have, and a discrepancy of each trait of laboratories."""
     model = default_error_model()

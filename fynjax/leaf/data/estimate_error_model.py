@@ -13,9 +13,12 @@ the mean of its five spectra a sample, NASA FFT as two sets, broad leaves and ma
 since they differ from set to set. How the sets' means lie to each other is left out: a prior with
 that tripled the relative error of dry matter in ANGERS, whose leaves are thin for their N.
 
-*Discrepancy of traits*: each campaign is fitted with the covariance and correlation of the others,
-and the standard deviation is what makes nine of ten 90 % intervals hold the measured value, on the
-average over these sets. How it grows with dry matter is the most likely under Student errors.
+*Discrepancy of traits*: each campaign is fitted with the covariance and correlation of the others.
+How it grows with dry matter is the most likely under Student errors. How large it is: sets differ in
+the size of their errors, by a laboratory, a sphere, a notion of leaf area; the logarithms of their
+sizes are a random effect whose standard deviation is pooled over traits, and the next set's has a
+Student distribution of as many degrees of freedom as sets less traits. The discrepancy is what makes
+90 % intervals hold nine of ten measured values on the average over such sets to come.
 
 *Share of species*: in the same fits, the mean product of the errors of two leaves of a species over
 the mean square, a mean over sets.
@@ -211,36 +214,77 @@ def trait_errors(leaves: LeafSet, model: ErrorModel) -> dict[str, list[np.ndarra
 def discrepancy(errors: Sequence[dict[str, list[np.ndarray]]]) -> np.ndarray:
     """`ErrorModel.trait_discrepancy` from errors of sets that the model was not estimated from."""
     table = _NO_DISCREPANCY.copy()
+    parts, sizes = {}, {}
     for row, trait in enumerate(POPULATION_TRAITS):
-        parts = [np.concatenate(of[trait]) for of in errors if trait in of]
-        if parts:
-            table[row] = _level_and_slope(parts, trait in ("water", "dry_matter"))
+        parts[row] = [np.concatenate(of[trait]) for of in errors if trait in of]
+        if parts[row]:
+            table[row] = _level_and_slope(parts[row], trait in ("water", "dry_matter"))
+            sizes[row] = np.array([_size(part, *table[row]) for part in parts[row]])
+    freedom = sum(len(of) - 1 for of in sizes.values())
+    if freedom == 0:
+        return table
+    spread = np.sqrt(sum(len(of) * of.var() for of in sizes.values()) / freedom)
+    for row, of in sizes.items():
+        next_set = student.ppf((np.arange(50) + 0.5) / 50, freedom) * spread
+        next_set *= np.sqrt(1.0 + 1.0 / len(of))
+        table[row, 0] = _level_of_next_set(parts[row], of, table[row, 1], next_set)
     return table
 
 
+def _deviation(part: np.ndarray, level: float, slope: float) -> np.ndarray:
+    """Standard deviation of the errors of a set [leaf, 5] with that discrepancy."""
+    _, variance, inflation, thick = part[:, :4].T
+    return np.sqrt(variance + inflation * np.exp(2.0 * (level + slope * thick)))
+
+
+def _size(part: np.ndarray, level: float, slope: float) -> float:
+    """Logarithm by how much nine of ten errors of a set are larger than its intervals."""
+    ratio = np.abs(part[:, 0]) / _deviation(part, level, slope)
+    return float(np.log(np.quantile(ratio, 0.9) / NINETY_PERCENT))
+
+
+_LEAST, _MOST = np.log(0.01), np.log(5.0)
+
+
+def _level_of_next_set(
+    parts: Sequence[np.ndarray], sizes: np.ndarray, slope: float, next_set: np.ndarray
+) -> float:
+    """Level at which nine of ten intervals hold on the average over sets to come: those there are,
+    each as if its errors had the sizes (logarithms about the mean) in `next_set`."""
+
+    def short(level: float) -> float:
+        inside = []
+        for part, size in zip(parts, sizes):
+            ratio = np.sort(np.abs(part[:, 0]) / _deviation(part, level, slope))
+            limit = NINETY_PERCENT * np.exp(size - sizes.mean() - next_set)
+            inside.append(np.mean(np.searchsorted(ratio, limit)) / ratio.size)
+        return float(np.mean(inside)) - 0.9
+
+    return brentq(short, _LEAST, _MOST) if short(_LEAST) < 0 else _LEAST
+
+
 def _level_and_slope(parts: Sequence[np.ndarray], grows: bool) -> tuple[float, float]:
-    """Discrepancy of one trait from its errors in each set [leaf, 5], which count the same.
+    """Discrepancy of one trait at which nine of ten intervals hold in these sets [leaf, 5], which
+    count the same.
 
     The slope, where there may be one, has a prior of 0 +- 0.3, and each set counts as ten leaves:
     leaves of a campaign share much of their error.
     """
     weight = np.concatenate([np.full(len(p), 1.0 / len(p) / len(parts)) for p in parts])
-    error, variance, inflation, thick = np.concatenate(parts)[:, :4].T
-
-    def scale(log: float, slope: float) -> np.ndarray:
-        return np.sqrt(variance + inflation * np.exp(2.0 * (log + slope * thick)))
+    together = np.concatenate(parts)
+    error = together[:, 0]
 
     def level(slope: float) -> float:
         """Logarithm at which nine of ten intervals hold the measured value."""
 
         def short(log: float) -> float:
-            return float(weight @ (np.abs(error) < NINETY_PERCENT * scale(log, slope))) - 0.9
+            width = NINETY_PERCENT * _deviation(together, log, slope)
+            return float(weight @ (np.abs(error) < width)) - 0.9
 
-        least, most = np.log(0.01), np.log(5.0)
-        return brentq(short, least, most) if short(least) < 0 else least
+        return brentq(short, _LEAST, _MOST) if short(_LEAST) < 0 else _LEAST
 
     def surprise(slope: float) -> float:
-        width = scale(level(slope), slope)
+        width = _deviation(together, level(slope), slope)
         likely = float(weight @ (student.logpdf(error / width, 5.0) - np.log(width)))
         return 0.5 * (slope / 0.3) ** 2 - 10.0 * len(parts) * likely
 
