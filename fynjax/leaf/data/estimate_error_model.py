@@ -14,11 +14,11 @@ since they differ from set to set. How the sets' means lie to each other is left
 that tripled the relative error of dry matter in ANGERS, whose leaves are thin for their N.
 
 *Discrepancy of traits*: each campaign is fitted with the covariance and correlation of the others.
-How it grows with dry matter is the most likely under Student errors. How large it is: sets differ in
-the size of their errors, by a laboratory, a sphere, a notion of leaf area; the logarithms of their
-sizes are a random effect whose standard deviation is pooled over traits, and the next set's has a
-Student distribution of as many degrees of freedom as sets less traits. The discrepancy is what makes
-90 % intervals hold nine of ten measured values on the average over such sets to come.
+How it grows with dry matter is the most likely under Student errors. How large it is: sets differ
+in the size of their errors, by a laboratory, a sphere, a notion of leaf area; the logarithms of
+their sizes are a random effect whose standard deviation is pooled over traits, and the next set's
+has a Student distribution of as many degrees of freedom as sets less traits. The discrepancy is
+what makes 90 % intervals hold nine of ten measured values on the average over such sets to come.
 
 *Share of species*: in the same fits, the mean product of the errors of two leaves of a species over
 the mean square, a mean over sets.
