@@ -194,6 +194,10 @@ def main(folder: Path) -> None:
     print(f"{time.process_time() - start:.0f} CPU s")
 
 
+def leaf_folder() -> Path:
+    """Where the leaf data lie if nothing is said."""
+    return Path(os.environ.get("FYNJAX_SHARED_DATA", "../shared/data")) / "leaf"
+
+
 if __name__ == "__main__":
-    default = Path(os.environ.get("FYNJAX_SHARED_DATA", "../shared/data")) / "leaf"
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else default)
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else leaf_folder())
