@@ -148,6 +148,13 @@ def fit_leaf(
         Path | None,
         typer.Option(help="CSV with columns name and species: fit leaves of a species together."),
     ] = None,
+    regression: Annotated[
+        bool,
+        typer.Option(
+            "--regression",
+            help="Correct water by what fits leave in the spectra, all of one campaign.",
+        ),
+    ] = False,
     posterior: Annotated[
         Posterior, typer.Option(help="Sample the posterior of each leaf as well.")
     ] = Posterior.none,
@@ -182,6 +189,8 @@ def fit_leaf(
     if groups is not None:
         existing_file(groups, "a table of species")
         further["groups"] = groups
+    if regression:
+        further["regression"] = True
     if posterior is not Posterior.none:
         further["posterior"] = posterior.value
     from fynjax import jobs

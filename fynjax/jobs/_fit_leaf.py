@@ -54,6 +54,7 @@ from fynjax.leaf import (
     bin_centres,
     correct_detector_jumps,
     fit_leaf_groups,
+    regress_water,
     resolved_by_two_readings,
     sample_leaf_posterior,
     to_bins,
@@ -266,6 +267,7 @@ def fit_leaf(
     panel: str | Path | None = None,
     detector_changes: Sequence[float] | None = None,
     groups: str | Path | None = None,
+    regression: bool = False,
     posterior: Sampling = "none",
     seed: int = 0,
     checkpoint: str | Path | None = None,
@@ -302,6 +304,8 @@ def fit_leaf(
       all spectra, see `correct_detector_jumps`; `None` for those that an ASD file states.
     - `groups`: a CSV with the columns `name` (of a spectrum) and `species`: leaves of a species are
       fitted together, and `species.csv` holds the mean leaf and five material variants of each.
+    - `regression`: whether to correct water by `regress_water`: all spectra must be of one
+      campaign. Not with `groups`, a posterior, or the domain "optimal".
     - `posterior`: "none", or sample it by "emcee" or "nuts" into `posterior.nc`.
     - `seed`: seed of the posterior's random numbers; the fit itself draws none.
     - `checkpoint`: folder that keeps what each 1024 leaves of a larger table gave, from which an
@@ -320,6 +324,11 @@ def fit_leaf(
 
     Example: `jobs.fit_leaf(["leaves.csv"], "results", version="PRO")`.
     """
+    if regression and (groups is not None or posterior != "none" or domain != "full"):
+        raise InputError(
+            "`regression` corrects leaves that are fitted one by one over all wavelengths, so it "
+            'goes with neither `groups`, nor a posterior, nor the domain "optimal"'
+        )
     behind = None if background is None else _background(background, measurement)
     if over_background and behind is None:
         raise InputError("readings over a background need its reflectance, `background`")
@@ -352,8 +361,11 @@ def fit_leaf(
             _GRID, r, t,
             chunk=_PART, journal=journal, workers=workers, progress=run.progress, **options,
         )  # fmt: skip
+    if regression:
+        fit = regress_water(fit)
     settings = {
         "prospect_version": version,
+        "regression": "water" if regression else "none",
         "measurement": measurement,
         "leaf_shape": leaf_shape,
         "area": area,
@@ -382,7 +394,7 @@ def fit_leaf(
         what = "draws of the parameters and of T from the posterior"
         dataset = posterior_dataset(draws, fit, files, names, settings, factors)
         write_spectra_netcdf(dataset, run.path("posterior.nc", what))
-    return _result(run, fit, spectra, refused)
+    return _result(run, fit, spectra, refused, regression)
 
 
 def _result(
@@ -390,11 +402,14 @@ def _result(
     fit: LeafFit,
     spectra: list[tuple[str, Spectrum]],
     refused: list[tuple[str, str, InputError]],
+    regression: bool,
 ) -> FitLeafResult:
     good = fit.status.count("converged")
     headline = [f"{good} of {len(spectra)} spectra fitted without doubt."]
     if good < len(spectra):
         headline.append("The others say why in the column status of traits.csv.")
+    if regression:
+        headline.append("Water is corrected by regression, as of leaves of one campaign.")
     repaired = sum(bool(s.meta["repairs"]) for _, s in spectra)
     if repaired:
         headline.append(f"{repaired} were repaired while reading, see the column repairs.")

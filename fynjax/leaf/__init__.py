@@ -36,6 +36,7 @@ from fynjax.leaf._parameters import (
 from fynjax.leaf._posterior import LeafPosterior, sample_leaf_posterior
 from fynjax.leaf._problem import FitDomain
 from fynjax.leaf._prospect import LeafOptics, interface_transmissivity, prospect
+from fynjax.leaf._regression import regress_water
 from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
 
 enable_double_precision()
@@ -75,6 +76,7 @@ __all__ = [
     "interface_transmissivity",
     "layer_absorptance",
     "prospect",
+    "regress_water",
     "resolved_by_two_readings",
     "sample_leaf_posterior",
     "structure_from_dry_matter",
