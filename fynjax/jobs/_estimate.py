@@ -27,14 +27,14 @@ from fynjax.sensors import FlashGeometry, Lidar, Sensor
 _START_S = 20.0
 """Reading, imports, tracing, planting and figures [CPU s]: `render` of 5 m takes 25 in all, once
 compiled (busy machine)."""
-_COMPILE_IMAGE_S, _COMPILE_GRADIENT_S, _COMPILE_SEARCH_S = 21.0, 74.0, 150.0
+_COMPILE_IMAGE_S, _COMPILE_GRADIENT_S, _COMPILE_SEARCH_S = 12.0, 40.0, 75.0
 """Compilation of an image, of its gradient, and of all programs of a calibration [CPU s]; it is
 kept for later runs of the same sizes."""
 _GRADIENT_IMAGES = 2.7
 """A gradient in images, at 10 and 20 m."""
-_STEP_IMAGES = 4.5
-"""A step of a search in images, were all steps taken: the example takes 610 CPU s with
-compilation, its rounds at fresh draws of plants included, of which 11 of 30 steps were taken."""
+_STEP_IMAGES = 2.6
+"""A step of a search in images, were all steps taken: the example takes 320 CPU s with
+compilation, its rounds at fresh draws of plants included, of which 9 of 30 steps were taken."""
 _SLOPE_IMAGES = 0.3
 """A parameter's slopes in images: `information` takes 263 CPU s for two stands of the example."""
 _PLOT_S, _COMPILE_PLOT_S = 72.0, 53.0
@@ -253,8 +253,8 @@ def _pixels(plot: Plot, sensor: Sensor, options: Mapping[str, Any]) -> float:
 def _image_seconds(plot: Plot, pixels: float, bands: int) -> float:
     """Time of an image on one core [s], after compilation.
 
-    The example plot of 10 m takes 2 to 3 s, with voxels of 2.5 cm 8.9 s, a hectare 403 s; 416 bands
-    take 8.7 times one.
+    The example plot of 10 m takes 3 s, whatever its voxels, a hectare 185 s with all files; 416
+    bands take 7.2 times one.
     """
     area = float(np.prod(plot.size_m))
     own = 0.5 + 1.6 * area / 100.0 + 0.4 * area / plot.voxel_m**2 / 1e4 + 0.4 * pixels / 1.6e5
