@@ -5,7 +5,7 @@ scores of the prior, so that no interval leaves what the prior deems possible; a
 their mean and covariance (a density network, Bishop 1994; as posterior estimation from simulations,
 Papamakarios and Murray 2016, arXiv:1605.06376).
 
-How unlike the simulations a spectrum is, is told by two distances. Along the few directions in
+How unlike the simulations a spectrum is, two distances measure. Along the few directions in
 which simulations spread more than the errors, it is that to the nearest of them in units of the
 errors (as the area of applicability of Meyer and Pebesma 2021, doi:10.1111/2041-210X.13650):
 simulations fill no ellipsoid there, and one around them all would hold much that none is like.

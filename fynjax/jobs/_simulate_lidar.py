@@ -24,7 +24,7 @@ from fynjax.sensors import FlashGeometry, Lidar, LidarBeams, LidarReturns
 from fynjax.sensors.lidar import GROUND
 
 _SEEN_M = 1.0
-"""Height above the ground for which the gap between frames is told [m]."""
+"""Height above the ground at which the gap between frames is stated [m]."""
 
 
 class SimulateLidarResult(JobResult):
