@@ -7,6 +7,10 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+# Before JAX is imported, here and in the children of a test: programs of its cache are read with
+# long lines of false alarm, which fill the pipe of a child that nobody reads.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
 import jax
 import psutil
 import pytest

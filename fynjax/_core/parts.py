@@ -342,6 +342,7 @@ def _settings(*, this_machine: bool) -> _Settings:
     environment = {
         "JAX_ENABLE_X64": str(int(config["jax_enable_x64"])),
         "XLA_FLAGS": os.environ.get("XLA_FLAGS", ""),
+        "TF_CPP_MIN_LOG_LEVEL": os.environ.get("TF_CPP_MIN_LOG_LEVEL", "1"),
         # XLA cuts sums into as many pieces as it has threads, and rounds each: as many as here, on
         # whatever machine. Workers of this machine have them on one core.
         "NPROC": os.environ.get("NPROC") or str(_own_cores()),

@@ -111,6 +111,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     # An exit, unlike the signal itself, lets unfinished results be cleared away.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(_TERMINATED))
+    # Compiled programs that are kept are read with lines of false alarm: settings of this machine's
+    # own compiler are called features that it lacks. Before JAX is imported.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     # GDAL reports through logging, and a logger without a handler prints to stderr.
     logging.getLogger("rasterio").addHandler(logging.NullHandler())
     status: object = 0
