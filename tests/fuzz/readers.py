@@ -321,8 +321,10 @@ def _training(folder: Path) -> None:
     layer = jnp.ones((2, 44), jnp.float32), jnp.zeros(44, jnp.float32)
     waves = np.arange(450.0, 850.0, 100.0)
     posterior = AmortisedPosterior(
-        jnp.zeros(4), jnp.ones((2, 4)), jnp.eye(4), (layer,),
-        jnp.tile(jnp.linspace(0.0, 1.0, 161), (8, 1)), jnp.linspace(0.0, 4.0, 1000),
+        middle=jnp.zeros(4), rows=jnp.ones((2, 4)), within=jnp.eye(4)[:2],
+        points=jnp.zeros((8, 2)), outside=jnp.eye(4)[2:], layers=(layer,),
+        values=jnp.tile(jnp.linspace(0.0, 1.0, 161), (8, 1)),
+        distance=jnp.tile(jnp.linspace(0.0, 4.0, 2000), (2, 1)),
     )  # fmt: skip
     channels = Channels(waves - 20.0, waves + 20.0, waves)
     record = {"kind": "fynjax training of maps", "sensor_bands": 4}

@@ -277,7 +277,7 @@ def test_a_killed_map_goes_on_and_is_that_of_one_run(trained, known, tmp_path, m
         assert one.tags() | own == other.tags() | own
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_plots_of_fynbos_are_like_the_simulations_and_other_surfaces_are_not(shared_data, tmp_path):
     tables = shared_data / "eco" / "bioscape"
     sensor, measured = read_spectrometer(tables), read_plot_spectra(tables)

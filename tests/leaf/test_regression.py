@@ -1,8 +1,5 @@
 """Water corrected by what fits leave in spectra: the recipe on made-up campaigns, and its use."""
 
-import os
-from pathlib import Path
-
 import equinox as eqx
 import jax
 import numpy as np
@@ -15,8 +12,6 @@ from fynjax.leaf import LEAF_PARAMETERS, fit_leaf, regress_water
 from fynjax.leaf._regression import remains, water_regressions, window_bins
 from fynjax.leaf.data.estimate_error_model import read
 from fynjax.leaf.data.estimate_regression import Case, Process, fitted, process, rms
-
-SHARED = Path(os.environ.get("FYNJAX_SHARED_DATA", "not/there")) / "leaf"
 
 CAMPAIGNS, LEAVES, INPUTS = 6, 60, 5
 
@@ -133,11 +128,10 @@ def test_water_that_was_not_fitted_is_refused(fit):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not SHARED.is_dir(), reason="FYNJAX_SHARED_DATA is not set")
-def test_water_of_a_campaign_left_out():
+def test_water_of_a_campaign_left_out(shared_data):
     """Californian shrubs and trees, of which nothing was learned: water from R is nearer."""
-    (leaves,) = read(SHARED, "california_asd")
-    case = Case(SHARED, "water", False)
+    (leaves,) = read(shared_data / "leaf", "california_asd")
+    case = Case(shared_data / "leaf", "water", False)
     found = process(case, leaves, True)
     truth = leaves.measured("water")
     value = np.asarray(fitted(case, leaves, ("california_asd",)).parameters.water)
