@@ -211,7 +211,7 @@ def _unreadable(path: Path) -> InputError:
 def _without_burn_in(chain: np.ndarray) -> np.ndarray:
     """The first steps go, more of them where the chain is slow to forget its start."""
     kept = chain[min(_BURN_IN, len(chain) // 2) :]
-    tau = _autocorrelation(kept)
+    tau = autocorrelation_time(kept)
     if np.isfinite(tau) and _BURN_IN < 5 * tau < len(chain) / 2:
         return chain[int(5 * tau) :]
     return kept
@@ -219,20 +219,24 @@ def _without_burn_in(chain: np.ndarray) -> np.ndarray:
 
 def _judge(chain: np.ndarray, target: float) -> Draws:
     """Measures the autocorrelation time, and says whether the chain is long enough."""
-    tau = _autocorrelation(chain)
+    tau = autocorrelation_time(chain)
     size = chain.shape[0] * chain.shape[1] / tau
     status = "converged"
     if not len(chain) > _TIMES_TAU * tau:
         status = "not converged: chain shorter than 50 autocorrelation times"
     elif size < target:
         status = f"not converged: {size:.0f} effective draws of {target:.0f}"
-    elif (apart := _split_r_hat(chain)) > _R_HAT:
+    elif (apart := split_r_hat(chain)) > _R_HAT:
         status = f"not converged: chains disagree, R-hat {apart:.2f}"
     return Draws(chain, np.empty(chain.shape[:2]), size, tau, np.nan, status)
 
 
-def _split_r_hat(chain: np.ndarray) -> float:
-    """Of the worst parameter, chains cut in halves (Gelman et al. 2013, section 11.4)."""
+def split_r_hat(chain: np.ndarray) -> float:
+    """By how much chains disagree, cut in halves (Gelman et al. 2013, section 11.4), in the worst
+    parameter: 1 where they do not.
+
+    **Arguments:** `chain`, [step, chain, parameter].
+    """
     half = len(chain) // 2
     parts = np.concatenate([chain[:half], chain[half : 2 * half]], axis=1)
     within = parts.var(axis=0, ddof=1).mean(axis=0)
@@ -240,9 +244,12 @@ def _split_r_hat(chain: np.ndarray) -> float:
     return float(np.max(np.sqrt((half - 1) / half + between / within)))
 
 
-def _autocorrelation(chain: np.ndarray) -> float:
-    """Of the slowest parameter; infinite where it cannot be estimated or a parameter never
-    moved."""
+def autocorrelation_time(chain: np.ndarray) -> float:
+    """Integrated autocorrelation time of the slowest parameter [steps]; infinite where it cannot be
+    estimated or a parameter never moved.
+
+    **Arguments:** `chain`, [step, chain, parameter].
+    """
     with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):
         warnings.simplefilter("ignore")
         tau = np.asarray(emcee.autocorr.integrated_time(chain, tol=0, quiet=True))

@@ -10,13 +10,16 @@ from fynjax.assembly._forward import (
     shown_unit,
 )
 from fynjax.assembly._memory import check_memory, stand_size
+from fynjax.assembly._pixels import sample_pixel
 from fynjax.assembly._sensing import aim_at_plot, aim_without_air
 from fynjax.assembly._stands import (
     STAND_QUANTITIES,
     StandQuantity,
     Stands,
     StandSettings,
+    make_stand,
     simulate_stands,
+    stand_numbers,
 )
 from fynjax.assembly._targets import Measured, drone_view, read_targets
 
@@ -34,11 +37,14 @@ __all__ = [
     "check_memory",
     "drone_view",
     "image_view",
+    "make_stand",
     "parameter_columns",
     "plot_parameters",
     "prepare",
     "read_targets",
+    "sample_pixel",
     "shown_unit",
     "simulate_stands",
+    "stand_numbers",
     "stand_size",
 ]

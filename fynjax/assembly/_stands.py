@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.special
 from jaxtyping import Array, Float
 
 from fynjax.canopy import table1_2006
@@ -132,6 +133,12 @@ _PACKING = 0.75
 them (equation 8)."""
 _CELL = 0.1
 """Side of the cells in which the cover of crowns is counted [m]."""
+_EDGE = 1e-9
+"""Least share, and what the largest lacks of 1."""
+_OF_STAND = 7 + len(LEAFY_FORMS) + len(FORMS)
+"""Numbers that its covers, shares, sizes and sun are made of, beside those of the prior."""
+_OF_SET = 5 + 3 * len(FORMS)
+"""The same of a set's leaves and ground."""
 _GEOMETRY = ("leaf_area_index", "shoot_clumping")
 """What the stand is planted with, so that all its sets of leaves share it."""
 
@@ -188,17 +195,47 @@ def simulate_stands(
 
     **Returns:** `Stands`, row after row in the order of `numbers`.
     """
-    scene, planted, imager = _planted(bands, settings)
-    quantities, spectra, residual = [], [], 0.0
+    common, own = stand_numbers(prior)
+    made = []
     for number in numbers:
-        drawn = _draw(prior, settings, number, seed)
-        stand = stand_realisation(scene, int(drawn.rng.integers(2**31)))
-        parameters = replace(planted, species=drawn.species, light=drawn.light)
-        found, left = _spectra(imager, stand, parameters, drawn.optics)
-        spectra.append(np.asarray(found, float))
-        residual = max(residual, float(left))
-        quantities.append(_quantities(stand, parameters, drawn))
-    return Stands(np.concatenate(quantities), np.concatenate(spectra), residual)
+        rng = np.random.default_rng([seed, number])
+        of_stand, of_sets = rng.normal(size=common), rng.normal(size=(settings.together, own))
+        chance = int(rng.integers(2**31))
+        made.append(make_stand(of_stand, of_sets, chance, bands, prior, settings))
+    return Stands(
+        np.concatenate([one.quantities for one in made]),
+        np.concatenate([one.reflectance for one in made]),
+        max(one.residual for one in made),
+    )
+
+
+def make_stand(
+    common: Float[np.ndarray, " number"],
+    own: Float[np.ndarray, "set number"],
+    chance: int,
+    bands: BandSet,
+    prior: LearnedPrior,
+    settings: StandSettings,
+) -> Stands:
+    """A planted stand of unit normal numbers, and its spectra: of draws of these, a draw of the
+    prior.
+
+    **Arguments:**
+
+    - `common`, `own`: numbers of the stand, and of each of its sets of leaves and ground; so many
+      as `stand_numbers` has it.
+    - `chance`: number of the planting: where the plants stand.
+    - `bands`, `prior`, `settings`: as for `simulate_stands`.
+
+    **Returns:** `Stands`, a row a set.
+    """
+    scene, planted, imager = _planted(bands, settings)
+    drawn = _draw(prior, settings, common, own)
+    stand = stand_realisation(scene, chance)
+    parameters = replace(planted, species=drawn.species, light=drawn.light)
+    spectra, left = _spectra(imager, stand, parameters, drawn.optics)
+    quantities = _quantities(stand, parameters, drawn)
+    return Stands(quantities, np.asarray(spectra, float), float(left))
 
 
 @lru_cache(maxsize=2)
@@ -245,7 +282,6 @@ class _Optics(eqx.Module):
 
 @dataclass(frozen=True)
 class _Drawn:
-    rng: np.random.Generator
     species: Any
     light: LightParameters
     optics: _Optics
@@ -255,10 +291,47 @@ class _Drawn:
     """Over fresh mass [-]."""
 
 
-def _draw(prior: LearnedPrior, settings: StandSettings, number: int, seed: int) -> _Drawn:
-    rng = np.random.default_rng([seed, number])
-    count, forms, leafy = settings.together, len(FORMS), len(LEAFY_FORMS)
-    at = prior.draws(count, seed=int(rng.integers(2**31)), groups=count, shared=_GEOMETRY)
+class _Numbers:
+    """Unit normal numbers, taken one after the other."""
+
+    def __init__(self, values: Float[np.ndarray, "*set number"]) -> None:
+        self._values, self._next = values, 0
+
+    def take(self, count: int) -> Float[np.ndarray, "*set count"]:
+        """The next `count` of them."""
+        self._next += count
+        return self._values[..., self._next - count : self._next]
+
+
+def _uniform(normal: Any) -> Any:
+    """Numbers of even density between 0 and 1, short of both."""
+    return np.clip(scipy.special.ndtr(normal), _EDGE, 1.0 - _EDGE)
+
+
+def _beta(normal: Any, a: Any, b: Any) -> Any:
+    return np.clip(scipy.special.betaincinv(a, b, _uniform(normal)), _EDGE, 1.0 - _EDGE)
+
+
+def stand_numbers(prior: LearnedPrior) -> tuple[int, int]:
+    """How many unit normal numbers make a stand, and each set of its leaves and ground.
+
+    **Arguments:** `prior`, which the stand is drawn from.
+    """
+    common, own = prior.numbers(_GEOMETRY)
+    return common + _OF_STAND, own + _OF_SET
+
+
+def _draw(
+    prior: LearnedPrior,
+    settings: StandSettings,
+    common: Float[np.ndarray, " number"],
+    own: Float[np.ndarray, "set number"],
+) -> _Drawn:
+    """A stand of unit normal numbers, those that all its sets have in common and those of each."""
+    count, forms, leafy = len(own), len(FORMS), len(LEAFY_FORMS)
+    first, each = prior.numbers(_GEOMETRY)
+    at = prior.drawn(common[:first], own[:, :each], _GEOMETRY)
+    stand, of_set = _Numbers(common[first:]), _Numbers(own[:, each:])
 
     def by_form(kind: str) -> Float[np.ndarray, "set form"]:
         values = [at[f"{kind}.{form}"] for form in LEAFY_FORMS]
@@ -267,19 +340,22 @@ def _draw(prior: LearnedPrior, settings: StandSettings, number: int, seed: int) 
     def around(
         median: float | Float[np.ndarray, " form"], sds: tuple[float, float]
     ) -> Float[np.ndarray, "set form"]:
-        apart = sds[0] * rng.normal(size=(count, 1)) + sds[1] * rng.normal(size=(count, forms))
-        return median * np.exp(apart)
+        return median * np.exp(sds[0] * of_set.take(1) + sds[1] * of_set.take(forms))
 
-    usual = rng.random() >= _ELSEWHERE
-    live, dead = (rng.beta(*(of if usual else (1.0, 1.0))) for of in (_COVERED, _DEAD))
-    standing = dead * rng.beta(*_STANDING)
-    shares = rng.dirichlet(list(_SHARES.values()))
+    usual = bool(_uniform(stand.take(1)[0]) >= _ELSEWHERE)
+    live, dead = (
+        float(_beta(stand.take(1)[0], *(of if usual else (1.0, 1.0)))) for of in (_COVERED, _DEAD)
+    )
+    standing = dead * float(_beta(stand.take(1)[0], *_STANDING))
+    # A Dirichlet distribution is that of the shares of gamma variates.
+    parts = scipy.special.gammaincinv(list(_SHARES.values()), _uniform(stand.take(leafy)))
+    shares = parts / parts.sum()
     crowns = np.minimum(
         -np.log1p(-np.append(live * np.ones(leafy), standing)), _MOST_CROWNS
     ) * np.append(shares, 1.0)
     diameter, height = _sizes()
-    diameter = diameter * np.exp(np.clip(_SIZE_SD * rng.normal(size=forms), -_SIZE_SD, None))
-    height = height * np.exp(_SIZE_SD * rng.normal())
+    diameter = diameter * np.exp(np.clip(_SIZE_SD * stand.take(forms), -_SIZE_SD, None))
+    height = height * np.exp(_SIZE_SD * stand.take(1))
     values: dict[str, Any] = {
         "cover": crowns * (1.0 - _PACKING),
         "diameter": diameter,
@@ -289,9 +365,10 @@ def _draw(prior: LearnedPrior, settings: StandSettings, number: int, seed: int) 
         **{kind: by_form(kind)[0] for kind in BY_FORM},
     }
     species, _ = species_parameters(FORMS, values, [None] * forms)
+    low, high = settings.sun_zenith
     light = LightParameters(
-        sun_zenith=jnp.asarray(rng.uniform(*settings.sun_zenith)),
-        sun_azimuth=jnp.asarray(rng.uniform(0.0, 360.0)),
+        sun_zenith=jnp.asarray(low + (high - low) * _uniform(stand.take(1)[0])),
+        sun_azimuth=jnp.asarray(360.0 * _uniform(stand.take(1)[0])),
     )
     mass, water = np.array([_LEAVES[form] for form in FORMS]).T
     leaf_mass = around(mass, _LEAF_MASS_SD)
@@ -315,8 +392,10 @@ def _draw(prior: LearnedPrior, settings: StandSettings, number: int, seed: int) 
     litter = (dead - standing) / (1.0 - standing)
     ground = GroundParameters(
         brightness=jnp.asarray(at["soil_brightness"]),
-        moisture=jnp.asarray(rng.beta(1.0, 3.0, count)),
-        litter_fraction=jnp.asarray(rng.beta(2.0 * litter + 0.05, 2.05 - 2.0 * litter, count)),
+        moisture=jnp.asarray(_beta(of_set.take(1)[:, 0], 1.0, 3.0)),
+        litter_fraction=jnp.asarray(
+            _beta(of_set.take(1)[:, 0], 2.0 * litter + 0.05, 2.05 - 2.0 * litter)
+        ),
         char_fraction=jnp.zeros(count),
         rock_fraction=jnp.zeros(count),
         wood_brightness=jnp.asarray(at["wood_brightness"]),
@@ -324,7 +403,7 @@ def _draw(prior: LearnedPrior, settings: StandSettings, number: int, seed: int) 
     leaves = LeafParameters.many(**{name: value.ravel() for name, value in leaf.items()})
     leaves = jax.tree.map(lambda a: a.reshape(count, forms), leaves)
     optics = _Optics(leaves, jnp.asarray(by_form("dead_fraction")), ground)
-    return _Drawn(rng, species, light, optics, leaf_mass, odds / (1.0 + odds))
+    return _Drawn(species, light, optics, leaf_mass, odds / (1.0 + odds))
 
 
 @eqx.filter_jit

@@ -6,7 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from fynjax.cli._runtime import Checkpoint, Job, SchedulerAddress, WorkerCount, command
+from fynjax._core.errors import InputError
+from fynjax.cli._runtime import Checkpoint, Job, SchedulerAddress, Seed, WorkerCount, command
 
 
 def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -17,7 +18,19 @@ def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
         rows, columns = source.shape[:2]
         bands = len(source.wavelength)
     files = [given["cube"], given["training"]]
-    return {"files": files, "pixels": rows * columns, "bands": bands}
+    pixels = {"pixels": rows * columns, "bands": bands}
+    return {"files": files, **pixels, "steps": len(given["pixel"] or ()) * given["pixel_steps"]}
+
+
+def _place(text: str) -> tuple[int, int]:
+    """Row and column of a pixel, as 12,40."""
+    try:
+        row, column = (int(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(
+            f"--pixel: expected a row and a column, such as 12,40, but got {text!r}"
+        ) from None
+    return row, column
 
 
 @command("map", work=_work)
@@ -49,6 +62,25 @@ def map_command(
     zarr: Annotated[
         bool, typer.Option("--zarr", help="Write maps.zarr as well, a variable each.")
     ] = False,
+    pixel: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ROW,COLUMN",
+            help="Sample the full posterior of this pixel by emcee as well, counted from 1 at the "
+            "upper left; some eight minutes of a core. May be given again.",
+        ),
+    ] = None,
+    pixel_steps: Annotated[
+        int, typer.Option(metavar="N", help="Steps of each of its 32 walkers.")
+    ] = 120,
+    prior: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="For --pixel: the prior of the training, if not the shipped one.",
+        ),
+    ] = None,
+    seed: Seed = 0,
     checkpoint: Checkpoint = None,
     workers: WorkerCount = None,
     scheduler: SchedulerAddress = None,
@@ -56,11 +88,13 @@ def map_command(
     """Map covers, leaf area and leaf traits of a cube, each with its uncertainty.
 
     Writes one cloud-optimised GeoTIFF: of each quantity mean, standard deviation and 5 and 95 %
-    quantile, and how unlike the simulations a pixel is. The cube is read block by block.
+    quantile, and how unlike the simulations a pixel is. The cube is read block by block. Of pixels
+    that are asked for, the full posterior stands beside it.
 
     Example:  fynjax map flight.hdr --training emit_30/training.nc --output maps
     """
     from fynjax import jobs
+    from fynjax.io.plot import DEFAULT_PRIOR
 
     assert checkpoint is not None
     return lambda folder, progress: jobs.map_cube(
@@ -71,6 +105,10 @@ def map_command(
         keep_unlike=keep_unlike,
         skip_damaged=skip_damaged,
         zarr=zarr,
+        pixels=[_place(text) for text in pixel or ()],
+        pixel_steps=pixel_steps,
+        prior=DEFAULT_PRIOR if prior is None else prior,
+        seed=seed,
         checkpoint=checkpoint,
         workers=jobs.Workers(workers, scheduler),
         progress=progress,

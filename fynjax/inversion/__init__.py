@@ -45,6 +45,12 @@ from fynjax.inversion._population import (
 )
 from fynjax.inversion._posterior import SamplingMethod, sample_posterior
 from fynjax.inversion._posterior_result import Posterior
+from fynjax.inversion._prior_sampler import (
+    PriorChain,
+    draws_like,
+    sample_prior,
+    spectrum_likelihood,
+)
 from fynjax.inversion._search import COARSE, CalibrationSettings, signature
 from fynjax.inversion._sensitivity import (
     DerivativeMeasures,
@@ -113,6 +119,7 @@ __all__ = [
     "PlotForward",
     "Population",
     "Posterior",
+    "PriorChain",
     "SamplingMethod",
     "SensorSetting",
     "SobolIndices",
@@ -124,6 +131,7 @@ __all__ = [
     "calibrate_plot",
     "coarser",
     "derivative_measures",
+    "draws_like",
     "estimate_pixels",
     "evaluate",
     "even_bands",
@@ -143,9 +151,11 @@ __all__ = [
     "objective_and_gradient",
     "predicted_statistics",
     "sample_posterior",
+    "sample_prior",
     "search_form",
     "signature",
     "sobol_indices",
+    "spectrum_likelihood",
     "spectrum_names",
     "spectrum_view",
     "statistics_and_jacobian",

@@ -45,6 +45,8 @@ _TRAIN_S, _SPECTRUM_S = 40.0, 0.018
 """`train`: 6000 steps, and a spectrum; 2000 spectra take 115 CPU s with compilation."""
 _PIXEL_S = 1.0 / 23_000.0
 """`map`: a pixel of 425 bands."""
+_PIXEL_STEP_S = 3.8
+"""A step of the 32 walkers of a pixel's posterior: a stand each, planted and lit."""
 _LEAF_START_S, _LEAF_S, _LEAF_BYTES = 10.0, 0.006, 17e3
 """What few leaves take and each of many that are fitted together [CPU s], and the least that a file
 holds of one: 2151 bands of 8 bytes."""
@@ -165,7 +167,11 @@ def estimate(
     elif command == "map":
         pixels, bands = int(options["pixels"]), int(options["bands"])
         counts = {"cube": f"{_count(pixels)} pixels in {bands} bands"}
-        cost = _Cost(counts, _START_S + _PIXEL_S * pixels * bands / 425.0, 0.0, 1.5)
+        seconds, steps = _PIXEL_S * pixels * bands / 425.0, int(options.get("steps", 0))
+        if steps:
+            counts["posteriors"] = f"{_count(steps)} steps of emcee"
+        compilation = 2.0 * _COMPILE_IMAGE_S if steps else 0.0
+        cost = _Cost(counts, _START_S + seconds + _PIXEL_STEP_S * steps, compilation, 1.5)
     else:
         cost = _tables_cost(command, plots, options)
     inputs = [] if plot is None else [plot.file, *plot.inputs]

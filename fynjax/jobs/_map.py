@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,12 +12,15 @@ import pandas as pd
 from jaxtyping import Float
 from pydantic import Field
 
+from fynjax._core.checkpoint import forget_journal
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import Progress
 from fynjax.assembly import STAND_QUANTITIES
 from fynjax.inversion import estimate_pixels, signature
+from fynjax.io.plot import DEFAULT_PRIOR
 from fynjax.io.raster import CubeBlocks, MapWriter, file_hash, open_blocks
+from fynjax.jobs._map_pixels import PixelPosterior, pick_pixels, pixel_posteriors, prior_of
 from fynjax.jobs._result import JobResult, Number, Record
 from fynjax.jobs._run import Run
 from fynjax.jobs._train import Training, read_training
@@ -27,6 +31,8 @@ _AT_ONCE = 8192
 """Pixels that are estimated at once."""
 _SHOWN = 800
 """Pixels of a picture's longer side."""
+_FEWEST_STEPS = 12
+"""Of a walker of a pixel's posterior."""
 UNLIKENESS = "unlikeness"
 _KINDS = ("", "_sd", "_q05", "_q95")
 
@@ -54,6 +60,7 @@ class MapResult(JobResult):
         [], description="First and last row of the blocks that could not be read."
     )
     maps: list[QuantityMap]
+    posteriors: list[PixelPosterior] = Field([], description="Of the pixels asked for.")
 
 
 def map_cube(
@@ -65,6 +72,10 @@ def map_cube(
     keep_unlike: bool = False,
     skip_damaged: bool = False,
     zarr: bool = False,
+    pixels: Sequence[tuple[int, int]] = (),
+    pixel_steps: int = 120,
+    prior: str | Path = DEFAULT_PRIOR,
+    seed: int = 0,
     checkpoint: str | Path,
     workers: Workers | None = None,
     progress: Progress | None = None,
@@ -80,23 +91,34 @@ def map_cube(
     - `keep_unlike`: do not mask them.
     - `skip_damaged`: leave blocks that cannot be read without data, instead of an error.
     - `zarr`: write `maps.zarr` as well.
+    - `pixels`: row and column, counted from 1 at the upper left, of pixels whose full posterior is
+      sampled by emcee beside the map: some four minutes of one core for 120 steps.
+    - `pixel_steps`: steps of each walker.
+    - `prior`: the one that the training was made with, for `pixels`.
+    - `seed`: of the sampling.
     - `checkpoint`: folder of the unfinished maps, from which an interrupted run goes on.
     - `workers`: where blocks are read and estimated; in this process by default.
     - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `MapResult`. Writes `maps.tif` (cloud-optimised: of each quantity mean, standard
     deviation and 5 and 95 % quantile, and how unlike the simulations pixels are), a picture and a
-    page into `output`.
+    page into `output`; of `pixels` the table `pixels.csv` and the draws `pixels.nc`.
 
     **Raises:** `InputError` for a cube or training that cannot be read or do not go together.
     """
-    run = Run(output, progress=progress)
+    run = Run(output, seed=seed, progress=progress)
     if not 0.5 <= likely < 0.9995:
         raise InputError(f"expected a share of the simulations from 0.5 to 0.999, but got {likely}")
+    if pixel_steps < _FEWEST_STEPS:
+        raise InputError(
+            f"expected {_FEWEST_STEPS} steps or more of a pixel, but got {pixel_steps}"
+        )
     trained = read_training(training)
     with open_blocks(cube) as source:
-        _weights(source, trained)  # errors before any work
+        weights = _weights(source, trained)  # errors before any work
         scale = source.scale()
+        learned = prior_of(trained, prior) if pixels else None
+        channels = pick_pixels(source, weights, scale, pixels)
         rows = source.rows_at_once
         starts = range(0, source.shape[0], rows)
         names = [
@@ -137,7 +159,16 @@ def map_cube(
             if zarr:
                 path = run.path("maps.zarr", "all maps, a variable each, for xarray")
                 writer.finish_zarr(path, record, _long_names())
-    result = _summary(run, picture, step, source, damaged, likely, keep_unlike, trained, record)
+        kept = Path(checkpoint) / "pixels"
+        chosen: tuple[list[PixelPosterior], list[Section]] = [], []
+        if learned is not None:
+            with at_work(workers) as pool:
+                chosen = pixel_posteriors(
+                    run, pool, trained, learned, pixels, channels,
+                    steps=pixel_steps, seed=seed, likely=likely, checkpoint=kept,
+                )  # fmt: skip
+    result = _summary(run, picture, step, source, damaged, likely, keep_unlike, record, *chosen)
+    forget_journal(kept)
     writer.forget()
     return result
 
@@ -237,8 +268,9 @@ def _summary(
     damaged: list[tuple[int, int]],
     likely: float,
     keep_unlike: bool,
-    trained: Training,
     record: dict[str, Any],
+    posteriors: list[PixelPosterior],
+    chosen: list[Section],
 ) -> MapResult:
     unlike = maps[-1]
     with_data = np.isfinite(unlike)
@@ -292,6 +324,7 @@ def _summary(
             lead=headline[0],
             sections=[
                 Section("Maps", [Picture("maps.png", figure, what)]),
+                *chosen,
                 Section(
                     "In numbers",
                     [
@@ -316,4 +349,5 @@ def _summary(
         unlike_beyond=likely,
         damaged_rows=damaged,
         maps=found,
+        posteriors=posteriors,
     )

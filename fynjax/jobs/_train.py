@@ -35,6 +35,8 @@ from fynjax.sensors import BandSet, Channels, group_bands
 _PART = 4
 """Planted stands of one part."""
 _FEWEST = 200
+_GRID = np.arange(400.0, 2501.0)
+"""Wavelengths of the responses [nm]."""
 _KIND = "fynjax training of maps"
 
 
@@ -69,6 +71,8 @@ class Training:
 
     posterior: AmortisedPosterior
     channels: Channels
+    responses: BandSet
+    """What the channels measure, as bands."""
     bands: int
     """Of the sensor that it was trained for."""
     record: dict[str, Any]
@@ -160,6 +164,7 @@ def train(
         "sensor": name,
         "sensor_bands": len(bands),
         "prior": learned.file.title,
+        "prior_sha256": file_hash(learned.path),
         "simulations": count,
         "sun_zenith_deg": json.dumps([low, high]),
         "stand_size_m": settings.size_m,
@@ -169,7 +174,7 @@ def train(
     with run.stage("Write"):
         write_training(
             run.path("training.nc", "the regression, for `fynjax map --training`"),
-            Training(posterior, channels, len(bands), record),
+            Training(posterior, channels, joined, len(bands), record),
         )
         scores = _scores(held_out)
         run.table(
@@ -280,11 +285,18 @@ def write_training(path: Path, training: Training) -> None:
             "quantiles of the distance of held-out spectra, within and outside",
         ),
     }
+    response = np.zeros((len(channels.centre), len(_GRID)))
+    for row, (at, values) in zip(response, training.responses.curves or (), strict=True):
+        row[:] = np.interp(_GRID, at, values, left=0.0, right=0.0)
+    variables["response"] = of(
+        ("channel", "wavelength"), response.astype(np.float32), "relative response of the channel"
+    )
     for i, (weight, offset) in enumerate(posterior.layers):
         variables[f"weight_{i}"] = of((f"in_{i}", f"out_{i}"), weight, f"weights of layer {i}")
         variables[f"offset_{i}"] = of((f"out_{i}",), offset, f"offsets of layer {i}")
     names = ("quantity", list(STAND_QUANTITIES), {"long_name": "quantity"})
-    data = xr.Dataset(variables, coords={"quantity": names})
+    wavelength = ("wavelength", _GRID, {"long_name": "wavelength", "units": "nm"})
+    data = xr.Dataset(variables, coords={"quantity": names, "wavelength": wavelength})
     write_run(path, data, training.record)
 
 
@@ -319,8 +331,11 @@ def read_training(path: str | Path) -> Training:
             distance=single("distance"),
         )
         channels = Channels(*(np.asarray(data[n].values) for n in ("lower", "upper", "centre")))
+        response = np.asarray(data["response"].values, float)
+        ends = [np.flatnonzero(row)[[0, -1]] + (0, 1) for row in response]
+        curves: Any = [(_GRID[a:b], row[a:b]) for row, (a, b) in zip(response, ends, strict=True)]
         bands = int(record["sensor_bands"])
-    except (OSError, KeyError, ValueError, RuntimeError) as error:
+    except (OSError, KeyError, IndexError, ValueError, RuntimeError) as error:
         raise InputError(
             "expected a training file as this version's `fynjax train` writes it, but this is "
             "none, one of another version, or damaged",
@@ -334,4 +349,7 @@ def read_training(path: str | Path) -> Training:
         )
     if not all(np.isfinite(np.asarray(a)).all() for a in (posterior.rows, posterior.values)):
         raise InputError("expected a training of finite numbers. Is it damaged?", file=path)
-    return Training(posterior, channels, bands, record)
+    labels = tuple(f"{value:.6g}nm" for value in channels.centre)
+    width = tuple(channels.upper - channels.lower)
+    responses = BandSet(labels, tuple(channels.centre), width, curves=curves)
+    return Training(posterior, channels, responses, bands, record)

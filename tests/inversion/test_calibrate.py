@@ -63,7 +63,7 @@ def truth() -> PlotParameters:
         ),
         LeafParameters.many(
             structure=1.8,
-            chlorophyll=jnp.array([55.0, 35.0, 70.0]),
+            chlorophyll=jnp.array([55.0, 35.0, 60.0]),
             carotenoids=11.0,
             anthocyanins=1.5,
             brown_pigments=0.05,
@@ -95,7 +95,7 @@ def twin():
     off |= {f"species.{t}.cover": 0.7 * values[f"species.{t}.cover"] for t in TAXA}
     start = with_values(real, TAXA, {n: jnp.asarray(v) for n, v in off.items()})
     space = free_space(scene, start, FREE, lambda _: 0.3)
-    measured = np.asarray(image_statistics(jnp.asarray(noisy), IMAGE_STATISTICS))
+    measured = np.asarray(image_statistics(jnp.asarray(noisy), IMAGE_STATISTICS, pixel=0.05))
     # 3 %: what another planting of so small a plot would change.
     data = weigh_targets(IMAGE_STATISTICS, measured, 0.03)
     settings = CalibrationSettings(stride=3, max_steps=14)
@@ -125,10 +125,8 @@ def test_total_cover_comes_back(twin):
     assert abs(found.fit.estimate[jnp.array(place)].sum() - total) < 0.3 * (total - start)
 
 
-# A standard deviation here covers noise and what another realisation of the stand would change, yet
-# the search follows slopes of one realisation: the ground's brightness ends 2.7 of its standard
-# deviations off, the only one beyond two.
-FARTHEST = 3.0
+FARTHEST = 2.0
+"""Standard deviations, which cover noise and what another planting would change."""
 
 
 @pytest.mark.study
@@ -142,7 +140,6 @@ def test_well_constrained_parameters_are_near_the_truth(twin):
     constrained = set(fit.well_constrained())
     weak = set(fit.names) - constrained
     assert {name: sds for name, sds in off.items() if name in constrained and sds > FARTHEST} == {}
-    assert sum(off[name] > 2 for name in constrained) <= 1
     assert {"ground.brightness", "ground.litter_fraction"} <= constrained
     assert len(weak) >= 3  # one image cannot tell everything, and the result says so
     assert all(fit.constrained[fit.names.index(name)] < WELL_CONSTRAINED for name in weak)

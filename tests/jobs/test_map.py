@@ -19,12 +19,13 @@ import xarray as xr
 from fynjax import jobs
 from fynjax._core import parts
 from fynjax._core.errors import InputError
-from fynjax.assembly import STAND_QUANTITIES, StandSettings, simulate_stands
+from fynjax.assembly import STAND_QUANTITIES, StandSettings, _pixels, sample_pixel, simulate_stands
 from fynjax.assembly import _stands as stands
-from fynjax.inversion import estimate_pixels
+from fynjax.inversion import PriorChain, estimate_pixels
 from fynjax.io.plot import read_prior
 from fynjax.io.raster import Cube, CubeBlocks, write_cube_envi
 from fynjax.jobs import _map as job
+from fynjax.jobs import _map_pixels
 from fynjax.radiation import render, solve_light
 from fynjax.sensors import group_bands, shipped_sensor
 from fynjax.studies.bioscape._spectra import read_plot_spectra, read_spectrometer
@@ -68,7 +69,10 @@ def test_spectra_of_sets_taken_together_are_those_of_each_alone(known):
     """Against a solve of every band of one set, on the same voxels."""
     _, bands, prior = known
     scene, planted, imager = stands._planted(bands, SETTINGS)
-    drawn = stands._draw(prior, SETTINGS, 2, 1)
+    rng = np.random.default_rng(2)
+    common, own = (rng.normal(size=n) for n in stands.stand_numbers(prior))
+    own = rng.normal(size=(SETTINGS.together, own.size))
+    drawn = stands._draw(prior, SETTINGS, common, own)
     parameters = dataclasses.replace(planted, species=drawn.species, light=drawn.light)
     together, residual = stands._spectra(imager, scene, parameters, drawn.optics)
     assert float(residual) < 0.01
@@ -215,6 +219,7 @@ from pathlib import Path
 from fynjax.cli import main
 from fynjax.io.raster import CubeBlocks
 from fynjax.jobs import _map as job
+from fynjax.jobs import _map_pixels
 
 log, stuck, *arguments = sys.argv[1:]
 CubeBlocks.rows_at_once, real = 1, job._mapped
@@ -275,6 +280,145 @@ def test_a_killed_map_goes_on_and_is_that_of_one_run(trained, known, tmp_path, m
         assert one.descriptions == other.descriptions
         own = {"date_created": "", "command": ""}
         assert one.tags() | own == other.tags() | own
+
+
+@pytest.fixture
+def quick_chains(monkeypatch):
+    """Chains of pixels that take no render; gives the list of those that were asked for."""
+    asked = []
+
+    def chain(reflectance, bands, prior, settings, *, steps, seed):
+        asked.append((reflectance, bands, settings, seed))
+        random = np.random.default_rng(seed)
+        values = random.uniform(size=(steps, 16, len(STAND_QUANTITIES)))
+        return PriorChain(values, np.zeros((steps, 16)), 0.25)
+
+    monkeypatch.setattr(_map_pixels, "sample_pixel", chain)
+    return asked
+
+
+def test_full_posteriors_of_chosen_pixels_stand_beside_the_map(
+    trained, known, tmp_path, quick_chains
+):
+    path, training = cube_of(tmp_path, known), trained[0] / "out" / "training.nc"
+    result = jobs.map_cube(
+        path, training, tmp_path / "out", pixels=[(3, 2), (1, 1)], pixel_steps=120,
+        checkpoint=tmp_path / "work",
+    )  # fmt: skip
+    with rasterio.open(path.with_suffix(".dat")) as file:
+        cube = file.read()
+    assert len(quick_chains) == 4  # two ensembles of each
+    assert len({seed for *_, seed in quick_chains}) == 4
+    for (reflectance, bands, settings, _), (row, column) in zip(
+        quick_chains, [(3, 2), (3, 2), (1, 1), (1, 1)], strict=True
+    ):
+        # Each of this sensor's bands is a channel.
+        np.testing.assert_allclose(reflectance, cube[:, row - 1, column - 1], rtol=1e-5)
+        assert settings.sun_zenith == (25.0, 35.0)
+        np.testing.assert_allclose(bands.centre, known[1].centre)
+        grid = np.arange(400.0, 2501.0)
+        expected = known[1].weights(grid, max_loss=1.0)
+        np.testing.assert_allclose(bands.weights(grid, max_loss=1.0), expected, atol=1e-4)
+    first = result.posteriors[0]
+    assert (first.row, first.column) == (3, 2)
+    assert first.converged
+    assert first.effective_size > 1000.0
+    with rasterio.open(tmp_path / "out" / "maps.tif") as file:
+        maps = dict(zip(file.descriptions, file.read(), strict=True))
+    for one in first.quantities:
+        assert one.map_mean == pytest.approx(maps[one.quantity][2, 1], rel=1e-4)
+        assert one.map_q95 == pytest.approx(maps[f"{one.quantity}_q95"][2, 1], rel=1e-4)
+        # Even from 0 to 1: what was drawn is what is stated.
+        assert (one.q05, one.median, one.q95) == pytest.approx((0.05, 0.5, 0.95), abs=0.03)
+        assert one.sd == pytest.approx(1 / np.sqrt(12.0), abs=0.02)
+    with xr.open_dataset(tmp_path / "out" / "pixels.nc") as draws:
+        assert draws.sizes == {"pixel": 2, "draw": 2 * 100 * 16}
+        assert draws["row"].values.tolist() == [3, 1]
+        assert float(draws["live_cover"][0].mean()) == pytest.approx(first.quantities[0].mean)
+    assert len((tmp_path / "out" / "pixels.csv").read_text().splitlines()) == 1 + 2 * 8
+    assert "row 3, column 2" in (tmp_path / "out" / "report.html").read_text()
+    assert not (tmp_path / "work").exists()
+
+
+def test_an_interrupted_posterior_of_a_pixel_goes_on(
+    trained, known, tmp_path, quick_chains, monkeypatch
+):
+    path, training = cube_of(tmp_path, known), trained[0] / "out" / "training.nc"
+    real = _map_pixels.sample_pixel
+
+    def interrupted(*given, **how):
+        if len(quick_chains) == 1:
+            raise KeyboardInterrupt
+        return real(*given, **how)
+
+    def run(output, checkpoint):
+        return jobs.map_cube(
+            path, training, tmp_path / output, pixels=[(3, 2)], checkpoint=tmp_path / checkpoint
+        )
+
+    whole = run("whole", "other")
+    quick_chains.clear()
+    monkeypatch.setattr(_map_pixels, "sample_pixel", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run("out", "work")
+    monkeypatch.setattr(_map_pixels, "sample_pixel", real)
+    again = run("out", "work")
+    assert len(quick_chains) == 2
+    assert again.posteriors == whole.posteriors
+
+
+def test_pixels_without_an_answer_are_refused_before_work(trained, known, tmp_path, quick_chains):
+    path, training = cube_of(tmp_path, known), trained[0] / "out" / "training.nc"
+    prior = tmp_path / "prior.toml"
+    prior.write_text(known[2].path.read_text("utf-8") + "\n", "utf-8")
+    for given, message in (
+        ({"pixels": [(4, 1)]}, "rows 1 to 3 and columns 1 to 4, but got row 4, column 1"),
+        ({"pixels": [(0, 1)]}, "but got row 0"),
+        ({"pixels": [(2, 3)]}, "row 2, column 3 has none"),
+        ({"pixels": [(1, 1)], "pixel_steps": 5}, "12 steps or more"),
+        ({"pixels": [(1, 1)], "prior": prior}, "the prior that the training was made with"),
+        ({"pixels": [(1, 1)], "prior": "none"}, "the prior that the training was made with"),
+    ):
+        with pytest.raises(InputError, match=message):
+            jobs.map_cube(path, training, tmp_path / "out", checkpoint=tmp_path / "work", **given)
+    assert not quick_chains
+    assert not (tmp_path / "out" / "maps.tif").exists()
+
+
+def test_chains_of_a_pixel_are_of_possible_stands_and_of_their_seed(known, monkeypatch):
+    _, bands, prior = known
+    monkeypatch.setattr(_pixels, "_WALKERS", 3)
+    monkeypatch.setattr(_pixels, "_STANDS", 1)
+    measured = simulate_stands((11,), bands, prior, SETTINGS, 3).reflectance[0]
+    one, again = (sample_pixel(measured, bands, prior, SETTINGS, steps=3, seed=8) for _ in range(2))
+    np.testing.assert_array_equal(one.quantities, again.quantities)
+    assert one.quantities.shape == (3, 3, len(STAND_QUANTITIES))
+    assert one.quantities[..., :3].sum(axis=2) == pytest.approx(1.0)
+    assert (one.quantities >= 0.0).all()
+    assert np.isfinite(one.log_likelihood).all()
+
+
+@pytest.mark.study
+def test_the_regression_of_a_map_stands_for_the_full_posterior(known, tmp_path):
+    """Four simulated pixels: means within a third of a standard deviation of emcee's on average,
+    and widths within a quarter."""
+    _, bands, prior = known
+    jobs.train(
+        tmp_path, sensor=SENSOR, sun_zenith=(25.0, 35.0), simulations=6000, steps=4000,
+        checkpoint=tmp_path / "work",
+    )  # fmt: skip
+    training = jobs.read_training(tmp_path / "training.nc")
+    made = simulate_stands((900, 901, 902, 903), bands, prior, SETTINGS, 5).reflectance
+    pixels = made[:: SETTINGS.together]
+    by_map = estimate_pixels(training.posterior, jnp.asarray(pixels, jnp.float32))
+    off, wide = [], []
+    for i, pixel in enumerate(pixels):
+        draws = sample_pixel(pixel, bands, prior, SETTINGS, steps=120, seed=i).quantities[20:]
+        draws = draws.reshape(-1, len(STAND_QUANTITIES))
+        off.append((draws.mean(axis=0) - np.asarray(by_map.mean[i])) / draws.std(axis=0))
+        wide.append(np.log(draws.std(axis=0) / np.asarray(by_map.sd[i])))
+    assert np.mean(np.abs(off)) < 0.4
+    assert np.abs(np.mean(wide)) < 0.25
 
 
 @pytest.mark.study

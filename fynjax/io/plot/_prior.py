@@ -202,10 +202,24 @@ class LearnedPrior:
         found = next(p for p in self.file.parameters if p.name == name)
         return math.hypot(found.mean_sd, found.plot_sd, found.plot_sd if elsewhere else 0.0)
 
-    def draws(
-        self, count: int, *, seed: int = 0, groups: int = 1, shared: Sequence[str] = ()
+    def draws(self, count: int, *, seed: int = 0) -> dict[str, Float[np.ndarray, " draw"]]:
+        """Parameters of `count` plots elsewhere (`sd`), each of a region of its own (`drawn`)."""
+        _, own = self.numbers()
+        return self.drawn(np.empty(0), np.random.default_rng(seed).normal(size=(count, own)))
+
+    def numbers(self, shared: Sequence[str] = ()) -> tuple[int, int]:
+        """How many unit normal numbers `drawn` takes for all plots and for each."""
+        kinds = [p.name.split(".")[0] for p in self.file.parameters]
+        alike = sum(kind in shared for kind in kinds) + len({k for k in kinds if k in shared})
+        return alike, len(kinds) + len(set(kinds)) - alike
+
+    def drawn(
+        self,
+        common: Float[np.ndarray, " number"],
+        own: Float[np.ndarray, "draw number"],
+        shared: Sequence[str] = (),
     ) -> dict[str, Float[np.ndarray, " draw"]]:
-        """Parameters of plots elsewhere (`sd`), each of a region of its own.
+        """Parameters of plots elsewhere (`sd`), made of unit normal numbers.
 
         Normal in the logit between the bounds of a parameter, or the logarithm of one without an
         upper bound. Errors of the means are correlated as the file has it; what plots and regions
@@ -213,28 +227,27 @@ class LearnedPrior:
 
         **Arguments:**
 
-        - `count`: number of plots.
-        - `seed`: of the draws.
-        - `groups`, `shared`: each `groups` plots that follow each other are alike in the kinds of
-          parameters that `shared` names, such as "leaf_area_index"; the others are drawn given
-          these. `groups` must divide `count`.
+        - `common`: numbers of all plots together.
+        - `own`: numbers of each plot.
+        - `shared`: kinds of parameters in which the plots are alike, such as "leaf_area_index".
+          The others are as they are given these.
         """
-        random = np.random.default_rng(seed)
         rows = self.file.parameters
         kinds = [p.name.split(".")[0] for p in rows]
         alike = np.array([kind in shared for kind in kinds])
         sd = np.array([p.mean_sd for p in rows])
         error = np.asarray(self.file.mean_correlation) * np.outer(sd, sd)
-        of_mean = random.multivariate_normal(
-            np.zeros(len(rows)), error, count, check_valid="ignore"
-        )
-        effect = {kind: random.normal(0.0, math.sqrt(2.0), count) for kind in dict.fromkeys(kinds)}
-        if groups > 1 and alike.any():
-            first = np.arange(count) // groups * groups
-            # Matheron's rule: draws are moved by what the shared ones, once set, tell of them.
-            gain = error[:, alike] @ np.linalg.pinv(error[np.ix_(alike, alike)])
-            of_mean = of_mean + (of_mean[first][:, alike] - of_mean[:, alike]) @ gain.T
-            effect |= {kind: effect[kind][first] for kind in shared if kind in effect}
+        joint = error[np.ix_(alike, alike)]
+        gain = error[np.ix_(~alike, alike)] @ np.linalg.pinv(joint)
+        given = error[np.ix_(~alike, ~alike)] - gain @ error[np.ix_(alike, ~alike)]
+        first, second = int(alike.sum()), int((~alike).sum())
+        of_mean = np.empty((len(own), len(rows)))
+        of_mean[:, alike] = _root(joint) @ common[:first]
+        of_mean[:, ~alike] = of_mean[:, alike] @ gain.T + own[:, :second] @ _root(given).T
+        effect: dict[str, Any] = {}
+        rest, own_rest = iter(common[first:]), iter(own[:, second:].T)
+        for kind in dict.fromkeys(kinds):
+            effect[kind] = math.sqrt(2.0) * next(rest if kind in shared else own_rest)
         drawn = {}
         for p, kind, apart in zip(rows, kinds, of_mean.T, strict=True):
             low, high = _bounds(p.name)
@@ -263,6 +276,12 @@ class LearnedPrior:
         # Interpolation would make errors half-way between two wavelengths smaller than at both.
         scale = np.interp(wavelength, known, sd) / np.sqrt(np.diagonal(between))
         return between * np.outer(scale, scale)
+
+
+def _root(covariance: Float[np.ndarray, "a a"]) -> Float[np.ndarray, "a a"]:
+    """A square root, of a covariance that may have no full rank."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:

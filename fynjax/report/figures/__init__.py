@@ -11,7 +11,7 @@ from fynjax.report.figures._fit import (
 from fynjax.report.figures._image import composites, index_histograms, layer_map, residual_maps
 from fynjax.report.figures._leaf import leaf_fit_figure
 from fynjax.report.figures._lidar import height_profiles, side_view
-from fynjax.report.figures._maps import maps_figure
+from fynjax.report.figures._maps import maps_figure, pixels_figure
 from fynjax.report.figures._pattern import pattern_figure
 from fynjax.report.figures._plant import plant_figure
 from fynjax.report.figures._plots import feature_plot, misfit_of_plots, residual_plot, spectra_plot
@@ -71,6 +71,7 @@ __all__ = [
     "panel_figure",
     "parameter_plot",
     "pattern_figure",
+    "pixels_figure",
     "plan_view",
     "plant_figure",
     "population_plot",

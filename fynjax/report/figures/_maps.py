@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 from fynjax.report.figures._style import style
 
 _MASKED = "#D9D9D4"
+_Interval = tuple[float | None, float | None, float | None]
+"""Low end, mean, high end."""
 
 
 def maps_figure(
@@ -49,6 +51,46 @@ def maps_figure(
             grid[r, c].set_axis_off()
         for r, c in cells[len(maps) + 1 :]:
             grid[r, c + 1].set_axis_off()
+    return figure
+
+
+def pixels_figure(
+    pixels: Mapping[str, Mapping[str, tuple[_Interval, _Interval]]],
+    quantities: Mapping[str, tuple[str, str]],
+) -> Figure:
+    """Intervals of pixels, by the regression of a map and by their full posteriors.
+
+    **Arguments:**
+
+    - `pixels`: of each the low end, mean and high end of each quantity, by both.
+    - `quantities`: words and unit by name.
+    """
+    across = 4
+    rows = -(-len(quantities) // across)
+    with style():
+        figure = Figure(
+            figsize=(10.2, rows * (1.1 + 0.42 * len(pixels)) + 0.4), layout="constrained"
+        )
+        grid: Any = figure.subplots(rows, across, squeeze=False)
+        for axes, (name, (words, unit)) in zip(grid.flat, quantities.items()):
+            for place, found in enumerate(pixels.values()):
+                for (low, mean, high), below, colour, label in zip(
+                    found[name], (-0.15, 0.15), ("#8A8A85", "#1B6B4A"), ("map", "emcee")
+                ):
+                    y = place + below
+                    shown = label if place == 0 else None
+                    axes.plot(
+                        [low, high], [y, y], color=colour, lw=2, label=shown, solid_capstyle="butt"
+                    )
+                    axes.plot(mean, y, "o", color=colour, ms=4)
+            axes.set_title(words if unit == "1" else f"{words} [{unit}]", fontsize=8)
+            first = axes in grid[:, 0]
+            axes.set_yticks(range(len(pixels)), list(pixels) if first else [""] * len(pixels))
+            axes.set_ylim(len(pixels) - 0.5, -0.5)
+        for axes in grid.flat[len(quantities) :]:
+            axes.set_axis_off()
+        handles, labels = grid[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=2)
     return figure
 
 

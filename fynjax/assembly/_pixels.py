@@ -1,0 +1,72 @@
+"""The posterior of a stand by one spectrum: stands of the learned prior, lit at each step."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from fynjax.assembly._stands import StandSettings, make_stand, stand_numbers
+from fynjax.inversion import PriorChain, draws_like, sample_prior, spectrum_likelihood
+from fynjax.io.plot import LearnedPrior
+from fynjax.sensors import BandSet
+
+_WALKERS = 16
+_STANDS = 20
+"""Planted stands from whose sets of leaves the walkers' starts are chosen."""
+_SOLVES = 12
+"""Of the diffuse light of a stand with one set: the rest is some 0.1 % of the light."""
+
+
+def sample_pixel(
+    reflectance: Float[np.ndarray, " channel"],
+    bands: BandSet,
+    prior: LearnedPrior,
+    settings: StandSettings,
+    *,
+    steps: int,
+    seed: int,
+) -> PriorChain:
+    """Sample the posterior of the stand of a pixel by emcee, with a render at each step.
+
+    Prior, plants and errors are those that `train` simulates with: the regression of a map stands
+    for this posterior. Plants are set anew with each proposal.
+
+    **Arguments:**
+
+    - `reflectance`: of the pixel, in `bands` [-].
+    - `bands`, `prior`, `settings`: as for `simulate_stands`.
+    - `steps`: of each of 16 walkers.
+    - `seed`: of everything random.
+
+    **Returns:** `PriorChain` of `STAND_QUANTITIES`; its first steps still depend on the start.
+
+    **Raises:** `InputError` where no stand of the prior makes a finite spectrum.
+    """
+    common, own = stand_numbers(prior)
+    error = prior.error_covariance(np.asarray(bands.centre))
+    random = np.random.default_rng([seed, 0])
+    candidates, likelihood = [], []
+    for _ in range(_STANDS):
+        of_stand, of_sets = random.normal(size=common), random.normal(size=(settings.together, own))
+        made = make_stand(of_stand, of_sets, _chance(random), bands, prior, settings)
+        alike = np.broadcast_to(of_stand, (len(of_sets), common))
+        candidates.append(np.concatenate([alike, of_sets], axis=1))
+        likelihood.append(spectrum_likelihood(reflectance, made.reflectance, error))
+    one = replace(settings, together=1, solves=_SOLVES)
+
+    def simulate(z: np.ndarray, chance: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        made = [
+            make_stand(row[:common], row[None, common:], _chance(chance), bands, prior, one)
+            for row in z
+        ]
+        spectra = np.concatenate([stand.reflectance for stand in made])
+        quantities = np.concatenate([stand.quantities for stand in made])
+        return spectrum_likelihood(reflectance, spectra, error), quantities
+
+    start = draws_like(np.concatenate(candidates), np.concatenate(likelihood), _WALKERS, seed)
+    return sample_prior(simulate, start, steps=steps, seed=seed)
+
+
+def _chance(random: np.random.Generator) -> int:
+    """Number of a planting."""
+    return int(random.integers(2**31))
