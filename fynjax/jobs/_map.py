@@ -52,13 +52,14 @@ class MapResult(JobResult):
     """Result of `map`."""
 
     command: Literal["map"] = "map"
-    pixels: int
+    pixels: int = Field(description="Of the cube, as all counts and figures are.")
     without_data: int
     masked: int = Field(description="Pixels with data that are unlike the simulations.")
     unlike_beyond: float = Field(description="Share of simulations that are less unlike [-].")
     damaged_rows: list[tuple[int, int]] = Field(
         [], description="First and last row of the blocks that could not be read."
     )
+    place: str = Field(description="How the maps lie on the earth.")
     maps: list[QuantityMap]
     posteriors: list[PixelPosterior] = Field([], description="Of the pixels asked for.")
 
@@ -104,7 +105,11 @@ def map_cube(
     deviation and 5 and 95 % quantile, and how unlike the simulations pixels are), a picture and a
     page into `output`; of `pixels` the table `pixels.csv` and the draws `pixels.nc`.
 
-    **Raises:** `InputError` for a cube or training that cannot be read or do not go together.
+    Maps of a swath with a lookup table, as EMIT's, lie on the grid of that table, each pixel the
+    nearest of the swath. Of a cube without a place they have rows and columns only, with a warning.
+
+    **Raises:** `InputError` for a cube or training that cannot be read or do not go together, and
+    for a damaged lookup table.
     """
     run = Run(output, seed=seed, progress=progress)
     if not 0.5 <= likely < 0.9995:
@@ -132,6 +137,11 @@ def map_cube(
         writer = MapWriter(
             Path(checkpoint), signature(settings, [file_hash(training)]), names, source, len(starts)
         )
+        if source.location is None and source.transform.is_identity:
+            warnings.warn(
+                f"{source.path} says no place on the earth: its maps have rows and columns only",
+                stacklevel=2,
+            )
         left = [i for i in range(len(starts)) if not writer.done[i]]
         parts = [(starts[i], min(rows, source.shape[0] - starts[i])) for i in left]
         shared = str(source.path), trained, scale, likely, keep_unlike, skip_damaged
@@ -153,6 +163,7 @@ def map_cube(
             "cube": source.path.name,
             "training": json.dumps({k: str(v) for k, v in trained.record.items()}),
             "masked_beyond": likely if not keep_unlike else "nothing",
+            "place": _place(source),
         }
         with run.stage("Write"):
             writer.finish(run.path("maps.tif", "all maps, a band each, cloud-optimised"), record)
@@ -171,6 +182,12 @@ def map_cube(
     forget_journal(kept)
     writer.forget()
     return result
+
+
+def _place(source: CubeBlocks) -> str:
+    if source.location is not None:
+        return "grid of the cube's own lookup table, each pixel the nearest of the swath"
+    return "rows and columns only" if source.transform.is_identity else "grid of the cube"
 
 
 _OF_KIND = ("{}", "standard deviation of {}", "5 % quantile of {}", "95 % quantile of {}")
@@ -307,6 +324,14 @@ def _summary(
         f"are less like the simulations than {100 * likely:g} % of these, and "
         + ("kept." if keep_unlike else "masked."),
     ]
+    what = "maps, their standard deviations, and how unlike the simulations pixels are"
+    if source.location is not None:
+        headline.append(
+            "The files of maps lie on the cube's own grid on the earth, each pixel that of the "
+            "swath which its lookup table names. Pixels are counted, and pictures drawn, on the "
+            "swath."
+        )
+        what += "; rows and columns are the swath's, north is not up"
     status = "ok"
     if out > 0.5 * valid:
         status = "most pixels are unlike the simulations"
@@ -317,7 +342,6 @@ def _summary(
     figure = maps_figure(
         {n: (*shown[n], q.words, q.unit) for n, q in STAND_QUANTITIES.items()}, unlike, likely
     )
-    what = "maps, their standard deviations, and how unlike the simulations pixels are"
     run.page(
         Page(
             title=f"Maps of {source.path.name}",
@@ -348,6 +372,7 @@ def _summary(
         masked=out,
         unlike_beyond=likely,
         damaged_rows=damaged,
+        place=record["place"],
         maps=found,
         posteriors=posteriors,
     )

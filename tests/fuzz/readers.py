@@ -2,6 +2,8 @@
 
 import gzip
 import shutil
+import tempfile
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +12,12 @@ from typing import Any
 import jax.numpy as jnp
 import laspy
 import numpy as np
+import rasterio
 import trimesh
 import xarray as xr
 from rasterio import Affine
 from rasterio.crs import CRS
+from rasterio.errors import NotGeoreferencedWarning
 
 from fynjax._core.errors import InputError
 from fynjax.assembly import plot_parameters
@@ -31,6 +35,7 @@ from fynjax.io.plot import (
     with_parameter_table,
 )
 from fynjax.io.raster import (
+    MapWriter,
     open_blocks,
     read_band_stack,
     read_cover_map,
@@ -46,6 +51,7 @@ from fynjax.sensors import Channels, lidar_folder
 from fynjax.terrain import read_cloud, read_terrain
 from tests.canopy.test_scan import ball
 from tests.helpers import write_ply, write_raster
+from tests.io.emit_files import write_emit
 from tests.io.rededge_files import lit, panel_scene, write_rededge
 from tests.io.test_crowns import write as write_crowns
 from tests.io.test_parameter_values import TABLE as PARAMETER_TABLE
@@ -316,6 +322,23 @@ def _blocks(name: str) -> Callable[[Path], Any]:
     return read
 
 
+def _emit(folder: Path) -> None:
+    values = np.random.default_rng(0).uniform(0.02, 0.5, (9, 6, 4))
+    write_emit(folder / "emit.nc", values, _cube().wavelength, _cube().fwhm)
+
+
+def _placed(folder: Path) -> Any:
+    with open_blocks(folder / "emit.nc") as cube, tempfile.TemporaryDirectory() as work:
+        writer = MapWriter(Path(work) / "work", "fuzz", [("one", "1")], cube, 1)
+        writer.write(0, 0, np.ones((1, *cube.shape)))
+        writer.finish(Path(work) / "maps.tif", {})
+        with warnings.catch_warnings():
+            # Damage may leave no table, and so no place.
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(Path(work) / "maps.tif") as maps:
+                return list(maps.transform), maps.read()
+
+
 def _training(folder: Path) -> None:
     """A regression of no use."""
     layer = jnp.ones((2, 44), jnp.float32), jnp.zeros(44, jnp.float32)
@@ -372,6 +395,7 @@ READERS: dict[str, Reader] = {
         lambda folder: write_cubes_netcdf(folder / "cube.nc", {"reflectance": _cube()}, {}),
         _blocks("cube.nc"), True,
     ),
+    "maps-emit": Reader(_emit, _placed, True),
     "training": Reader(_training, _one("training.nc", read_training)),
     "crowns": Reader(write_crowns, _one("plot.toml", read_plot)),
     "image": Reader(_image, _one("image.tif", read_drone_image), True),

@@ -15,6 +15,8 @@ from fynjax.io.raster import (
     write_cube_geotiff,
     write_cubes_netcdf,
 )
+from fynjax.io.raster import _lookup as lookup_module
+from tests.io.emit_files import FILL, GEOTRANSFORM, NOWHERE, lookup, write_emit
 
 CENTRE = np.array([480.0, 560.0, 660.0, 860.0])
 
@@ -145,3 +147,159 @@ def test_maps_go_on_where_they_were_interrupted(tmp_path, cube):
         values = file.read()
     assert (values[:, :5] == 1.0).all()
     assert (values[:, 5:] == 2.0).all()
+
+
+def emit(tmp_path, cube, **changes):
+    path = tmp_path / "emit.nc"
+    write_emit(path, np.moveaxis(cube.values, 0, 2), CENTRE, np.full(4, 20.0), **changes)
+    return path
+
+
+@pytest.mark.parametrize("counted", [False, True])
+def test_maps_of_a_swath_lie_where_its_lookup_table_says(tmp_path, cube, monkeypatch, counted):
+    monkeypatch.setattr(lookup_module, "_AT_ONCE", 26)  # two rows of the map; the first are empty
+    path = emit(tmp_path, cube, counted=counted)
+    glt_x, glt_y = lookup(9, 6)
+    assert len(set(glt_y[glt_y > 0])) == 9  # as the table of a swath is: all of it is on the map
+    assert 40 < (glt_x > 0).sum() < glt_x.size - 40
+    # Maps tell their pixel: the number of its row and column, from 1.
+    row, column = np.mgrid[1:10, 1:7].astype(float)
+    swath = np.stack([row, column])
+    swath[:, 4, 2] = np.nan  # masked
+    names = [("row", "1"), ("column", "g m-2")]
+    with open_blocks(path) as blocks:
+        np.testing.assert_array_equal(
+            blocks.read(0, 9), np.moveaxis(cube.values, 0, 2).astype(np.float32)
+        )
+        assert (blocks.crs, blocks.transform.is_identity) == (None, True)
+        MapWriter(tmp_path / "work", "s", names, blocks, 2).write(1, 5, swath[:, 5:])
+    with open_blocks(path) as blocks:
+        again = MapWriter(tmp_path / "work", "s", names, blocks, 2)
+        assert again.done.tolist() == [False, True]
+        again.write(0, 0, swath[:, :5])
+        np.testing.assert_array_equal(again.read(), swath)
+        again.finish(tmp_path / "maps.tif", {"history": "made"})
+        pytest.importorskip("zarr")
+        again.finish_zarr(tmp_path / "maps.zarr", {}, {"row": "row", "column": "column"})
+        again.forget()
+    assert not (tmp_path / "work").exists()
+    expected = np.full((2, *glt_x.shape), np.nan)
+    for r, c in np.argwhere(glt_x > 0):
+        expected[:, r, c] = swath[:, glt_y[r, c] - 1, glt_x[r, c] - 1]
+    with rasterio.open(tmp_path / "maps.tif") as file:
+        assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert file.crs.to_epsg() == 4326
+        assert file.transform.to_gdal() == pytest.approx(GEOTRANSFORM)
+        assert file.descriptions == ("row", "column")
+        assert file.units == ("1", "g m-2")
+        assert file.tags()["history"] == "made"
+        assert np.isnan(file.nodata)
+        np.testing.assert_array_equal(file.read(), expected)
+        middle = file.xy(3, 2)
+    with xr.open_zarr(tmp_path / "maps.zarr", consolidated=False) as same:
+        np.testing.assert_array_equal(np.stack([same["row"], same["column"]]), expected)
+        for axis, name, unit in (
+            ("x", "longitude", "degrees_east"), ("y", "latitude", "degrees_north")
+        ):  # fmt: skip
+            assert same[axis].attrs["standard_name"] == name
+            assert same[axis].attrs["units"] == unit
+        assert (same["x"][2], same["y"][3]) == pytest.approx(middle)
+        assert same["x"].values == pytest.approx(18.4 + 5.5e-4 * (np.arange(13) + 0.5))
+        assert same["y"].values == pytest.approx(-33.9 - 5e-4 * (np.arange(14) + 0.5))
+        assert rasterio.crs.CRS.from_wkt(same["crs"].attrs["crs_wkt"]).to_epsg() == 4326
+
+
+def changed(value, name="glt_x"):
+    """A lookup table with one wrong number, in row 5 and column 6 of the map."""
+    table = dict(zip(("glt_x", "glt_y"), lookup(9, 6), strict=True))[name].copy()
+    table[4, 5] = value
+    return {"location": {name: (("ortho_y", "ortho_x"), table)}}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (changed(7), "expected glt_x from 1 to 6, .* is 7 in row 5, column 6 of the map"),
+        (changed(-1), "is -1 in row 5"),
+        (changed(10, "glt_y"), "expected glt_y from 1 to 9, .* is 10 in row 5"),
+        ({"location": {"glt_x": (("ortho_y", "ortho_x"), np.full((14, 13), 1.5))}}, "it is 1.5"),
+        ({"location": {"glt_x": None}}, "it has no glt_x"),
+        ({"location": {"glt_y": None}}, "it has no glt_y"),
+        ({"location": {"glt_y": (("a", "b"), lookup(9, 6)[1][1:])}}, r"\(14, 13\) .* \(13, 13\)"),
+        (
+            {"location": {n: ("a", np.ones(9, np.int32)) for n in ("glt_x", "glt_y")}},
+            "alike in two dimensions",
+        ),
+        (
+            {"location": {n: (("a", "b"), np.ones((300, 300))) for n in ("glt_x", "glt_y")}},
+            "about as many as the swath's 9 x 6",
+        ),
+        ({"location": {"glt_x": (("ortho_y", "ortho_x"), np.full((14, 13), "a"))}}, "as numbers"),
+        (
+            {"location": {"glt_x": (("ortho_y", "ortho_x"), np.zeros((14, 13), np.int32))}},
+            "names no pixel",
+        ),
+        ({"attributes": {"geotransform": None}}, "it has no geotransform"),
+        ({"attributes": {"spatial_ref": None}}, "it has no spatial_ref"),
+        ({"attributes": {"spatial_ref": "GEOGCS[nonsense"}}, "coordinate reference system"),
+        ({"attributes": {"geotransform": np.array(GEOTRANSFORM[:5])}}, "of six numbers"),
+        ({"attributes": {"geotransform": "here"}}, "of six numbers, .* got here"),
+        ({"attributes": {"geotransform": [18.4, 5e-4, 1e-4, -33.9, 0, -5e-4]}}, "the third"),
+        ({"attributes": {"geotransform": [18.4, 0.0, 0.0, -33.9, 0.0, -5e-4]}}, "last not"),
+        ({"attributes": {"geotransform": [18.4, 5e-4, 0.0, -339.0, 0.0, -5e-4]}}, "lies nowhere"),
+        ({"attributes": {"geotransform": [np.nan, 5e-4, 0.0, -33.9, 0.0, -5e-4]}}, "of six"),
+    ],
+)
+def test_a_lookup_table_that_places_nothing_is_refused(
+    tmp_path, cube, monkeypatch, changes, message
+):
+    monkeypatch.setattr(lookup_module, "_AT_ONCE", 26)
+    path = emit(tmp_path, cube, **changes)
+    with open_blocks(path) as blocks:
+        assert blocks.scale() == 1.0  # who asks for no maps may read it
+        with pytest.raises(InputError, match=message) as error:
+            MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 1)
+    assert error.value.file == path
+    assert not (tmp_path / "work").exists()
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_a_lookup_table_marks_what_it_has_not_by_0_or_the_fill_value(tmp_path, cube, both):
+    """A pixel with a row but no column is on no pixel of the swath."""
+    table = lookup(9, 6)
+    marked = [np.where(t == 0, FILL, t).astype(np.int32) for t in table]
+    dims = ("ortho_y", "ortho_x")
+    location = {"glt_y": (dims, np.where(table[1] == 0, 3, table[1]).astype(np.int32))}
+    if both:
+        location = {n: (dims, m) for n, m in zip(("glt_x", "glt_y"), marked, strict=True)}
+    with open_blocks(emit(tmp_path, cube, location=location)) as blocks:
+        writer = MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 1)
+        writer.write(0, 0, np.ones((1, 9, 6)))
+        writer.finish(tmp_path / "maps.tif", {})
+    with rasterio.open(tmp_path / "maps.tif") as file:
+        np.testing.assert_array_equal(file.read(1) == 1.0, table[0] > 0)
+
+
+def test_a_lookup_table_that_cannot_be_read_is_named(tmp_path, cube):
+    h5py = pytest.importorskip("h5py")
+    path = emit(tmp_path, cube)
+    with h5py.File(path) as file:
+        chunk = file["location/glt_y"].id.get_chunk_info(0)
+    content = bytearray(path.read_bytes())
+    content[chunk.byte_offset : chunk.byte_offset + chunk.size] = bytes(chunk.size)
+    path.write_bytes(content)
+    with open_blocks(path) as blocks, pytest.raises(InputError, match=r"glt_y of its .* damaged"):
+        MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 1)
+
+
+@pytest.mark.parametrize("location", [NOWHERE, {"glt_x": None, "glt_y": None}])
+def test_a_swath_without_a_lookup_table_has_rows_and_columns(tmp_path, cube, location):
+    with open_blocks(emit(tmp_path, cube, location=location)) as blocks:
+        assert blocks.location is None
+        writer = MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 1)
+        writer.write(0, 0, np.arange(54.0).reshape(1, 9, 6))
+        pytest.importorskip("zarr")
+        writer.finish_zarr(tmp_path / "maps.zarr", {}, {"one": "one"})
+    with xr.open_zarr(tmp_path / "maps.zarr", consolidated=False) as maps:
+        np.testing.assert_array_equal(maps["one"], np.arange(54.0).reshape(9, 6))
+        assert maps["x"].attrs == {"units": "1", "long_name": "x of the middles of pixels"}

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import equinox as eqx
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 import rasterio
 import xarray as xr
+from rasterio.errors import NotGeoreferencedWarning
 
 from fynjax import jobs
 from fynjax._core import parts
@@ -30,6 +32,7 @@ from fynjax.radiation import render, solve_light
 from fynjax.sensors import group_bands, shipped_sensor
 from fynjax.studies.bioscape._spectra import read_plot_spectra, read_spectrometer
 from tests.benchmarks.map_plots import write_plots
+from tests.io.emit_files import GEOTRANSFORM, NOWHERE, lookup, write_emit
 
 pytest.importorskip("optax")
 
@@ -149,6 +152,9 @@ def test_maps_lie_where_the_cube_lies_and_mask_what_is_unlike(trained, known, tm
         assert "32734" in same["crs"].attrs["crs_wkt"]
         assert same["x"].values.tolist() == [300005.0, 300015.0, 300025.0, 300035.0]
         assert same["y"].values.tolist() == [6200025.0, 6200015.0, 6200005.0]
+        for axis in "xy":
+            assert same[axis].attrs["standard_name"] == f"projection_{axis}_coordinate"
+            assert same[axis].attrs["units"] == "m"
         assert same.attrs["history"].startswith("20")
         assert same["live_cover"].attrs["grid_mapping"] == "crs"
     # North is up: row 2 of the file is the southernmost, row 0 of the cube.
@@ -194,6 +200,83 @@ def test_an_interrupted_map_goes_on_and_is_that_of_one_run(trained, known, tmp_p
         rasterio.open(tmp_path / "whole" / "maps.tif") as other,
     ):
         np.testing.assert_array_equal(one.read(), other.read())
+    assert not (tmp_path / "work").exists()
+
+
+def emit_of(folder, known, name, **changes):
+    channels, bands, _ = known
+    made = simulate_stands((7, 8, 9), bands, known[2], SETTINGS, 5)
+    values = made.reflectance[::3][:24].reshape(6, 4, len(bands))
+    write_emit(folder / name, values, channels.centre, bands.fwhm, **changes)
+    return folder / name
+
+
+def maps_of(folder):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(folder / "maps.tif") as file:
+            return file.read(), file.transform, file.crs, file.tags()
+
+
+def test_maps_of_emit_lie_on_the_grid_of_its_file(trained, known, tmp_path, monkeypatch):
+    """Each pixel is that of the maps of the same swath without a place, also of a run that goes
+    on."""
+    training = trained[0] / "out" / "training.nc"
+    monkeypatch.setattr(CubeBlocks, "rows_at_once", 2)
+    swath = emit_of(tmp_path, known, "swath.nc", location=NOWHERE)
+    with pytest.warns(UserWarning, match="swath.nc says no place .* rows and columns only"):
+        unplaced = jobs.map_cube(
+            swath, training, tmp_path / "swath", checkpoint=tmp_path / "work", keep_unlike=True
+        )
+    on_swath, transform, crs, tags = maps_of(tmp_path / "swath")
+    assert transform.is_identity
+    assert not crs.is_geographic
+    assert not crs.is_projected
+    assert unplaced.place == tags["place"] == "rows and columns only"
+
+    path = emit_of(tmp_path, known, "emit.nc")
+    began, real = [], job._mapped
+
+    def mapped(part, *shared):
+        began.append(part)
+        if len(began) == 2:
+            raise KeyboardInterrupt
+        return real(part, *shared)
+
+    monkeypatch.setattr(job, "_mapped", mapped)
+    given = {"checkpoint": tmp_path / "work", "keep_unlike": True, "zarr": True}
+    with pytest.raises(KeyboardInterrupt):
+        jobs.map_cube(path, training, tmp_path / "out", **given)
+    result = jobs.map_cube(path, training, tmp_path / "out", **given)
+    assert began == [(0, 2), (2, 2), (2, 2), (4, 2)]
+    maps, transform, crs, tags = maps_of(tmp_path / "out")
+    assert transform.to_gdal() == pytest.approx(GEOTRANSFORM)
+    assert crs.to_epsg() == 4326
+    glt_x, glt_y = lookup(6, 4)
+    there = glt_x > 0
+    assert there.sum() > 20
+    assert np.isfinite(on_swath).all()
+    np.testing.assert_array_equal(maps[:, there], on_swath[:, glt_y[there] - 1, glt_x[there] - 1])
+    assert np.isnan(maps[:, ~there]).all()
+    with xr.open_zarr(tmp_path / "out" / "maps.zarr", consolidated=False) as same:
+        np.testing.assert_array_equal(same["live_cover"], maps[0])
+        assert same["x"].attrs["standard_name"] == "longitude"
+    # Counts and figures are the swath's: of a pixel that stands in several of the map only one.
+    assert result.pixels == 24
+    assert result.maps == unplaced.maps
+    assert "lookup table" in result.place == tags["place"]
+    assert "which its lookup table names" in result.headline[1]
+    assert "north is not up" in (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert not (tmp_path / "work").exists()
+
+
+def test_a_damaged_lookup_table_is_refused_before_any_work(trained, known, tmp_path):
+    table = lookup(6, 4)[0]
+    table[table == 4] = 5
+    path = emit_of(tmp_path, known, "emit.nc", location={"glt_x": (("ortho_y", "ortho_x"), table)})
+    training = trained[0] / "out" / "training.nc"
+    with pytest.raises(InputError, match=r"emit.nc: expected glt_x from 1 to 4"):
+        jobs.map_cube(path, training, tmp_path / "out", checkpoint=tmp_path / "work")
     assert not (tmp_path / "work").exists()
 
 

@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from rasterio.windows import Window
 from fynjax._core.errors import InputError, listed
 from fynjax._core.extras import require
 from fynjax.io.raster._crs import parse_crs
+from fynjax.io.raster._lookup import lookup_table
 from fynjax.io.raster._netcdf import CONVENTIONS, check_netcdf, with_history
 from fynjax.io.raster._reader import RasterFile, open_raster
 from fynjax.io.raster._writer import LOCAL_FRAME
@@ -53,11 +55,13 @@ class CubeBlocks:
     good: Bool[np.ndarray, " band"]
     """Bands that are to be used."""
     transform: Affine
-    """From column and row to x and y; the identity without a place."""
+    """From column and row to x and y; the identity without a place, and of a swath."""
     crs: str | None
     """Coordinate reference system as WKT."""
     source: Any
     """What `read` takes values of."""
+    location: xr.Dataset | None = None
+    """Of a swath the lookup table that places its pixels on a map, with the file's attributes."""
 
     @property
     def rows_at_once(self) -> int:
@@ -121,7 +125,8 @@ def open_blocks(path: str | Path) -> Iterator[CubeBlocks]:
     """Open an image of reflectance of any size: ENVI, GeoTIFF, NetCDF or zarr.
 
     **Arguments:** `path`; of an ENVI image the header or the data. NetCDF (as EMIT's are, too) and
-    zarr hold a variable `reflectance` and its wavelengths.
+    zarr hold a variable `reflectance` and its wavelengths. EMIT's are swaths, rows and columns as
+    the sensor saw them: `MapWriter` places what is made of them by the file's own lookup table.
 
     **Raises:** `InputError` for what is none of these, as `open_raster`, and for a variable of
     other than three dimensions.
@@ -195,6 +200,7 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
         with suppress(*_UNREADABLE):
             # EMIT keeps its bands in a group of their own.
             bands = opened.enter_context(xr.open_dataset(path, group="sensor_band_parameters"))
+    location = None if zarr else _location(path, data, opened)
     count = values.sizes[spectral]
 
     def column(*known: str) -> Float[np.ndarray, " band"] | None:
@@ -207,9 +213,11 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
     wavelength, width = column("wavelength", "wavelengths"), column("fwhm")
     good = column("good_wavelengths", "reflectance_good")
     crs, transform = _place(path, data, values)
-    # In memory y rises to the north; a block is as in a file, its first row northernmost.
+    # In memory y rises to the north; a block is as in a file, its first row northernmost. A swath
+    # stays as it is: its lookup table counts rows as they are in the file.
     y = values.dims[0]
-    if y in values.coords and values.sizes[y] > 1 and values[y][0] < values[y][-1]:
+    rising = y in values.coords and values.sizes[y] > 1 and values[y][0] < values[y][-1]
+    if rising and location is None:
         values = values.isel({y: slice(None, None, -1)})
     return CubeBlocks(
         path=path,
@@ -220,7 +228,17 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
         transform=transform,
         crs=crs,
         source=values,
+        location=location,
     )
+
+
+def _location(path: Path, data: xr.Dataset, opened: ExitStack) -> xr.Dataset | None:
+    """The group that holds a swath's lookup table, with the attributes of the file."""
+    with suppress(OSError):  # there is no such group
+        group = opened.enter_context(xr.open_dataset(path, group="location", decode_times=False))
+        if "glt_x" in group or "glt_y" in group:
+            return group.assign_attrs(data.attrs)
+    return None
 
 
 def _place(path: Path, data: xr.Dataset, values: xr.DataArray) -> tuple[str | None, Affine]:
@@ -238,7 +256,11 @@ def _place(path: Path, data: xr.Dataset, values: xr.DataArray) -> tuple[str | No
 
 class MapWriter:
     """Maps of one raster that are written block by block, in any order: a tiled GeoTIFF in the
-    making, and which of its blocks are there. `finish` makes a cloud-optimised GeoTIFF of it."""
+    making, and which of its blocks are there. `finish` makes a cloud-optimised GeoTIFF of it.
+
+    Maps of a swath are on the swath while they are made. `finish` and `finish_zarr` place them: on
+    the grid of the file's lookup table each pixel is that of the swath which the table names.
+    """
 
     def __init__(
         self,
@@ -250,11 +272,16 @@ class MapWriter:
     ) -> None:
         """Begin in `folder`, or go on with what an interrupted run of the same `signature` left.
 
-        `bands` have names and units. Raises `InputError` for a folder of another run.
+        `bands` have names and units. Raises `InputError` for a folder of another run, and for a
+        lookup table of a swath that places nothing.
         """
         self._folder, self._bands, self._like = folder, tuple(bands), like
         self._file, mark = folder / "maps.tif", folder / "maps.json"
+        self._on_map = folder / "placed.tif"
         self._mark = mark
+        self._table = (
+            None if like.location is None else lookup_table(like.path, like.location, like.shape)
+        )
         self.done = np.zeros(blocks, bool)
         self.damaged: set[int] = set()
         """Blocks of the cube that could not be read, of an interrupted run too."""
@@ -274,24 +301,29 @@ class MapWriter:
                 self.done[kept["done"]] = True
                 self.damaged = set(kept["damaged"])
                 return
-        rows, columns = like.shape
+        self._begin(self._file, like.shape, like.transform, like.crs)
+        self._keep(signature)
+
+    def _begin(
+        self, path: Path, shape: tuple[int, int], transform: Affine, crs: str | None
+    ) -> None:
+        """A GeoTIFF of all maps, yet without data."""
         profile: dict[str, Any] = {
             "driver": "GTiff",
             "dtype": "float32",
             "count": len(self._bands),
-            "height": rows,
-            "width": columns,
-            "crs": CRS.from_user_input(like.crs) if like.crs else CRS.from_wkt(LOCAL_FRAME),
-            "transform": like.transform,
+            "height": shape[0],
+            "width": shape[1],
+            "crs": CRS.from_user_input(crs) if crs else CRS.from_wkt(LOCAL_FRAME),
+            "transform": transform,
             "nodata": float("nan"),
             "interleave": "band",
             "bigtiff": "if_safer",
         }
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(self._file, "w", **profile):
+            with rasterio.open(path, "w", **profile):
                 pass
-        self._keep(signature)
 
     def _keep(self, signature: str) -> None:
         state = {
@@ -323,34 +355,53 @@ class MapWriter:
             self.damaged.add(block)
         self._keep(json.loads(self._mark.read_text("utf-8"))["signature"])
 
+    @cached_property
+    def _placed(self) -> Path:
+        """The maps in their place: of a swath another file than that in the making."""
+        if self._table is None:
+            return self._file
+        self._begin(self._on_map, self._table.shape, self._table.transform, self._table.crs)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)  # a swath is not
+            with rasterio.open(self._file) as swath, rasterio.open(self._on_map, "r+") as onto:
+                self._table.place(swath, onto)
+        return self._on_map
+
     def finish(self, path: Path, tags: Mapping[str, Any]) -> None:
-        """Write all of it as a cloud-optimised GeoTIFF, whole or not at all."""
+        """Write all of it as a cloud-optimised GeoTIFF, whole or not at all. Raises `InputError`
+        where the lookup table of a swath cannot be read."""
+        placed = self._placed
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(self._file, "r+") as file:
+            with rasterio.open(placed, "r+") as file:
                 file.descriptions = tuple(name for name, _ in self._bands)
                 file.units = tuple(unit for _, unit in self._bands)
                 file.update_tags(**{k: str(v) for k, v in tags.items()})
             with atomic_path(path) as partial:
                 rasterio.shutil.copy(
-                    self._file, partial, driver="COG", compress="deflate", predictor="3",
+                    placed, partial, driver="COG", compress="deflate", predictor="3",
                     blocksize=_INNER, overview_resampling="average", bigtiff="if_safer",
                 )  # fmt: skip
 
     def finish_zarr(self, path: Path, tags: Mapping[str, Any], names: Mapping[str, str]) -> None:
         """Write all of it as a zarr group of one array a map, whole or not at all. `names` are the
-        long names of the maps. Raises `MissingExtraError` without zarr."""
+        long names of the maps. Raises `MissingExtraError` without zarr, and as `finish`."""
         zarr: Any = require("zarr", "map")
         partial = path.with_name(f"{path.name}.partial")
         shutil.rmtree(partial, ignore_errors=True)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            file = rasterio.open(self._file)
+            file = rasterio.open(self._placed)
         with file:
             rows, columns = file.shape
             there = file.transform
-            placed = not there.is_identity
-            crs = self._like.crs
+            crs = self._like.crs if self._table is None else self._table.crs
+            if there.is_identity:
+                axes = {"y": ("", "1"), "x": ("", "1")}
+            elif crs and CRS.from_user_input(crs).is_geographic:
+                axes = {"y": ("latitude", "degrees_north"), "x": ("longitude", "degrees_east")}
+            else:
+                axes = {a: (f"projection_{a}_coordinate", "m") for a in "yx"}
             group = zarr.open_group(partial, mode="w")
             group.attrs.update({"Conventions": CONVENTIONS, **with_history(tags)})
             reference = group.create_array("crs", shape=(), dtype="int32")
@@ -365,10 +416,11 @@ class MapWriter:
                     axis, shape=(count,), dtype="float64", dimension_names=(axis,)
                 )
                 coordinate[:] = middles
+                standard, unit = axes[axis]
                 words = f"{axis} of the middles of pixels"
-                coordinate.attrs.update({"units": "m" if placed else "1", "long_name": words})
-                if placed:
-                    coordinate.attrs["standard_name"] = f"projection_{axis}_coordinate"
+                coordinate.attrs.update({"units": unit, "long_name": words})
+                if standard:
+                    coordinate.attrs["standard_name"] = standard
             for i, (name, unit) in enumerate(self._bands, start=1):
                 values = group.create_array(
                     name, shape=(rows, columns), dtype="float32", dimension_names=("y", "x"),
@@ -384,7 +436,7 @@ class MapWriter:
         os.replace(partial, path)
 
     def read(self, step: int = 1) -> Float[np.ndarray, "band row column"]:
-        """All bands, every `step`-th row and column."""
+        """All bands, every `step`-th row and column; of a swath on the swath."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             with rasterio.open(self._file) as file:
@@ -393,7 +445,9 @@ class MapWriter:
 
     def forget(self) -> None:
         """Remove what was in the making."""
-        for path in (self._file, self._mark, self._file.with_suffix(".tif.aux.xml")):
+        for path in (self._file, self._on_map):
             path.unlink(missing_ok=True)
+            path.with_suffix(".tif.aux.xml").unlink(missing_ok=True)
+        self._mark.unlink(missing_ok=True)
         if self._folder.is_dir() and not any(self._folder.iterdir()):
             self._folder.rmdir()
