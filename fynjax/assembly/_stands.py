@@ -156,7 +156,7 @@ class StandSettings:
     structure_m: float = 0.125
     """Edge of the voxels on which sun and sight follow the plants [m]: within 1 % of the spectra
     of voxels of 10 cm, in which the shipped prior was learned; without it, 7 % darker in red."""
-    together: int = 24
+    together: int = 12
     """Sets of leaves, dead tissue and soil of each planted stand."""
     solves: int = 25
     """Bands, of all sets together, that the diffuse light is solved in."""

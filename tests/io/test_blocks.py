@@ -1,5 +1,7 @@
 """Cubes read by blocks of rows, and maps written by blocks."""
 
+import re
+
 import numpy as np
 import pytest
 import rasterio
@@ -85,6 +87,39 @@ def test_emit_keeps_its_bands_in_a_group(tmp_path, cube):
     assert good.tolist() == [True, True, False, True]
     found = np.where(found == -9999.0, np.nan, found)
     assert found == pytest.approx(values, rel=1e-6, nan_ok=True)
+
+
+@pytest.mark.parametrize("unit", ["um", "Micrometers", ""])
+@pytest.mark.parametrize("kind", ["hdr", "nc"])
+def test_wavelengths_in_micrometres_are_known(tmp_path, cube, kind, unit):
+    path = tmp_path / f"cube.{kind}"
+    if kind == "hdr":
+        write_cube_envi(path, cube, {})
+        text = path.read_text("utf-8")
+        for name in ("wavelength", "fwhm"):
+            row = re.search(rf"^{name} = {{(.*?)}}", text, re.M | re.S)
+            small = ", ".join(f"{float(v) / 1000.0:g}" for v in row[1].split(","))
+            text = text.replace(row[0], f"{name} = {{{small}}}")
+        stated = f"wavelength units = {unit}\n" if unit else ""
+        path.write_text(re.sub(r"wavelength units = .*\n", stated, text), "utf-8")
+    else:
+        bands = {
+            "reflectance": (("y", "x", "band"), np.moveaxis(cube.values, 0, 2)),
+            "wavelength": ("band", CENTRE / 1000.0, {"units": unit} if unit else {}),
+            "fwhm": ("band", np.full(4, 0.02)),
+        }
+        xr.Dataset(bands).to_netcdf(path)
+    whole(path)
+
+
+def test_wavelengths_in_another_unit_than_stated_are_refused(tmp_path, cube):
+    bands = {
+        "reflectance": (("y", "x", "band"), np.moveaxis(cube.values, 0, 2)),
+        "wavelength": ("band", CENTRE / 1000.0, {"units": "nm"}),
+    }
+    xr.Dataset(bands).to_netcdf(tmp_path / "cube.nc")
+    with pytest.raises(InputError, match="are they µm"), open_blocks(tmp_path / "cube.nc"):
+        pass
 
 
 def test_ten_thousandths_are_told_from_shares_and_from_radiance(tmp_path, cube):

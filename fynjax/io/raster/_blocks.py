@@ -29,6 +29,7 @@ from fynjax.io.raster._lookup import lookup_table
 from fynjax.io.raster._netcdf import CONVENTIONS, check_netcdf, with_history
 from fynjax.io.raster._reader import RasterFile, open_raster
 from fynjax.io.raster._writer import LOCAL_FRAME
+from fynjax.io.spectra import in_nanometres
 from fynjax.io.text import atomic_path
 
 _SIZE = 2**27
@@ -203,15 +204,22 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
     location = None if zarr else _location(path, data, opened)
     count = values.sizes[spectral]
 
-    def column(*known: str) -> Float[np.ndarray, " band"] | None:
+    def column(*known: str) -> tuple[Float[np.ndarray, " band"] | None, str]:
+        """The first of the variables that is there, one number a band, and its unit."""
         for source in (data, bands):
             for name in known:
                 if name in source.variables and source[name].size == count:
-                    return np.asarray(source[name].values, float).reshape(count)
-        return None
+                    found = source[name]
+                    unit = str(found.attrs.get("units", ""))
+                    return np.asarray(found.values, float).reshape(count), unit
+        return None, ""
 
-    wavelength, width = column("wavelength", "wavelengths"), column("fwhm")
-    good = column("good_wavelengths", "reflectance_good")
+    wavelength, unit = column("wavelength", "wavelengths")
+    width, _ = column("fwhm")
+    good, _ = column("good_wavelengths", "reflectance_good")
+    if wavelength is not None and np.isfinite(wavelength).any():
+        wavelength, factor = in_nanometres(wavelength, unit, path)
+        width = None if width is None else width * factor
     crs, transform = _place(path, data, values)
     # In memory y rises to the north; a block is as in a file, its first row northernmost. A swath
     # stays as it is: its lookup table counts rows as they are in the file.
