@@ -385,10 +385,11 @@ def coarser(scene: Scene, parameters: PlotParameters) -> Scene:
     sizes = zip(
         np.asarray(parameters.species.diameter), np.asarray(parameters.species.height), strict=True
     )
-    most = [element_count(d, h, grid.horizontal_size) for d, h in sizes]
+    layer = thick * grid.vertical_size
+    most = [element_count(d, h, grid.horizontal_size, layer=layer) for d, h in sizes]
     return dataclasses.replace(
         scene,
         planting=scene.planting.thinned(most) if scene.finer else scene.planting,
-        grid=VoxelGrid((nx, ny, nz // thick), grid.horizontal_size, thick * grid.vertical_size),
+        grid=VoxelGrid((nx, ny, nz // thick), grid.horizontal_size, layer),
         finer=0,
     )

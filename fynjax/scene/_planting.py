@@ -435,7 +435,12 @@ def no_plants(dtype: str) -> Planting:
 
 
 def element_count(
-    diameter: float, height: float, resolved: float, *, structured: bool = False
+    diameter: float,
+    height: float,
+    resolved: float,
+    *,
+    layer: float | None = None,
+    structured: bool = False,
 ) -> int:
     """Area elements of a plant.
 
@@ -443,10 +448,12 @@ def element_count(
 
     - `diameter`, `height`: of its crown [m].
     - `resolved`: edge of the boxes in which its leaf area is resolved [m].
+    - `layer`: their height, if they are no cubes [m].
     - `structured`: whether sun and sight follow it on voxels finer than the plot's.
 
     **Returns:** about one for every two boxes that its crown touches, since thousands of plants
     stand on a plot; 16 to 3000, with a structure to 20 000.
     """
-    touched = (diameter / resolved + 0.5) ** 2 * (height / resolved + 0.5)
+    layer = resolved if layer is None else layer
+    touched = (diameter / resolved + 0.5) ** 2 * (height / layer + 0.5)
     return int(np.clip(np.ceil(touched / 2), 16, 20_000 if structured else 3000))
