@@ -201,11 +201,28 @@ class Search:
         """Plants for which sites were made."""
         self.times: list[float] = []
         """When each step ended that was not one of an earlier run [s]."""
+        self.cheap: list[Scene] = []
+        """The stands in the cheap form."""
+
+    def plant(self, u: Array) -> None:
+        """Plant the stands of the search, with sites for what `u` and the draws of the prior about
+        it need."""
+        drawn = self._settings.stand_realisations
+        normals = [self._normal(i) for i in range(self._most)] if drawn else []
+        if self._grown(u, normals) or self.cheap:
+            return
         try:
             self._stand(None)
         except InputError:  # another chance finds no room: the same sites in another order
             self._replant = None
             self._stand(None)
+
+    @property
+    def _most(self) -> int:
+        """Draws in all."""
+        settings = self._settings
+        count = settings.stand_realisations
+        return max(settings.scatter_draws, count) if count else 1
 
     def _stand(self, counts: Float[np.ndarray, " species"] | None) -> None:
         """Plant the stands over which expectations are taken."""
@@ -218,22 +235,24 @@ class Search:
         stands = [self.scene, *others]
         self._stands = stands[: settings.full_renders]
         self.cheap = [self._form(stand)[0] for stand in stands]
-        """The stands in the cheap form."""
-        most = max(settings.scatter_draws, count) if settings.stand_realisations else 1
-        self._draws = [self._draw(i) for i in range(most)]
+        self._draws = [self._draw(i) for i in range(self._most)]
         self._members = self._draws[:count]
         """Those that each step of the search and its slopes are means over."""
 
     def _draw(self, number: int) -> Draw:
-        """A draw of plants and parameters. Two in a row are opposite in their parameters, so that
-        what is linear in these leaves a mean as it is."""
-        count, free = len(self.cheap), len(self._space.names)
+        """A draw of plants and parameters."""
+        count = len(self.cheap)
         stand = self.cheap[number % count]
         if number >= count:
             stand = stand_realisation(stand, number)  # no number of a stand of the search
+        return Draw(stand, self._normal(number))
+
+    def _normal(self, number: int) -> Float[np.ndarray, " free"]:
+        """Where a draw's parameters are. Two in a row are opposite, so that what is linear in these
+        leaves a mean as it is."""
         random = np.random.default_rng([self._settings.seed, 83, number // 2])
-        normal = random.normal(size=free).clip(-_FARTHEST, _FARTHEST)
-        return Draw(stand, normal if number % 2 == 0 else -normal)
+        normal = random.normal(size=len(self._space.names)).clip(-_FARTHEST, _FARTHEST)
+        return normal if number % 2 == 0 else -normal
 
     # -- evaluations ------------------------------------------------------------------------
 
@@ -425,10 +444,10 @@ class Search:
         if self._report is not None:
             self._report(stage, loss, norm)
 
-    def _grown(self, u: Array, draws: Sequence[Draw] = ()) -> bool:
-        """Whether more sites had to be made for the plants at `u` and of `draws` of the prior
-        about it, and could be."""
-        places = jnp.stack([u, *(u + jnp.asarray(d.normal) for d in draws)])
+    def _grown(self, u: Array, normals: Sequence[np.ndarray] = ()) -> bool:
+        """Whether more sites had to be made for the plants at `u` and of draws of the prior about
+        it, and could be."""
+        places = jnp.stack([u, *(u + jnp.asarray(normal) for normal in normals)])
         counts = np.asarray(_counts(self.scene, self._parameters, self._space, places))
         before = self.scene
         short = room_needed(self.scene, self._parameters, counts) > 0.0
@@ -461,7 +480,7 @@ class Search:
         free = len(self._space.names)
         none = np.zeros((free, free))
         prior = np.eye(free) if settings.stand_realisations else none
-        self._grown(u, self._draws if settings.stand_realisations else ())
+        self.plant(u)
         origin = self.observe(u, none, np.zeros((len(self._data.names), free)))
         finite = np.isfinite(origin.statistics)
         if not finite.all():

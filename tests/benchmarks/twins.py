@@ -135,6 +135,7 @@ def line(chosen, ready, truths, view):
         keep_nothing, None,
     )  # fmt: skip
     none, prior = jnp.zeros(free), np.eye(free)
+    search.plant(none)
     start = search.observe(none, 0.0 * prior, np.zeros((len(view.names), free)))
     search.choose_directions(start.data)
     slopes = search._slopes(none, prior).mean(axis=0)
