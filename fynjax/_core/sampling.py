@@ -90,6 +90,7 @@ def ensemble(
     sampler = emcee.EnsembleSampler(
         *start.shape, refused, vectorize=True, moves=moves, backend=backend
     )
+    sampler.log_prob_fn = refused  # emcee's wrapper prints a traceback at an interruption
     if sampler.iteration:
         assert saved is not None
         state, refused.count = sampler.get_last_sample(), saved.refused
@@ -211,7 +212,7 @@ def _unreadable(path: Path) -> InputError:
 def _without_burn_in(chain: np.ndarray) -> np.ndarray:
     """The first steps go, more of them where the chain is slow to forget its start."""
     kept = chain[min(_BURN_IN, len(chain) // 2) :]
-    tau = autocorrelation_time(kept)
+    tau = _autocorrelation(kept)
     if np.isfinite(tau) and _BURN_IN < 5 * tau < len(chain) / 2:
         return chain[int(5 * tau) :]
     return kept
@@ -219,24 +220,20 @@ def _without_burn_in(chain: np.ndarray) -> np.ndarray:
 
 def _judge(chain: np.ndarray, target: float) -> Draws:
     """Measures the autocorrelation time, and says whether the chain is long enough."""
-    tau = autocorrelation_time(chain)
+    tau = _autocorrelation(chain)
     size = chain.shape[0] * chain.shape[1] / tau
     status = "converged"
     if not len(chain) > _TIMES_TAU * tau:
         status = "not converged: chain shorter than 50 autocorrelation times"
     elif size < target:
         status = f"not converged: {size:.0f} effective draws of {target:.0f}"
-    elif (apart := split_r_hat(chain)) > _R_HAT:
+    elif (apart := _split_r_hat(chain)) > _R_HAT:
         status = f"not converged: chains disagree, R-hat {apart:.2f}"
     return Draws(chain, np.empty(chain.shape[:2]), size, tau, np.nan, status)
 
 
-def split_r_hat(chain: np.ndarray) -> float:
-    """By how much chains disagree, cut in halves (Gelman et al. 2013, section 11.4), in the worst
-    parameter: 1 where they do not.
-
-    **Arguments:** `chain`, [step, chain, parameter].
-    """
+def _split_r_hat(chain: np.ndarray) -> float:
+    """Of the worst parameter, chains cut in halves (Gelman et al. 2013, section 11.4)."""
     half = len(chain) // 2
     parts = np.concatenate([chain[:half], chain[half : 2 * half]], axis=1)
     within = parts.var(axis=0, ddof=1).mean(axis=0)
@@ -244,12 +241,24 @@ def split_r_hat(chain: np.ndarray) -> float:
     return float(np.max(np.sqrt((half - 1) / half + between / within)))
 
 
-def autocorrelation_time(chain: np.ndarray) -> float:
-    """Integrated autocorrelation time of the slowest parameter [steps]; infinite where it cannot be
-    estimated or a parameter never moved.
+def effective_size(chain: np.ndarray) -> float:
+    """Effective number of draws behind the least mixed parameter.
+
+    The smaller of two: by the autocorrelation time, and by how far the means of chains lie apart.
+    Chains that are short against their autocorrelation time look as if they had none; their means
+    show it. Of chains that never mix it is about their number.
 
     **Arguments:** `chain`, [step, chain, parameter].
     """
+    steps, chains, _ = chain.shape
+    apart = chain.mean(axis=0).var(axis=0, ddof=1)
+    by_means = chains * chain.var(axis=(0, 1)) / np.maximum(apart, np.finfo(float).tiny)
+    return min(steps * chains / _autocorrelation(chain), float(by_means.min()))
+
+
+def _autocorrelation(chain: np.ndarray) -> float:
+    """Of the slowest parameter; infinite where it cannot be estimated or a parameter never
+    moved."""
     with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):
         warnings.simplefilter("ignore")
         tau = np.asarray(emcee.autocorr.integrated_time(chain, tol=0, quiet=True))

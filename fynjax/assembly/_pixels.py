@@ -10,8 +10,8 @@ from fynjax.inversion import PriorChain, draws_like, sample_prior, spectrum_like
 from fynjax.io.plot import LearnedPrior
 from fynjax.sensors import BandSet
 
-_WALKERS = 16
-_STANDS = 20
+_WALKERS = 8
+_STANDS = 40
 """Planted stands from whose sets of leaves the walkers' starts are chosen."""
 _SOLVES = 12
 """Of the diffuse light of a stand with one set: the rest is some 0.1 % of the light."""
@@ -29,13 +29,13 @@ def sample_pixel(
     """Sample the posterior of the stand of a pixel by emcee, with a render at each step.
 
     Prior, plants and errors are those that `train` simulates with: the regression of a map stands
-    for this posterior. Plants are set anew with each proposal.
+    for this posterior. Where the plants stand is chance, of which one number decides.
 
     **Arguments:**
 
     - `reflectance`: of the pixel, in `bands` [-].
     - `bands`, `prior`, `settings`: as for `simulate_stands`.
-    - `steps`: of each of 16 walkers.
+    - `steps`: of each of 8 walkers.
     - `seed`: of everything random.
 
     **Returns:** `PriorChain` of `STAND_QUANTITIES`; its first steps still depend on the start.
@@ -48,15 +48,16 @@ def sample_pixel(
     candidates, likelihood = [], []
     for _ in range(_STANDS):
         of_stand, of_sets = random.normal(size=common), random.normal(size=(settings.together, own))
-        made = make_stand(of_stand, of_sets, _chance(random), bands, prior, settings)
+        chance = random.normal()
+        made = make_stand(of_stand, of_sets, _planting(chance), bands, prior, settings)
         alike = np.broadcast_to(of_stand, (len(of_sets), common))
-        candidates.append(np.concatenate([alike, of_sets], axis=1))
+        candidates.append(np.column_stack([alike, of_sets, np.full(len(of_sets), chance)]))
         likelihood.append(spectrum_likelihood(reflectance, made.reflectance, error))
     one = replace(settings, together=1, solves=_SOLVES)
 
-    def simulate(z: np.ndarray, chance: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    def simulate(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         made = [
-            make_stand(row[:common], row[None, common:], _chance(chance), bands, prior, one)
+            make_stand(row[:common], row[None, common:-1], _planting(row[-1]), bands, prior, one)
             for row in z
         ]
         spectra = np.concatenate([stand.reflectance for stand in made])
@@ -64,9 +65,9 @@ def sample_pixel(
         return spectrum_likelihood(reflectance, spectra, error), quantities
 
     start = draws_like(np.concatenate(candidates), np.concatenate(likelihood), _WALKERS, seed)
-    return sample_prior(simulate, start, steps=steps, seed=seed)
+    return sample_prior(simulate, start, chance=1, steps=steps, seed=seed)
 
 
-def _chance(random: np.random.Generator) -> int:
-    """Number of a planting."""
-    return int(random.integers(2**31))
+def _planting(normal: float) -> int:
+    """Number of a planting: as good as independent of that of a number nearby."""
+    return int(np.float64(normal).view(np.uint64) % (2**31 - 1))

@@ -67,12 +67,12 @@ def map_command(
         typer.Option(
             metavar="ROW,COLUMN",
             help="Sample the full posterior of this pixel by emcee as well, counted from 1 at the "
-            "upper left; some eight minutes of a core. May be given again.",
+            "upper left of the cube; some 13 minutes of a core. May be given again.",
         ),
     ] = None,
     pixel_steps: Annotated[
-        int, typer.Option(metavar="N", help="Steps of each of its 32 walkers.")
-    ] = 120,
+        int, typer.Option(metavar="N", min=12, help="Steps of each of its 16 walkers.")
+    ] = 400,
     prior: Annotated[
         str | None,
         typer.Option(
@@ -97,6 +97,7 @@ def map_command(
     from fynjax.io.plot import DEFAULT_PRIOR
 
     assert checkpoint is not None
+    pixels = [_place(text) for text in pixel or ()]
     return lambda folder, progress: jobs.map_cube(
         cube,
         training,
@@ -105,7 +106,7 @@ def map_command(
         keep_unlike=keep_unlike,
         skip_damaged=skip_damaged,
         zarr=zarr,
-        pixels=[_place(text) for text in pixel or ()],
+        pixels=pixels,
         pixel_steps=pixel_steps,
         prior=DEFAULT_PRIOR if prior is None else prior,
         seed=seed,

@@ -285,7 +285,7 @@ def _show_estimate(
               if _listed_files(output, name) else expected.writes)]  # fmt: skip
     rows += list(expected.counts.items())
     for what, text in rows:
-        print(f"{what:<8}{text}")
+        print(f"{what:<7} {text}")
     print(expected.sentence())
     right = (
         "" if expected.seconds is None else " Such estimates are right within a factor of 2 to 3."

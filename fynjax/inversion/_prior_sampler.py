@@ -1,11 +1,10 @@
 """Posteriors of what was drawn from a prior, by emcee: no regression, no derivative between.
 
-A draw of the prior is made of unit normal numbers, and of chance that no number stands for, such
-as where the plants stand. Proposals are drawn from the prior about the walker (Neal 1999;
-preconditioned Crank-Nicolson of Cotter et al. 2013, doi:10.1214/13-STS421), so that many numbers of
-which a spectrum says nothing cost no acceptance. Chance is drawn anew with each proposal, and kept
-with the walker that accepts it: such chains have the posterior that counts all chance (Andrieu and
-Roberts 2009, doi:10.1214/07-AOS574).
+A draw of the prior is made of unit normal numbers, some of which stand for mere chance, such as
+where the plants stand: whatever changes of these changes all. Proposals are drawn from the prior
+about the walker (Neal 1999; preconditioned Crank-Nicolson of Cotter et al. 2013,
+doi:10.1214/13-STS421), so that many numbers of which a spectrum says nothing cost no acceptance.
+Chance is kept in two of three proposals, and drawn anew in the third.
 """
 
 from collections.abc import Callable
@@ -19,13 +18,13 @@ from fynjax._core.errors import InputError
 from fynjax.inversion._amortised import DARKEST, OFFSET_SD, OWN_SD
 
 Simulate = Callable[
-    [Float[np.ndarray, "walker number"], np.random.Generator],
+    [Float[np.ndarray, "walker number"]],
     tuple[Float[np.ndarray, " walker"], Float[np.ndarray, "walker quantity"]],
 ]
-"""Log likelihood and quantities of draws of the prior; chance is from the generator."""
+"""Log likelihood and quantities of draws of the prior."""
 
-_LENGTHS = (0.25, 0.6)
-"""Of proposals, in standard deviations of the prior [-]; half of them each."""
+_SHORT, _LONG = 0.25, 0.6
+"""Lengths of proposals, in standard deviations of the prior [-]."""
 
 
 class PriorChain(NamedTuple):
@@ -41,6 +40,7 @@ def sample_prior(
     simulate: Simulate,
     start: Float[np.ndarray, "walker number"],
     *,
+    chance: int = 0,
     steps: int,
     seed: int,
 ) -> PriorChain:
@@ -48,9 +48,10 @@ def sample_prior(
 
     **Arguments:**
 
-    - `simulate`: gives log likelihood and quantities of as many draws as asked for; draws whose
-      log likelihood is not finite are refused.
+    - `simulate`: gives log likelihood and two or more quantities of as many draws as asked for;
+      draws whose log likelihood is not finite are refused.
     - `start`: where the walkers begin, such as from `draws_like`.
+    - `chance`: the last so many numbers stand for mere chance.
     - `steps`: of each walker.
     - `seed`: of everything random.
 
@@ -59,17 +60,20 @@ def sample_prior(
     **Raises:** `InputError` where no start has a finite likelihood.
     """
     walkers, numbers = start.shape
-    chance = np.random.default_rng([seed, 1])
 
     def density(z: np.ndarray) -> np.ndarray:
-        likelihood, quantities = simulate(z, chance)
+        likelihood, quantities = simulate(z)
         likelihood = np.where(np.isfinite(likelihood), likelihood, -np.inf)
         return np.column_stack([likelihood - 0.5 * np.sum(z**2, axis=1), quantities])
 
-    sampler = emcee.EnsembleSampler(
-        walkers, numbers, density, vectorize=True,
-        moves=[(emcee.moves.MHMove(_Proposal(length)), 1.0) for length in _LENGTHS],
-    )  # fmt: skip
+    kept, drawn = np.zeros(chance), np.ones(chance)
+    lengths = [
+        np.append(np.full(numbers - chance, length), of_chance)
+        for length, of_chance in ((_SHORT, kept), (_LONG, kept), (_SHORT, drawn))
+    ]
+    moves = [emcee.moves.MHMove(_Proposal(each)) for each in lengths]
+    sampler = emcee.EnsembleSampler(walkers, numbers, density, vectorize=True, moves=moves)
+    sampler.log_prob_fn = density  # emcee's wrapper prints a traceback at an interruption
     first = density(start)
     alive = np.isfinite(first[:, 0])
     if not alive.any():
@@ -89,9 +93,10 @@ def sample_prior(
 
 
 class _Proposal:
-    """Draws of the prior, correlated with where the walkers are."""
+    """Draws of the prior, correlated with where the walkers are: not at all in numbers of length
+    1, and the same in those of length 0."""
 
-    def __init__(self, length: float) -> None:
+    def __init__(self, length: Float[np.ndarray, " number"]) -> None:
         self._length = length
 
     def __call__(
@@ -128,7 +133,8 @@ def spectrum_likelihood(
     trains with: of the model, of each channel for itself, and of all together.
 
     **Arguments:** `observed` and `reflectance` [-]; `error`, covariance of the logarithm of
-    reflectance by which real spectra differ from simulated ones.
+    reflectance by which real spectra differ from simulated ones. Errors as a reflectance are
+    linear in the logarithm here, which holds above some 0.01.
     """
     level = np.maximum(reflectance, DARKEST)
     apart = np.log(np.maximum(observed, DARKEST)) - np.log(level)

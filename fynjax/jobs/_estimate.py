@@ -33,7 +33,7 @@ kept for later runs of the same sizes."""
 _GRADIENT_IMAGES = 2.7
 """A gradient in images, at 10 and 20 m."""
 _STEP_IMAGES = 2.6
-"""A step of a search in images, were all steps taken: the example takes 320 CPU s with
+"""A step of a search in images, were all steps taken: the example takes 280 CPU s with
 compilation, its rounds at fresh draws of plants included, of which 9 of 30 steps were taken."""
 _SLOPE_IMAGES = 0.3
 """A parameter's slopes in images: `information` takes 263 CPU s for two stands of the example."""
@@ -45,8 +45,8 @@ _TRAIN_S, _SPECTRUM_S = 40.0, 0.018
 """`train`: 6000 steps, and a spectrum; 2000 spectra take 115 CPU s with compilation."""
 _PIXEL_S = 1.0 / 23_000.0
 """`map`: a pixel of 425 bands."""
-_PIXEL_STEP_S = 3.8
-"""A step of the 32 walkers of a pixel's posterior: a stand each, planted and lit."""
+_PIXEL_STEP_S = 1.9
+"""A step of the 16 walkers of a pixel's posterior: a stand each, planted and lit."""
 _LEAF_START_S, _LEAF_S, _LEAF_BYTES = 10.0, 0.006, 17e3
 """What few leaves take and each of many that are fitted together [CPU s], and the least that a file
 holds of one: 2151 bands of 8 bytes."""

@@ -13,14 +13,21 @@ from jaxtyping import Float
 from pydantic import Field
 
 from fynjax._core.checkpoint import forget_journal
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, listed
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import Progress
 from fynjax.assembly import STAND_QUANTITIES
 from fynjax.inversion import estimate_pixels, signature
 from fynjax.io.plot import DEFAULT_PRIOR
 from fynjax.io.raster import CubeBlocks, MapWriter, file_hash, open_blocks
-from fynjax.jobs._map_pixels import PixelPosterior, pick_pixels, pixel_posteriors, prior_of
+from fynjax.jobs._map_pixels import (
+    PixelPosterior,
+    has_data,
+    pick_pixels,
+    pixel_journal,
+    pixel_posteriors,
+    prior_of,
+)
 from fynjax.jobs._result import JobResult, Number, Record
 from fynjax.jobs._run import Run
 from fynjax.jobs._train import Training, read_training
@@ -74,7 +81,7 @@ def map_cube(
     skip_damaged: bool = False,
     zarr: bool = False,
     pixels: Sequence[tuple[int, int]] = (),
-    pixel_steps: int = 120,
+    pixel_steps: int = 400,
     prior: str | Path = DEFAULT_PRIOR,
     seed: int = 0,
     checkpoint: str | Path,
@@ -93,7 +100,7 @@ def map_cube(
     - `skip_damaged`: leave blocks that cannot be read without data, instead of an error.
     - `zarr`: write `maps.zarr` as well.
     - `pixels`: row and column, counted from 1 at the upper left, of pixels whose full posterior is
-      sampled by emcee beside the map: some four minutes of one core for 120 steps.
+      sampled by emcee beside the map: some 13 minutes of one core for 400 steps.
     - `pixel_steps`: steps of each walker.
     - `prior`: the one that the training was made with, for `pixels`.
     - `seed`: of the sampling.
@@ -122,8 +129,14 @@ def map_cube(
     with open_blocks(cube) as source:
         weights = _weights(source, trained)  # errors before any work
         scale = source.scale()
+        pixels = list(dict.fromkeys(pixels))
         learned = prior_of(trained, prior) if pixels else None
         channels = pick_pixels(source, weights, scale, pixels)
+        kept = Path(checkpoint) / "pixels"
+        asked: dict[str, Any] = {"steps": pixel_steps, "seed": seed}
+        journal = None
+        if learned is not None:
+            journal = pixel_journal(kept, trained, learned, pixels, channels, **asked)
         rows = source.rows_at_once
         starts = range(0, source.shape[0], rows)
         names = [
@@ -170,13 +183,12 @@ def map_cube(
             if zarr:
                 path = run.path("maps.zarr", "all maps, a variable each, for xarray")
                 writer.finish_zarr(path, record, _long_names())
-        kept = Path(checkpoint) / "pixels"
         chosen: tuple[list[PixelPosterior], list[Section]] = [], []
-        if learned is not None:
+        if learned is not None and journal is not None:
             with at_work(workers) as pool:
                 chosen = pixel_posteriors(
-                    run, pool, trained, learned, pixels, channels,
-                    steps=pixel_steps, seed=seed, likely=likely, checkpoint=kept,
+                    run, pool, trained, learned, pixels, channels, **asked,
+                    likely=likely, journal=journal, record=record,
                 )  # fmt: skip
     result = _summary(run, picture, step, source, damaged, likely, keep_unlike, record, *chosen)
     forget_journal(kept)
@@ -257,9 +269,7 @@ def _maps(
     used = weights.any(axis=0)
     pixels = values.reshape(-1, bands)[:, used]
     channels = pixels @ (weights[:, used].T / scale).astype(np.float32)
-    there = np.isfinite(channels).all(axis=1) & (channels > -0.05).all(axis=1)
-    there &= (channels < 2.5).all(axis=1)
-    place = np.flatnonzero(there)
+    place = np.flatnonzero(has_data(channels))
     count = len(STAND_QUANTITIES)
     maps = np.full((len(pixels), count * len(_KINDS) + 1), np.nan, np.float32)
     for start in range(0, len(place), _AT_ONCE):
@@ -339,6 +349,10 @@ def _summary(
             "Most pixels are unlike what the training knows: other vegetation, another sun, other "
             "units, or clouds. Do not read the rest as if it were this vegetation."
         )
+    short = [f"row {one.row}, column {one.column}" for one in posteriors if not one.converged]
+    if short:
+        status = "the posterior of a pixel did not converge"
+        headline.insert(0, f"Not converged: the posterior of {listed(short)}.")
     figure = maps_figure(
         {n: (*shown[n], q.words, q.unit) for n, q in STAND_QUANTITIES.items()}, unlike, likely
     )
@@ -367,6 +381,7 @@ def _summary(
         MapResult,
         headline=headline,
         status=status,
+        converged=not short if posteriors else None,
         pixels=pixels,
         without_data=lacking,
         masked=out,

@@ -1,21 +1,21 @@
 """Full posteriors of some pixels of a map: what `fynjax map --pixel` does beside the maps."""
 
-import json
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import xarray as xr
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from pydantic import Field
 
 from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Pool
-from fynjax._core.sampling import autocorrelation_time, split_r_hat
+from fynjax._core.sampling import effective_size
 from fynjax.assembly import STAND_QUANTITIES, StandSettings, sample_pixel
 from fynjax.inversion import PixelEstimates, estimate_pixels, signature
 from fynjax.io.plot import LearnedPrior, read_prior
@@ -29,10 +29,11 @@ from fynjax.sensors import BandSet
 
 _ENSEMBLES = 2
 """Independent ensembles of a pixel."""
-_BURN_IN = 1 / 6
-"""Share of the steps that still depends on the start."""
-_FEWEST, _MOST_R_HAT = 100.0, 1.1
-"""Effective draws, and how far ensembles may disagree, of a posterior that counts as converged."""
+_BURN_IN = 0.3
+"""Share of the steps that is taken to depend on the start."""
+_FEWEST = 50.0
+"""Effective draws of a posterior that counts as converged: chains that never mix have about as many
+as there are walkers, 16."""
 
 
 class PixelQuantity(Record):
@@ -58,10 +59,18 @@ class PixelPosterior(Record):
     column: int
     unlikeness: Number = Field(description="Of the spectrum; above 1 the map is masked.")
     effective_size: Number = Field(description="Effective draws of the slowest quantity.")
-    r_hat: Number = Field(description="Disagreement of the ensembles; 1 where there is none.")
     acceptance: Number
     converged: bool
     quantities: list[PixelQuantity]
+
+
+def has_data(
+    channels: Float[np.ndarray, "*pixel channel"],
+) -> Bool[np.ndarray, "*pixel"]:
+    """Whether pixels have reflectance that a surface may have in all channels."""
+    with np.errstate(invalid="ignore"):
+        possible = np.isfinite(channels) & (channels > -0.05) & (channels < 2.5)
+    return np.asarray(possible.all(axis=-1))
 
 
 def pick_pixels(
@@ -89,7 +98,7 @@ def pick_pixels(
         values = source.read(row - 1, 1)[0, column - 1]
         used = weights.any(axis=0)
         channels = weights[:, used] @ values[used] / scale
-        if not np.isfinite(channels).all():
+        if not has_data(channels):
             raise InputError(
                 f"expected a pixel with data, but that of row {row}, column {column} has none",
                 file=source.path,
@@ -123,7 +132,8 @@ def pixel_posteriors(
     steps: int,
     seed: int,
     likely: float,
-    checkpoint: Path,
+    journal: Journal,
+    record: dict[str, Any],
 ) -> tuple[list[PixelPosterior], list[Section]]:
     """Sample the posterior of some pixels by emcee, beside what the regression says of them.
 
@@ -134,42 +144,51 @@ def pixel_posteriors(
     - `trained`, `prior`: the training, and the prior that it was made with.
     - `pixels`, `channels`: row and column of each, and its reflectance in the channels.
     - `steps`: of each walker.
-    - `seed`: of everything random.
+    - `seed`: of everything random; a pixel's draws depend on its row and column besides.
     - `likely`: as of the map.
-    - `checkpoint`: folder that keeps the ensembles.
+    - `journal`: of these pixels (`pixel_journal`).
+    - `record`: of the map, for `pixels.nc`.
 
     **Returns:** the posteriors, and what the page says of them.
     """
-    low, high = json.loads(trained.record["sun_zenith_deg"])
-    settings = StandSettings(
-        sun_zenith=(low, high),
-        size_m=float(trained.record["stand_size_m"]),
-        voxel_m=float(trained.record["voxel_m"]),
-    )
-    parts = [(i, e) for i in range(len(pixels)) for e in range(_ENSEMBLES)]
-    names = [f"row {pixels[i][0]}, column {pixels[i][1]}, ensemble {e + 1}" for i, e in parts]
-    mark = signature((settings, trained.responses, channels, steps, seed), [file_hash(prior.path)])
+    parts = [(i, (*pixel, e)) for i, pixel in enumerate(pixels) for e in range(_ENSEMBLES)]
+    names = [f"row {row}, column {column}, ensemble {e + 1}" for _, (row, column, e) in parts]
     with run.stage("Sample pixels by emcee", "pixels", total=len(parts)):
         made = pool.all(
-            _sampled, parts, channels, trained.responses, prior, settings, steps, seed,
-            names=names, journal=Journal(checkpoint, mark), progress=run.progress,
+            _sampled, parts, channels, trained.responses, prior, trained.settings, steps, seed,
+            names=names, journal=journal, progress=run.progress,
         )  # fmt: skip
     first = round(_BURN_IN * steps)
-    chains = [
-        np.stack([made[_ENSEMBLES * i + e][0][first:] for e in range(_ENSEMBLES)])
-        for i in range(len(pixels))
-    ]
-    accepted = [float(np.mean([m[1] for m in made[_ENSEMBLES * i :][:_ENSEMBLES]]))
-                for i in range(len(pixels))]  # fmt: skip
+    chains, accepted = [], []
+    for i in range(len(pixels)):
+        own = made[_ENSEMBLES * i :][:_ENSEMBLES]
+        chains.append(np.concatenate([quantities[first:] for quantities, _ in own], axis=1))
+        accepted.append(float(np.mean([share for _, share in own])))
     by_map = estimate_pixels(trained.posterior, jnp.asarray(channels, jnp.float32), likely)
-    found = [_posterior(pixels[i], chains[i], accepted[i], by_map, i) for i in range(len(pixels))]
+    found = [_posterior(pixel, chains[i], accepted[i], by_map, i) for i, pixel in enumerate(pixels)]
     _warn(found)
-    _write(run, pixels, chains, found)
+    _write(run, pixels, chains, found, record)
     return found, [_section(found)]
 
 
+def pixel_journal(
+    checkpoint: Path,
+    trained: Training,
+    prior: LearnedPrior,
+    pixels: Sequence[tuple[int, int]],
+    channels: Float[np.ndarray, "pixel channel"],
+    *,
+    steps: int,
+    seed: int,
+) -> Journal:
+    """The journal that keeps the ensembles of some pixels in the folder `checkpoint`; the other
+    arguments as of `pixel_posteriors`. Raises `InputError` for a folder of other pixels."""
+    signed = trained.settings, trained.responses, list(pixels), channels, steps, seed
+    return Journal(checkpoint, signature(signed, [file_hash(prior.path)]))
+
+
 def _sampled(
-    part: tuple[int, int],
+    part: tuple[int, tuple[int, int, int]],
     channels: np.ndarray,
     bands: BandSet,
     prior: LearnedPrior,
@@ -177,24 +196,20 @@ def _sampled(
     steps: int,
     seed: int,
 ) -> tuple[np.ndarray, ...]:
-    pixel, ensemble = part
-    own = int(np.random.default_rng([seed, pixel, ensemble]).integers(2**31))
+    pixel, place = part
+    own = int(np.random.default_rng([seed, *place]).integers(2**31))
     chain = sample_pixel(channels[pixel], bands, prior, settings, steps=steps, seed=own)
     return chain.quantities, np.asarray(chain.acceptance)
 
 
 def _posterior(
     pixel: tuple[int, int],
-    chain: Float[np.ndarray, "ensemble step walker quantity"],
+    chain: Float[np.ndarray, "step walker quantity"],
     accepted: float,
     by_map: PixelEstimates,
     place: int,
 ) -> PixelPosterior:
-    ensembles, steps, walkers, _ = chain.shape
-    times = [autocorrelation_time(one) for one in chain]
-    size = sum(steps * walkers / time for time in times)
-    # An ensemble as one chain, its walkers one after the other within a step.
-    apart = split_r_hat(np.moveaxis(chain.reshape(ensembles, steps * walkers, -1), 0, 1))
+    size = effective_size(chain)
     draws = chain.reshape(-1, chain.shape[-1])
     low, middle, high = np.quantile(draws, [0.05, 0.5, 0.95], axis=0)
     quantities = [
@@ -218,9 +233,8 @@ def _posterior(
         column=pixel[1],
         unlikeness=float(by_map.unlikeness[place]),
         effective_size=size,
-        r_hat=apart,
         acceptance=accepted,
-        converged=bool(size >= _FEWEST and apart < _MOST_R_HAT),
+        converged=size >= _FEWEST,
         quantities=quantities,
     )
 
@@ -231,7 +245,7 @@ def _warn(found: Sequence[PixelPosterior]) -> None:
         if not one.converged:
             warnings.warn(
                 f"the posterior of {where} did not converge: {one.effective_size:.0f} effective "
-                f"draws, R-hat {one.r_hat:.2f}. Ask for more --pixel-steps",
+                f"draws of {_FEWEST:.0f}. Ask for more --pixel-steps",
                 stacklevel=2,
             )
         if (one.unlikeness or 0.0) > 1.0:
@@ -245,8 +259,9 @@ def _warn(found: Sequence[PixelPosterior]) -> None:
 def _write(
     run: Run,
     pixels: Sequence[tuple[int, int]],
-    chains: Sequence[Float[np.ndarray, "ensemble step walker quantity"]],
+    chains: Sequence[Float[np.ndarray, "step walker quantity"]],
     found: Sequence[PixelPosterior],
+    record: dict[str, Any],
 ) -> None:
     run.table("pixels.csv", _table(found), "chosen pixels: full posterior beside the map's")
     draws = np.stack([chain.reshape(-1, chain.shape[-1]) for chain in chains])
@@ -259,9 +274,9 @@ def _write(
         "row": ("pixel", place[:, 0], {"long_name": "row from 1 at the top", "units": "1"}),
         "column": ("pixel", place[:, 1], {"long_name": "column from 1 at the left", "units": "1"}),
     }
-    record = {**run.record([]), "title": "Draws of the posteriors of pixels, by emcee"}
     path = run.path("pixels.nc", "draws of the posteriors of the chosen pixels")
-    write_run(path, xr.Dataset(variables, coords=coordinates), record)
+    title = {"title": "Draws of the posteriors of pixels, by emcee"}
+    write_run(path, xr.Dataset(variables, coords=coordinates), record | title)
 
 
 def _table(found: Sequence[PixelPosterior]) -> pd.DataFrame:
@@ -288,8 +303,8 @@ def _section(found: Sequence[PixelPosterior]) -> Section:
     figure = pixels_figure(shown, {n: (q.words, q.unit) for n, q in STAND_QUANTITIES.items()})
     what = "mean and 90 % interval of chosen pixels, by the map's regression and by emcee"
     sampled = "; ".join(
-        f"row {one.row}, column {one.column}: {one.effective_size:.0f} effective draws, R-hat "
-        f"{one.r_hat:.2f}, {100 * (one.acceptance or 0.0):.0f} % accepted"
+        f"row {one.row}, column {one.column}: {one.effective_size:.0f} effective draws, "
+        f"{100 * (one.acceptance or 0.0):.0f} % accepted"
         + ("" if one.converged else ", not converged")
         for one in found
     )

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
@@ -73,6 +74,8 @@ class Training:
     channels: Channels
     responses: BandSet
     """What the channels measure, as bands."""
+    settings: StandSettings
+    """How its stands were simulated."""
     bands: int
     """Of the sensor that it was trained for."""
     record: dict[str, Any]
@@ -169,12 +172,13 @@ def train(
         "sun_zenith_deg": json.dumps([low, high]),
         "stand_size_m": settings.size_m,
         "voxel_m": settings.voxel_m,
+        "structure_m": settings.structure_m,
         "largest_residual": f"{residual:.2g}",
     }
     with run.stage("Write"):
         write_training(
             run.path("training.nc", "the regression, for `fynjax map --training`"),
-            Training(posterior, channels, joined, len(bands), record),
+            Training(posterior, channels, joined, settings, len(bands), record),
         )
         scores = _scores(held_out)
         run.table(
@@ -335,7 +339,14 @@ def read_training(path: str | Path) -> Training:
         ends = [np.flatnonzero(row)[[0, -1]] + (0, 1) for row in response]
         curves: Any = [(_GRID[a:b], row[a:b]) for row, (a, b) in zip(response, ends, strict=True)]
         bands = int(record["sensor_bands"])
-    except (OSError, KeyError, IndexError, ValueError, RuntimeError) as error:
+        low, high = json.loads(record["sun_zenith_deg"])
+        settings = StandSettings(
+            sun_zenith=(float(low), float(high)),
+            size_m=float(record["stand_size_m"]),
+            voxel_m=float(record["voxel_m"]),
+            structure_m=float(record["structure_m"]),
+        )
+    except (OSError, KeyError, IndexError, TypeError, ValueError, RuntimeError) as error:
         raise InputError(
             "expected a training file as this version's `fynjax train` writes it, but this is "
             "none, one of another version, or damaged",
@@ -347,9 +358,10 @@ def read_training(path: str | Path) -> Training:
             f"{', '.join(names)}. Train again with this version.",
             file=path,
         )
-    if not all(np.isfinite(np.asarray(a)).all() for a in (posterior.rows, posterior.values)):
+    arrays = [*jax.tree.leaves(posterior), response, *vars(channels).values()]
+    if not all(np.isfinite(np.asarray(a)).all() for a in arrays):
         raise InputError("expected a training of finite numbers. Is it damaged?", file=path)
     labels = tuple(f"{value:.6g}nm" for value in channels.centre)
     width = tuple(channels.upper - channels.lower)
     responses = BandSet(labels, tuple(channels.centre), width, curves=curves)
-    return Training(posterior, channels, responses, bands, record)
+    return Training(posterior, channels, responses, settings, bands, record)

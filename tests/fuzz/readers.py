@@ -20,7 +20,7 @@ from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import plot_parameters
+from fynjax.assembly import StandSettings, plot_parameters
 from fynjax.canopy import plant_model_from_mesh, plant_model_from_points, read_scan
 from fynjax.compare import read_drone_image, read_spectra_sample
 from fynjax.inversion import AmortisedPosterior
@@ -47,7 +47,7 @@ from fynjax.io.raster._cubes import Cube, write_cube_envi, write_cube_geotiff, w
 from fynjax.io.spectra import read_spectra
 from fynjax.jobs import Training, read_training, write_training
 from fynjax.scene import COVERS
-from fynjax.sensors import Channels, lidar_folder
+from fynjax.sensors import BandSet, group_bands, lidar_folder
 from fynjax.terrain import read_cloud, read_terrain
 from tests.canopy.test_scan import ball
 from tests.helpers import write_ply, write_raster
@@ -349,9 +349,14 @@ def _training(folder: Path) -> None:
         values=jnp.tile(jnp.linspace(0.0, 1.0, 161), (8, 1)),
         distance=jnp.tile(jnp.linspace(0.0, 4.0, 2000), (2, 1)),
     )  # fmt: skip
-    channels = Channels(waves - 20.0, waves + 20.0, waves)
-    record = {"kind": "fynjax training of maps", "sensor_bands": 4}
-    write_training(folder / "training.nc", Training(posterior, channels, 4, record))
+    names = tuple(f"{w:g}nm" for w in waves)
+    channels, bands = group_bands(BandSet(names, tuple(waves), (40.0,) * 4))
+    record = {
+        "kind": "fynjax training of maps", "sensor_bands": 4, "sun_zenith_deg": "[30, 30]",
+        "stand_size_m": 3.0, "voxel_m": 0.25, "structure_m": 0.125,
+    }  # fmt: skip
+    trained = Training(posterior, channels, bands, StandSettings(), 4, record)
+    write_training(folder / "training.nc", trained)
 
 
 READERS: dict[str, Reader] = {

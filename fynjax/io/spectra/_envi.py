@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from fynjax._core.errors import LARGEST, InputError
 from fynjax.io.spectra._record import Spectrum, note
 
-_MICROMETRES = ("micro", "um", "µm")
+_MICROMETRES = ("micro", "um", "\u00b5m", "\u03bcm")
 _NANOMETRES = ("nano", "nm")
-_UNSTATED = ("", "unknown", "index")
+_UNSTATED = ("", "unknown", "index", "1", "dimensionless")
 _LONGEST = 1e6
 """No file states a longer wavelength: a millimetre in nm."""
 
