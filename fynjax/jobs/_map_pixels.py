@@ -31,9 +31,9 @@ _ENSEMBLES = 2
 """Independent ensembles of a pixel."""
 _BURN_IN = 0.3
 """Share of the steps that is taken to depend on the start."""
-_FEWEST = 50.0
-"""Effective draws of a posterior that counts as converged: chains that never mix have about as many
-as there are walkers, 16."""
+_FEWEST = 32.0
+"""Effective draws of the slowest quantity of a posterior that counts as converged: a mean is then
+certain to a sixth of its standard deviation. Walkers that never mix have 16 or less."""
 
 
 class PixelQuantity(Record):
