@@ -33,7 +33,7 @@ kept for later runs of the same sizes."""
 _GRADIENT_IMAGES = 2.7
 """A gradient in images, at 10 and 20 m."""
 _STEP_IMAGES = 2.6
-"""A step of a search in images, were all steps taken: the example takes 280 CPU s with
+"""A step of a search in images, were all steps taken: the example takes 250 CPU s with
 compilation, its rounds at fresh draws of plants included, of which 9 of 30 steps were taken."""
 _SLOPE_IMAGES = 0.3
 """A parameter's slopes in images: `information` takes 263 CPU s for two stands of the example."""
