@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from fynjax.assembly import build_plot, prepare
-from fynjax.inversion import CalibrationSettings, Data, calibrate_plot, free_space
+from fynjax.inversion import CalibrationSettings, Data, calibrate_plot, coarser, free_space
 from fynjax.inversion._views import AbstractView
 from fynjax.io.plot import read_plot
-from fynjax.scene import room_needed
+from fynjax.scene import element_count, room_needed
 from tests.scene.plots import small_parameters, small_plot
 from tests.small import write_plot
 
@@ -118,3 +118,25 @@ def test_a_prior_finds_sites_for_what_it_makes_likely(tmp_path):
     narrow = dataclasses.replace(plot.calibration, free=("*.leaf_area_index",))
     usual = prepare(dataclasses.replace(plot, calibration=narrow), None, seed=0)
     assert len(ready.scene.planting.species) > 1.5 * len(usual.scene.planting.species)
+
+
+def test_a_search_has_an_element_for_every_two_of_its_own_thick_boxes():
+    """As much area as the whole scene. A plant of 1 m in cubes of 10 cm touches 10.5 layers, in
+    boxes of 20 cm 5.5."""
+    parameters = small_parameters()
+    scene = small_plot(extent=(3.0, 3.0), structure=0.025, dtype="float32")
+    quick = coarser(scene, parameters)
+    assert quick.grid.vertical_size == pytest.approx(2.0 * scene.grid.vertical_size)
+    areas = [
+        float(np.asarray(s.area_density(parameters)).sum()) * s.grid.voxel_volume
+        for s in (scene, quick)
+    ]
+    assert areas[1] == pytest.approx(areas[0], rel=1e-3)
+    most = [element_count(d, 1.0, 0.1, layer=layer) for d in (0.5, 1.0) for layer in (0.1, 0.2)]
+    # (d / 0.1 + 0.5)^2 boxes across, in 10.5 and 5.5 layers, half of them.
+    assert most == [159, 84, 579, 304]
+    counts, owner = np.asarray(quick.planting.count), np.asarray(quick.planting.species)
+    for i, (d, h) in enumerate(
+        zip(np.asarray(parameters.species.diameter), np.asarray(parameters.species.height))
+    ):
+        assert counts[owner == i].max() <= element_count(d, h, 0.1, layer=0.2)
