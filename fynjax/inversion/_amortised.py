@@ -16,6 +16,7 @@ would hide it.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -34,6 +35,8 @@ OWN_SD, OFFSET_SD = 0.01, 0.003
 """Error of each channel for itself, as a factor, and of all together, as a reflectance [-]."""
 _SCORES = np.linspace(-4.0, 4.0, 161)
 _PROBABILITY = np.linspace(0.0, 0.9995, 2000)
+_FOLDS = 7
+"""Of the stands, each left out once to see how far what is not trained with lies."""
 _POINTS = 512
 """Simulations that stand for all: more do not change what is masked, and cost time."""
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
@@ -60,7 +63,8 @@ class AmortisedPosterior(eqx.Module):
     values: Float[Array, "quantity score"]
     """Quantities at even steps of their normal scores from -4 to 4."""
     distance: Float[Array, "2 probability"]
-    """Quantiles of both distances of held-out simulations, 0 to 0.9995 in steps of 0.0005 [-]."""
+    """Quantiles of both distances of simulations from those of the other folds, 0 to 0.9995 in
+    steps of 0.0005 [-]."""
 
     def scores(
         self, log_reflectance: Float[Array, "pixel channel"]
@@ -82,20 +86,15 @@ class AmortisedPosterior(eqx.Module):
         self, log_reflectance: Float[Array, "pixel channel"], probability: float | Array = 0.99
     ) -> Float[Array, " pixel"]:
         """The larger of both distances, each over its limit [-]: above 1 a spectrum is unlike
-        nearly all simulations. Limits are such that the share `probability` of held-out simulations
-        is below 1, if both distances are independent."""
+        nearly all simulations. Limits are such that the share `probability` of simulations is below
+        1, each left out with its fold of the stands, if both distances are independent."""
         share = jnp.sqrt(jnp.asarray(probability, self.distance.dtype))
         limits = jax.vmap(lambda row: jnp.interp(share, _PROBABILITY, row))(self.distance)
         return jnp.max(self.distances(log_reflectance) / limits, axis=1)
 
     def distances(self, log_reflectance: Float[Array, "pixel channel"]) -> Float[Array, "pixel 2"]:
         """From the nearest simulation within the directions of all, and outside of these [-]."""
-        apart = log_reflectance - self.middle
-        at = apart @ self.within.T
-        squares = jnp.sum(self.points**2, axis=1) - 2.0 * at @ self.points.T
-        nearest = jnp.min(squares, axis=1) + jnp.sum(at**2, axis=1)
-        left = jnp.sum((apart @ self.outside.T) ** 2, axis=1)
-        return jnp.sqrt(jnp.maximum(jnp.stack([nearest, left], axis=1), 0.0))
+        return _distances(log_reflectance - self.middle, self.within, self.points, self.outside)
 
 
 class PixelEstimates(eqx.Module):
@@ -216,14 +215,10 @@ def train_posterior(
     )
     logs = _with_errors(reflectance, root, rng)
     middle = logs[:train].mean(axis=0)
-    clean = np.log(np.maximum(reflectance[:train], DARKEST))
-    spread, directions = _directions(clean - clean.mean(axis=0), root)
+    clean = np.log(np.maximum(reflectance, DARKEST))
+    spread, directions = _directions(clean[:train] - clean[:train].mean(axis=0), root)
     rows = directions[:features]
     rows = rows / np.std((logs[:train] - middle) @ rows.T, axis=0)[:, None]
-    few = int(np.clip(np.sum(spread > 1.0), 1, len(spread) - 1))
-    within, outside = directions[:few], directions[few:]
-    left = np.atleast_2d(np.cov((logs[:train] - middle) @ outside.T, rowvar=False))
-    outside = np.linalg.solve(np.linalg.cholesky(left), outside)
     single = lambda a: jnp.asarray(a, jnp.float32)  # noqa: E731
     count = quantities.shape[1]
     sizes = [len(rows), width, width, count + count * (count + 1) // 2]
@@ -232,16 +227,23 @@ def train_posterior(
          single(np.zeros(b)))
         for a, b in pairwise(sizes)
     )  # fmt: skip
-    points = _spread_out((clean - middle) @ within.T)
+    few = int(np.clip(np.sum(spread > 1.0), 1, len(spread) - 1))
+    known = partial(_known, directions[:few], directions[few:])
+    # Limits are set by the few farthest stands: of those held out alone they would be chance.
+    fold = np.arange(groups).repeat(together) * _FOLDS // groups
+    apart = np.empty((len(fold), 2))
+    for one in np.unique(fold):
+        others = fold != one
+        space = known(clean[: len(fold)][others] - middle, logs[: len(fold)][others] - middle)
+        apart[~others] = _distances(logs[: len(fold)][~others] - middle, *space)
+    within, points, outside = known(clean[:train] - middle, logs[:train] - middle)
     posterior = AmortisedPosterior(
         single(middle), single(rows), single(within), single(points), single(outside), layers,
-        single(values), single(np.ones((2, len(_PROBABILITY)))),
+        single(values), single(np.quantile(apart, _PROBABILITY, axis=0).T),
     )  # fmt: skip
     data = single(reflectance[:train]), single(target[:train])
     posterior = _optimised(optax, posterior, data, single(root), steps, batch, seed, done)
     test = logs[train:]
-    limits = np.quantile(np.asarray(posterior.distances(single(test))), _PROBABILITY, axis=0).T
-    posterior = eqx.tree_at(lambda p: p.distance, posterior, single(limits))
     return posterior, _held_out(posterior, np.exp(test), quantities[train:])
 
 
@@ -269,6 +271,25 @@ def _directions(
     whitened = np.linalg.solve(root, apart.T)
     vectors, spread, _ = np.linalg.svd(whitened @ whitened.T / len(apart))
     return spread, np.linalg.solve(root.T, vectors).T
+
+
+def _known(
+    few: Float[np.ndarray, "direction channel"],
+    rest: Float[np.ndarray, "rest channel"],
+    clean: Float[np.ndarray, "stand channel"],
+    logs: Float[np.ndarray, "stand channel"],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`within`, `points` and `outside` of simulations, as deviations without and with errors."""
+    left = np.atleast_2d(np.cov(logs @ rest.T, rowvar=False))
+    return few, _spread_out(clean @ few.T), np.linalg.solve(np.linalg.cholesky(left), rest)
+
+
+def _distances(apart: Any, within: Any, points: Any, outside: Any) -> Float[Array, "pixel 2"]:
+    at = apart @ within.T
+    squares = jnp.sum(points**2, axis=1) - 2.0 * at @ points.T
+    nearest = jnp.min(squares, axis=1) + jnp.sum(at**2, axis=1)
+    left = jnp.sum((apart @ outside.T) ** 2, axis=1)
+    return jnp.sqrt(jnp.maximum(jnp.stack([nearest, left], axis=1), 0.0))
 
 
 def _spread_out(
