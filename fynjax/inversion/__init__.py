@@ -51,6 +51,7 @@ from fynjax.inversion._prior_sampler import (
     sample_prior,
     spectrum_likelihood,
 )
+from fynjax.inversion._regressed import RegressedPosterior, regress, simulation_posterior
 from fynjax.inversion._search import COARSE, CalibrationSettings, signature
 from fynjax.inversion._sensitivity import (
     DerivativeMeasures,
@@ -120,6 +121,7 @@ __all__ = [
     "Population",
     "Posterior",
     "PriorChain",
+    "RegressedPosterior",
     "SamplingMethod",
     "SensorSetting",
     "SobolIndices",
@@ -150,10 +152,12 @@ __all__ = [
     "nadir_imager",
     "objective_and_gradient",
     "predicted_statistics",
+    "regress",
     "sample_posterior",
     "sample_prior",
     "search_form",
     "signature",
+    "simulation_posterior",
     "sobol_indices",
     "spectrum_likelihood",
     "spectrum_names",

@@ -27,7 +27,12 @@ from fynjax.inversion._search import (
     signature,
 )
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
-from fynjax.inversion._views import AbstractView, ImageView, gain_covariance
+from fynjax.inversion._views import (
+    AbstractView,
+    ImageView,
+    gain_covariance,
+    radiometric_covariance,
+)
 from fynjax.radiation import Accuracy
 from fynjax.scene import (
     AimedSensor,
@@ -65,6 +70,10 @@ class Calibration(eqx.Module):
     numbers."""
     data: Data
     """The targets, their errors grown by what plantings and the camera's gains change."""
+    measured: Data
+    """The targets with the errors of data, model and gains, but not of where plants stand."""
+    lack: Float[np.ndarray, " statistic"]
+    """What the cheap form lacks at the estimate, on the same plants."""
     degrees: int = eqx.field(static=True)
     """Statistics, or directions of many, that the likelihood counts."""
     projector: Float[np.ndarray, "statistic statistic"]
@@ -275,6 +284,7 @@ def calibrate_plot(
         "step_s": float(np.median(np.diff(search.times))) if len(search.times) > 1 else np.nan,
     }
     origin, reached = ends[0].origin, best.reached
+    _, images, lack = reached.rendered
     gain, gain_sd, with_gain = _gains(views, reached.image, best.fit, reached.weights)
     return Calibration(
         scene=search.scene,
@@ -290,6 +300,8 @@ def calibrate_plot(
         statistics_after=jnp.asarray(reached.statistics),
         spread=reached.spread,
         data=reached.data,
+        measured=data.with_covariance(radiometric_covariance(views, images)),
+        lack=lack.mean(axis=0),
         degrees=len(reached.weights),
         projector=search.projector,
         gain=gain,

@@ -49,12 +49,17 @@ class Posterior(eqx.Module):
         return np.asarray(every(jnp.asarray(self.whitened)))
 
     @property
+    def own(self) -> Float[np.ndarray, "chain draw free"]:
+        """Draws in the normal coordinate of each parameter's own prior (`ParameterSpace.together`),
+        which is a unit normal there."""
+        mixing = self.space.mixing
+        return self.whitened if mixing is None else self.whitened @ np.asarray(mixing).T
+
+    @property
     def constrained(self) -> Float[np.ndarray, " free"]:
         """1 - posterior over prior variance, in whitened coordinates [-]: 0, the data say
         nothing; 1, they say all."""
-        flat = self.whitened.reshape(-1, len(self.names))
-        mixing = self.space.mixing
-        return 1.0 - (flat if mixing is None else flat @ np.asarray(mixing).T).var(axis=0)
+        return 1.0 - self.own.reshape(-1, len(self.names)).var(axis=0)
 
     def well_constrained(self, least: float = WELL_CONSTRAINED) -> tuple[str, ...]:
         """As `FitResult.well_constrained`."""
@@ -78,9 +83,7 @@ class Posterior(eqx.Module):
         """
         arviz = _arviz()
         with _many_chains():
-            mixing = self.space.mixing
-            own = self.whitened if mixing is None else self.whitened @ np.asarray(mixing).T
-            draws = arviz.convert_to_dataset({"u": own})
+            draws = arviz.convert_to_dataset({"u": self.own})
         found = {
             "ess_bulk": arviz.ess(draws, method="bulk"),
             "ess_tail": arviz.ess(draws, method="tail"),

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
+from pydantic import Field
 
 from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
@@ -21,6 +22,7 @@ from fynjax.assembly import (
 from fynjax.inversion import (
     CalibrationSettings,
     Posterior,
+    RegressedPosterior,
     SamplingMethod,
     calibrate_plot,
     fit_surrogate,
@@ -28,6 +30,7 @@ from fynjax.inversion import (
     sample_posterior,
     search_form,
     signature,
+    simulation_posterior,
 )
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.text import atomic_path
@@ -36,6 +39,7 @@ from fynjax.jobs._result import JobResult, Number, ParameterSummary
 from fynjax.jobs._run import Run
 from fynjax.report.figures import (
     corner_plot,
+    interval_plot,
     parameter_plot,
     predictive_plot,
     short_name,
@@ -51,6 +55,14 @@ class PosteriorParameter(ParameterSummary):
     ess_bulk: Number = None
     ess_tail: Number = None
     r_hat: Number = None
+    laplace_q05: Number = Field(
+        default=None, description="End of the 90 % interval of the Gaussian about the estimate."
+    )
+    laplace_q95: Number = None
+    regression_q05: Number = Field(
+        default=None, description="The same by a regression on simulations of the prior."
+    )
+    regression_q95: Number = None
 
 
 class PosteriorResult(JobResult):
@@ -59,6 +71,12 @@ class PosteriorResult(JobResult):
     command: Literal["posterior"] = "posterior"
     parameters: list[PosteriorParameter]
     posterior_status: str
+
+
+_FEWEST = 100
+"""Simulations that a regression on some 24 statistics needs."""
+_NAMED, _COMPARED = 5, 16
+"""Parameters that are named where methods differ, and that are drawn side by side."""
 
 
 def posterior(
@@ -70,6 +88,7 @@ def posterior(
     free: Sequence[str] | None = None,
     target_size: float = 400.0,
     max_steps: int = 5000,
+    simulations: int = 300,
     prior: str | Path = NO_PRIOR,
     checkpoint: Path,
     bands: Sequence[str] | None = None,
@@ -93,6 +112,7 @@ def posterior(
     - `free`: patterns of parameters to sample; those of the plot file by default.
     - `target_size`: effective draws to reach.
     - `max_steps`: most steps of the sampler.
+    - `simulations`: of the prior, for a regression that checks the posterior; 0 for none.
     - `prior`: learned population of what the plot's files leave open (`with_prior`); none by
       default.
     - `checkpoint`: folder that keeps the calibration and the chain, from which an interrupted run
@@ -113,6 +133,12 @@ def posterior(
     """
     for package in ("arviz", "h5py") if method == "emcee" else ("arviz",):
         require(package, "posterior")
+    if 0 < simulations < _FEWEST or simulations < 0:
+        raise InputError(
+            f"expected {_FEWEST} simulations or more, or 0 for none, but got {simulations}"
+        )
+    if simulations:
+        require("sklearn", "posterior", "scikit-learn")
     if method == "nuts":
         require("blackjax", "nuts")
     read = with_prior(as_plot(plot), prior)
@@ -151,6 +177,20 @@ def posterior(
             progress=run.progress,
             keep=Journal(checkpoint / "surrogate", signature(calibrated.fit.whitened, run.seed)),
         )
+    regressed = None
+    if simulations and not calibrated.scene.known_plants:
+        regressed = simulation_posterior(
+            calibrated,
+            ready.parameters,
+            cheap,
+            simulations=simulations,
+            seed=run.seed,
+            keep=Journal(
+                checkpoint / "simulations",
+                signature(calibrated.fit.whitened, run.seed, simulations),
+            ),
+            progress=run.progress,
+        )
     sampled = sample_posterior(
         surrogate,
         calibrated.data,
@@ -166,7 +206,16 @@ def posterior(
     if not sampled.whitened.size:
         raise InputError(f"no posterior: {sampled.status}", file=read.file)
     table = posterior_table(sampled)
+    if sampled.method != "laplace":
+        low, high = np.asarray(calibrated.fit.quantiles(0.05, 0.95))
+        table["laplace_q05"], table["laplace_q95"] = low, high
+    if regressed is not None:
+        table["regression_q05"], table["regression_q95"] = regressed.quantiles(
+            ready.space, 0.05, 0.95
+        )
     headline = [*_headline(ready, sampled, table), misfit_sentence(calibrated)]
+    if regressed is not None:
+        headline.append(_agreement(sampled, regressed))
     if not sampled.converged and sampled.method != "laplace":
         headline.append(f"The chain is kept in {checkpoint}: the same command goes on with it.")
     record = run.record(inputs)
@@ -175,7 +224,7 @@ def posterior(
         path = run.path("posterior.nc", "every draw, as arviz reads it (InferenceData)")
         with atomic_path(path) as partial:
             sampled.inference_data({k: str(v) for k, v in record.items()}).to_netcdf(str(partial))
-        run.page(_page(ready, sampled, table, headline, record, surrogate_error))
+        run.page(_page(ready, sampled, table, headline, record, surrogate_error, regressed))
     return run.result(
         PosteriorResult,
         headline=headline,
@@ -233,6 +282,23 @@ def _headline(ready: Prepared, sampled: Posterior, table: pd.DataFrame) -> list[
     ]
 
 
+def _agreement(sampled: Posterior, regressed: RegressedPosterior) -> str:
+    """What a regression on simulations of the prior says of the draws."""
+    own = sampled.own.reshape(-1, len(sampled.names))
+    off = np.flatnonzero(regressed.differs(own.mean(axis=0), own.std(axis=0)))
+    named = ", ".join(short_name(sampled.names[i]) for i in off[:_NAMED])
+    more = f" and {len(off) - _NAMED} others" if len(off) > _NAMED else ""
+    count = len(sampled.names)
+    where = f"all {count}" if not off.size else f"all but {len(off)} of {count}"
+    farther = 100.0 * regressed.farther
+    return (
+        f"A regression on {regressed.simulations} simulations of the prior agrees in {where} "
+        f"parameters{f' ({named}{more})' if off.size else ''}; {farther:.0f} % of the simulations "
+        "lie farther from their mean than the measurement"
+        f"{': the prior does not make such data' if farther < 1.0 else ''}."
+    )
+
+
 def _page(
     ready: Prepared,
     sampled: Posterior,
@@ -240,6 +306,7 @@ def _page(
     headline: list[str],
     record: dict[str, str | int],
     surrogate_error: np.ndarray,
+    regressed: RegressedPosterior | None,
 ) -> Page:
     order = np.argsort(-sampled.constrained)
     units = [shown_unit(name) for name in sampled.names]
@@ -275,6 +342,7 @@ def _page(
             "statistics that the posterior predicts against the measured ones",
         ),
         Picture("parameters.png", parameter_plot(table), "prior and posterior of every parameter"),
+        *_methods(sampled, table.iloc[order[:_COMPARED]], regressed),
         Table(table, "Every parameter.", folded=True),
     ]
     keys = {
@@ -284,3 +352,30 @@ def _page(
     }
     title = f"Posterior: {ready.plot.name}"
     return Page(title, " ".join(headline), [Section("", parts)], keys, record)
+
+
+def _methods(
+    sampled: Posterior, best: pd.DataFrame, regressed: RegressedPosterior | None
+) -> list[Part]:
+    """The parameters best known by every method, side by side."""
+    kinds = {sampled.method: ("q05", "q95"), "laplace": ("laplace_q05", "laplace_q95")}
+    if regressed is not None:
+        kinds["regression on simulations"] = ("regression_q05", "regression_q95")
+    kinds = {kind: ends for kind, ends in kinds.items() if ends[0] in best}
+    if len(kinds) < 2:
+        return []
+    parts: list[Part] = [
+        Picture(
+            "methods.png",
+            interval_plot(best, kinds),
+            "90 % intervals of the parameters best known, by every method",
+        )
+    ]
+    if regressed is not None:
+        parts.append(
+            "The regression uses no slopes and no estimate, but knows only what is linear in the "
+            "statistics over the whole prior: where it is right, others may be narrower. "
+            "They do not agree where their mean lies more than one of its standard deviations off, "
+            "or they are less than 0.6 or more than 1.5 times as wide."
+        )
+    return parts

@@ -125,12 +125,16 @@ def test_the_posterior_of_a_plot_goes_on_from_its_checkpoint(plot, tmp_path):
     pytest.importorskip("h5py", reason="the extra `posterior` is not installed")
     keep = tmp_path / "checkpoint"
     target = plot.with_name("target.csv")
-    options = {"checkpoint": keep, "target_size": 50.0, "seed": 0}
+    options = {"checkpoint": keep, "target_size": 50.0, "seed": 0, "simulations": 100}
     for output in ("first", "second", "gauss"):
         (tmp_path / output).mkdir()
     posterior(plot, target, tmp_path / "first", method="emcee", max_steps=4, **options)
     result = posterior(plot, target, tmp_path / "second", method="emcee", max_steps=8, **options)
     assert not result.converged
+    assert any("regression on 100 simulations of the prior" in line for line in result.headline)
+    table = pd.read_csv(tmp_path / "second" / "parameters.csv")
+    for method in ("laplace", "regression"):
+        assert (table[f"{method}_q05"] < table[f"{method}_q95"]).all()
     assert "50 autocorrelation times" in result.status
     gauss = posterior(plot, target, tmp_path / "gauss", method="laplace", **options)
     assert all((tmp_path / "gauss" / name).stat().st_size for name in gauss.files)
@@ -152,7 +156,7 @@ def test_a_posterior_from_three_sensors(plot, tmp_path):
         (tmp_path / name).mkdir()
         result = posterior(
             plot, [*targets, plot.with_name("target.csv")], tmp_path / name, method="laplace",
-            checkpoint=tmp_path / f"{name}.kept", seed=0,
+            checkpoint=tmp_path / f"{name}.kept", seed=0, simulations=0,
         )  # fmt: skip
         deviations.append({row.name: row.sd for row in result.parameters})
     # More sensors, no less known.

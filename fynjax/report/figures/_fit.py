@@ -128,6 +128,32 @@ def parameter_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
     return figure
 
 
+def interval_plot(table: pd.DataFrame, methods: Mapping[str, tuple[str, str]]) -> Figure:
+    """90 % intervals of the same parameters by several methods, side by side.
+
+    Along the prior's own interval, so that parameters of all units share an axis.
+
+    **Arguments:** `table` with the columns name, prior_q05, prior_q95, a row for each parameter;
+    `methods`, the columns of the lower and the upper end by the name of the method.
+    """
+    colours = (BLUE, GREEN, VERMILION, PURPLE)
+    low = table["prior_q05"].to_numpy(float)
+    wide = table["prior_q95"].to_numpy(float) - low
+    with style():
+        figure = Figure(figsize=(6.0, 1.0 + (2.0 + len(table)) * 1.6 * _ROW))
+        axes = figure.add_subplot()
+        y = _rows(axes, [words(str(name).removeprefix("species.")) for name in table["name"]])
+        for edge in (0.0, 1.0):
+            axes.axvline(edge, color=GREY, lw=0.8, ls=":")
+        for i, (method, ends) in enumerate(methods.items()):
+            at = y + 0.22 * (i - 0.5 * (len(methods) - 1))
+            left, right = ((table[end].to_numpy(float) - low) / wide for end in ends)
+            axes.hlines(at, left, right, color=colours[i], lw=1.8, label=method)
+        axes.set_xlabel("Place in the prior's 90 % interval (0: its lower, 1: its upper end)")
+        figure.legend(loc="outside upper left", ncols=len(methods))
+    return figure
+
+
 def constraint_plot(table: pd.DataFrame, *, columns: int = 2) -> Figure:
     """How far the data narrowed each parameter: 1 - (sd / prior sd)^2, in percent.
 
