@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import rasterio
 import xarray as xr
+from affine import Affine
 
 from fynjax._core.errors import InputError
 from fynjax.io.raster import (
@@ -17,6 +18,7 @@ from fynjax.io.raster import (
     write_cube_geotiff,
     write_cubes_netcdf,
 )
+from fynjax.io.raster import _blocks as blocks_module
 from fynjax.io.raster import _lookup as lookup_module
 from tests.io.emit_files import FILL, GEOTRANSFORM, NOWHERE, lookup, write_emit
 
@@ -182,6 +184,38 @@ def test_maps_go_on_where_they_were_interrupted(tmp_path, cube):
         values = file.read()
     assert (values[:, :5] == 1.0).all()
     assert (values[:, 5:] == 2.0).all()
+
+
+def test_maps_of_a_turned_flight_line_have_two_coordinates_a_pixel(tmp_path, cube, monkeypatch):
+    pytest.importorskip("zarr")
+    monkeypatch.setattr(blocks_module, "_INNER", 4)  # rows in three parts
+    turned = Affine.translation(300000.0, 6200000.0) @ Affine.rotation(20.0) @ Affine.scale(5, -5)
+    write_cube_geotiff(tmp_path / "cube.tif", cube, {})
+    with rasterio.open(tmp_path / "cube.tif", "r+") as file:
+        file.transform = turned
+    with open_blocks(tmp_path / "cube.tif") as blocks:
+        assert blocks.transform.almost_equals(turned)
+        writer = MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 1)
+        values = np.arange(54.0).reshape(1, 9, 6)
+        writer.write(0, 0, values)
+        writer.finish_zarr(tmp_path / "maps.zarr", {}, {"one": "one"})
+    with xr.open_zarr(tmp_path / "maps.zarr", consolidated=False) as maps:
+        np.testing.assert_array_equal(maps["one"], values[0])
+        assert maps["one"].dims == ("row", "column")
+        assert set(maps.coords) == {"x", "y"}
+        for row, column in ((0, 0), (3, 5), (8, 2)):
+            place = turned @ (column + 0.5, row + 0.5)
+            pixel = maps["one"][row, column]
+            assert (float(pixel["x"]), float(pixel["y"])) == pytest.approx(place)
+            assert pixel["x"].attrs["standard_name"] == "projection_x_coordinate"
+        # What reads it by its reference system alone finds the same place.
+        reflectance = xr.concat([maps["one"]] * 2, "wavelength").transpose("wavelength", ...)
+        kept = reflectance.drop_vars(["x", "y"]).drop_encoding().to_dataset(name="reflectance")
+        kept["reflectance"].attrs = {"grid_mapping": "crs"}
+        kept.assign(crs=maps["crs"]).to_netcdf(tmp_path / "again.nc")
+    with open_blocks(tmp_path / "again.nc") as blocks:
+        assert blocks.transform.almost_equals(turned)
+        assert "32734" in blocks.crs
 
 
 def emit(tmp_path, cube, **changes):

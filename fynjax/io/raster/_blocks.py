@@ -255,8 +255,13 @@ def _place(path: Path, data: xr.Dataset, values: xr.DataArray) -> tuple[str | No
     if wkt is not None:
         wkt = parse_crs(str(wkt), path).to_wkt()
     y, x = values.dims[:2]
-    if wkt is None or x not in values.coords or y not in values.coords:
+    if wkt is None:
         return wkt, Affine.identity()
+    if x not in values.coords or y not in values.coords:
+        numbers = str(data[mapping].attrs.get("GeoTransform", "")).split()
+        if len(numbers) != 6:
+            return wkt, Affine.identity()
+        return wkt, Affine.from_gdal(*map(float, numbers))
     xs, ys = np.asarray(values[x], float), np.asarray(values[y], float)
     pixel = float(values.attrs.get("pixel_m", abs(xs[1] - xs[0]) if len(xs) > 1 else 1.0))
     return wkt, Affine(pixel, 0.0, xs.min() - pixel / 2, 0.0, -pixel, ys.max() + pixel / 2)
@@ -416,27 +421,42 @@ class MapWriter:
             reference.attrs.update(
                 {"long_name": "coordinate reference system", "crs_wkt": crs or LOCAL_FRAME}
             )
-            for axis, count, step, start in (
-                ("y", rows, there.e, there.f), ("x", columns, there.a, there.c)
-            ):  # fmt: skip
-                middles = start + step * (np.arange(count) + 0.5)
+            turned = there.b != 0.0 or there.d != 0.0
+            # No number belongs to a row or a column of a turned grid: each pixel has its own two.
+            dims = ("row", "column") if turned else ("y", "x")
+            chunks = (min(_INNER, rows), min(_INNER, columns))
+            if turned:
+                reference.attrs["GeoTransform"] = " ".join(map(repr, there.to_gdal()))
+            for axis, number in (("y", 1), ("x", 0)):
+                along = dims if turned else (axis,)
+                sizes = dict(zip(dims, file.shape, strict=True))
                 coordinate = group.create_array(
-                    axis, shape=(count,), dtype="float64", dimension_names=(axis,)
-                )
-                coordinate[:] = middles
+                    axis, shape=tuple(sizes[d] for d in along), dtype="float64",
+                    dimension_names=along, chunks=chunks if turned else "auto",
+                )  # fmt: skip
                 standard, unit = axes[axis]
                 words = f"{axis} of the middles of pixels"
                 coordinate.attrs.update({"units": unit, "long_name": words})
                 if standard:
                     coordinate.attrs["standard_name"] = standard
+                if not turned:
+                    middle = np.arange(sizes[axis]) + 0.5
+                    coordinate[:] = (there @ (middle, middle))[number]
+                    continue
+                for row in range(0, rows, _INNER):
+                    some = np.arange(row, min(row + _INNER, rows))[:, None] + 0.5
+                    place = there @ (np.arange(columns)[None] + 0.5, some)
+                    coordinate[row : row + len(some)] = place[number]
             for i, (name, unit) in enumerate(self._bands, start=1):
                 values = group.create_array(
-                    name, shape=(rows, columns), dtype="float32", dimension_names=("y", "x"),
-                    chunks=(min(_INNER, rows), min(_INNER, columns)), fill_value=float("nan"),
+                    name, shape=(rows, columns), dtype="float32", dimension_names=dims,
+                    chunks=chunks, fill_value=float("nan"),
                 )  # fmt: skip
                 values.attrs.update(
                     {"units": unit, "long_name": names[name], "grid_mapping": "crs"}
                 )
+                if turned:
+                    values.attrs["coordinates"] = "y x"
                 for row in range(0, rows, _INNER):
                     some = min(_INNER, rows - row)
                     values[row : row + some] = file.read(i, window=Window(0, row, columns, some))
