@@ -13,12 +13,14 @@ from fynjax.io.raster import (
     Cube,
     MapWriter,
     open_blocks,
+    open_cube,
     read_cube,
     write_cube_envi,
     write_cube_geotiff,
     write_cubes_netcdf,
 )
 from fynjax.io.raster import _blocks as blocks_module
+from fynjax.io.raster import _lazy as lazy_module
 from fynjax.io.raster import _lookup as lookup_module
 from tests.io.emit_files import FILL, GEOTRANSFORM, NOWHERE, lookup, write_emit
 
@@ -186,6 +188,33 @@ def test_maps_go_on_where_they_were_interrupted(tmp_path, cube):
     assert (values[:, 5:] == 2.0).all()
 
 
+@pytest.mark.parametrize("kind", ["hdr", "tif", "nc"])
+def test_a_cube_as_an_array_of_dask_reads_what_is_asked_for(tmp_path, cube, kind, monkeypatch):
+    pytest.importorskip("dask", reason="the extra `cluster` is not installed")
+    path = tmp_path / f"cube.{kind}"
+    write = {"hdr": write_cube_envi, "tif": write_cube_geotiff}.get(kind)
+    if write is None:
+        write_cubes_netcdf(path, {"reflectance": cube}, {})
+    else:
+        write(path, cube, {})
+    began, real = [], lazy_module._read
+    monkeypatch.setattr(lazy_module, "_read", lambda *a: (began.append(a[1:3]), real(*a))[1])
+    array = open_cube(path, rows=4)
+    assert not began
+    assert array.dims == ("y", "x", "wavelength")
+    part = array.isel(y=slice(0, 3)).sel(wavelength=[560.0, 860.0]).compute()
+    assert began == [(0, 4)]
+    values, transform, good = whole(path)
+    np.testing.assert_array_equal(part, values[:3, :, [1, 3]])
+    np.testing.assert_array_equal(array.compute(), values)
+    assert array["good"].values.tolist() == good.tolist()
+    assert (float(array["x"][2]), float(array["y"][7])) == pytest.approx(transform @ (2.5, 7.5))
+    assert array["x"].attrs["standard_name"] == "projection_x_coordinate"
+    assert "32734" in array.attrs["crs_wkt"]
+    with pytest.raises(InputError, match="1 row or more"):
+        open_cube(path, rows=0)
+
+
 def test_maps_of_a_turned_flight_line_have_two_coordinates_a_pixel(tmp_path, cube, monkeypatch):
     pytest.importorskip("zarr")
     monkeypatch.setattr(blocks_module, "_INNER", 4)  # rows in three parts
@@ -195,6 +224,11 @@ def test_maps_of_a_turned_flight_line_have_two_coordinates_a_pixel(tmp_path, cub
         file.transform = turned
     with open_blocks(tmp_path / "cube.tif") as blocks:
         assert blocks.transform.almost_equals(turned)
+        lazy = open_cube(tmp_path / "cube.tif", rows=4)
+        assert lazy.dims == ("row", "column", "wavelength")
+        place = turned @ (5.5, 3.5)
+        pixel = lazy[3, 5]
+        assert (float(pixel["x"]), float(pixel["y"])) == pytest.approx(place)
         writer = MapWriter(tmp_path / "work", "s", [("one", "1")], blocks, 1)
         values = np.arange(54.0).reshape(1, 9, 6)
         writer.write(0, 0, values)

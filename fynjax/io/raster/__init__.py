@@ -13,6 +13,7 @@ from fynjax.io.raster._cubes import (
     write_cube_geotiff,
     write_cubes_netcdf,
 )
+from fynjax.io.raster._lazy import open_cube
 from fynjax.io.raster._netcdf import (
     check_netcdf,
     file_hash,
@@ -44,6 +45,7 @@ __all__ = [
     "file_hash",
     "image_array",
     "open_blocks",
+    "open_cube",
     "open_raster",
     "parse_crs",
     "provenance",

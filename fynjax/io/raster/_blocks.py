@@ -267,6 +267,21 @@ def _place(path: Path, data: xr.Dataset, values: xr.DataArray) -> tuple[str | No
     return wkt, Affine(pixel, 0.0, xs.min() - pixel / 2, 0.0, -pixel, ys.max() + pixel / 2)
 
 
+def grid_axes(transform: Affine, crs: str | None) -> dict[str, dict[str, str]]:
+    """CF attributes of the coordinates `y` and `x` of the middles of pixels."""
+    if transform.is_identity:
+        axes = {"y": ("", "1"), "x": ("", "1")}
+    elif crs and CRS.from_user_input(crs).is_geographic:
+        axes = {"y": ("latitude", "degrees_north"), "x": ("longitude", "degrees_east")}
+    else:
+        axes = {a: (f"projection_{a}_coordinate", "m") for a in "yx"}
+    return {
+        axis: {"units": unit, "long_name": f"{axis} of the middles of pixels"}
+        | ({"standard_name": standard} if standard else {})
+        for axis, (standard, unit) in axes.items()
+    }
+
+
 class MapWriter:
     """Maps of one raster that are written block by block, in any order: a tiled GeoTIFF in the
     making, and which of its blocks are there. `finish` makes a cloud-optimised GeoTIFF of it.
@@ -409,12 +424,7 @@ class MapWriter:
             rows, columns = file.shape
             there = file.transform
             crs = self._like.crs if self._table is None else self._table.crs
-            if there.is_identity:
-                axes = {"y": ("", "1"), "x": ("", "1")}
-            elif crs and CRS.from_user_input(crs).is_geographic:
-                axes = {"y": ("latitude", "degrees_north"), "x": ("longitude", "degrees_east")}
-            else:
-                axes = {a: (f"projection_{a}_coordinate", "m") for a in "yx"}
+            axes = grid_axes(there, crs)
             group = zarr.open_group(partial, mode="w")
             group.attrs.update({"Conventions": CONVENTIONS, **with_history(tags)})
             reference = group.create_array("crs", shape=(), dtype="int32")
@@ -434,11 +444,7 @@ class MapWriter:
                     axis, shape=tuple(sizes[d] for d in along), dtype="float64",
                     dimension_names=along, chunks=chunks if turned else "auto",
                 )  # fmt: skip
-                standard, unit = axes[axis]
-                words = f"{axis} of the middles of pixels"
-                coordinate.attrs.update({"units": unit, "long_name": words})
-                if standard:
-                    coordinate.attrs["standard_name"] = standard
+                coordinate.attrs.update(axes[axis])
                 if not turned:
                     middle = np.arange(sizes[axis]) + 0.5
                     coordinate[:] = (there @ (middle, middle))[number]

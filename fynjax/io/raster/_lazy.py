@@ -1,0 +1,79 @@
+"""Cubes as xarray arrays on dask, for whoever goes on in that world."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from fynjax._core.errors import InputError
+from fynjax._core.extras import require
+from fynjax.io.raster._blocks import grid_axes, open_blocks
+
+
+def open_cube(path: str | Path, *, rows: int | None = None) -> xr.DataArray:
+    """A cube of reflectance of any size as an xarray array of which a block is read when it is
+    asked for, here or on the workers of a dask cluster that see the file.
+
+    **Arguments:**
+
+    - `path`: ENVI, GeoTIFF, NetCDF or zarr, as `fynjax map` takes them.
+    - `rows`: of a block; by default as many as take some 128 MiB.
+
+    **Returns:** reflectance [-], NaN without data, over (y, x, wavelength), or over (row, column,
+    wavelength) where the grid is turned or has no place; coordinates `wavelength` and `fwhm` [nm],
+    `good` (bands that are to be used), and `x` and `y` of the middles of pixels. Attributes hold
+    the coordinate reference system as WKT (`crs_wkt`). Rows begin in the north.
+
+    **Raises:** `InputError` for what is no such image, also where a block turns out to be damaged
+    when it is computed; `MissingExtraError` without dask.
+
+    >>> open_cube("flight.hdr").sel(wavelength=860, method="nearest").plot()  # doctest: +SKIP
+    """
+    array: Any = require("dask.array", "cluster", "dask")
+    delayed: Any = require("dask", "cluster").delayed
+    if rows is not None and rows < 1:
+        raise InputError(f"expected blocks of 1 row or more, but got {rows}")
+    path = Path(path)
+    with open_blocks(path) as cube:
+        step, scale = rows or cube.rows_at_once, cube.scale()
+        high, wide = cube.shape
+        bands = len(cube.wavelength)
+        there, crs = cube.transform, cube.crs
+        coords: dict[str, Any] = {
+            "wavelength": ("wavelength", cube.wavelength, {"units": "nm"}),
+            "fwhm": ("wavelength", cube.fwhm, {"units": "nm"}),
+            "good": ("wavelength", cube.good),
+        }
+    read = delayed(_read, pure=True)
+    blocks = [
+        array.from_delayed(
+            read(path, start, min(step, high - start), scale),
+            (min(step, high - start), wide, bands),
+            dtype=np.float32,
+        )
+        for start in range(0, high, step)
+    ]
+    placed = not there.is_identity
+    turned = there.b != 0.0 or there.d != 0.0
+    dims = ("y", "x") if placed and not turned else ("row", "column")
+    if placed:
+        column, row = np.arange(wide) + 0.5, np.arange(high) + 0.5
+        x, y = there.a * column + there.c, there.e * row + there.f
+        if turned:  # two numbers a pixel, made when they are asked for
+            x = x[None, :] + there.b * array.from_array(row[:, None], chunks=step)
+            y = there.d * column[None, :] + array.from_array(y[:, None], chunks=step)
+        axes = grid_axes(there, crs)
+        coords["x"] = (dims if turned else "x", x, axes["x"])
+        coords["y"] = (dims if turned else "y", y, axes["y"])
+    attributes = {"units": "1", "long_name": "reflectance", "source": path.name}
+    if crs:
+        attributes["crs_wkt"] = crs
+    return xr.DataArray(
+        array.concatenate(blocks), coords, (*dims, "wavelength"), "reflectance", attributes
+    )
+
+
+def _read(path: Path, start: int, rows: int, scale: float) -> np.ndarray:
+    with open_blocks(path) as cube:
+        return cube.read(start, rows) / np.float32(scale)
