@@ -450,9 +450,9 @@ class MapWriter:
                     coordinate[:] = (there @ (middle, middle))[number]
                     continue
                 for row in range(0, rows, _INNER):
-                    some = np.arange(row, min(row + _INNER, rows))[:, None] + 0.5
-                    place = there @ (np.arange(columns)[None] + 0.5, some)
-                    coordinate[row : row + len(some)] = place[number]
+                    part = np.arange(row, min(row + _INNER, rows))[:, None] + 0.5
+                    place = there @ (np.arange(columns)[None] + 0.5, part)
+                    coordinate[row : row + len(part)] = place[number]
             for i, (name, unit) in enumerate(self._bands, start=1):
                 values = group.create_array(
                     name, shape=(rows, columns), dtype="float32", dimension_names=dims,
