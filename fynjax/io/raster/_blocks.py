@@ -261,7 +261,10 @@ def _place(path: Path, data: xr.Dataset, values: xr.DataArray) -> tuple[str | No
         numbers = str(data[mapping].attrs.get("GeoTransform", "")).split()
         if len(numbers) != 6:
             return wkt, Affine.identity()
-        return wkt, Affine.from_gdal(*map(float, numbers))
+        six = [float(number) for number in numbers]
+        if not np.isfinite(six).all():
+            raise InputError("expected a GeoTransform of finite numbers", file=path)
+        return wkt, Affine.from_gdal(*six)
     xs, ys = np.asarray(values[x], float), np.asarray(values[y], float)
     pixel = float(values.attrs.get("pixel_m", abs(xs[1] - xs[0]) if len(xs) > 1 else 1.0))
     return wkt, Affine(pixel, 0.0, xs.min() - pixel / 2, 0.0, -pixel, ys.max() + pixel / 2)
