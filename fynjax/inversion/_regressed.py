@@ -35,8 +35,8 @@ class RegressedPosterior(NamedTuple):
     mean: Float[np.ndarray, " free"]
     sd: Float[np.ndarray, " free"]
     farther: float
-    """Share of the simulations whose statistics lie farther from their mean than the measured ones
-    do (Mahalanobis distance) [-]: near 0 the prior does not make such data."""
+    """Share of the simulations and the measurement whose statistics lie at least as far from their
+    mean as the measured ones (Mahalanobis distance) [-]: near 0 the prior does not make them."""
     simulations: int
 
     def quantiles(self, space: ParameterSpace, *shares: float) -> Float[np.ndarray, "share free"]:
@@ -134,9 +134,11 @@ def regress(
     model = linear.RidgeCV(_PENALTIES, alpha_per_target=True, store_cv_results=True)
     model.fit(features, values)
     error = model.cv_results_.mean(axis=0).min(axis=1)
-    middle = features.mean(axis=0)
-    whiten = np.linalg.inv(np.linalg.cholesky(np.cov(features, rowvar=False)))
-    distance = np.sum(((features - middle) @ whiten.T) ** 2, axis=1)
-    farther = float(np.mean(distance > np.sum((whiten @ middle) ** 2)))
-    mean = np.asarray(model.predict(np.zeros((1, features.shape[1]))))[0]
+    # The measurement counts among the rows that set mean and covariance: it is then as likely to
+    # be any of them, however few they are.
+    rows = np.vstack([features, np.zeros((1, features.shape[1]))])
+    basis, size, _ = np.linalg.svd(rows - rows.mean(axis=0), full_matrices=False)
+    distance = np.sum(basis[:, size > 1e-9 * size[0]] ** 2, axis=1)
+    farther = float(np.mean(distance >= distance[-1]))
+    mean = np.asarray(model.predict(np.zeros((1, features.shape[1])))).reshape(-1)
     return RegressedPosterior(mean, np.sqrt(error), farther, len(values))

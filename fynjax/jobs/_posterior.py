@@ -358,7 +358,7 @@ def _methods(
     sampled: Posterior, best: pd.DataFrame, regressed: RegressedPosterior | None
 ) -> list[Part]:
     """The parameters best known by every method, side by side."""
-    kinds = {sampled.method: ("q05", "q95"), "laplace": ("laplace_q05", "laplace_q95")}
+    kinds = {"laplace": ("laplace_q05", "laplace_q95")} | {sampled.method: ("q05", "q95")}
     if regressed is not None:
         kinds["regression on simulations"] = ("regression_q05", "regression_q95")
     kinds = {kind: ends for kind, ends in kinds.items() if ends[0] in best}

@@ -1,5 +1,6 @@
 """Cubes as xarray arrays on dask, for whoever goes on in that world."""
 
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,10 @@ def open_cube(path: str | Path, *, rows: int | None = None) -> xr.DataArray:
     )
 
 
+_ONE = threading.Lock()
+"""HDF5 and netCDF4 fall over where two threads read at once."""
+
+
 def _read(path: Path, start: int, rows: int, scale: float) -> np.ndarray:
-    with open_blocks(path) as cube:
+    with _ONE, open_blocks(path) as cube:
         return cube.read(start, rows) / np.float32(scale)
