@@ -51,7 +51,17 @@ from fynjax.inversion._prior_sampler import (
     sample_prior,
     spectrum_likelihood,
 )
-from fynjax.inversion._regressed import RegressedPosterior, regress, simulation_posterior
+from fynjax.inversion._regressed import (
+    KNOWN,
+    NARROWER,
+    OFF,
+    WIDER,
+    Comparison,
+    RegressedPosterior,
+    TooFewSimulationsError,
+    regress,
+    simulation_posterior,
+)
 from fynjax.inversion._search import COARSE, CalibrationSettings, signature
 from fynjax.inversion._sensitivity import (
     DerivativeMeasures,
@@ -94,13 +104,18 @@ __all__ = [
     "GAIN",
     "IMAGE_STATISTICS",
     "INTERVALS",
+    "KNOWN",
+    "NARROWER",
+    "OFF",
     "OFFSET",
     "PIXEL_SD",
     "WELL_CONSTRAINED",
+    "WIDER",
     "AbstractView",
     "AmortisedPosterior",
     "Calibration",
     "CalibrationSettings",
+    "Comparison",
     "Data",
     "DerivativeMeasures",
     "Ends",
@@ -128,6 +143,7 @@ __all__ = [
     "SpectrumView",
     "StructureView",
     "Surrogate",
+    "TooFewSimulationsError",
     "block_of",
     "calibrate_known_plants",
     "calibrate_plot",

@@ -16,7 +16,6 @@ would hide it.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -216,8 +215,7 @@ def train_posterior(
     logs = _with_errors(reflectance, root, rng)
     middle = logs[:train].mean(axis=0)
     clean = np.log(np.maximum(reflectance, DARKEST))
-    spread, directions = _directions(clean[:train] - clean[:train].mean(axis=0), root)
-    rows = directions[:features]
+    rows = _directions(clean[:train] - clean[:train].mean(axis=0), root)[1][:features]
     rows = rows / np.std((logs[:train] - middle) @ rows.T, axis=0)[:, None]
     single = lambda a: jnp.asarray(a, jnp.float32)  # noqa: E731
     count = quantities.shape[1]
@@ -227,16 +225,14 @@ def train_posterior(
          single(np.zeros(b)))
         for a, b in pairwise(sizes)
     )  # fmt: skip
-    few = int(np.clip(np.sum(spread > 1.0), 1, len(spread) - 1))
-    known = partial(_known, directions[:few], directions[few:])
     # Limits are set by the few farthest stands: of those held out alone they would be chance.
-    fold = np.arange(groups).repeat(together) * _FOLDS // groups
-    apart = np.empty((len(fold), 2))
+    fold = np.arange(len(logs)) // together * _FOLDS // groups
+    apart = np.empty((len(logs), 2))
     for one in np.unique(fold):
         others = fold != one
-        space = known(clean[: len(fold)][others] - middle, logs[: len(fold)][others] - middle)
-        apart[~others] = _distances(logs[: len(fold)][~others] - middle, *space)
-    within, points, outside = known(clean[:train] - middle, logs[:train] - middle)
+        space = _known(root, clean[others] - middle, logs[others] - middle)
+        apart[~others] = _distances(logs[~others] - middle, *space)
+    within, points, outside = _known(root, clean[:train] - middle, logs[:train] - middle)
     posterior = AmortisedPosterior(
         single(middle), single(rows), single(within), single(points), single(outside), layers,
         single(values), single(np.quantile(apart, _PROBABILITY, axis=0).T),
@@ -274,14 +270,17 @@ def _directions(
 
 
 def _known(
-    few: Float[np.ndarray, "direction channel"],
-    rest: Float[np.ndarray, "rest channel"],
+    root: np.ndarray,
     clean: Float[np.ndarray, "stand channel"],
     logs: Float[np.ndarray, "stand channel"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`within`, `points` and `outside` of simulations, as deviations without and with errors."""
-    left = np.atleast_2d(np.cov(logs @ rest.T, rowvar=False))
-    return few, _spread_out(clean @ few.T), np.linalg.solve(np.linalg.cholesky(left), rest)
+    spread, directions = _directions(clean - clean.mean(axis=0), root)
+    few = int(np.clip(np.sum(spread > 1.0), 1, len(spread) - 1))
+    within, outside = directions[:few], directions[few:]
+    left = np.atleast_2d(np.cov(logs @ outside.T, rowvar=False))
+    outside = np.linalg.solve(np.linalg.cholesky(left), outside)
+    return within, _spread_out(clean @ within.T), outside
 
 
 def _distances(apart: Any, within: Any, points: Any, outside: Any) -> Float[Array, "pixel 2"]:

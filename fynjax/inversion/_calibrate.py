@@ -25,6 +25,7 @@ from fynjax.inversion._search import (
     Replant,
     Search,
     signature,
+    with_error,
 )
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
 from fynjax.inversion._views import (
@@ -300,7 +301,7 @@ def calibrate_plot(
         statistics_after=jnp.asarray(reached.statistics),
         spread=reached.spread,
         data=reached.data,
-        measured=data.with_covariance(radiometric_covariance(views, images)),
+        measured=with_error(data, radiometric_covariance(views, images)),
         lack=lack.mean(axis=0),
         degrees=len(reached.weights),
         projector=search.projector,

@@ -2,30 +2,61 @@
 that it can say where these are wrong."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from scipy.special import ndtri
 
 from fynjax._core.checkpoint import Keep, keep_nothing
+from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.inversion._calibrate import Calibration
 from fynjax.inversion._fit import predicted_statistics
 from fynjax.inversion._log_posterior import LogPosterior
+from fynjax.inversion._search import FARTHEST, plants_wanted
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import AbstractView, PlotForward
-from fynjax.scene import PlotParameters, stand_realisation
+from fynjax.scene import PlotParameters, room_needed, stand_realisation
 
 _PENALTIES = np.logspace(-1.0, 5.0, 13)
 _PLANTINGS = 3000
 """Numbers of the plantings, none of which a search has."""
-_APART, _NARROWER, _WIDER = 1.0, 0.6, 1.5
-"""Beyond which two posteriors differ: of their means, in standard deviations of the regression; of
-their standard deviations, as a share of the regression's."""
+_AT_ONCE = 25
+"""Simulations that are kept together."""
+_ROWS = 4
+"""Simulations for each statistic, at least: with fewer the regression knows less than the prior."""
+KNOWN = 0.25
+"""Share of the prior variance from which on a parameter counts as known, by either posterior."""
+OFF, NARROWER, WIDER = 1.0, 0.6, 1.5
+"""Beyond which two posteriors of a parameter differ: of their means, in standard deviations of the
+regression; of their standard deviations, as a share of the regression's."""
+
+
+class TooFewSimulationsError(InputError):
+    """Of the simulations of a regression too few are of use."""
+
+
+class Comparison(NamedTuple):
+    """Another posterior held against a regression, parameter by parameter."""
+
+    known: Bool[np.ndarray, " free"]
+    """Either knows more than `KNOWN` of it: others agree by being their priors."""
+    off: Bool[np.ndarray, " free"]
+    """Known, and the means lie more than `OFF` apart, or the other is more than `WIDER`."""
+    narrower: Bool[np.ndarray, " free"]
+    """Known, and the other is less than `NARROWER`: too sure, or it knows what bends."""
+    distance: Float[np.ndarray, " free"]
+    """Between the means [standard deviations of the regression]."""
+    scatter: float
+    """Root mean square, over all parameters, of the distance of the means over what a right
+    posterior that knows more would lie off."""
+    usual: float
+    """What `scatter` stays below if both are right, in all but a few of a hundred plots."""
 
 
 class RegressedPosterior(NamedTuple):
@@ -34,6 +65,8 @@ class RegressedPosterior(NamedTuple):
 
     mean: Float[np.ndarray, " free"]
     sd: Float[np.ndarray, " free"]
+    leverage: float
+    """Variance that the regression itself has at the measurement, as a share of `sd` squared."""
     farther: float
     """Share of the simulations and the measurement whose statistics lie at least as far from their
     mean as the measured ones (Mahalanobis distance) [-]: near 0 the prior does not make them."""
@@ -45,17 +78,22 @@ class RegressedPosterior(NamedTuple):
             [np.asarray(space.alone(jnp.asarray(self.mean + ndtri(p) * self.sd))) for p in shares]
         )
 
-    def differs(
+    def compare(
         self, mean: Float[np.ndarray, " free"], sd: Float[np.ndarray, " free"]
-    ) -> np.ndarray:
-        """Where another posterior does not agree: its mean lies more than a standard deviation off,
-        or it is less than 0.6 or more than 1.5 times as wide.
+    ) -> Comparison:
+        """Hold another posterior of the same parameters, in the same coordinates, against it.
 
-        The regression knows what is linear in the statistics over the whole prior; so a posterior
-        that is right may be narrower, and lies off by what it knows more.
+        The regression knows what is linear in the statistics over the whole prior. A posterior that
+        is right may know more: then the variances of both differ by that of their means.
         """
-        off = np.abs(mean - self.mean) > _APART * self.sd
-        return off | (sd < _NARROWER * self.sd) | (sd > _WIDER * self.sd)
+        known = np.minimum(sd, self.sd) ** 2 < 1.0 - KNOWN
+        apart = np.abs(mean - self.mean)
+        expected = np.maximum(self.sd**2 - sd**2, 0.0) + self.leverage * self.sd**2
+        off = (apart > OFF * self.sd) | (sd > WIDER * self.sd)
+        return Comparison(
+            known, known & off, known & ~off & (sd < NARROWER * self.sd), apart / self.sd,
+            float(np.sqrt(np.mean(apart**2 / expected))), 0.9 + 1.2 / np.sqrt(len(sd)),
+        )  # fmt: skip
 
 
 def simulation_posterior(
@@ -70,50 +108,62 @@ def simulation_posterior(
 ) -> RegressedPosterior:
     """The posterior of each parameter by a regression on simulations of the prior.
 
-    Parameters are drawn from the prior, planted by chance and rendered in the cheap form, corrected
-    by what that lacks at the estimate; errors of data, model and gains are drawn. On the statistics
-    along the directions of the calibration's likelihood the parameters are regressed (regression
-    adjustment: Beaumont et al. 2002, doi:10.1093/genetics/162.4.2025), and read off at the measured
-    ones. Of the calibration it uses the stands, the directions and that correction, nothing of its
-    slopes, covariances or estimate.
+    Parameters are drawn from the prior (up to 2.2 standard deviations, as a search does), planted
+    by chance and rendered in the cheap form, corrected by what that lacks at the estimate; errors
+    of the data, the model's light and the camera's gains are drawn. On the statistics along the
+    directions of the calibration's likelihood the parameters are regressed, and read off at the
+    measured ones (Bayes linear; the regression of Beaumont et al. 2002,
+    doi:10.1093/genetics/162.4.2025, without their weights). Of the calibration it uses the stands,
+    the directions, that correction and the slopes of the gains; none of the slopes by parameters,
+    and neither its estimate nor its covariances otherwise.
 
     **Arguments:**
 
-    - `calibration`: of a plot whose plants stand by chance.
+    - `calibration`: of a plot.
     - `parameters`: of the plot; those that are not free count.
     - `views`: in the cheap form (`search_form`).
-    - `simulations`: how many.
+    - `simulations`: how many. More of them begin with those of fewer.
     - `seed`: of parameters, plantings and errors.
-    - `keep`: how the renders are done, such as by a `Journal`.
+    - `keep`: how the renders are done, such as by a `Journal` that is of this calibration and seed.
     - `progress`: where to report the renders; nowhere by default.
 
-    **Raises:** `MissingExtraError` without scikit-learn.
+    **Raises:** `TooFewSimulationsError` where too few have the plants they ask for and all
+    statistics; `MissingExtraError` without scikit-learn.
     """
     fit, measured = calibration.fit, calibration.measured
     progress = NullProgress() if progress is None else progress
     forward = PlotForward(parameters, fit.names, tuple(views))
-    random = np.random.default_rng([seed, 97])
-    draws = random.normal(size=(simulations, len(fit.names)))
+    draws = np.random.default_rng([seed, 97]).normal(size=(simulations, len(fit.names)))
+    draws = draws.clip(-FARTHEST, FARTHEST)
     count, none = len(calibration.stands), jnp.zeros(measured.value.shape)
 
-    def step() -> tuple[Array, ...]:
+    def rendered(some: range) -> tuple[Array, ...]:
         found = []
-        for i, u in enumerate(draws):
+        for i in some:
             stand = stand_realisation(calibration.stands[i % count], _PLANTINGS + i)
             density = LogPosterior(forward, fit.space, measured, none, (stand,))
-            found.append(predicted_statistics(density, jnp.asarray(u)))
+            found.append(predicted_statistics(density, jnp.asarray(draws[i])))
             progress.advance()
         return (jnp.stack(found),)
 
-    with progress.stage("Simulate the prior", len(draws)):
-        rendered = np.asarray(keep(step)[0])
+    parts = [range(a, min(a + _AT_ONCE, simulations)) for a in range(0, simulations, _AT_ONCE)]
+    with progress.stage("Simulate the prior", simulations):
+        cheap = np.concatenate([np.asarray(keep(partial(rendered, p))[0]) for p in parts])
     root = np.linalg.cholesky(np.asarray(measured.covariance))
-    simulated = rendered + calibration.lack + random.normal(size=rendered.shape) @ root.T
-    finite = np.isfinite(simulated).all(axis=1)
-    apart = simulated[finite] - np.asarray(measured.value)
+    errors = np.random.default_rng([seed, 98]).normal(size=cheap.shape) @ root.T
+    simulated = cheap + calibration.lack + errors
+    whole = np.isfinite(simulated).all(axis=1)
+    if not calibration.scene.known_plants:
+        wanted = plants_wanted(calibration.stands[0], parameters, fit.space, jnp.asarray(draws))
+        whole &= [not room_needed(calibration.stands[0], parameters, n).any() for n in wanted]
+    apart = simulated[whole] - np.asarray(measured.value)
+    if len(apart) < _ROWS * calibration.degrees:
+        raise TooFewSimulationsError(
+            f"{len(apart)} of {simulations} simulations have their plants and all statistics, and "
+            f"{calibration.degrees} statistics need {_ROWS * calibration.degrees}. Simulate more"
+        )
     along = np.asarray(jax.vmap(fit.data.whiten)(jnp.asarray(apart)))[:, : calibration.degrees]
-    own = np.asarray(jax.vmap(fit.space.together)(jnp.asarray(draws[finite])))
-    return regress(along, own)
+    return regress(along, np.asarray(jax.vmap(fit.space.together)(jnp.asarray(draws[whole]))))
 
 
 def regress(
@@ -127,10 +177,16 @@ def regress(
 
     - `misfit`: statistics of simulations less the measured ones.
     - `values`: parameters of each, in coordinates where the prior is a unit normal.
+
+    **Raises:** `InputError` for misfits of which none varies; `MissingExtraError` without
+    scikit-learn.
     """
     linear = require("sklearn.linear_model", "posterior", "scikit-learn")
     scale = misfit.std(axis=0)
-    features = misfit[:, scale > 0] / scale[scale > 0]
+    varies = scale > 1e-9 * np.abs(misfit).max(axis=0, initial=0.0)
+    if not varies.any():
+        raise InputError("the statistics of all simulations are the same")
+    features = misfit[:, varies] / scale[varies]
     model = linear.RidgeCV(_PENALTIES, alpha_per_target=True, store_cv_results=True)
     model.fit(features, values)
     error = model.cv_results_.mean(axis=0).min(axis=1)
@@ -138,7 +194,12 @@ def regress(
     # be any of them, however few they are.
     rows = np.vstack([features, np.zeros((1, features.shape[1]))])
     basis, size, _ = np.linalg.svd(rows - rows.mean(axis=0), full_matrices=False)
-    distance = np.sum(basis[:, size > 1e-9 * size[0]] ** 2, axis=1)
-    farther = float(np.mean(distance >= distance[-1]))
+    distance = np.sum(basis[:, size > 1e-9 * size[0]] ** 2, axis=1) + 1.0 / len(rows)
     mean = np.asarray(model.predict(np.zeros((1, features.shape[1])))).reshape(-1)
-    return RegressedPosterior(mean, np.sqrt(error), farther, len(values))
+    return RegressedPosterior(
+        mean,
+        np.sqrt(error),
+        float(distance[-1] / max(1.0 - distance[-1], 1e-9)),
+        float(np.mean(distance >= distance[-1])),
+        len(values),
+    )

@@ -110,7 +110,7 @@ _SETTLED = 0.6
 step still would [posterior standard deviations]."""
 _FURTHER = 3
 """Rounds beyond those of the settings, at most."""
-_FARTHEST = 2.2
+FARTHEST = 2.2
 """Of a draw of a parameter from its mean [standard deviations]."""
 
 Replant = Callable[[int, Float[np.ndarray, " species"] | None], Scene]
@@ -251,7 +251,7 @@ class Search:
         """Where a draw's parameters are. Two in a row are opposite, so that what is linear in these
         leaves a mean as it is."""
         random = np.random.default_rng([self._settings.seed, 83, number // 2])
-        normal = random.normal(size=len(self._space.names)).clip(-_FARTHEST, _FARTHEST)
+        normal = random.normal(size=len(self._space.names)).clip(-FARTHEST, FARTHEST)
         return normal if number % 2 == 0 else -normal
 
     # -- evaluations ------------------------------------------------------------------------
@@ -349,8 +349,7 @@ class Search:
                 differ = lack.var(axis=0, ddof=1)[some] / variance[some]
                 share += float(differ.mean()) / len(whole) if some.any() else 0.0
             covariance = covariance + (1.0 + share) * chance
-        sound = np.isfinite(covariance).all() and covariance.any()
-        data = self._data.with_covariance(covariance) if sound else self._data
+        data = with_error(self._data, covariance)
         offset = statistics - drawn[:own].mean(axis=0)
         image = images[0] if images else None
         weights = self._weights(data)
@@ -448,7 +447,7 @@ class Search:
         """Whether more sites had to be made for the plants at `u` and of draws of the prior about
         it, and could be."""
         places = jnp.stack([u, *(u + jnp.asarray(normal) for normal in normals)])
-        counts = np.asarray(_counts(self.scene, self._parameters, self._space, places))
+        counts = np.asarray(plants_wanted(self.scene, self._parameters, self._space, places))
         before = self.scene
         short = room_needed(self.scene, self._parameters, counts) > 0.0
         if self._replant is None or not short.any():
@@ -590,7 +589,7 @@ def _information(weights: np.ndarray, slopes: np.ndarray) -> Float[np.ndarray, "
 
 
 @eqx.filter_jit
-def _counts(
+def plants_wanted(
     scene: Scene, parameters: PlotParameters, space: ParameterSpace, places: Array
 ) -> Float[Array, "place species"]:
     """Plants of each species at several places of the whitened coordinates."""
@@ -599,6 +598,12 @@ def _counts(
         return scene.counts(with_values(parameters, scene.taxa, space.named(u)))
 
     return jax.lax.map(at, places)
+
+
+def with_error(data: Data, covariance: Float[np.ndarray, "statistic statistic"]) -> Data:
+    """The data with an error of this covariance added; as they are where it is none or unknown."""
+    sound = np.isfinite(covariance).all() and covariance.any()
+    return data.with_covariance(covariance) if sound else data
 
 
 def _same(u: Array, other: Array, tolerance: float) -> bool:

@@ -20,10 +20,15 @@ from fynjax.assembly import (
     shown_unit,
 )
 from fynjax.inversion import (
+    KNOWN,
+    NARROWER,
+    OFF,
+    WIDER,
     CalibrationSettings,
     Posterior,
     RegressedPosterior,
     SamplingMethod,
+    TooFewSimulationsError,
     calibrate_plot,
     fit_surrogate,
     join_data,
@@ -58,11 +63,11 @@ class PosteriorParameter(ParameterSummary):
     laplace_q05: Number = Field(
         default=None, description="End of the 90 % interval of the Gaussian about the estimate."
     )
-    laplace_q95: Number = None
+    laplace_q95: Number = Field(default=None, description="Its other end.")
     regression_q05: Number = Field(
         default=None, description="The same by a regression on simulations of the prior."
     )
-    regression_q95: Number = None
+    regression_q95: Number = Field(default=None, description="Its other end.")
 
 
 class PosteriorResult(JobResult):
@@ -74,7 +79,7 @@ class PosteriorResult(JobResult):
 
 
 _FEWEST = 100
-"""Simulations that a regression on some 24 statistics needs."""
+"""Simulations of a regression: of the 24 directions of an image it needs 96."""
 _NAMED, _COMPARED = 5, 16
 """Parameters that are named where methods differ, and that are drawn side by side."""
 
@@ -177,20 +182,22 @@ def posterior(
             progress=run.progress,
             keep=Journal(checkpoint / "surrogate", signature(calibrated.fit.whitened, run.seed)),
         )
-    regressed = None
-    if simulations and not calibrated.scene.known_plants:
-        regressed = simulation_posterior(
-            calibrated,
-            ready.parameters,
-            cheap,
-            simulations=simulations,
-            seed=run.seed,
-            keep=Journal(
-                checkpoint / "simulations",
-                signature(calibrated.fit.whitened, run.seed, simulations),
-            ),
-            progress=run.progress,
-        )
+    regressed, unchecked = None, ""
+    if simulations:
+        try:
+            regressed = simulation_posterior(
+                calibrated,
+                ready.parameters,
+                cheap,
+                simulations=simulations,
+                seed=run.seed,
+                keep=Journal(
+                    checkpoint / "simulations", signature(calibrated.fit.whitened, run.seed)
+                ),
+                progress=run.progress,
+            )
+        except TooFewSimulationsError as error:  # what is left unchecked may be sound
+            unchecked = f"Not checked by a regression: {error}."
     sampled = sample_posterior(
         surrogate,
         calibrated.data,
@@ -214,8 +221,8 @@ def posterior(
             ready.space, 0.05, 0.95
         )
     headline = [*_headline(ready, sampled, table), misfit_sentence(calibrated)]
-    if regressed is not None:
-        headline.append(_agreement(sampled, regressed))
+    if simulations:
+        headline.append(unchecked if regressed is None else _agreement(sampled, regressed))
     if not sampled.converged and sampled.method != "laplace":
         headline.append(f"The chain is kept in {checkpoint}: the same command goes on with it.")
     record = run.record(inputs)
@@ -285,18 +292,29 @@ def _headline(ready: Prepared, sampled: Posterior, table: pd.DataFrame) -> list[
 def _agreement(sampled: Posterior, regressed: RegressedPosterior) -> str:
     """What a regression on simulations of the prior says of the draws."""
     own = sampled.own.reshape(-1, len(sampled.names))
-    off = np.flatnonzero(regressed.differs(own.mean(axis=0), own.std(axis=0)))
-    named = ", ".join(short_name(sampled.names[i]) for i in off[:_NAMED])
+    found = regressed.compare(own.mean(axis=0), own.std(axis=0))
+    count, off = int(found.known.sum()), np.flatnonzero(found.off)
+    named = off[np.argsort(-found.distance[off])][:_NAMED]
+    names = ", ".join(short_name(sampled.names[i]) for i in named)
     more = f" and {len(off) - _NAMED} others" if len(off) > _NAMED else ""
-    count = len(sampled.names)
-    where = f"all {count}" if not off.size else f"all but {len(off)} of {count}"
+    either = f"parameters that it or {sampled.method} knows"
+    if not count:
+        text = f"knows, as {sampled.method} does, no single parameter"
+    elif off.size:
+        text = f"agrees in {count - len(off)} of {count} {either}, not in {names}{more}"
+    else:
+        text = f"agrees in all {count} {either}"
+    if found.narrower.any():
+        text += f"; {int(found.narrower.sum())} of them {sampled.method} claims to know far better"
+    if found.scatter > found.usual:
+        text += (
+            f"; over all parameters the means lie {found.scatter:.1f} times as far apart as they "
+            f"should (up to {found.usual:.1f} is chance): do not trust the intervals"
+        )
     farther = 100.0 * regressed.farther
-    return (
-        f"A regression on {regressed.simulations} simulations of the prior agrees in {where} "
-        f"parameters{f' ({named}{more})' if off.size else ''}; {farther:.0f} % of the simulations "
-        "lie farther from their mean than the measurement"
-        f"{': the prior does not make such data' if farther < 1.0 else ''}."
-    )
+    text += f"; {farther:.0f} % of the simulations lie as far from their mean as the measurement"
+    odd = ": the prior does not make such data" if farther < 1.0 else ""
+    return f"A regression on {regressed.simulations} simulations of the prior {text}{odd}."
 
 
 def _page(
@@ -373,9 +391,11 @@ def _methods(
     ]
     if regressed is not None:
         parts.append(
-            "The regression uses no slopes and no estimate, but knows only what is linear in the "
-            "statistics over the whole prior: where it is right, others may be narrower. "
-            "They do not agree where their mean lies more than one of its standard deviations off, "
-            "or they are less than 0.6 or more than 1.5 times as wide."
+            "The regression follows no slopes by parameters and no search, but knows only what is "
+            "linear in the statistics over the whole prior: where a parameter bends them, others "
+            "may be right and narrower. Parameters count as known from "
+            f"{100 * KNOWN:.0f} % of their prior variance on; a method does not agree where its "
+            f"mean lies more than {OFF:g} of the regression's standard deviations off, or it is "
+            f"more than {WIDER:g} times as wide, and claims far more below {NARROWER:g} times."
         )
     return parts

@@ -23,6 +23,7 @@ import numpy as np
 from fynjax.assembly import STAND_QUANTITIES, _stands
 from fynjax.inversion import estimate_pixels
 from fynjax.io.plot import DEFAULT_PRIOR, read_prior, write_prior
+from fynjax.io.plot._prior import _bounds
 from fynjax.io.raster import Cube, write_cube_envi
 from fynjax.jobs import read_training, train
 from fynjax.studies.bioscape import read_bioscape
@@ -72,13 +73,26 @@ def moments_of(plots: list) -> dict:
 
 
 def prior_without(plots: list, folder: Path) -> Path:
-    """The shipped prior with the means that it has without `plots`, their average."""
+    """The shipped prior with the means that it would have without `plots`.
+
+    To first order: each plot left out alone moves a mean of n by what it weighs; K together move
+    it by the sum of that, times (n - 1) / (n - K), which is exact for plain means. In the logarithm
+    of a value over what its bounds leave. Spreads and the model's error stay those of all plots.
+    """
     prior = read_prior(DEFAULT_PRIOR)
     values = [prior.values(p.name) for p in plots]
-    rows = [
-        row.model_copy(update={"mean": float(np.mean([v[row.name] for v in values]))})
-        for row in prior.file.parameters
-    ]
+    count = prior.file.plots
+    rows = []
+    for row in prior.file.parameters:
+        low, high = _bounds(row.name)
+
+        def free(value, low=low, high=high):
+            return np.log(value - low) - (np.log(high - value) if np.isfinite(high) else 0.0)
+
+        moved = sum(free(v[row.name]) - free(row.mean) for v in values)
+        z = free(row.mean) + (count - 1) / (count - len(plots)) * moved
+        mean = low + (np.exp(z) if np.isinf(high) else (high - low) / (1.0 + np.exp(-z)))
+        rows.append(row.model_copy(update={"mean": float(mean)}))
     path = folder / "prior.toml"
     write_prior(path, prior.file.model_copy(update={"parameters": rows}))
     return path

@@ -206,6 +206,9 @@ def main():
             CalibrationSettings(seed=number), replant=ready.replant,
         )  # fmt: skip
         fit = found.fit
+        # Each has as many sites as its draws need, and so programs of its own: nine fill the memory
+        # that the compiler may map.
+        jax.clear_caches()
         np.savez(
             path,
             truth=truth,
