@@ -250,6 +250,25 @@ def test_maps_of_a_turned_flight_line_have_two_coordinates_a_pixel(tmp_path, cub
     with open_blocks(tmp_path / "again.nc") as blocks:
         assert blocks.transform.almost_equals(turned)
         assert "32734" in blocks.crs
+    for numbers, right in (
+        (list(turned.to_gdal()), True),
+        (", ".join(map(str, turned.to_gdal())), True),
+        ("1 2 3", False),
+        ("a b c d e f", False),
+        ("0 0 0 0 0 0", False),
+        ("nan 1 0 0 0 1", False),
+    ):
+        maps["crs"].attrs["GeoTransform"] = numbers
+        kept.assign(crs=maps["crs"]).to_netcdf(tmp_path / "again.nc")
+        if right:
+            with open_blocks(tmp_path / "again.nc") as blocks:
+                assert blocks.transform.almost_equals(turned)
+            continue
+        with (
+            pytest.raises(InputError, match="as GeoTransform six numbers"),
+            open_blocks(tmp_path / "again.nc"),
+        ):
+            pass
 
 
 def emit(tmp_path, cube, **changes):

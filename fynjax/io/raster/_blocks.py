@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -258,16 +259,29 @@ def _place(path: Path, data: xr.Dataset, values: xr.DataArray) -> tuple[str | No
     if wkt is None:
         return wkt, Affine.identity()
     if x not in values.coords or y not in values.coords:
-        numbers = str(data[mapping].attrs.get("GeoTransform", "")).split()
-        if len(numbers) != 6:
-            return wkt, Affine.identity()
-        six = [float(number) for number in numbers]
-        if not np.isfinite(six).all():
-            raise InputError("expected a GeoTransform of finite numbers", file=path)
-        return wkt, Affine.from_gdal(*six)
+        return wkt, _geotransform(data[mapping].attrs.get("GeoTransform"), path)
     xs, ys = np.asarray(values[x], float), np.asarray(values[y], float)
     pixel = float(values.attrs.get("pixel_m", abs(xs[1] - xs[0]) if len(xs) > 1 else 1.0))
     return wkt, Affine(pixel, 0.0, xs.min() - pixel / 2, 0.0, -pixel, ys.max() + pixel / 2)
+
+
+def _geotransform(numbers: Any, path: Path) -> Affine:
+    """The affine transform of GDAL's six numbers, as text or an array; the identity of none."""
+    if numbers is None:
+        return Affine.identity()
+    text = re.split(r"[\s,]+", numbers.strip()) if isinstance(numbers, str) else np.ravel(numbers)
+    try:
+        transform = Affine.from_gdal(*(float(number) for number in text))
+        sound = np.isfinite(transform.to_gdal()).all() and transform.determinant != 0.0
+    except (TypeError, ValueError):
+        sound = False
+    if not sound:
+        raise InputError(
+            "expected as GeoTransform six numbers that place a grid, but got "
+            f"{listed(str(number) for number in text)}",
+            file=path,
+        )
+    return transform
 
 
 def grid_axes(transform: Affine, crs: str | None) -> dict[str, dict[str, str]]:
