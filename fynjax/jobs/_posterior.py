@@ -292,7 +292,7 @@ def _headline(ready: Prepared, sampled: Posterior, table: pd.DataFrame) -> list[
 def _agreement(sampled: Posterior, regressed: RegressedPosterior) -> str:
     """What a regression on simulations of the prior says of the draws."""
     own = sampled.own.reshape(-1, len(sampled.names))
-    found = regressed.compare(own.mean(axis=0), own.std(axis=0))
+    found = regressed.compare(own.mean(axis=0), own.std(axis=0), sampled.effective_size)
     count, off = int(found.known.sum()), np.flatnonzero(found.off)
     named = off[np.argsort(-found.distance[off])][:_NAMED]
     names = ", ".join(short_name(sampled.names[i]) for i in named)
@@ -302,18 +302,21 @@ def _agreement(sampled: Posterior, regressed: RegressedPosterior) -> str:
         text = f"knows, as {sampled.method} does, no single parameter"
     elif off.size:
         text = f"agrees in {count - len(off)} of {count} {either}, not in {names}{more}"
+    elif count == 1:
+        text = f"agrees in the one {either.replace('parameters', 'parameter')}"
     else:
         text = f"agrees in all {count} {either}"
     if found.narrower.any():
-        text += f"; {int(found.narrower.sum())} of them {sampled.method} claims to know far better"
+        surer = int(found.narrower.sum())
+        text += f"; {sampled.method} claims to know {surer} of those that agree far better"
     if found.scatter > found.usual:
         text += (
-            f"; over all parameters the means lie {found.scatter:.1f} times as far apart as they "
-            f"should (up to {found.usual:.1f} is chance): do not trust the intervals"
+            f"; over all parameters the means lie {found.scatter:.2f} times as far apart as they "
+            f"should (up to {found.usual:.2f} is chance): do not trust the intervals"
         )
     farther = 100.0 * regressed.farther
-    text += f"; {farther:.0f} % of the simulations lie as far from their mean as the measurement"
-    odd = ": the prior does not make such data" if farther < 1.0 else ""
+    text += f"; {farther:.0f} % of the simulations lie at least as far out as the measurement"
+    odd = ": the prior does not make such data" if regressed.impossible else ""
     return f"A regression on {regressed.simulations} simulations of the prior {text}{odd}."
 
 

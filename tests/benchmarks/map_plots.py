@@ -80,7 +80,7 @@ def prior_without(plots: list, folder: Path) -> Path:
     of a value over what its bounds leave. Spreads and the model's error stay those of all plots.
     """
     prior = read_prior(DEFAULT_PRIOR)
-    values = [prior.values(p.name) for p in plots]
+    values = [prior.values(p.name) for p in plots if prior.knows(p.name)]
     count = prior.file.plots
     rows = []
     for row in prior.file.parameters:
@@ -90,7 +90,7 @@ def prior_without(plots: list, folder: Path) -> Path:
             return np.log(value - low) - (np.log(high - value) if np.isfinite(high) else 0.0)
 
         moved = sum(free(v[row.name]) - free(row.mean) for v in values)
-        z = free(row.mean) + (count - 1) / (count - len(plots)) * moved
+        z = free(row.mean) + (count - 1) / (count - len(values)) * moved
         mean = low + (np.exp(z) if np.isinf(high) else (high - low) / (1.0 + np.exp(-z)))
         rows.append(row.model_copy(update={"mean": float(mean)}))
     path = folder / "prior.toml"

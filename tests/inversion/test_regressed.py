@@ -1,10 +1,21 @@
 """The regression on simulations of the prior against the posterior of a linear model."""
 
+from types import SimpleNamespace
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
-from fynjax.inversion import regress
+from fynjax.inversion import (
+    Data,
+    ParameterSpace,
+    TooFewSimulationsError,
+    regress,
+    simulation_posterior,
+)
+from fynjax.inversion import _regressed as module
 
 pytest.importorskip("sklearn", reason="the extra `posterior` is not installed")
 
@@ -90,6 +101,25 @@ def test_right_posteriors_agree_and_one_of_too_small_errors_does_not():
     assert np.mean(shares < 0.05) < 0.15
 
 
+def test_chance_in_the_mean_of_draws_is_no_disagreement():
+    """One statistic of many parameters, whose posterior is known by 100 draws."""
+    flagged = {100.0: [], np.inf: []}
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        slopes = random.normal(size=(1, MANY)) * 0.2
+        measured = slopes @ random.normal(size=MANY) + random.normal(size=1)
+        draws = random.normal(size=(300, MANY))
+        found = regress(draws @ slopes.T + random.normal(size=(300, 1)) - measured, draws)
+        covariance = np.linalg.inv(np.eye(MANY) + slopes.T @ slopes)
+        mean = covariance @ slopes.T @ measured
+        some = random.multivariate_normal(mean, covariance, 100)
+        for size, flags in flagged.items():
+            compared = found.compare(some.mean(axis=0), some.std(axis=0), size)
+            flags.append(compared.scatter > compared.usual)
+    assert np.mean(flagged[100.0]) < 0.25
+    assert np.mean(flagged[np.inf]) > 0.5
+
+
 def test_data_that_the_prior_does_not_make_are_said():
     random = np.random.default_rng(5)
     shares = []
@@ -99,6 +129,56 @@ def test_data_that_the_prior_does_not_make_are_said():
     assert np.mean(shares) == pytest.approx(0.5, abs=0.06)  # as often near as far
     assert np.quantile(shares, [0.1, 0.9]) == pytest.approx([0.1, 0.9], abs=0.07)
     assert regressed(np.array([0.0, 0.0, 0.0, 6.0])).farther < 0.001
+    for count in (50, 300):  # none of few is as far: they cannot say one in a hundred
+        assert regressed(np.array([0.0, 0.0, 0.0, 9.0]), count).impossible
+        assert not regressed(MEASURED, count).impossible
+
+
+@pytest.fixture
+def linear_plot(monkeypatch):
+    """A calibration whose renders are the linear model, and the count of these."""
+    rendered = []
+
+    def predicted(_, u):
+        rendered.append(u)
+        return jnp.asarray(SLOPES) @ u
+
+    for name in ("PlotForward", "LogPosterior", "stand_realisation"):
+        monkeypatch.setattr(module, name, lambda *_: None)
+    monkeypatch.setattr(module, "predicted_statistics", predicted)
+    space = ParameterSpace(
+        tuple("abc"), [-9.0] * 3, [9.0] * 3, [0.0] * 3, [1.0] * 3, distribution="normal"
+    )
+    data = Data(tuple("stuv"), jnp.asarray(MEASURED), jnp.ones(4))
+    fit = SimpleNamespace(names=space.names, space=space, data=data.along(np.eye(4)))
+    calibration = SimpleNamespace(
+        fit=fit, measured=data, stands=[None], lack=np.zeros(4), degrees=4,
+        scene=SimpleNamespace(known_plants=True),
+    )  # fmt: skip
+    return calibration, rendered
+
+
+def test_simulations_have_the_errors_of_the_data_once(linear_plot):
+    found = simulation_posterior(linear_plot[0], None, (), simulations=3000)
+    mean, sd = closed_form(MEASURED)
+    assert found.mean == pytest.approx(mean, abs=0.07)
+    assert found.sd == pytest.approx(sd, rel=0.05)
+    with pytest.raises(TooFewSimulationsError, match=r"12 of 12 .* 4 statistics need 16"):
+        simulation_posterior(linear_plot[0], None, (), simulations=12)
+
+
+@pytest.mark.parametrize(("first", "then"), [(110, 300), (300, 110), (110, 120), (100, 200)])
+def test_more_simulations_go_on_from_fewer(linear_plot, tmp_path, first, then):
+    calibration, rendered = linear_plot
+    whole = simulation_posterior(calibration, None, (), simulations=then)
+    rendered.clear()
+    for count in (first, then):
+        keep = Journal(tmp_path, "mark")
+        found = simulation_posterior(calibration, None, (), simulations=count, keep=keep)
+    assert len(rendered) == 25 * -(-max(first, then) // 25)
+    assert found.simulations == then
+    assert found.mean == pytest.approx(whole.mean)
+    assert found.sd == pytest.approx(whole.sd)
 
 
 @pytest.mark.parametrize("columns", [[0], [0, 0], [0, 4], [0, 1, 2, 3, 4]])

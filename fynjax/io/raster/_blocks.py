@@ -267,7 +267,7 @@ def _place(path: Path, data: xr.Dataset, values: xr.DataArray) -> tuple[str | No
 
 def _geotransform(numbers: Any, path: Path) -> Affine:
     """The affine transform of GDAL's six numbers, as text or an array; the identity of none."""
-    if numbers is None:
+    if numbers is None or (isinstance(numbers, str) and not numbers.strip()):
         return Affine.identity()
     text = re.split(r"[\s,]+", numbers.strip()) if isinstance(numbers, str) else np.ravel(numbers)
     try:
