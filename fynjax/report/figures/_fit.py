@@ -142,14 +142,15 @@ def interval_plot(table: pd.DataFrame, methods: Mapping[str, tuple[str, str]]) -
     with style():
         figure = Figure(figsize=(6.0, 1.0 + (2.0 + len(table)) * 1.6 * _ROW))
         axes = figure.add_subplot()
-        y = _rows(axes, [words(str(name).removeprefix("species.")) for name in table["name"]])
+        names = [str(name).removeprefix("species.").replace(".", " ") for name in table["name"]]
+        y = _rows(axes, [words(name) for name in names])
         for edge in (0.0, 1.0):
             axes.axvline(edge, color=GREY, lw=0.8, ls=":")
         for i, (method, ends) in enumerate(methods.items()):
             at = y + 0.22 * (i - 0.5 * (len(methods) - 1))
             left, right = ((table[end].to_numpy(float) - low) / wide for end in ends)
             axes.hlines(at, left, right, color=colours[i], lw=1.8, label=method)
-        axes.set_xlabel("Place in the prior's 90 % interval (0: its lower, 1: its upper end)")
+        figure.supxlabel("Place in the prior's 90 % interval, which is 0 to 1", fontsize=8.5)
         figure.legend(loc="outside upper left", ncols=len(methods))
     return figure
 
