@@ -11,6 +11,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import dask
 import jax
@@ -116,6 +117,43 @@ def test_what_fails_once_costs_its_part_only(two, tmp_path: Path, fault: str) ->
     assert called(tmp_path, 2) == 2
     # With the process goes what it had done and nobody had fetched.
     assert sum(called(tmp_path, i) for i in range(6)) <= 7 + parts._AHEAD
+
+
+@pytest.mark.parametrize("status", ["lost", "pending"])
+def test_a_result_whose_worker_dies_before_it_is_fetched_is_waited_for(monkeypatch, status):
+    """The second part is done, then lost with its worker while the first is fetched, then done."""
+
+    class Future:
+        key, status = "key", "finished"
+
+        def __init__(self, value):
+            self.value = value
+
+        def result(self):
+            if self.value == 0:
+                second.status = status
+            return self.value
+
+        def release(self):
+            pass
+
+    def waited(futures, **_):
+        if second.status == status:
+            assert futures == [second]
+            second.status = "finished"
+        return SimpleNamespace(done=set(futures))
+
+    second = Future(1)
+    made = iter([None, Future(0), second])
+    monkeypatch.setattr(parts, "_submitted", lambda *_, **__: next(made))
+    monkeypatch.setattr("distributed.wait", waited)
+    client = SimpleNamespace(
+        nthreads=lambda: {"a": 1}, as_current=contextlib.nullcontext, status="running",
+        cancel=lambda *_, **__: None,
+    )  # fmt: skip
+    pool = parts._DaskPool(client, None)
+    found = list(pool._answers(numbered, [0, 1], [0, 1], (), Heard()))
+    assert found == [(0, 0), (1, 1)]
 
 
 @pytest.mark.parametrize("where", ["here", "there"])

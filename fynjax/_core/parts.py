@@ -229,6 +229,8 @@ class _DaskPool(Pool):
                     progress.advance(0, workers=len(client.nthreads()))
                     continue
                 for future in sorted(done, key=doing.__getitem__):
+                    if future.status in ("lost", "pending"):
+                        continue  # its worker died before it was fetched: it is done again
                     i = doing.pop(future)
                     if future.status == "finished":
                         yield i, future.result()
