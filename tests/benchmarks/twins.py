@@ -7,7 +7,7 @@ the camera's own pixels, with the camera's noise and gains. Printed: coverage of
 its binomial error, the share of the prior variance that estimates explain, by kind of parameter,
 total live cover, time; and the same by ridge regression and a random forest trained on simulations
 of the same prior, which is what a user would do otherwise. Results are kept in `--keep` as they
-come, and a second run goes on with them.
+come, and a second run goes on with them. `--workers 2` calibrates two at once.
 
     python -m tests.benchmarks.twins --line --seeds 60 --keep FOLDER
 
@@ -36,6 +36,7 @@ from sklearn.linear_model import RidgeCV
 from sklearn.preprocessing import StandardScaler
 
 from fynjax._core.checkpoint import keep_nothing
+from fynjax._core.parts import Workers, at_work
 from fynjax.assembly import image_view, prepare
 from fynjax.inversion import (
     IMAGE_STATISTICS,
@@ -61,6 +62,7 @@ FREE = (
     *("ground.brightness", "ground.litter_fraction"),
 )
 SHARES = (0.5, 0.68, 0.9)
+FOUND = ("truth", "measured", "estimate", "covariance", "misfit", "seconds", "converged")
 NOISE = 0.01
 """Of a pixel of the camera, as a share of its value [-]."""
 
@@ -172,54 +174,59 @@ def explained(truth, estimate):
     return 1.0 - np.mean((truth - estimate) ** 2) / np.mean(truth**2)
 
 
+def experiment(size, wrong):
+    """The plot as the search has it, that of which truths are planted, and the view of both."""
+    ready = prepare(plot_of(size), None, seed=0)
+    truths = ready
+    if wrong is not None:
+        truths = prepare(wrong_plot(ready.plot, wrong), None, seed=0)
+    statistics = tuple(n for n in IMAGE_STATISTICS if "160cm" not in n or size >= 5)
+    return ready, truths, image_view(ready.plot, ready.scene, ready.parameters, statistics)
+
+
+def twin(number, size, wrong):
+    """A whole calibration of one truth: the arrays of `FOUND`."""
+    ready, truths, view = experiment(size, wrong)
+    random = np.random.default_rng([number, 17])
+    truth = random.normal(size=len(ready.space.names)).clip(-2.2, 2.2)
+    measured = truth_image(truths, view, truth, number, random)
+    data = weigh_targets(view.names, measured, ready.plot.calibration.target_sd)
+    began = time.process_time()
+    found = calibrate_plot(
+        ready.scene, ready.parameters, data, ready.space, [view],
+        CalibrationSettings(seed=number), replant=ready.replant,
+    )  # fmt: skip
+    fit = found.fit
+    # Each has as many sites as its draws need, and so programs of its own: nine fill the memory
+    # that the compiler may map.
+    jax.clear_caches()
+    misfit, seconds = 2.0 * found.ends.objective[0], time.process_time() - began
+    arrays = (truth, measured, fit.whitened, fit.covariance, misfit, seconds, fit.converged)
+    return tuple(np.asarray(one) for one in arrays)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--size", type=float, default=5.0)
     parser.add_argument("--train", type=int, default=400)
     parser.add_argument("--keep", type=Path, required=True)
+    parser.add_argument("--workers", type=int)
     parser.add_argument("--line", action="store_true")
     parser.add_argument("--wrong", choices=("form", "soil"))
     chosen = parser.parse_args()
     chosen.keep.mkdir(parents=True, exist_ok=True)
-    ready = prepare(plot_of(chosen.size), None, seed=0)
-    names, space = ready.space.names, ready.space
-    statistics = tuple(n for n in IMAGE_STATISTICS if "160cm" not in n or chosen.size >= 5)
-    view = image_view(ready.plot, ready.scene, ready.parameters, statistics)
-    truths = ready
-    if chosen.wrong is not None:
-        truths = prepare(wrong_plot(ready.plot, chosen.wrong), None, seed=0)
+    ready, truths, view = experiment(chosen.size, chosen.wrong)
     if chosen.line:
         twins = line(chosen, ready, truths, view)
         return report(chosen, ready, view, twins) if chosen.wrong is None else None
-    for number in range(chosen.seeds):
-        path = chosen.keep / f"twin_{number:03d}.npz"
-        if path.is_file():
-            continue
-        random = np.random.default_rng([number, 17])
-        truth = random.normal(size=len(names)).clip(-2.2, 2.2)
-        measured = truth_image(truths, view, truth, number, random)
-        data = weigh_targets(statistics, measured, ready.plot.calibration.target_sd)
-        began = time.process_time()
-        found = calibrate_plot(
-            ready.scene, ready.parameters, data, space, [view],
-            CalibrationSettings(seed=number), replant=ready.replant,
-        )  # fmt: skip
-        fit = found.fit
-        # Each has as many sites as its draws need, and so programs of its own: nine fill the memory
-        # that the compiler may map.
-        jax.clear_caches()
-        np.savez(
-            path,
-            truth=truth,
-            measured=measured,
-            estimate=fit.whitened,
-            covariance=fit.covariance,
-            misfit=2.0 * found.ends.objective[0],
-            seconds=time.process_time() - began,
-            converged=bool(fit.converged),
-        )
-        print(path.name, fit.explanation, f"{time.process_time() - began:.0f} CPU s", flush=True)
+    paths = [chosen.keep / f"twin_{number:03d}.npz" for number in range(chosen.seeds)]
+    left = [number for number, path in enumerate(paths) if not path.is_file()]
+    with at_work(Workers(chosen.workers)) as pool:
+        for i, arrays in pool.each(twin, left, chosen.size, chosen.wrong):
+            found = dict(zip(FOUND, arrays, strict=True))
+            np.savez(paths[left[i]], **found)
+            print(paths[left[i]].name, f"{found['seconds']:.0f} CPU s", flush=True)
     report(chosen, ready, view, [np.load(p) for p in sorted(chosen.keep.glob("twin_*.npz"))])
 
 
