@@ -5,8 +5,10 @@ named and skipped. Times are CPU time, the least of several calls, all threads a
 campaigns left out: `tests.benchmarks.leaf_campaigns`.
 """
 
+import dataclasses
 import importlib
 import os
+import resource
 import sys
 import time
 from collections.abc import Callable
@@ -14,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
@@ -39,6 +42,14 @@ COLUMNS = {
     "brown_pigments": "brown", "water": "ewt", "dry_matter": "lma", "proteins": "prot",
     "carbon_constituents": "cbc",
 }  # fmt: skip
+
+RANGES = {
+    "structure": (1, 3), "chlorophyll": (0.5, 100), "carotenoids": (0, 25),
+    "anthocyanins": (0, 10), "water": (0.001, 0.06), "dry_matter": (0.001, 0.04),
+}  # fmt: skip
+"""Ranges from which leaves are drawn."""
+SEVEN = (*RANGES, "brown_pigments")
+"""Parameters of PROSPECT-D."""
 
 
 def cpu_ms(call: Callable[[], Any], repeats: int = 20) -> float:
@@ -72,11 +83,7 @@ def agreement(folder: Path) -> None:
 def speed(batch: int = 100) -> None:
     """CPU time a spectrum, ours and PyPI `prosail`."""
     draw = np.random.default_rng(0)
-    ranges = {
-        "structure": (1, 3), "chlorophyll": (0.5, 100), "carotenoids": (0, 25),
-        "anthocyanins": (0, 10), "water": (0.001, 0.06), "dry_matter": (0.001, 0.04),
-    }  # fmt: skip
-    values = {name: draw.uniform(*limits, batch) for name, limits in ranges.items()}
+    values = {name: draw.uniform(*limits, batch) for name, limits in RANGES.items()}
     forward = jax.jit(jax.vmap(lambda p: jax.tree.leaves(prospect(p))[:2]))
     for dtype in (np.float64, np.float32):
         leaves = LeafParameters.many(**{k: v.astype(dtype) for k, v in values.items()})
@@ -94,6 +101,78 @@ def speed(batch: int = 100) -> None:
         call = PEERS[name](peer, values, rows)
         took = cpu_ms(call, 5) / batch
         print(f"forward, {name}: {took:.4f} ms a spectrum, {took / ours:.1f} times ours in float32")
+
+
+def derivatives(batch: int = 100, large: int = 10_000) -> None:
+    """CPU time of derivatives by the seven parameters of PROSPECT-D over that of the forward model;
+    of a large batch, mapped at once and in blocks, over a small one, and memory over the output."""
+    draw = np.random.default_rng(0)
+
+    def spectra(p: LeafParameters) -> tuple[jax.Array, jax.Array]:
+        optics = prospect(p)
+        return optics.reflectance, optics.transmittance
+
+    def by_vector(p: LeafParameters) -> tuple[jax.Array, jax.Array]:
+        def of(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+            return spectra(dataclasses.replace(p, **dict(zip(SEVEN, x))))
+
+        return jax.jacfwd(of)(jnp.stack([getattr(p, name) for name in SEVEN]))
+
+    forward = jax.jit(jax.vmap(spectra))
+    blocks = jax.jit(lambda leaves: jax.lax.map(spectra, leaves, batch_size=batch))
+    jacobian = jax.jit(jax.vmap(by_vector))
+    gradient = jax.jit(jax.vmap(jax.grad(lambda p: sum((a**2).sum() for a in spectra(p)))))
+    for dtype in (np.float64, np.float32):
+        small, big = (
+            jax.tree.map(
+                lambda x, d=dtype: x.astype(d),
+                LeafParameters.many(
+                    **{name: draw.uniform(*RANGES[name], count) for name in RANGES},
+                    proteins=0.0,
+                    carbon_constituents=0.0,
+                ),
+            )
+            for count in (batch, large)
+        )
+        once, by_all, back = (
+            cpu_ms(lambda f=f, leaves=small: jax.block_until_ready(f(leaves)))
+            for f in (forward, jacobian, gradient)
+        )
+        print(
+            f"derivatives, {np.dtype(dtype).name}: Jacobian {by_all / once:.1f}, gradient "
+            f"{back / once:.1f} times the forward model"
+        )
+        for name, call in (("vmap", forward), (f"lax.map by {batch}", blocks)):
+            many = cpu_ms(lambda f=call, leaves=big: jax.block_until_ready(f(leaves)), 3)
+            used = call.lower(big).compile().memory_analysis()
+            whole = used.temp_size_in_bytes + used.output_size_in_bytes
+            print(
+                f"{large} leaves, {np.dtype(dtype).name}, {name}: a spectrum "
+                f"{many / large / (once / batch):.1f} times one of {batch}; memory "
+                f"{whole / used.output_size_in_bytes:.1f} times the output"
+            )
+
+
+def fit_many(folder: Path, count: int = 10_000) -> None:
+    """CPU time of `fit_leaf` on many spectra, and by how much it raises the peak of memory: leaves
+    of ANGERS drawn again, 3 % brighter or darker (standard deviation)."""
+    with np.load(folder / "angers_spectra.npz") as stored:
+        grid, r = stored["wl"].astype(float), stored["refl"]
+    draw = np.random.default_rng(0)
+    rows = draw.integers(0, len(r), count)
+    spectra = (r[rows] * draw.normal(1.0, 0.03, (count, 1))).astype(np.float32)
+    start, before = time.process_time(), _peak_gb()
+    fit_leaf(grid, spectra)
+    took = time.process_time() - start
+    print(
+        f"fit_leaf on {count} spectra: {took:.0f} CPU s with compilation, peak {_peak_gb():.2f} GB "
+        f"(before {before:.2f})"
+    )
+
+
+def _peak_gb() -> float:
+    """Largest resident memory of this process so far [GB], on Linux."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
 
 
 def _prosail(peer: Any, values: dict, rows: list) -> Callable[[], Any]:
@@ -203,8 +282,11 @@ def asd_files(folder: Path) -> None:
 
 def main(folder: Path, error_model: ErrorModel | None = None) -> None:
     """Print every figure."""
+    # First, as the peak of memory is that of the whole process.
+    fit_many(folder)
     agreement(folder)
     speed()
+    derivatives()
     posterior(folder)
     asd_files(folder)
     for name, use, domain in (
