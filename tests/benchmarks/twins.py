@@ -16,6 +16,8 @@ an image. `--wrong form` or `soil` plants truths in which one species has anothe
 another soil; the share of improbable misfits is the power of the diagnosis. `--apart 200` simulates
 so many images of either plot instead and prints how well a classifier knows which is which, of
 images left out: what no diagnosis by these statistics can beat by much.
+
+`--sensors image spectrum lidar` calibrates to what several sensors measured of the same truth.
 """
 
 import argparse
@@ -43,33 +45,46 @@ from sklearn.preprocessing import StandardScaler
 from fynjax._core.checkpoint import keep_nothing
 from fynjax._core.parts import Workers, at_work
 from fynjax.assembly import image_view, prepare
+from fynjax.assembly._targets import reflectance_noise, structure_settings
 from fynjax.inversion import (
     IMAGE_STATISTICS,
     CalibrationSettings,
     Data,
+    ImageView,
     LogPosterior,
     PlotForward,
+    StructureView,
     calibrate_plot,
     gain_covariance,
+    join_data,
     look,
     predicted_statistics,
     search_form,
+    spectrum_names,
+    spectrum_view,
+    structure_view,
+    weigh_spectrum,
+    weigh_structure,
     weigh_targets,
 )
 from fynjax.inversion._search import Search
 from fynjax.io.plot import example_folder, read_plot
-from fynjax.metrics import image_statistics
+from fynjax.metrics import image_statistics, spectral_mask
 from fynjax.scene import stand_realisation, with_values
+from fynjax.sensors import BandSet, shipped_sensor
 
 FREE = (
     *(f"species.*.{kind}" for kind in ("cover", "diameter", "leaf_area_index", "dead_fraction")),
     *("species.*.leaf.chlorophyll", "species.*.leaf.dry_matter"),
     *("ground.brightness", "ground.litter_fraction"),
 )
+SENSORS = ("image", "spectrum", "lidar")
 SHARES = (0.5, 0.68, 0.9)
 FOUND = ("truth", "measured", "estimate", "covariance", "misfit", "seconds", "converged")
 NOISE = 0.01
 """Of a pixel of the camera, as a share of its value [-]."""
+GRAIN, PULSES, CELLS_APART = 1.0, 100.0, 0.1
+"""Of the LiDAR: cells of its metrics [m], pulses [m-2], how cells differ by sampling [-]."""
 
 
 def wrong_plot(plot, what):
@@ -99,16 +114,51 @@ def plot_of(size):
     return dataclasses.replace(plot, size_m=(size, size), calibration=calibration)
 
 
-def truth_image(ready, view, u, number, random):
-    """The statistics of an image of the plot at `u`, planted by its own chance, as a camera with
-    noise and gains measures them."""
+def measure(ready, views, u, number, random):
+    """What sensors measure of the plot at `u`, planted by its own chance: a camera with noise and
+    gains, a spectrometer and a LiDAR with the errors that a calibration assumes of them."""
     plot = with_values(ready.parameters, ready.scene.taxa, ready.space.named(jnp.asarray(u)))
-    _, image = look((view,), ready.replant(1000 + number), plot)
-    image = np.asarray(image, float)
-    gain = random.multivariate_normal(np.zeros(4), gain_covariance(4, view.gain_sd))
-    image *= np.exp(gain)[:, None, None] * (1.0 + NOISE * random.normal(size=image.shape))
-    pixel = view.camera.pixel
-    return np.asarray(image_statistics(jnp.asarray(image), view.names, pixel=pixel))
+    share, scene = ready.plot.calibration.target_sd, ready.replant(1000 + number)
+    found = []
+    for view in views:
+        value, *image = (np.asarray(a, float) for a in look((view,), scene, plot))
+        if isinstance(view, ImageView):
+            gain = random.multivariate_normal(np.zeros(4), gain_covariance(4, view.gain_sd))
+            noise = 1.0 + NOISE * random.normal(size=image[0].shape)
+            image = jnp.asarray(image[0] * np.exp(gain)[:, None, None] * noise)
+            value = np.asarray(image_statistics(image, view.names, pixel=view.camera.pixel))
+            found.append(weigh_targets(view.names, value, share))
+            continue
+        data = weigh(ready.plot, view, value, share)
+        whitener = np.diag(1.0 / data.sd) if data.whitener is None else np.asarray(data.whitener)
+        value = value + np.linalg.solve(whitener, random.normal(size=value.size))
+        found.append(weigh(ready.plot, view, value, share))
+    return join_data(found)
+
+
+def weigh(plot, view, value, share):
+    """A spectrum or metrics of a cloud with their errors."""
+    if isinstance(view, StructureView):
+        cells = min(plot.size_m) ** 2 / GRAIN**2
+        sd = CELLS_APART * np.abs(value) / np.sqrt(cells)
+        return weigh_structure(view.names, value, share, sd=sd)
+    noise = reflectance_noise(view.imager.sensor.bands, value, plot.sun.zenith_deg)
+    return weigh_spectrum(view.names, value, share, noise=noise)
+
+
+def view_of(sensor, ready):
+    """Of the drone's camera, AVIRIS-NG in some thirty clear bands, or a LiDAR."""
+    plot = ready.plot
+    if sensor == "image":
+        statistics = [n for n in IMAGE_STATISTICS if "160cm" not in n or min(plot.size_m) >= 5]
+        return image_view(plot, ready.scene, ready.parameters, tuple(statistics))
+    if sensor == "lidar":
+        return structure_view(settings=structure_settings(plot)[0], grain=GRAIN, pulses=PULSES)
+    bands = shipped_sensor("aviris_ng").bands
+    clear = np.flatnonzero(spectral_mask(np.asarray(bands.centre), (420.0, 2440.0)))
+    bands = bands.select([int(i) for i in clear[6 :: len(clear) // 28]])
+    named = BandSet(spectrum_names(bands), bands.centre, bands.fwhm)
+    return spectrum_view(named, ready.scene, ready.parameters)
 
 
 def simulations(ready, view, count, random):
@@ -153,7 +203,7 @@ def line(chosen, ready, truths, view):
     for number in range(chosen.seeds):
         random = np.random.default_rng([number, 17])
         truth = random.normal(size=free).clip(-2.2, 2.2)
-        measured = truth_image(truths, view, truth, number, random)
+        measured = np.asarray(measure(truths, (view,), truth, number, random).value)
         rest = place.weights @ (measured - place.statistics)
         estimate = covariance @ jacobian.T @ rest
         misfit = rest @ np.linalg.solve(np.eye(len(rest)) + jacobian @ jacobian.T, rest)
@@ -179,26 +229,24 @@ def explained(truth, estimate):
     return 1.0 - np.mean((truth - estimate) ** 2) / np.mean(truth**2)
 
 
-def experiment(size, wrong):
-    """The plot as the search has it, that of which truths are planted, and the view of both."""
+def experiment(size, wrong, sensors):
+    """The plot as the search has it, that of which truths are planted, and the sensors' views."""
     ready = prepare(plot_of(size), None, seed=0)
     truths = ready
     if wrong is not None:
         truths = prepare(wrong_plot(ready.plot, wrong), None, seed=0)
-    statistics = tuple(n for n in IMAGE_STATISTICS if "160cm" not in n or size >= 5)
-    return ready, truths, image_view(ready.plot, ready.scene, ready.parameters, statistics)
+    return ready, truths, tuple(view_of(sensor, ready) for sensor in sensors)
 
 
-def twin(number, size, wrong):
+def twin(number, size, wrong, sensors):
     """A whole calibration of one truth: the arrays of `FOUND`."""
-    ready, truths, view = experiment(size, wrong)
+    ready, truths, views = experiment(size, wrong, sensors)
     random = np.random.default_rng([number, 17])
     truth = random.normal(size=len(ready.space.names)).clip(-2.2, 2.2)
-    measured = truth_image(truths, view, truth, number, random)
-    data = weigh_targets(view.names, measured, ready.plot.calibration.target_sd)
+    data = measure(truths, views, truth, number, random)
     began = time.process_time()
     found = calibrate_plot(
-        ready.scene, ready.parameters, data, ready.space, [view],
+        ready.scene, ready.parameters, data, ready.space, views,
         CalibrationSettings(seed=number), replant=ready.replant,
     )  # fmt: skip
     fit = found.fit
@@ -206,7 +254,7 @@ def twin(number, size, wrong):
     # that the compiler may map.
     jax.clear_caches()
     misfit, seconds = 2.0 * found.ends.objective[0], time.process_time() - began
-    arrays = (truth, measured, fit.whitened, fit.covariance, misfit, seconds, fit.converged)
+    arrays = (truth, data.value, fit.whitened, fit.covariance, misfit, seconds, fit.converged)
     return tuple(np.asarray(one) for one in arrays)
 
 
@@ -236,29 +284,30 @@ def main():
     parser.add_argument("--size", type=float, default=5.0)
     parser.add_argument("--train", type=int, default=400)
     parser.add_argument("--keep", type=Path, required=True)
+    parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=SENSORS[:1])
     parser.add_argument("--workers", type=int)
     parser.add_argument("--line", action="store_true")
     parser.add_argument("--apart", type=int)
     parser.add_argument("--wrong", choices=("form", "soil"))
     chosen = parser.parse_args()
     chosen.keep.mkdir(parents=True, exist_ok=True)
-    ready, truths, view = experiment(chosen.size, chosen.wrong)
+    ready, truths, views = experiment(chosen.size, chosen.wrong, chosen.sensors)
     if chosen.apart:
-        return apart(chosen.apart, ready, truths, view)
+        return apart(chosen.apart, ready, truths, views[0])
     if chosen.line:
-        twins = line(chosen, ready, truths, view)
-        return report(chosen, ready, view, twins) if chosen.wrong is None else None
+        twins = line(chosen, ready, truths, views[0])
+        return report(chosen, ready, views, twins) if chosen.wrong is None else None
     paths = [chosen.keep / f"twin_{number:03d}.npz" for number in range(chosen.seeds)]
     left = [number for number, path in enumerate(paths) if not path.is_file()]
     with at_work(Workers(chosen.workers)) as pool:
-        for i, arrays in pool.each(twin, left, chosen.size, chosen.wrong):
+        for i, arrays in pool.each(twin, left, chosen.size, chosen.wrong, chosen.sensors):
             found = dict(zip(FOUND, arrays, strict=True))
             np.savez(paths[left[i]], **found)
             print(paths[left[i]].name, f"{found['seconds']:.0f} CPU s", flush=True)
-    report(chosen, ready, view, [np.load(p) for p in sorted(chosen.keep.glob("twin_*.npz"))])
+    report(chosen, ready, views, [np.load(p) for p in sorted(chosen.keep.glob("twin_*.npz"))])
 
 
-def report(chosen, ready, view, twins):
+def report(chosen, ready, views, twins):
     names, space = ready.space.names, ready.space
     truth, estimate = (np.stack([t[k] for t in twins]) for k in ("truth", "estimate"))
     sd = np.sqrt(np.stack([np.diagonal(t["covariance"]) for t in twins]))
@@ -273,28 +322,9 @@ def report(chosen, ready, view, twins):
         print(f"in the {100 * share:.0f} % interval {inside.mean():.3f} +- {error:.3f}")
     print(f"mean of scores {score.mean():.3f}, their sd {score.std():.3f}")
     print(f"expected share of the prior variance removed {1.0 - np.mean(sd**2):.3f}")
-    if not chosen.train:
-        return
-    path = chosen.keep / f"train_{chosen.train}.npz"
-    if path.is_file():
-        kept = np.load(path)
-        draws, simulated = kept["draws"], kept["simulated"]
-    else:
-        draws, simulated = simulations(ready, view, chosen.train, np.random.default_rng(23))
-        np.savez(path, draws=draws, simulated=simulated)
-    # What a cheap render lacks against a full one, at the prior's centre.
-    quick, (cheap,) = search_form(ready.scene, ready.parameters, [view])
-    whole = np.asarray(look((view,), ready.scene, ready.parameters)[0])
-    lack = whole / np.asarray(look((cheap,), quick, ready.parameters)[0])
-    random = np.random.default_rng(29)
-    gains = random.multivariate_normal(np.zeros(4), gain_covariance(4, view.gain_sd), len(draws))
-    slopes = np.asarray(view.gain_slopes(look((view,), ready.scene, ready.parameters)[1]))
-    noisy = simulated * lack + gains @ slopes.T
-    scale = StandardScaler().fit(noisy)
-    x, measured = scale.transform(noisy), scale.transform([t["measured"] for t in twins])
-    ridge = RidgeCV(np.logspace(0, 5, 11)).fit(x, draws).predict(measured)
-    forest = RandomForestRegressor(200, min_samples_leaf=3, random_state=0).fit(x, draws)
-    methods = {"calibrate": estimate, "ridge": ridge, "forest": forest.predict(measured)}
+    methods = {"calibrate": estimate}
+    if chosen.train and len(views) == 1:
+        methods |= regressions(chosen, ready, views[0], twins)
     kinds = [name.split(".", 2)[-1] if name.startswith("species") else name for name in names]
     print(f"{'share of prior variance explained':40s}" + "".join(f"{m:>11s}" for m in methods))
     for kind in dict.fromkeys(kinds):
@@ -320,6 +350,30 @@ def report(chosen, ready, view, twins):
         f"{f'total live cover, rmse (prior {prior:.3f})':40s}"
         + "".join(f"{e:11.3f}" for e in errors)
     )
+
+
+def regressions(chosen, ready, view, twins):
+    """Estimates by ridge regression and a random forest on simulations of the prior."""
+    path = chosen.keep / f"train_{chosen.train}.npz"
+    if path.is_file():
+        kept = np.load(path)
+        draws, simulated = kept["draws"], kept["simulated"]
+    else:
+        draws, simulated = simulations(ready, view, chosen.train, np.random.default_rng(23))
+        np.savez(path, draws=draws, simulated=simulated)
+    # What a cheap render lacks against a full one, at the prior's centre.
+    quick, (cheap,) = search_form(ready.scene, ready.parameters, [view])
+    whole = np.asarray(look((view,), ready.scene, ready.parameters)[0])
+    lack = whole / np.asarray(look((cheap,), quick, ready.parameters)[0])
+    random = np.random.default_rng(29)
+    gains = random.multivariate_normal(np.zeros(4), gain_covariance(4, view.gain_sd), len(draws))
+    slopes = np.asarray(view.gain_slopes(look((view,), ready.scene, ready.parameters)[1]))
+    noisy = simulated * lack + gains @ slopes.T
+    scale = StandardScaler().fit(noisy)
+    x, measured = scale.transform(noisy), scale.transform([t["measured"] for t in twins])
+    ridge = RidgeCV(np.logspace(0, 5, 11)).fit(x, draws).predict(measured)
+    forest = RandomForestRegressor(200, min_samples_leaf=3, random_state=0).fit(x, draws)
+    return {"ridge": ridge, "forest": forest.predict(measured)}
 
 
 if __name__ == "__main__":
