@@ -20,7 +20,7 @@ from fynjax.canopy._counts import (
     soft_count,
     target_area,
 )
-from fynjax.canopy._forms import FORM_DEFAULTS, FormDefaults, plant_model
+from fynjax.canopy._forms import FORM_DEFAULTS, FormDefaults, plant_model, shoot_number
 from fynjax.canopy._greenness import Greenness, band_roles, choose_greenness
 from fynjax.canopy._grid import VoxelGrid, deposit
 from fynjax.canopy._instances import instantiate, random_orientation, stack_plants, unit_shapes
@@ -86,6 +86,7 @@ __all__ = [
     "read_plant_mesh",
     "read_scan",
     "share_from_above",
+    "shoot_number",
     "site_weight",
     "soft_count",
     "soft_weights",

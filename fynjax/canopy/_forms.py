@@ -7,7 +7,9 @@ points), so that a few dozen elements already cover a crown. Lengths: x and y in
 in plant heights.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import jax.numpy as jnp
 import numpy as np
@@ -220,7 +222,13 @@ _FLOWERING = 0.8
 _SHARE = {Organ.LEAF: 0.75, Organ.WOOD: 0.17, Organ.FLOWER: 0.08}
 
 
-def plant_model(form: str, n_elements: int, *, seed: int) -> PlantModel:
+def plant_model(
+    form: str,
+    n_elements: int,
+    *,
+    seed: int,
+    share: Mapping[Organ, float] = MappingProxyType(_SHARE),
+) -> PlantModel:
     """The plant model of a growth form, as area elements in crown coordinates.
 
     **Arguments:**
@@ -230,6 +238,8 @@ def plant_model(form: str, n_elements: int, *, seed: int) -> PlantModel:
     - `n_elements`: number of area elements, at least 3. Where a form has several organs about 75 %
       are leaf, 17 % wood and 8 % flower, whatever their areas: the areas come with `instantiate`.
     - `seed`: the same seed gives the same plant.
+    - `share`: of the elements that each organ gets, in any unit, instead of these. Organs that the
+      form does not have count for nothing.
 
     The outline of the crown departs from a circle by lobes, and has its area. Leaves stand in
     bunches at the ends of shoots, with gaps between; some shoots are bare. Flowers stand on the
@@ -257,7 +267,7 @@ def plant_model(form: str, n_elements: int, *, seed: int) -> PlantModel:
         Organ.WOOD: defaults.wood_area_index > 0.0,
         Organ.FLOWER: defaults.flower_fraction > 0.0,
     }
-    counts = split_elements(n_elements, {organ: _SHARE[organ] for organ in Organ if bears[organ]})
+    counts = split_elements(n_elements, {organ: share[organ] for organ in Organ if bears[organ]})
     plant = _individual(form, seed, max(counts.get(Organ.LEAF, 1), 1))
     positions, normals = [], []
     for organ, count in counts.items():
@@ -283,6 +293,14 @@ def build_plant(position: np.ndarray, normal: np.ndarray, organ: np.ndarray) -> 
         jnp.asarray(normal),
         jnp.asarray(organ, jnp.int32),
     )
+
+
+def shoot_number(form: str) -> int:
+    """Stems or culms of a growth form's model; 0 of one without.
+
+    **Arguments:** `form`, a key of `FORM_DEFAULTS`.
+    """
+    return _SHOOTS[form].number if form in _SHOOTS else 0
 
 
 def split_elements(n_elements: int, share: dict[Organ, float]) -> dict[Organ, int]:

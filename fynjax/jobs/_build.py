@@ -16,12 +16,14 @@ from pydantic import Field
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.assembly import build_plot, check_memory
+from fynjax.canopy import PlantModel
 from fynjax.io.instruments import scene_meshes, write_scene_mesh
 from fynjax.io.plot import Plot, as_plot
 from fynjax.io.raster import write_run
 from fynjax.jobs._result import JobResult, Rows
 from fynjax.jobs._run import Run, peak_memory_mib
 from fynjax.report.figures import (
+    DrawnPlants,
     check_view,
     mesh_image,
     oblique_view,
@@ -165,11 +167,12 @@ def build(
     with run.stage("Draw", "figures"):
         edges = _layers(instances, hard)
         profile = height_profile(hard, parameters, edges)
+        drawn = drawn_plants(read, hard, parameters, instances, chosen)
         pictures = [
             Picture(
                 "plan.png",
                 plan_view(
-                    instances, hard.forms, periodic=periodic,
+                    drawn, periodic=periodic,
                     title=f"{read.name}: {len(instances)} plants from above",
                 ),
                 "the plants from above",
@@ -178,7 +181,7 @@ def build(
             Picture(
                 "oblique.png",
                 oblique_view(
-                    instances, hard.forms, periodic=periodic, ground=hard.terrain,
+                    drawn, periodic=periodic, ground=hard.terrain,
                     title=f"{read.name}: from the south-south-west", paint=paint,
                 ),
                 "the plants from obliquely above",
@@ -211,6 +214,30 @@ def build(
         warnings=area.warnings(),
         build_memory_mib=memory,
         triangles=None if meshes is None else triangles,
+    )
+
+
+def drawn_plants(
+    plot: Plot, scene: Scene, parameters: PlotParameters, instances: Instances, seed: int
+) -> DrawnPlants:
+    """The plants as they are drawn: with the area that they have in the hard `scene`, and shapes
+    of their own where the species table names one."""
+    first = np.asarray(scene.planting.first)
+    species = np.asarray(scene.planting.species)
+    models: list[PlantModel | None] = [None] * len(plot.species)
+    for i in np.unique(species):
+        if plot.species[i].plant is not None:
+            plant = np.flatnonzero(species == i)[0]
+            own = slice(first[plant], first[plant] + int(scene.planting.count[plant]))
+            models[i] = jax.tree.map(lambda values, own=own: values[own], scene.planting.shapes)
+    index = np.asarray(scene.organ_index(parameters), float) * float(scene.crown_share(parameters))
+    return DrawnPlants(
+        instances,
+        scene.forms,
+        index / np.asarray(scene.branches)[:, None],
+        np.asarray(parameters.species.dead_fraction, float),
+        models,
+        seed,
     )
 
 

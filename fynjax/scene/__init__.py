@@ -46,6 +46,7 @@ from fynjax.scene._planting import (
     Planting,
     draw_planting,
     element_count,
+    individual_seeds,
     leafy_species,
 )
 from fynjax.scene._profile import height_profile
@@ -110,6 +111,7 @@ __all__ = [
     "hard_instances",
     "hard_scene",
     "height_profile",
+    "individual_seeds",
     "is_large",
     "leafy_species",
     "mixed_surroundings",

@@ -326,8 +326,8 @@ def _of_individuals(
         number = element_count(diameter[i], height[i], resolved, structured=structured)
         model = models[i]
         if model is None:
-            seeds = np.random.default_rng([seed, 103, i]).integers(2**31, size=INDIVIDUALS)
-            several = [plant_model(form, number, seed=int(s)) for s in seeds[:n]]
+            seeds = individual_seeds(seed, i)
+            several = [plant_model(form, number, seed=s) for s in seeds[:n]]
         else:
             several = [thin_plant(model, number, seed=seed + i)]
         k = len(several[0].organ)
@@ -405,6 +405,14 @@ def _together(shapes: list[PlantModel], dtype: str) -> tuple[PlantModel, list[np
         all_of("organ", jnp.int32),
     )
     return whole, [np.asarray(shape.organ) for shape in shapes]
+
+
+def individual_seeds(seed: int, species: int) -> list[int]:
+    """Seeds of the shapes that the plants of a species have by turns, as they fill the sites.
+
+    **Arguments:** `seed`, of the scene; `species`, its number among the species.
+    """
+    return np.random.default_rng([seed, 103, species]).integers(2**31, size=INDIVIDUALS).tolist()
 
 
 def leafy_species(forms: Sequence[str]) -> dict[int, int]:

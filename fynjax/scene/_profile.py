@@ -35,11 +35,13 @@ def height_profile(
     layer = np.clip(np.searchsorted(edges, z, side="right") - 1, 0, len(edges) - 2)
     cell = species[plant] * (len(edges) - 1) + layer
     crown = np.asarray(hard.crown_areas(parameters), float) * float(hard.crown_share(parameters))
-    outer = np.asarray(own.leaf_area_index, float) * (1.0 - np.asarray(own.shoot_clumping, float))
+    over = np.asarray(hard.organ_index(parameters), float)
     volume = float(np.prod(hard.grid.extent[:2])) * np.diff(edges)
     profiles = []
-    for organ, index in ((Organ.LEAF, outer), (Organ.WOOD, np.asarray(own.wood_area_index, float))):
-        area = (crown * index[species])[plant] * np.asarray(planting.shapes.area_fraction)[part]
+    for organ in (Organ.LEAF, Organ.WOOD):
+        area = (crown * over[species, organ])[plant] * np.asarray(planting.shapes.area_fraction)[
+            part
+        ]
         area[np.asarray(planting.shapes.organ)[part] != organ] = 0.0
         sums = np.bincount(cell, area, len(hard.taxa) * (len(edges) - 1))
         profiles.append(sums.reshape(len(hard.taxa), -1) / volume)

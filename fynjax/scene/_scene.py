@@ -338,6 +338,15 @@ class Scene(eqx.Module):
         area is stated of crowns as seen from above, and what overlaps does not carry it twice."""
         return self.crown_areas(parameters) * self.crown_share(parameters)
 
+    def organ_index(self, parameters: PlotParameters) -> Float[Array, "species organ"]:
+        """One-sided area of leaves, wood and flowers over the ground area of a crown [m2 m-2], as
+        seen from outside the shoots: leaves of a shoot shade each other. Differentiable."""
+        species = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters.species)
+        full = np.array([FORM_DEFAULTS[form].flower_fraction for form in self.forms])
+        flower = species.leaf_area_index * jnp.asarray(self.flowering * full, self.dtype)
+        leaf = species.leaf_area_index * (1.0 - species.shoot_clumping)
+        return jnp.stack([leaf, species.wood_area_index, flower], axis=-1)
+
     def area_density(self, parameters: PlotParameters) -> Float[Array, "class z y x"]:
         """Area per volume of each optical class: the species' leaves, then wood, then flowers."""
         return self._deposit(parameters, self.grid, by_class=True)
@@ -426,12 +435,7 @@ class Scene(eqx.Module):
         owner = planting.species
         diameter = species.diameter[owner] * planting.size
         height = species.height[owner] * planting.stature
-        leaf = crown * species.leaf_area_index[owner]
-        bloom = np.array([FORM_DEFAULTS[form].flower_fraction for form in self.forms])
-        flower = leaf * jnp.asarray(self.flowering * bloom, self.dtype)[owner]
-        # Leaves of a shoot shade each other: this share of their area is seen from outside it.
-        leaf = leaf * (1.0 - species.shoot_clumping)[owner]
-        area = jnp.stack([leaf, crown * species.wood_area_index[owner], flower], axis=-1)
+        area = crown[:, None] * self.organ_index(parameters)[owner]
         plant = planting.plant
         foot = jnp.pad(ground_at(self, planting.foot)[:, None], ((0, 0), (2, 0)))
         positions = (

@@ -1,11 +1,27 @@
-"""The oblique picture of a scene on ground that is not level, against what it should show."""
+"""The pictures of a scene against what they should show: places, areas, ground."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from fynjax.report.figures._scene import element_points
+from fynjax.assembly import build_plot
+from fynjax.canopy import FORM_DEFAULTS, Organ, plant_model
+from fynjax.io.plot import example_folder, read_plot
+from fynjax.jobs._build import drawn_plants
+from fynjax.report.figures import DrawnPlants
+from fynjax.report.figures._scene import (
+    _AREAS,
+    BARK,
+    GROUND,
+    element_points,
+    from_above,
+    rgb,
+    sides,
+    species_colours,
+)
 from fynjax.report.figures._scene_oblique import View, _relief, height_at
-from fynjax.scene import Instances
+from fynjax.scene import Instances, hard_instances, hard_scene
 
 EXTENT = (4.0, 2.0)
 EAST, NORTH = 0.3, 0.1
@@ -27,9 +43,18 @@ def on_a_slope() -> tuple[Instances, np.ndarray]:
     return plants, plane(column, row[:, None])
 
 
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def drawn(plants: Instances, form: str, area: tuple[float, float, float], **other) -> DrawnPlants:
+    """Plants of one growth form with areas of leaves, wood and flowers over their crowns."""
+    given = {"dead": np.zeros(1), "models": [None], "seed": 0}
+    return DrawnPlants(plants, [form], np.array([area]), **(given | other))
+
+
 def test_plants_are_drawn_where_they_stand():
     plants, _ = on_a_slope()
-    place, _, _ = element_points(plants, ["rounded_shrub"], ["#1B7837"], 300.0)
+    place, _, _ = element_points(drawn(plants, "rounded_shrub", (4.0, 0.5, 0.0)), 300.0, UP)
     for one, points in enumerate(np.split(place, 2)):
         low, high = points[:, 2].min(), points[:, 2].max()
         height = plants.height[one]
@@ -50,3 +75,70 @@ def test_the_ground_is_drawn_as_the_plane_that_it_is():
         height_at(ground, EXTENT, beside, np.full(2, 1.0)), plane(np.array([0.05, 3.95]), 1.0)
     )
     assert np.all(height_at(None, EXTENT, x, y) == 0.0)
+
+
+@pytest.mark.parametrize("form", [f for f, d in FORM_DEFAULTS.items() if d.leaf_area_index > 0])
+def test_points_show_the_area_that_leaves_turn_to_the_eye(form):
+    """Area over the crowns, times the mean |cosine| of the form's own elements; pixels in disc."""
+    plants, _ = on_a_slope()
+    shape = plant_model(form, 9000, seed=5)
+    leaf = np.asarray(shape.organ) == Organ.LEAF
+    facing = np.abs(np.asarray(shape.normal)[leaf, 2]).mean()
+    _, _, area = element_points(drawn(plants, form, (3.0, 0.0, 0.0)), 300.0, UP)
+    crowns = np.pi / 4.0 * (plants.diameter**2).sum()
+    assert area.sum() == pytest.approx(3.0 * crowns * facing, rel=0.03)
+    pixels = _AREAS[sides(area * 300.0**2)].sum()
+    assert pixels == pytest.approx(area.sum() * 300.0**2, rel=0.05)
+
+
+@pytest.mark.parametrize("organ", Organ)
+def test_only_organs_with_area_are_drawn(organ):
+    """All points have the hue of the only organ with area: the species', that of bark, or pale."""
+    plants, _ = on_a_slope()
+    areas = 3.0 * (np.arange(len(Organ)) == organ)
+    _, tint, _ = element_points(drawn(plants, "upright_ericoid", tuple(areas)), 300.0, UP)
+    own = rgb(species_colours(["upright_ericoid"])[0])
+    hue = {Organ.LEAF: own, Organ.WOOD: rgb(BARK), Organ.FLOWER: 0.35 * own + 0.65}[organ]
+    bright = tint.sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(tint / bright, np.tile(hue / hue.sum(), (len(tint), 1)), atol=1e-5)
+    none = drawn(plants, "upright_ericoid", (0.0, 0.0, 0.0))
+    assert len(element_points(none, 300.0, UP)[0]) == 0
+
+
+def test_dead_tissue_and_flowers_have_colours_of_their_own():
+    plants, _ = on_a_slope()
+
+    def hue(areas, dead):
+        _, tint, _ = element_points(
+            drawn(plants, "rounded_shrub", areas, dead=np.array([dead])), 300.0, UP
+        )
+        return tint.mean(axis=0) / tint.mean()
+
+    green = hue((3.0, 0.0, 0.0), 0.0)
+    assert green[1] > 1.5 * green[0]
+    half, all_dead = hue((3.0, 0.0, 0.0), 0.5), hue((3.0, 0.0, 0.0), 1.0)
+    assert green[0] < half[0] < all_dead[0]
+    assert hue((0.0, 0.0, 1.0), 0.0)[0] > green[0]
+
+
+def test_a_plant_of_its_own_shape_is_drawn_as_that():
+    plants, _ = on_a_slope()
+    own = plant_model("climber", 40, seed=3)
+    place, _, _ = element_points(
+        drawn(plants, "rounded_shrub", (3.0, 0.0, 0.0), models=[own]), 300.0, UP
+    )
+    first = (place[:40] - [plants.x[0], plants.y[0], plants.z[0]]) / [0.3, 0.3, 0.8]
+    np.testing.assert_allclose(first, np.asarray(own.position), atol=1e-5)
+
+
+def test_as_much_ground_shows_from_above_as_the_scene_says():
+    """Two ways to the gap: pixels of a picture, and light through columns of 2.5 cm, in which the
+    scene spreads foliage over tufts of 5 cm and so hides a little of the ground."""
+    plot = read_plot(example_folder() / "plot.toml")
+    plot = replace(plot, size_m=(2.0, 2.0))
+    scene, parameters = build_plot(plot)
+    instances, hard = hard_instances(scene, parameters), hard_scene(scene, parameters)
+    plants = drawn_plants(plot, hard, parameters, instances, plot.seed)
+    image = from_above(plants, 0.002, periodic=True)
+    ground = np.all(image == rgb(GROUND), axis=-1).mean()
+    assert ground == pytest.approx(float(hard.gap_fraction(parameters)), abs=0.06)

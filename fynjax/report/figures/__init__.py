@@ -28,7 +28,13 @@ from fynjax.report.figures._posterior import (
 )
 from fynjax.report.figures._products import quick_looks, spectrum_figure
 from fynjax.report.figures._reflectance import capture_figure, panel_figure
-from fynjax.report.figures._scene import plan_view, profile_view, rgb, species_colours
+from fynjax.report.figures._scene import (
+    DrawnPlants,
+    plan_view,
+    profile_view,
+    rgb,
+    species_colours,
+)
 from fynjax.report.figures._scene_oblique import oblique_view
 from fynjax.report.figures._scene_view import check_view, mesh_image
 from fynjax.report.figures._structure import structure_figure, structure_maps
@@ -44,6 +50,7 @@ from fynjax.report.figures._validation_spectra import (
 __all__ = [
     "FIGURE_DPI",
     "REAL",
+    "DrawnPlants",
     "band_box_plot",
     "bound_plot",
     "capture_figure",

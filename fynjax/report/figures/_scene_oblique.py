@@ -8,8 +8,9 @@ from matplotlib.figure import Figure
 from scipy.ndimage import map_coordinates
 
 from fynjax.report.figures._scene import (
-    _GROUND,
+    GROUND,
     SUN,
+    DrawnPlants,
     _legend,
     element_points,
     paint_points,
@@ -76,8 +77,7 @@ Ground = Float[np.ndarray, "y x"] | None
 
 
 def oblique_view(
-    instances: Instances,
-    forms: Sequence[str],
+    plants: DrawnPlants,
     *,
     periodic: bool,
     ground: Ground = None,
@@ -88,14 +88,14 @@ def oblique_view(
 
     **Arguments:**
 
-    - `instances`: the plants; `forms`: growth form of each species.
+    - `plants`: the plants.
     - `periodic`: whether the plot repeats itself beyond its edges.
     - `ground`: its height in the middles of even cells over the plot [m]; `None` if level.
     - `title` of the figure.
     - `paint`: draws the plants, and ground that is not level, instead of the area elements: red,
       green, blue and opacity of each pixel of a view, rows from the bottom.
     """
-    colours = species_colours(forms)
+    instances, colours = plants.instances, species_colours(plants.forms)
     top = float((instances.z + instances.height).max(initial=0.3))
     view = View(instances.extent, top if ground is None else max(top, float(ground.max())))
     parts = []
@@ -111,7 +111,7 @@ def oblique_view(
             parts.append(_relief(instances, view, ground, periodic))
         if len(instances):
             metre = view.scale / float(np.linalg.norm(view.eye - view.target))
-            parts.append(element_points(instances, forms, colours, metre))
+            parts.append(element_points(plants, metre, -view.ahead))
     if parts:
         _draw(image, view, *(np.concatenate(part) for part in zip(*parts, strict=True)))
     shape = (_HEIGHT, _FINER, _WIDTH, _FINER, 3)
@@ -192,7 +192,7 @@ def _sand(instances: Instances, x: np.ndarray, y: np.ndarray, periodic: bool) ->
     light = 1.0 - 0.42 * shade
     i = np.minimum((x / cell).astype(int), count - 1)
     j = np.minimum((y / cell).astype(int), rows - 1)
-    return np.asarray(rgb(_GROUND) * light[j, i, None])
+    return np.asarray(rgb(GROUND) * light[j, i, None])
 
 
 def _relief(
@@ -224,12 +224,12 @@ def _relief(
         tints.append(np.broadcast_to(rgb(_SOIL), places[-1].shape))
     place = np.concatenate(places).astype(np.float32)
     tint = np.concatenate(tints).astype(np.float32)
-    return place, tint, np.full(len(place), 2.0 * step, np.float32)
+    return place, tint, np.full(len(place), (2.0 * step) ** 2, np.float32)
 
 
 def _draw(
-    image: np.ndarray, view: View, place: np.ndarray, tint: np.ndarray, width: np.ndarray
+    image: np.ndarray, view: View, place: np.ndarray, tint: np.ndarray, area: np.ndarray
 ) -> None:
-    """Paint points into `image`, the farthest first."""
+    """Paint points of an `area` [m2] into `image`, the farthest first."""
     flat, depth = view.project(place)
-    paint_points(image, flat, depth, width * view.scale / depth, tint)
+    paint_points(image, flat, depth, area * (view.scale / depth) ** 2, tint)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax.canopy import Organ, PlantMesh
-from fynjax.report.figures._scene import _GROUND, BARK, SUN, rgb, species_colours
+from fynjax.report.figures._scene import BARK, GROUND, SUN, rgb, species_colours
 from fynjax.report.figures._scene_oblique import View, height_at
 from fynjax.scene import Instances
 
@@ -61,7 +61,7 @@ def mesh_image(
         lx, ly = instances.extent
         x, y = np.meshgrid(np.linspace(0, lx, 400), np.linspace(0, ly, 400))
         surface = pyvista.StructuredGrid(x, y, height_at(ground, (lx, ly), x, y))
-        plotter.add_mesh(surface, color=rgb(_GROUND), ambient=0.1, diffuse=0.62)
+        plotter.add_mesh(surface, color=rgb(GROUND), ambient=0.1, diffuse=0.62)
     light = pyvista.Light(position=tuple(1e3 * SUN), light_type="scene light", intensity=0.85)
     plotter.add_light(light)
     plotter.add_light(pyvista.Light(light_type="headlight", intensity=0.35))
