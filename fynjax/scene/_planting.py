@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial import cKDTree
+from scipy.special import ndtr, ndtri
 
 from fynjax.canopy import (
     FORM_DEFAULTS,
@@ -33,6 +34,14 @@ from fynjax.canopy import (
 INDIVIDUALS = 8
 """Shapes of a growth form among the plants of a species: their outlines, lobes and shoots differ,
 and each plant is turned besides. Few, because memory holds them all."""
+SHORTEST = 0.6
+"""Height of the lowest plants of a species over that of its highest [-]; heights lie evenly
+between. An assumption."""
+HEIGHT_WITH_WIDTH = 0.6
+"""Correlation of the heights of a species' plants with the diameters of their crowns [-], of normal
+numbers (Gaussian copula). That of log height and log diameter within 15 populations of Protea of
+the Cape, 109 plants: 0.60, standard error 0.07 (from measurements of Mitchell et al. 2015, American
+Naturalist 185:525)."""
 MOST_LISTED = 2**26
 """Area elements that are listed for a whole plot, at most."""
 
@@ -376,13 +385,17 @@ def _individuals(
     """Place, turn and size of the plants of a species."""
     n, rng = len(places), np.random.default_rng([seed, 101, species])
     azimuth, tilt = random_orientation(n, seed=seed + 1000 * (species + 1), rotation_spread=spread)
-    size = np.exp(np.sqrt(np.log1p(variation**2)) * rng.standard_normal(n))
+    width = rng.standard_normal(n)
+    size = np.exp(np.sqrt(np.log1p(variation**2)) * width)
+    # A normal number that goes with that of the crown, as its quantile among heights.
+    own = np.sqrt(1.0 - HEIGHT_WITH_WIDTH**2) * ndtri(rng.random(n))
+    stature = SHORTEST + (1.0 - SHORTEST) * ndtr(HEIGHT_WITH_WIDTH * width + own)
     return {
         "foot": places,
         "azimuth": azimuth,
         "tilt": tilt,
         "size": size / np.sqrt(np.mean(size**2)) if n else size,
-        "stature": 0.6 + 0.4 * rng.random(n),
+        "stature": stature,
     }
 
 

@@ -95,8 +95,8 @@ class PlantingRules:
     all species or of each. A parameter that later asks for more gets no more. A scene of more room
     has the plants of one of 2.5 where they are, and others besides."""
     size_variation: float = 0.2
-    """Coefficient of variation of the crown diameters of a species [-]. An assumption, as is the
-    stature: heights lie evenly between 0.6 and 1 times the greatest."""
+    """Coefficient of variation of the crown diameters of a species [-]. An assumption, as it is
+    that heights lie evenly between 0.6 and 1 times the greatest; they go with the diameters."""
     probability: Float[np.ndarray, "y x"] | None = None
     """Map of 0-255 over the plot of where plants are likely to stand, row 0 south; None: even."""
     softness: float = 0.25

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import kstest, spearmanr, uniform
 
 from fynjax._core.errors import InputError
 from fynjax.assembly import build_plot
@@ -36,6 +37,20 @@ def discs(
         ("a", "b", "c"), (4.0, 4.0), np.array(species), *places, none, none, none,
         np.array(diameter, float), np.array(height, float),
     )  # fmt: skip
+
+
+def test_wide_plants_are_tall_and_heights_lie_evenly() -> None:
+    """Rank correlation of a Gaussian copula, 6/pi asin(r/2), in plants of all sizes of a species;
+    heights that lie evenly whatever it is; and not the same order in every species."""
+    planting = build_plot(PLOT)[0].planting
+    size, stature = np.asarray(planting.size), np.asarray(planting.stature)
+    first, other = (np.flatnonzero(np.asarray(planting.species) == i)[:300] for i in (0, 12))
+    mine = np.asarray(planting.species) == 0
+    assert mine.sum() > 2000
+    ranks = 6.0 / np.pi * np.arcsin(0.6 / 2.0)
+    assert spearmanr(size[mine], stature[mine])[0] == pytest.approx(ranks, abs=0.04)
+    assert kstest(stature[mine], uniform(0.6, 0.4).cdf).pvalue > 0.01
+    assert abs(spearmanr(size[first], stature[other])[0]) < 0.2
 
 
 def test_counts_are_those_of_equation_10_for_ten_seeds() -> None:
