@@ -174,12 +174,14 @@ FORM_DEFAULTS: dict[str, FormDefaults] = {
     ),
     "climber": FormDefaults(
         2.4, 0.0, 0.0, 0.12, 0.49, "planophile", 0.0024,
-        "Shallow mat of green threads (counted as leaf) that wander over the upper part of its "
-        "height, with holes, falling towards its rim; no wood and no visible flowers.",
+        "Shallow mat of green threads (counted as leaf) that wander over the top of its height, "
+        "with holes, falling towards its rim: its height is that of the plants that it lies on. No "
+        "wood and no visible flowers.",
     ),
     "deadwood": FormDefaults(
         0.0, 0.80, 0.0, 0.0, 0.0, "spherical", 0.005,
-        "Bare stems from the base, forked above, upright to leaning far outwards; wood only.",
+        "Bare stems from the base, eight to twelve, forked above, upright to leaning far outwards, "
+        "some of them low; wood only.",
     ),
 }  # fmt: skip
 """Areas, dead tissue, clumping and leaf angles of each growth form: starting values for a
@@ -191,19 +193,19 @@ each form in `data/leaf_sizes.csv`, which has a source each, but for Clutia, who
 of no ericoid shrub; outlines are taken for rectangles, culms and threads for strips. That of
 deadwood is assumed."""
 
-_CROWNS = {
+CROWNS = {
     "upright_ericoid": Crown(0.12, 0.70, 1.6, 2.5, height_power=2.0, shell_power=1.0),
     "rounded_shrub": Crown(0.0, 0.35, 2.5, 2.2, height_power=0.3, shell_power=1.5),
     "broad_leaved": Crown(0.12, 0.60, 2.0, 2.0, height_power=0.3, shell_power=1.5),
 }
-_SHOOTS = {
+SHOOTS = {
     "upright_ericoid": Shoots(12, 0.03, (0.05, 0.40), (0.75, 0.95), 1.4, 0.7),
     "rounded_shrub": Shoots(20, 0.03, (0.05, 0.42), (0.35, 0.90), 1.1, 0.7),
     "tussock": Shoots(48, 0.12, (0.05, 0.50), (0.55, 1.00), 1.6, 0.3),
     "broad_leaved": Shoots(8, 0.04, (0.10, 0.40), (0.60, 0.90), 1.5, 0.6),
     "deadwood": Shoots(12, 0.04, (0.05, 0.50), (0.25, 1.00), 1.0, 0.6),
 }
-_FOLIAGE = {
+FOLIAGE = {
     "upright_ericoid": Foliage(34, 0.085, 0.45, outline=0.40, uneven=0.25, bare=0.08),
     "rounded_shrub": Foliage(70, 0.085, 0.18, outline=0.30, uneven=0.12, bare=0.03),
     "broad_leaved": Foliage(24, 0.15, 0.24, outline=0.45, uneven=0.15, bare=0.05),
@@ -216,6 +218,13 @@ _LOBES = 5
 it longer than wide, the others are lobes."""
 _LEAST_REACH = 0.15
 """Least square of an outline's distance from the axis, over its mean."""
+_FEWEST_DEAD, _LEANING = 8, 0.25
+"""Fewest stems of dead wood, and the share of its stems that lean low."""
+_SINKS, _THICK = 0.2, 0.15
+"""How far a climber's mat lies lower at its rim than in its middle, and how thick it is, in parts
+of its height: it rests on what bears it."""
+_STEPS = 64
+"""Places of which a thread is made."""
 _FLOWERS_ABOVE = 0.75
 _FLOWERING = 0.8
 """Flowers stand beyond this part of a bunch's half length."""
@@ -268,7 +277,7 @@ def plant_model(
         Organ.FLOWER: defaults.flower_fraction > 0.0,
     }
     counts = split_elements(n_elements, {organ: share[organ] for organ in Organ if bears[organ]})
-    plant = _individual(form, seed, max(counts.get(Organ.LEAF, 1), 1))
+    plant = individual_of(form, seed, max(counts.get(Organ.LEAF, 1), 1))
     positions, normals = [], []
     for organ, count in counts.items():
         # Own stream for each organ: the leaves stay where they are if the stems change.
@@ -300,7 +309,7 @@ def shoot_number(form: str) -> int:
 
     **Arguments:** `form`, a key of `FORM_DEFAULTS`.
     """
-    return _SHOOTS[form].number if form in _SHOOTS else 0
+    return SHOOTS[form].number if form in SHOOTS else 0
 
 
 def split_elements(n_elements: int, share: dict[Organ, float]) -> dict[Organ, int]:
@@ -320,7 +329,7 @@ def quasi_random(count: int, dimensions: int, seed: int | list[int]) -> np.ndarr
 
 
 @dataclass(frozen=True)
-class _Individual:
+class Individual:
     """What the organs of one plant share: its outline and where its shoots end."""
 
     reach: np.ndarray
@@ -357,15 +366,16 @@ def _outline(variation: float, rng: np.random.Generator) -> np.ndarray:
     return np.sqrt(square / square.mean())
 
 
-def _individual(form: str, seed: int, most_bunches: int) -> _Individual:
-    foliage = _FOLIAGE[form]
+def individual_of(form: str, seed: int, most_bunches: int) -> Individual:
+    """One plant of a growth form, with `most_bunches` at most."""
+    foliage = FOLIAGE[form]
     rng = np.random.default_rng([seed, len(Organ) + 1])
     reach = _outline(foliage.outline, rng)
     number = max(1, min(round(foliage.bunches * rng.uniform(0.7, 1.4)), most_bunches))
-    if form not in _CROWNS:
+    if form not in CROWNS:
         nothing = np.zeros((number, 3))
-        return _Individual(reach, nothing, nothing, np.full(number, 1.0 / number))
-    centre = _CROWNS[form].points(quasi_random(number, 3, [seed, len(Organ) + 2]))
+        return Individual(reach, nothing, nothing, np.full(number, 1.0 / number))
+    centre = CROWNS[form].points(quasi_random(number, 3, [seed, len(Organ) + 2]))
     lower = 1.0 - foliage.uneven * rng.random(number) ** 2
     highest = np.argmax(centre[:, 2])  # it makes the height of the plant
     lower[highest] = 1.0
@@ -381,12 +391,12 @@ def _individual(form: str, seed: int, most_bunches: int) -> _Individual:
     bare = rng.random(number) < foliage.bare
     bare[highest] = False
     leafy[bare] = 0.0
-    plant = _Individual(reach, centre, along, leafy / leafy.sum())
-    return _Individual(reach, plant.widened(centre), along, plant.leafy)
+    plant = Individual(reach, centre, along, leafy / leafy.sum())
+    return Individual(reach, plant.widened(centre), along, plant.leafy)
 
 
 def _leaf_elements(
-    form: str, uniform: np.ndarray, seed: int, plant: _Individual
+    form: str, uniform: np.ndarray, seed: int, plant: Individual
 ) -> tuple[np.ndarray, np.ndarray]:
     if form == "tussock":
         position, normal = _along_shoots(form, uniform, seed)
@@ -394,12 +404,12 @@ def _leaf_elements(
     normal = _normals(uniform[:, 3:5], FORM_DEFAULTS[form].leaf_angle)
     if form == "climber":
         return plant.widened(_threads(uniform, seed, len(plant.leafy))), normal
-    return _in_bunches(uniform, plant, plant.leafy, _FOLIAGE[form].radius), normal
+    return in_bunches(uniform, plant, plant.leafy, FOLIAGE[form].radius), normal
 
 
-def _in_bunches(
+def in_bunches(
     uniform: np.ndarray,
-    plant: _Individual,
+    plant: Individual,
     share: np.ndarray,
     radius: float,
     lowest: float = -1.0,
@@ -418,14 +428,13 @@ def _in_bunches(
     return position
 
 
-def _threads(uniform: np.ndarray, seed: int, number: int) -> np.ndarray:
-    """Points along threads that wander over a mat, which falls towards its rim."""
+def thread_paths(seed: int, number: int) -> np.ndarray:
+    """Threads that wander over a round mat, as complex places [thread, step] in crown diameters."""
     rng = np.random.default_rng([seed, len(Organ) + 3])
-    steps = 64
     place = 0.5 * np.sqrt(rng.random(number)) * np.exp(2j * np.pi * rng.random(number))
     heading = 2.0 * np.pi * rng.random(number)
-    paths = np.empty((number, steps), complex)
-    for step in range(steps):
+    paths = np.empty((number, _STEPS), complex)
+    for step in range(_STEPS):
         paths[:, step] = place
         heading += rng.normal(0.0, 0.25, number)
         # At the rim a thread turns back to the middle.
@@ -433,21 +442,33 @@ def _threads(uniform: np.ndarray, seed: int, number: int) -> np.ndarray:
         heading += np.where(np.abs(place) > 0.42, 0.5 * home, 0.0)
         place = place + 0.02 * np.exp(1j * heading)
         place *= np.minimum(1.0, 0.5 / np.maximum(np.abs(place), 1e-9))
-    at = uniform[:, 1] * (steps - 1)
-    low = np.minimum(at.astype(int), steps - 2)
-    thread = np.minimum((uniform[:, 0] * number).astype(int), number - 1)
-    point = paths[thread, low] + (at - low) * (paths[thread, low + 1] - paths[thread, low])
-    radius = _FOLIAGE["climber"].radius
-    point = point + radius * np.sqrt(uniform[:, 5]) * np.exp(2j * np.pi * uniform[:, 2])
-    point *= np.minimum(1.0, 0.5 / np.maximum(np.abs(point), 1e-9))
-    level = 1.0 - 0.35 * (2.0 * np.abs(point)) ** 2 - 0.25 * rng.random(number)[thread]
+    return paths
+
+
+def on_mat(point: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Points [..., 3] of a round mat at complex places, `depth` parts of its thickness down."""
+    point = point * np.minimum(1.0, 0.5 / np.maximum(np.abs(point), 1e-9))
+    level = 1.0 - _SINKS * (2.0 * np.abs(point)) ** 2 - _THICK * depth
     return np.stack([point.real, point.imag, level], axis=-1)
 
 
+def _threads(uniform: np.ndarray, seed: int, number: int) -> np.ndarray:
+    """Points along the threads of a mat."""
+    paths = thread_paths(seed, number)
+    at = uniform[:, 1] * (_STEPS - 1)
+    low = np.minimum(at.astype(int), _STEPS - 2)
+    thread = np.minimum((uniform[:, 0] * number).astype(int), number - 1)
+    point = paths[thread, low] + (at - low) * (paths[thread, low + 1] - paths[thread, low])
+    radius = FOLIAGE["climber"].radius
+    aside = radius * np.sqrt(uniform[:, 5]) * np.exp(2j * np.pi * uniform[:, 2])
+    depth = np.random.default_rng([seed, len(Organ) + 6]).random(number)
+    return on_mat(point + aside, depth[thread])
+
+
 def _wood_elements(
-    form: str, uniform: np.ndarray, seed: int, plant: _Individual
+    form: str, uniform: np.ndarray, seed: int, plant: Individual
 ) -> tuple[np.ndarray, np.ndarray]:
-    if form in _CROWNS:
+    if form in CROWNS:
         return _along_stems(form, uniform, plant)
     position, normal = _along_shoots(form, uniform, seed, (0.0, 0.3 if form == "tussock" else 1.0))
     if form == "deadwood":
@@ -456,7 +477,7 @@ def _wood_elements(
 
 
 def _flower_elements(
-    form: str, uniform: np.ndarray, seed: int, plant: _Individual
+    form: str, uniform: np.ndarray, seed: int, plant: Individual
 ) -> tuple[np.ndarray, np.ndarray]:
     if form == "tussock":
         position, normal = _along_shoots(form, uniform, seed, (0.85, 1.0))
@@ -464,8 +485,8 @@ def _flower_elements(
     # On the upper ends of the shoots that reach so high.
     end = plant.centre[:, 2] + _FLOWERING * plant.along[:, 2]
     high = (plant.leafy > 0.0) & (end >= min(_FLOWERS_ABOVE, end[plant.leafy > 0.0].max()))
-    radius = _FOLIAGE[form].radius
-    position = _in_bunches(uniform, plant, high.astype(float), radius, lowest=_FLOWERING)
+    radius = FOLIAGE[form].radius
+    position = in_bunches(uniform, plant, high.astype(float), radius, lowest=_FLOWERING)
     return position, _normals(uniform[:, 3:5], "planophile")
 
 
@@ -476,28 +497,49 @@ _ELEMENTS = {
 }
 
 
-def _along_stems(
-    form: str, uniform: np.ndarray, plant: _Individual
-) -> tuple[np.ndarray, np.ndarray]:
-    """Elements on stems that rise from the foot into the highest bunches."""
-    shoots = _SHOOTS[form]
+ShootsDrawn = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def crown_stems(form: str, plant: Individual) -> ShootsDrawn:
+    """Stems that rise from the foot into the highest bunches, as `Shoots.draw` has them."""
+    shoots = SHOOTS[form]
     ends = plant.centre[np.argsort(-plant.centre[:, 2])[: shoots.number]]
     turn = np.arctan2(ends[:, 1], ends[:, 0]) / (2.0 * np.pi)
     tip = np.hypot(ends[:, 0], ends[:, 1])
-    foot = np.minimum(shoots.base_radius, tip)
-    return _on_shoots(
-        shoots, (turn, foot, tip, ends[:, 2]), uniform, (0.0, 1.0), np.full(len(ends), shoots.arch)
-    )
+    return turn, np.minimum(shoots.base_radius, tip), tip, ends[:, 2]
+
+
+def free_shoots(form: str, seed: int, number: int) -> tuple[ShootsDrawn, np.ndarray]:
+    """Culms, or stems of dead wood, at most `number`, and how each of them is arched: some bend
+    over more than others."""
+    shoots = SHOOTS[form]
+    rng = np.random.default_rng([seed, len(Organ) + 5])
+    bend = rng.uniform(0.6, 1.6, number)
+    if form == "deadwood":
+        number = rng.integers(min(_FEWEST_DEAD, number), number + 1)
+    drawn = shoots.draw(number, seed)
+    if form == "deadwood":
+        top = drawn[3]  # the highest stands; it makes the height of the plant
+        leaning = (rng.random(number) < _LEANING) & (np.arange(number) != np.argmax(top))
+        drawn = (*drawn[:3], top * np.where(leaning, rng.uniform(0.3, 0.8, number), 1.0))
+    return drawn, shoots.arch * bend[:number]
+
+
+def _along_stems(
+    form: str, uniform: np.ndarray, plant: Individual
+) -> tuple[np.ndarray, np.ndarray]:
+    """Elements on the stems of a crown."""
+    drawn = crown_stems(form, plant)
+    arch = np.full(len(drawn[0]), SHOOTS[form].arch)
+    return _on_shoots(SHOOTS[form], drawn, uniform, (0.0, 1.0), arch)
 
 
 def _along_shoots(
     form: str, uniform: np.ndarray, seed: int, part: tuple[float, float] = (0.0, 1.0)
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Elements on shoots of a form, between two relative heights of each; some bend over more than
-    others."""
-    shoots = _SHOOTS[form]
-    bend = np.random.default_rng([seed, len(Organ) + 5]).uniform(0.6, 1.6, shoots.number)
-    return _on_shoots(shoots, shoots.draw(shoots.number, seed), uniform, part, shoots.arch * bend)
+    """Elements on shoots of a form, between two relative heights of each."""
+    drawn, arch = free_shoots(form, seed, SHOOTS[form].number)
+    return _on_shoots(SHOOTS[form], drawn, uniform, part, arch)
 
 
 def _forked(position: np.ndarray, uniform: np.ndarray, seed: int) -> np.ndarray:

@@ -16,7 +16,7 @@ from fynjax.canopy import (
     plant_model,
     table1_2006,
 )
-from fynjax.canopy._forms import _outline
+from fynjax.canopy._forms import _outline, free_shoots
 
 FORMS = list(FORM_DEFAULTS)
 
@@ -123,7 +123,7 @@ def test_forms_differ_as_described() -> None:
     }
     height = {form: position[:, 2] for form, (position, _) in leaf.items()}
     assert height["upright_ericoid"].mean() > height["rounded_shrub"].mean() + 0.1
-    assert height["climber"].min() > 0.35
+    assert height["climber"].min() > 0.64  # it lies on its hosts
     assert height["tussock"].min() < 0.05
     steepness = {form: np.abs(normal[:, 2]).mean() for form, (_, normal) in leaf.items()}
     assert steepness["tussock"] < steepness["upright_ericoid"] < steepness["broad_leaved"]
@@ -180,3 +180,14 @@ def test_sizes_of_leaves_are_those_of_the_shipped_taxa() -> None:
     across = 2.0 / (1.0 / length + 1.0 / pd.to_numeric(sizes.width_mm))
     for form, mean in across.groupby(sizes.growth_form).mean().items():
         assert FORM_DEFAULTS[str(form)].leaf_diameter == pytest.approx(mean / 1e3, rel=0.06)
+
+
+def test_dead_wood_has_more_or_fewer_stems_and_some_lean_low() -> None:
+    tops = [free_shoots("deadwood", seed, 12)[0][3] for seed in range(30)]
+    numbers = np.array([len(top) for top in tops])
+    assert set(numbers) == {8, 9, 10, 11, 12}
+    low = np.concatenate([top < 0.25 * top.max() for top in tops]).mean()
+    assert 0.03 < low < 0.35
+    assert all(top.max() == pytest.approx(1.0) for top in tops)
+    several = [np.asarray(plant_model("deadwood", 300, seed=seed).position) for seed in (1, 2)]
+    assert np.abs(np.sort(several[0][:, 2]) - np.sort(several[1][:, 2])).max() > 0.05

@@ -1,20 +1,32 @@
 """Stems and threads of generated plants: lines in space, before they get a thickness.
 
 Lengths in metres, the foot of the plant at the origin. The shapes are those of the parametric
-growth forms (`_forms`): the same crowns, the same shoots.
+growth forms (`_forms`), with the same numbers: of one seed the same outline, the same bunches in
+which the twigs end, the same stems, culms and threads.
 """
 
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from fynjax.canopy._forms import _CROWNS, _SHOOTS, Crown, Shoots, quasi_random
+from fynjax.canopy._forms import (
+    FOLIAGE,
+    SHOOTS,
+    ShootsDrawn,
+    crown_stems,
+    free_shoots,
+    in_bunches,
+    individual_of,
+    on_mat,
+    quasi_random,
+    thread_paths,
+)
 from fynjax.canopy.mesh._generate_parts import tangents, unit
 
 _STEM_POINTS = 14
 _TWIG_POINTS = 6
-_THREAD_POINTS = 48
-_THREAD_STEP = 0.015
+_HANGING = 0.07
+"""Share of a climber's threads that hang down to the ground."""
 _FLOW_POWER = 1.0 / 2.2
 """A stem's section grows a little slower than the number of tips it carries (Murray's law is
 1/3 for the radius, the pipe model 1/2)."""
@@ -44,12 +56,14 @@ class Skeleton:
 
 
 def shoot_paths(
-    shoots: Shoots, number: int, diameter: float, height: float, seed: int
+    drawn: ShootsDrawn, arch: np.ndarray, diameter: float, height: float, seed: int
 ) -> np.ndarray:
-    """`number` shoots of a growth form [path, point, 3], a little crooked."""
-    part, foot, tip, top = shoots.draw(number, seed)
+    """Shoots of a growth form [path, point, 3], a little crooked; `arch` [path] as `Shoots` has
+    it."""
+    part, foot, tip, top = drawn
+    number = len(part)
     s = np.linspace(0.0, 1.0, _STEM_POINTS)
-    distance = diameter * (foot[:, None] + (tip - foot)[:, None] * s**shoots.arch)
+    distance = diameter * (foot[:, None] + (tip - foot)[:, None] * s ** arch[:, None])
     turn = 2.0 * np.pi * part[:, None]
     level = height * top[:, None] * s
     paths = np.stack([distance * np.cos(turn), distance * np.sin(turn), level], axis=-1)
@@ -126,19 +140,24 @@ def branched(trunks: np.ndarray, tips: np.ndarray, rise: float) -> Skeleton:
 
 def shrub(form: str, diameter: float, height: float, n_twigs: int, seed: int) -> Skeleton:
     """Stems of an ericoid, rounded or broad-leaved shrub, with twigs into all of its crown."""
-    shoots, crown = _SHOOTS[form], _CROWNS[form]
+    plant = individual_of(form, seed, n_twigs)
+    stems = crown_stems(form, plant)
     # A narrow crown has room for fewer stems: as many as stand in one as wide as it is tall.
-    number = max(3, round(shoots.number * min(1.0, diameter / height)))
-    trunks = shoot_paths(shoots, number, diameter, height, seed)
-    tips = _crown_points(crown, n_twigs, [seed, _TIPS]) * [diameter, diameter, height]
+    number = max(3, round(len(stems[0]) * min(1.0, diameter / height)))
+    turn, foot, tip, top = (part[:number] for part in stems)
+    arch = np.full(number, SHOOTS[form].arch)
+    trunks = shoot_paths((turn, foot, tip, top), arch, diameter, height, seed)
+    uniform = quasi_random(n_twigs, 6, [seed, _TIPS])
+    tips = in_bunches(uniform, plant, plant.leafy, FOLIAGE[form].radius)
+    tips = tips * [diameter, diameter, height]
     return branched(trunks, tips, rise=1.0 if form == "upright_ericoid" else 0.5)
 
 
 def deadwood(diameter: float, height: float, n_twigs: int, seed: int) -> Skeleton:
     """Bare, leaning stems with a few broken side branches."""
-    shoots = _SHOOTS["deadwood"]
-    number = max(3, round(shoots.number * min(1.0, diameter / height)))
-    trunks = shoot_paths(shoots, number, diameter, height, seed)
+    most = max(3, round(SHOOTS["deadwood"].number * min(1.0, diameter / height)))
+    drawn, arch = free_shoots("deadwood", seed, most)
+    trunks = shoot_paths(drawn, arch, diameter, height, seed)
     draw = quasi_random(n_twigs, 3, [seed, _TIPS])
     level = 0.25 + 0.7 * draw[:, 2]
     distance = diameter * (0.1 + 0.4 * np.sqrt(draw[:, 1])) * np.sqrt(level)
@@ -150,8 +169,11 @@ def deadwood(diameter: float, height: float, n_twigs: int, seed: int) -> Skeleto
 
 def tussock(diameter: float, height: float, n_culms: int, seed: int) -> Skeleton:
     """Culms that fan out and divide in two above the middle, and dead sheaths at their base."""
-    shoots = _SHOOTS["tussock"]
-    paths = shoot_paths(shoots, n_culms, diameter, height, seed)
+    shoots = SHOOTS["tussock"]
+    plant = individual_of("tussock", seed, 1)
+    drawn, arch = free_shoots("tussock", seed, n_culms)
+    paths = shoot_paths(drawn, arch, diameter, height, seed)
+    paths = plant.widened(paths.reshape(-1, 3)).reshape(paths.shape)
     rng = np.random.default_rng([seed, _CULMS])
     # A second branch leaves each culm above its middle and ends beside its tip.
     joint = rng.integers(_STEM_POINTS // 2, _STEM_POINTS - 4, n_culms)
@@ -185,39 +207,19 @@ def tussock(diameter: float, height: float, n_culms: int, seed: int) -> Skeleton
 
 
 def climber(diameter: float, height: float, n_threads: int, seed: int) -> Skeleton:
-    """Threads that wander and twine through a shallow mat, some hanging to the ground."""
+    """Threads that twine along the strands of a shallow mat, some hanging to the ground."""
     rng = np.random.default_rng([seed, _THREADS])
-    draw = quasi_random(n_threads, 3, [seed, _THREADS])
-    turn, distance = 2.0 * np.pi * draw[:, 0], 0.48 * diameter * np.sqrt(draw[:, 1])
-    place = np.stack([distance * np.cos(turn), distance * np.sin(turn)], axis=-1)
-    heading = rng.uniform(0.0, 2.0 * np.pi, n_threads)
-    curl = np.zeros(n_threads)
-    depth = draw[:, 2].copy()
-    hanging = draw[:, 2] > 0.93
-    rim = 0.49 * diameter
-    paths = np.empty((n_threads, _THREAD_POINTS, 3))
-    fall = np.linspace(0.0, 1.0, _THREAD_POINTS) ** 1.5
-    for point in range(_THREAD_POINTS):
-        radius = np.linalg.norm(place, axis=1)
-        surface = 1.0 - 0.35 * (radius / (0.5 * diameter)) ** 2
-        level = surface - 0.25 * depth
-        level = np.where(hanging, level * (1.0 - fall[point]), level)
-        paths[:, point] = np.concatenate([place, height * level[:, None]], axis=1)
-        curl = 0.85 * curl + rng.normal(0.0, 0.22, n_threads)
-        # At the rim a thread turns back to the middle.
-        home = np.arctan2(-place[:, 1], -place[:, 0])
-        off = np.angle(np.exp(1j * (home - heading)))
-        heading = heading + curl + np.where(radius > 0.85 * rim, 0.5 * off, 0.0)
-        step = np.where(hanging, 0.35, 1.0) * _THREAD_STEP
-        place = place + step[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-        radius = np.linalg.norm(place, axis=1)
-        place *= np.minimum(1.0, rim / np.maximum(radius, 1e-9))[:, None]
-        depth = np.clip(depth + rng.normal(0.0, 0.06, n_threads), 0.0, 1.0)
+    plant = individual_of("climber", seed, n_threads)
+    strands = thread_paths(seed, len(plant.leafy))
+    mine = np.arange(n_threads) % len(strands)
+    # About its strand a thread winds as it will, within the strand's width.
+    steps = np.linspace(0.0, 1.0, strands.shape[1])
+    turn = rng.random((n_threads, 1)) + rng.normal(0.0, 2.0, (n_threads, 1)) * steps
+    aside = FOLIAGE["climber"].radius * np.sqrt(rng.random((n_threads, 1)))
+    place = strands[mine] + aside * np.exp(2j * np.pi * turn)
+    paths = on_mat(place, np.repeat(rng.random((n_threads, 1)), strands.shape[1], axis=1))
+    hanging = rng.random(n_threads) < _HANGING
+    paths[hanging, :, 2] *= 1.0 - steps**1.5
+    paths = plant.widened(paths.reshape(-1, 3)).reshape(paths.shape)
+    paths = paths * [diameter, diameter, height]
     return Skeleton(green=[(paths, np.full(paths.shape[:2], 1.0))])
-
-
-def _crown_points(crown: Crown, count: int, seed: list[int]) -> np.ndarray:
-    """Tips of twigs in unit-crown coordinates; one at the very top."""
-    points = crown.points(quasi_random(count, 3, seed))
-    points[np.argmax(points[:, 2])] = [0.0, 0.0, 0.98]
-    return points
