@@ -516,7 +516,7 @@ def free_shoots(form: str, seed: int, number: int) -> tuple[ShootsDrawn, np.ndar
     rng = np.random.default_rng([seed, len(Organ) + 5])
     bend = rng.uniform(0.6, 1.6, number)
     if form == "deadwood":
-        number = rng.integers(min(_FEWEST_DEAD, number), number + 1)
+        number = int(rng.integers(min(_FEWEST_DEAD, number), number + 1))
     drawn = shoots.draw(number, seed)
     if form == "deadwood":
         top = drawn[3]  # the highest stands; it makes the height of the plant

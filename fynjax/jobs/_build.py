@@ -202,7 +202,7 @@ def build(
             run.path("scene.mtl", "their materials")
     headline = _headline(read, instances, table, area)
     run.total()
-    run.page(_page(run, read, table, stand, headline, pictures, memory, record))
+    run.page(_page(run, read, table, stand, area.gap, headline, pictures, memory, record))
     return run.result(
         BuildResult,
         headline=headline,
@@ -376,14 +376,15 @@ def _headline(plot: Plot, instances: Instances, table: pd.DataFrame, area: Stand
         f"{how}",
         *known,
         f"Covers asked for sum to {whole.asked_percent:.1f} %, crowns in full to "
-        f"{whole.crowns_percent:.1f} %; overlapping, they leave "
-        f"{100 - whole.species_percent:.1f} % of the ground bare.",
+        f"{whole.crowns_percent:.1f} %. They overlap: {100 - whole.species_percent:.1f} % of the "
+        "ground has no crown over it.",
         f"Cover counted as eq. (10) does is within {worst:.2f} % of the ground of what was asked, "
         "for every species.",
         f"Over the ground of the plot: live leaf area {area.leaf.sum():.2f}, dead tissue of live "
         f"shoots {area.dead.sum():.2f}, wood {area.wood.sum():.2f} m2 m-2; leaves, live and dead, "
         f"of {area.leaf_mass.sum():.0f} g m-2. From straight above {100 * area.gap:.1f} % of the "
-        "ground shows between leaves and stems.",
+        "ground shows: what has no crown over it, and what is seen through crowns, between leaves "
+        "and stems.",
     ]
 
 
@@ -392,6 +393,7 @@ def _page(
     plot: Plot,
     table: pd.DataFrame,
     stand: pd.DataFrame,
+    gap: float,
     headline: list[str],
     pictures: list[Picture],
     memory: float,
@@ -401,6 +403,7 @@ def _page(
     keys = {
         "plants": str(whole.plants),
         "ground under crowns": f"{whole.species_percent:.1f} %",
+        "ground seen from above": f"{100.0 * gap:.1f} %",
         "crowns in full": f"{whole.crowns_percent:.1f} %",
         "time of the build": f"{run.seconds['build']:.1f} s",
         "its memory": f"{memory / 1024:.1f} GiB",

@@ -4,8 +4,9 @@ Shapes are those of the growth forms of `FORM_DEFAULTS` and of the individuals t
 makes: of one seed the same outline and bunches, stems or strands, leaf angles and areas. What
 differs: a mesh has as many culms and threads as its area takes, fewer stems where its crown is
 narrow, and is as wide as stated on the mean of its two extents, lobes included. Dimensions come
-from table 1, leaf sizes from `data/leaf_sizes.csv` (a source each). What a mesh adds to the parametric form is the leaf as a body of its own, on a twig of its own, so that
-the same plant can stand in a mesh renderer and, voxelised, in this one.
+from table 1, leaf sizes from `data/leaf_sizes.csv` (a source each). What a mesh adds to the
+parametric form is the leaf as a body of its own, on a twig of its own, so that the same plant can
+stand in a mesh renderer and, voxelised, in this one.
 """
 
 from importlib import resources
