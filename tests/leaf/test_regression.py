@@ -127,7 +127,7 @@ def test_water_that_was_not_fitted_is_refused(fit):
         regress_water(other)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_water_of_a_campaign_left_out(shared_data):
     """Californian shrubs and trees, of which nothing was learned: water from R is nearer."""
     (leaves,) = read(shared_data / "leaf", "california_asd")
