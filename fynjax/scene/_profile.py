@@ -38,10 +38,9 @@ def height_profile(
     over = np.asarray(hard.organ_index(parameters), float)
     volume = float(np.prod(hard.grid.extent[:2])) * np.diff(edges)
     profiles = []
+    fraction = np.asarray(planting.shapes.area_fraction)[part]
     for organ in (Organ.LEAF, Organ.WOOD):
-        area = (crown * over[species, organ])[plant] * np.asarray(planting.shapes.area_fraction)[
-            part
-        ]
+        area = (crown * over[species, organ])[plant] * fraction
         area[np.asarray(planting.shapes.organ)[part] != organ] = 0.0
         sums = np.bincount(cell, area, len(hard.taxa) * (len(edges) - 1))
         profiles.append(sums.reshape(len(hard.taxa), -1) / volume)
