@@ -7,7 +7,8 @@ the camera's own pixels, with the camera's noise and gains. Printed: coverage of
 its binomial error, the share of the prior variance that estimates explain, by kind of parameter,
 total live cover, time; and the same by ridge regression and a random forest trained on simulations
 of the same prior, which is what a user would do otherwise. Results are kept in `--keep` as they
-come, and a second run goes on with them. `--workers 2` calibrates two at once.
+come, and a second run goes on with them: a folder for each experiment.
+`--workers 2` calibrates two at once.
 
     python -m tests.benchmarks.twins --line --seeds 60 --keep FOLDER
 
@@ -15,7 +16,7 @@ takes of each image only the estimate by the line over the prior that a search s
 an image. `--wrong form` or `soil` plants truths in which one species has another growth form, or on
 another soil; the share of improbable misfits is the power of the diagnosis. `--apart 200` simulates
 so many images of either plot instead and prints how well a classifier knows which is which, of
-images left out: what no diagnosis by these statistics can beat by much.
+images left out: how much a diagnosis by these statistics may hope for.
 
 `--sensors image spectrum lidar` calibrates to what several sensors measured of the same truth.
 """
@@ -161,18 +162,20 @@ def view_of(sensor, ready):
     return spectrum_view(named, ready.scene, ready.parameters)
 
 
-def simulations(ready, view, count, random):
+def simulations(ready, view, count, random, first=0):
     """Draws of the prior and the statistics of cheap renders of them, each planted anew."""
     quick, (cheap,) = search_form(ready.scene, ready.parameters, [view])
     stands = [quick]
-    stands += [search_form(ready.replant(i), ready.parameters, [view])[0] for i in range(1, 8)]
+    stands += [
+        search_form(ready.replant(first + i), ready.parameters, [view])[0] for i in range(1, 8)
+    ]
     none = jnp.zeros(len(view.names))
     forward = PlotForward(ready.parameters, ready.space.names, (cheap,))
     data = Data(view.names, none, none + 1)
     draws = random.normal(size=(count, len(ready.space.names))).clip(-2.2, 2.2)
     found = []
     for i, u in enumerate(draws):
-        stand = stand_realisation(stands[i % len(stands)], 5000 + i)
+        stand = stand_realisation(stands[i % len(stands)], 5000 + first + i)
         density = LogPosterior(forward, ready.space, data, none, (stand,))
         found.append(np.asarray(predicted_statistics(density, jnp.asarray(u))))
     return draws, np.array(found)
@@ -259,12 +262,14 @@ def twin(number, size, wrong, sensors):
 
 
 def apart(count, ready, truths, view):
-    """How well images of the two plots are told apart by their statistics, noise and gains in."""
+    """How well images of the two plots can be distinguished by their statistics: cheap renders,
+    with gains, without noise of pixels."""
     found = []
     slopes = np.asarray(view.gain_slopes(look((view,), ready.scene, ready.parameters)[1]))
     for i, one in enumerate((ready, truths)):
         random = np.random.default_rng([31, i])
-        _, simulated = simulations(one, view, count, random)
+        # Plantings of their own, or pairs of the two would have the same.
+        _, simulated = simulations(one, view, count, random, first=2000 * (i + 1))
         gains = random.multivariate_normal(np.zeros(4), gain_covariance(4, view.gain_sd), count)
         found.append(simulated + gains @ slopes.T)
     x, wrong = np.concatenate(found), np.repeat([0, 1], count)
@@ -284,12 +289,14 @@ def main():
     parser.add_argument("--size", type=float, default=5.0)
     parser.add_argument("--train", type=int, default=400)
     parser.add_argument("--keep", type=Path, required=True)
-    parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=SENSORS[:1])
+    parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=("image",))
     parser.add_argument("--workers", type=int)
     parser.add_argument("--line", action="store_true")
     parser.add_argument("--apart", type=int)
     parser.add_argument("--wrong", choices=("form", "soil"))
     chosen = parser.parse_args()
+    if (chosen.line or chosen.apart) and tuple(chosen.sensors) != ("image",):
+        parser.error("--line and --apart are of the image alone")
     chosen.keep.mkdir(parents=True, exist_ok=True)
     ready, truths, views = experiment(chosen.size, chosen.wrong, chosen.sensors)
     if chosen.apart:
@@ -323,7 +330,7 @@ def report(chosen, ready, views, twins):
     print(f"mean of scores {score.mean():.3f}, their sd {score.std():.3f}")
     print(f"expected share of the prior variance removed {1.0 - np.mean(sd**2):.3f}")
     methods = {"calibrate": estimate}
-    if chosen.train and len(views) == 1:
+    if chosen.train and tuple(chosen.sensors) == ("image",):
         methods |= regressions(chosen, ready, views[0], twins)
     kinds = [name.split(".", 2)[-1] if name.startswith("species") else name for name in names]
     print(f"{'share of prior variance explained':40s}" + "".join(f"{m:>11s}" for m in methods))
