@@ -29,6 +29,7 @@ class LeafShape(StrEnum):
 
     broad = "broad"
     needle = "needle"
+    mat = "mat"
     culm = "culm"
 
 
@@ -127,7 +128,9 @@ def fit_leaf(
     ] = None,
     leaf_shape: Annotated[
         LeafShape,
-        typer.Option(help="Of needles and culms the gaps between them are estimated as well."),
+        typer.Option(
+            help="needle: single or apart; mat: needles side by side; culm: the same of culms."
+        ),
     ] = LeafShape.broad,
     area: Annotated[
         Area,

@@ -95,7 +95,8 @@ def _measurement(
     """What the instrument records of leaves of a shape over a background on the file's grid.
 
     Behind the gaps of needles and culms lies the light trap of a sphere, or a face that need not be
-    black; a thick pile has no gaps and hides what is behind.
+    black; light goes to and fro between those side by side. A thick pile has no gaps and hides what
+    is behind.
     """
     if name not in MEASUREMENTS:
         raise InputError(f"`measurement` must be one of {', '.join(MEASUREMENTS)}, but is {name!r}")
@@ -110,6 +111,7 @@ def _measurement(
     return LeafOverBackground(
         background=behind,
         gap_fraction=0.0 if shape == "broad" else None,
+        recollision=None if shape in ("mat", "culm") else 0.0,
         offset_deviation=single.offset_deviation,
     )
 
@@ -292,9 +294,10 @@ def fit_leaf(
     - `over_background`: files of second readings of the same leaves, over `background`; those of
       `paths` are then over black, and transmittance follows from both
       (`transmittance_from_two_readings`).
-    - `leaf_shape`: "broad", "needle" or "culm". Needles and culms leave gaps: where transmittance
-      was measured their part of the field of view is estimated, of a leaf clip also what lies
-      behind.
+    - `leaf_shape`: "broad", "needle" (single or apart), "mat" (needles side by side) or "culm"
+      (likewise). Round leaves reflect more at their surface and leave gaps: where transmittance was
+      measured their part of the field of view is estimated, of a leaf clip also what lies behind,
+      and of mats and culms the recollision probability (`recollided`).
     - `area`: what contents are stated per in all tables, "projected" or "half_total", see
       `fynjax.leaf.area_factor`.
     - `domain`: "full" or "optimal".
@@ -347,7 +350,7 @@ def fit_leaf(
     files, names = [f for f, _ in spectra], [s.name for _, s in spectra]
     run = Run(output, seed=seed, progress=progress)
     options: dict[str, Any] = {
-        "version": version, "measurement": instrument, "domain": domain
+        "version": version, "measurement": instrument, "leaf_shape": leaf_shape, "domain": domain
     }  # fmt: skip
     together = None
     if groups is not None:

@@ -24,6 +24,7 @@ from fynjax.leaf._measurement import (
     LeafClip,
     LeafOverBackground,
     LeafStack,
+    recollided,
     resolved_by_two_readings,
     transmittance_from_two_readings,
 )
@@ -35,7 +36,12 @@ from fynjax.leaf._parameters import (
 )
 from fynjax.leaf._posterior import LeafPosterior, sample_leaf_posterior
 from fynjax.leaf._problem import FitDomain
-from fynjax.leaf._prospect import LeafOptics, interface_transmissivity, prospect
+from fynjax.leaf._prospect import (
+    LeafOptics,
+    cylinder_transmissivity,
+    interface_transmissivity,
+    prospect,
+)
 from fynjax.leaf._regression import regress_water
 from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
 
@@ -67,6 +73,7 @@ __all__ = [
     "area_factors",
     "bin_centres",
     "correct_detector_jumps",
+    "cylinder_transmissivity",
     "default_error_model",
     "estimate_error_model",
     "exponential_integral",
@@ -76,6 +83,7 @@ __all__ = [
     "interface_transmissivity",
     "layer_absorptance",
     "prospect",
+    "recollided",
     "regress_water",
     "resolved_by_two_readings",
     "sample_leaf_posterior",

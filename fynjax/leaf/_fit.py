@@ -16,6 +16,7 @@ from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.leaf import _levenberg as lm
+from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel, bin_centres
 from fynjax.leaf._measurement import AbstractMeasurement
@@ -259,6 +260,7 @@ def fit_leaf(
     *,
     version: ProspectVersion = "D",
     measurement: AbstractMeasurement | None = None,
+    leaf_shape: LeafShape = "broad",
     domain: FitDomain = "full",
     free: Sequence[str] | None = None,
     outdoor: bool | None = None,
@@ -288,6 +290,8 @@ def fit_leaf(
       be `None`.
     - `version`: "5", "D" or "PRO".
     - `measurement`: what the instrument records; an integrating sphere by default.
+    - `leaf_shape`: "broad", or a round shape, whose surface reflects more, see `prospect`. Gaps and
+      neighbours are the measurement's: `LeafOverBackground(gap_fraction=None, recollision=None)`.
     - `domain`: "full", or "optimal" for the published sub-domains 520-560, 700-720, 1130 (for N)
       and 1700-2400 nm.
     - `free`: parameters to fit; by default all of the version but `brown_pigments`.
@@ -305,7 +309,7 @@ def fit_leaf(
     **Returns:** `LeafFit`, on bins of 5 and 10 nm. A leaf with fewer than ten usable bins has NaN,
     and its `status` says so.
 
-    **Raises:** `InputError` for arrays that do not match, an unknown version, domain or parameter,
+    **Raises:** `InputError` for arrays that do not match, an unknown version, shape, domain or parameter,
     and where JAX is limited to 32 bits.
 
     NumPy in and out, in float64; not differentiable. For gradients see `prospect`.
@@ -328,7 +332,7 @@ def fit_leaf(
     progress = NullProgress() if progress is None else progress
     data = binned_data(wavelength, reflectance, transmittance, detector_changes)
     use = usable_bins(data, domain, outdoor)
-    setup = make_setup(version, measurement, free, error_model)
+    setup = make_setup(version, measurement, free, error_model, leaf_shape)
     prior = leaf_priors(setup, data, use)
     cut = [slice(at, at + chunk) for at in range(0, len(data), chunk)]
     chunks = [(data[rows], use[rows], (prior[0][rows], prior[1][rows])) for rows in cut]

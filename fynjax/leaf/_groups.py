@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.precision import require_double_precision
+from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel, default_error_model
 from fynjax.leaf._fit import LeafFit, assemble, describe_chunk, solve_leaves
@@ -77,6 +78,7 @@ def fit_leaf_groups(
     groups: Sequence[str],
     version: ProspectVersion = "D",
     measurement: AbstractMeasurement | None = None,
+    leaf_shape: LeafShape = "broad",
     domain: FitDomain = "full",
     free: Sequence[str] | None = None,
     outdoor: bool | None = None,
@@ -97,7 +99,7 @@ def fit_leaf_groups(
 
     - `wavelength`, `reflectance`, `transmittance`: the measured spectra, as for `fit_leaf`.
     - `groups`: name of the species of each leaf, in the order of the spectra.
-    - `version`, `measurement`, `domain`, `free`, `outdoor`, `detector_changes`, `error_model`: as
+    - `version`, `measurement`, `leaf_shape`, `domain`, `free`, `outdoor`, `detector_changes`, `error_model`: as
       for `fit_leaf`.
 
     **Returns:** `LeafGroups`: the mean of each species, the covariance within species, and a
@@ -131,7 +133,7 @@ def fit_leaf_groups(
     labels = tuple(dict.fromkeys(str(g) for g in groups))
     member = np.array([labels.index(str(g)) for g in groups])
     use = usable_bins(data, domain, outdoor)
-    setup = make_setup(version, measurement, free, error_model)
+    setup = make_setup(version, measurement, free, error_model, leaf_shape)
     model = default_error_model() if error_model is None else error_model
     shared = float(np.nanmean(model.species_share))
     prior = leaf_priors(setup, data, use)

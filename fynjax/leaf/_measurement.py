@@ -35,6 +35,21 @@ MEASUREMENT_PARAMETERS = {
         source="Bounds by definition. Prior assumed.",
         description="The same at all bands: near zero of a black face or a light trap.",
     ),
+    "recollision": Parameter(
+        symbol="p",
+        name="Recollision probability",
+        unit="-",
+        lower=0.0,
+        upper=0.6,
+        usual=(0.0, 0.4),
+        population=(0.25, 1.0),
+        source="Smolander and Stenberg 2003. Bounds and prior assumed, about what touching cylinders "
+        "have.",
+        description="Part of the light scattered by a needle that meets another (Smolander and "
+        "Stenberg 2003, Remote Sensing of Environment 88, 363). Of touching parallel cylinders 0.20 "
+        "of what was scattered once, 0.36 of what leaves evenly over the surface, 0.2 (dark) to 0.4 "
+        "(bright) over all orders.",
+    ),
 }
 """What a fit can estimate of a measurement with each leaf, with wide priors."""
 
@@ -114,16 +129,39 @@ class LeafClip(AbstractMeasurement):
         return reflectance, transmittance
 
 
+def recollided(
+    reflectance: Float[Array, " band"],
+    transmittance: Float[Array, " band"],
+    recollision: Float[Array, ""],
+) -> tuple[Float[Array, " band"], Float[Array, " band"]]:
+    """R and T of needles side by side from those of one needle [-].
+
+    With w = R + T a part p of scattered light meets a neighbour, which scatters w of it, as much up
+    as down: R' = (1 - p) R + p (1 - p) w^2 / (2 (1 - p w)), T' the same with T. All scattering
+    orders escape as (1 - p) w / (1 - p w) (Smolander and Stenberg 2003, Remote Sensing of
+    Environment 88, 363). Within 0.015 of rays traced through a row of touching cylinders.
+
+    **Arguments:** `reflectance`, `transmittance`: of one needle [-], at most 1 together;
+    `recollision`: p, 0 to below 1 [-].
+
+    **Returns:** R' and T' [-]. Differentiable.
+    """
+    p, w = recollision, reflectance + transmittance
+    more = 0.5 * p * (1.0 - p) * w**2 / (1.0 - p * w)
+    return (1.0 - p) * reflectance + more, (1.0 - p) * transmittance + more
+
+
 class LeafOverBackground(AbstractMeasurement):
     """Leaves with gaps over a Lambertian background of reflectance B.
 
     R_obs = (1 - g) (R + T^2 B / (1 - R B)) + g B and T_obs = (1 - g) T + g: the light that crosses
     the leaf, meets the background and returns (a geometric series), and the part g of the field of
-    view without leaf. What is `None` is estimated with each leaf. T where leaves are opaque (red,
-    1940 nm) identifies g. R alone identifies neither: a leaf without T counts as one over black
-    without gaps. Over a known bright background R holds R + T^2 B, which identifies what is
-    absorbed, water and dry matter better than R over black does, but not N, whose prior decides,
-    nor therefore T.
+    view without leaf. Of needles side by side R and T are those of `recollided`. What is `None` is
+    estimated with each leaf. T where leaves are opaque (red, 1940 nm) identifies g, absorption
+    where no substance absorbs (near infrared) the recollision. R alone identifies none of them: a
+    leaf without T counts as a single one over black without gaps. Over a known bright background R
+    holds R + T^2 B, which identifies what is absorbed, water and dry matter better than R over
+    black does, but not N, whose prior decides, nor therefore T.
     """
 
     background: Float[Any, " band"] | None = 0.0
@@ -131,29 +169,34 @@ class LeafOverBackground(AbstractMeasurement):
     the same at all bands."""
     gap_fraction: float | None = 0.0
     """Part of the field of view without leaf, 0 to 1 [-]; `None`: estimated."""
+    recollision: float | None = 0.0
+    """Part of the light scattered by a needle that meets another, 0 to 1 [-]; `None`: estimated."""
     offset_deviation: float = 0.02
     """Prior standard deviation of an offset of R [-]."""
 
     @property
     def estimated(self) -> tuple[str, ...]:
-        """Those of gap fraction and background that are `None`."""
-        names = ("gap_fraction", "background")
+        """Those of gap fraction, background and recollision that are `None`."""
+        names = ("gap_fraction", "background", "recollision")
         return tuple(name for name in names if getattr(self, name) is None)
 
     @property
     def leaf_alone(self) -> bool:
-        """With a background that is black or counts as such without transmittance."""
-        return self.background is None or not np.any(np.asarray(self.background) > _DARK)
+        """Without neighbours over a black background; what is estimated counts as that where there
+        is no transmittance."""
+        dark = self.background is None or not np.any(np.asarray(self.background) > _DARK)
+        return dark and not self.recollision
 
     def observe(
         self, reflectance: Array, transmittance: Array, *estimated: Array
     ) -> tuple[Array, Array]:
         """Signal of leaf and background."""
-        known = {"gap_fraction": self.gap_fraction, "background": self.background}
+        known: dict[str, Any] = {name: getattr(self, name) for name in MEASUREMENT_PARAMETERS}
         known |= dict(zip(self.estimated, estimated, strict=True))
-        g, b = jnp.asarray(known["gap_fraction"]), jnp.asarray(known["background"])
-        through = transmittance**2 * b / (1.0 - reflectance * b)
-        return (1.0 - g) * (reflectance + through) + g * b, (1.0 - g) * transmittance + g
+        g, b, p = (jnp.asarray(known[n]) for n in ("gap_fraction", "background", "recollision"))
+        r, t = recollided(reflectance, transmittance, p)
+        through = t**2 * b / (1.0 - r * b)
+        return (1.0 - g) * (r + through) + g * b, (1.0 - g) * t + g
 
 
 class LeafStack(AbstractMeasurement):

@@ -16,6 +16,7 @@ from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import NullProgress, Progress
 from fynjax._core.sampling import ensemble, hamiltonian
 from fynjax.leaf import _levenberg as lm
+from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel
 from fynjax.leaf._fit import describe, solve_leaves, trait_variance
@@ -80,6 +81,7 @@ def sample_leaf_posterior(
     *,
     version: ProspectVersion = "D",
     measurement: AbstractMeasurement | None = None,
+    leaf_shape: LeafShape = "broad",
     domain: FitDomain = "full",
     free: Sequence[str] | None = None,
     outdoor: bool | None = None,
@@ -102,8 +104,8 @@ def sample_leaf_posterior(
 
     **Arguments:**
 
-    - `wavelength`, `reflectance`, `transmittance`, `version`, `measurement`, `domain`, `free`,
-      `outdoor`, `detector_changes`, `error_model`: as for `fit_leaf`.
+    - `wavelength`, `reflectance`, `transmittance`, `version`, `measurement`, `leaf_shape`, `domain`,
+      `free`, `outdoor`, `detector_changes`, `error_model`: as for `fit_leaf`.
     - `sampler`: "emcee" (Foreman-Mackey et al. 2013), or "nuts" (Hoffman & Gelman 2014), which
       needs the extra `nuts`.
     - `draws`: how many draws to return for each leaf.
@@ -126,7 +128,7 @@ def sample_leaf_posterior(
     use = usable_bins(data, domain, outdoor)
     random = np.random.default_rng(seed)
     with progress.stage("sampling leaves", len(data)):
-        setup = make_setup(version, measurement, free, error_model)
+        setup = make_setup(version, measurement, free, error_model, leaf_shape)
         state, problems, _ = solve_leaves(setup, data, use, leaf_priors(setup, data, use))
         columns = free_columns(setup)
         samples = np.full((len(data), draws, columns.size), np.nan)

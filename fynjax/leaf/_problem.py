@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from fynjax._core.errors import InputError
 from fynjax._core.parameters import Parameter
 from fynjax.leaf import _levenberg as lm
+from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import (
     CONSTITUENTS,
     check_version,
@@ -32,7 +33,7 @@ from fynjax.leaf._measurement import (
     IntegratingSphere,
 )
 from fynjax.leaf._parameters import LEAF_PARAMETERS
-from fynjax.leaf._prospect import interface_transmissivity
+from fynjax.leaf._prospect import interface_transmissivity, surface_transmissivity
 
 FitDomain = Literal["full", "optimal"]
 """Wavelengths that a fit uses: all of 450-2400 nm, or the published sub-domains."""
@@ -104,6 +105,7 @@ def make_setup(
     measurement: AbstractMeasurement | None,
     free: Sequence[str] | None,
     model: ErrorModel | None,
+    shape: LeafShape = "broad",
 ) -> Setup:
     """Constants of a fit. Must run with 64-bit numbers on."""
     check_version(version)
@@ -121,7 +123,7 @@ def make_setup(
     known = {name: _population(name) for name in names}
     optics = lm.Optics(
         jnp.asarray(binned[1:]),
-        jnp.asarray(interface_transmissivity(40.0, binned[0])),
+        jnp.asarray(surface_transmissivity(shape, binned[0])),
         jnp.asarray(interface_transmissivity(90.0, binned[0])),
         jnp.asarray(binned[0]),
         jnp.asarray(bounds[:, 0]),
@@ -240,9 +242,9 @@ def leaf_priors(
     pull = np.tile(setup.prior_precision @ setup.prior_mean, (count, 1))
     precision[:, 0, 0] += weight
     pull[:, 0] += weight * np.log(unit / (1.0 - unit))
-    for name, none in (("gap_fraction", 0.0), ("background", 1e-3)):
+    for name, none in (("gap_fraction", 0.0), ("background", 1e-3), ("recollision", 1e-3)):
         if name in setup.names:
-            # Without transmittance nothing identifies them: taken for a leaf over black.
+            # Without transmittance nothing identifies them: taken for one leaf over black.
             at, (low, high) = setup.names.index(name), leaf_bounds([name])[0]
             unit = (none - low) / (high - low)
             weight = np.where(has_t, 0.0, 1e4)

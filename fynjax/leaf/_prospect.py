@@ -16,6 +16,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax.leaf._area import LeafShape, is_round
 from fynjax.leaf._coefficients import (
     CONSTITUENTS,
     ProspectVersion,
@@ -79,6 +80,43 @@ def interface_transmissivity(
         + 16.0 * n2**3 * (1.0 / b_star - 1.0 / a_star) / plus**3
     )
     return (perpendicular + parallel) / (2.0 * sin2)
+
+
+def cylinder_transmissivity(
+    refractive_index: Float[np.ndarray, " band"],
+) -> Float[np.ndarray, " band"]:
+    """Transmissivity of the smooth surface of a cylinder lit across its axis [-].
+
+    Fresnel's equations for unpolarised light, averaged over the width of the cylinder, on which the
+    sine of the angle of incidence is even. Of leaves (n = 1.45) 0.94, so that a needle's surface
+    reflects 0.06, where light within 40 degrees of a flat leaf's normal meets 0.035. Of 252 single
+    pine needles R at 450 nm, where hardly any light returns from within, has the median 0.067 and
+    this gives 0.066 (Di Vittorio 2009, Remote Sensing of Environment 113, 1948).
+
+    **Arguments:** `refractive_index`: index of the material below the surface [-], above 1.
+
+    **Returns:** transmissivity, the shape of `refractive_index`, to 1e-6. NumPy.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    angle = ((nodes + 1.0) * np.pi / 4.0)[:, None]
+    sin, cos = np.sin(angle), np.cos(angle)
+    inside = np.sqrt(refractive_index**2 - sin**2)
+    n2 = refractive_index**2
+    across, along = (cos - inside) / (cos + inside), (n2 * cos - inside) / (n2 * cos + inside)
+    through = 1.0 - (across**2 + along**2) / 2.0
+    return (weights * np.pi / 4.0) @ (through * cos)
+
+
+def surface_transmissivity(
+    shape: str, refractive_index: Float[np.ndarray, " band"], incidence_half_angle: float = 40.0
+) -> Float[np.ndarray, " band"]:
+    """Transmissivity of the lit surface of a leaf of a shape [-]: of round ones that of a cylinder.
+
+    40 degrees are the half angle of the authors of PROSPECT for the rough surface of a flat leaf.
+    """
+    if is_round(shape):
+        return cylinder_transmissivity(refractive_index)
+    return interface_transmissivity(incidence_half_angle, refractive_index)
 
 
 def _layer_count_series(m: Array, z2: Array) -> tuple[Array, Array]:
@@ -178,11 +216,11 @@ def _kernel(
 
 @lru_cache(maxsize=64)
 def _constants(
-    version: str, grid: bytes | None, angle: float, dtype: str
+    version: str, grid: bytes | None, shape: str, angle: float, dtype: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     wavelength = native_wavelength() if grid is None else np.frombuffer(grid, np.float64)
     index, absorption = coefficients_at(version, wavelength)
-    first = interface_transmissivity(angle, index)
+    first = surface_transmissivity(shape, index, angle)
     diffuse = interface_transmissivity(90.0, index)
     return (
         absorption.astype(dtype),
@@ -197,6 +235,7 @@ def prospect(
     wavelength: Float[Any, " band"] | None = None,
     version: ProspectVersion = "D",
     incidence_half_angle: float | Float[Array, ""] = 40.0,
+    leaf_shape: LeafShape = "broad",
 ) -> LeafOptics:
     """Reflectance and transmittance of a leaf, by PROSPECT-5, -D or -PRO.
 
@@ -213,11 +252,14 @@ def prospect(
       within (0, 90]; 40 is the authors' value, 59 that of the fluorescence models. A plain number
       is turned into constants in float64; a traced array is differentiable, but in float32 costs
       an error of about 1e-5.
+    - `leaf_shape`: "broad", or a round shape, whose surface is that of a cylinder lit across its
+      axis (`cylinder_transmissivity`) at whatever `incidence_half_angle`. One needle; needles side
+      by side are `recollided`.
 
     **Returns:** `LeafOptics` of the dtype of `parameters`.
 
-    **Raises:** `InputError` for an unknown version, wavelengths outside 400-2500 nm, or an angle
-    outside (0, 90].
+    **Raises:** `InputError` for an unknown version or shape, wavelengths outside 400-2500 nm, or an
+    angle outside (0, 90].
 
     Differentiable in `parameters` to any order with finite derivatives, also at zero absorption
     (where the derivatives equal their limits; the second derivative diverges logarithmically in
@@ -236,14 +278,16 @@ def prospect(
     fields = [getattr(parameters, name) for name in CONSTITUENTS[version]]
     dtype = jnp.result_type(parameters.structure, *fields)
     key = None if wavelength is None else grid.tobytes()
-    if isinstance(incidence_half_angle, jax.Array):
-        absorption, _, diffuse, index = _constants(version, key, 40.0, dtype.name)
+    if isinstance(incidence_half_angle, jax.Array) and not is_round(leaf_shape):
+        absorption, _, diffuse, index = _constants(version, key, leaf_shape, 40.0, dtype.name)
         first = interface_transmissivity(incidence_half_angle, jnp.asarray(index)).astype(dtype)
     else:
-        angle = float(incidence_half_angle)
+        angle = 40.0 if is_round(leaf_shape) else float(incidence_half_angle)
         if not 0.0 < angle <= 90.0:
             raise InputError(f"`incidence_half_angle` must be in (0, 90] degrees, but is {angle:g}")
-        absorption, first, diffuse, index = _constants(version, key, angle, dtype.name)
+        absorption, first, diffuse, index = _constants(
+            version, key, leaf_shape, angle, dtype.name
+        )
     contents = jnp.stack([jnp.asarray(field, dtype) for field in fields])
     structure = jnp.asarray(parameters.structure, dtype)
     reflectance, transmittance = _kernel(structure, contents, absorption, first, diffuse, index)

@@ -44,7 +44,7 @@ def physics(leaves: LeafSet, through: bool, model: ErrorModel | None) -> LeafFit
     if model is not None:
         return fit_leaf(
             bin_centres(), leaves.spectra[:, 0], t,
-            measurement=leaves.measurement(), error_model=model,
+            measurement=leaves.measurement(), leaf_shape=leaves.shape, error_model=model,
         )  # fmt: skip
     swir = np.isfinite(leaves.spectra[:, 0, bin_centres() > 1700]).any()
     return fit_leaf(

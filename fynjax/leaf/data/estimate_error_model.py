@@ -6,7 +6,7 @@ into the folder OUTPUT.
 
 *Covariance of spectra*, of the sets with transmittance: for each leaf the measured pigments, water
 and dry matter are put into PROSPECT-D; N, the anthocyanins, what was not measured and, of needles,
-the gap between them are fitted to R and T, and what remains is the model's error. LOPEX enters with
+the gaps and the recollision between them are fitted to R and T, and what remains is the model's error. LOPEX enters with
 the mean of its five spectra a sample, NASA FFT as two sets, broad leaves and mats of needles.
 
 *Correlation of traits*: of the logarithms within a set, the mean over k sets times k / (k + 1),
@@ -29,6 +29,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import get_args
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +39,7 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import t as student
 
 from fynjax.leaf import _levenberg as lm
+from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import CONSTITUENTS
 from fynjax.leaf._error_model import (
     POPULATION_TRAITS,
@@ -54,6 +56,8 @@ from fynjax.leaf._problem import leaf_bounds, leaf_problems, make_setup
 CAMPAIGNS = ("angers", "lopex", "nasa_fft", "california_asd", "divittorio_needle")
 CHEMISTRY = {"chlorophyll": "cab", "carotenoids": "car", "water": "ewt", "dry_matter": "lma"}
 """Column of each trait that laboratories measured."""
+_CALIFORNIAN_CONIFERS = ("ABCO", "CADE", "PILA", "PIPO")
+"""Codes of USDA PLANTS: fir, incense cedar and two pines, whose needles lie side by side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +65,7 @@ class LeafSet:
     """Leaves of one campaign and one shape."""
 
     campaign: str
-    needles: bool
+    shape: LeafShape
     spectra: np.ndarray
     """R and T on `bin_centres()` [leaf, 2, bin]; NaN where missing [-]."""
     chemistry: pd.DataFrame
@@ -70,7 +74,7 @@ class LeafSet:
     @property
     def name(self) -> str:
         """Campaign and shape."""
-        return f"{self.campaign} {'needles' if self.needles else 'leaves'}"
+        return f"{self.campaign} {self.shape}"
 
     def measured(self, trait: str) -> np.ndarray:
         """The trait in the unit of `LeafParameters` [leaf]; NaN where it was not measured, or is
@@ -88,10 +92,11 @@ class LeafSet:
         return self.chemistry[column].astype(str).to_numpy()
 
     def measurement(self) -> AbstractMeasurement:
-        """Needles leave gaps that differ from sample to sample."""
-        if self.needles:
-            return LeafOverBackground(gap_fraction=None)
-        return IntegratingSphere()
+        """Needles leave gaps that differ from sample to sample, and in mats have neighbours."""
+        if self.shape == "broad":
+            return IntegratingSphere()
+        neighbours = None if self.shape == "mat" else 0.0
+        return LeafOverBackground(gap_fraction=None, recollision=neighbours)
 
 
 @cache
@@ -108,13 +113,15 @@ def read(folder: Path, campaign: str) -> tuple[LeafSet, ...]:
         # The set's EWT is LMA times the water content of fresh mass, no water per area.
         content = chemistry["water_pct"] / 100.0
         chemistry["ewt"] = chemistry["lma"] * content / (1.0 - content)
-    needles = np.full(len(ids), campaign == "divittorio_needle")
+    shapes = np.full(len(ids), "needle" if campaign == "divittorio_needle" else "broad")
     if "conifer" in chemistry:
-        needles = chemistry["conifer"].to_numpy() == 1
+        shapes[chemistry["conifer"].to_numpy() == 1] = "mat"
+    if campaign == "california_asd":
+        shapes[chemistry["species_code"].isin(_CALIFORNIAN_CONIFERS)] = "mat"
     return tuple(
-        LeafSet(campaign, shape, data[needles == shape], chemistry[needles == shape])
-        for shape in (False, True)
-        if np.any(needles == shape)
+        LeafSet(campaign, shape, data[shapes == shape], chemistry[shapes == shape])
+        for shape in get_args(LeafShape)
+        if np.any(shapes == shape)
     )
 
 
@@ -123,7 +130,8 @@ def at_measured_chemistry(leaves: LeafSet) -> tuple[np.ndarray, np.ndarray]:
     """Measured minus modelled R and T [leaf, 2, bin], and logarithms of `POPULATION_TRAITS` [leaf,
     trait], of which N is fitted and NaN without transmittance."""
     names = ("structure", *CONSTITUENTS["D"])
-    setup = make_setup("D", leaves.measurement(), names, independent_error_model(0.015))
+    model = independent_error_model(0.015)
+    setup = make_setup("D", leaves.measurement(), names, model, leaves.shape)
     count = len(leaves.spectra)
     extra = len(setup.names) - len(names)
     known = np.tile([1.5, 40.0, 8.0, 1.0, 1e-3, 0.01, 0.009, *[0.05] * extra], (count, 1))
@@ -191,7 +199,7 @@ def trait_errors(leaves: LeafSet, model: ErrorModel) -> dict[str, list[np.ndarra
     for through in (None, leaves.spectra[:, 1]) if both else (None,):
         fit = fit_leaf(
             bin_centres(), leaves.spectra[:, 0], through,
-            measurement=leaves.measurement(), error_model=model,
+            measurement=leaves.measurement(), leaf_shape=leaves.shape, error_model=model,
         )  # fmt: skip
         for trait in CHEMISTRY:
             truth, low_high = leaves.measured(trait), leaf_bounds([trait])[0]

@@ -64,7 +64,8 @@ def fit(folder: Path, leaves: LeafSet, without: frozenset[str], through: bool) -
     sets = [s for name in CAMPAIGNS if name not in without for s in read(folder, name)]
     return fit_leaf(
         bin_centres(), leaves.spectra[:, 0], leaves.spectra[:, 1] if through else None,
-        measurement=leaves.measurement(), error_model=estimate_spectral(sets),
+        measurement=leaves.measurement(), leaf_shape=leaves.shape,
+        error_model=estimate_spectral(sets),
     )  # fmt: skip
 
 
