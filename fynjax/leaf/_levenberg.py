@@ -1,10 +1,9 @@
 """Levenberg-Marquardt for many leaves at once, under a correlated error model.
 
 Why not a general solver: PROSPECT depends on its chemistry only through the absorption of a layer,
-so two tangents give the whole Jacobian (a third of the cost of forward mode over seven
-parameters), and the covariance F^T F + D of the errors is inverted through its few factors
-(Woodbury), which also leaves a band out by giving it no weight. Neither fits a residual-vector
-interface without forming the dense whitened Jacobian of each leaf.
+so two slopes of each band give the whole Jacobian, and the covariance F^T F + D of the errors is
+inverted through its few factors (Woodbury), which also leaves a band out by giving it no weight.
+Neither fits a residual-vector interface without forming the dense whitened Jacobian of each leaf.
 """
 
 from collections.abc import Iterator
@@ -17,8 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from fynjax.leaf._measurement import AbstractMeasurement
-from fynjax.leaf._prospect import _stack
-from fynjax.leaf._transmissivity import layer_absorptance
+from fynjax.leaf._prospect import pile, pile_and_slopes
 
 # Sizes of batch that are compiled; steps between two looks at who has converged; how many looks.
 _SIZES = (16, 128)
@@ -82,9 +80,7 @@ def spectra(x: Array, optics: Optics) -> Array:
     """R and T [2, bin] at physical parameters."""
     structure, contents, _ = _split(x, optics)
     k = (contents @ optics.absorption) / structure
-    return jnp.stack(
-        _stack(layer_absorptance(k), structure, optics.first, optics.diffuse, optics.index)
-    )
+    return jnp.stack(pile(k, structure, optics.first, optics.diffuse, optics.index))
 
 
 def observed(x: Array, optics: Optics) -> Array:
@@ -99,16 +95,9 @@ def spectra_and_slopes(x: Array, optics: Optics) -> tuple[Array, Array]:
     By the measurement's parameters they are zero.
     """
     structure, contents, rest = _split(x, optics)
-
-    def of(k: Array, n: Array) -> Array:
-        return jnp.stack(
-            _stack(layer_absorptance(k), n, optics.first, optics.diffuse, optics.index)
-        )
-
     k = (contents @ optics.absorption) / structure
-    n = jnp.broadcast_to(structure, k.shape)
-    value, by_k = jax.jvp(of, (k, n), (jnp.ones_like(k), jnp.zeros_like(n)))
-    _, by_n = jax.jvp(of, (k, n), (jnp.zeros_like(k), jnp.ones_like(n)))
+    surface = (optics.first, optics.diffuse, optics.index)
+    value, by_k, by_n = (jnp.stack(pair) for pair in pile_and_slopes(k, structure, *surface))
     by_contents = by_k[None] * (optics.absorption / structure)[:, None, :]
     none = jnp.zeros((rest.size, *value.shape), value.dtype)
     by_structure = (by_n - by_k * k / structure)[None]

@@ -15,7 +15,7 @@ from fynjax.leaf import (
     layer_absorptance,
     prospect,
 )
-from fynjax.leaf._prospect import _stack
+from fynjax.leaf._prospect import _stack, pile_and_slopes
 from tests.helpers import assert_gradients
 
 COLUMNS = {
@@ -135,15 +135,17 @@ def test_surface_transmissivity_is_the_average_of_fresnel(angle):
 def test_layer_absorptance_and_its_derivatives_are_exact():
     k = np.concatenate([np.logspace(-14, 2.8, 20001), np.linspace(0.01, 3, 5001)])
     exact = -np.expm1(-k) + k * np.exp(-k) - k**2 * exp1(k)
-    np.testing.assert_allclose(layer_absorptance(jnp.asarray(k)), exact, rtol=1e-9, atol=1e-12)
-    assert np.abs(np.asarray(layer_absorptance(jnp.asarray(k))) - exact).max() < 2e-13
+    value = np.asarray(layer_absorptance(jnp.asarray(k)))
+    assert np.abs(value - exact).max() < 1e-13
+    assert np.abs(value / exact - 1.0)[k < 1e-2].max() < 1e-13
     slope = jax.vmap(jax.grad(layer_absorptance))(jnp.asarray(k))
-    np.testing.assert_allclose(slope, 2 * np.exp(-k) - 2 * k * exp1(k), rtol=1e-9, atol=2e-11)
+    assert np.abs(slope - (2 * np.exp(-k) - 2 * k * exp1(k))).max() < 1e-13
     curvature = jax.vmap(jax.grad(jax.grad(layer_absorptance)))(jnp.asarray(k))
-    np.testing.assert_allclose(curvature, -2 * exp1(k), rtol=1e-7, atol=1e-10)
+    np.testing.assert_allclose(curvature, -2 * exp1(k), rtol=1e-12, atol=2e-12)
     third = jax.grad(jax.grad(jax.grad(layer_absorptance)))(0.3)
-    assert third == pytest.approx(2 * np.exp(-0.3) / 0.3, rel=1e-7)
-    np.testing.assert_allclose(exponential_integral(jnp.asarray(k)), exp1(k), rtol=1e-7, atol=1e-12)
+    assert third == pytest.approx(2 * np.exp(-0.3) / 0.3, rel=1e-10)
+    integral = exponential_integral(jnp.asarray(k))
+    np.testing.assert_allclose(integral, exp1(k), rtol=1e-13, atol=1e-12)
     assert layer_absorptance(jnp.float32(0.5)).dtype == np.float32
 
 
@@ -152,7 +154,8 @@ def test_layer_absorptance_at_its_edges():
     assert np.array_equal(layer_absorptance(edges)[:2], [0.0, 0.0])
     np.testing.assert_allclose(layer_absorptance(edges)[3:], 1.0)
     assert jax.grad(layer_absorptance)(0.0) == 2.0
-    for order_two in (0.0, 1e-300, 700.0, 1e5):
+    assert jax.grad(jax.grad(layer_absorptance))(0.0) == pytest.approx(-2 * exp1(1e-30), abs=1e-6)
+    for order_two in (0.0, 1e-300, 700.0, 1e5, np.inf):
         assert np.isfinite(jax.grad(jax.grad(layer_absorptance))(order_two))
 
 
@@ -196,7 +199,7 @@ def test_a_leaf_that_absorbs_nothing_is_a_pile_of_plates(structure):
     @jax.jit
     def at(absorbed, n):
         return jnp.stack(
-            _stack(absorbed, n, jnp.asarray(first), jnp.asarray(t12), jnp.asarray(index))
+            _stack(absorbed, n, jnp.asarray(first), jnp.asarray(t12), jnp.asarray(index))[0]
         )
 
     reflectance, transmittance = at(jnp.asarray(0.0), jnp.asarray(structure))
@@ -223,7 +226,7 @@ def test_series_and_closed_form_are_stokes_in_extended_precision(structure):
     absorbed = np.logspace(-7, -1, 2001)
     first, t12, index = 0.95, 0.9, 1.4
     layers = jnp.asarray(structure)
-    reflectance, transmittance = _stack(jnp.asarray(absorbed), layers, first, t12, index)
+    reflectance, transmittance = _stack(jnp.asarray(absorbed), layers, first, t12, index)[0]
     theta = 1 - absorbed.astype(np.longdouble)
     t21 = np.longdouble(t12) / np.longdouble(index) ** 2
     bounce = 1 - ((1 - t21) * theta) ** 2
@@ -242,6 +245,51 @@ def test_series_and_closed_form_are_stokes_in_extended_precision(structure):
     )
     np.testing.assert_allclose(transmittance, t_first * t_sub / (1 - r_sub * r), rtol=0, atol=2e-14)
     np.testing.assert_allclose(reflectance, expected_r, rtol=0, atol=2e-14)
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 3e-12), (np.float32, 2e-5)])
+def test_written_slopes_are_the_automatic_ones(dtype, tolerance):
+    """Over thin, usual and opaque layers, those that absorb nothing, and N = 1."""
+    draw = np.random.default_rng(3)
+    k = np.concatenate([np.zeros(50), 10 ** draw.uniform(-12, 2.8, 20_000)]).astype(dtype)
+    structure = draw.uniform(1.0, 3.5, k.size).astype(dtype)
+    structure[::10] = 1.0
+    index = draw.uniform(1.28, 1.52, k.size)
+    surface = [interface_transmissivity(angle, index) for angle in (40.0, 90.0)]
+    inputs = [np.asarray(x, dtype) for x in (structure, *surface, index)]
+    value, by_k, by_structure = jax.jit(pile_and_slopes)(k, *inputs)
+
+    exact = [jnp.asarray(x, float) for x in (k, *inputs)]  # the reference, of the same numbers
+    of_layer = lambda a, n: _stack(a, n, *exact[2:])[0]  # noqa: E731
+    absorbed = layer_absorptance(exact[0])
+    ones, zeros = jnp.ones_like(absorbed), jnp.zeros_like(absorbed)
+    expected, by_absorbed = jax.jvp(of_layer, (absorbed, exact[1]), (ones, zeros))
+    _, expected_structure = jax.jvp(of_layer, (absorbed, exact[1]), (zeros, ones))
+    wide = k.astype(float)
+    slope = 2 * np.exp(-wide) - 2 * np.where(wide > 0, wide * exp1(np.maximum(wide, 1e-300)), 0.0)
+    for got, wanted, factor in (
+        (value, expected, 1.0),
+        (by_k, by_absorbed, slope),
+        (by_structure, expected_structure, 1.0),
+    ):
+        for part, known in zip(got, wanted):
+            assert part.dtype == dtype
+            np.testing.assert_allclose(part, factor * known, rtol=tolerance, atol=tolerance)
+
+
+def test_second_derivatives_are_differences_of_the_first():
+    leaf = LeafParameters(
+        structure=1.8, chlorophyll=30.0, carotenoids=7.0, anthocyanins=2.0, brown_pigments=0.2,
+        water=0.012, dry_matter=0.008,
+    )  # fmt: skip
+    flat = jnp.stack([jnp.asarray(x, float) for x in jax.tree.leaves(leaf)])
+    gradient = jax.jit(jax.grad(lambda x: (spectra_of(x) ** 2).sum()))
+    curved = jax.jit(jax.hessian(lambda x: (spectra_of(x) ** 2).sum()))(flat)
+    np.testing.assert_allclose(curved, curved.T, rtol=1e-8, atol=1e-8)
+    for i, scale in enumerate(np.maximum(np.abs(flat), 1e-3)):
+        step = jnp.zeros_like(flat).at[i].set(1e-5 * scale)
+        difference = (gradient(flat + step) - gradient(flat - step)) / (2 * step[i])
+        np.testing.assert_allclose(curved[i], difference, rtol=1e-5, atol=1e-6)
 
 
 EDGES = {
