@@ -309,8 +309,8 @@ def fit_leaf(
     **Returns:** `LeafFit`, on bins of 5 and 10 nm. A leaf with fewer than ten usable bins has NaN,
     and its `status` says so.
 
-    **Raises:** `InputError` for arrays that do not match, an unknown version, shape, domain or parameter,
-    and where JAX is limited to 32 bits.
+    **Raises:** `InputError` for arrays that do not match, an unknown version, shape, domain or
+    parameter, and where JAX is limited to 32 bits.
 
     NumPy in and out, in float64; not differentiable. For gradients see `prospect`.
 

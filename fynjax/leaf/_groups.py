@@ -99,8 +99,8 @@ def fit_leaf_groups(
 
     - `wavelength`, `reflectance`, `transmittance`: the measured spectra, as for `fit_leaf`.
     - `groups`: name of the species of each leaf, in the order of the spectra.
-    - `version`, `measurement`, `leaf_shape`, `domain`, `free`, `outdoor`, `detector_changes`, `error_model`: as
-      for `fit_leaf`.
+    - `version`, `measurement`, `leaf_shape`, `domain`, `free`, `outdoor`, `detector_changes`,
+      `error_model`: as for `fit_leaf`.
 
     **Returns:** `LeafGroups`: the mean of each species, the covariance within species, and a
     `LeafFit` of all leaves. Leaves with fewer than ten usable bins do not count for the means.

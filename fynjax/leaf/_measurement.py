@@ -43,12 +43,12 @@ MEASUREMENT_PARAMETERS = {
         upper=0.6,
         usual=(0.0, 0.4),
         population=(0.25, 1.0),
-        source="Smolander and Stenberg 2003. Bounds and prior assumed, about what touching cylinders "
-        "have.",
+        source="Smolander and Stenberg 2003. Bounds and prior assumed, about what touching "
+        "cylinders have.",
         description="Part of the light scattered by a needle that meets another (Smolander and "
-        "Stenberg 2003, Remote Sensing of Environment 88, 363). Of touching parallel cylinders 0.20 "
-        "of what was scattered once, 0.36 of what leaves evenly over the surface, 0.2 (dark) to 0.4 "
-        "(bright) over all orders.",
+        "Stenberg 2003, Remote Sensing of Environment 88, 363). Of touching parallel cylinders "
+        "0.20 of what was scattered once, 0.36 of what leaves evenly over the surface, 0.2 (dark) "
+        "to 0.4 (bright) over all orders.",
     ),
 }
 """What a fit can estimate of a measurement with each leaf, with wide priors."""

@@ -104,8 +104,8 @@ def sample_leaf_posterior(
 
     **Arguments:**
 
-    - `wavelength`, `reflectance`, `transmittance`, `version`, `measurement`, `leaf_shape`, `domain`,
-      `free`, `outdoor`, `detector_changes`, `error_model`: as for `fit_leaf`.
+    - `wavelength`, `reflectance`, `transmittance`, `version`, `measurement`, `leaf_shape`,
+      `domain`, `free`, `outdoor`, `detector_changes`, `error_model`: as for `fit_leaf`.
     - `sampler`: "emcee" (Foreman-Mackey et al. 2013), or "nuts" (Hoffman & Gelman 2014), which
       needs the extra `nuts`.
     - `draws`: how many draws to return for each leaf.

@@ -21,6 +21,7 @@ from fynjax.leaf import (
     fit_leaf,
     independent_error_model,
     prospect,
+    recollided,
     transmittance_from_two_readings,
 )
 from fynjax.leaf import _levenberg as lm
@@ -83,8 +84,8 @@ def test_intervals_cover_leaves_drawn_from_the_error_model():
 
 def test_slopes_of_the_fit_are_those_of_the_forward_model():
     """The two tangents that make the Jacobian, against differences through instrument and leaf."""
-    setup = make_setup("D", LeafOverBackground(None, None), None, None)
-    x = jnp.array([1.7, 35.0, 8.0, 1.0, 0.05, 0.012, 0.008, 0.1, 0.4])
+    setup = make_setup("D", LeafOverBackground(None, None, None), None, None, "mat")
+    x = jnp.array([1.7, 35.0, 8.0, 1.0, 0.05, 0.012, 0.008, 0.1, 0.4, 0.3])
     value, slopes = jax.jit(lambda x: lm.observed_and_slopes(x, setup.optics))(x)
     read = jax.jit(lambda x: lm.observed(x, setup.optics))
     np.testing.assert_allclose(value, read(x), rtol=1e-12)
@@ -169,6 +170,80 @@ def test_gaps_between_needles_are_estimated_where_transmittance_shows_them(tmp_p
     assert row["area"] == "projected"
     with pytest.raises(ValueError, match="leaf_shape"):
         jobs.fit_leaf([tmp_path / "needle.csv"], tmp_path / "out", leaf_shape="round")
+
+
+def trace_row_of_cylinders(reflected, transmitted, photons=60_000, seed=0):
+    """R and T of touching cylinders side by side, lit from above, and the part of scattered light
+    that meets another: each scatters from the point that is lit, or from the opposite one, evenly
+    about the normal (Lambert)."""
+    draw = np.random.default_rng(seed)
+    angle = np.arcsin(draw.uniform(-1.0, 1.0, photons))  # of the lit point from the top
+    weight = np.ones(photons)
+    up = down = scattered = met = 0.0
+    while weight.sum() > 1e-4 * photons:
+        weight = weight * (reflected + transmitted)
+        scattered += weight.sum()
+        through = draw.random(angle.size) < transmitted / (reflected + transmitted)
+        angle = angle + np.where(through, np.pi, 0.0)
+        sine, turn = np.sqrt(draw.random(angle.size)), draw.uniform(0, 2 * np.pi, angle.size)
+        out, along = np.sqrt(1.0 - sine**2), sine * np.cos(turn)
+        x, z = np.sin(angle), np.cos(angle)
+        dx, dz = out * x + along * z, out * z - along * x
+        dx, dz = dx / np.hypot(dx, dz), dz / np.hypot(dx, dz)
+        nearest, place = np.full(angle.size, np.inf), np.zeros(angle.size)
+        for centre in (-6.0, -4.0, -2.0, 2.0, 4.0, 6.0):
+            b = (x - centre) * dx + z * dz
+            root = b**2 - (x - centre) ** 2 - z**2 + 1.0
+            way = -b - np.sqrt(np.maximum(root, 0.0))
+            closer = (root > 0.0) & (way > 1e-9) & (way < nearest)
+            nearest = np.where(closer, way, nearest)
+            place = np.where(closer, np.arctan2(x + way * dx - centre, z + way * dz), place)
+        hit = np.isfinite(nearest)
+        up += weight[~hit & (dz > 0)].sum()
+        down += weight[~hit & (dz <= 0)].sum()
+        met += weight[hit].sum()
+        angle, weight = place[hit], weight[hit]
+    return up / photons, down / photons, met / scattered
+
+
+@pytest.mark.parametrize(("r", "t"), [(0.5, 0.4), (0.55, 0.42), (0.3, 0.1), (0.07, 0.01)])
+def test_light_between_needles_is_that_of_rays_traced_between_cylinders(r, t):
+    up, down, recollision = trace_row_of_cylinders(r, t)
+    assert 0.19 < recollision < 0.42
+    side_by_side = recollided(jnp.asarray(r), jnp.asarray(t), recollision)
+    np.testing.assert_allclose(side_by_side, (up, down), rtol=0, atol=0.016)
+    assert sum(side_by_side) == pytest.approx(up + down, abs=0.002)
+    np.testing.assert_allclose(recollided(jnp.asarray(r), jnp.asarray(t), 0.0), (r, t))
+
+
+def test_needles_side_by_side_show_their_recollision_in_what_they_absorb(tmp_path):
+    draw = np.random.default_rng(8)
+    truth, p, g = draw.uniform(0.005, 0.015, 8), np.linspace(0.1, 0.45, 8)[:, None], 0.04
+    many = LeafParameters.many(structure=2.0, chlorophyll=60.0, water=0.015, dry_matter=truth)
+    optics = jax.vmap(lambda leaf: prospect(leaf, leaf_shape="mat"))(many)
+    mat = LeafOverBackground(gap_fraction=g, recollision=None)
+    r, t = jax.vmap(mat.observe)(optics.reflectance, optics.transmittance, jnp.asarray(p[:, 0]))
+    options = {"measurement": LeafOverBackground(gap_fraction=None, recollision=None)}
+    fit = fit_leaf(GRID, np.asarray(r), np.asarray(t), leaf_shape="mat", **options)
+    assert fit.estimated == ("gap_fraction", "recollision")
+    error = np.abs(fit.measurement - np.concatenate([np.full_like(p, g), p], axis=1))
+    assert np.all(error < [0.02, 0.15])
+    assert np.all(error < 2.5 * fit.measurement_deviation)
+    apart = fit_leaf(
+        GRID, np.asarray(r), np.asarray(t), leaf_shape="mat",
+        measurement=LeafOverBackground(gap_fraction=None),
+    )  # fmt: skip
+    off = [np.abs(np.log(np.asarray(f.parameters.dry_matter) / truth)) for f in (fit, apart)]
+    assert off[0].max() < 0.25
+    assert off[0][-1] < 0.5 * off[1][-1]
+
+    columns = {"wavelength": GRID, "a_R": np.asarray(r)[4], "a_T": np.asarray(t)[4]}
+    pd.DataFrame(columns).to_csv(tmp_path / "mat.csv", index=False)
+    jobs.fit_leaf([tmp_path / "mat.csv"], tmp_path / "out", leaf_shape="mat")
+    row = pd.read_csv(tmp_path / "out" / "traits.csv").iloc[0]
+    assert row["recollision"] == pytest.approx(p[4, 0], abs=0.15)
+    alone = fit_leaf(GRID, np.asarray(r), leaf_shape="mat", **options)
+    np.testing.assert_allclose(alone.measurement, 0.0, atol=0.02)
 
 
 def test_it_is_said_where_the_prior_decides_and_where_traits_are_unusual():

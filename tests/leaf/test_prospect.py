@@ -10,6 +10,7 @@ from scipy.special import exp1
 
 from fynjax.leaf import (
     LeafParameters,
+    cylinder_transmissivity,
     exponential_integral,
     interface_transmissivity,
     layer_absorptance,
@@ -130,6 +131,29 @@ def test_surface_transmissivity_is_the_average_of_fresnel(angle):
         interface_transmissivity(upper, 1.4) - interface_transmissivity(angle - h, 1.4)
     ) / (h if one_sided else 2 * h)
     assert abs(slope - difference) < 1e-4 * abs(difference) + 1e-7
+
+
+def test_surface_of_a_cylinder_is_fresnel_over_its_width(shared_data):
+    def lost(x, n):
+        """Fresnel's law in the angles of incidence and refraction, at x of half the width."""
+        a, b = np.arcsin(x), np.arcsin(x / n)
+        across, along = np.sin(a - b) / np.sin(a + b), np.tan(a - b) / np.tan(a + b)
+        return (across**2 + along**2) / 2
+
+    for n in (1.3, 1.45, 1.52):
+        exact = 1 - quad(lost, 1e-9, 1, args=(n,), epsabs=1e-10)[0]
+        assert cylinder_transmissivity(np.array([n]))[0] == pytest.approx(exact, abs=1e-6)
+    # Where a green needle is black within, what it reflects is its surface.
+    with np.load(shared_data / "leaf" / "divittorio_needle_spectra.npz") as stored:
+        real = np.median(stored["refl"][:, np.argmin(np.abs(stored["wl"] - 450.0))])
+    needle, broad = (
+        prospect(LeafParameters(chlorophyll=70.0, carotenoids=12.0), [450.0], leaf_shape=shape)
+        for shape in ("needle", "broad")
+    )
+    assert float(needle.reflectance[0]) == pytest.approx(real, abs=0.006)
+    assert float(broad.reflectance[0]) < real - 0.02
+    with pytest.raises(ValueError, match="leaf_shape"):
+        prospect(LeafParameters(), leaf_shape="round")
 
 
 def test_layer_absorptance_and_its_derivatives_are_exact():

@@ -6,8 +6,9 @@ into the folder OUTPUT.
 
 *Covariance of spectra*, of the sets with transmittance: for each leaf the measured pigments, water
 and dry matter are put into PROSPECT-D; N, the anthocyanins, what was not measured and, of needles,
-the gaps and the recollision between them are fitted to R and T, and what remains is the model's error. LOPEX enters with
-the mean of its five spectra a sample, NASA FFT as two sets, broad leaves and mats of needles.
+the gaps and the recollision between them are fitted to R and T, and what remains is the model's
+error. LOPEX enters with the mean of its five spectra a sample, NASA FFT as two sets, broad leaves
+and mats of needles.
 
 *Correlation of traits*: of the logarithms within a set, the mean over k sets times k / (k + 1),
 since they differ from set to set. How the sets' means lie to each other is left out: a prior with
