@@ -5,6 +5,7 @@ absorption tables of Féret et al. 2008, 2017 and 2021, rearranged so that no st
 divides by zero: see `_stack`.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache, partial
 from typing import Any
 
@@ -12,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
@@ -27,6 +29,9 @@ from fynjax.leaf._coefficients import (
 )
 from fynjax.leaf._parameters import LeafParameters
 from fynjax.leaf._transmissivity import absorptance_slope, layer_absorptance
+
+# Leaves that are computed together where there are many.
+_BLOCK = 100
 
 
 class LeafOptics(eqx.Module):
@@ -243,10 +248,40 @@ def pile_and_slopes(
     return value, by_k, by_structure
 
 
+def _pile(k: Array, structure: Array, first: Array, diffuse: Array, index: Array) -> Pair:
+    return _stack(layer_absorptance(k), structure, first, diffuse, index)[0]
+
+
+_pile_of_many = custom_vmap(_pile)
+
+
+@_pile_of_many.def_vmap
+def _pile_in_blocks(
+    leaves: int, batched: Sequence[bool], *inputs: Array
+) -> tuple[Pair, tuple[bool, bool]]:
+    """Thousands of leaves by the hundred where a processor computes: what is made on the way then
+    stays in its cache, which takes half the time and a third of the memory."""
+
+    def at_once(*inputs: Array) -> Pair:
+        return jax.vmap(_pile, [0 if own else None for own in batched])(*inputs)
+
+    def in_blocks(*inputs: Array) -> Pair:
+        def leaf(own: list[Array]) -> Pair:
+            rest = iter(own)
+            return _pile(*(next(rest) if b else value for b, value in zip(batched, inputs)))
+
+        moving = [value for b, value in zip(batched, inputs) if b]
+        return jax.lax.map(leaf, moving, batch_size=_BLOCK)
+
+    if leaves <= _BLOCK:
+        return at_once(*inputs), (True, True)
+    return jax.lax.platform_dependent(*inputs, cpu=in_blocks, default=at_once), (True, True)
+
+
 @jax.custom_jvp
 def pile(k: Array, structure: Array, first: Array, diffuse: Array, index: Array) -> Pair:
     """Reflectance and transmittance [band] of N layers that absorb by k."""
-    return _stack(layer_absorptance(k), structure, first, diffuse, index)[0]
+    return _pile_of_many(k, structure, first, diffuse, index)
 
 
 @partial(pile.defjvp, symbolic_zeros=True)
@@ -309,8 +344,8 @@ def prospect(
 
     **Arguments:**
 
-    - `parameters`: the leaf. For many leaves map with `jax.vmap`; for thousands `jax.lax.map` with
-      `batch_size=100` takes half the time and a quarter of the memory.
+    - `parameters`: the leaf. For many leaves map with `jax.vmap`; on a processor thousands are then
+      computed by the hundred, in memory of 1.5 times the output.
     - `wavelength`: band centres [nm], any grid inside 400-2500 nm, known outside `jit`; by default
       400 to 2500 in steps of 1 nm. The tables are interpolated linearly; bands below 400 nm, as a
       field spectrometer gives them from 350 nm on, are outside the model and refused, never

@@ -198,6 +198,30 @@ def test_gradients_equal_differences(version):
         assert_gradients(at_angle, jnp.asarray(40.0))
 
 
+def test_many_leaves_are_computed_in_blocks_and_come_out_the_same():
+    count = 230
+    leaves = LeafParameters.many(
+        structure=np.linspace(1.0, 3.0, count), chlorophyll=np.linspace(1.0, 90.0, count)
+    )
+    many = jax.jit(jax.vmap(both))
+    at_once = jnp.concatenate([many(jax.tree.map(lambda x, i=i: x[i : i + 46], leaves))
+                               for i in range(0, count, 46)])  # fmt: skip
+    np.testing.assert_allclose(many(leaves), at_once, rtol=1e-12)
+    pairs = jax.tree.map(lambda x: x.reshape(2, 115), leaves)
+    np.testing.assert_allclose(
+        jax.vmap(jax.vmap(both))(pairs).reshape(at_once.shape), at_once, rtol=1e-12
+    )
+    slope = jax.vmap(jax.grad(lambda leaf: both(leaf).sum()))(leaves).chlorophyll[200]
+    alone = jax.grad(lambda leaf: both(leaf).sum())(jax.tree.map(lambda x: x[200], leaves))
+    assert float(slope) == pytest.approx(float(alone.chlorophyll), rel=1e-10)
+    if jax.default_backend() == "cpu":
+        whole = jax.jit(jax.vmap(lambda leaf: both(leaf, None))).lower(
+            jax.tree.map(lambda x: jnp.repeat(x, 10), leaves)
+        )
+        used = whole.compile().memory_analysis()
+        assert used.temp_size_in_bytes < 0.8 * used.output_size_in_bytes
+
+
 def test_incidence_angle_as_a_traced_array_gives_the_same_leaf():
     leaf = LeafParameters()
     np.testing.assert_allclose(
