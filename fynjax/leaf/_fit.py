@@ -339,11 +339,13 @@ def fit_leaf(
     names = [f"leaves {rows.start + 1} to {min(rows.stop, len(data))}" for rows in cut]
     sizes = [len(data[rows]) for rows in cut]
     with progress.stage("fitting leaves", len(data)), at_work(workers) as pool:
-        found = pool.all(
-            _chunk_arrays, chunks, setup,
-            names=names, sizes=sizes, journal=journal, progress=progress,
-        )  # fmt: skip
-    parts = [dict(zip(map(str, keys), arrays)) for keys, *arrays in found]
+        parts = [
+            dict(zip(map(str, keys), arrays))
+            for keys, *arrays in pool.all(
+                _chunk_arrays, chunks, setup,
+                names=names, sizes=sizes, journal=journal, progress=progress,
+            )
+        ]  # fmt: skip
     return assemble(setup, parts, data, use)
 
 
@@ -394,9 +396,13 @@ def describe_chunk(
 def assemble(
     setup: Setup, parts: list[dict[str, np.ndarray]], data: np.ndarray, use: np.ndarray
 ) -> LeafFit:
-    """The result in physical units, and a status for each leaf."""
+    """The result in physical units, and a status for each leaf.
+
+    Takes the arrays out of `parts` and works in place, so that spectra of many leaves are not in
+    memory twice.
+    """
     names, free = setup.names, setup.free
-    got = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+    got = {key: np.concatenate([part.pop(key) for part in parts]) for key in list(parts[0])}
     bounds = leaf_bounds(names)
     width = bounds[:, 1] - bounds[:, 0]
     deviation = np.sqrt(np.einsum("npp->np", got["covariance"]))
@@ -409,8 +415,9 @@ def assemble(
     covariance = scale[:, :, None] * got["covariance"] * scale[:, None, :]
     few = use.sum((1, 2)) < 10
     measured = np.where(use, data, np.nan)
-    square = np.where(use, (np.where(use, data, 0.0) - got["recorded"]) ** 2, 0.0)
-    rmse = np.sqrt(square.sum((1, 2)) / np.maximum(use.sum((1, 2)), 1))
+    off = np.nan_to_num(measured - got["recorded"], copy=False)
+    rmse = np.sqrt(np.einsum("nqb,nqb->n", off, off) / np.maximum(use.sum((1, 2)), 1))
+    del off
     at_bound = (got["x"] > bounds[:, 1] - 0.01 * width) & np.isin(names, free)
     rare = got["rarity"] > chi2.ppf(_RARE, len(free))
     reason = np.select(
@@ -426,6 +433,7 @@ def assemble(
     )
     for key in ("x", "recorded", "corrected", "variance"):
         got[key][few] = np.nan
+    corrected = np.clip(got["corrected"], 0.0, 1.0, out=got["corrected"])
     spread = np.sqrt(np.einsum("npp->np", covariance))
     values = dict(zip(names, got["x"].T))
     leaf = {name: values.get(name, 0.0) for name in LEAF_PARAMETERS}
@@ -443,9 +451,9 @@ def assemble(
         wavelength=bin_centres(),
         measured=measured,
         fitted=got["recorded"],
-        reflectance=np.clip(got["corrected"][:, 0], 0.0, 1.0),
-        transmittance=np.clip(got["corrected"][:, 1], 0.0, 1.0),
-        transmittance_deviation=np.sqrt(got["variance"]),
+        reflectance=corrected[:, 0],
+        transmittance=corrected[:, 1],
+        transmittance_deviation=np.sqrt(got["variance"], out=got["variance"]),
         rmse=np.where(few, np.nan, rmse),
         chi2=got["chi2"],
         inflation=got["inflation"],
