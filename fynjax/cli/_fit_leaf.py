@@ -109,7 +109,7 @@ def fit_leaf(
     measurement: Annotated[
         str,
         typer.Option(
-            help="How it was measured: sphere, leaf-clip, probe, or stack (piles, needle mats)."
+            help="How it was measured: sphere, leaf-clip, probe, or stack (piles, optically thick)."
         ),
     ] = "sphere",
     background: Annotated[
@@ -129,7 +129,8 @@ def fit_leaf(
     leaf_shape: Annotated[
         LeafShape,
         typer.Option(
-            help="needle: single or apart; mat: needles side by side; culm: the same of culms."
+            help="needle: single or apart; mat: needles side by side; culm: the same of culms. "
+            "Gaps, and light between those side by side, are estimated where transmittance is."
         ),
     ] = LeafShape.broad,
     area: Annotated[

@@ -46,7 +46,6 @@ from fynjax.leaf import (
     LeafArea,
     LeafClip,
     LeafFit,
-    LeafOverBackground,
     LeafShape,
     LeafStack,
     ProspectVersion,
@@ -59,6 +58,7 @@ from fynjax.leaf import (
     sample_leaf_posterior,
     to_bins,
     transmittance_from_two_readings,
+    usual_measurement,
 )
 from fynjax.report.figures import leaf_fit_figure
 from fynjax.report.pages import Picture
@@ -108,12 +108,7 @@ def _measurement(
         binned = to_bins(_GRID, background)
         have = np.isfinite(binned)
         behind = np.interp(bin_centres(), bin_centres()[have], binned[have])
-    return LeafOverBackground(
-        background=behind,
-        gap_fraction=0.0 if shape == "broad" else None,
-        recollision=None if shape in ("mat", "culm") else 0.0,
-        offset_deviation=single.offset_deviation,
-    )
+    return usual_measurement(shape, behind, single.offset_deviation)
 
 
 def _background(given: str | Path | float, measurement: str) -> Float[np.ndarray, " band"]:
@@ -295,11 +290,11 @@ def fit_leaf(
       `paths` are then over black, and transmittance follows from both
       (`transmittance_from_two_readings`).
     - `leaf_shape`: "broad", "needle" (single or apart), "mat" (needles side by side) or "culm"
-      (likewise). Round leaves reflect more at their surface and leave gaps: where transmittance was
-      measured their part of the field of view is estimated, of a leaf clip also what lies behind,
-      and of mats and culms the recollision probability (`recollided`).
+      (likewise). Single needles reflect more at their surface. Round leaves leave gaps: where
+      transmittance was measured their part of the field of view is estimated, of a leaf clip also
+      what lies behind, and of mats and culms the recollision probability (`recollided`).
     - `area`: what contents are stated per in all tables, "projected" or "half_total", see
-      `fynjax.leaf.area_factor`.
+      `fynjax.leaf.area_factors`.
     - `domain`: "full" or "optimal".
     - `panel`: file of the white panel's own reflectance, for spectra relative to it; those of ASD
       files that hold it are absolute already.

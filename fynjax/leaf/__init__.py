@@ -27,6 +27,7 @@ from fynjax.leaf._measurement import (
     recollided,
     resolved_by_two_readings,
     transmittance_from_two_readings,
+    usual_measurement,
 )
 from fynjax.leaf._parameters import (
     LEAF_PARAMETERS,
@@ -90,4 +91,5 @@ __all__ = [
     "structure_from_dry_matter",
     "to_bins",
     "transmittance_from_two_readings",
+    "usual_measurement",
 ]

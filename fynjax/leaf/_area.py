@@ -9,6 +9,8 @@ from fynjax.leaf._parameters import LEAF_PARAMETERS
 LeafShape = Literal["broad", "needle", "mat", "culm"]
 """Shape of leaves: broad leaves are flat and fill a field of view; of round ones needles are single
 or apart, a mat is needles side by side, and culms lie side by side too."""
+SIDE_BY_SIDE = ("mat", "culm")
+"""Shapes between which light goes to and fro."""
 LeafArea = Literal["projected", "half_total"]
 """Area that contents of a leaf are stated per: what a scanner sees, or half of its surface."""
 
@@ -22,10 +24,9 @@ _HALF_OVER_PROJECTED = {"broad": FLAT, "needle": ROUND, "mat": ROUND, "culm": RO
 _NOT_PER_AREA = ("structure", "brown_pigments")
 
 
-def is_round(shape: str) -> bool:
-    """Whether leaves of a shape are cylinders. Raises `InputError` for an unknown shape."""
+def check_shape(shape: str) -> None:
+    """Raise `InputError` for an unknown shape."""
     _check(shape, LeafShape, "leaf_shape")
-    return _HALF_OVER_PROJECTED[shape] == ROUND
 
 
 def _check(given: str, kinds: Any, what: str) -> None:
@@ -51,6 +52,6 @@ def area_factors(area: LeafArea, shape: LeafShape) -> dict[str, float]:
     0.6366
     """
     _check(area, LeafArea, "area")
-    _check(shape, LeafShape, "leaf_shape")
+    check_shape(shape)
     content = 1.0 if area == "projected" else 1.0 / _HALF_OVER_PROJECTED[shape]
     return {name: 1.0 if name in _NOT_PER_AREA else content for name in LEAF_PARAMETERS}

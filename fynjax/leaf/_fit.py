@@ -106,7 +106,8 @@ class LeafFit(eqx.Module):
     """Variance of each parameter, as far as spectra explain it, over that in the population: near 0
     the spectrum decides, near 1 the prior [-]."""
     measurement: Float[np.ndarray, "leaf estimated"]
-    """What was estimated of the measurement, such as the gap fraction; see `estimated`."""
+    """What was estimated of the measurement, such as the gap fraction (see `estimated`); NaN where
+    there is no transmittance, which alone shows it."""
     measurement_deviation: Float[np.ndarray, "leaf estimated"]
     """Standard deviation of `measurement`."""
     estimated: tuple[str, ...] = eqx.field(static=True)
@@ -289,9 +290,10 @@ def fit_leaf(
     - `reflectance`, `transmittance`: [leaf, band], fractions, NaN where missing; one of them may
       be `None`.
     - `version`: "5", "D" or "PRO".
-    - `measurement`: what the instrument records; an integrating sphere by default.
-    - `leaf_shape`: "broad", or a round shape, whose surface reflects more, see `prospect`. Gaps and
-      neighbours are the measurement's: `LeafOverBackground(gap_fraction=None, recollision=None)`.
+    - `measurement`: what the instrument records; by default an integrating sphere, which of round
+      leaves shows gaps, and of those side by side recollision (`LeafOverBackground`).
+    - `leaf_shape`: "broad", "needle", whose surface reflects more (see `prospect`), or "mat" or
+      "culm", which lie side by side.
     - `domain`: "full", or "optimal" for the published sub-domains 520-560, 700-720, 1130 (for N)
       and 1700-2400 nm.
     - `free`: parameters to fit; by default all of the version but `brown_pigments`.
@@ -440,6 +442,7 @@ def assemble(
     fitted = tuple(name for name in free if name in LEAF_PARAMETERS)
     chosen = [names.index(name) for name in fitted]
     estimated = setup.optics.measurement.estimated
+    shown = ~few & use[:, 1].any(1)  # without transmittance nothing is estimated, see leaf_priors
     own = [names.index(name) for name in estimated]
     return LeafFit(
         parameters=LeafParameters.many(**leaf),
@@ -461,7 +464,7 @@ def assemble(
         reason=reason,
         at_bound=at_bound[:, chosen],
         prior_share=np.where(few[:, None], np.nan, got["share"])[:, chosen],
-        measurement=got["x"][:, own],
-        measurement_deviation=np.where(few[:, None], np.nan, spread)[:, own],
+        measurement=np.where(shown[:, None], got["x"][:, own], np.nan),
+        measurement_deviation=np.where(shown[:, None], spread[:, own], np.nan),
         estimated=estimated,
     )  # fmt: skip

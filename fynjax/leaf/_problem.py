@@ -30,7 +30,7 @@ from fynjax.leaf._error_model import (
 from fynjax.leaf._measurement import (
     MEASUREMENT_PARAMETERS,
     AbstractMeasurement,
-    IntegratingSphere,
+    usual_measurement,
 )
 from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._prospect import interface_transmissivity, surface_transmissivity
@@ -109,7 +109,7 @@ def make_setup(
 ) -> Setup:
     """Constants of a fit. Must run with 64-bit numbers on."""
     check_version(version)
-    measurement = IntegratingSphere() if measurement is None else measurement
+    measurement = usual_measurement(shape) if measurement is None else measurement
     model = default_error_model() if model is None else model
     leaf = ("structure", *CONSTITUENTS[version])
     free = tuple(n for n in leaf if n != "brown_pigments") if free is None else tuple(free)

@@ -4,9 +4,10 @@ FOLDER holds the leaf data (default: `FYNJAX_SHARED_DATA`/leaf). Each campaign i
 error model, prior and discrepancy of traits are estimated from the others, PLSR is trained on the
 others (the number of components, and whether of the logarithm, by leaving out one of these in turn;
 by folds if only one is left). Beside them plain PROSPECT: least squares with independent errors in
-the published sub-domains. Of each: root mean square error, bias, share of the measured values in
-the 90 % interval, and median width of that. The differences of root mean square errors have 90 %
-intervals by bootstrap over species. Units: ug cm-2 of pigments, mg cm-2 of water and dry matter.
+the published sub-domains, every leaf as a broad one without gaps. Of each: root mean square error,
+bias, share of the measured values in the 90 % interval, and median width of that. The differences
+of root mean square errors have 90 % intervals by bootstrap over species. Units: ug cm-2 of
+pigments, mg cm-2 of water and dry matter.
 """
 
 import os
@@ -151,7 +152,7 @@ def report(leaves: LeafSet, trait: str, given: str, methods: dict[str, Estimate]
 
 
 def transmittance(leaves: LeafSet, fits: dict[str, LeafFit]) -> None:
-    """T predicted from R alone."""
+    """T predicted from R alone: of one leaf, though in mats it was measured of many."""
     inner = (bin_centres() >= 450) & (bin_centres() <= 2400)
     weight = np.gradient(bin_centres())[inner]
     for name, fit in fits.items():

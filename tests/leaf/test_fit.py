@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 
 from fynjax import jobs
 from fynjax.io.spectra import prior_decides
@@ -19,14 +20,16 @@ from fynjax.leaf import (
     correct_detector_jumps,
     default_error_model,
     fit_leaf,
+    fit_leaf_groups,
     independent_error_model,
     prospect,
     recollided,
+    sample_leaf_posterior,
     transmittance_from_two_readings,
 )
 from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._error_model import bin_centres, to_bins
-from fynjax.leaf._problem import make_setup
+from fynjax.leaf._problem import leaf_priors, make_setup
 from fynjax.leaf.data.estimate_error_model import estimate
 
 GRID = np.arange(400.0, 2501.0)
@@ -84,7 +87,7 @@ def test_intervals_cover_leaves_drawn_from_the_error_model():
 
 def test_slopes_of_the_fit_are_those_of_the_forward_model():
     """The two tangents that make the Jacobian, against differences through instrument and leaf."""
-    setup = make_setup("D", LeafOverBackground(None, None, None), None, None, "mat")
+    setup = make_setup("D", LeafOverBackground(None, None, None), None, None, "needle")
     x = jnp.array([1.7, 35.0, 8.0, 1.0, 0.05, 0.012, 0.008, 0.1, 0.4, 0.3])
     value, slopes = jax.jit(lambda x: lm.observed_and_slopes(x, setup.optics))(x)
     read = jax.jit(lambda x: lm.observed(x, setup.optics))
@@ -160,13 +163,22 @@ def test_gaps_between_needles_are_estimated_where_transmittance_shows_them(tmp_p
     ]
     assert np.sqrt(np.mean(off[0] ** 2)) < 0.3 * np.sqrt(np.mean(off[1] ** 2))
     alone = fit_leaf(GRID, seen_r, measurement=needles)
-    np.testing.assert_allclose(alone.measurement, 0.0, atol=0.01)
+    without = fit_leaf(GRID, seen_r)
+    np.testing.assert_allclose(
+        alone.parameters.dry_matter, without.parameters.dry_matter, rtol=0.02
+    )
+    assert np.isnan(alone.measurement).all()
+    assert np.isnan(alone.measurement_deviation).all()
 
     columns = {"wavelength": GRID, "a_R": seen_r[7], "a_T": seen_t[7]}
     pd.DataFrame(columns).to_csv(tmp_path / "needle.csv", index=False)
     jobs.fit_leaf([tmp_path / "needle.csv"], tmp_path / "out", leaf_shape="needle")
     row = pd.read_csv(tmp_path / "out" / "traits.csv").iloc[0]
     assert row["gap_fraction"] == pytest.approx(0.2, abs=0.03)
+    assert "recollision" not in row
+    direct = fit_leaf(GRID, seen_r[7:], seen_t[7:], leaf_shape="needle")
+    assert row["dry_matter"] == pytest.approx(float(direct.parameters.dry_matter[0]), rel=1e-4)
+    assert row["dry_matter"] != pytest.approx(float(fit.parameters.dry_matter[7]), rel=1e-3)
     assert row["area"] == "projected"
     with pytest.raises(ValueError, match="leaf_shape"):
         jobs.fit_leaf([tmp_path / "needle.csv"], tmp_path / "out", leaf_shape="round")
@@ -213,6 +225,8 @@ def test_light_between_needles_is_that_of_rays_traced_between_cylinders(r, t):
     side_by_side = recollided(jnp.asarray(r), jnp.asarray(t), recollision)
     np.testing.assert_allclose(side_by_side, (up, down), rtol=0, atol=0.016)
     assert sum(side_by_side) == pytest.approx(up + down, abs=0.002)
+    one_for_all = recollided(jnp.asarray(r), jnp.asarray(t), 0.3)
+    np.testing.assert_allclose(one_for_all, (up, down), rtol=0, atol=0.025)
     np.testing.assert_allclose(recollided(jnp.asarray(r), jnp.asarray(t), 0.0), (r, t))
 
 
@@ -223,8 +237,7 @@ def test_needles_side_by_side_show_their_recollision_in_what_they_absorb(tmp_pat
     optics = jax.vmap(lambda leaf: prospect(leaf, leaf_shape="mat"))(many)
     mat = LeafOverBackground(gap_fraction=g, recollision=None)
     r, t = jax.vmap(mat.observe)(optics.reflectance, optics.transmittance, jnp.asarray(p[:, 0]))
-    options = {"measurement": LeafOverBackground(gap_fraction=None, recollision=None)}
-    fit = fit_leaf(GRID, np.asarray(r), np.asarray(t), leaf_shape="mat", **options)
+    fit = fit_leaf(GRID, np.asarray(r), np.asarray(t), leaf_shape="mat")
     assert fit.estimated == ("gap_fraction", "recollision")
     error = np.abs(fit.measurement - np.concatenate([np.full_like(p, g), p], axis=1))
     assert np.all(error < [0.02, 0.15])
@@ -239,11 +252,47 @@ def test_needles_side_by_side_show_their_recollision_in_what_they_absorb(tmp_pat
 
     columns = {"wavelength": GRID, "a_R": np.asarray(r)[4], "a_T": np.asarray(t)[4]}
     pd.DataFrame(columns).to_csv(tmp_path / "mat.csv", index=False)
-    jobs.fit_leaf([tmp_path / "mat.csv"], tmp_path / "out", leaf_shape="mat")
-    row = pd.read_csv(tmp_path / "out" / "traits.csv").iloc[0]
-    assert row["recollision"] == pytest.approx(p[4, 0], abs=0.15)
-    alone = fit_leaf(GRID, np.asarray(r), leaf_shape="mat", **options)
-    np.testing.assert_allclose(alone.measurement, 0.0, atol=0.02)
+    for shape in ("mat", "culm"):
+        jobs.fit_leaf([tmp_path / "mat.csv"], tmp_path / "out", leaf_shape=shape)
+        row = pd.read_csv(tmp_path / "out" / "traits.csv").iloc[0]
+        assert row["recollision"] == pytest.approx(fit.measurement[4, 1], abs=1e-3)
+        with xr.open_dataset(tmp_path / "out" / "spectra.nc") as spectra:
+            assert float(spectra["recollision"][0]) == pytest.approx(row["recollision"], abs=1e-5)
+            assert spectra.attrs["leaf_shape"] == shape
+
+
+def test_neighbours_that_are_known_say_that_a_plateau_is_not_that_of_one_leaf():
+    """The near infrared of needles side by side is no evidence of N, as that of one leaf is."""
+    _, r, _ = leaves(1)
+    data = np.full((1, 2, bin_centres().size), np.nan)
+    data[:, 0] = to_bins(GRID, r)
+    extra = []
+    for p in (0.0, 0.3):
+        setup = make_setup("D", LeafOverBackground(recollision=p), None, None)
+        _, precision = leaf_priors(setup, data, np.isfinite(data))
+        extra.append(precision[0, 0, 0] - setup.prior_precision[0, 0])
+    assert extra[0] > 1.0
+    assert extra[1] == pytest.approx(0.0, abs=1e-9)
+    for wrong in (-0.1, 1.0):
+        with pytest.raises(ValueError, match="recollision"):
+            LeafOverBackground(recollision=wrong)
+
+
+def test_the_shape_reaches_species_and_posteriors():
+    """Spectra of round leaves: of that shape they are fitted better than as broad leaves."""
+    values, _, _ = leaves(2)
+    optics = jax.vmap(lambda leaf: prospect(leaf, leaf_shape="needle"))(
+        LeafParameters.many(**values)
+    )
+    r, t = np.asarray(optics.reflectance), np.asarray(optics.transmittance)
+    misfit, draws = {}, {}
+    for shape in ("broad", "needle"):
+        options = {"leaf_shape": shape, "measurement": IntegratingSphere()}
+        misfit[shape] = fit_leaf_groups(GRID, r, t, groups=["a", "a"], **options).leaves.rmse
+        draws[shape] = sample_leaf_posterior(GRID, r[:1], t[:1], target=50.0, **options).samples
+    assert np.all(misfit["needle"] < 0.7 * misfit["broad"])
+    mean = {shape: samples.mean((0, 1)) for shape, samples in draws.items()}
+    assert not np.allclose(mean["needle"], mean["broad"], rtol=0.01)
 
 
 def test_it_is_said_where_the_prior_decides_and_where_traits_are_unusual():

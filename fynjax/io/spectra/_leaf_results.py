@@ -102,7 +102,8 @@ def spectra_dataset(
     - `factors`: `fynjax.leaf.area_factors` of that area.
 
     **Returns:** reflectance and transmittance [leaf, wavelength] as fractions [-], with the 90 %
-    interval of transmittance; traits [leaf] in the units of `LeafParameters`; wavelength in nm.
+    interval of transmittance; traits [leaf] in the units of `LeafParameters`, and what was
+    estimated of the measurement [-]; wavelength in nm.
     """
     wide = 1.6448536269514722 * fit.transmittance_deviation
     tables: dict[str, tuple[np.ndarray, str]] = {
@@ -110,8 +111,8 @@ def spectra_dataset(
         "measured_transmittance": (fit.measured[:, 1], "recorded transmittance used by the fit"),
         "fitted_reflectance": (fit.fitted[:, 0], "reflectance of the fitted measurement model"),
         "fitted_transmittance": (fit.fitted[:, 1], "transmittance of the fitted measurement model"),
-        "reflectance": (fit.reflectance, "leaf reflectance"),
-        "transmittance": (fit.transmittance, "leaf transmittance, predicted if not measured"),
+        "reflectance": (fit.reflectance, "reflectance of one leaf"),
+        "transmittance": (fit.transmittance, "transmittance of one leaf, also if not measured"),
         "transmittance_lower90": (
             np.clip(fit.transmittance - wide, 0, 1),
             "lower end of the 90 % interval of leaf transmittance",
@@ -132,6 +133,13 @@ def spectra_dataset(
         deviation = factors[name] * fit.standard_deviation[:, i]
         text = f"standard deviation of {name.replace('_', ' ')}"
         variables[f"{name}_sd"] = ("leaf", deviation, attributes | {"long_name": text})
+    for i, name in enumerate(fit.estimated):
+        attributes = {"units": "1", "long_name": name.replace("_", " ")}
+        variables[name] = ("leaf", fit.measurement[:, i], attributes)
+        text = f"standard deviation of {attributes['long_name']}"
+        variables[f"{name}_sd"] = (
+            "leaf", fit.measurement_deviation[:, i], attributes | {"long_name": text}
+        )  # fmt: skip
     variables["status"] = ("leaf", np.array(fit.status, dtype=object))
     variables["file"] = ("leaf", np.array(list(files), dtype=object))
     wavelength = (

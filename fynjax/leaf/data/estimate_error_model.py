@@ -51,7 +51,7 @@ from fynjax.leaf._error_model import (
     to_bins,
 )
 from fynjax.leaf._fit import NINETY_PERCENT, fit_leaf, thickness
-from fynjax.leaf._measurement import AbstractMeasurement, IntegratingSphere, LeafOverBackground
+from fynjax.leaf._measurement import AbstractMeasurement, usual_measurement
 from fynjax.leaf._problem import leaf_bounds, leaf_problems, make_setup
 
 CAMPAIGNS = ("angers", "lopex", "nasa_fft", "california_asd", "divittorio_needle")
@@ -94,10 +94,7 @@ class LeafSet:
 
     def measurement(self) -> AbstractMeasurement:
         """Needles leave gaps that differ from sample to sample, and in mats have neighbours."""
-        if self.shape == "broad":
-            return IntegratingSphere()
-        neighbours = None if self.shape == "mat" else 0.0
-        return LeafOverBackground(gap_fraction=None, recollision=neighbours)
+        return usual_measurement(self.shape)
 
 
 @cache

@@ -34,12 +34,14 @@ def leaf_fit_figure(fit: LeafFit, names: Sequence[str]) -> Figure:
         )
         panel.fill_between(grid, low, high, color="tab:blue", alpha=0.25, lw=0,
                            label="90 % interval of 1 - T")  # fmt: skip
-        panel.plot(
-            grid, 1.0 - fit.transmittance[i][inside], color="tab:blue", label="1 - T of leaf"
-        )
+        panel.plot(grid, 1.0 - fit.transmittance[i][inside], color="tab:blue",
+                   label="1 - T of one leaf" if fit.estimated else "1 - T of leaf")  # fmt: skip
         panel.plot(grid, fit.fitted[i, 0][inside], color="tab:green", label="R of model")
         panel.plot(grid, fit.measured[i, 0][inside], "k.", ms=2.5, label="R measured")
         if np.isfinite(fit.measured[i, 1]).any():
+            if fit.estimated:
+                panel.plot(grid, 1.0 - fit.fitted[i, 1][inside], "--", color="tab:purple",
+                           label="1 - T of model, with gaps")  # fmt: skip
             panel.plot(grid, 1.0 - fit.measured[i, 1][inside], ".", color="0.45", ms=2.5,
                        label="1 - T measured")  # fmt: skip
         short = names[i] if len(names[i]) <= 32 else "..." + names[i][-29:]
