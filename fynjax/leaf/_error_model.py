@@ -66,6 +66,9 @@ class ErrorModel(eqx.Module):
     species_share: Float[np.ndarray, " trait"]
     """Share of a trait's error, as variance, that leaves of one species have in common; NaN where
     it is unknown [-]."""
+    reflectance_share: float
+    """Weight of the fit to R alone in dry matter where T was measured as well, 0 to 1: light that T
+    misses counts as absorbed, by dry matter most of all [-]."""
 
 
 # Sub-domains that estimate N, Car, Chl, and EWT with LMA best in several campaigns: Féret et al.
@@ -99,6 +102,7 @@ def estimate_error_model(
     trait_correlation: Float[np.ndarray, "trait trait"] | None = None,
     trait_discrepancy: Float[np.ndarray, "trait 2"] | None = None,
     species_share: Float[np.ndarray, " trait"] | None = None,
+    reflectance_share: float = 0.0,
 ) -> ErrorModel:
     """Factors of the discrepancy between PROSPECT and measured leaves of several data sets.
 
@@ -116,8 +120,8 @@ def estimate_error_model(
     - `factors`: how many principal factors to keep; the rest becomes independent noise.
     - `own_share`: weight of the empirical covariance of the sets, 0 to 1; the rest is the weight of
       the Gaussian process.
-    - `trait_correlation`, `trait_discrepancy`, `species_share`: fields of the model; none, a
-      quarter and 0.4 by default.
+    - `trait_correlation`, `trait_discrepancy`, `species_share`, `reflectance_share`: fields of the
+      model; none, a quarter, 0.4 and 0 by default.
 
     **Returns:** `ErrorModel` on `bin_centres()`. NumPy; not differentiable.
     """
@@ -161,6 +165,7 @@ def estimate_error_model(
         np.eye(len(POPULATION_TRAITS)) if trait_correlation is None else trait_correlation,
         _assumed_discrepancy() if trait_discrepancy is None else trait_discrepancy,
         _assumed_share() if species_share is None else species_share,
+        reflectance_share,
     )
 
 
@@ -194,7 +199,11 @@ def default_error_model() -> ErrorModel:
     correlation = traits[list(POPULATION_TRAITS)].to_numpy(float)
     discrepancy = traits[["log_discrepancy", "dry_matter_slope"]].to_numpy(float)
     share = traits["species_share"].to_numpy(float)
-    return ErrorModel(r, t, noise[0], noise[1], _distrust(), correlation, discrepancy, share)
+    shares = traits["reflectance_share"].to_numpy(float)
+    alone = float(shares[POPULATION_TRAITS.index("dry_matter")])
+    return ErrorModel(
+        r, t, noise[0], noise[1], _distrust(), correlation, discrepancy, share, alone
+    )  # fmt: skip
 
 
 def independent_error_model(standard_deviation: float = 0.01) -> ErrorModel:
@@ -219,6 +228,7 @@ def independent_error_model(standard_deviation: float = 0.01) -> ErrorModel:
         np.eye(len(POPULATION_TRAITS)),
         _assumed_discrepancy(),
         _assumed_share(),
+        0.0,
     )
 
 

@@ -35,6 +35,8 @@ from fynjax.leaf._problem import (
 NINETY_PERCENT = 1.6448536269514722
 # One leaf in a hundred of ANGERS, LOPEX, NASA FFT is beyond it, and nine soils of ten.
 _POOR_FIT = 4.0
+# Usable bins of a leaf that is fitted.
+_FEWEST = 10
 # One leaf in a hundred of the population is further from the usual leaf.
 _RARE = 0.99
 # Dry matter [g cm-2] at which the discrepancy of traits is stated, and how far from it, as a
@@ -205,6 +207,21 @@ def solve_leaves(
     return state, problems, misfit
 
 
+def towards_reflectance(
+    setup: Setup, data: np.ndarray, use: np.ndarray, z: np.ndarray
+) -> Float[np.ndarray, "leaf parameter"]:
+    """What z of R and T is moved by: dry matter a part of the way to what R alone says."""
+    change = np.zeros_like(z)
+    both = np.flatnonzero((use.sum(2) >= _FEWEST).all(1))
+    if setup.reflectance_share > 0.0 and both.size:
+        at, seen = setup.names.index("dry_matter"), use[both]
+        seen[:, 1] = False
+        alone, _, _ = solve_leaves(setup, data[both], seen, leaf_priors(setup, data[both], seen))
+        way = np.where(alone.converged, alone.z[:, at] - z[both, at], 0.0)
+        change[both, at] = setup.reflectance_share * way
+    return change
+
+
 def rarity(setup: Setup, z: np.ndarray) -> Float[np.ndarray, " leaf"]:
     """Squared distance of leaves from the usual leaf, in units of the population's covariance."""
     offset = z - setup.prior_mean
@@ -279,7 +296,9 @@ def fit_leaf(
     N also has the prior 1.745 R / (1 - R) + 0.133 at 1130 nm (after Spafford et al. 2021), with a
     standard deviation of 0.2, and if R is missing a similar prior in (1 - T) / T. A leaf that
     fits worse than the leaves of the error model has its covariance scaled up (one step of a
-    Student likelihood) and is fitted again. Standard deviations and intervals are those of the
+    Student likelihood) and is fitted again. Where R and T were measured dry matter is a weighted
+    mean (of logits) with what R alone says (`ErrorModel.reflectance_share`): on campaigns left out
+    that is nearer to what laboratories measured. Standard deviations and intervals are those of the
     trait a laboratory would measure: they include the part of its variance that spectra do not
     explain (`ErrorModel.trait_discrepancy`).
 
@@ -370,7 +389,14 @@ def fit_chunk(
     """Everything `assemble` needs of some leaves."""
     state, problems, misfit = solve_leaves(setup, data, use, prior)
     covariance = np.linalg.inv(state.hessian)
-    return describe_chunk(setup, state, problems, misfit, covariance, use)
+    found = describe_chunk(setup, state, problems, misfit, covariance, use)
+    moved = state.z + towards_reflectance(setup, data, use, state.z)
+    bounds = leaf_bounds(setup.names)
+    width, unit = bounds[:, 1] - bounds[:, 0], 1.0 / (1.0 + np.exp(-moved))
+    # Spectra stay those of the fit to R and T.
+    return found | {
+        "z": moved, "x": bounds[:, 0] + width * unit, "scale": width * unit * (1.0 - unit)
+    }  # fmt: skip
 
 
 def describe_chunk(
@@ -415,7 +441,7 @@ def assemble(
     ]
     scale = got["scale"]
     covariance = scale[:, :, None] * got["covariance"] * scale[:, None, :]
-    few = use.sum((1, 2)) < 10
+    few = use.sum((1, 2)) < _FEWEST
     measured = np.where(use, data, np.nan)
     off = np.nan_to_num(measured - got["recorded"], copy=False)
     rmse = np.sqrt(np.einsum("nqb,nqb->n", off, off) / np.maximum(use.sum((1, 2)), 1))

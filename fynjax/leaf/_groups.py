@@ -93,7 +93,8 @@ def fit_leaf_groups(
     (`ErrorModel.species_share`), which more leaves do not average out and by which they are not
     drawn to their mean. The covariance is estimated by expectation-maximisation over the Gaussian
     approximations of the leaves; intervals hold the uncertainty of the mean and the common error
-    (Gelman et al. 2013, Bayesian Data Analysis, chapters 5 and 13).
+    (Gelman et al. 2013, Bayesian Data Analysis, chapters 5 and 13). Dry matter is that of R and T
+    together: no mean with that of R alone is taken, as `fit_leaf` does.
 
     **Arguments:**
 

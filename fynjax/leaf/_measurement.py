@@ -214,6 +214,13 @@ def usual_measurement(
     """What an integrating sphere records of leaves of a shape, or a clip over a background.
 
     Of round leaves gaps are estimated, of those side by side the recollision too.
+
+    **Arguments:** `shape`: "broad", "needle", "mat" or "culm"; `background`, `offset_deviation`:
+    see `LeafOverBackground`.
+
+    **Returns:** `IntegratingSphere` of broad leaves over black, else `LeafOverBackground`.
+
+    **Raises:** `InputError` for an unknown shape.
     """
     check_shape(shape)
     black = background is not None and not np.any(np.asarray(background))

@@ -19,7 +19,7 @@ from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel
-from fynjax.leaf._fit import describe, solve_leaves, trait_variance
+from fynjax.leaf._fit import describe, solve_leaves, towards_reflectance, trait_variance
 from fynjax.leaf._measurement import AbstractMeasurement
 from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._problem import FitDomain, Setup, binned_data, leaf_priors, make_setup, usable_bins
@@ -100,7 +100,7 @@ def sample_leaf_posterior(
     priors, in the same unconstrained coordinates. The ensemble starts as draws from that Gaussian
     and stops when it is longer than 50 autocorrelation times and holds `target` effective draws.
     To each draw a random part of the discrepancy of measured traits is added
-    (`ErrorModel.trait_discrepancy`).
+    (`ErrorModel.trait_discrepancy`), and dry matter is moved as in `fit_leaf`.
 
     **Arguments:**
 
@@ -130,6 +130,7 @@ def sample_leaf_posterior(
     with progress.stage("sampling leaves", len(data)):
         setup = make_setup(version, measurement, free, error_model, leaf_shape)
         state, problems, _ = solve_leaves(setup, data, use, leaf_priors(setup, data, use))
+        moved = towards_reflectance(setup, data, use, state.z)
         columns = free_columns(setup)
         samples = np.full((len(data), draws, columns.size), np.nan)
         spectra = np.full((len(data), draws, data.shape[2]), np.nan)
@@ -154,7 +155,7 @@ def sample_leaf_posterior(
                 continue
             flat = chains.chain.reshape(-1, columns.size)
             picked = flat[random.integers(0, len(flat), draws)]
-            samples[i], spectra[i] = _finish(setup, problems, i, columns, picked, random)
+            samples[i], spectra[i] = _finish(setup, problems, i, columns, picked, moved[i], random)
             progress.advance(1)
     leaf = [i for i, name in enumerate(setup.free) if name in LEAF_PARAMETERS]
     names = tuple(setup.free[i] for i in leaf)
@@ -162,9 +163,16 @@ def sample_leaf_posterior(
 
 
 def _finish(
-    setup: Setup, problems: lm.Problem, leaf: int, columns: np.ndarray, z: np.ndarray, random: Any
+    setup: Setup,
+    problems: lm.Problem,
+    leaf: int,
+    columns: np.ndarray,
+    z: np.ndarray,
+    change: np.ndarray,
+    random: Any,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draws in their units with the traits' discrepancy, and T with the model's error."""
+    """Draws in their units, changed as the fit is and with the traits' discrepancy, and T with the
+    model's error."""
     count, parameters = len(z), len(setup.names)
     whole = np.tile(problems.prior_mean[leaf], (count, 1))
     whole[:, columns] = z
@@ -172,7 +180,7 @@ def _finish(
     description = describe(setup, many, whole, np.zeros((count, parameters, parameters)))
     inflation = problems.inflation[leaf : leaf + 1]
     extra = np.sqrt(trait_variance(setup, inflation, whole))
-    moved = whole + extra * random.normal(size=whole.shape)
+    moved = whole + change + extra * random.normal(size=whole.shape)
     x = np.asarray(lm.to_physical(jnp.asarray(moved), setup.optics))[:, columns]
     # The same draw for all bands: the remaining error is nearly fully correlated over a detector,
     # and an interval needs only the distribution at its band.

@@ -98,6 +98,8 @@ class Setup(NamedTuple):
     distrust: Float[np.ndarray, " bin"]
     prior_mean: Float[np.ndarray, " parameter"]
     prior_precision: Float[np.ndarray, "parameter parameter"]
+    reflectance_share: float
+    """See `ErrorModel.reflectance_share`; 0 where dry matter is not fitted."""
 
 
 def make_setup(
@@ -155,6 +157,7 @@ def make_setup(
         model.distrust,
         np.asarray(lm.to_unconstrained(jnp.asarray(middle), optics)),
         np.linalg.inv(correlation * np.outer(spread, spread)),
+        model.reflectance_share if "dry_matter" in free else 0.0,
     )
 
 

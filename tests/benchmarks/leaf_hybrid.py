@@ -1,6 +1,6 @@
 """Physics plus regression of leaf traits: `python -m tests.benchmarks.leaf_hybrid [FOLDER]`.
 
-FOLDER holds the leaf data (default: `FYNJAX_SHARED_DATA`/leaf). Three ways to correct what
+FOLDER holds the leaf data (default: `FYNJAX_SHARED_DATA`/leaf). Two ways to correct what
 `fit_leaf` says. Of these the package has the second for water (`regress_water`); elsewhere none is
 better than the fit in most sets:
 
@@ -10,64 +10,32 @@ better than the fit in most sets:
   the slopes that campaigns share reach a new one. Standard deviations by marginal likelihood.
 - *centred*: the same with the derivatives less their median in the set, as if all spectra that are
   fitted together were of one campaign and it said nothing of the campaign's mean.
-- *without T*: the logarithms of the fits to R and T and to R alone, with a weight.
 
 Nested: of the campaign that is judged nothing enters. How much of a process's correction is applied
-(nothing to all), and the weight, is decided by the other campaigns, each predicted by the rest,
+(nothing to all) is decided by the other campaigns, each predicted by the rest,
 with error models that exclude both.
 """
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import t as student
 
 from fynjax.leaf.data.estimate_error_model import CHEMISTRY, LeafSet
 from fynjax.leaf.data.estimate_regression import (
     Case,
     Correction,
-    fitted,
     log_error,
-    log_value,
     process,
     sets_of,
 )
 from tests.benchmarks.leaf_campaigns import UNIT, difference, leaf_folder, rmse
 
-
-def without_transmittance(case: Case, leaves: LeafSet) -> Correction | None:
-    """Weighted mean of the fits with and without T: weight by least squares over the others."""
-    if not case.through:
-        return None
-
-    def move(of: LeafSet, gone: Sequence[str]) -> np.ndarray:
-        alone = fitted(case._replace(through=False), of, gone)
-        return log_value(alone, case.trait) - log_value(fitted(case, of, gone), case.trait)
-
-    gain, cost, left = 0.0, 0.0, []
-    others = sets_of(case, (leaves.campaign,))
-    for other in others:
-        gone = (leaves.campaign, other.campaign)
-        error, by = log_error(case, other, gone), move(other, gone)
-        have = np.isfinite(error)
-        size = np.mean(error[have] ** 2)
-        gain += np.mean((error * by)[have]) / size
-        cost += np.mean(by[have] ** 2) / size
-        left.append((error[have], by[have]))
-    weight = float(np.clip(gain / (cost + 0.2), 0.0, 1.0))
-    rest = [np.mean((error - weight * by) ** 2) for error, by in left]
-    half = student.ppf(0.95, max(len(rest) - 1, 1)) * np.sqrt(np.mean(rest))
-    change = weight * move(leaves, (leaves.campaign,))
-    return Correction(change, np.full(change.shape, half))
-
-
 METHODS: dict[str, Callable[[Case, LeafSet], Correction | None]] = {
     "process": lambda case, leaves: process(case, leaves, False),
     "centred": lambda case, leaves: process(case, leaves, True),
-    "without T": without_transmittance,
 }
 
 

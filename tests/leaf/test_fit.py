@@ -29,7 +29,7 @@ from fynjax.leaf import (
 )
 from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._error_model import bin_centres, to_bins
-from fynjax.leaf._problem import leaf_priors, make_setup
+from fynjax.leaf._problem import leaf_bounds, leaf_priors, make_setup
 from fynjax.leaf.data.estimate_error_model import estimate
 
 GRID = np.arange(400.0, 2501.0)
@@ -177,8 +177,8 @@ def test_gaps_between_needles_are_estimated_where_transmittance_shows_them(tmp_p
     assert row["gap_fraction"] == pytest.approx(0.2, abs=0.03)
     assert "recollision" not in row
     direct = fit_leaf(GRID, seen_r[7:], seen_t[7:], leaf_shape="needle")
-    assert row["dry_matter"] == pytest.approx(float(direct.parameters.dry_matter[0]), rel=1e-4)
-    assert row["dry_matter"] != pytest.approx(float(fit.parameters.dry_matter[7]), rel=1e-3)
+    assert row["carotenoids"] == pytest.approx(float(direct.parameters.carotenoids[0]), rel=1e-4)
+    assert row["carotenoids"] != pytest.approx(float(fit.parameters.carotenoids[7]), rel=1e-3)
     assert row["area"] == "projected"
     with pytest.raises(ValueError, match="leaf_shape"):
         jobs.fit_leaf([tmp_path / "needle.csv"], tmp_path / "out", leaf_shape="round")
@@ -237,15 +237,16 @@ def test_needles_side_by_side_show_their_recollision_in_what_they_absorb(tmp_pat
     optics = jax.vmap(lambda leaf: prospect(leaf, leaf_shape="mat"))(many)
     mat = LeafOverBackground(gap_fraction=g, recollision=None)
     r, t = jax.vmap(mat.observe)(optics.reflectance, optics.transmittance, jnp.asarray(p[:, 0]))
-    fit = fit_leaf(GRID, np.asarray(r), np.asarray(t), leaf_shape="mat")
+    # Without the mean with R alone, which knows no neighbours.
+    model = eqx.tree_at(lambda m: m.reflectance_share, default_error_model(), 0.0)
+    options = {"leaf_shape": "mat", "error_model": model}
+    fit = fit_leaf(GRID, np.asarray(r), np.asarray(t), **options)
     assert fit.estimated == ("gap_fraction", "recollision")
     error = np.abs(fit.measurement - np.concatenate([np.full_like(p, g), p], axis=1))
     assert np.all(error < [0.02, 0.15])
     assert np.all(error < 2.5 * fit.measurement_deviation)
-    apart = fit_leaf(
-        GRID, np.asarray(r), np.asarray(t), leaf_shape="mat",
-        measurement=LeafOverBackground(gap_fraction=None),
-    )  # fmt: skip
+    gaps = LeafOverBackground(gap_fraction=None)
+    apart = fit_leaf(GRID, np.asarray(r), np.asarray(t), measurement=gaps, **options)
     off = [np.abs(np.log(np.asarray(f.parameters.dry_matter) / truth)) for f in (fit, apart)]
     assert off[0].max() < 0.25
     assert off[0][-1] < 0.5 * off[1][-1]
@@ -369,6 +370,41 @@ def test_intervals_hold_what_the_laboratory_measured(shared_data, name, given):
 
 
 @pytest.mark.slow
+def test_dry_matter_is_moved_towards_what_reflectance_alone_says():
+    _, r, t = leaves(3, seed=3)
+    t = 0.9 * t  # as a sphere that misses a tenth
+    t[2] = np.nan
+    model = default_error_model()
+    assert 0.0 < model.reflectance_share < 1.0
+    low, high = leaf_bounds(["dry_matter"])[0]
+    found, logit = {}, {}
+    for share in (0.0, 0.6):
+        of = eqx.tree_at(lambda m: m.reflectance_share, model, share)
+        found[share] = fit_leaf(GRID, r, t, error_model=of)
+        logit[share] = np.log((m := np.asarray(found[share].parameters.dry_matter)) - low)
+        logit[share] -= np.log(high - m)
+    alone = np.asarray(fit_leaf(GRID, r).parameters.dry_matter)
+    way = np.log((alone - low) / (high - alone)) - logit[0.0]
+    assert np.all(np.abs(way[:2]) > 0.05)
+    np.testing.assert_allclose(logit[0.6] - logit[0.0], [*0.6 * way[:2], 0.0], atol=2e-3)
+    same = [f.parameters.water for f in found.values()]
+    np.testing.assert_array_equal(*same)
+    np.testing.assert_array_equal(*(f.fitted for f in found.values()))
+    i = found[0.6].names.index("dry_matter")
+    mass = np.asarray(found[0.6].parameters.dry_matter)
+    assert np.all((found[0.6].lower[:, i] < mass) & (mass < found[0.6].upper[:, i]))
+    # Draws are moved alike: from the same chains, so their means differ by that alone.
+    draws = [
+        sample_leaf_posterior(
+            GRID, r[:1], t[:1], target=50.0,
+            error_model=eqx.tree_at(lambda m: m.reflectance_share, model, share),
+        ).samples[0, :, i]
+        for share in (0.0, 0.6)
+    ]  # fmt: skip
+    moved = [np.log(d - low) - np.log(high - d) for d in draws]
+    np.testing.assert_allclose(moved[1] - moved[0], 0.6 * way[0], atol=2e-3)
+
+
 def test_a_leaf_is_fitted_alike_alone_and_in_a_batch():
     _, r, _ = leaves(40, seed=7)
     r = r + 0.02 * np.sin(GRID / np.linspace(60, 200, 40)[:, None])

@@ -223,11 +223,13 @@ def test_one_false_return_high_above_does_not_leave_a_cloud_s_figure_empty():
 
 
 @pytest.mark.parametrize("leaves", [1, 2, 5])
-def test_the_legend_of_leaves_is_whole(leaves):
+@pytest.mark.parametrize("estimated", [(), ("gap_fraction",)])
+def test_the_legend_of_leaves_is_whole(leaves, estimated):
     grid = np.arange(400.0, 2500.0, 10.0)
     spectra = np.full((leaves, 2, grid.size), 0.3)
     fit = SimpleNamespace(
         status=["converged"] * leaves,
+        estimated=estimated,
         wavelength=grid,
         transmittance=spectra[:, 1],
         transmittance_deviation=0.1 * spectra[:, 1],

@@ -8,8 +8,8 @@ the wavelength of log(measured / fitted spectrum), less its median in the set. C
 have random effects, campaigns also slopes of their own, so that only the slopes that campaigns
 share reach a new one; standard deviations are the most probable. Each campaign is fitted with an
 error model that excludes it. How much of the correction is applied, nothing to all, is chosen by
-campaigns left out. For water the share is all from R and a half from R and T. For other traits it
-hangs on which campaigns choose it (nothing to all), so they are left alone.
+campaigns left out. For water the share is all from R and three quarters from R and T. For other
+traits it hangs on which campaigns choose it (nothing to all), so they are left alone.
 """
 
 import sys
