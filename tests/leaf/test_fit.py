@@ -436,7 +436,7 @@ def test_a_glitch_hidden_by_its_bin_is_no_water_band_and_a_soil_is_no_leaf():
 
 @pytest.mark.slow
 def test_traits_of_a_campaign_left_out_of_the_error_model(shared_data):
-    """ANGERS with what LOPEX and NASA FFT taught, against the sub-domain fits of the R package.
+    """ANGERS by a model of LOPEX and NASA FFT, against the sub-domain fits of the R package.
 
     Its errors on all of ANGERS: Cab 5.13, EWT 1.41, LMA 0.93 with R and T (the same recipe in
     scipy on this half: 5.17, 1.31, 0.99), and T 0.0233 from R alone.
