@@ -129,7 +129,7 @@ def fit_leaf(
     leaf_shape: Annotated[
         LeafShape,
         typer.Option(
-            help="needle: single or apart; mat: needles side by side; culm: the same of culms. "
+            help="needle: single or apart; mat: needles side by side; culm: culms side by side. "
             "Gaps, and light between those side by side, are estimated where transmittance is."
         ),
     ] = LeafShape.broad,

@@ -94,7 +94,7 @@ def _measurement(
 ) -> AbstractMeasurement:
     """What the instrument records of leaves of a shape over a background on the file's grid.
 
-    Behind the gaps of needles and culms lies the light trap of a sphere, or a face that need not be
+    Behind the gaps of round leaves lies the light trap of a sphere, or a face that need not be
     black; light goes to and fro between those side by side. A thick pile has no gaps and hides what
     is behind.
     """

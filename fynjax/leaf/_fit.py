@@ -37,6 +37,9 @@ NINETY_PERCENT = 1.6448536269514722
 _POOR_FIT = 4.0
 # Usable bins of a leaf that is fitted.
 _FEWEST = 10
+# Where dry matter absorbs [nm] (Feret et al. 2019, RSE 231, 110959), and the part of it that R must
+# hold to say something alone: without the bands of water vapour outdoors 0.7 are left.
+_DRY_MATTER_BANDS, _ENOUGH = (1700.0, 2400.0), 0.6
 # One leaf in a hundred of the population is further from the usual leaf.
 _RARE = 0.99
 # Dry matter [g cm-2] at which the discrepancy of traits is stated, and how far from it, as a
@@ -69,7 +72,7 @@ class LeafFit(eqx.Module):
     """Parameters, spectra and uncertainties that `fit_leaf` estimates for each leaf."""
 
     parameters: LeafParameters
-    """Most probable parameters, each a vector [leaf]."""
+    """Most probable parameters, each a vector [leaf]; dry matter see `fit_leaf`."""
     names: tuple[str, ...] = eqx.field(static=True)
     """Names of the fitted parameters, in the order of the arrays below."""
     standard_deviation: Float[np.ndarray, "leaf parameter"]
@@ -210,9 +213,16 @@ def solve_leaves(
 def towards_reflectance(
     setup: Setup, data: np.ndarray, use: np.ndarray, z: np.ndarray
 ) -> Float[np.ndarray, "leaf parameter"]:
-    """What z of R and T is moved by: dry matter a part of the way to what R alone says."""
+    """What z of R and T is moved by: dry matter a part of the way to what R alone says.
+
+    Only where R holds most of the bands in which dry matter absorbs: beyond them R alone says the
+    prior. A leaf whose fit to R does not converge is not moved.
+    """
     change = np.zeros_like(z)
-    both = np.flatnonzero((use.sum(2) >= _FEWEST).all(1))
+    low, high = _DRY_MATTER_BANDS
+    absorbs = (bin_centres() >= low) & (bin_centres() <= high)
+    known = use[:, 0, absorbs].mean(1) >= _ENOUGH
+    both = np.flatnonzero(known & (use[:, 1].sum(1) >= _FEWEST))
     if setup.reflectance_share > 0.0 and both.size:
         at, seen = setup.names.index("dry_matter"), use[both]
         seen[:, 1] = False
@@ -296,9 +306,11 @@ def fit_leaf(
     N also has the prior 1.745 R / (1 - R) + 0.133 at 1130 nm (after Spafford et al. 2021), with a
     standard deviation of 0.2, and if R is missing a similar prior in (1 - T) / T. A leaf that
     fits worse than the leaves of the error model has its covariance scaled up (one step of a
-    Student likelihood) and is fitted again. Where R and T were measured dry matter is a weighted
-    mean (of logits) with what R alone says (`ErrorModel.reflectance_share`): on campaigns left out
-    that is nearer to what laboratories measured. Standard deviations and intervals are those of the
+    Student likelihood) and is fitted again. Where T was measured, and R from 1700 to 2400 nm, dry
+    matter is a weighted mean (of logits) with what R alone says (`ErrorModel.reflectance_share`):
+    on campaigns left out that is nearer to what laboratories measured. The spectra of the result
+    are those before it, so PROSPECT of `parameters` differs a little from `fitted`. Standard
+    deviations and intervals are those of the
     trait a laboratory would measure: they include the part of its variance that spectra do not
     explain (`ErrorModel.trait_discrepancy`).
 
@@ -389,14 +401,8 @@ def fit_chunk(
     """Everything `assemble` needs of some leaves."""
     state, problems, misfit = solve_leaves(setup, data, use, prior)
     covariance = np.linalg.inv(state.hessian)
-    found = describe_chunk(setup, state, problems, misfit, covariance, use)
-    moved = state.z + towards_reflectance(setup, data, use, state.z)
-    bounds = leaf_bounds(setup.names)
-    width, unit = bounds[:, 1] - bounds[:, 0], 1.0 / (1.0 + np.exp(-moved))
-    # Spectra stay those of the fit to R and T.
-    return found | {
-        "z": moved, "x": bounds[:, 0] + width * unit, "scale": width * unit * (1.0 - unit)
-    }  # fmt: skip
+    change = towards_reflectance(setup, data, use, state.z)
+    return describe_chunk(setup, state, problems, misfit, covariance, use, change)
 
 
 def describe_chunk(
@@ -406,17 +412,22 @@ def describe_chunk(
     misfit: np.ndarray,
     covariance: np.ndarray,
     use: np.ndarray,
+    change: np.ndarray | float = 0.0,
 ) -> dict[str, np.ndarray]:
-    """Everything `assemble` needs of leaves at z with that covariance, as the spectra give it."""
+    """Everything `assemble` needs of leaves at z with that covariance, as the spectra give it, and
+    of traits that `change` moves in z; spectra stay those before."""
     description: dict[str, Any] = describe(setup, problems, state.z, covariance)
+    z, bounds = state.z + change, leaf_bounds(setup.names)
+    width, unit = bounds[:, 1] - bounds[:, 0], 1.0 / (1.0 + np.exp(-z))
+    description |= {"x": bounds[:, 0] + width * unit, "scale": width * unit * (1.0 - unit)}
     inflation = np.asarray(problems.inflation)
     population = np.diag(np.linalg.inv(setup.prior_precision))
     share = np.einsum("npp->np", covariance) / population
-    extra = trait_variance(setup, inflation, state.z)
+    extra = trait_variance(setup, inflation, z)
     covariance = covariance + np.eye(len(setup.names)) * extra[:, None]
     misfit = misfit / np.maximum(use.sum((1, 2)), 1)
     return description | {
-        "z": state.z, "covariance": covariance, "chi2": misfit, "inflation": inflation,
+        "z": z, "covariance": covariance, "chi2": misfit, "inflation": inflation,
         "converged": state.converged, "share": share, "rarity": rarity(setup, state.z),
     }  # fmt: skip
 

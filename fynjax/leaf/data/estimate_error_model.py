@@ -304,30 +304,33 @@ def _level_and_slope(parts: Sequence[np.ndarray], grows: bool) -> tuple[float, f
     return level(slope), slope
 
 
-def reflectance_share(sets: Sequence[LeafSet], models: Sequence[ErrorModel]) -> float:
-    """`ErrorModel.reflectance_share` by least squares of the logarithm of dry matter.
+def way_to_reflectance(leaves: LeafSet, model: ErrorModel) -> tuple[float, float]:
+    """Mean product of the error of log dry matter from R and T with its way to that from R alone,
+    and mean square of the way, both over the mean square error; zeros without either.
 
-    Each set is fitted with a model that was not estimated from it, and counts relative to its mean
-    square error from R and T. The weight is drawn to 0 a little.
+    Of a set that `model` was not estimated from.
     """
-    gain, cost = 0.0, 0.2
-    for leaves, model in zip(sets, models):
-        truth = np.log(leaves.measured("dry_matter"))
-        if not (np.isfinite(truth).any() and np.isfinite(leaves.spectra[:, 1]).any()):
-            continue
-        fits = [
-            fit_leaf(
-                bin_centres(), leaves.spectra[:, 0], through,
-                leaf_shape=leaves.shape, error_model=model,
-            )
-            for through in (leaves.spectra[:, 1], None)
-        ]  # fmt: skip
-        both, alone = (np.log(np.asarray(fit.parameters.dry_matter)) for fit in fits)
-        have = np.isfinite(truth) & fits[0].converged & fits[1].converged
-        error, way = (truth - both)[have], (alone - both)[have]
-        gain += np.mean(error * way) / np.mean(error**2)
-        cost += np.mean(way**2) / np.mean(error**2)
-    return float(np.clip(gain / cost, 0.0, 1.0))
+    truth = np.log(leaves.measured("dry_matter"))
+    if not (np.isfinite(truth).any() and np.isfinite(leaves.spectra[:, 1]).any()):
+        return 0.0, 0.0
+    fits = [
+        fit_leaf(
+            bin_centres(), leaves.spectra[:, 0], through,
+            leaf_shape=leaves.shape, error_model=model,
+        )
+        for through in (leaves.spectra[:, 1], None)
+    ]  # fmt: skip
+    both, alone = (np.log(np.asarray(fit.parameters.dry_matter)) for fit in fits)
+    have = np.isfinite(truth) & fits[0].converged & fits[1].converged
+    error, way = (truth - both)[have], (alone - both)[have]
+    size = np.mean(error**2)
+    return float(np.mean(error * way) / size), float(np.mean(way**2) / size)
+
+
+def reflectance_share(ways: Sequence[tuple[float, float]]) -> float:
+    """`ErrorModel.reflectance_share` by least squares over sets, drawn to 0 a little."""
+    gain, cost = np.sum(ways, axis=0)
+    return float(np.clip(gain / (cost + 0.2), 0.0, 1.0))
 
 
 def species_share(errors: Sequence[dict[str, list[np.ndarray]]]) -> np.ndarray:
@@ -357,15 +360,22 @@ def estimate(folder: Path, campaigns: Sequence[str] = CAMPAIGNS) -> ErrorModel:
         for name in campaigns
     }
     models = [without[leaves.campaign] for leaves in sets]
-    share = reflectance_share(sets, models)
+    ways = [way_to_reflectance(leaves, model) for leaves, model in zip(sets, models)]
+    # The errors of a campaign are those with the weight of the others.
+    shares = {
+        name: reflectance_share([w for w, s in zip(ways, sets) if s.campaign != name] or [(0, 0)])
+        for name in campaigns
+    }
     errors = [
-        trait_errors(leaves, eqx.tree_at(lambda m: m.reflectance_share, model, share))
+        trait_errors(
+            leaves, eqx.tree_at(lambda m: m.reflectance_share, model, shares[leaves.campaign])
+        )
         for leaves, model in zip(sets, models)
     ]
     return eqx.tree_at(
         lambda m: (m.trait_discrepancy, m.species_share, m.reflectance_share),
         estimate_spectral(sets),
-        (discrepancy(errors), species_share(errors), share),
+        (discrepancy(errors), species_share(errors), reflectance_share(ways)),
     )
 
 
