@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 
 from fynjax.leaf import default_error_model
 from fynjax.leaf._error_model import POPULATION_TRAITS
-from fynjax.leaf.data.estimate_error_model import correlation, discrepancy
+from fynjax.leaf.data.estimate_error_model import correlation, discrepancy, reflectance_share
 
 
 def test_correlation_is_that_within_sets_drawn_towards_none():
@@ -80,3 +81,21 @@ def test_the_shipped_model_is_a_prior():
     level = dict(zip(POPULATION_TRAITS, np.exp(model.trait_discrepancy[:, 0])))
     assert level.pop("structure") == 0.0
     assert all(0.05 < value < 0.5 for value in level.values())
+
+
+def test_the_weight_of_reflectance_alone_is_that_of_least_squares():
+    """Sets count relative to their mean square error, and a fifth draws the weight to none."""
+    draw = np.random.default_rng(4)
+    way = [draw.normal(0.0, s, 50) for s in (0.1, 0.4)]
+    error = [0.6 * way[0] + draw.normal(0.0, 0.1, 50), 0.3 * way[1] + draw.normal(0.0, 0.2, 50)]
+    ways = [
+        (np.mean(e * w) / np.mean(e**2), np.mean(w**2) / np.mean(e**2)) for e, w in zip(error, way)
+    ]
+
+    def left(share):
+        rest = [np.mean((e - share * w) ** 2) / np.mean(e**2) for e, w in zip(error, way)]
+        return sum(rest) + 0.2 * share**2
+
+    assert reflectance_share(ways) == pytest.approx(minimize_scalar(left).x, abs=1e-6)
+    assert reflectance_share([(5.0, 1.0)]) == 1.0
+    assert reflectance_share([(-1.0, 1.0), (0.0, 0.0)]) == 0.0
