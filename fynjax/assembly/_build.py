@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -40,6 +41,7 @@ def build_plot(
     *,
     seed: int | None = None,
     counts: Float[np.ndarray, "*draw species"] | None = None,
+    rounding: Literal["up", "random"] = "up",
 ) -> tuple[Scene, PlotParameters]:
     """The scene of a plot and its parameters as the files state them.
 
@@ -51,6 +53,8 @@ def build_plot(
     - `seed`: of everything random; the plot file's if left out.
     - `counts`: plants of each species that are to find sites; `PlantingRules.room` times those of
       the species table find them in any case, and those of a table of parameters.
+    - `rounding`: of the number of plants: "up" as eq. (10) has it, or "random", whose mean over
+      plantings is the real number, as a fit to a measurement means it.
 
     **Raises:** `InputError` for a spectrum or map that cannot be used, and where the plants find no
     room on the plot or in memory.
@@ -80,6 +84,7 @@ def build_plot(
         parameters = with_parameter_table(parameters, plot.taxa, plot.parameters)
     rules = PlantingRules(
         probability=_probability(plot),
+        rounding=rounding,
         softness=plot.softness,
         softness_plants=plot.softness_plants,
         structure=plot.structure_m,

@@ -50,7 +50,7 @@ class Prepared(NamedTuple):
         else:
             seed = self.seed
         wanted = self.counts if counts is None else np.maximum(self.counts, counts)
-        return build_plot(self.plot, seed=seed, counts=wanted)[0]
+        return build_plot(self.plot, seed=seed, counts=wanted, rounding="random")[0]
 
 
 def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
@@ -62,16 +62,17 @@ def prepare(plot: Plot, free: Sequence[str] | None, *, seed: int) -> Prepared:
     - `free`: patterns of the names of the parameters to be free; those of the plot file if `None`.
     - `seed`: of everything random.
 
-    As many sites are held ready for plants as 99 of 100 draws of the prior need.
+    As many sites are held ready for plants as 99 of 100 draws of the prior need. The number of
+    plants is rounded at random, so that its mean over plantings is that of the covers.
 
     **Raises:** `InputError` as `build_plot`, and as `free_space`.
     """
-    scene, parameters = build_plot(plot, seed=seed)
+    scene, parameters = build_plot(plot, seed=seed, rounding="random")
     patterns = plot.calibration.free if free is None else tuple(free)
     space = free_space(scene, parameters, patterns, plot.calibration.relative_sd)
     counts = _likely_counts(scene, parameters, space)
     if room_needed(scene, parameters, counts).any():
-        scene, _ = build_plot(plot, seed=seed, counts=counts)
+        scene, _ = build_plot(plot, seed=seed, counts=counts, rounding="random")
     return Prepared(plot, scene, parameters, space, seed, counts)
 
 

@@ -257,7 +257,9 @@ def _planted(bands: BandSet, settings: StandSettings) -> tuple[Scene, PlotParame
         extent=(settings.size_m, settings.size_m),
         voxel=settings.voxel_m,
         seed=0,
-        rules=PlantingRules(structure=settings.structure_m, room=1.0, softness=0.0),
+        rules=PlantingRules(
+            structure=settings.structure_m, room=1.0, softness=0.0, softness_plants=0.0
+        ),
     )
     accuracy = Accuracy(
         lattice=1, sublayers=1, coarsening=(2, 2), levels=2, refine=False, solves=settings.solves

@@ -16,6 +16,7 @@ from fynjax.canopy._counts import (
     instance_area,
     modelled_diameter,
     projected_area,
+    rounded_count,
     share_from_above,
     soft_count,
     target_area,
@@ -26,7 +27,13 @@ from fynjax.canopy._grid import VoxelGrid, deposit
 from fynjax.canopy._instances import instantiate, random_orientation, stack_plants, unit_shapes
 from fynjax.canopy._pattern import VegetationPattern, even_levels, vegetation_pattern
 from fynjax.canopy._plant import Organ, PlantModel, thin_plant
-from fynjax.canopy._sites import assign_sites, poisson_disk, site_weight, soft_weights
+from fynjax.canopy._sites import (
+    assign_sites,
+    element_weight,
+    poisson_disk,
+    site_weight,
+    soft_weights,
+)
 from fynjax.canopy._table import table1_2006
 from fynjax.canopy.mesh import (
     GeneratedPlant,
@@ -67,6 +74,7 @@ __all__ = [
     "choose_greenness",
     "crown_scale",
     "deposit",
+    "element_weight",
     "even_levels",
     "generate_plant",
     "hard_count",
@@ -81,6 +89,7 @@ __all__ = [
     "plant_model_from_points",
     "poisson_disk",
     "projected_area",
+    "rounded_count",
     "projections",
     "random_orientation",
     "read_plant_mesh",

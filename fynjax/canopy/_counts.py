@@ -20,6 +20,7 @@ from fynjax._core.errors import InputError
 
 # A count that is whole but for rounding must not be lifted to the next plant by the ceiling.
 _CEILING_SLACK = 1e-12
+_SINGLE_SLACK = 5e-7
 
 
 class CrownPacking(eqx.Module):
@@ -154,6 +155,26 @@ def soft_count(
     50.93
     """
     return jnp.asarray(branches * target_area / projected_area)
+
+
+def rounded_count(count: Any, lessened: Any = 0.0) -> Float[Array, "*species"]:
+    """Whole number of plants from a real one [-].
+
+    **Arguments:**
+
+    - `count`: real number of plants [-], at least 0 (`soft_count`).
+    - `lessened`: what it is lessened by before it is rounded up [-], 0 to 1: 0 is the ceiling of
+      eq. (10); drawn evenly from 0 to 1, the mean of the whole numbers is `count`.
+
+    Arrays broadcast. The slope is zero. A number that is whole but for the rounding of single
+    precision is not lifted to the next.
+
+    >>> from fynjax.canopy import rounded_count
+    >>> float(rounded_count(2.3)), float(rounded_count(2.3, 0.2)), float(rounded_count(2.3, 0.4))
+    (3.0, 3.0, 2.0)
+    """
+    count = jnp.asarray(count)
+    return jnp.maximum(jnp.ceil(count * (1.0 - _SINGLE_SLACK) - lessened), 0.0)
 
 
 def share_from_above(crowns: Any) -> Any:

@@ -214,7 +214,7 @@ def soft_weights(
     - `count`: number of plants [-], at least 0. What exceeds `n_sites` is lost: provide enough
       sites.
     - `n_sites`: number of sites.
-    - `width`, `softness`: of the step from 1 to 0, as in `site_weight`.
+    - `width`, `softness`: of the ramp from 1 to 0, as in `site_weight`.
 
     Differentiable as `site_weight`.
     """
@@ -226,30 +226,29 @@ def site_weight(
 ) -> Float[Array, "*site"]:
     """Weight in [0, 1] of a site in a species' ordered list, for a real number of plants.
 
-    The weight is clip((count - index) / W + c, 0, 1) with W = width + softness count and
-    c = max(0, (1 - 1 / W) / 2). At W = 1 whole plants carry 1 and the last one the fraction, so
-    that the weights sum to `count`. A wider step lets more plants carry part of the gradient;
-    the sum is still `count`, exactly for whole W. As W goes to 0 the hard scene returns:
-    ceil(count) whole plants; `width=0` is that limit.
+    Weights fall from 1 to 0 along a ramp of S plants about the `count` N, and a site weighs the
+    mean of the ramp over its unit of the list. So the weights sum to N with slope 1, whatever N and
+    S are: their derivative by N is one plant, spread over the plants of the ramp. S is softness N
+    + (width - 1), rounded off where there are too few plants, for it must not exceed 2 N: the ramp
+    would begin before the first site. Without a ramp (`width` 1, `softness` 0) whole plants weigh
+    1 and the last one the fraction. `width` 0 with `softness` 0 is the hard scene: ceil(count)
+    whole plants, whose slope is 0.
 
     **Arguments:**
 
-    - `count`: number of plants [-], at least 0.
+    - `count`: number of plants N [-], at least 0.
     - `index`: place of the site in the list, from 0; broadcasts with `count`.
-    - `width`: of the step [plants], at least 0.
-    - `softness`: how the step widens with the number of plants [-], at least 0.
+    - `width`: of the ramp where there are few plants [plants], at least 0; up to 1 there is none.
+    - `softness`: how the ramp widens with the number of plants [-], from 0 to 2.
 
-    W is held to at most 2 count + 1: a wider step would spill over the first site, and no plants
-    must mean no weight.
-
-    Differentiable in `count`, `width` and `softness`; at a kink the slope is the one to the right
-    (at zero plants it is that of the first plant appearing: 1 for W = 1).
+    Differentiable in `count`, `width` and `softness`, with continuous slopes where there is a ramp;
+    without one the slope at a kink is the one to the right.
 
     >>> from fynjax.canopy import soft_weights
     >>> soft_weights(2.3, 4).round(3)
     Array([1. , 1. , 0.3, 0. ], dtype=float64)
-    >>> soft_weights(2.3, 4, width=2.0).round(3)
-    Array([1. , 0.9, 0.4, 0. ], dtype=float64)
+    >>> soft_weights(2.3, 4, softness=1.0).round(3)
+    Array([1.   , 0.843, 0.413, 0.044], dtype=float64)
     """
     return _site_weight(count, index, width, softness)
 
@@ -259,13 +258,58 @@ def _site_weight(count: Any, index: Any, width: Any, softness: Any) -> Float[Arr
     count = jnp.asarray(count)
     dtype = count.dtype if jnp.issubdtype(count.dtype, jnp.floating) else jnp.result_type(float)
     count = count.astype(dtype)
-    index = jnp.asarray(index, dtype)
-    step = jnp.asarray(width, dtype) + jnp.asarray(softness, dtype) * count
-    step = jnp.minimum(step, 2.0 * count + 1.0)
-    hard = step <= 0.0
-    safe = jnp.where(hard, 1.0, step)
-    shift = jnp.where(safe > 1.0, 0.5 * (1.0 - 1.0 / safe), 0.0)
-    ramp = (count - index) / safe + shift
-    # Not `clip`, whose slope at a kink is the mean of both sides.
-    soft = jnp.where(ramp < 0.0, 0.0, jnp.where(ramp >= 1.0, 1.0, ramp))
+    index, width, softness = (jnp.asarray(value, dtype) for value in (index, width, softness))
+    share = jnp.minimum(softness, 2.0)
+    extra, most = jnp.maximum(width - 1.0, 0.0), (2.0 - share) * count
+    # The smaller of both, rounded off: half their harmonic mean.
+    together = extra + most
+    few = jnp.where(together > 0.0, extra * most / jnp.where(together > 0.0, together, 1.0), 0.0)
+    ramp = share * count + few
+    hard = (width <= 0.0) & (softness <= 0.0)
+    soft = _mean_of_ramp(index, 1.0, count, ramp)
     return jnp.where(hard, (count > index).astype(dtype), soft)
+
+
+def element_weight(share: Any, before: Any, fraction: Any) -> Float[Array, "*element"]:
+    """Weight in [0, 1] of an area element of a plant that stands in part: as if it were cut.
+
+    One side of the crown stands and the other does not; across the cut, elements fade over up to
+    `CUT` of the area. Crowns that are cut are as dense as whole ones where they stand. Crowns that
+    were thinned in all of their volume instead would hide more ground and less light for the same
+    area than the mean of crowns that stand and crowns that do not (Jensen's inequality).
+
+    **Arguments:**
+
+    - `share`: of the plant's area that stands [-], 0 to 1 (`site_weight`).
+    - `before`: share of the area that lies before the element, along the direction of the cut [-].
+    - `fraction`: share of the area that the element has [-].
+
+    Arrays broadcast. **Returns:** the mean over the element's part of the area. Weights times
+    fractions sum to `share` over a plant, with slope 1. Differentiable in `share`.
+    """
+    share = jnp.asarray(share)
+    width = 4.0 * CUT * share * (1.0 - share)  # narrower near the ends, where it finds no room
+    return _mean_of_ramp(before, fraction, share, width)
+
+
+CUT = 0.25
+"""Share of a plant's area over which its elements fade across a cut, at most; up to 1/2."""
+
+
+def _mean_of_ramp(start: Any, length: Any, middle: Any, width: Any) -> Array:
+    """Mean over a stretch of `length` from `start` on of a line that falls from 1 to 0 over `width`
+    about `middle`; the slopes at kinks are those of a rising `middle`."""
+    begin, end = middle - 0.5 * width - start, middle + 0.5 * width - start
+    some = jnp.where(length > 0.0, length, 1.0)
+    full = _clipped(begin / some)
+    wide = width > 0.0
+    scale = jnp.where(wide, width, 1.0)
+    # The line's height at both ends of the stretch; its area between is a trapezium.
+    high = jnp.where(wide, _clipped(end / scale), begin >= 0.0)
+    low = jnp.where(wide, _clipped((end - length) / scale), begin >= length)
+    return full + 0.5 * (width / some) * (high - low) * (high + low)
+
+
+def _clipped(value: Array) -> Array:
+    """To [0, 1]. Not `clip`, whose slope at a kink is the mean of both sides."""
+    return jnp.where(value < 0.0, 0.0, jnp.where(value >= 1.0, 1.0, value))

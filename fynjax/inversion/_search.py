@@ -163,7 +163,7 @@ class End:
     stands: list[Scene]
     """Those of the search, in the cheap form."""
     cheap: Float[np.ndarray, "stand statistic"]
-    """Their statistics there."""
+    """Their statistics there, of plants that fade."""
     losses: list[np.ndarray]
     norms: list[np.ndarray]
 
@@ -236,8 +236,9 @@ class Search:
         self._stands = stands[: settings.full_renders]
         self.cheap = [self._form(stand)[0] for stand in stands]
         self._draws = [self._draw(i) for i in range(self._most)]
-        self._members = self._draws[:count]
-        """Those that each step of the search and its slopes are means over."""
+        self._members = [d._replace(stand=d.stand.faded()) for d in self._draws[:count]]
+        """Those that each step of the search and its slopes are means over. Their plants fade, so
+        that the mean is smooth; what it differs by from that of whole plants is in the offset."""
 
     def _draw(self, number: int) -> Draw:
         """A draw of plants and parameters."""
@@ -328,7 +329,7 @@ class Search:
         own = len(self._members)
         if rendered is None:
             whole, images = self._whole(plot)
-            rendered = whole, images, whole - self._plain(u)[: len(whole)]
+            rendered = whole, images, whole - self._plain(u, self.cheap[: len(whole)])
         whole, images, lack = rendered
         drawn = self._cheap(u, spread, self._draws)
         moves = np.stack([spread @ d.normal for d in self._draws])
@@ -350,15 +351,15 @@ class Search:
                 share += float(differ.mean()) / len(whole) if some.any() else 0.0
             covariance = covariance + (1.0 + share) * chance
         data = with_error(self._data, covariance)
-        offset = statistics - drawn[:own].mean(axis=0)
+        offset = statistics - self._cheap(u, spread, self._members).mean(axis=0)
         image = images[0] if images else None
         weights = self._weights(data)
         return Observed(u, plot, image, statistics, spread, offset, data, weights, rendered)
 
-    def _plain(self, u: Array) -> Float[np.ndarray, "stand statistic"]:
-        """Statistics of the cheap form of each stand at `u` itself."""
+    def _plain(self, u: Array, stands: Sequence[Scene]) -> Float[np.ndarray, "stand statistic"]:
+        """Statistics of `stands` in the cheap form at `u` itself."""
         free = len(self._space.names)
-        draws = [Draw(stand, np.zeros(free)) for stand in self.cheap]
+        draws = [Draw(stand, np.zeros(free)) for stand in stands]
         return self._cheap(u, np.eye(free), draws)
 
     def _weights(self, data: Data) -> Float[np.ndarray, "direction statistic"]:
@@ -570,7 +571,7 @@ class Search:
         if np.isfinite(slopes).all():
             result = result.with_information(jnp.asarray(_information(weights, slopes)))
         place = dataclasses.replace(place, data=counted, weights=weights)
-        cheap = self._plain(place.u)
+        cheap = self._plain(place.u, [stand.faded() for stand in self.cheap])
         return End(objective[best], result, place, origin, self.cheap, cheap, losses, norms)
 
 

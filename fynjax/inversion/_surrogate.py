@@ -88,7 +88,7 @@ def fit_surrogate(
     def step() -> tuple[Array, ...]:
         found = []
         for i, u in enumerate(draws):
-            stand = calibration.stands[i % count]
+            stand = calibration.stands[i % count].faded()
             density = LogPosterior(forward, fit.space, fit.data, none, (stand,))
             found.append(predicted_statistics(density, jnp.asarray(u)))
             progress.advance()

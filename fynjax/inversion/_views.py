@@ -20,7 +20,15 @@ from fynjax.canopy import FORM_DEFAULTS, VoxelGrid, leaf_angle
 from fynjax.inversion._log_posterior import jacobian_by_rows
 from fynjax.metrics import STRUCTURE_METRICS, StructureSettings, image_statistics, voxel_structure
 from fynjax.radiation import Accuracy, VoxelScene
-from fynjax.scene import AimedSensor, PlotParameters, Scene, aim, leafy_species, with_values
+from fynjax.scene import (
+    AimedSensor,
+    PlotParameters,
+    Scene,
+    aim,
+    leafy_species,
+    slope_of_fading,
+    with_values,
+)
 from fynjax.sensors import BandSet, OrthographicCamera, Sensor
 
 SPECTRUM = "spectrum"
@@ -201,8 +209,7 @@ class SpectrumView(AbstractView):
     def observe(
         self, scene: Scene, parameters: PlotParameters
     ) -> tuple[None, Float[Array, " statistic"]]:
-        voxels = scene.voxels(parameters, self.imager.sensor.bands)
-        return None, jax.lax.map(lambda band: self._mean(voxels, band), self._bands)
+        return None, slope_of_fading(_mean_spectrum)(scene, parameters, self)
 
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "SpectrumView":
         imager = dataclasses.replace(self.imager.sampled(_SEARCH_COLUMNS), accuracy=accuracy)
@@ -212,14 +219,14 @@ class SpectrumView(AbstractView):
         self, scene: Scene, plot_at: Callable[[Array], PlotParameters], u: Float[Array, " free"]
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
         bands = self.imager.sensor.bands
-        voxels, backward = eqx.filter_vjp(lambda u: scene.voxels(plot_at(u), bands), u)
+        faded = scene.faded()
+        voxels, backward = eqx.filter_vjp(lambda u: faded.voxels(plot_at(u), bands), u)
 
-        def value_and_row(band: Array) -> tuple[Array, Array]:
-            value, slope = eqx.filter_value_and_grad(lambda v: self._mean(v, band))(voxels)
-            return value.astype(u.dtype), backward(slope)[0]
+        def row(band: Array) -> Array:
+            return backward(eqx.filter_grad(lambda v: self._mean(v, band))(voxels))[0]
 
-        value, rows = jax.lax.map(value_and_row, self._bands)
-        return value, rows
+        value = _mean_spectrum(scene, plot_at(u), self).astype(u.dtype)
+        return value, jax.lax.map(row, self._bands)
 
     @property
     def _bands(self) -> Int[Array, " band"]:
@@ -227,6 +234,13 @@ class SpectrumView(AbstractView):
 
     def _mean(self, voxels: VoxelScene, band: Array) -> Float[Array, ""]:
         return self.imager.image(voxels.bands(band, 1))[1][0]
+
+
+def _mean_spectrum(
+    scene: Scene, parameters: PlotParameters, view: SpectrumView
+) -> Float[Array, " band"]:
+    voxels = scene.voxels(parameters, view.imager.sensor.bands)
+    return jax.lax.map(lambda band: view._mean(voxels, band), view._bands)
 
 
 _WINDOW = 0.05
@@ -295,6 +309,11 @@ class StructureView(AbstractView):
     def observe(
         self, scene: Scene, parameters: PlotParameters
     ) -> tuple[None, Float[Array, " statistic"]]:
+        return None, slope_of_fading(_structure)(scene, parameters, self)
+
+    def _measure(
+        self, scene: Scene, parameters: PlotParameters
+    ) -> Float[Array, " statistic"]:
         if self.grid is not None:
             scene = dataclasses.replace(scene, grid=self.grid)
         density = scene.area_density(parameters)
@@ -312,10 +331,16 @@ class StructureView(AbstractView):
             projection=_EVEN,
             ground=terrain,
         ).means()
-        return None, jnp.stack([found[name.split(".", 1)[1]] for name in self.names])
+        return jnp.stack([found[name.split(".", 1)[1]] for name in self.names])
 
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> "StructureView":
         return dataclasses.replace(self, grid=scene.grid)
+
+
+def _structure(
+    scene: Scene, parameters: PlotParameters, view: StructureView
+) -> Float[Array, " statistic"]:
+    return view._measure(scene, parameters)
 
 
 def structure_view(

@@ -37,9 +37,10 @@ from fynjax.scene import (
     AimedSensor,
     PlotParameters,
     Scene,
+    hard_counts,
+    hard_scene,
     is_large,
     observe_in_tiles,
-    standing_scene,
 )
 
 SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR")
@@ -47,9 +48,6 @@ SHOWN_INDICES = ("NDVI", "GNDVI", "SR", "GCI", "ARI2", "OSAVI", "GSAVI", "NormR"
 
 _MAPPED = ("NDVI", "GNDVI", "OSAVI")
 """Those that a page shows as maps as well."""
-
-_ROUNDING = 1e-3
-"""Share of a plant that is none, but the rounding of a count."""
 
 _FEW_BANDS = 8
 """Most bands whose means the headline lists."""
@@ -105,14 +103,14 @@ def render(
                 signed = signature(read, hashes, run.seed, fynjax.__version__)
                 keep = Journal(checkpoint, signed)
             image = observe_in_tiles(camera, scene, parameters, keep=keep, progress=run.progress)
-            counts = scene.counts(parameters)
         else:
             # Plants that do not stand take time and memory only.
-            stand = standing_scene(scene, parameters)
-            image, counts = jax.block_until_ready(_measure(camera, stand, parameters))
+            stand = hard_scene(scene, parameters)
+            image = jax.block_until_ready(_measure(camera, stand, parameters))
+        counts = hard_counts(scene, parameters)
     check_finite(image, read)
     with run.stage("Write"):
-        _write(run, read, scene, camera, np.asarray(image), np.asarray(counts))
+        _write(run, read, scene, camera, np.asarray(image), counts)
     names = camera.sensor.bands.names
     means = dict(zip(names, np.asarray(jnp.mean(image, axis=(1, 2))).tolist(), strict=True))
     shown = dict(itertools.islice(means.items(), _FEW_BANDS))
@@ -131,8 +129,8 @@ def render(
 @eqx.filter_jit
 def _measure(
     camera: AimedSensor, scene: Scene, parameters: PlotParameters
-) -> tuple[Float[Array, "band y x"], Float[Array, " species"]]:
-    return camera.observe(scene, parameters).reflectance, scene.counts(parameters)
+) -> Float[Array, "band y x"]:
+    return camera.observe(scene, parameters).reflectance
 
 
 def _write(
@@ -177,14 +175,11 @@ def _write(
 
 
 def _plants(plot: Plot, scene: Scene, counts: np.ndarray) -> Table:
-    """How many plants of each species stand on the plot, the one that fades in among them."""
-    whole = np.ceil(np.asarray(counts, float) - _ROUNDING).astype(int)
-    caption = (
-        "Plants, as many as equation (10) says. The last of a species fades in with its cover."
-    )
+    """How many plants of each species stand on the plot."""
+    caption = "Plants, as many as equation (10) says."
     if plot.crowns_note is not None:
         caption = "Plants, which are known."
-    return Table(pd.DataFrame({"taxon": scene.taxa, "plants": whole}), caption)
+    return Table(pd.DataFrame({"taxon": scene.taxa, "plants": counts.astype(int)}), caption)
 
 
 def _drone_pictures(plot: Plot, camera: AimedSensor, image: np.ndarray) -> list[Part]:
@@ -282,7 +277,7 @@ def plant_counts(scene: Scene, counts: np.ndarray) -> xr.DataArray:
         np.asarray(counts, float),
         dims="species",
         coords={"species": ("species", list(scene.taxa), {"long_name": "taxon"})},
-        attrs={"long_name": "plants on the plot, eq. (10) without its ceiling", "units": "1"},
+        attrs={"long_name": "plants on the plot", "units": "1"},
     )
 
 

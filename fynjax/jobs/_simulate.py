@@ -24,7 +24,7 @@ from fynjax.jobs._simulate_lidar import SimulateLidarResult, simulate_lidar
 from fynjax.jobs._simulate_record import run_record, short_record, warnings_of
 from fynjax.report.figures import quick_looks, spectrum_figure
 from fynjax.report.pages import Page, Picture, Section
-from fynjax.scene import AimedSensor, Observation, PlotParameters, Scene, standing_scene
+from fynjax.scene import AimedSensor, Observation, PlotParameters, Scene, hard_scene
 from fynjax.sensors import Lidar, Sensor
 
 AIR_MODELS = ("table", "clear-sky", "none")
@@ -117,7 +117,7 @@ def simulate(
         )
     with run.stage("Measure"):
         # Plants that do not stand take time and memory only.
-        stand = standing_scene(scene, parameters)
+        stand = hard_scene(scene, parameters)
         observation = _measure(aimed, stand, parameters, run.seed if noisy else None, run)
     cubes = _cubes(aimed, instrument, observation, products, plot_place(read))
     _check_finite(cubes, read)

@@ -7,13 +7,7 @@ Its light is computed in float32. Importing it lets JAX compute the rest in 64 b
 from fynjax._core.precision import enable_double_precision
 from fynjax.scene._cover import ProjectedCover, crown_centres, projected_cover
 from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
-from fynjax.scene._instances import (
-    Instances,
-    hard_counts,
-    hard_instances,
-    hard_scene,
-    standing_scene,
-)
+from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
 from fynjax.scene._large import is_large, observe_in_tiles
 from fynjax.scene._observe import (
     DRONE,
@@ -57,6 +51,7 @@ from fynjax.scene._scene import (
     build_scene,
     ground_at,
     room_needed,
+    slope_of_fading,
     stand_realisation,
 )
 from fynjax.scene._spectra import (
@@ -124,9 +119,9 @@ __all__ = [
     "projected_cover",
     "random_patches",
     "room_needed",
+    "slope_of_fading",
     "species_parameters",
     "stand_area",
     "stand_realisation",
-    "standing_scene",
     "with_values",
 ]

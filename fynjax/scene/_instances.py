@@ -1,14 +1,14 @@
-"""The hard scene: whole plants, as many as eq. (10) says, each with its place and size."""
+"""The plants that stand on a plot: how many, and the place and size of each."""
 
 import dataclasses
 from dataclasses import dataclass
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import hard_count, site_weight
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._scene import Scene, ground_at
 
@@ -48,25 +48,20 @@ class Instances:
 
 
 def hard_counts(scene: Scene, parameters: PlotParameters) -> Int[np.ndarray, " species"]:
-    """Whole number of plants of each species, eq. (10) with its ceiling [-].
+    """Whole number of plants of each species that stand, as `Scene.rounding` has it [-].
 
     **Arguments:**
 
     - `scene`: whose extent counts, and what it fixes about the species.
-    - `parameters`: of the plot. Plants are counted in their precision: give them in 64-bit, as the
-      reader of plot files does where JAX's 64-bit numbers are on.
+    - `parameters`: of the plot.
 
     Not differentiable; `Scene.counts` is.
     """
-    count = np.asarray(scene.counts(parameters), float)
-    return np.asarray(hard_count(count, np.ones(len(count))))
+    return np.asarray(scene.whole_counts(parameters)).astype(np.int64)
 
 
 def hard_instances(scene: Scene, parameters: PlotParameters) -> Instances:
-    """The plants of the hard scene, as many of each species as eq. (10) says.
-
-    They are the first plants of the scene's planting: their places, turns and sizes are those of
-    the soft scene, to which they are the limit.
+    """The plants that stand: those that every sensor sees.
 
     **Arguments:**
 
@@ -102,10 +97,11 @@ def hard_instances(scene: Scene, parameters: PlotParameters) -> Instances:
 
 
 def hard_scene(scene: Scene, parameters: PlotParameters) -> Scene:
-    """The plot with the plants of `hard_instances` and no spare ones.
+    """The plot with the plants of `hard_instances` and no spare ones, as every sensor sees it.
 
     These plants stand whatever a cover is later set to; everything else follows the parameters as
-    before. A fraction of the area elements is left, and the memory with it.
+    before. A fraction of the area elements is left, and the memory with it. Their number has no
+    slope.
 
     **Arguments:**
 
@@ -115,33 +111,14 @@ def hard_scene(scene: Scene, parameters: PlotParameters) -> Scene:
     **Raises:** `InputError` as `hard_instances`.
     """
     planting = scene.planting.only(_standing(scene, parameters))
-    hard = eqx.tree_at(lambda m: m.planting, scene, planting)
+    hard = eqx.tree_at(
+        lambda m: (m.planting, m.rounding), scene, (planting, jnp.zeros_like(scene.rounding))
+    )
     return dataclasses.replace(hard, softness=0.0, softness_plants=0.0)
 
 
-def standing_scene(scene: Scene, parameters: PlotParameters) -> Scene:
-    """The plot without the plants that the parameters leave no place for: the same area in every
-    voxel, in less memory.
-
-    **Arguments:**
-
-    - `scene`: with the plants held ready.
-    - `parameters`: by which plants are chosen. Another set may need more than those that are left.
-
-    Not differentiable.
-    """
-    planting = scene.planting
-    count = np.asarray(scene.counts(parameters), float)[np.asarray(planting.species)]
-    weight = site_weight(
-        count, np.asarray(planting.place), width=scene.softness_plants, softness=scene.softness
-    )
-    standing = np.asarray(weight) > 0
-    left = dataclasses.replace(planting.only(standing), place=planting.place[standing])
-    return dataclasses.replace(scene, planting=left)
-
-
 def _standing(scene: Scene, parameters: PlotParameters) -> np.ndarray:
-    """Mask of the plants of the hard scene."""
+    """Mask of the plants that stand."""
     count = hard_counts(scene, parameters)
     species = np.asarray(scene.planting.species)
     ready = np.bincount(species, minlength=len(count))

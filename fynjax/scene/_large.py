@@ -32,7 +32,7 @@ from fynjax.radiation import (
     voxel_values,
     window_cells,
 )
-from fynjax.scene._instances import standing_scene
+from fynjax.scene._instances import hard_scene
 from fynjax.scene._observe import AimedSensor
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._planting import OF_PLANTS, no_plants
@@ -110,7 +110,7 @@ def observe_in_tiles(
         check_light(whole, accuracy)
         with report.stage("Light"):
             # Plants that do not stand take memory only.
-            voxels = _voxels(standing_scene(scene, parameters), parameters, bands)
+            voxels = _voxels(hard_scene(scene, parameters), parameters, bands)
             light = _light(voxels, accuracy)
         tiling = tile_picture(light, rays, tile)._replace(steepest=aimed.steepest)
         draw = partial(_tile, light, rays, tiling)

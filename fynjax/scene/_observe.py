@@ -33,7 +33,7 @@ from fynjax.radiation import (
 from fynjax.scene._panels import PanelsInPicture, panels_in_picture
 from fynjax.scene._parameters import LightParameters, PlotParameters
 from fynjax.scene._pixels import axis_pixels, footprint_shares
-from fynjax.scene._scene import Scene
+from fynjax.scene._scene import Scene, slope_of_fading
 from fynjax.sensors import (
     SPACE,
     AbstractCamera,
@@ -197,7 +197,8 @@ class AimedSensor(eqx.Module):
         air: PlotAir | Atmosphere | None = None,
         surroundings: Float[Array, " band"] | None = None,
     ) -> Observation:
-        """What the sensor measures. Differentiable in `parameters`, `air`, `surroundings`.
+        """What the sensor measures of whole plants. Differentiable in `parameters`, `air`,
+        `surroundings`: the derivative is that of the mean over plantings, see `slope_of_fading`.
 
         **Arguments:** `key`, JAX key or seed of the noise, none if left out; `air`, instead of the
         object's own; `surroundings`, reflectance in the sensor's bands of the land beyond the
@@ -210,10 +211,9 @@ class AimedSensor(eqx.Module):
             lack = "no noise model" if air is not None else "no air to make radiance of"
             raise InputError(f"noise was asked for, but {self.sensor.name!r} has {lack}")
         parameters = jax.tree.map(lambda x: jnp.asarray(x, scene.dtype), parameters)
-        voxels = scene.voxels(parameters, self.sensor.bands)
         if air is None:
             every = jnp.ones(len(self.sensor.bands), bool)
-            image, _, residual = self.image(voxels)
+            image, _, residual = _seen(scene, parameters, self, None)
             return Observation(image, None, every, None, residual)
         by_band = self._air_of_bands(air, parameters.light, scene.dtype)
         order, back = _sorting(self.sensor)
@@ -224,10 +224,7 @@ class AimedSensor(eqx.Module):
             )
         total = by_band.direct + by_band.diffuse
         sky = (by_band.diffuse / jnp.maximum(total, jnp.finfo(total.dtype).tiny))[back]
-        voxels = eqx.tree_at(
-            lambda s: (s.illumination.sun, s.illumination.sky), voxels, (1.0 - sky, sky)
-        )
-        image, mean, residual = self.image(voxels)
+        image, mean, residual = _seen(scene, parameters, self, sky)
         if self.panels is not None:
             image = self.panels.laid_on(image)
         pixels = jnp.moveaxis(image, 0, -1)[..., order]
@@ -550,8 +547,7 @@ def observe_lidar(
 
     **Arguments:**
 
-    - `scene`, `parameters`: as of `observe`. A cloud is that of whole plants: give it the scene of
-      `hard_scene`.
+    - `scene`, `parameters`: as of `observe`.
     - `lidar`: from `fynjax.sensors` or a file, which says where it flies.
     - `noise`: whether the receiver is noisy.
     - `seed`: of the places of the pulses, the leaves that they hit, which are always drawn, and the
@@ -575,6 +571,19 @@ def observe_lidar(
     electrons = received_electrons(lidar, beams, waveforms.total, key=counting if noise else None)
     returns = detect_returns(lidar, beams, np.asarray(electrons), waveforms)
     return LidarObservation(voxels, beams, sublayers, waveforms, electrons, returns)
+
+
+@slope_of_fading
+def _seen(
+    scene: Scene, parameters: PlotParameters, sensor: AimedSensor, sky: Float[Array, " band"] | None
+) -> tuple[Float[Array, "band y x"], Float[Array, " band"], Float[Array, " band"]]:
+    """What `AimedSensor.image` gives of a scene, under its own sky or with a share `sky` of diffuse
+    light in each band [-]."""
+    voxels = scene.voxels(parameters, sensor.sensor.bands)
+    if sky is not None:
+        where = lambda s: (s.illumination.sun, s.illumination.sky)  # noqa: E731
+        voxels = eqx.tree_at(where, voxels, (1.0 - sky, sky))
+    return sensor.image(voxels)
 
 
 _atmosphere = eqx.filter_jit(PlotAir.atmosphere)
@@ -638,8 +647,8 @@ def observe(
     - `options`: of an imaging sensor, as `aim` takes them: `air`, `panels`, `point_spread`,
       `accuracy`.
 
-    **Returns:** an `Observation`, or a `LidarObservation`. An image is differentiable in
-    `parameters`. A second call with the same shapes compiles nothing.
+    **Returns:** an `Observation`, or a `LidarObservation`, of the same whole plants. An image is
+    differentiable in `parameters`, see `AimedSensor.observe`. A second call with the same shapes compiles nothing.
 
     **Raises:** `InputError` as `aim`, `AimedSensor.observe` and `observe_lidar`, and for a
     placement or options of a LiDAR.

@@ -75,6 +75,9 @@ class Planting(eqx.Module):
     """The elements of the individuals of each species that has plants, one after the other."""
     shape_class: Int[Array, " part"]
     """Optical class of the elements of `shapes`."""
+    before: Float[Array, " part"]
+    """Share of its organ's area on the plant that lies before each element of `shapes`, along their
+    x [-]: where a cut leaves the plant standing in part."""
 
     @property
     def site(self) -> Float[Array, "element 3"]:
@@ -172,6 +175,7 @@ class Planting(eqx.Module):
             count=jnp.asarray(size[which]),
             shapes=jax.tree.map(lambda *parts: jnp.concatenate(parts), *shapes),
             shape_class=jnp.asarray(np.concatenate(of_class)),
+            before=_area_before(shapes, self.before.dtype),
         )
         return few.with_elements()
 
@@ -361,7 +365,12 @@ def _of_individuals(
         name: jnp.asarray(np.concatenate([part[name] for part in plants])) for name in plants[0]
     }
     planting = Planting(
-        **joined, plant=none, part=none, shapes=whole, shape_class=jnp.asarray(classes, jnp.int32)
+        **joined,
+        plant=none,
+        part=none,
+        shapes=whole,
+        shape_class=jnp.asarray(classes, jnp.int32),
+        before=_area_before(shapes, dtype),
     )
     few = sum(int(part["count"].sum(dtype=np.int64)) for part in plants) <= MOST_LISTED
     return planting.with_elements() if few else planting
@@ -420,6 +429,20 @@ def _together(shapes: list[PlantModel], dtype: str) -> tuple[PlantModel, list[np
     return whole, [np.asarray(shape.organ) for shape in shapes]
 
 
+def _area_before(shapes: Sequence[PlantModel], dtype: Any) -> Float[Array, " part"]:
+    """`Planting.before` of several shapes, one after the other."""
+    every = []
+    for shape in shapes:
+        organ, x = np.asarray(shape.organ), np.asarray(shape.position)[:, 0]
+        fraction, before = np.asarray(shape.area_fraction, float), np.zeros(len(organ))
+        for kind in np.unique(organ):
+            mine = np.flatnonzero(organ == kind)
+            along = mine[np.argsort(x[mine], kind="stable")]
+            before[along] = np.cumsum(fraction[along]) - fraction[along]
+        every.append(before)
+    return jnp.asarray(np.concatenate(every), dtype)
+
+
 def individual_seeds(seed: int, species: int) -> list[int]:
     """Seeds of the shapes that the plants of a species have by turns, as they fill the sites.
 
@@ -452,6 +475,7 @@ def no_plants(dtype: str) -> Planting:
         part=index,
         shapes=shapes,
         shape_class=index,
+        before=none,
     )
 
 

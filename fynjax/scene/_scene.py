@@ -7,8 +7,9 @@ that what a sensor measures is a smooth, repeatable function of the parameters.
 """
 
 import dataclasses
+import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -16,7 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import (
@@ -26,7 +27,9 @@ from fynjax.canopy import (
     PlantModel,
     VoxelGrid,
     deposit,
+    element_weight,
     instance_area,
+    rounded_count,
     share_from_above,
     site_weight,
     soft_count,
@@ -99,10 +102,16 @@ class PlantingRules:
     that heights lie evenly between 0.6 and 1 times the greatest; they go with the diameters."""
     probability: Float[np.ndarray, "y x"] | None = None
     """Map of 0-255 over the plot of where plants are likely to stand, row 0 south; None: even."""
+    rounding: Literal["random", "up"] = "random"
+    """How a real number of plants becomes a whole one. "random": up or down by a number drawn for
+    each species, so that the mean over plantings is the real number. "up": the ceiling of eq. (10),
+    which on average adds half a plant to every species."""
     softness: float = 0.25
-    """Share of a species' plants over which the last ones fade in [-]; see `site_weight`."""
+    """Share of a species' plants over which one more of them is spread where a slope is taken [-];
+    see `site_weight`. What is observed has whole plants whatever it is."""
     softness_plants: float = 1.0
-    """The same in plants, added to it; 0 with `softness` 0 is the hard scene of eq. (10)."""
+    """The same in plants, added to it, less one; 0 with `softness` 0: plants whose number has no
+    slope."""
     flowering: float = 0.0
     """Share of full bloom [-]."""
     tuft: float = 0.05
@@ -177,10 +186,15 @@ class Scene(eqx.Module):
     leaf_angles: tuple[AbstractLeafAngle | None, ...]
     """How the leaves of each species are inclined; None: as its form has it."""
     boundary: Literal["periodic", "open"] = eqx.field(static=True)
+    rounding: Float[Array, " species"]
+    """What the real number of plants of each species is lessened by before it is rounded up [-]: 0
+    as in eq. (10), or drawn evenly from 0 to 1, so that the mean number is the real one."""
     softness: float = eqx.field(static=True)
-    """Share of a species' plants over which the last ones fade in [-]; see `site_weight`."""
+    """Share of a species' plants over which one more of them is spread where a slope is taken [-];
+    see `site_weight`."""
     softness_plants: float = eqx.field(static=True)
-    """The same in plants, added to it; 0 with `softness` 0 is the hard scene of eq. (10)."""
+    """The same in plants, added to it, less one; 0 with `softness` 0: plants whose number has no
+    slope."""
     flowering: float = eqx.field(static=True)
     """Share of full bloom [-]."""
     tuft: float = eqx.field(static=True)
@@ -204,6 +218,9 @@ class Scene(eqx.Module):
     dtype: str = eqx.field(static=True)
     known_plants: bool = eqx.field(static=True, default=False)
     """Whether the plants of `planting` are known and all stand, whatever covers are."""
+    fading: Bool[Array, ""] = eqx.field(converter=jnp.asarray, default=False)
+    """Whether the last plants of each species stand in part, as `site_weight` and `element_weight`
+    have it, instead of whole plants: the stand whose slopes are taken (`slope_of_fading`)."""
 
     @classmethod
     def from_table(
@@ -287,6 +304,10 @@ class Scene(eqx.Module):
         )
         return scene, parameters
 
+    def faded(self, fading: bool = True) -> "Scene":
+        """The same scene with plants that stand in part (`fading`), or with whole ones."""
+        return eqx.tree_at(lambda s: s.fading, self, jnp.full_like(self.fading, fading))
+
     @property
     def ground_level(self) -> float:
         """Mean height of the ground above the bottom of the grid [m]."""
@@ -313,18 +334,38 @@ class Scene(eqx.Module):
     def _ground_area(self) -> float:
         return float(np.prod(self.grid.extent[:2]))
 
-    def crown_areas(self, parameters: PlotParameters) -> Float[Array, " plant"]:
-        """Ground area of the crown of every plant, as far as it stands [m2]. Differentiable."""
-        species, planting = parameters.species, self.planting
+    def whole_counts(self, parameters: PlotParameters) -> Float[Array, " species"]:
+        """Whole number of plants of each species that stand, by `rounding` [-]. Its slope is 0."""
+        count = jax.lax.stop_gradient(self.counts(parameters)).astype(self.dtype)
+        return rounded_count(count, self.rounding)
+
+    def standing(self, parameters: PlotParameters) -> Float[Array, " plant"]:
+        """Share in which every plant stands: 1 or 0, the first `whole_counts` of each species [-].
+
+        Its derivative by the parameters is that of the expected stand: one more plant of a species
+        is spread over the plants about its number (`site_weight`). Where plants are `fading`, that
+        is the value too.
+        """
+        planting = self.planting
         owner = planting.species
-        weight = site_weight(
-            self.counts(parameters).astype(self.dtype)[owner],
-            planting.place,
-            width=self.softness_plants,
-            softness=self.softness,
+        count = self.counts(parameters).astype(self.dtype)
+        share = site_weight(
+            count[owner], planting.place, width=self.softness_plants, softness=self.softness
         )
-        diameter = species.diameter.astype(self.dtype)[owner] * planting.size
-        crown = weight * jnp.pi / 4.0 * diameter**2
+        whole = (self.whole_counts(parameters)[owner] > planting.place).astype(share.dtype)
+        slope = share - jax.lax.stop_gradient(share)  # zero, with the derivative of `share`
+        return jnp.where(self.fading, share, whole + slope)
+
+    def crown_areas(self, parameters: PlotParameters) -> Float[Array, " plant"]:
+        """Ground area of the crown of every plant that stands, else 0 [m2]. Differentiable, see
+        `standing`."""
+        return self.standing(parameters) * self._whole_crowns(parameters)
+
+    def _whole_crowns(self, parameters: PlotParameters) -> Float[Array, " plant"]:
+        """Ground area of the crown of every plant, if it stands [m2]."""
+        owner = self.planting.species
+        diameter = parameters.species.diameter.astype(self.dtype)[owner] * self.planting.size
+        crown = jnp.pi / 4.0 * diameter**2
         return crown / jnp.asarray(self.branches, self.dtype)[owner]
 
     def crown_share(self, parameters: PlotParameters) -> Float[Array, ""]:
@@ -354,8 +395,11 @@ class Scene(eqx.Module):
     def gap_fraction(self, parameters: PlotParameters) -> Float[Array, ""]:
         """Share of the ground that is seen from straight above, between leaves and stems [-].
 
-        **Arguments:** `parameters`, of the plot. Differentiable.
+        **Arguments:** `parameters`, of the plot. Differentiable, see `slope_of_fading`.
         """
+        return slope_of_fading(Scene._gap)(self, parameters)
+
+    def _gap(self, parameters: PlotParameters) -> Float[Array, ""]:
         angles, angle_of_class = class_angles(self.forms, self.leaf_angles)
         down = jnp.stack([angle.projection(jnp.asarray(1.0)) for angle in angles])
         down = down.astype(self.dtype)[jnp.asarray(angle_of_class)]
@@ -382,9 +426,11 @@ class Scene(eqx.Module):
         area, if that is given. Many elements are placed part by part, for the sake of memory."""
         if window is None:
             planting, boundary = self.planting, self.boundary
-            crown = self.visible_crowns(parameters)
+            crown = self._whole_crowns(parameters) * self.crown_share(parameters)
+            standing = self.standing(parameters)
         else:
             planting, boundary, crown = window.planting, "open", window.crown
+            standing = jnp.ones_like(crown)
         if not planting.listed:
             raise InputError(
                 f"the area elements of {len(planting.first)} plants are too many to be in memory "
@@ -394,7 +440,7 @@ class Scene(eqx.Module):
         count, fits = planting.plant.shape[0], self.finer and _holds(grid, self.tuft)
 
         def part(planting: Planting, weight: Array | float = 1.0) -> Array:
-            positions, area = self._elements(parameters, planting, crown)
+            positions, area = self._elements(parameters, planting, crown, standing)
             classes = planting.optical_class
             return deposit(
                 positions,
@@ -427,9 +473,14 @@ class Scene(eqx.Module):
         return jax.lax.scan(jax.checkpoint(add), start, jnp.arange(parts))[0]
 
     def _elements(
-        self, parameters: PlotParameters, planting: Planting, crown: Float[Array, " plant"]
+        self,
+        parameters: PlotParameters,
+        planting: Planting,
+        crown: Float[Array, " plant"],
+        standing: Float[Array, " plant"],
     ) -> tuple[Float[Array, "element 3"], Float[Array, " element"]]:
-        """Places [m] and areas [m2] of the area elements of plants with crowns of `crown` [m2]."""
+        """Places [m] and areas [m2] of the area elements of plants with crowns of `crown` [m2] that
+        are there in the shares `standing`."""
         parameters = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters)
         species = parameters.species
         owner = planting.species
@@ -444,7 +495,10 @@ class Scene(eqx.Module):
             + diameter[plant][:, None] * planting.per_diameter
             + height[plant][:, None] * planting.per_height
         )
-        return positions, area[plant, planting.organ] * planting.fraction
+        share, fraction = standing[plant], planting.fraction
+        part = element_weight(share, planting.before[planting.part], fraction)
+        share = jnp.where(self.fading, part, share)
+        return positions, area[plant, planting.organ] * fraction * share
 
     def voxels(
         self, parameters: PlotParameters, bands: BandSet, window: Window | None = None
@@ -623,6 +677,7 @@ def build_scene(
     layers = -(-grid.shape[2] // even) * even
     forms = tuple(one.form for one in species)
     spread = tuple(one.rotation_spread for one in species)
+    drawn = rules.rounding == "random" and crowns is None
     plants = tuple(one.plant for one in species)
     scene = Scene(
         planting=no_plants(dtype),
@@ -634,6 +689,7 @@ def build_scene(
         minimum_area=tuple(one.minimum_area for one in species),
         leaf_angles=tuple(None if plant is None else inclination(plant) for plant in plants),
         boundary=boundary,
+        rounding=_rounding(len(forms), seed, dtype, drawn),
         softness=rules.softness if crowns is None else 0.0,
         softness_plants=rules.softness_plants if crowns is None else 0.0,
         flowering=rules.flowering,
@@ -745,16 +801,24 @@ def room_needed(
     """
     stated = np.asarray(scene.counts(parameters), float)
     most = np.max(np.reshape(np.asarray(counts, float), (-1, len(stated))), axis=0)
-    # The last plants fade in over some of the sites beyond their number.
-    most = most * (1.0 + 0.5 * scene.softness) + 0.5 * scene.softness_plants
+    # One more plant is spread over some of the sites beyond their number.
+    ramp = scene.softness * most + max(scene.softness_plants - 1.0, 0.0)
+    most = np.maximum(np.ceil(most), most + 0.5 * ramp)
     ready = np.bincount(np.asarray(scene.planting.species), minlength=len(stated))
     short = (most > ready) & (stated > 0)
     return np.where(short, most / np.where(short, stated, 1.0), 0.0)
 
 
+def _rounding(species: int, seed: int, dtype: str, drawn: bool) -> Float[Array, " species"]:
+    """`Scene.rounding` of so many species."""
+    if not drawn:
+        return jnp.zeros(species, dtype)
+    return jnp.asarray(np.random.default_rng([seed, 107]).random(species), dtype)
+
+
 def stand_realisation(scene: Scene, seed: int) -> Scene:
-    """The same plot with other plants standing: each species fills its sites in another order.
-    Known plants stand where they do.
+    """The same plot with other plants standing: each species fills its sites in another order, and
+    its number, where that is rounded at random, is rounded anew. Known plants stand where they do.
 
     **Arguments:**
 
@@ -767,4 +831,43 @@ def stand_realisation(scene: Scene, seed: int) -> Scene:
     for one in np.unique(species):
         mine = species == one
         place[mine] = rng.permutation(place[mine])
-    return eqx.tree_at(lambda s: s.planting.place, scene, jnp.asarray(place, planting.place.dtype))
+    drawn = bool(np.asarray(scene.rounding).any())
+    rounding = _rounding(len(scene.taxa), seed, scene.dtype, drawn)
+    order = jnp.asarray(place, planting.place.dtype)
+    return eqx.tree_at(lambda s: (s.planting.place, s.rounding), scene, (order, rounding))
+
+
+def slope_of_fading(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of a scene whose value is that of whole plants and whose derivative is that of
+    the expected stand.
+
+    The number of plants is whole, so the value of `function` has no slope in it; what has one is
+    its mean over plantings. That slope is taken where one more plant of each species is spread over
+    several, each of which stands in part (`Scene.fading`): leaves that come and go are then met at
+    every state between none and all. With no derivative `function` is evaluated once; with one,
+    once more.
+
+    **Arguments:**
+
+    - `function`: of a `Scene`, and whatever else it depends on, such as the parameters; of arrays,
+      which it gives.
+
+    Differentiable in forward and reverse mode, once.
+    """
+
+    @eqx.filter_custom_jvp
+    def of_whole_plants(scene: Scene, *rest: Any) -> Any:
+        return function(scene, *rest)
+
+    @of_whole_plants.def_jvp
+    def derivative(primals: Any, tangents: Any) -> tuple[Any, Any]:
+        scene, *rest = primals
+        at = (scene.faded(), *rest)
+        return function(scene, *rest), eqx.filter_jvp(function, at, tangents)[1]
+
+    @functools.wraps(function)
+    def value(scene: Scene, *rest: Any) -> Any:
+        counted = scene.softness > 0.0 or scene.softness_plants > 0.0
+        return of_whole_plants(scene, *rest) if counted else function(scene, *rest)
+
+    return value

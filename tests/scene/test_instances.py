@@ -87,14 +87,14 @@ def test_a_plot_of_another_side_has_the_counts_of_its_area() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 5])
-def test_the_hard_scene_is_the_soft_one_without_softness(seed: int) -> None:
+def test_the_hard_scene_has_the_area_that_sensors_see(seed: int) -> None:
     parameters = small_parameters()
-    model = small_plot(softness=0.0, softness_plants=0.0, rotation_spread=[8.0, 0.0, 20.0])
+    model = small_plot(rotation_spread=[8.0, 0.0, 20.0])
     if seed:
         model = stand_realisation(model, seed)
-    hard = hard_scene(dataclasses.replace(model, softness=0.25, softness_plants=1.0), parameters)
-    soft, whole = (np.asarray(densities(m, parameters)) for m in (model, hard))
-    np.testing.assert_allclose(whole, soft, rtol=1e-12, atol=1e-12)
+    hard = hard_scene(model, parameters)
+    seen, whole = (np.asarray(densities(m, parameters)) for m in (model, hard))
+    np.testing.assert_allclose(whole, seen, rtol=1e-12, atol=1e-12)
     assert len(hard.planting.plant) < 0.6 * len(model.planting.plant)
 
     # And of the instances' own sizes: leaf area of each species, in closed form.
@@ -115,7 +115,7 @@ def test_the_hard_scene_is_the_soft_one_without_softness(seed: int) -> None:
 
 
 def test_instances_are_the_plants_of_the_planting() -> None:
-    """Places, turns and sizes against the elements that the soft scene deposits."""
+    """Places, turns and sizes against the elements that the scene deposits."""
     parameters, model = small_parameters(), small_plot(rotation_spread=[8.0, 5.0, 20.0])
     instances, planting = hard_instances(model, parameters), model.planting
     plants = [

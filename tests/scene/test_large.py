@@ -12,7 +12,7 @@ from fynjax._core.checkpoint import Journal
 from fynjax.errors import InputError
 from fynjax.radiation import Accuracy, Tiling
 from fynjax.radiation._tiles import _Axis
-from fynjax.scene import is_large, observe_in_tiles, standing_scene
+from fynjax.scene import hard_scene, is_large, observe_in_tiles
 from fynjax.scene._large import _Windows
 from tests.scene.plots import drone, reflectance, small_parameters, small_plot
 
@@ -72,7 +72,7 @@ def test_elements_placed_part_by_part_make_the_same_voxels(monkeypatch):
         return jnp.sum(density**2), density
 
     _, whole = jax.jit(square)(0.0)
-    few = standing_scene(scene, parameters)
+    few = hard_scene(scene, parameters)
     assert 0.3 < few.planting.plant.size / scene.planting.plant.size < 0.7
     np.testing.assert_allclose(few.area_density(parameters), whole, rtol=1e-9, atol=1e-12)
     monkeypatch.setattr("fynjax.scene._scene._AT_ONCE", scene.planting.plant.size // 3)

@@ -29,9 +29,9 @@ def leaf_area(model, parameters):
 
 
 def test_hard_scene_plants_whole_plants_of_equation_10():
-    """With no softness the wood of deadwood is that of ceil(n) plants of their drawn sizes."""
+    """Rounded up, the wood of deadwood is that of ceil(n) plants of their drawn sizes."""
     parameters = small_parameters()
-    model = small_plot(softness=0.0, softness_plants=0.0)
+    model = small_plot(rounding="up")
     species = parameters.species
     radius = np.asarray(species.diameter) / 2
     share = (1 - np.asarray(species.packing)) * np.asarray(species.fill)
@@ -48,19 +48,6 @@ def test_hard_scene_plants_whole_plants_of_equation_10():
     found = leaf_area(model, parameters)
     assert found[0] == pytest.approx(3.0 * (1 - 0.4) * seen[0], rel=1e-9)
     assert found[-2] == pytest.approx(np.asarray(species.wood_area_index) @ seen, rel=1e-9)
-
-
-def test_soft_scene_tends_to_the_hard_one():
-    parameters = small_parameters()
-    hard = small_plot(softness=0.0, softness_plants=0.0)
-    plants = np.asarray(hard.area_density(parameters))
-    away = []
-    for width in (1.0, 0.3, 1e-3):
-        soft = dataclasses.replace(hard, softness_plants=width)
-        away.append(np.abs(np.asarray(soft.area_density(parameters)) - plants).max())
-    assert away[0] > 1e-3  # the soft scene is another one
-    assert away[2] < 1e-12
-    assert away[0] >= away[1] >= away[2]
 
 
 def test_a_shoot_scatters_as_its_leaves_do_among_themselves():

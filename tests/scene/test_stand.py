@@ -36,7 +36,7 @@ def covered_by_random_discs(area, side, throws, points, rng):
 
 def test_area_is_what_is_stated_of_the_ground_that_random_crowns_cover():
     parameters = crowded()
-    model = small_plot(softness=0.0, softness_plants=0.0)
+    model = small_plot()
     hard = hard_scene(model, parameters)
     crowns = np.asarray(hard.crown_areas(parameters))
     cover, error = covered_by_random_discs(crowns, 1.6, 1500, 200, np.random.default_rng(1))
@@ -58,7 +58,7 @@ def test_organs_that_a_shape_lacks_have_no_area():
     leafless = eqx.tree_at(
         lambda p: p.species.leaf_area_index, crowded(), jnp.array([2.0, 2.0, 2.0])
     )
-    model = small_plot(softness=0.0, softness_plants=0.0)
+    model = small_plot()
     deadwood = model.forms.index("deadwood")
     stand = stand_area(model, leafless)
     assert stand.leaf[deadwood] == stand.dead[deadwood] == stand.leaf_mass[deadwood] == 0.0

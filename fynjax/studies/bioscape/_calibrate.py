@@ -142,10 +142,12 @@ def calibrate_plots(
     slots = slots_of(files)
     with run.stage("Plant the plots"):
         each = [(file, seed + k) for file in files for k in range(realisations)]
-        scenes = build_scenes(
+        planted = build_scenes(
             [f for f, _ in each], resolution, [s for _, s in each],
             room=ROOM, softness=SOFTNESS,
         )  # fmt: skip
+        # Plants that fade make the expectation a smooth function of the covers.
+        scenes = [(scene.faded(), parameters) for scene, parameters in planted]
     stands = [
         [scene for scene, _ in scenes[i * realisations : (i + 1) * realisations]]
         for i in range(len(read))

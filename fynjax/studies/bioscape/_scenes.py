@@ -129,7 +129,12 @@ def _build(
         extent=(resolution.size_m, resolution.size_m),
         voxel=resolution.voxel_m,
         seed=seed,
-        rules=PlantingRules(room=room, softness=softness, structure=resolution.structure),
+        rules=PlantingRules(
+            room=room,
+            softness=softness,
+            softness_plants=1.0 if softness else 0.0,
+            structure=resolution.structure,
+        ),
     )
     return scene, parameters
 
@@ -181,6 +186,7 @@ def _padded(scene: Scene, plants: int, elements: int, parts: int) -> Scene:
             part=longer(planting.part, elements, parts),  # the last part has no area
             shapes=shapes,
             shape_class=longer(planting.shape_class, parts + 1),
+            before=longer(planting.before, parts + 1),
         ),
     )
 

@@ -1,0 +1,164 @@
+"""Whole plants in the value, the expected stand in the slope.
+
+A plot of 1.5 m with three species and few voxels. What is held against each other is worked out
+apart: plants are counted, and the derivative of the mean over plantings is a difference of means.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax.canopy import element_weight, rounded_count
+from fynjax.scene import (
+    hard_counts,
+    hard_instances,
+    hard_scene,
+    observe_lidar,
+    slope_of_fading,
+    stand_realisation,
+)
+from fynjax.sensors import shipped_lidar
+from tests.scene.plots import densities, drone, reflectance, small_parameters, small_plot
+
+PLANTINGS = 60
+KINDS = ("cover", "diameter", "leaf_area_index", "height")
+_COVER = lambda p: p.species.cover  # noqa: E731
+
+
+def scaled(log_factors: jax.Array):
+    """The parameters with each kind times a factor."""
+    parameters = small_parameters()
+    fields = lambda p: [getattr(p.species, kind) for kind in KINDS]  # noqa: E731
+    return eqx.tree_at(
+        fields, parameters, [v * jnp.exp(x) for v, x in zip(fields(parameters), log_factors)]
+    )
+
+
+@pytest.fixture(scope="module")
+def plot():
+    return small_plot(extent=(1.5, 1.5))
+
+
+def test_the_mean_number_of_plants_is_the_real_one(plot) -> None:
+    """Over plantings; the ceiling of eq. (10) has half a plant more of each species."""
+    parameters = small_parameters()
+    real = np.asarray(plot.counts(parameters))
+    found = [hard_counts(stand_realisation(plot, seed), parameters) for seed in range(400)]
+    part = real % 1.0
+    error = np.sqrt(part * (1.0 - part) / 400)
+    assert np.all(np.abs(np.mean(found, axis=0) - real) < 4 * error)
+    assert np.ptp(found, axis=0).max() == 1
+    up = small_plot(extent=(1.5, 1.5), rounding="up")
+    for seed in range(3):
+        np.testing.assert_array_equal(
+            hard_counts(stand_realisation(up, seed), parameters), np.ceil(real)
+        )
+
+
+def test_rounding_keeps_the_mean_and_whole_numbers() -> None:
+    drawn = (np.arange(10_000) + 0.5) / 10_000
+    for count in (0.05, 0.7, 3.0, 12.34):
+        assert float(rounded_count(count, drawn).mean()) == pytest.approx(count, abs=2e-4)
+    single = jnp.float32(52.0) * (1 + 2 * jnp.finfo(jnp.float32).eps)
+    assert float(rounded_count(single)) == 52.0
+
+
+@pytest.mark.parametrize("share", [0.0, 1e-3, 0.2, 0.5, 0.93, 1.0])
+def test_a_plant_that_is_cut_keeps_its_area_with_slope_one(share: float) -> None:
+    fraction = np.random.default_rng(2).dirichlet(np.full(40, 0.7))
+    before = np.cumsum(fraction) - fraction
+    area = lambda share: fraction @ element_weight(share, before, fraction)  # noqa: E731
+    assert float(area(share)) == pytest.approx(share, abs=1e-12)
+    for slope in (jax.jacfwd(area), jax.grad(area)):
+        assert float(slope(share)) == pytest.approx(1.0 if share < 1.0 else 0.0, abs=1e-9)
+    weight = element_weight(share, before, fraction)
+    assert np.all(np.diff(weight) <= 1e-12)
+    if share == 0.5:  # a cut, not a thinner crown
+        assert np.count_nonzero((weight > 0.01) & (weight < 0.99)) < 0.45 * 40
+
+
+def test_every_sensor_sees_the_same_whole_plants(plot) -> None:
+    """Camera, LiDAR, voxels and the list of plants, whether spare plants are held ready or not."""
+    parameters = small_parameters()
+    alone = hard_scene(plot, parameters)
+    assert len(hard_instances(plot, parameters)) == len(alone.planting.species)
+    np.testing.assert_allclose(
+        densities(plot, parameters), densities(alone, parameters), rtol=1e-9, atol=1e-12
+    )
+    camera = drone(plot)
+    np.testing.assert_allclose(
+        reflectance(camera, plot, parameters), reflectance(camera, alone, parameters), rtol=1e-6
+    )
+    lidar = shipped_lidar("flash_lidar_paper")
+    waves = [observe_lidar(s, parameters, lidar).waveforms.total for s in (plot, alone)]
+    np.testing.assert_allclose(*waves, rtol=1e-6, atol=1e-12)
+
+
+def test_the_slope_is_that_of_plants_that_fade(plot) -> None:
+    """In both modes, and only where a slope is asked for; the value is that of whole plants."""
+    parameters, camera = small_parameters(), drone(plot)
+    mean = lambda x, scene: camera.observe(scene, scaled(x)).reflectance.mean()  # noqa: E731
+    none = jnp.zeros(len(KINDS))
+    value, slope = eqx.filter_jit(jax.value_and_grad(mean))(none, plot)
+    faded = eqx.filter_jit(jax.grad(mean))(none, plot.faded())
+    assert float(value) == pytest.approx(
+        float(reflectance(camera, plot, parameters).mean()), rel=1e-9
+    )
+    assert float(value) != float(eqx.filter_jit(mean)(none, plot.faded()))
+    np.testing.assert_allclose(slope, faded, rtol=1e-9)
+    along = jnp.array([0.3, -1.0, 0.5, 0.2])
+    forward = eqx.filter_jit(lambda x, s: jax.jvp(lambda x: mean(x, s), (x,), (along,))[1])
+    assert float(forward(none, plot)) == pytest.approx(float(slope @ along), rel=1e-8)
+
+
+def test_without_a_slope_the_scene_is_seen_once(plot) -> None:
+    seen = []
+
+    @slope_of_fading
+    def count(scene, parameters):
+        seen.append(scene)
+        return scene.standing(parameters).sum()
+
+    parameters = small_parameters()
+    count(plot, parameters)
+    assert len(seen) == 1
+    jax.grad(lambda cover: count(plot, eqx.tree_at(_COVER, parameters, cover)))(_COVER(parameters))
+    assert len(seen) == 3
+
+
+
+
+
+@pytest.fixture(scope="module")
+def expectation(plot):
+    """Mean over plantings of the gap, its derivative by differences, and the slopes taken."""
+    gap = lambda x, scene: scene.gap_fraction(scaled(x))  # noqa: E731
+    value, slope = eqx.filter_jit(gap), eqx.filter_jit(jax.grad(gap))
+    steps = np.array([0.28, 0.28, 0.1, 0.1])
+    values, differences, slopes = [], [], []
+    for seed in range(PLANTINGS):
+        scene = stand_realisation(plot, seed)
+        values.append(float(value(jnp.zeros(4), scene)))
+        ends = [[float(value(s * step, scene)) for s in (1, -1)] for step in np.diag(steps)]
+        differences.append([(up - down) / (2 * step) for (up, down), step in zip(ends, steps)])
+        slopes.append(np.asarray(slope(jnp.zeros(4), scene)))
+    return np.array(values), np.array(differences), np.array(slopes)
+
+
+def test_the_slope_is_the_derivative_of_the_mean_over_plantings(expectation) -> None:
+    """Of whole plants. Height moves no gap seen from straight above."""
+    _, differences, slopes = expectation
+    for i, kind in enumerate(KINDS[:3]):
+        pairs = slopes[:, i] - differences[:, i]
+        error = np.hypot(*(x[:, i].std() / np.sqrt(PLANTINGS) for x in (slopes, differences)))
+        assert abs(pairs.mean()) < 2.0 * error, kind
+        assert abs(np.median(slopes[:, i]) - differences[:, i].mean()) < 2.0 * error, kind
+    np.testing.assert_allclose(slopes[:, 3], 0.0, atol=1e-12)
+
+
+def test_the_slope_varies_less_than_what_one_more_plant_makes(expectation) -> None:
+    """Between plantings, because it is that of several plants."""
+    _, _, slopes = expectation
+    assert slopes[:, 0].std() < 0.35 * abs(slopes[:, 0].mean())
