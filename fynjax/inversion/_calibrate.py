@@ -199,10 +199,10 @@ def calibrate_plot(
     Where exactly each plant stands nobody measured: it is chance. So the data count as one draw of
     a normal distribution of the statistics over plantings (synthetic likelihood: Wood 2010, Price
     et al. 2018). Statistics bend over what is unknown of the parameters, and the slope at one place
-    is that of the few plants that fade in there. So expectation and slopes are means over
-    `stand_realisations` draws of plants and of the parameters about the estimate, the same at every
-    step (statistical linearisation: Garcia-Fernandez et al. 2015): of the prior in the first round,
-    then of the posterior. What such a line leaves of `scatter_draws` is the covariance; errors of
+    is that of the few plants about a species' number there. So expectation and slopes are means
+    over `stand_realisations` draws of plants and of the parameters about the estimate, the same at
+    every step (statistical linearisation: Garcia-Fernandez et al. 2015): of the prior in the first
+    round, then of the posterior. What such a line leaves of `scatter_draws` is the covariance; errors of
     the data, of the model and of the camera's gains add to it. All sensors observe the same plants.
 
     The search looks at some of the pixels, with coarse light in layers twice as thick

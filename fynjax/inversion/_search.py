@@ -279,7 +279,7 @@ class Search:
         """Derivatives of the cheap form's statistics, of each member about `u`.
 
         Their mean is the slope of the linear model that is best for all of `spread`, not only at
-        `u` (statistical linearisation): which plants fade in at `u` is chance, and over what is
+        `u` (statistical linearisation): which plants come next at `u` is chance, and over what is
         unknown beforehand statistics bend.
         """
 

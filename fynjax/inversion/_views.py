@@ -311,9 +311,7 @@ class StructureView(AbstractView):
     ) -> tuple[None, Float[Array, " statistic"]]:
         return None, slope_of_fading(_structure)(scene, parameters, self)
 
-    def _measure(
-        self, scene: Scene, parameters: PlotParameters
-    ) -> Float[Array, " statistic"]:
+    def _measure(self, scene: Scene, parameters: PlotParameters) -> Float[Array, " statistic"]:
         if self.grid is not None:
             scene = dataclasses.replace(scene, grid=self.grid)
         density = scene.area_density(parameters)

@@ -1,4 +1,4 @@
-"""What `fynjax build` does: the hard scene of a plot, its cover, its voxels and its pictures."""
+"""What `fynjax build` does: the plants of a plot, its cover, its voxels and its pictures."""
 
 import dataclasses
 from collections.abc import Sequence

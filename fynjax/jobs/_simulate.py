@@ -83,8 +83,7 @@ def simulate(
     **Returns:** `SimulateResult` for an imaging sensor, with radiance and reflectance (GeoTIFF,
     ENVI, NetCDF); `SimulateLidarResult` for a LiDAR. Writes the products, `run.json`, figures and a
     page into `output`. A LiDAR, whose file says where it flies and
-    how noisy it is (`noise=False`: the receiver without noise), gives waveforms and a point cloud
-    of the hard scene.
+    how noisy it is (`noise=False`: the receiver without noise), gives waveforms and a point cloud.
 
     **Raises:** `InputError` as `read_plot`, `load_instrument` and `aim_at_plot`, for noise of a
     sensor that has no model of it, and for altitude, pixel, atmosphere or a choice of products

@@ -43,7 +43,7 @@ class SimulateLidarResult(JobResult):
 def simulate_lidar(
     run: Run, plot: Plot, lidar: Lidar, *, noise: bool, files: Sequence[Path]
 ) -> SimulateLidarResult:
-    """Simulate a LiDAR over a plot's hard scene; write cloud, waveforms and pictures.
+    """Simulate a LiDAR over a plot; write cloud, waveforms and pictures.
 
     **Arguments:**
 

@@ -648,7 +648,8 @@ def observe(
       `accuracy`.
 
     **Returns:** an `Observation`, or a `LidarObservation`, of the same whole plants. An image is
-    differentiable in `parameters`, see `AimedSensor.observe`. A second call with the same shapes compiles nothing.
+    differentiable in `parameters`, see `AimedSensor.observe`. A second call with the same shapes
+    compiles nothing.
 
     **Raises:** `InputError` as `aim`, `AimedSensor.observe` and `observe_lidar`, and for a
     placement or options of a LiDAR.

@@ -237,6 +237,7 @@ class Scene(eqx.Module):
         light: LightParameters | None = None,
         dead_tissue: Spectrum | None = None,
         hot_spot: bool = False,
+        dtype: str = "float32",
     ) -> tuple["Scene", PlotParameters]:
         """A scene and its parameters from a species table, without any file.
 
@@ -257,6 +258,7 @@ class Scene(eqx.Module):
         - `dead_tissue`: reflectance of the dead tissue in live shoots, `Spectrum.of(wavelength,
           values, what)`; left out, that of bark.
         - `hot_spot`: whether leaves have the size of their form, see `Scene`.
+        - `dtype`: floating type that the scene is computed in, "float32" or "float64".
 
         What is left out is as in a plot file.
 
@@ -301,6 +303,7 @@ class Scene(eqx.Module):
             rules=PlantingRules(structure=structure_m),
             dead_tissue=dead_tissue,
             hot_spot=hot_spot,
+            dtype=dtype,
         )
         return scene, parameters
 

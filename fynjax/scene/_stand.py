@@ -60,7 +60,7 @@ def stand_area(scene: Scene, parameters: PlotParameters) -> StandArea:
 
     **Arguments:**
 
-    - `scene`: with the plants; the hard scene for those of eq. (10).
+    - `scene`: with the plants.
     - `parameters`: of the plot.
 
     Not differentiable; `Scene.area_density` and `Scene.gap_fraction` are.

@@ -128,9 +128,6 @@ def test_without_a_slope_the_scene_is_seen_once(plot) -> None:
     assert len(seen) == 3
 
 
-
-
-
 @pytest.fixture(scope="module")
 def expectation(plot):
     """Mean over plantings of the gap, its derivative by differences, and the slopes taken."""

@@ -1,4 +1,4 @@
-"""The hard scene: counts of eq. (10), the plants of the soft scene, and cover in closed form."""
+"""The plants that stand: counts of eq. (10), places and sizes, and cover in closed form."""
 
 import dataclasses
 

@@ -1,6 +1,4 @@
-"""The scene model: hard and soft plants, common random numbers, conservation, bare ground."""
-
-import dataclasses
+"""The scene model: whole plants, common random numbers, conservation, bare ground."""
 
 import equinox as eqx
 import jax.numpy as jnp

@@ -226,9 +226,9 @@ class Plot:
     sensor: Sensor
     seed: int
     softness: float
-    """Width over which a new plant fades in, as a share of the species' plants [-]."""
+    """Share of a species' plants over which one more is spread where a slope is taken [-]."""
     softness_plants: float
-    """The same in plants, added to it [plants]."""
+    """The same in plants, added to it, less one [plants]."""
     calibration: Calibration
     inputs: tuple[Path, ...]
     """Every file that was read or is named, for the provenance record."""

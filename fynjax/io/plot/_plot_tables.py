@@ -362,14 +362,14 @@ class SceneTable(Strict):
 
     seed: int = Field(default=0, description="Seed of everything random [-].", ge=0, lt=2**31)
     softness: float = number(
-        "Width over which a new plant of a species fades in, as a share of their number",
+        "Share of a species' plants over which one more is spread where a slope is taken",
         "-",
         default=0.25,
         ge=0,
         le=1,
     )
     softness_plants: float = number(
-        "The same in plants, added to it; with both 0 plants appear at once (hard scene)",
+        "The same in plants, added to it, less one; with both 0 their number has no slope",
         "plants",
         default=1.0,
         ge=0,
