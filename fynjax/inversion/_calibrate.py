@@ -202,8 +202,9 @@ def calibrate_plot(
     is that of the few plants about a species' number there. So expectation and slopes are means
     over `stand_realisations` draws of plants and of the parameters about the estimate, the same at
     every step (statistical linearisation: Garcia-Fernandez et al. 2015): of the prior in the first
-    round, then of the posterior. What such a line leaves of `scatter_draws` is the covariance; errors of
-    the data, of the model and of the camera's gains add to it. All sensors observe the same plants.
+    round, then of the posterior. What such a line leaves of `scatter_draws` is the covariance;
+    errors of the data, of the model and of the camera's gains add to it. All sensors observe the
+    same plants.
 
     The search looks at some of the pixels, with coarse light in layers twice as thick
     (`search_form`). What that lacks against full scenes at their own accuracy is measured at the

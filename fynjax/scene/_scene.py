@@ -232,6 +232,7 @@ class Scene(eqx.Module):
         structure_m: float | Literal["even"] | None = None,
         seed: int = 0,
         boundary: Literal["periodic", "open"] = "periodic",
+        rounding: Literal["random", "up"] = "random",
         leaves: Mapping[str, Mapping[str, float]] | None = None,
         ground: GroundParameters | None = None,
         light: LightParameters | None = None,
@@ -252,6 +253,7 @@ class Scene(eqx.Module):
           left out, a quarter of a voxel, see `PlantingRules`.
         - `seed`: of everything random.
         - `boundary`: "periodic" repeats the plot for ever, "open" does not.
+        - `rounding`: of the numbers of plants, see `PlantingRules`; "up" as in a plot file.
         - `leaves`: PROSPECT-D parameters by taxon, in PROSPECT's units; "*" is any other. Left out,
           the usual leaf; a structure that is left out follows from dry matter.
         - `ground`, `light`: left out, their defaults; with `dead_tissue` a wood brightness of 1.
@@ -300,7 +302,7 @@ class Scene(eqx.Module):
             voxel=voxel_m,
             seed=seed,
             boundary=boundary,
-            rules=PlantingRules(structure=structure_m),
+            rules=PlantingRules(structure=structure_m, rounding=rounding),
             dead_tissue=dead_tissue,
             hot_spot=hot_spot,
             dtype=dtype,

@@ -48,7 +48,7 @@ def test_structure_holds_the_area_of_the_classes():
 
 
 def test_derivatives_of_cover_and_diameter_are_those_of_differences():
-    scene, parameters = small_plot(structure=0.025), small_parameters()
+    scene, parameters = small_plot(structure=0.025).faded(), small_parameters()
 
     def loss(by):
         species = parameters.species
@@ -91,7 +91,12 @@ def test_thinned_plants_carry_the_same_area():
         np.add.at(total, (planting.plant, planting.optical_class), planting.fraction)
         assert np.isin(np.round(total, 5), [0.0, 1.0]).all()
     ((whole, _), (few, _)) = (
-        jax.tree.map(np.asarray, s._elements(parameters, s.planting, s.visible_crowns(parameters)))
+        jax.tree.map(
+            np.asarray,
+            s._elements(
+                parameters, s.planting, s.visible_crowns(parameters), s.standing(parameters)
+            ),
+        )
         for s in (scene, thin)
     )
     centres = [

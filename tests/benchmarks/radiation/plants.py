@@ -50,7 +50,8 @@ def discs(scene: Scene, parameters: PlotParameters, bands: BandSet, leaves: int)
     An element is one disc, or as many as `leaves`, anywhere in the box of its tuft.
     """
     planting = scene.planting
-    elements = scene._elements(parameters, planting, scene.visible_crowns(parameters))
+    crowns, standing = scene.visible_crowns(parameters), scene.standing(parameters)
+    elements = scene._elements(parameters, planting, crowns, standing)
     position, area = (np.asarray(a, float) for a in elements)
     normal = np.asarray(planting.shapes.normal)[np.asarray(planting.part)][:, None]
     plant = np.asarray(planting.plant)
