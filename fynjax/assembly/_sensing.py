@@ -4,7 +4,7 @@ import warnings
 
 from fynjax._core.errors import InputError
 from fynjax.io.instruments import read_atmosphere
-from fynjax.io.plot import Air, Plot, optical_pixel, sensor_altitude, visible_sensor
+from fynjax.io.plot import Air, Plot, sensor_altitude, sensor_pixel, visible_sensor
 from fynjax.scene import AimedSensor, Placement, PlotAir, PlotParameters, Scene, aim
 from fynjax.sensors import Atmosphere, OrthographicCamera, Sensor
 
@@ -36,8 +36,8 @@ def aim_at_plot(
     - `air`: instead of the plot file's.
     - `quiet`: without warnings.
 
-    **Returns:** an `AimedSensor`. Warns where altitude and pixel are both given and the optics
-    disagree (the pixel is used), and where the plot is wider than an image of the sensor.
+    **Returns:** an `AimedSensor`. Warns where altitude and pixel are both given and the sensor
+    has another (the given one is used), and where the plot is wider than an image of the sensor.
 
     **Raises:** `InputError` as `fynjax.scene.aim` and where the air does not reach to the sun of
     `parameters`.
@@ -47,13 +47,13 @@ def aim_at_plot(
         altitude = own.stated_altitude_m if altitude is None else altitude
         pixel = own.stated_pixel_m if pixel is None else pixel
     height = sensor_altitude(instrument) if altitude is None else altitude
-    optics = optical_pixel(instrument, height)
+    usual = sensor_pixel(instrument, height)
     fixed = isinstance(instrument.camera, OrthographicCamera)
-    if not quiet and pixel is not None and not fixed and abs(pixel / optics - 1.0) > _DISAGREE:
+    if not quiet and pixel is not None and not fixed and abs(pixel / usual - 1.0) > _DISAGREE:
         warnings.warn(
-            f"{instrument.name}: the pixel of {pixel:g} m is used, but the optics give "
-            f"{optics:.4g} m at {height:g} m above the ground; the pixel would need an altitude "
-            f"of {height * pixel / optics:.4g} m.",
+            f"{instrument.name}: the pixel of {pixel:g} m is used, but the sensor has one of "
+            f"{usual:.4g} m at {height:g} m above the ground; the pixel would need an altitude "
+            f"of {height * pixel / usual:.4g} m.",
             UserWarning,
             stacklevel=2,
         )

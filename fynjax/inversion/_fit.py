@@ -22,6 +22,7 @@ from fynjax.inversion._log_posterior import LogPosterior, Predict
 from fynjax.inversion._solvers import (
     AbstractStepper,
     Figures,
+    confirmed,
     is_scipy,
     lbfgsb,
     least_squares,
@@ -59,11 +60,13 @@ def fit(
       at each of many: for more statistics than a Jacobian should have rows. Or a solver of
       optimistix for least squares or minimisation, such as `optx.BFGS(1e-3, 1e-3)`; or one of
       jaxopt, such as `jaxopt.LBFGSB(fun=jnp.sum)`, whose function is replaced. Those of jaxopt that
-      take bounds stay within four prior standard deviations of the prior.
+      take bounds stay within four prior standard deviations of the prior; where the data want more,
+      they do not converge.
     - `max_steps`: most steps.
     - `tolerance`: of a solver given by name, the relative change of the coordinates and of the
       misfit or, for "lbfgsb", the largest slope in whitened coordinates, at which it ends. A solver
-      object has its own.
+      object has its own. Whatever the solver, the fit has converged only where a Gauss-Newton step
+      would lower the objective by no more than this: 1e-3 is 0.045 posterior standard deviations.
     - `start`: whitened coordinates to start from; the prior's centre by default.
     - `offset`: added to the predicted statistics: what a cheap forward model lacks.
     - `report`: called with the objective and the norm of its gradient at each evaluation.
@@ -73,7 +76,9 @@ def fit(
       computed already: "least_squares" with `report` or `keep` then does not compute them again.
 
     **Returns:** `FitResult`. A stop without convergence, a loss or slope that is not finite, and
-    parameters that nothing depends on are stated in its `status`, not raised.
+    parameters that nothing depends on are stated in its `status`, not raised. Where a solver ends
+    by a rule of its own before the fit has converged (see `tolerance`), the status is
+    `FitStatus.no_gain`; one of optimistix for least squares goes on. A minimum may be a local one.
 
     Without `report` and `keep` the fit can be compiled by `jax.jit` and mapped by `jax.vmap`, over
     data, priors, start or context; not with "lbfgsb" and the solvers of SciPy. The estimate is
@@ -130,15 +135,17 @@ def fit(
         predicted, jacobian = keep(lambda: statistics_and_jacobian(density, u))
     elif watched:
         u, predicted, jacobian, status = _run_watched(
-            density, stepper(solver), u, max_steps, note, keep, known
+            density, stepper(solver, tolerance), u, max_steps, note, keep, known
         )
     else:
-        run = _run if traced else _run_compiled
-        u, predicted, jacobian, status, steps, trace = run(density, stepper(solver), u, max_steps)
+        run, method = _run if traced else _run_compiled, stepper(solver, tolerance)
+        u, predicted, jacobian, status, steps, trace = run(density, method, u, max_steps)
+        status = confirmed(status, data, u, predicted, jacobian, jnp.asarray(tolerance))
         u, predicted, jacobian = _solution(density, u, predicted, jacobian)
         if not isinstance(steps, jax.core.Tracer):
             trace = jnp.asarray(trace[: int(steps)])
         return fit_result(space, data, u, predicted, jacobian, status, steps, trace)
+    status = confirmed(status, data, u, predicted, jacobian, jnp.asarray(tolerance))
     trace = jnp.asarray(np.asarray(history, float).reshape(-1, 2))
     return fit_result(space, data, u, predicted, jacobian, status, len(trace), trace)
 
@@ -174,7 +181,7 @@ def evaluate(
 
     **Arguments:** `density`, whitened coordinates `u`, and `keep` as `fit` has it.
     """
-    method = stepper(least_squares(1.0))
+    method = least_squares(1.0)
     _, state, *_ = _step(density, method, u, method.start(density, u), keep)
     value, jacobian, *_ = state.aux
     return value, jacobian

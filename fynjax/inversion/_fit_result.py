@@ -115,7 +115,7 @@ class FitStatus(optx.RESULTS):
     flat = "Converged; no statistic depends on some of the parameters, which stay at their priors."
     max_steps = "Stopped at the limit of steps, before it converged."
     not_finite = "The objective, a statistic or a slope is not finite; the estimate is of no use."
-    no_gain = "No step improved on the estimate."
+    no_gain = "Stopped before it converged: no step improved on the estimate any more."
 
 
 class FitResult(eqx.Module):

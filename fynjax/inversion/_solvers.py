@@ -18,7 +18,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
-from fynjax.inversion._fit_result import FitStatus
+from fynjax.inversion._fit_result import Data, FitStatus
 from fynjax.inversion._log_posterior import LogPosterior
 
 Figures = tuple[Array, Array]
@@ -35,14 +35,16 @@ _OPTIONS = {"jac": "bwd"}  # the Jacobian as an array, which another fit can pas
 def least_squares(tolerance: float) -> "OptimistixStepper":
     """Levenberg-Marquardt, damped from the start."""
     limit: Any = jnp.asarray(tolerance)  # an array: another tolerance compiles nothing
-    return OptimistixStepper(optx.LevenbergMarquardt(rtol=limit, atol=limit), _DAMPING)
+    return OptimistixStepper(optx.LevenbergMarquardt(rtol=limit, atol=limit), limit, _DAMPING)
 
 
 def lbfgsb(tolerance: float) -> Any:
     """L-BFGS-B of SciPy, by jaxopt."""
     import jaxopt  # late: it warns on import that it is no longer maintained
 
-    options = {"maxcor": 20, "gtol": tolerance, "ftol": 1e-9}
+    # No end by a small relative fall: in a flat valley, or far from data with small errors, a step
+    # that gains much may be small against the objective.
+    options = {"maxcor": 20, "gtol": tolerance, "ftol": 0.0}
     return jaxopt.ScipyBoundedMinimize(
         fun=jnp.sum, method="l-bfgs-b", tol=tolerance, options=options
     )
@@ -55,6 +57,41 @@ def _of_jaxopt(solver: Any) -> bool:
 def is_scipy(solver: Any) -> bool:
     """Whether it is a solver of SciPy, which runs outside JAX."""
     return _of_jaxopt(solver) and type(solver).__name__ in ("ScipyMinimize", "ScipyBoundedMinimize")
+
+
+def gain(
+    data: Data,
+    u: Float[Array, " free"],
+    statistics: Float[Array, " statistic"],
+    jacobian: Float[Array, "statistic free"],
+) -> Float[Array, ""]:
+    """By how much a Gauss-Newton step would lower the objective, were the model linear.
+
+    Half the squared distance to the minimum in posterior standard deviations: what is left to gain,
+    whatever the units and however flat the valley.
+    """
+    misfit, slopes = data.whiten(statistics - data.value), data.whiten(jacobian)
+    # By an orthogonal basis: the condition of the Hessian is the square of that of the slopes.
+    basis, _ = jnp.linalg.qr(jnp.concatenate([slopes, jnp.eye(u.size)]))
+    return 0.5 * jnp.sum((basis.T @ jnp.concatenate([misfit, u])) ** 2)
+
+
+@eqx.filter_jit
+def confirmed(
+    status: Any,
+    data: Data,
+    u: Float[Array, " free"],
+    statistics: Float[Array, " statistic"],
+    jacobian: Float[Array, "statistic free"],
+    tolerance: Float[Array, ""],
+) -> Any:
+    """The status of a fit that ended at `u`, converged only where the `gain` left is at most
+    `tolerance`, whatever rule of the solver's own ended it."""
+    fixed = jax.lax.stop_gradient((data, u, statistics, jacobian))
+    settled = gain(*fixed) <= tolerance
+    ended = (status == FitStatus.successful) | (status == FitStatus.no_gain)
+    found = FitStatus.where(settled, FitStatus.successful, FitStatus.no_gain)
+    return FitStatus.where(ended, found, status)
 
 
 class AbstractStepper(eqx.Module):
@@ -75,12 +112,12 @@ class AbstractStepper(eqx.Module):
         return None
 
 
-def stepper(solver: Any) -> AbstractStepper:
-    """The stepper of a solver object."""
+def stepper(solver: Any, tolerance: float) -> AbstractStepper:
+    """The stepper of a solver object, which goes on while more than `tolerance` is to gain."""
     if isinstance(solver, AbstractStepper):
         return solver
     if isinstance(solver, optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser):
-        return OptimistixStepper(solver, None)
+        return OptimistixStepper(solver, jnp.asarray(tolerance), None)
     if _of_jaxopt(solver) and hasattr(solver, "init_state"):
         return JaxoptStepper(solver)
     raise InputError(
@@ -125,6 +162,8 @@ class OptimistixStepper(AbstractStepper):
     """A solver of optimistix, for least squares or for minimisation."""
 
     solver: Any
+    tolerance: Float[Array, ""]
+    """Of the `gain` left at the end."""
     damping: float | None = eqx.field(static=True)
 
     @property
@@ -152,7 +191,9 @@ class OptimistixStepper(AbstractStepper):
         function: Any = _residual(density.jacobian) if self._by_residuals else _objective
         u, state, _ = self.solver.step(function, u, density, _OPTIONS, state, _NO_TAGS)
         done, result = self.solver.terminate(function, u, density, _OPTIONS, state, _NO_TAGS)
-        *_, loss, norm = state.aux
+        *reached, loss, norm = state.aux
+        if self._by_residuals:
+            done &= gain(density.data, u, *reached) <= self.tolerance
         return u, state, (loss, norm), _status((loss, norm), done, result)
 
     def statistics(self, state: Any) -> tuple[Array, Array] | None:
@@ -222,8 +263,7 @@ def run_scipy(
         return start, FitStatus.not_finite
     limits = [options[name] for name in ("maxfun", "maxfev") if name in options]
     if bool(state.success):
-        far = bounded and bool(jnp.max(jnp.abs(u)) >= _REACH)
-        status = FitStatus.at_bound if far else FitStatus.successful
+        status = FitStatus.successful
     elif int(state.iter_num) >= max_steps or int(state.num_fun_eval) >= min(limits, default=np.inf):
         status = FitStatus.max_steps
     else:

@@ -109,9 +109,8 @@ class ImageView(AbstractView):
     """What a band's calibration to reflectance may be off by, as a factor [-]."""
     spacing: float | None = eqx.field(static=True, default=None)
     """Distance of neighbouring pixels [m]; None: their edge."""
-    window: float = eqx.field(static=True, default=0.0)
-    """Share of the pixels that a quantile is the mean of, so that its slopes are not those of one
-    pixel [-]."""
+    window: float | None = eqx.field(static=True, default=None)
+    """Share of the pixels that a quantile is the mean of, as `image_statistics` has it [-]."""
     directions: "Directions | None" = None
     """Of the statistics, along which slopes are taken; None: all."""
 

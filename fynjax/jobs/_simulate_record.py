@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fynjax.io.plot import Air, Plot, optical_pixel
+from fynjax.io.plot import Air, Plot
 from fynjax.scene import AimedSensor, Observation, PlotAir
 from fynjax.sensors import OrthographicCamera, Sensor, frame_of
 
@@ -28,8 +28,8 @@ def run_record(
 ) -> dict[str, Any]:
     """What made the product, for `run.json`."""
     camera, accuracy = aimed.sensor.camera, aimed.accuracy
-    optics = optical_pixel(instrument, float(aimed.sensor_height))
     frame, angles = frame_of(camera), {}
+    optics = instrument.ground_sample_distance(None if frame is None else aimed.sensor_height)
     if frame is not None:
         angles = {"tilt_deg": frame.tilt, "heading_deg": frame.heading}
     elif isinstance(camera, OrthographicCamera):
@@ -55,7 +55,7 @@ def run_record(
             "bands_simulated": len(aimed.sensor.bands),
             "altitude_m": float(aimed.sensor_height),
             "pixel_m": aimed.pixel,
-            "pixel_of_the_optics_m": optics,
+            "pixel_of_the_optics_m": float(optics),
             "rows_columns": list(aimed.shape),
             "south_west_corner_from_that_of_the_plot_m": list(aimed.origin),
             **{k: float(v) for k, v in angles.items()},

@@ -61,12 +61,16 @@ def standard_deviation(values: Sample, valid: Mask | None = None) -> Scalar:
     return jnp.where(spread, jnp.sqrt(jnp.where(spread, variance, 1.0)), 0.0)
 
 
+QUANTILE_WINDOW = 0.05
+"""Share of the pixels about a quantile that its derivative is taken over by default [-]."""
+
+
 def quantiles(
     values: Sample,
     probabilities: Float[Array, " q"],
     valid: Mask | None = None,
     *,
-    window: float = 0.0,
+    window: float | None = None,
 ) -> Float[Array, " q"]:
     """Quantiles of the valid pixels by linear interpolation, in their unit (NumPy's default).
 
@@ -75,32 +79,72 @@ def quantiles(
     - `values`: pixels of any shape.
     - `probabilities`: in [0, 1].
     - `valid`: true where a pixel counts; all unless given.
-    - `window`: share of the pixels, about that at the quantile, whose mean is taken instead [-].
+    - `window`: share of the pixels, about that at the quantile, whose mean is taken instead [-];
+      0 for none. Left out, the value is the quantile itself and its derivative in `values` that of
+      the mean over a window of 0.05, though of no fewer pixels than the quantile lies on.
 
     **Raises:** `InputError` for no pixel, or a mask of another shape.
 
-    Differentiable in `values` almost everywhere, by sorting. A quantile moves with the one or two
-    pixels that it lies on, whose slopes are those of a sample of one; with a `window` with all
-    pixels in that, whose slopes are near that of the distribution.
+    Differentiable in `values` almost everywhere, by sorting, and in `probabilities`. A quantile
+    moves with the one or two pixels that it lies on, and the slopes of so few are chance: how much
+    a leaf there moves, not how the distribution does. Within a window there are many, whose mean
+    slope is near that of the distribution; near the ends of [0, 1] it is cut, and lopsided. So by
+    default the derivative is not that of the value to the last digit: a difference quotient over
+    a small step is that of `window=0`, one over a wide step that of the default.
     """
     x, weight = _flat(values, valid)
+    at = jnp.atleast_1d(jnp.asarray(probabilities, x.dtype))
+    if window is None:
+        return _smooth_quantiles(x, weight, at)
+    if window > 0.0:
+        count = jnp.sum(weight > 0)
+        return _rank_means(x, weight, count * (at - 0.5 * window), count * (at + 0.5 * window))
+    return _quantiles(x, weight, at)
+
+
+def _quantiles(x: Array, weight: Array, at: Float[Array, " q"]) -> Float[Array, " q"]:
     count = jnp.sum(weight > 0)
     ordered = jnp.sort(jnp.where(weight > 0, x, jnp.inf))
-    if window > 0.0:
-        middle = jnp.atleast_1d(jnp.asarray(probabilities, x.dtype))[:, None]
-        low = jnp.maximum(middle - 0.5 * window, 0.0) * count
-        high = jnp.minimum(middle + 0.5 * window, 1.0) * count
-        rank = jnp.arange(x.size, dtype=x.dtype)
-        share = jnp.clip(jnp.minimum(rank + 1.0, high) - jnp.maximum(rank, low), 0.0, 1.0)
-        finite = jnp.where(jnp.arange(x.size) < count, ordered, 0.0)
-        windowed = share @ finite / jnp.maximum(high - low, jnp.finfo(x.dtype).tiny)[:, 0]
-        return jnp.where((count > 0) & _sound(x), windowed, jnp.nan)
-    place = jnp.atleast_1d(jnp.asarray(probabilities, x.dtype)) * (count - 1)
+    place = at * (count - 1)
     below = jnp.clip(jnp.floor(place).astype(int), 0, jnp.maximum(count - 1, 0))
     above = jnp.minimum(below + 1, jnp.maximum(count - 1, 0))
     share = place - below
     result = ordered[below] * (1.0 - share) + ordered[above] * share
     return jnp.where((count > 0) & _sound(x), result, jnp.nan)
+
+
+def _rank_means(
+    x: Array, weight: Array, low: Float[Array, " q"], high: Float[Array, " q"]
+) -> Float[Array, " q"]:
+    """Means of the valid pixels of ranks from `low` to `high`, of which the ends are parts."""
+    count = jnp.sum(weight > 0)
+    ordered = jnp.sort(jnp.where(weight > 0, x, jnp.inf))
+    low, high = jnp.maximum(low, 0.0)[:, None], jnp.minimum(high, count)[:, None]
+    rank = jnp.arange(x.size, dtype=x.dtype)
+    share = jnp.clip(jnp.minimum(rank + 1.0, high) - jnp.maximum(rank, low), 0.0, 1.0)
+    finite = jnp.where(jnp.arange(x.size) < count, ordered, 0.0)
+    means = share @ finite / jnp.maximum(high - low, jnp.finfo(x.dtype).tiny)[:, 0]
+    return jnp.where((count > 0) & _sound(x), means, jnp.nan)
+
+
+@jax.custom_jvp
+def _smooth_quantiles(x: Array, weight: Array, at: Float[Array, " q"]) -> Float[Array, " q"]:
+    """Quantiles with the derivative of the means over `QUANTILE_WINDOW`, or over one pixel if that
+    is more: the plain derivative."""
+    return _quantiles(x, weight, at)
+
+
+@_smooth_quantiles.defjvp
+def _smooth_quantiles_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    x, weight, at = primals
+    value, by_share = jax.jvp(lambda at: _quantiles(x, weight, at), (at,), tangents[2:])
+    count = jnp.sum(weight > 0)
+    middle = at * (count - 1) + 0.5
+    half = jnp.maximum(0.5 * QUANTILE_WINDOW * count, 0.5)
+    _, by_value = jax.jvp(
+        lambda x: _rank_means(x, weight, middle - half, middle + half), (x,), tangents[:1]
+    )
+    return value, by_value + by_share
 
 
 def histogram_intersection(

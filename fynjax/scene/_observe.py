@@ -142,7 +142,7 @@ class Placement(eqx.Module):
     """Above the ground [m]. A sensor without one, such as an orthographic view, is taken to be in
     space where the air asks for it."""
     pixel: float | None = eqx.field(static=True, default=None)
-    """Edge of a pixel on the ground [m]; None: from the optics."""
+    """Edge of a pixel on the ground [m]; None: that of the sensor (`Sensor.pixel`)."""
     tilt: float | None = eqx.field(static=True, default=None)
     """Of the optical axis from straight down towards the heading [degrees]. Not of an orthographic
     view, as the heading."""
@@ -183,8 +183,8 @@ class AimedSensor(eqx.Module):
     """Zenith angle that no ray exceeds, in whole steps of 5, lest each height of the sensor compile
     anew [degrees]."""
     averaged: Float[Array, ""]
-    """The sensor's own pixels, by its optics, that a pixel is the mean of; at least 1. Its noise is
-    as much lower."""
+    """The sensor's own pixels (`Sensor.pixel`) that a pixel is the mean of; at least 1. Its noise
+    is as much lower."""
     panels: PanelsInPicture | None = None
     """Panels in the picture; None: none."""
 
@@ -463,8 +463,8 @@ def aim(
             f"the sensor must be above the plants, which reach {top - base:.2f} m, but is at "
             f"{height:g} m above the ground"
         )
-    optics = float(sensor.ground_sample_distance(None if frame is None else height))
-    pixel = optics if placement.pixel is None else placement.pixel
+    own = float(sensor.pixel(None if frame is None else height))
+    pixel = own if placement.pixel is None else placement.pixel
     if not 0.0 < pixel < np.inf:
         raise InputError(f"`pixel` must be a positive number of m, but is {pixel:g}.")
     periodic = scene.boundary == "periodic"
@@ -518,7 +518,7 @@ def aim(
         samples=samples,
         together=together if wide else 1,
         steepest=5.0 * math.ceil(math.degrees(math.atan(slope)) / 5.0 - 1e-6),
-        averaged=real_array(max(1.0, (pixel / optics) ** 2)),
+        averaged=real_array(max(1.0, (pixel / own) ** 2)),
         panels=panels_in_picture(panels, (rows, columns), pixel, (west, south)) if panels else None,
     )
 

@@ -278,8 +278,8 @@ def check_ground_sample_distance(
 ) -> float:
     """Compare a stated ground sample distance with the optics, and return the optics' value [m].
 
-    Warns (`UserWarning`) when they differ by more than a given fraction; the optics are what fynjax
-    renders with.
+    Warns (`UserWarning`) when they differ by more than a given fraction. Of a sensor file images
+    have the stated pixel, seen along the lines of sight of the optics.
 
     **Arguments:**
 
@@ -299,8 +299,8 @@ def check_ground_sample_distance(
         fitting = float(camera.position[2]) * stated / optics
         warnings.warn(
             f"{name}: the stated ground sample distance of {stated:g} m disagrees with the "
-            f"optics, which give {optics:.4g} m at {float(camera.position[2]):g} m. The optics are "
-            f"used; the stated value would need an altitude of {fitting:.4g} m.",
+            f"optics, which give {optics:.4g} m at {float(camera.position[2]):g} m, and the stated "
+            f"one at {fitting:.4g} m. Images have the stated pixel.",
             UserWarning,
             stacklevel=2,
         )

@@ -47,7 +47,7 @@ def _imager(name: str) -> dict[str, Any]:
         "bands": count,
         "lower_nm": min(centres),
         "upper_nm": max(centres),
-        "pixel_m": float(sensor.ground_sample_distance()),
+        "pixel_m": float(sensor.pixel()),
         "altitude_m": float(about["geometry"].get("altitude_m", np.nan)),
         "description": about["description"],
     }

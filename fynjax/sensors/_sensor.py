@@ -37,6 +37,8 @@ class Sensor(eqx.Module):
     """Noise of the radiance; none if not known."""
     band_pixel: tuple[float, ...] | None = eqx.field(static=True, default=None)
     """Pixel of each band on the ground where the bands of a product differ [m]."""
+    pixel_factor: float = eqx.field(static=True, default=1.0)
+    """Pixel of its images over that of its optics [-]: not 1 where the source states another."""
     source: str = eqx.field(static=True, default="")
     """Where the numbers come from."""
 
@@ -65,6 +67,15 @@ class Sensor(eqx.Module):
         if altitude is None:
             return self.camera.ground_sample_distance
         return self.camera.over(0.0, 0.0, altitude=altitude).ground_sample_distance
+
+    def pixel(self, altitude: Real | None = None) -> Float[Array, ""]:
+        """Edge of a pixel of its images on the ground [m]: what the sensor's source states, else
+        from the optics.
+
+        `altitude` above the ground [m], with which a stated pixel grows too; left out, that of the
+        file.
+        """
+        return self.ground_sample_distance(altitude) * self.pixel_factor
 
     def swath(self, altitude: Real | None = None) -> Float[Array, " 2"]:
         """Ground that the image spans straight below, across (x) and along (y) [m].

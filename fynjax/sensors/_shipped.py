@@ -45,7 +45,8 @@ def shipped_sensor(name: str) -> Sensor:
 
     - `name`: one of `shipped_sensors()`, such as "mavic_3m".
 
-    Warns where its file states a ground sample distance that its optics do not give.
+    Warns where its file states a ground sample distance that its optics do not give, which is then
+    the pixel of its images (`Sensor.pixel`).
 
     **Raises:** `InputError` for an unknown name.
 
@@ -81,20 +82,23 @@ def build_sensor(description: Mapping[str, Any], read_table: Callable[[str], Tab
     - `description`: tables and keys of a sensor file (`data_schemas/sensor.schema.json`), valid.
     - `read_table`: from the name of a table beside the file to its columns.
 
-    Warns where the file states a ground sample distance that its optics do not give: the optics
-    are used.
+    Warns where the file states a ground sample distance that its optics do not give: images have
+    the stated one, lines of sight are those of the optics.
 
     **Raises:** `InputError` for bands or noise that do not fit together.
     """
     bands, pixel = _bands(description["bands"], read_table)
     psf, noise = description.get("psf"), description.get("noise")
+    camera = _camera(description["geometry"], description["name"])
+    stated = description["geometry"].get("ground_sample_distance_m")
     return Sensor(
         name=description["name"],
         bands=bands,
-        camera=_camera(description["geometry"], description["name"]),
+        camera=camera,
         psf=None if psf is None else PointSpread(psf["kind"], jnp.asarray(psf["width_pixels"])),
         noise=None if noise is None else _noise(noise, bands, read_table),
         band_pixel=pixel,
+        pixel_factor=1.0 if stated is None else stated / float(camera.ground_sample_distance),
         source=description["source"],
     )
 

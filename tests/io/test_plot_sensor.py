@@ -187,7 +187,7 @@ def test_a_sensor_is_built_as_the_files_say(tmp_path):
 def test_a_pixel_that_the_optics_do_not_give_is_told(tmp_path):
     read = plot(tmp_path)
     wide = plot(tmp_path, head=HEAD.replace("2.0", "4.0").replace("0.2", "0.4"))
-    with pytest.warns(UserWarning, match=r"pixel of 3 m is used.* optics give 1\.015 m.* 2956 m"):
+    with pytest.warns(UserWarning, match=r"pixel of 3 m is used.* has one of 1\.015 m.* 2956 m"):
         aim_at_plot(wide, *build_plot(wide), load_sensor("aviris_ng"), pixel=3.0)
     with pytest.raises(InputError, match="above the plants"):
         aim_at_plot(read, *build_plot(read), load_sensor("mavic_3m"), altitude=0.4)

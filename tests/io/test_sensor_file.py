@@ -102,10 +102,12 @@ def test_rows_of_the_shipped_tables_are_valid() -> None:
             check.validate({k: v if k == "band" else float(v) for k, v in row.items()})
 
 
-def test_the_paper_s_pixel_is_named_and_not_used() -> None:
-    with pytest.warns(UserWarning, match=r"3 m disagrees .* 1\.015 m .* optics are used.* 2956 m"):
+def test_the_paper_s_pixel_is_that_of_images() -> None:
+    with pytest.warns(UserWarning, match=r"3 m disagrees .* 1\.015 m .* 2956 m.* stated pixel"):
         sensor = load_sensor("aviris_ng_paper")
     assert float(sensor.ground_sample_distance()) == pytest.approx(1.01504, abs=1e-5)
+    assert float(sensor.pixel()) == pytest.approx(3.0, rel=1e-6)
+    assert float(sensor.pixel(2000.0)) == pytest.approx(6.0, rel=1e-6)
 
 
 def test_own_file(write: Callable) -> None:

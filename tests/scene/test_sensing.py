@@ -379,3 +379,25 @@ def test_noise_is_left_out_of_images_and_of_clouds_unless_asked_for():
         inspect.signature(f).parameters["noise"].default for f in (observe_scene, observe_lidar)
     ]
     assert defaults == [False, False]
+
+
+@pytest.mark.filterwarnings("ignore:aviris_ng_paper")
+def test_images_have_the_pixel_that_the_sensor_s_file_states():
+    """The article's spectrometer has pixels of 3 m, of which its optics make 1 m."""
+    red_and_near_infrared = (55, 100)
+    paper = shipped_sensor("aviris_ng_paper").select(red_and_near_infrared)
+    optics = shipped_sensor("aviris_ng").select(red_and_near_infrared)
+    parameters = small_parameters()
+    for side, shape in ((1.6, (1, 1)), (6.4, (2, 2))):
+        scene = small_plot(extent=(side, side), voxel=0.4)
+        aimed = over(scene, paper)
+        assert aimed.pixel == pytest.approx(3.0, rel=1e-6)
+        assert float(aimed.averaged) == pytest.approx(1.0)  # its own pixel, with its own noise
+        image = observe(aimed, scene, parameters).reflectance
+        assert image.shape[1:] == shape
+        # The same as a pixel that is asked for, but for lines of sight beside the middle.
+        asked = observe(over(scene, optics, Placement(pixel=3.0)), scene, parameters).reflectance
+        np.testing.assert_allclose(image, asked, rtol=1e-3)
+    assert over(scene, paper, Placement(2000.0)).pixel == pytest.approx(6.0, rel=1e-6)
+    assert over(scene, paper, Placement(pixel=1.6)).shape == (4, 4)
+    assert over(scene, optics).pixel == pytest.approx(1.01504, abs=1e-5)

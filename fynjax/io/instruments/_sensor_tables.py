@@ -155,7 +155,8 @@ class GeometryTable(Strict):
         le=360,
     )
     ground_sample_distance_m: float | None = number(
-        "Pixel on the ground that the source states; compared with the optics, which are used",
+        "Pixel on the ground that the source states, from altitude_m: that of images; left out, "
+        "from the optics, whose lines of sight it has in any case",
         "m",
         default=None,
         gt=0,

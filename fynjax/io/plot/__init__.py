@@ -45,9 +45,9 @@ from fynjax.io.plot._rows import (
 )
 from fynjax.io.plot._sensor import (
     drone_sensor,
-    optical_pixel,
     plot_instrument,
     sensor_altitude,
+    sensor_pixel,
     visible_sensor,
 )
 from fynjax.io.plot._statistics import TargetStatistics, read_statistics, read_structure
@@ -89,7 +89,6 @@ __all__ = [
     "drone_sensor",
     "example_folder",
     "leaf_factors",
-    "optical_pixel",
     "plot_instrument",
     "plot_place",
     "read_plot",
@@ -97,6 +96,7 @@ __all__ = [
     "read_statistics",
     "read_structure",
     "sensor_altitude",
+    "sensor_pixel",
     "visible_sensor",
     "with_parameter_table",
     "with_prior",

@@ -274,7 +274,7 @@ class SensorTable(Strict):
         le=1e6,
     )
     pixel_m: float | None = number(
-        "Side of a pixel on the ground; left out, from the optics (mavic_3m: 0.025)",
+        "Side of a pixel on the ground; left out, that of the sensor (mavic_3m: 0.025)",
         "m",
         default=None,
         ge=0.001,

@@ -38,8 +38,9 @@ def sensor_altitude(instrument: Instrument) -> float:
     return SPACE if frame is None else float(frame.position[2])
 
 
-def optical_pixel(instrument: Instrument, altitude: float) -> float:
-    """Side of a sensor's pixel on the ground straight below, from its optics [m].
+def sensor_pixel(instrument: Instrument, altitude: float) -> float:
+    """Side of a sensor's pixel on the ground straight below [m]: as its file states, else from its
+    optics.
 
     **Arguments:**
 
@@ -48,7 +49,7 @@ def optical_pixel(instrument: Instrument, altitude: float) -> float:
     """
     if isinstance(instrument.camera, OrthographicCamera):
         return instrument.camera.pixel_size
-    return float(instrument.ground_sample_distance(altitude))
+    return float(instrument.pixel(altitude))
 
 
 def plot_sensor(table: SensorTable, sensor_file: Path | None, path: Path, text: str) -> Sensor:
@@ -73,7 +74,7 @@ def plot_sensor(table: SensorTable, sensor_file: Path | None, path: Path, text: 
             instrument = load_sensor(name if sensor_file is None else sensor_file)
         name = instrument.name
         altitude = sensor_altitude(instrument) if altitude is None else altitude
-        pixel = optical_pixel(instrument, altitude) if pixel is None else pixel
+        pixel = sensor_pixel(instrument, altitude) if pixel is None else pixel
     return Sensor(
         name,
         altitude,

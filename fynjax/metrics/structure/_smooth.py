@@ -307,8 +307,9 @@ def height_percentile_rmse(
     - `real`, `simulated`: heights of returns above the ground [m].
     - `percents`: of the percentiles compared, 0 to 100.
 
-    Differentiable in both almost everywhere: a percentile moves with the one or two returns that it
-    lies on. The slope is 0 where all agree.
+    Differentiable in both almost everywhere. A percentile lies on one or two returns, whose slopes
+    are chance: as of `quantiles`, the derivative is that of the mean over a twentieth of the
+    returns about it. The slope is 0 where all agree.
     """
     at = jnp.asarray(percents) / 100.0
     return root(jnp, jnp.mean((quantiles(real, at) - quantiles(simulated, at)) ** 2))
