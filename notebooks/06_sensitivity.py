@@ -93,7 +93,8 @@ factors = [*kinds, *taxa]  # of all parameters of a kind, and of the cover of a 
 
 def scaled(factor, scene):
     values = at * factor[kind_of]
-    return predict(values.at[cover].multiply(factor[len(kinds) :]), scene)
+    values = values.at[cover].multiply(factor[len(kinds) :], unique_indices=True)
+    return predict(values, scene)
 
 
 def planting(number):

@@ -228,16 +228,16 @@ def _plantings_sentence(slopes: ExpectedSensitivity) -> str:
 def _status(slopes: ExpectedSensitivity) -> str:
     """Of which metrics the leading elasticities are not known well enough; nothing of none."""
     open_ones = [
-        f"{metric} ({100 * error:.0f} %)"
+        f"{metric} ({100 * error:.1f} %)"
         for metric, error in zip(slopes.metrics, slopes.leading_error, strict=True)
         if error > _ACCURACY
     ]
     if not open_ones:
         return ""
     return (
-        f"After {slopes.plantings} plantings standard errors of leading elasticities are above "
-        f"{100 * _ACCURACY:.0f} % of them, at most: {', '.join(open_ones)}. More plantings "
-        "(`--plantings`), or a larger plot, lower them."
+        f"After {slopes.plantings} plantings the standard error of a leading elasticity is still "
+        f"above {100 * _ACCURACY:.0f} % of it: {', '.join(open_ones)}. More plantings "
+        "(`--plantings`), or a larger plot, lower it."
     )
 
 
