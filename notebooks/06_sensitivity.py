@@ -164,7 +164,7 @@ ax.axvline(0, color="0.5", lw=0.8)
 ax.set_yticks(np.arange(len(order)), [f"{taxa[i]} ({100 * share[i]:g} %)" for i in order])
 raised = [taxa[i] for i in order if certain[0, i] and elastic[0, i] > 0]
 ax.set(
-    xlabel="elasticity: % change of the index for 1 % more of the species' cover (95 % intervals)",
+    xlabel="elasticity: % change of the index for 1 % more of the cover (95 % intervals)",
     title=f"{raised[-1]} raises NDVI most" if raised else "No cover raises NDVI for certain",
 )
 ax.legend(frameon=False, loc="lower right")
