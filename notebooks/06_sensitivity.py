@@ -2,6 +2,11 @@
 # jupyter:
 #   jupytext:
 #     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -39,13 +44,14 @@ from fynjax.assembly import build_plot, image_view
 from fynjax.inversion import (
     ParameterSpace,
     PlotForward,
+    coarser,
     derivative_measures,
-    local_sensitivity,
+    expected_sensitivity,
     search_form,
     sobol_indices,
 )
 from fynjax.io.plot import read_plot
-from fynjax.scene import named_values
+from fynjax.scene import named_values, stand_realisation
 
 FAST = os.environ.get("FYNJAX_FAST") == "1"  # a smaller plot, fewer runs
 SIDE = 2.0 if FAST else 4.0  # m
@@ -62,10 +68,12 @@ scene, (view,) = search_form(whole, table, [view], stride=STRIDE)  # coarse, as 
 # %% [markdown]
 # ## One point, all parameters
 #
-# `jax.grad` behind `local_sensitivity` gives the slope of each index with respect to every number
-# of the plot at once. The elasticity is the slope in percent: by how many percent the index changes
-# for 1 % more of a parameter. Elasticities of a kind summed over the species say what happens when
-# the kind grows by 1 % in all of them.
+# `jax.grad` behind `expected_sensitivity` gives the slope of each index with respect to every
+# number of the plot at once. The elasticity is the slope in percent: by how many percent the index
+# changes for 1 % more of a parameter. It depends on which plants stand where, most so for covers
+# and diameters. So slopes are taken for one planting after another, and are means with an error,
+# until that of the leading ones is small. First, kind by kind: what happens when a kind grows by
+# 1 % in all species?
 
 # %%
 everything = named_values(table, plot.taxa)
@@ -75,26 +83,56 @@ names = [
     if name.startswith(("species", "ground")) and float(value) > 0
 ]
 predict = PlotForward(table, tuple(names), (view,))
-at = np.array([float(everything[name]) for name in names])
-local = local_sensitivity(predict, names, METRICS, at, context=(scene,))
+at = jnp.array([float(everything[name]) for name in names])
 kinds = sorted({name.rsplit(".", 1)[1] for name in names})
-total = np.array(
-    [local.elasticity[:, [n.endswith("." + kind) for n in names]].sum(axis=1) for kind in kinds]
-)
-print(f"{len(names)} parameters, {len(METRICS)} indices:", end=" ")
-print(", ".join(f"{LABELS[m]} {v:.3f}" for m, v in zip(METRICS, local.value)))
+kind_of = np.array([kinds.index(name.rsplit(".", 1)[1]) for name in names])
+cover = np.array([i for i, name in enumerate(names) if name.endswith(".cover")])
+taxa = [names[i].split(".")[1] for i in cover]
+factors = [*kinds, *taxa]  # of all parameters of a kind, and of the cover of a species
 
+
+def scaled(factor, scene):
+    values = at * factor[kind_of]
+    values = values.at[cover].multiply(factor[len(kinds) :], unique_indices=True)
+    return predict(values, scene)
+
+
+def planting(number):
+    chance, _ = build_plot(plot, seed=1000 + number)
+    return (stand_realisation(coarser(chance, table), number),)
+
+
+local = expected_sensitivity(
+    scaled, factors, METRICS, np.ones(len(factors)), planting, most=8 if FAST else 64
+)
+print(f"{len(names)} parameters, {len(METRICS)} indices, {local.plantings} plantings:", end=" ")
+print(", ".join(f"{LABELS[m]} {v:.3f}" for m, v in zip(METRICS, local.value)))
+print(f"errors of the leading elasticities: at most {local.leading_error.max():.0%} of them")
+
+interval = local.quantile * local.elasticity_error
+total = local.elasticity[:, : len(kinds)].T
+certain = local.distinguished[:, : len(kinds)].T
 order = np.argsort(abs(total).max(axis=1))
 order = order[abs(total).max(axis=1)[order] > 0.002]
 row = np.arange(len(order))
 fig, ax = plt.subplots(figsize=(8, 5), layout="constrained")
 for k, (metric, colour) in enumerate(zip(METRICS, ("tab:green", "tab:olive", "tab:brown"))):
-    ax.barh(row + 0.26 * (1 - k), total[order, k], height=0.26, color=colour, label=LABELS[metric])
+    told = certain[order, k]
+    ax.barh(
+        row + 0.26 * (1 - k),
+        total[order, k],
+        height=0.26,
+        color=np.where(told, colour, "none"),
+        edgecolor=np.where(told, colour, "0.6"),
+        xerr=interval[k, order],
+        error_kw={"lw": 0.8, "ecolor": "0.3"},
+        label=LABELS[metric],
+    )
 ax.axvline(0, color="0.5", lw=0.8)
 ax.set_yticks(row, [kinds[i].replace("_", " ") for i in order])
-kind, index = np.unravel_index(np.argmax(abs(total)), total.shape)
+kind, index = np.unravel_index(np.argmax(abs(total) * certain), total.shape)
 ax.set(
-    xlabel="elasticity: % change of the plot's mean index for 1 % more",
+    xlabel="elasticity: % change of the plot's mean index for 1 % more (95 % intervals)",
     title=f"Steepest: {LABELS[METRICS[index]]} by {kinds[kind].replace('_', ' ')}, in all species",
 )
 ax.legend(frameon=False)
@@ -102,30 +140,36 @@ plt.show()
 
 # %% [markdown]
 # The same, species by species, for cover alone: an index does not see a species by its cover, but
-# by how its crowns differ from what they hide.
+# by how its crowns differ from what they hide. Hollow: another set of plantings could turn it
+# round.
 
 # %%
-cover = [i for i, name in enumerate(names) if name.endswith(".cover")]
-taxa = [names[i].split(".")[1] for i in cover]
-elastic, share = local.elasticity[:, cover], at[cover]
+elastic, share = local.elasticity[:, len(kinds) :], at[cover]
+certain = local.distinguished[:, len(kinds) :]
 order = np.argsort(elastic[0])
 fig, ax = plt.subplots(figsize=(8, 4.6), layout="constrained")
-ax.barh(np.arange(len(order)) + 0.2, elastic[0, order], 0.4, color="tab:green", label="NDVI")
-ax.barh(
-    np.arange(len(order)) - 0.2,
-    elastic[2, order],
-    0.4,
-    color="tab:brown",
-    label=LABELS["GSAVI.mean"],
-)
+for k, shift, colour in ((0, 0.2, "tab:green"), (2, -0.2, "tab:brown")):
+    told = certain[k, order]
+    ax.barh(
+        np.arange(len(order)) + shift,
+        elastic[k, order],
+        0.4,
+        color=np.where(told, colour, "none"),
+        edgecolor=np.where(told, colour, "0.6"),
+        xerr=interval[k, len(kinds) + order],
+        error_kw={"lw": 0.8, "ecolor": "0.3"},
+        label=LABELS[METRICS[k]],
+    )
 ax.axvline(0, color="0.5", lw=0.8)
 ax.set_yticks(np.arange(len(order)), [f"{taxa[i]} ({100 * share[i]:g} %)" for i in order])
+raised = [taxa[i] for i in order if certain[0, i] and elastic[0, i] > 0]
 ax.set(
-    xlabel="elasticity: % change of the index for 1 % more of the species' cover",
-    title=f"{taxa[order[-1]]} raises NDVI most, {taxa[order[0]]} least",
+    xlabel="elasticity: % change of the index for 1 % more of the cover (95 % intervals)",
+    title=f"{raised[-1]} raises NDVI most" if raised else "No cover raises NDVI for certain",
 )
 ax.legend(frameon=False, loc="lower right")
 plt.show()
+print(f"{certain[0].sum()} of {len(taxa)} slopes of NDVI are distinguished from zero")
 
 # %% [markdown]
 # ## All that the field leaves open

@@ -21,6 +21,7 @@ def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
     return {
         "plot": given["plot"],
         "metrics": given["metrics"].split(","),
+        "plantings": given["plantings"],
         "derivative_samples": given["derivatives"],
         "sobol_samples": given["sobol"],
     }
@@ -33,6 +34,15 @@ def sensitivity(
         str, typer.Option(metavar="NAME,...", help="Statistics of the image.")
     ] = "red.mean,nir.mean,NDVI.mean,NDVI.std",
     free: Free = None,
+    plantings: Annotated[
+        int,
+        typer.Option(
+            min=2,
+            metavar="N",
+            help="Plantings over which slopes are taken, at most; fewer where the errors of each "
+            "metric's three largest elasticities are below 10 %.",
+        ),
+    ] = 64,
     derivatives: Annotated[
         int,
         typer.Option(
@@ -56,8 +66,8 @@ def sensitivity(
 ) -> Job:
     """Find which parameters of a plot change which statistics of its image.
 
-    Writes slopes and elasticities at the plot's parameters, shares of variance over the priors if
-    asked for, figures and a report page.
+    Writes slopes and elasticities at the plot's parameters, means over plantings with their
+    errors, shares of variance over the priors if asked for, figures and a report page.
 
     Example:  fynjax sensitivity plot.toml --metrics NDVI.mean,nir.mean --derivatives 64
     """
@@ -68,6 +78,7 @@ def sensitivity(
         folder,
         metrics=[name.strip() for name in metrics.split(",")],
         free=free,
+        plantings=plantings,
         derivative_samples=derivatives,
         sobol_samples=sobol,
         seed=seed,

@@ -64,10 +64,13 @@ from fynjax.inversion._regressed import (
 )
 from fynjax.inversion._search import COARSE, CalibrationSettings, signature
 from fynjax.inversion._sensitivity import (
+    LEADING_ELASTICITIES,
     DerivativeMeasures,
+    ExpectedSensitivity,
     LocalSensitivity,
     SobolIndices,
     derivative_measures,
+    expected_sensitivity,
     local_sensitivity,
     sobol_indices,
 )
@@ -105,6 +108,7 @@ __all__ = [
     "IMAGE_STATISTICS",
     "INTERVALS",
     "KNOWN",
+    "LEADING_ELASTICITIES",
     "NARROWER",
     "OFF",
     "OFFSET",
@@ -119,6 +123,7 @@ __all__ = [
     "Data",
     "DerivativeMeasures",
     "Ends",
+    "ExpectedSensitivity",
     "FitResult",
     "FitStatus",
     "FittedSurrogate",
@@ -153,6 +158,7 @@ __all__ = [
     "estimate_pixels",
     "evaluate",
     "even_bands",
+    "expected_sensitivity",
     "fisher_information",
     "fit",
     "fit_population",

@@ -1,4 +1,5 @@
-"""Sensitivity of metrics to parameters: at a point by derivatives, over a range by variance."""
+"""Sensitivity of metrics to parameters: at a point by derivatives, for one scene or as a mean over
+plantings; over a range by variance."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
@@ -7,9 +8,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from scipy.special import ndtri
-from scipy.stats import qmc
+from scipy.stats import qmc, t
 
 from fynjax._core.checkpoint import Journal, keep_nothing
 from fynjax._core.errors import InputError
@@ -22,6 +23,10 @@ from fynjax.inversion._vectorised import evaluate_many, memory_batch, value_and_
 
 _BATCHES = 8
 """Batches of runs that are sent to a worker at once."""
+LEADING_ELASTICITIES = 3
+"""So many elasticities of a metric, the largest in size, are its leading ones."""
+_PLANTINGS = 8
+"""Plantings after which errors are looked at, and again after as many more."""
 Over = Literal["prior", "bounds"]
 """What a parameter ranges over: its prior, or evenly over its bounds."""
 
@@ -54,7 +59,8 @@ def local_sensitivity(
 
     **Arguments:**
 
-    - `predict`, `context`: as `fit` has them.
+    - `predict`, `context`: as `fit` has them. Of a plot, the context is one scene, and so one
+      planting: `expected_sensitivity` is of all that could be.
     - `names`: of the parameters.
     - `metrics`: names of what `predict` gives.
     - `at`: the parameters, in their own units.
@@ -85,6 +91,154 @@ def local_sensitivity(
 @eqx.filter_jit
 def _slopes(predict: Predict, context: Any, point: Array, mode: str) -> tuple[Array, Array]:
     return value_and_jacobian(lambda x: predict(x, *context), point, mode=mode)
+
+
+class ExpectedSensitivity(eqx.Module):
+    """Slopes of the expectation of metrics over plantings, at one set of parameters."""
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    metrics: tuple[str, ...] = eqx.field(static=True)
+    at: Float[np.ndarray, " free"]
+    """The parameters, in their own units."""
+    plantings: int
+    """How many gave the means and their errors."""
+    value: Float[np.ndarray, " metric"]
+    """Mean over the plantings."""
+    value_sd: Float[np.ndarray, " metric"]
+    """Standard deviation between plantings."""
+    jacobian: Float[np.ndarray, "metric free"]
+    """Change of the mean by that of the parameter, both in their own units."""
+    jacobian_error: Float[np.ndarray, "metric free"]
+    """Standard error of it."""
+    elasticity: Float[np.ndarray, "metric free"]
+    """Relative change of the mean by the relative change of the parameter [-]; NaN where the mean
+    is zero."""
+    elasticity_error: Float[np.ndarray, "metric free"]
+    """Standard error of it: that of a ratio of two means, by the delta method."""
+
+    @property
+    def quantile(self) -> float:
+        """Half of a 95 % interval, in standard errors: Student's t for the number of plantings."""
+        return float(t.ppf(0.975, self.plantings - 1))
+
+    @property
+    def distinguished(self) -> Bool[np.ndarray, "metric free"]:
+        """Whether the 95 % interval of a slope leaves out zero. That of one slope in twenty does
+        where the true slope is zero."""
+        return np.abs(self.jacobian) > self.quantile * self.jacobian_error
+
+    @property
+    def leading_error(self) -> Float[np.ndarray, " metric"]:
+        """Largest relative standard error of each metric's leading elasticities [-], of which
+        `LEADING_ELASTICITIES` says how many there are."""
+        size = np.abs(self.elasticity)
+        known = size > 0
+        relative = np.where(known, self.elasticity_error / np.where(known, size, 1.0), 0.0)
+        first = np.argsort(-size, axis=1)[:, :LEADING_ELASTICITIES]
+        return np.take_along_axis(relative, first, axis=1).max(axis=1)
+
+
+def expected_sensitivity(
+    predict: Predict,
+    names: Sequence[str],
+    metrics: Sequence[str],
+    at: Float[np.ndarray, " free"],
+    planting: Callable[[int], tuple[Any, ...]],
+    *,
+    accuracy: float = 0.1,
+    most: int = 64,
+    mode: str = "auto",
+    journal: Journal | None = None,
+    workers: Workers | None = None,
+    progress: Progress | None = None,
+) -> ExpectedSensitivity:
+    """Slopes and elasticities of the expectation of `predict` over plantings, with their errors.
+
+    Slopes are means over the plantings 0, 1, 2 and so on; the elasticity of a metric's expectation
+    is the mean slope times the parameter over the mean metric. Every eight plantings the errors are
+    looked at, and the run ends where those of the leading elasticities of all metrics are small
+    enough.
+
+    **Arguments:**
+
+    - `predict`, `names`, `metrics`, `at`, `mode`: as `local_sensitivity` has them.
+    - `planting`: makes the context of `predict`, such as a scene, from the number of a planting.
+      Plantings must be independent of each other. With `workers` it is called there.
+    - `accuracy`: standard error of a leading elasticity, as a share of it, at which the run ends.
+    - `most`: plantings, at most; at least 2.
+    - `journal`: keeps what plantings gave, for a run that is interrupted; nothing does by default.
+    - `workers`: where plantings are computed; in this process by default.
+    - `progress`: where to report the plantings; nowhere by default.
+
+    **Returns:** `ExpectedSensitivity`, whose `leading_error` says how near the errors came.
+
+    **Raises:** `InputError` as `local_sensitivity`, for `most` below 2, and where a metric or a
+    slope is not finite.
+    """
+    if most < 2:
+        raise InputError(f"an error needs at least 2 plantings, but {most} are allowed")
+    progress = NullProgress() if progress is None else progress
+    done: list[tuple[np.ndarray, ...]] = []
+    with at_work(workers) as pool:
+        while True:
+            next_ones = range(len(done), min(len(done) + _PLANTINGS, most))
+            stage = f"Slopes of plantings {next_ones[0] + 1} to {next_ones[-1] + 1}"
+            with progress.stage(stage, len(next_ones)):
+                done += pool.all(
+                    _slopes_of_planting, next_ones, planting, predict, names, metrics, at, mode,
+                    names=[f"planting {i + 1}" for i in next_ones], journal=journal,
+                    progress=progress,
+                )  # fmt: skip
+            values, slopes = (np.stack(part) for part in zip(*done, strict=True))
+            found = _expected(tuple(names), tuple(metrics), np.asarray(at, float), values, slopes)
+            if len(done) >= most or (found.leading_error <= accuracy).all():
+                return found
+
+
+def _slopes_of_planting(
+    number: int,
+    planting: Callable[[int], tuple[Any, ...]],
+    predict: Predict,
+    names: Sequence[str],
+    metrics: Sequence[str],
+    at: np.ndarray,
+    mode: str,
+) -> tuple[np.ndarray, np.ndarray]:
+    local = local_sensitivity(predict, names, metrics, at, context=planting(number), mode=mode)
+    if not (np.isfinite(local.value).all() and np.isfinite(local.jacobian).all()):
+        raise InputError("a metric or its slope is not finite at these parameters")
+    return local.value, local.jacobian
+
+
+def _expected(
+    names: tuple[str, ...],
+    metrics: tuple[str, ...],
+    at: np.ndarray,
+    values: Float[np.ndarray, "planting metric"],
+    slopes: Float[np.ndarray, "planting metric free"],
+) -> ExpectedSensitivity:
+    """Means over plantings, with their errors."""
+
+    def error(one_each: np.ndarray) -> np.ndarray:
+        return one_each.std(axis=0, ddof=1) / np.sqrt(len(values))
+
+    value, jacobian = values.mean(axis=0), slopes.mean(axis=0)
+    scale = np.where(value == 0.0, np.nan, value)[:, None]
+    elasticity = jacobian * at / scale
+    # To first order, what each planting moves the ratio of the means by.
+    moved = (slopes * at - elasticity * values[:, :, None]) / scale
+    return ExpectedSensitivity(
+        names,
+        metrics,
+        at,
+        len(values),
+        value,
+        values.std(axis=0, ddof=1),
+        jacobian,
+        error(slopes),
+        elasticity,
+        error(moved),
+    )
 
 
 class _OverUnits(eqx.Module):

@@ -37,6 +37,9 @@ _STEP_IMAGES = 2.6
 compilation, its rounds at fresh draws of plants included, of which 9 of 30 steps were taken."""
 _SLOPE_IMAGES = 0.3
 """A parameter's slopes in images: `information` takes 263 CPU s for two stands of the example."""
+_PLANTINGS, _PLANTING_IMAGES, _METRIC_IMAGES = 8, 0.6, 0.11
+"""`sensitivity`: plantings that the example needs, one of them in images, and the slopes of a
+metric: planting 10 m takes 1.8 CPU s, slopes of four metrics 1.2."""
 _PLOT_S, _COMPILE_PLOT_S = 72.0, 53.0
 """`calibrate-plots`: 18 plots of 5 m in voxels of 25 cm take 23 CPU minutes, 2 take 142 CPU s."""
 _VALIDATED_S = 26.0
@@ -217,8 +220,11 @@ def _plot_cost(command: str, plot: Plot, options: Mapping[str, Any]) -> _Cost:
         samples = int(options.get("derivative_samples", 0))
         renders = int(options.get("sobol_samples", 0)) * (parameters + 2)
         counts["samples"] = f"{samples} with derivatives, {renders} renders"
-        metrics = len(options.get("metrics", ("one",)))
-        seconds = image * (_GRADIENT_IMAGES * metrics * (1 + samples) + renders)
+        most = int(options.get("plantings", _PLANTINGS))
+        counts["plantings"] = f"at most {most}, of which slopes are taken"
+        plantings = min(most, _PLANTINGS)
+        slopes = _METRIC_IMAGES * len(options.get("metrics", ("one",)))
+        seconds = image * (_PLANTING_IMAGES * plantings + slopes * (plantings + samples) + renders)
     elif command == "information":
         suns = options.get("sun_zenith") or (0.0,)
         stands = len(suns) * int(options.get("realisations", 4))

@@ -1,6 +1,7 @@
 """Which parameters move which metrics of a plot: what `fynjax sensitivity` does."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,13 +13,16 @@ from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers
 from fynjax._core.progress import Progress
-from fynjax.assembly import batch_for_device, image_view, prepare, shown_unit
+from fynjax.assembly import Prepared, batch_for_device, image_view, prepare, shown_unit
 from fynjax.inversion import (
+    LEADING_ELASTICITIES,
     DerivativeMeasures,
+    ExpectedSensitivity,
     PlotForward,
     SobolIndices,
+    coarser,
     derivative_measures,
-    local_sensitivity,
+    expected_sensitivity,
     search_form,
     signature,
     sobol_indices,
@@ -30,9 +34,14 @@ from fynjax.jobs._run import Run
 from fynjax.metrics import check_statistics
 from fynjax.report.figures import indices_plot, short_name, tornado_plot
 from fynjax.report.pages import Page, Picture, Section, Table
+from fynjax.scene import Scene, stand_realisation
 
 METRICS = ("red.mean", "nir.mean", "NDVI.mean", "NDVI.std")
 """Metrics of a run that names none."""
+PLANTINGS = 64
+"""Plantings over which slopes are taken, at most."""
+_ACCURACY = 0.1
+"""Standard error of the leading elasticities, relative [-], at which no more are taken."""
 
 
 class SensitivityResult(JobResult):
@@ -51,6 +60,7 @@ def sensitivity(
     *,
     metrics: Sequence[str] = METRICS,
     free: Sequence[str] | None = None,
+    plantings: int = PLANTINGS,
     derivative_samples: int = 0,
     sobol_samples: int = 0,
     seed: int | None = None,
@@ -60,27 +70,32 @@ def sensitivity(
 ) -> SensitivityResult:
     """Slopes and elasticities of a plot's metrics; over the priors too, if samples are asked for.
 
+    Slopes are of the expectation over plantings, of which so many are taken that the standard
+    errors of each metric's three largest elasticities are below 10 % of them. Samples over the
+    priors are of one planting.
+
     **Arguments:**
 
     - `plot`: a plot, or the path of its plot file.
     - `output`: folder of the results, made if missing.
     - `metrics`: statistics of the image, such as "NDVI.mean".
     - `free`: patterns of parameters to vary; those of the plot file by default.
+    - `plantings`: of the plot, at most; at least 2.
     - `derivative_samples`: samples for derivative-based global sensitivity (DGSM), a power of two,
       or 0 for none.
     - `sobol_samples`: samples for Sobol indices, a power of two, or 0 for none. Each sample takes
       as many renders as there are parameters, and two more.
     - `seed`: seed of every random number; that of the plot file by default.
-    - `checkpoint`: folder that keeps what samples gave, from which an interrupted run goes on; none
-      by default.
-    - `workers`: where samples are computed; in this process by default.
+    - `checkpoint`: folder that keeps what plantings and samples gave, from which an interrupted
+      run goes on; none by default.
+    - `workers`: where plantings and samples are computed; in this process by default.
     - `progress`: where to report the stages; nowhere by default.
 
-    **Returns:** `SensitivityResult`. Writes `slopes.csv`, with samples `variance.csv`, figures and
-    a page into `output`.
+    **Returns:** `SensitivityResult`, whose `status` says where errors stayed above 10 %. Writes
+    `slopes.csv`, with samples `variance.csv`, figures and a page into `output`.
 
-    **Raises:** `InputError` as `read_plot`, for a metric that is unknown or missing, and for a
-    checkpoint of another run;
+    **Raises:** `InputError` as `read_plot`, for a metric that is unknown or missing, or not finite
+    at the plot's parameters, fewer than 2 plantings, and a checkpoint of another run;
     `MissingExtraError` for Sobol indices without SALib.
 
     Example: `jobs.sensitivity("plot.toml", Path("results"), metrics=["NDVI.mean"])`.
@@ -100,17 +115,23 @@ def sensitivity(
     quick, cheap = search_form(ready.scene, ready.parameters, views)
     predict = PlotForward(ready.parameters, space.names, cheap)
     at = np.asarray(space.prior)
-    with run.stage("Slopes"):
-        local = local_sensitivity(predict, space.names, names, at, context=(quick,))
-    if not (np.isfinite(local.value).all() and np.isfinite(local.jacobian).all()):
-        raise InputError(
-            "a metric or its slope is not finite at the plot's parameters", file=read.file
-        )
     journal = None
-    if checkpoint is not None and (derivative_samples or sobol_samples):
+    if checkpoint is not None:
         hashes = [file_hash(path) for path in read.inputs]
-        asked = (names, space.names, derivative_samples, sobol_samples, run.seed)
+        asked = (names, space.names, plantings, derivative_samples, sobol_samples, run.seed)
         journal = Journal(checkpoint, signature(read, hashes, asked))
+    slopes = expected_sensitivity(
+        predict,
+        space.names,
+        names,
+        at,
+        partial(_planting, ready),
+        accuracy=_ACCURACY,
+        most=2 if ready.scene.known_plants else plantings,  # which are the same in each
+        journal=journal,
+        workers=workers,
+        progress=run.progress,
+    )
     common: dict[str, Any] = {
         "context": (quick,),
         "seed": run.seed,
@@ -124,32 +145,14 @@ def sensitivity(
         measures = derivative_measures(predict, space, names, samples=derivative_samples, **common)
     if sobol_samples:
         indices = sobol_indices(predict, space, names, samples=sobol_samples, **common)
-    rows = [
-        {
-            "metric": metric,
-            "parameter": name,
-            "unit": shown_unit(name)[1],
-            "value": at[i] * shown_unit(name)[2],
-            "metric_value": local.value[k],
-            "slope": local.jacobian[k, i] / shown_unit(name)[2],
-            "elasticity": local.elasticity[k, i],
-        }
-        for k, metric in enumerate(names)
-        for i, name in enumerate(space.names)
-    ]
-    table = pd.DataFrame(rows)
+    table = _slope_table(slopes)
     over_priors = measures is not None or indices is not None
     spread = _spread_table(names, space.names, measures, indices) if over_priors else None
-    headline = []
-    for metric, part in table.groupby("metric", sort=False):
-        steepest = part.loc[part["elasticity"].abs().sort_values(ascending=False).index[:3]]
-        named = ", ".join(
-            f"{short_name(str(r.parameter))} ({r.elasticity:+.2g} %)" for r in steepest.itertuples()
-        )
-        headline.append(f"{metric} changes most, for 1 % more, by {named}.")
+    status = _status(slopes)
+    headline = [*_headline(table), status or _plantings_sentence(slopes)]
     with run.stage("Write"):
         run.table("slopes.csv", table, "slope and elasticity of every metric by every parameter")
-        sections = [_slope_section(table)]
+        sections = [_slope_section(table, slopes.quantile)]
         if spread is not None:
             run.table("variance.csv", spread, "shares of the metrics' variance over the priors")
             sections.append(_variance_section(spread))
@@ -157,9 +160,84 @@ def sensitivity(
         run.page(Page(f"Sensitivity: {read.name}", " ".join(headline), sections, record=record))
     return run.result(
         SensitivityResult,
+        status=status or "ok",
         headline=headline,
         slopes=table,
         variance=[] if spread is None else spread,
+    )
+
+
+def _planting(ready: Prepared, number: int) -> tuple[Scene]:
+    """The plot with other plants, in the cheap form: sites of another chance, in another order."""
+    try:
+        scene = ready.replant(number)
+    except InputError:  # another chance finds no room: the same sites in another order
+        scene = ready.scene
+    return (stand_realisation(coarser(scene, ready.parameters), number),)
+
+
+def _slope_table(slopes: ExpectedSensitivity) -> pd.DataFrame:
+    """One row a metric and parameter, in the units of files."""
+    rows = []
+    for k, metric in enumerate(slopes.metrics):
+        for i, name in enumerate(slopes.names):
+            _, unit, factor = shown_unit(name)
+            rows.append(
+                {
+                    "metric": metric,
+                    "parameter": name,
+                    "unit": unit,
+                    "value": slopes.at[i] * factor,
+                    "metric_value": slopes.value[k],
+                    "metric_sd": slopes.value_sd[k],
+                    "slope": slopes.jacobian[k, i] / factor,
+                    "slope_error": slopes.jacobian_error[k, i] / factor,
+                    "elasticity": slopes.elasticity[k, i],
+                    "elasticity_error": slopes.elasticity_error[k, i],
+                    "distinguished": bool(slopes.distinguished[k, i]),
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def _headline(table: pd.DataFrame) -> list[str]:
+    """For each metric its largest elasticities, of those that are distinguished from zero."""
+    lines = []
+    for metric, part in table.groupby("metric", sort=False):
+        told = part[part["distinguished"] & (part["elasticity"].abs() > 0)]
+        order = told["elasticity"].abs().sort_values(ascending=False).index
+        named = ", ".join(
+            f"{short_name(str(r.parameter))} ({r.elasticity:+.2g} ± {r.elasticity_error:.2g} %)"
+            for r in told.loc[order[:LEADING_ELASTICITIES]].itertuples()
+        )
+        lines.append(
+            f"{metric} changes most, for 1 % more, by {named}."
+            if named
+            else f"No parameter's effect on {metric} is distinguished from zero."
+        )
+    return lines
+
+
+def _plantings_sentence(slopes: ExpectedSensitivity) -> str:
+    return (
+        f"Means over {slopes.plantings} plantings; standard errors of the leading elasticities are "
+        f"at most {100 * slopes.leading_error.max():.0f} % of them."
+    )
+
+
+def _status(slopes: ExpectedSensitivity) -> str:
+    """Of which metrics the leading elasticities are not known well enough; nothing of none."""
+    open_ones = [
+        f"{metric} ({100 * error:.1f} %)"
+        for metric, error in zip(slopes.metrics, slopes.leading_error, strict=True)
+        if error > _ACCURACY
+    ]
+    if not open_ones:
+        return ""
+    return (
+        f"After {slopes.plantings} plantings the standard error of a leading elasticity is still "
+        f"above {100 * _ACCURACY:.0f} % of it: {', '.join(open_ones)}. More plantings "
+        "(`--plantings`), or a larger plot, lower it."
     )
 
 
@@ -186,14 +264,18 @@ def _spread_table(
     )
 
 
-def _slope_section(table: pd.DataFrame) -> Section:
+def _slope_section(table: pd.DataFrame, quantile: float) -> Section:
     picture = Picture(
         "elasticities.png",
-        tornado_plot(table),
+        tornado_plot(table.assign(interval=quantile * table["elasticity_error"])),
         "largest elasticities of each metric",
-        "Change of each metric for 1 % more of a parameter.",
+        "Change of each metric for 1 % more of a parameter, mean over plantings, with its 95 % "
+        "interval. Grey and hollow: not distinguished from zero.",
     )
-    return Section("At the plot's parameters", [picture, Table(table, "Every slope.", folded=True)])
+    return Section(
+        "At the plot's parameters",
+        [picture, Table(table, "Every slope, with standard errors over plantings.", folded=True)],
+    )
 
 
 def _variance_section(spread: pd.DataFrame) -> Section:
@@ -201,6 +283,6 @@ def _variance_section(spread: pd.DataFrame) -> Section:
         "variance.png",
         indices_plot(spread),
         "shares of each metric's variance over the priors",
-        "Shares of each metric's variance while all priors vary.",
+        "Shares of each metric's variance while all priors vary, with the plants of one planting.",
     )
     return Section("Over the priors", [picture, Table(spread, "Every share.", folded=True)])

@@ -7,7 +7,13 @@ import pytest
 
 from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError, MissingExtraError
-from fynjax.inversion import ParameterSpace, derivative_measures, local_sensitivity, sobol_indices
+from fynjax.inversion import (
+    ParameterSpace,
+    derivative_measures,
+    expected_sensitivity,
+    local_sensitivity,
+    sobol_indices,
+)
 from fynjax.inversion import _sensitivity as module
 
 A, B = 7.0, 0.1
@@ -89,6 +95,126 @@ def test_a_metric_of_zero_has_no_elasticity():
     found = local_sensitivity(lambda x: x - 1.0, ("a",), ("m",), np.ones(1))
     assert np.isnan(found.elasticity).all()
     np.testing.assert_allclose(found.jacobian, 1.0)
+
+
+def line(x, offset, slopes):
+    return (offset + slopes @ x)[None]
+
+
+SLOPES, AT = np.array([2.0, -1.0, 0.0]), np.array([1.0, 0.5, 1.0])
+
+
+def lines(spread, seed=0):
+    """Plantings of a linear metric: slopes of a known mean and standard deviation, and an offset
+    of mean 3 that is skewed and goes with the first slope."""
+
+    def planting(number):
+        chance = np.random.default_rng([seed, number]).normal(size=3)
+        return 3.0 + chance[0] + 0.5 * (chance[0] ** 2 - 1.0), SLOPES + spread * chance
+
+    return planting
+
+
+def expected(planting, **options):
+    return expected_sensitivity(line, ("a", "b", "c"), ("m",), AT, planting, **options)
+
+
+def test_slopes_over_plantings_have_the_known_mean_and_error():
+    """Of many runs: truth and spread of the estimates are what each run states."""
+    runs = [expected(lines(0.8, seed), accuracy=0.0, most=16) for seed in range(150)]
+    truths = {"jacobian": SLOPES, "elasticity": SLOPES * AT / (3.0 + SLOPES @ AT)}
+    for key, truth in truths.items():
+        found = np.stack([getattr(run, key)[0] for run in runs])
+        error = np.stack([getattr(run, key + "_error")[0] for run in runs])
+        spread = found.std(axis=0, ddof=1)
+        np.testing.assert_allclose(np.sqrt((error**2).mean(axis=0)), spread, rtol=0.2)
+        assert np.all(np.abs(found.mean(axis=0) - truth) < 3.5 * spread / np.sqrt(len(runs)))
+        held = (np.abs(found - truth) < runs[0].quantile * error).mean(axis=0)
+        assert np.all((held > 0.89) & (held < 0.99))
+    told = np.mean([run.distinguished[0] for run in runs], axis=0)
+    assert told[0] == 1.0
+    assert 0.01 < told[2] < 0.11  # one in twenty of those that do nothing
+
+
+def test_errors_of_elasticities_are_those_of_the_jackknife():
+    planting, count = lines(0.8), 40
+    found = expected(planting, accuracy=0.0, most=count)
+    each = [planting(i) for i in range(count)]
+    values = np.array([offset + slopes @ AT for offset, slopes in each])
+    moves = np.array([slopes * AT for _, slopes in each])
+    without = (moves.sum(axis=0) - moves) / (values.sum() - values)[:, None]
+    jackknife = np.sqrt((count - 1) * without.var(axis=0))
+    np.testing.assert_allclose(found.elasticity_error[0], jackknife, rtol=0.05)
+    np.testing.assert_allclose(found.elasticity[0], moves.mean(axis=0) / values.mean())
+    np.testing.assert_allclose(found.value, values.mean())
+    np.testing.assert_allclose(found.value_sd, values.std(ddof=1))
+
+
+def test_what_moves_metric_and_slope_alike_is_no_error_of_an_elasticity():
+    """y = c x^p with c by chance: the elasticity is p in every planting."""
+    found = expected_sensitivity(
+        lambda x, c: (c * x[0] ** 1.5)[None], ("a",), ("m",), np.array([2.0]),
+        lambda number: (np.random.default_rng(number).uniform(1.0, 3.0),),
+    )  # fmt: skip
+    np.testing.assert_allclose(found.elasticity, 1.5)
+    assert found.elasticity_error < 1e-12
+    assert found.jacobian_error > 0.05
+
+
+def test_there_are_as_many_plantings_as_the_leading_elasticities_need():
+    """Of four parameters the least counts for nothing, whatever its error; of the others the error
+    of the least decides: 0.5 / sqrt(n) of it."""
+
+    def planting(number):
+        chance = np.random.default_rng(number).normal(size=4)
+        return 9.0, np.array([4.0, 1.0, -2.0, 0.01]) * (1.0 + np.array([0, 0.5, 0, 9]) * chance)
+
+    def run(**options):
+        return expected_sensitivity(line, "abcd", ("m",), np.ones(4), planting, **options)
+
+    found = run()
+    assert 16 <= found.plantings <= 40
+    assert found.leading_error <= 0.1
+    assert run(accuracy=0.0, most=found.plantings - 8).leading_error > 0.1
+    assert run(accuracy=0.5).plantings == 8
+    short = run(most=11)
+    assert short.plantings == 11
+    assert short.leading_error > 0.1
+    with pytest.raises(InputError, match="at least 2 plantings, but 1"):
+        run(most=1)
+
+
+def test_plantings_are_kept_and_counted(tmp_path):
+    from contextlib import nullcontext
+
+    asked, done, stages = [], [], []
+
+    def planting(number):
+        if len(asked) == 10:
+            asked.append(None)
+            raise KeyboardInterrupt
+        asked.append(number)
+        return lines(0.8)(number)
+
+    class Count:
+        def stage(self, name, total=None):
+            stages.append((name, total))
+            return nullcontext()
+
+        def advance(self, n=1, **info):
+            done.append(n)
+
+    options = {"accuracy": 0.0, "most": 20}
+    with pytest.raises(KeyboardInterrupt):
+        expected(planting, journal=Journal(tmp_path, "s"), **options)
+    again = expected(planting, journal=Journal(tmp_path, "s"), progress=Count(), **options)
+    assert asked == [*range(10), None, *range(10, 20)]
+    assert sum(done) == sum(total for _, total in stages) == 20
+    assert stages[-1] == ("Slopes of plantings 17 to 20", 4)
+    for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(expected(lines(0.8), **options))):
+        np.testing.assert_array_equal(a, b)
+    with pytest.raises(InputError, match="planting 2: a metric or its slope is not finite"):
+        expected(lambda number: (np.inf if number == 1 else 1.0, SLOPES), most=2)
 
 
 def test_progress_counts_every_run():

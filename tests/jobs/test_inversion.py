@@ -8,9 +8,13 @@ import pytest
 import xarray as xr
 
 from fynjax._core.errors import InputError
+from fynjax.assembly import build_plot, image_view, prepare
+from fynjax.inversion import PlotForward, local_sensitivity, search_form
 from fynjax.inversion import _sensitivity as samples
+from fynjax.io.plot import read_plot
 from fynjax.jobs._information import information, limit_table
 from fynjax.jobs._posterior import _headline, posterior
+from fynjax.jobs._sensitivity import _headline as sensitivity_headline
 from fynjax.jobs._sensitivity import sensitivity
 from fynjax.report.figures._posterior import (
     bound_plot,
@@ -72,6 +76,7 @@ def test_figures_stand_what_data_bring():
     assert predictive_plot(draws, np.zeros(3), np.ones(3), ["a.mean", "b.mean", "c.std"]).axes
     table = pd.DataFrame(
         {"metric": ["red.mean"] * 2, "parameter": names[:2], "elasticity": [0.3, np.nan],
+         "interval": [0.1, np.nan], "distinguished": [True, False],
          "first": [0.2, 0.1], "first_error": [0.1, 0.1], "total": [np.nan] * 2,
          "total_error": [np.nan] * 2, "bound": [0.4, 2.0]}
     )  # fmt: skip
@@ -82,6 +87,66 @@ def test_figures_stand_what_data_bring():
     shown, none = figure.axes[0].lines
     assert np.isnan(np.asarray(shown.get_ydata())[-1])
     assert (len(none.get_xdata()), none.get_marker()) == (1, "^")
+
+
+def test_slopes_are_those_of_the_expectation_over_plantings(plot, tmp_path):
+    """Against plots built from other seeds, one planting each, and their scatter."""
+    read = read_plot(plot)
+    result = sensitivity(read, tmp_path, metrics=["nir.mean"], plantings=8, seed=0)
+    table = pd.DataFrame(result.slopes).set_index("parameter")
+    ready = prepare(read, None, seed=0)
+    view = image_view(read, ready.scene, ready.parameters, ["nir.mean"])
+    names, at = ready.space.names, np.asarray(ready.space.prior)
+    quick, cheap = search_form(ready.scene, ready.parameters, [view])
+    predict = PlotForward(ready.parameters, names, cheap)
+    others, values = [], []
+    for seed in range(100, 116):
+        scene, _ = build_plot(read, seed=seed, counts=ready.counts)
+        quick, _ = search_form(scene, ready.parameters, [view])
+        local = local_sensitivity(predict, names, ["nir.mean"], at, context=(quick,))
+        others.append(local.elasticity[0])
+        values.append(local.value[0])
+    mean, spread = np.mean(others, axis=0), np.std(others, axis=0, ddof=1)
+    assert list(table.index) == list(names)
+    np.testing.assert_allclose(table["elasticity_error"] * np.sqrt(8), spread, rtol=0.6)
+    np.testing.assert_allclose(table["metric_sd"], np.std(values, ddof=1), rtol=0.6)
+    error = np.hypot(table["elasticity_error"], spread / 4.0)
+    assert (abs(table["elasticity"] - mean) < 4.0 * error).all()
+    assert table["distinguished"]["ground.brightness"]
+    assert "ground brightness (+" in result.headline[0]
+    assert result.status == result.headline[1]  # 8 are too few for the covers
+    assert "After 8 plantings" in result.status
+
+
+def test_slopes_are_the_same_for_a_seed(plot, tmp_path):
+    runs = [
+        sensitivity(plot, tmp_path, metrics=["nir.mean"], plantings=2, seed=seed)
+        for seed in (0, 0, 1)
+    ]
+    assert runs[0].slopes == runs[1].slopes
+    assert runs[0].slopes != runs[2].slopes
+
+
+def test_what_is_not_distinguished_from_zero_is_neither_named_nor_drawn_as_if():
+    table = pd.DataFrame(
+        {"metric": ["red.mean"] * 3 + ["nir.mean"], "parameter": ["species.A.cover",
+         "species.B.cover", "ground.brightness", "species.A.cover"],
+         "elasticity": [-0.5, 0.3, 0.2, 0.4], "elasticity_error": [0.4, 0.05, 0.01, 0.3],
+         "interval": [0.8, 0.1, 0.02, 0.6], "distinguished": [False, True, True, False]}
+    )  # fmt: skip
+    red, nir = sensitivity_headline(table)
+    assert red == (
+        "red.mean changes most, for 1 % more, by B cover (+0.3 ± 0.05 %), "
+        "ground brightness (+0.2 ± 0.01 %)."
+    )
+    assert nir == "No parameter's effect on nir.mean is distinguished from zero."
+    for axes, told in zip(tornado_plot(table).axes, ([False, True, True], [False])):
+        bars, whiskers = axes.patches, axes.collections[0].get_segments()
+        assert [bar.get_facecolor()[3] == 1.0 for bar in bars] == told
+        assert [len(set(bar.get_edgecolor()[:3])) > 1 for bar in bars] == told
+        part = table[table["metric"] == ("red.mean" if len(told) == 3 else "nir.mean")]
+        lengths = [np.ptp(line[:, 0]) for line in whiskers]
+        np.testing.assert_allclose(lengths, 2.0 * part["interval"])
 
 
 @pytest.mark.study

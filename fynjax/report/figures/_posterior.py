@@ -151,8 +151,10 @@ def predictive_plot(
 def tornado_plot(table: pd.DataFrame, *, most: int = 15) -> Figure:
     """Elasticities of each metric, largest first, a panel for each metric.
 
-    **Arguments:** `table` with the columns metric, parameter, elasticity [-]; `most`, how many
-    parameters to show.
+    Bars that are not distinguished from zero are grey and hollow.
+
+    **Arguments:** `table` with the columns metric, parameter, elasticity [-], interval (half of
+    it) [-] and distinguished; `most`, how many parameters to show.
     """
     metrics = list(dict.fromkeys(table["metric"]))
     columns = min(2, len(metrics))
@@ -167,7 +169,11 @@ def tornado_plot(table: pd.DataFrame, *, most: int = 15) -> Figure:
             part = part.loc[order]
             value = part["elasticity"].to_numpy(float)
             y = np.arange(len(part))
-            axes.barh(y, value, color=[BLUE if v > 0 else VERMILION for v in value], height=0.7)
+            told = part["distinguished"].to_numpy(bool)
+            colour = np.where(told, np.where(value > 0, BLUE, VERMILION), GREY)
+            axes.barh(y, value, height=0.7, color=np.where(told, colour, "none"), edgecolor=colour,
+                      xerr=part["interval"].to_numpy(float),
+                      error_kw={"lw": 0.8, "ecolor": REAL})  # fmt: skip
             axes.axvline(0.0, color=REAL, lw=0.7)
             axes.set_yticks(y, [short_name(str(n)) for n in part["parameter"]], fontsize=7)
             axes.set_ylim(shown - 0.4, -0.6)
