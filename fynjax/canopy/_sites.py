@@ -292,7 +292,7 @@ def element_weight(share: Any, before: Any, fraction: Any) -> Float[Array, "*ele
     return _mean_of_ramp(before, fraction, share, width)
 
 
-CUT = 0.25
+CUT = 0.1
 """Share of a plant's area over which its elements fade across a cut, at most; up to 1/2."""
 
 
