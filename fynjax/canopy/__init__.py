@@ -6,6 +6,7 @@ from fynjax.canopy._angles import (
     SphericalLeafAngle,
     TabulatedLeafAngle,
     TrigonometricLeafAngle,
+    VerhoefLeafAngle,
     leaf_angle,
     projections,
 )
@@ -59,6 +60,7 @@ __all__ = [
     "SphericalLeafAngle",
     "TabulatedLeafAngle",
     "TrigonometricLeafAngle",
+    "VerhoefLeafAngle",
     "VegetationPattern",
     "VoxelGrid",
     "assign_sites",
