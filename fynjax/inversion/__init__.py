@@ -20,6 +20,7 @@ from fynjax.inversion._calibrate import (
     free_space,
     search_form,
 )
+from fynjax.inversion._canopy import CanopyFit, fit_canopy
 from fynjax.inversion._fit import (
     evaluate,
     fit,
@@ -115,6 +116,7 @@ __all__ = [
     "AmortisedPosterior",
     "Calibration",
     "CalibrationSettings",
+    "CanopyFit",
     "Comparison",
     "Data",
     "DerivativeMeasures",
@@ -155,6 +157,7 @@ __all__ = [
     "even_bands",
     "fisher_information",
     "fit",
+    "fit_canopy",
     "fit_population",
     "fit_surrogate",
     "free_space",
