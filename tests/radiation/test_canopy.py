@@ -161,9 +161,7 @@ def test_albedo_is_the_mean_reflectance_over_the_hemisphere():
     np.testing.assert_allclose(0.5 * weight @ factor, albedo.black_sky, rtol=3e-3)
     # White-sky: by reciprocity the mean over the sun's directions of the black-sky.
     black = [
-        canopy_albedo(
-            RHO, TAU, 3.0, soil=SOIL, leaf_angles="planophile", sun_zenith=z
-        ).black_sky
+        canopy_albedo(RHO, TAU, 3.0, soil=SOIL, leaf_angles="planophile", sun_zenith=z).black_sky
         for z in jnp.asarray(zenith)
     ]
     np.testing.assert_allclose(0.5 * weight @ jnp.stack(black), albedo.white_sky, rtol=3e-3)
