@@ -161,8 +161,8 @@ class VerhoefLeafAngle(AbstractLeafAngle):
     | uniform | 0 | 0 | 45 |
 
     These are other distributions than those that `leaf_angle` has by the same names: its
-    erectophile is Bunnik's, of mean 63.2 degrees. In PROSAIL all leaves of a class of 5 degrees have
-    the middle of it, so that the first two have means of 9.4 and 80.6 there.
+    erectophile is Bunnik's, of mean 63.2 degrees. In PROSAIL all leaves of a class of 5 degrees
+    have the middle of it, so that the first two have means of 9.4 and 80.6 there.
 
     With x the root of x - a sin x - b/2 sin 2x = 2t, t the inclination, the share of leaves below t
     is 2 (x - t) / pi (Verhoef 1998, Theory of radiative transfer models applied in optical remote

@@ -21,7 +21,7 @@ from fynjax.sensors import BandSet, Sensor
 
 _LEAF = ("chlorophyll", "carotenoids", "water", "dry_matter", "structure")
 _PARTS = 6
-"""Wavelengths in a band: with so many those of Sentinel-2 are within 0.6 % of a whole spectrum's."""
+"""Wavelengths in a band: means of Sentinel-2 are within 0.6 % of those of a whole spectrum."""
 _STEP = 10.0
 """A finer spectrum is averaged in bins as wide [nm]."""
 _RELATIVE, _ABSOLUTE = 0.02, 0.01
@@ -93,8 +93,8 @@ def fit_canopy(
 
     | name | unit | prior |
     | --- | --- | --- |
-    | `chlorophyll`, `carotenoids`, `water`, `dry_matter`, `structure` | those of PROSPECT | leaves \
-at large (`LEAF_PARAMETERS`) |
+    | the leaf's `chlorophyll`, `carotenoids`, `water`, `dry_matter`, `structure` | PROSPECT's | \
+leaves at large (`LEAF_PARAMETERS`) |
     | `leaf_area_index` | m2 m-2 | lognormal, median 2, sd 3, up to 15 |
     | `leaf_angle`, mean inclination | degrees | logit-normal, median 57, sd 12, from 15 to 85 |
     | `soil_brightness`, factor on `soil` | - | that of a plot's soil (`PARAMETERS`) |
@@ -129,7 +129,12 @@ at large (`LEAF_PARAMETERS`) |
         print(fx.fit_canopy(sensor, measured, sun_zenith=35.0))
     """
     bands = bands.bands if isinstance(bands, Sensor) else bands
-    centre = np.asarray(bands.centre if isinstance(bands, BandSet) else bands, float)
+    try:
+        centre = np.asarray(bands.centre if isinstance(bands, BandSet) else bands, float)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"`bands` must be a sensor, its bands or wavelengths in nm, but is {bands!r}"
+        ) from None
     value, ground, error = _given(centre, reflectance=reflectance, soil=soil, sd=sd)
     use = np.isfinite(value)
     if use.sum() < 3:
@@ -147,6 +152,8 @@ at large (`LEAF_PARAMETERS`) |
     else:
         order = np.argsort(centre)
         below = np.interp(wavelength, centre[order], ground[order])
+        if np.isnan(below).any():
+            raise InputError("`soil` must have a value wherever `reflectance` has one")
     # In the fit all of it is traced, and not checked.
     for name, number, high in (
         ("sun_zenith", sun_zenith, 89.5),

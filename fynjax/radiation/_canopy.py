@@ -59,9 +59,10 @@ def canopy_reflectance(
       behind the sensor.
     - `sky_share`: diffuse over total irradiance [-].
     - `hot_spot`: leaf size over canopy height [-], PROSAIL's `hspot`, at least 0; 0 makes points of
-      the leaves. The default is that of the examples of PROSAIL. Of horizontal discs it is 0.42
-      times diameter over height: scenes of voxels take the diameter, and a kernel of discs that
-      reaches less far than this exponential one.
+      the leaves. The default is that of the examples of PROSAIL. A round leaf counts with
+      0.42 (horizontal) to 0.67 (spherical) of its diameter, by which the area that both ways have
+      in common is the same. Scenes of voxels take the diameter, and the overlap of discs in place
+      of an exponential one: up to 5 % brighter beside the hot spot in the red, the same in it.
     - `layers`: the canopy is cut into as many; below 0.5 % of error with 20.
 
     **Returns:** the bidirectional reflectance factor [-], with a sky the hemispherical-directional.
@@ -130,8 +131,8 @@ def canopy_albedo(
 
     **Returns:** `CanopyAlbedo`, the directional-hemispherical and the bihemispherical reflectance
     in each band [-]; of light that is a share d from the sky, (1 - d) DHR + d BHR. The hot spot
-    does not count, as in 4SAIL: light is conserved, and DHR is the mean over the upper hemisphere of
-    `canopy_reflectance` with `hot_spot=0`. Differentiable in every argument but `layers`.
+    does not count, as in 4SAIL: light is conserved, and DHR is the mean over the upper hemisphere
+    of `canopy_reflectance` with `hot_spot=0`. Differentiable in every argument but `layers`.
 
     **Raises:** `InputError` for shapes that do not go together and values out of range.
 
@@ -178,7 +179,7 @@ def _uniform(
     layers: int,
     light: tuple[Array, Array],
 ) -> tuple[VoxelScene, Float[Array, ""]]:
-    """One column of voxels, sides periodic, a metre high, and its leaf area; `light` of sun, sky."""
+    """One column of voxels, a metre high, sides periodic, and its leaf area; `light`: sun, sky."""
     rho = as_floats("leaf_reflectance", leaf_reflectance)
     area = as_floats("leaf_area_index", leaf_area_index, rho.dtype)
     check_range("leaf_area_index", area, 0.0, 100.0)

@@ -277,7 +277,7 @@ def test_gradients_of_verhoefs_distribution():
 
 
 def test_coefficients_that_are_no_distribution_are_refused():
-    with pytest.raises(InputError, match="0.8 and -0.5"):
+    with pytest.raises(InputError, match=r"0\.8 and -0\.5"):
         VerhoefLeafAngle(0.8, -0.5)
 
 

@@ -91,6 +91,8 @@ def test_parts_of_bands_have_their_means():
         ({"soil": np.full(3, 0.2)}, "`soil` must have one value for each of the 8"),
         ({"bands": WAVELENGTH[::-1]}, "must increase"),
         ({"bands": WAVELENGTH / 1000.0}, "µm"),
+        ({"bands": "sentinel_2a"}, "`bands` must be a sensor"),
+        ({"soil": np.where(WAVELENGTH > 800.0, np.nan, 0.2)}, "`soil` must have a value wherever"),
         ({"sun_zenith": 95.0}, "sun_zenith"),
         ({"hot_spot": -0.1}, "hot_spot"),
         ({"sd": 0.0}, "positive sd"),
