@@ -174,7 +174,7 @@ class VerhoefLeafAngle(AbstractLeafAngle):
     >>> from fynjax.canopy import VerhoefLeafAngle
     >>> import jax.numpy as jnp
     >>> VerhoefLeafAngle(-1.0, 0.0).projection(jnp.array([1.0, 0.5])).round(3)  # G at 0, 60 degrees
-    Array([0.148, 0.543], dtype=float64)
+    Array([0.141, 0.541], dtype=float64)
     """
 
     first: Float[Array, ""] = eqx.field(converter=jnp.asarray)

@@ -215,7 +215,7 @@ def _space() -> ParameterSpace:
     rows += [
         (0.0, 15.0, 2.0, 3.0, "lognormal"),
         (15.0, 85.0, 57.0, 12.0, "logit-normal"),
-        (soil.lower, soil.upper, 1.0, soil.prior_sd(1.0), soil.distribution),
+        (soil.lower, soil.upper, 1.0, soil.prior_sd(1.0) or 0.3, soil.distribution),
     ]
     lower, upper, prior, sd, kinds = zip(*rows)
     return ParameterSpace(tuple(_UNITS), lower, upper, prior, sd, distribution=kinds)

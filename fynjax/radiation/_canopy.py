@@ -80,9 +80,9 @@ def canopy_reflectance(
     >>> from fynjax.radiation import canopy_reflectance
     >>> leaf = jnp.array([0.06, 0.45]), jnp.array([0.03, 0.45])  # red, near infrared
     >>> [round(float(value), 3) for value in canopy_reflectance(*leaf, 2.0)]
-    [0.036, 0.295]
+    [0.036, 0.297]
     >>> [round(float(value), 3) for value in canopy_reflectance(*leaf, 2.0, view_zenith=30.0)]
-    [0.036, 0.295]
+    [0.08, 0.447]
     """
     share = as_floats("sky_share", sky_share)
     check_range("sky_share", share, 0.0, 1.0)
@@ -143,7 +143,7 @@ def canopy_albedo(
     >>> from fynjax.radiation import canopy_albedo
     >>> albedo = canopy_albedo(jnp.array([0.06, 0.45]), jnp.array([0.03, 0.45]), 2.0)
     >>> albedo.black_sky.round(3), albedo.white_sky.round(3)
-    (Array([0.037, 0.322], dtype=float64), Array([0.041, 0.342], dtype=float64))
+    (Array([0.03 , 0.335], dtype=float64), Array([0.029, 0.388], dtype=float64))
     """
     rho, tau = (
         jnp.atleast_1d(as_floats(name, value))

@@ -8,7 +8,7 @@ import pytest
 import fynjax as fx
 from fynjax.errors import InputError
 from fynjax.inversion import fit_canopy
-from fynjax.inversion._canopy import _Model, _parts, _space
+from fynjax.inversion._canopy import _bins, _Model, _parts, _space
 from fynjax.scene import background_spectrum
 
 WAVELENGTH = np.array([490.0, 560.0, 665.0, 705.0, 783.0, 865.0, 1610.0, 2190.0])
@@ -102,3 +102,12 @@ def test_wrong_input_is_refused(change, message):
     given = {"bands": WAVELENGTH, "reflectance": np.full(8, 0.2), **LIGHT, **change}
     with pytest.raises(InputError, match=message):
         fit_canopy(given.pop("bands"), given.pop("reflectance"), **given)
+
+
+def test_a_fine_spectrum_is_averaged_in_bins():
+    fine = np.arange(400.0, 2501.0)
+    bins = _bins(fine)
+    assert bins.shape[0] == 211
+    np.testing.assert_allclose(bins.sum(axis=1), 1.0)
+    np.testing.assert_allclose((bins @ fine)[:2], [404.5, 414.5])
+    np.testing.assert_allclose(_bins(WAVELENGTH), np.eye(8))
