@@ -234,9 +234,10 @@ def _hot_spot(
     to_view = jnp.stack([sine[1] * jnp.sin(turn), sine[1] * jnp.cos(turn), cosine[1]])
     k, big_k = angle.projection(cosine) / cosine
     slope = sine / cosine
-    apart = slope[0] ** 2 + slope[1] ** 2 - 2.0 * slope[0] * slope[1] * jnp.cos(turn)
-    # Rounded by a millionth, lest its derivative has no value in the hot spot.
-    distance = jnp.sqrt(jnp.maximum(apart, 0.0) + 1e-12)
+    # Written without a difference of large numbers, and rounded by a millionth, lest its derivative
+    # has no value in the hot spot.
+    apart = (slope[0] - slope[1]) ** 2 + 4.0 * slope[0] * slope[1] * jnp.sin(0.5 * turn) ** 2
+    distance = jnp.sqrt(apart + 1e-12)
     reach = jnp.maximum(0.5 * (k + big_k) * size / distance, 1e-9)
 
     def added(depth: Array) -> Array:

@@ -78,7 +78,12 @@ def test_parts_of_bands_have_their_means():
     wavelength, weights = _parts(bands)
     grid = np.arange(400.0, 2501.0)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, rtol=1e-9)
-    np.testing.assert_allclose(weights @ wavelength, bands.weights(grid) @ grid, rtol=1e-9)
+    mean, square = (bands.weights(grid) @ grid**power for power in (1, 2))
+    np.testing.assert_allclose(weights @ wavelength, mean, rtol=1e-9)
+    lost = (square - weights @ wavelength**2) / (square - mean**2)
+    # The spread inside a part.
+    assert lost.min() > 0.0
+    assert lost.max() < 0.15
 
 
 @pytest.mark.parametrize(

@@ -118,6 +118,16 @@ def test_hot_spot_of_discs():
     assert (points[:2, 0] < 0.65 * ours[:2, 0]).all()
 
 
+def test_hot_spot_in_single_precision():
+    both = []
+    for dtype in (jnp.float32, jnp.float64):
+        optics = [values.astype(dtype) for values in (RHO, TAU, SOIL)]
+        at = {"sun_zenith": 30.0, "view_zenith": 30.0, "hot_spot": 0.001}
+        both.append(canopy_reflectance(*optics[:2], 3.0, soil=optics[2], **at))
+    assert both[0].dtype == jnp.float32
+    np.testing.assert_allclose(*both, rtol=2e-3)
+
+
 def test_hot_spot_is_off_at_zero_and_only_of_the_sun():
     off = reflectances("spherical", 0.0, jnp.asarray([[30.0, 29.9, 0.0], [30.0, 30.1, 0.0]]))
     np.testing.assert_allclose(*off, rtol=3e-3)
@@ -146,6 +156,9 @@ def test_gradients_in_the_hot_spot_and_beside_it():
         step = 1e-4 * at[k]
         ends = [value(*[a + s * step * (i == k) for i, a in enumerate(at)]) for s in (1, -1)]
         assert float(slope) == pytest.approx(float(ends[0] - ends[1]) / (2 * step), rel=2e-3)
+    views = jnp.asarray([30.0, 34.0])
+    many = jax.vmap(value, in_axes=(None, 0, None, None))(0.05, views, 5.0, 2.0)
+    assert float(many[1]) == pytest.approx(float(value(*at)), rel=1e-6)
     for size in (0.0, 0.05):
         assert np.isfinite(slopes(size, 30.0, 0.0, 2.0)).all()
         assert np.isfinite(slopes(size, 0.0, 0.0, 0.0)).all()
