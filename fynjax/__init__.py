@@ -5,7 +5,8 @@
 - `fx.Scene.from_table`, `fx.observe`: a scene from a species table, and what a sensor measures.
 - `fx.Leaf` (short for `fx.LeafParameters`), `fx.prospect`, `fx.fit_leaf`: leaf optics, forward and
   backward.
-- `fx.canopy_reflectance`: a uniform canopy in one line.
+- `fx.canopy_reflectance`, `fx.canopy_albedo`, `fx.fit_canopy`: a uniform canopy in one line, and
+  backward.
 - `fx.read_plot`, `fx.sensor`: a plot, and a sensor or LiDAR, from files or by a shipped name.
 - `fx.calibrate`, `fx.posterior`: what the commands of these names do, from Python.
 - `fx.fit`, `fx.ParameterSpace`, `fx.Data`: any forward model fitted to any statistics.

@@ -20,6 +20,7 @@ from .inversion import FitResult as FitResult
 from .inversion import FitStatus as FitStatus
 from .inversion import ParameterSpace as ParameterSpace
 from .inversion import fit as fit
+from .inversion import fit_canopy as fit_canopy
 from .io.plot import read_plot as read_plot
 from .jobs import calibrate as calibrate
 from .jobs import posterior as posterior
@@ -27,6 +28,7 @@ from .leaf import Leaf as Leaf
 from .leaf import LeafParameters as LeafParameters
 from .leaf import fit_leaf as fit_leaf
 from .leaf import prospect as prospect
+from .radiation import canopy_albedo as canopy_albedo
 from .radiation import canopy_reflectance as canopy_reflectance
 from .scene import Placement as Placement
 from .scene import Scene as Scene

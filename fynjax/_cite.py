@@ -53,6 +53,12 @@ _SOURCES: dict[str, _Source] = {
         "PROSPECT-PRO for estimating content of nitrogen-containing leaf proteins and other "
         "carbon-based constituents", _RSE, 2021, "252", "112173", "10.1016/j.rse.2020.112173",
     ),
+    "sail": _Source(
+        "verhoef2007", "Verhoef, W. and others",
+        "Unified optical-thermal four-stream radiative transfer theory for homogeneous "
+        "vegetation canopies", "IEEE Transactions on Geoscience and Remote Sensing", 2007, "45",
+        "1808--1822", "10.1109/TGRS.2007.895844",
+    ),
     "shoots": _Source(
         "smolander2003", "Smolander, S. and Stenberg, P.",
         "A method to account for shoot scale clumping in coniferous canopy reflectance models",

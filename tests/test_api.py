@@ -24,6 +24,7 @@ def test_every_name_is_there_and_described():
     assert {
         *("read_plot", "fit", "calibrate", "posterior", "Leaf", "LeafParameters", "prospect"),
         *("fit_leaf", "sensor", "errors", "cite", "canopy_reflectance"),
+        *("canopy_albedo", "fit_canopy"),
     } <= set(fx.__all__)
     for name in fx.__all__:
         assert inspect.getdoc(getattr(fx, name)), name

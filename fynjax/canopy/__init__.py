@@ -6,6 +6,7 @@ from fynjax.canopy._angles import (
     SphericalLeafAngle,
     TabulatedLeafAngle,
     TrigonometricLeafAngle,
+    VerhoefLeafAngle,
     leaf_angle,
     projections,
 )
@@ -67,6 +68,7 @@ __all__ = [
     "TabulatedLeafAngle",
     "TrigonometricLeafAngle",
     "VegetationPattern",
+    "VerhoefLeafAngle",
     "VoxelGrid",
     "assign_sites",
     "band_roles",

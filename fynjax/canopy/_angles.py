@@ -23,6 +23,9 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 _INCLINATION = 0.25 * np.pi * (_NODES + 1.0)
 _INCLINATION_WEIGHT = 0.25 * np.pi * _WEIGHTS
 _AZIMUTHS = 96
+# The same, finer.
+_FINE = 0.25 * np.pi * (np.polynomial.legendre.leggauss(256)[0] + 1.0)
+_FINE_WEIGHT = np.polynomial.legendre.leggauss(256)[1]
 
 
 def _unit_normals() -> np.ndarray:
@@ -38,8 +41,9 @@ _NORMALS = _unit_normals()
 class AbstractLeafAngle(eqx.Module):
     """Distribution of leaf normals, symmetric in azimuth.
 
-    Abstract: `SphericalLeafAngle`, `TrigonometricLeafAngle`, `EllipsoidalLeafAngle` and
-    `TabulatedLeafAngle` are the kinds, `leaf_angle` makes one by its name. A kind of your own
+    Abstract: `SphericalLeafAngle`, `TrigonometricLeafAngle`, `VerhoefLeafAngle`,
+    `EllipsoidalLeafAngle` and `TabulatedLeafAngle` are the kinds, `leaf_angle` makes one by its
+    name. A kind of your own
     states its `inclination_density` and nothing else: `projection` and `normals` follow from it,
     and are computed for many kinds at once. A class that defines either is refused (`TypeError`).
     """
@@ -126,7 +130,9 @@ class TrigonometricLeafAngle(AbstractLeafAngle):
     """g = (2/pi) (1 + a cos 2t + b cos 4t), t the inclination (Bunnik 1978).
 
     (a, b) = (1, 0) is planophile, (-1, 0) erectophile, (0, -1) plagiophile, (0, 1)
-    extremophile and (0, 0) uniform in inclination.
+    extremophile and (0, 0) uniform in inclination, with mean inclinations of 26.8, 63.2, 45, 45 and
+    45 degrees. PROSAIL has distributions of the same names and coefficients that are steeper: see
+    `VerhoefLeafAngle`.
     """
 
     second: Float[Array, ""] = eqx.field(converter=jnp.asarray)
@@ -142,11 +148,105 @@ class TrigonometricLeafAngle(AbstractLeafAngle):
         return 2.0 / jnp.pi * (1.0 + wave)
 
 
+class VerhoefLeafAngle(AbstractLeafAngle):
+    """Verhoef's (1998) two-parameter distribution: that of PROSAIL, `TypeLidf=1`.
+
+    | name in PROSAIL | LIDFa | LIDFb | mean inclination [degrees] |
+    | --- | --- | --- | --- |
+    | planophile | 1 | 0 | 8.5 |
+    | erectophile | -1 | 0 | 81.5 |
+    | plagiophile | 0 | -1 | 45 |
+    | extremophile | 0 | 1 | 45 |
+    | spherical, nearly | -0.35 | -0.15 | 57.8 |
+    | uniform | 0 | 0 | 45 |
+
+    These are other distributions than those that `leaf_angle` has by the same names: its
+    erectophile is Bunnik's, of mean 63.2 degrees. In PROSAIL all leaves of a class of 5 degrees
+    have the middle of it, so that the first two have means of 9.4 and 80.6 there.
+
+    With x the root of x - a sin x - b/2 sin 2x = 2t, t the inclination, the share of leaves below t
+    is 2 (x - t) / pi (Verhoef 1998, Theory of radiative transfer models applied in optical remote
+    sensing of vegetation canopies, thesis, Wageningen). Hence, by the derivative of the root,
+    g = (2/pi) (1 + q) / (1 - q) with q = a cos x + b cos 2x.
+
+    **Raises:** `InputError` where |a| + |b| exceeds 1, of known values.
+
+    >>> from fynjax.canopy import VerhoefLeafAngle
+    >>> import jax.numpy as jnp
+    >>> VerhoefLeafAngle(-1.0, 0.0).projection(jnp.array([1.0, 0.5])).round(3)  # G at 0, 60 degrees
+    Array([0.141, 0.541], dtype=float64)
+    """
+
+    first: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    """Coefficient a, LIDFa [-]: the mean slope."""
+    second: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    """Coefficient b, LIDFb [-]: how far it has two peaks."""
+
+    def __check_init__(self) -> None:
+        if any(isinstance(value, jax.core.Tracer) for value in (self.first, self.second)):
+            return
+        a, b = float(self.first), float(self.second)
+        if not abs(a) + abs(b) <= 1.0 + 1e-6:
+            raise InputError(
+                "the coefficients of `VerhoefLeafAngle` must have |first| + |second| <= 1, but are "
+                f"{a:g} and {b:g}"
+            )
+
+    def inclination_density(self, inclination: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """g [1/rad] at the `inclination` t [rad, 0 to pi/2]. Differentiable in t, a and b.
+
+        At |a| + |b| = 1 it has an end without bound, of finite area; there it is cut off.
+        """
+        a, b = (value.astype(inclination.dtype) for value in (self.first, self.second))
+
+        def halve(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+            middle = 0.5 * (ends[0] + ends[1])
+            above = middle - a * jnp.sin(middle) - 0.5 * b * jnp.sin(2 * middle) > 2 * inclination
+            return jnp.where(above, ends[0], middle), jnp.where(above, middle, ends[1])
+
+        ends = jnp.zeros_like(inclination), jnp.full_like(inclination, jnp.pi)
+        x = jax.lax.stop_gradient(jax.lax.fori_loop(0, 50, halve, ends)[0])
+        # A step of Newton's, of which the derivative is that of the root.
+        excess = x - a * jnp.sin(x) - 0.5 * b * jnp.sin(2 * x) - 2 * inclination
+        slope = jnp.maximum(1.0 - a * jnp.cos(x) - b * jnp.cos(2 * x), 1e-3)
+        x = x - excess / jax.lax.stop_gradient(slope)
+        wave = a * jnp.cos(x) + b * jnp.cos(2 * x)
+        return 2.0 / jnp.pi * (1.0 + wave) / jnp.maximum(1.0 - wave, 1e-3)
+
+    def _weights(self) -> Float[Array, " node"]:
+        # By x, in which shares and inclinations are explicit and nothing is without bound: each
+        # share goes to the nodes on either side, so that the mean is kept.
+        a, b = self.first, self.second
+        x = 2.0 * jnp.asarray(_FINE, jnp.result_type(a, float))
+        inclination = 0.5 * (x - a * jnp.sin(x) - 0.5 * b * jnp.sin(2 * x))
+        share = jnp.asarray(_FINE_WEIGHT) * (1.0 + a * jnp.cos(x) + b * jnp.cos(2 * x))
+        nodes = jnp.asarray(_INCLINATION)
+        above = jnp.clip(jnp.searchsorted(nodes, inclination), 1, len(_INCLINATION) - 1)
+        low, high = nodes[above - 1], nodes[above]
+        upper = jnp.clip((inclination - low) / (high - low), 0.0, 1.0)
+        weight = jnp.zeros(len(_INCLINATION), x.dtype)
+        weight = weight.at[above - 1].add(share * (1.0 - upper)).at[above].add(share * upper)
+        return weight / jnp.sum(weight)
+
+
 class EllipsoidalLeafAngle(AbstractLeafAngle):
     """Normals as on an ellipsoid of revolution (Campbell 1990, eq. 13, normalised here)."""
 
     ratio: Float[Array, ""] = eqx.field(converter=jnp.asarray)
     """Horizontal to vertical axis, chi [-], positive; 1 is spherical, large is flat leaves."""
+
+    @classmethod
+    def from_mean_angle(cls, mean: Float[Array, ""] | float) -> "EllipsoidalLeafAngle":
+        """The distribution that PROSAIL has by a mean leaf angle, `TypeLidf=2`.
+
+        **Arguments:** `mean`, average inclination [degrees], 0 to 90; spherical near 58.
+
+        **Returns:** that of the ratio exp(3.2491 - 0.1239 m + 2.1145e-3 m^2 - 1.6184e-5 m^3), the
+        fit of 4SAIL's `campbell` function: its mean inclination is within 1.3 degrees of
+        `mean` from 5 to 85. Differentiable.
+        """
+        ratio = 3.2491 + mean * (-0.12390 + mean * (2.1145e-3 - 1.6184e-5 * mean))
+        return cls(jnp.exp(ratio))
 
     def inclination_density(self, inclination: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """g [1/rad] at the `inclination` [rad, 0 to pi/2]. Differentiable in it and in chi."""
@@ -208,7 +308,9 @@ def leaf_angle(name: str) -> AbstractLeafAngle:
 
     - `name`: spherical, uniform (in inclination), planophile, erectophile, plagiophile or
       extremophile (de Wit 1965; Bunnik 1978). RAMI's "uniform" means normals uniform on the
-      sphere: that is `spherical` here.
+      sphere: that is `spherical` here. PROSAIL's distributions of these names are others
+      (`VerhoefLeafAngle`): its erectophile leaves have the mean inclination 81 degrees, those
+      here 63.
 
     **Returns:** an `AbstractLeafAngle`.
 

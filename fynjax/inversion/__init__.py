@@ -20,6 +20,7 @@ from fynjax.inversion._calibrate import (
     free_space,
     search_form,
 )
+from fynjax.inversion._canopy import CanopyFit, fit_canopy
 from fynjax.inversion._fit import (
     evaluate,
     fit,
@@ -119,6 +120,7 @@ __all__ = [
     "AmortisedPosterior",
     "Calibration",
     "CalibrationSettings",
+    "CanopyFit",
     "Comparison",
     "Data",
     "DerivativeMeasures",
@@ -161,6 +163,7 @@ __all__ = [
     "expected_sensitivity",
     "fisher_information",
     "fit",
+    "fit_canopy",
     "fit_population",
     "fit_surrogate",
     "free_space",

@@ -1,7 +1,7 @@
 """Radiation: from a voxel grid and its optics to radiance at a sensor."""
 
 from fynjax.radiation._arrays import voxel_scene
-from fynjax.radiation._canopy import canopy_reflectance
+from fynjax.radiation._canopy import CanopyAlbedo, canopy_albedo, canopy_reflectance
 from fynjax.radiation._check import check_scene, voxel_values
 from fynjax.radiation._fluxes import Fluxes, absorption, diffuse_sources, fluxes
 from fynjax.radiation._ground import RahmanPintyVerstraete
@@ -41,6 +41,7 @@ from fynjax.radiation._tiles import (
 __all__ = [
     "AbstractRays",
     "Accuracy",
+    "CanopyAlbedo",
     "Cells",
     "DiffuseField",
     "Fluxes",
@@ -56,6 +57,7 @@ __all__ = [
     "VoxelScene",
     "absorption",
     "area_scattering",
+    "canopy_albedo",
     "canopy_reflectance",
     "check_light",
     "check_scene",

@@ -129,5 +129,6 @@ def _green_canopy() -> tuple[np.ndarray, np.ndarray]:
             leaf.reflectance,
             leaf.transmittance,
             soil=background_spectrum("dry_soil", grid),  # type: ignore[arg-type]
+            hot_spot=0.0,  # it stands for light in all directions
         )
     return grid, np.asarray(canopy)

@@ -12,6 +12,7 @@ from fynjax.canopy import (
     SphericalLeafAngle,
     TabulatedLeafAngle,
     TrigonometricLeafAngle,
+    VerhoefLeafAngle,
     leaf_angle,
     projections,
 )
@@ -22,6 +23,8 @@ OTHERS = {
     "ellipsoid 0.4": EllipsoidalLeafAngle(0.4),
     "ellipsoid 2.5": EllipsoidalLeafAngle(2.5),
     "mixed waves": TrigonometricLeafAngle(0.3, -0.5),
+    "Verhoef": VerhoefLeafAngle(0.3, -0.5),
+    "Verhoef, spherical": VerhoefLeafAngle(-0.35, -0.15),
     "table": TabulatedLeafAngle(np.linspace(0.2, 1.0, 18)),
 }
 ALL = {**{name: leaf_angle(name) for name in NAMES}, **OTHERS}
@@ -215,3 +218,72 @@ def test_a_kind_with_a_projection_of_its_own_is_refused():
     for name in ("projection", "normals"):
         with pytest.raises(TypeError, match=f"must not define {name}"):
             type("Own", (Level,), {name: lambda self: None})
+
+
+# Shares of the leaves by 15 degrees of inclination, sums of the 18 classes that the functions
+# `verhoef_bimodal` and `campbell` of prosail 2.0.5 (GPL-3) return.
+PROSAIL = {
+    (1.0, 0.0): (0.80254, 0.11761, 0.05037, 0.02142, 0.0071, 0.00097),
+    (-1.0, 0.0): (0.00097, 0.0071, 0.02142, 0.05037, 0.11761, 0.80254),
+    (0.0, -1.0): (0.00403, 0.03589, 0.46008, 0.46008, 0.03589, 0.00403),
+    (-0.35, -0.15): (0.05847, 0.07754, 0.12413, 0.20839, 0.27333, 0.25814),
+    (0.3, -0.5): (0.12488, 0.25611, 0.41774, 0.13243, 0.04686, 0.02199),
+    20.0: (0.53147, 0.27275, 0.09429, 0.04639, 0.0303, 0.0248),
+    57.0: (0.03959, 0.11245, 0.16956, 0.20805, 0.23027, 0.24009),
+    70.0: (0.00656, 0.02342, 0.0552, 0.12738, 0.28641, 0.50103),
+}
+
+
+@pytest.mark.parametrize("given", PROSAIL, ids=str)
+def test_shares_are_those_of_prosail(given):
+    verhoef = isinstance(given, tuple)
+    angle = VerhoefLeafAngle(*given) if verhoef else EllipsoidalLeafAngle.from_mean_angle(given)
+    edges = np.arange(7) * np.pi / 12
+    node, weight = np.polynomial.legendre.leggauss(200)
+    at = edges[:-1, None] + (node + 1.0) * np.pi / 24
+    shares = np.asarray(angle.inclination_density(jnp.asarray(at))) @ weight * np.pi / 24
+    atol = 0.02 if verhoef and 1.0 in np.abs(given) else 2e-5  # the former have ends without bound
+    np.testing.assert_allclose(shares, PROSAIL[given], atol=atol)
+
+
+def test_means_of_verhoefs_names():
+    inclination = np.rad2deg(
+        np.arccos(np.abs(np.asarray(leaf_angle("spherical").normals()[0])[:, 2]))
+    )
+    for given, mean in (((1.0, 0.0), 8.5), ((-1.0, 0.0), 81.5), ((-0.35, -0.15), 57.8)):
+        weight = np.asarray(VerhoefLeafAngle(*given).normals()[1])
+        assert float(weight @ inclination) == pytest.approx(mean, abs=0.05)
+        # x = 2 t + a sin x + b/2 sin 2x, by Verhoef's own iteration: mean of 90 degrees less F.
+        t, x = np.linspace(0.0, np.pi / 2, 20001), 2 * np.linspace(0.0, np.pi / 2, 20001)
+        for _ in range(2000):
+            x = x + 0.5 * (given[0] * np.sin(x) + 0.5 * given[1] * np.sin(2 * x) - x + 2 * t)
+        below = 2.0 * (x - t) / np.pi
+        assert 90.0 - np.rad2deg(np.trapezoid(below, t)) == pytest.approx(mean, abs=0.05)
+
+
+def test_gradients_of_verhoefs_distribution():
+    def density(a, b, t):
+        return VerhoefLeafAngle(a, b).inclination_density(t)
+
+    def seen(a, b):
+        return VerhoefLeafAngle(a, b).projection(jnp.asarray([0.6]))[0]
+
+    for function, at in ((density, (-0.35, -0.15, 0.7)), (seen, (-0.35, -0.15))):
+        at = [jnp.asarray(value) for value in at]
+        slopes = jax.grad(function, argnums=tuple(range(len(at))))(*at)
+        for k, slope in enumerate(slopes):
+            ends = [function(*at[:k], at[k] + s * 1e-4, *at[k + 1 :]) for s in (1, -1)]
+            assert float(slope) == pytest.approx(float(ends[0] - ends[1]) / 2e-4, rel=1e-4)
+
+
+def test_coefficients_that_are_no_distribution_are_refused():
+    with pytest.raises(InputError, match=r"0\.8 and -0\.5"):
+        VerhoefLeafAngle(0.8, -0.5)
+
+
+def test_mean_angle_of_ellipsoids_is_near_what_was_asked_for():
+    normals, _ = leaf_angle("spherical").normals()
+    inclination = np.rad2deg(np.arccos(np.asarray(normals)[:, 2]))
+    for mean in (10.0, 30.0, 58.0, 80.0):
+        weight = np.asarray(EllipsoidalLeafAngle.from_mean_angle(mean).normals()[1])
+        assert float(weight @ inclination) == pytest.approx(mean, abs=1.3)

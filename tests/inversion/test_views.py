@@ -124,8 +124,10 @@ def test_structure_is_that_of_all_that_a_beam_can_hit(plot, views):
     "number", [pytest.param(0, marks=pytest.mark.study), 1, 2], ids=["drone", "spectrum", "lidar"]
 )
 def test_slopes_of_each_view_are_those_of_central_differences(plot, views, number):
-    """As a search has them; contracted to one number, along each free parameter."""
+    """As a search has them; contracted to one number, along each free parameter. Of plants that fade,
+    whose value moves with their number as the slope says."""
     model, parameters, space = plot
+    model = model.faded()
     cheap = views[number].for_search(model, ACCURACY, 3)
     predict = PlotForward(parameters, space.names, [cheap])
     none = jnp.zeros(len(cheap.names))
@@ -601,6 +603,7 @@ def test_informative_directions_hold_what_the_prior_moves():
 def test_slopes_along_directions_are_those_of_central_differences(plot, views):
     """Of a drone's statistics: combined along directions, and spread over statistics again."""
     model, parameters, space = plot
+    model = model.faded()
     rows = np.random.default_rng(6).normal(size=(2, len(views[0].names)))
     chosen = Directions(jnp.asarray(rows), jnp.asarray(np.linalg.pinv(rows)))
     cheap = dataclasses.replace(views[0].for_search(model, ACCURACY, 3), directions=chosen)

@@ -150,7 +150,8 @@ def test_the_slope_is_the_derivative_of_the_mean_over_plantings(expectation) -> 
     for i, kind in enumerate(KINDS[:3]):
         error = np.hypot(*(x[:, i].std() / np.sqrt(PLANTINGS) for x in (slopes, differences)))
         assert abs(slopes[:, i].mean() - differences[:, i].mean()) < 2.0 * error, kind
-        assert abs(np.median(slopes[:, i]) - differences[:, i].mean()) < 2.0 * error, kind
+        # A median has 1.25 times the error of a mean.
+        assert abs(np.median(slopes[:, i]) - differences[:, i].mean()) < 2.5 * error, kind
     # Leaf area changes no number: its slope is that of the whole plants themselves.
     np.testing.assert_allclose(slopes[:, 2], differences[:, 2], rtol=0.01)
     np.testing.assert_allclose(slopes[:, 3], 0.0, atol=1e-12)
