@@ -124,8 +124,10 @@ def test_structure_is_that_of_all_that_a_beam_can_hit(plot, views):
     "number", [pytest.param(0, marks=pytest.mark.study), 1, 2], ids=["drone", "spectrum", "lidar"]
 )
 def test_slopes_of_each_view_are_those_of_central_differences(plot, views, number):
-    """As a search has them; contracted to one number, along each free parameter. Of plants that fade,
-    whose value moves with their number as the slope says."""
+    """As a search has them; contracted to one number, along each free parameter.
+
+    Of plants that fade: their value moves with their number as the slope says.
+    """
     model, parameters, space = plot
     model = model.faded()
     cheap = views[number].for_search(model, ACCURACY, 3)
