@@ -87,17 +87,27 @@ def scatter_covariance(
 
     **Arguments:** `draws`, at least two.
     """
-    count, size = draws.shape
     deviation = draws - draws.mean(axis=0)
     sd = deviation.std(axis=0, ddof=1)
     unit = deviation / np.where(sd > 0, sd, 1.0)
-    correlation = unit.T @ unit / (count - 1)
-    square, total = np.sum(correlation**2), np.trace(correlation)
-    above = (1.0 - 2.0 / size) * square + total**2
-    below = (count - 2.0 / size) * (square - total**2 / size)
-    share = 1.0 if below <= 0 else min(1.0, above / below)
+    correlation = unit.T @ unit / (len(draws) - 1)
+    share = shrinkage_share(unit)
     shrunk = (1.0 - share) * correlation + share * np.diag(np.diagonal(correlation))
     return np.asarray(shrunk * sd * sd[:, None])
+
+
+def shrinkage_share(unit: Float[np.ndarray, "draw statistic"]) -> float:
+    """Share of the target in a covariance of few draws, 0 to 1 (Chen, Wiesel, Eldar & Hero 2010,
+    eq. 23).
+
+    **Arguments:** `unit`, deviations from their mean in units in which the target is the identity.
+    """
+    count, size = unit.shape
+    moments = unit.T @ unit / (count - 1)
+    square, total = np.sum(moments**2), np.trace(moments)
+    above = (1.0 - 2.0 / size) * square + total**2
+    below = (count - 2.0 / size) * (square - total**2 / size)
+    return 1.0 if below <= 0 else float(min(1.0, above / below))
 
 
 def well_constrained(

@@ -1,11 +1,13 @@
 """What data can tell about parameters at best: Fisher information and Cramér-Rao bounds."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax.inversion._fit_result import main_members
+from fynjax.inversion._fit_result import main_members, shrinkage_share
 
 _NOTHING = 1e-10
 """Information below this share of the largest counts as none: rounding leaves as much."""
@@ -117,3 +119,83 @@ def bounds_of(
             information=values,
             modes=modes,
         )
+
+
+def cautious_scatter(
+    draws: Float[np.ndarray, "draw statistic"],
+    alike: Float[np.ndarray, "statistic statistic"],
+) -> Float[np.ndarray, "statistic statistic"]:
+    """Covariance of statistics over draws, few as they are, rather too large than too small.
+
+    To the moments of the draws a multiple of `alike`, in units of their standard deviations, is
+    added. The more so the fewer the draws are: the two have the shares of the oracle-approximating
+    shrinkage (Chen, Wiesel, Eldar & Hero 2010), but what the draws show is not made smaller. The
+    result is positive definite, and every part of it is the covariance of these statistics.
+
+    **Arguments:** `draws`, at least two; `alike`, correlation that is presumed where draws say
+    nothing, positive definite.
+    """
+    deviation = draws - draws.mean(axis=0)
+    sd = deviation.std(axis=0, ddof=1)
+    unit = deviation / np.where(sd > 0, sd, 1.0)
+    apart = np.linalg.solve(np.linalg.cholesky(alike), unit.T).T
+    # Of one draw more or less the share must not be all, whatever the draws say.
+    share = min(shrinkage_share(apart), 1.0 - 1.0 / len(draws))
+    correlation = unit.T @ unit / (len(draws) - 1) + share / (1.0 - share) * alike
+    return np.asarray(correlation * sd * sd[:, None])
+
+
+def shared_slopes(
+    slopes: Float[np.ndarray, "draw statistic free"],
+    covariance: Float[np.ndarray, "statistic statistic"],
+    blocks: Sequence[np.ndarray],
+) -> Float[np.ndarray, "statistic free"]:
+    """Slopes that draws of a random model share: their mean, without what chance adds to it.
+
+    The mean over few draws keeps some of their chance, and in a Fisher information its square
+    would count as knowledge. So each block of statistics, given those before it, is made smaller.
+    Of its whitened slopes, by parameters in units of their standard errors, the singular value s
+    becomes s - e^2 / s, and nothing below e, as James & Stein (1961) make a mean smaller: e is
+    the largest that chance alone makes on average at most, by Chevet's inequality (Vershynin
+    2018, High-dimensional probability, section 8.7). A block whose slopes are all chance then
+    tells no more than those before it.
+
+    Any selection of these slopes has, with the same part of `covariance`, at most the information
+    of all.
+
+    **Arguments:**
+
+    - `slopes` in each draw, at least two, by parameters in units of their priors.
+    - `covariance` of the statistics, positive definite.
+    - `blocks`: places of the statistics, block by block; all statistics are in one.
+    """
+    order = np.concatenate(blocks)
+    root = np.linalg.cholesky(covariance[np.ix_(order, order)])
+    white = np.linalg.solve(root, slopes[:, order])
+    mean = white.mean(axis=0)
+    chance = (white - mean) / np.sqrt(len(slopes) * (len(slopes) - 1.0))
+    shrunk = np.zeros_like(mean)
+    start = 0
+    for block in blocks:
+        part = slice(start, start + len(block))
+        shrunk[part] = _less_chance(mean[part], chance[:, part])
+        start += len(block)
+    shared = np.empty_like(mean)
+    shared[order] = root @ shrunk
+    return shared
+
+
+def _less_chance(
+    mean: Float[np.ndarray, "statistic free"], chance: Float[np.ndarray, "draw statistic free"]
+) -> Float[np.ndarray, "statistic free"]:
+    """The mean without the singular values that its error, the sum of `chance`, may have made."""
+    unit = np.sqrt((chance**2).sum(axis=(0, 1)))
+    # Slopes that no draw changes have no error.
+    unit = np.maximum(unit, 1e-9 * np.abs(mean).max(axis=0) + np.finfo(float).tiny)
+    chance = chance / unit
+    rows = np.einsum("dsi,dti->st", chance, chance)
+    columns = np.einsum("dsi,dsj->ij", chance, chance)
+    edge = sum(np.sqrt(max(np.linalg.eigvalsh(m)[-1], 0.0)) for m in (rows, columns))
+    left, size, right = np.linalg.svd(mean / unit, full_matrices=False)
+    kept = np.where(size > edge, size - edge**2 / np.where(size > 0, size, 1.0), 0.0)
+    return np.asarray((left * kept) @ right * unit)
