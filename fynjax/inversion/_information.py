@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax.inversion._fit_result import main_members, shrinkage_share
+from fynjax.inversion._fit_result import main_members
 
 _NOTHING = 1e-10
 """Information below this share of the largest counts as none: rounding leaves as much."""
@@ -119,30 +119,6 @@ def bounds_of(
             information=values,
             modes=modes,
         )
-
-
-def cautious_scatter(
-    draws: Float[np.ndarray, "draw statistic"],
-    alike: Float[np.ndarray, "statistic statistic"],
-) -> Float[np.ndarray, "statistic statistic"]:
-    """Covariance of statistics over draws, few as they are, rather too large than too small.
-
-    To the moments of the draws a multiple of `alike`, in units of their standard deviations, is
-    added. The more so the fewer the draws are: the two have the shares of the oracle-approximating
-    shrinkage (Chen, Wiesel, Eldar & Hero 2010), but what the draws show is not made smaller. The
-    result is positive definite, and every part of it is the covariance of these statistics.
-
-    **Arguments:** `draws`, at least two; `alike`, correlation that is presumed where draws say
-    nothing, positive definite.
-    """
-    deviation = draws - draws.mean(axis=0)
-    sd = deviation.std(axis=0, ddof=1)
-    unit = deviation / np.where(sd > 0, sd, 1.0)
-    apart = np.linalg.solve(np.linalg.cholesky(alike), unit.T).T
-    # Of one draw more or less the share must not be all, whatever the draws say.
-    share = min(shrinkage_share(apart), 1.0 - 1.0 / len(draws))
-    correlation = unit.T @ unit / (len(draws) - 1) + share / (1.0 - share) * alike
-    return np.asarray(correlation * sd * sd[:, None])
 
 
 def shared_slopes(

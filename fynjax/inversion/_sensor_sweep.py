@@ -13,9 +13,9 @@ from jaxtyping import Array, Float
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.inversion._calibrate import COARSE, coarser
+from fynjax.inversion._fit_result import scatter_covariance
 from fynjax.inversion._information import (
     Information,
-    cautious_scatter,
     fisher_information,
     shared_slopes,
 )
@@ -92,7 +92,7 @@ def sweep_sensors(
     noise: Sequence[float] = (0.01,),
     sun_zenith: Sequence[float] | None = None,
     error: float = 0.01,
-    stand_realisations: int = 31,
+    stand_realisations: int = 15,
     draws: int = 4,
     coarse: Accuracy = COARSE,
     seed: int = 0,
@@ -110,10 +110,11 @@ def sweep_sensors(
 
     Errors are the noise of the pixels, an error of `error` times each statistic (calibration, the
     model), and where the plants stand: nobody measured that, so its covariance is estimated from
-    the stand and other `stand_realisations` (`cautious_scatter`), and only slopes that these share
-    are information (`shared_slopes`). The fewer they are, the less certain the bounds: in 80 of
-    100 cases they are between 0.8 and 1.35 times what many would give with 32, and between 0.7
-    and 1.7 times with 8.
+    the stand and other `stand_realisations` (`scatter_covariance`), and only slopes that these
+    share are information (`shared_slopes`). The fewer they are, the less certain the bounds. On 4
+    m of fynbos (15 parameters, ten sensors), over the bounds of 1350 plantings:
+    0.96 (0.45 to 1.84 in 80 of 100 cases) with 4 realisations, 1.04 (0.57 to 1.63) with 15, 1.06
+    (0.78 to 1.36) with 64.
 
     Each planting and sun is rendered once with its derivatives by forward mode, in the finest
     pixels and the sensor's bands; coarser pixels and wider bands are averages of those. Light has
@@ -343,7 +344,7 @@ class _Sweep(NamedTuple):
         noise = np.mean([np.concatenate(one.variances) for one in plantings], axis=0)
         alike = _alike(first.keys, sizes)
         sd = np.sqrt((error * values.mean(axis=0)) ** 2 + noise)
-        covariance = cautious_scatter(values, alike) + alike * sd * sd[:, None]
+        covariance = scatter_covariance(values, alike) + alike * sd * sd[:, None]
         scale = np.asarray(space.prior_sd, float)
         shared = shared_slopes(slopes * scale, covariance, blocks) / scale
         keys = [one.mean_noise for one in plantings]
