@@ -10,7 +10,10 @@ from fynjax._core.errors import InputError
 from fynjax.inversion._fit_result import main_members
 
 _NOTHING = 1e-10
-"""Information below this share of the largest counts as none: rounding leaves as much."""
+"""Information below this, in units of the prior's, counts as none. It is no share of the largest,
+which grows with what is measured."""
+_ROUNDING = 1e-14
+"""Share of the largest information that rounding leaves where there is none."""
 
 
 class Information(eqx.Module):
@@ -99,7 +102,7 @@ def bounds_of(
     values, vectors = np.linalg.eigh(np.asarray(matrix, float))
     values = np.maximum(values[::-1], 0.0)
     modes = vectors[:, ::-1].T
-    hidden = values <= _NOTHING * max(values[0], np.finfo(float).tiny)
+    hidden = values <= max(_NOTHING, _ROUNDING * values[0])
     share = modes**2
     variance = share[~hidden].T @ (1.0 / values[~hidden])
     touched = share[hidden].sum(axis=0) > 1e-9
