@@ -277,6 +277,22 @@ def test_the_default_of_a_small_plot_has_bounds_in_order(seed):
 
 
 @pytest.mark.study
+def test_bounds_of_the_default_are_near_those_of_many_plantings():
+    model, parameters = small_plot(dtype="float32"), small_parameters()
+    space = free_space(model, parameters, ["species.*.cover", "ground.brightness"], lambda _: 0.3)
+    few, many = (
+        sweep_sensors(
+            model, parameters, space, SENSOR, Placement(50.0), gsd=[0.1, 0.2, 1.6], bands=[1, 2, 4],
+            **more,
+        )
+        for more in ({}, {"stand_realisations": 255})
+    )  # fmt: skip
+    ratio = np.array([a.bound / b.bound for (_, a), (_, b) in zip(few, many)])
+    assert 0.8 < np.median(ratio) < 1.4
+    assert np.all((ratio > 0.3) & (ratio < 3.0))
+
+
+@pytest.mark.study
 def test_an_image_of_one_pixel_in_one_band_sees_one_direction(swept):
     _, _, _, found, _ = swept
     last = next(i for s, i in found if s.gsd == 1.6 and s.bands == 1 and s.noise == 0.01)
