@@ -2,6 +2,11 @@
 # jupyter:
 #   jupytext:
 #     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -70,9 +75,11 @@ space = free_space(scene, table, free, plot.calibration.relative_sd)
 # ## The sweep
 #
 # What counts as data are statistics of the image: of each band the mean, the spread where there are
-# four pixels or more, and tails from 25 on. Errors are the noise of a pixel (1 %), calibration (1 %
-# of each statistic) and chance: where each plant stands nobody knows, so only slopes that other
-# plantings of the same table share count as information.
+# four pixels or more, and tails from 25 on. An image can be made coarser and its bands wider
+# afterwards, so a sensor is also given the statistics of every larger pixel and of fewer bands.
+# Errors are the noise of a pixel (1 %), calibration (1 % of each statistic) and chance: where each
+# plant stands nobody knows, so only slopes that other plantings of the same table share count as
+# information, as far as chance does not explain them.
 
 # %%
 found = sweep_sensors(
@@ -84,10 +91,17 @@ found = sweep_sensors(
     bands=BANDS,
     noise=(0.01,),
     error=0.01,
-    stand_realisations=8 if FAST else 11,
+    stand_realisations=7 if FAST else 31,
 )
 by = {(setting.gsd, setting.bands): information for setting, information in found}
+worse = sum(
+    np.any(fine.bound > coarse.bound * (1 + 1e-6))
+    for (gsd, bands), fine in by.items()
+    for (larger, fewer), coarse in by.items()
+    if larger >= gsd and bands % fewer == 0
+)
 print(f"{len(found)} sensors, {len(space.names)} parameters")
+print(f"Pairs of which the finer pixels or the more bands know less: {worse}")
 
 # %% [markdown]
 # ## Bounds against pixel size
@@ -171,9 +185,9 @@ for k, taxon in enumerate(shown):
     limits = []
     for bands in BANDS:
         lost = [gsd for gsd in GSD if over_cover(gsd, bands)[k] > 1]
-        # Lost for good: from here on no coarser pixel brings it back.
-        start = next((g for g in GSD if all(c in lost for c in GSD if c >= g)), None)
-        limits.append("never" if start is None else f"{start:g} m")
+        limits.append(
+            "at every one" if len(lost) == len(GSD) else f"{lost[0]:g} m" if lost else "at none"
+        )
     print(f"{taxon:<26}" + "".join(f"{limit:>14}" for limit in limits))
 print("Pixel from which on the bound on a species' cover exceeds the cover.")
 
@@ -237,9 +251,10 @@ for i in order:
 # %% [markdown]
 # A bound is a limit, not a promise: it holds for this plot, these errors, the statistics that were
 # chosen, and a model that is right. What it calls lost is lost for data of this kind; what it calls
-# known still needs a method that reaches it. And it is measured on a few plantings: a slope that
-# these do not prove counts as none. So a finer pixel may look worse than a coarser one by chance;
-# more `stand_realisations` and a larger plot smooth that out.
+# known still needs a method that reaches it. And it is measured on a few plantings: smaller pixels
+# and more bands never look worse by chance, since they contain what the others tell, but each
+# number is uncertain. With only covers and ground free, bounds from 32 plantings of this plot were
+# 0.7 to 1.5 times those of 1350, in 80 of 100 cases. More `stand_realisations` make them surer.
 #
 # **For your own data**: your `plot.toml`, pixels and bands of the cameras you can choose from,
 # their noise. `sun_zenith=(20, 40, 60)` asks when to fly. `fynjax information plot.toml` does the

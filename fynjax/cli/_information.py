@@ -38,7 +38,7 @@ def information(
     free: Free = None,
     realisations: Annotated[
         int, typer.Option(min=2, help="Stand realisations used to estimate sampling variance.")
-    ] = 4,
+    ] = 15,
     seed: OwnSeed = None,
 ) -> Job:
     """Bound how well sensors of any pixel, bands and noise can constrain a plot.

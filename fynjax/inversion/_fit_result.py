@@ -79,24 +79,32 @@ class Data(eqx.Module):
 
 def scatter_covariance(
     draws: Float[np.ndarray, "draw statistic"],
+    target: Float[np.ndarray, "statistic statistic"] | None = None,
 ) -> Float[np.ndarray, "statistic statistic"]:
     """Covariance of statistics over draws, few as they are.
 
-    Variances are those of the draws. Correlations are drawn towards zero as far as few draws ask
-    for: the oracle-approximating shrinkage of Chen, Wiesel, Eldar & Hero (2010, eq. 23).
+    Variances are those of the draws. Correlations are drawn towards those of a target as far as
+    few draws ask for: the oracle-approximating shrinkage of Chen, Wiesel, Eldar & Hero (2010, eq.
+    23), in coordinates in which the target is the identity.
 
-    **Arguments:** `draws`, at least two.
+    **Arguments:** `draws`, at least two; `target`, a positive definite correlation matrix, by
+    default the identity: none are correlated.
     """
     count, size = draws.shape
     deviation = draws - draws.mean(axis=0)
     sd = deviation.std(axis=0, ddof=1)
     unit = deviation / np.where(sd > 0, sd, 1.0)
     correlation = unit.T @ unit / (count - 1)
-    square, total = np.sum(correlation**2), np.trace(correlation)
+    if target is None:
+        target, apart = np.diag(np.diagonal(correlation)), correlation
+    else:
+        root = np.linalg.inv(np.linalg.cholesky(target))
+        apart = root @ correlation @ root.T
+    square, total = np.sum(apart**2), np.trace(apart)
     above = (1.0 - 2.0 / size) * square + total**2
     below = (count - 2.0 / size) * (square - total**2 / size)
     share = 1.0 if below <= 0 else min(1.0, above / below)
-    shrunk = (1.0 - share) * correlation + share * np.diag(np.diagonal(correlation))
+    shrunk = (1.0 - share) * correlation + share * target
     return np.asarray(shrunk * sd * sd[:, None])
 
 

@@ -1,5 +1,7 @@
 """What data can tell about parameters at best: Fisher information and Cramér-Rao bounds."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
@@ -8,7 +10,10 @@ from fynjax._core.errors import InputError
 from fynjax.inversion._fit_result import main_members
 
 _NOTHING = 1e-10
-"""Information below this share of the largest counts as none: rounding leaves as much."""
+"""Information below this, in units of the prior's, counts as none. It is no share of the largest,
+which grows with what is measured."""
+_ROUNDING = 1e-14
+"""Share of the largest information that rounding leaves where there is none."""
 
 
 class Information(eqx.Module):
@@ -97,7 +102,7 @@ def bounds_of(
     values, vectors = np.linalg.eigh(np.asarray(matrix, float))
     values = np.maximum(values[::-1], 0.0)
     modes = vectors[:, ::-1].T
-    hidden = values <= _NOTHING * max(values[0], np.finfo(float).tiny)
+    hidden = values <= max(_NOTHING, _ROUNDING * values[0])
     share = modes**2
     variance = share[~hidden].T @ (1.0 / values[~hidden])
     touched = share[hidden].sum(axis=0) > 1e-9
@@ -117,3 +122,59 @@ def bounds_of(
             information=values,
             modes=modes,
         )
+
+
+def shared_slopes(
+    slopes: Float[np.ndarray, "draw statistic free"],
+    covariance: Float[np.ndarray, "statistic statistic"],
+    blocks: Sequence[np.ndarray],
+) -> Float[np.ndarray, "statistic free"]:
+    """Slopes that draws of a random model share: their mean, without what chance adds to it.
+
+    The mean over few draws keeps some of their chance, and in a Fisher information its square
+    would count as knowledge. So each block of statistics, given those before it, is made smaller.
+    Of its whitened slopes, by parameters in units of their standard errors, the singular value s
+    becomes s - e^2 / s, and nothing below e, as James & Stein (1961) make a mean smaller: e is
+    the largest that chance alone makes on average at most, by Chevet's inequality (Vershynin
+    2018, High-dimensional probability, section 8.7). A block whose slopes are all chance then
+    tells no more than those before it.
+
+    Any selection of these slopes has, with the same part of `covariance`, at most the information
+    of all.
+
+    **Arguments:**
+
+    - `slopes` in each draw, at least two, by parameters in units of their priors.
+    - `covariance` of the statistics, positive definite.
+    - `blocks`: places of the statistics, block by block; all statistics are in one.
+    """
+    order = np.concatenate(blocks)
+    root = np.linalg.cholesky(covariance[np.ix_(order, order)])
+    white = np.linalg.solve(root, slopes[:, order])
+    mean = white.mean(axis=0)
+    chance = (white - mean) / np.sqrt(len(slopes) * (len(slopes) - 1.0))
+    shrunk = np.zeros_like(mean)
+    start = 0
+    for block in blocks:
+        part = slice(start, start + len(block))
+        shrunk[part] = _less_chance(mean[part], chance[:, part])
+        start += len(block)
+    shared = np.empty_like(mean)
+    shared[order] = root @ shrunk
+    return shared
+
+
+def _less_chance(
+    mean: Float[np.ndarray, "statistic free"], chance: Float[np.ndarray, "draw statistic free"]
+) -> Float[np.ndarray, "statistic free"]:
+    """The mean without the singular values that its error, the sum of `chance`, may have made."""
+    unit = np.sqrt((chance**2).sum(axis=(0, 1)))
+    # Slopes that no draw changes have no error.
+    unit = np.maximum(unit, 1e-9 * np.abs(mean).max(axis=0) + np.finfo(float).tiny)
+    chance = chance / unit
+    rows = np.einsum("dsi,dti->st", chance, chance)
+    columns = np.einsum("dsi,dsj->ij", chance, chance)
+    edge = sum(np.sqrt(max(np.linalg.eigvalsh(m)[-1], 0.0)) for m in (rows, columns))
+    left, size, right = np.linalg.svd(mean / unit, full_matrices=False)
+    kept = np.where(size > edge, size - edge**2 / np.where(size > 0, size, 1.0), 0.0)
+    return np.asarray((left * kept) @ right * unit)

@@ -13,11 +13,15 @@ from jaxtyping import Array, Float
 from fynjax._core.errors import InputError
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.inversion._calibrate import COARSE, coarser
-from fynjax.inversion._fit_result import Data, repeated_information
-from fynjax.inversion._information import Information, bounds_of
+from fynjax.inversion._fit_result import scatter_covariance
+from fynjax.inversion._information import (
+    Information,
+    fisher_information,
+    shared_slopes,
+)
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._vectorised import value_and_jacobian
-from fynjax.metrics import mean, quantiles, standard_deviation
+from fynjax.metrics import quantiles, standard_deviation
 from fynjax.radiation import Accuracy
 from fynjax.scene import (
     AimedSensor,
@@ -88,7 +92,7 @@ def sweep_sensors(
     noise: Sequence[float] = (0.01,),
     sun_zenith: Sequence[float] | None = None,
     error: float = 0.01,
-    stand_realisations: int = 4,
+    stand_realisations: int = 15,
     draws: int = 4,
     coarse: Accuracy = COARSE,
     seed: int = 0,
@@ -97,11 +101,20 @@ def sweep_sensors(
     """Bounds on the parameters of a plot, for each combination of sensor properties.
 
     What a sensor gives are statistics of its image: of each band the mean and, with four pixels or
-    more, the standard deviation; with 25 or more also the quantiles 10, 50 and 90 %. Errors are
-    the noise of the pixels, an error of `error` times each statistic (calibration, the model),
-    and where the plants stand: nobody measured that, so it is estimated from as many other
-    `stand_realisations` as in `calibrate_plot`; only sensitivity that realisations share is
-    information.
+    more, the standard deviation; with 25 or more also the quantiles 10, 50 and 90 %. An image can
+    be made coarser and its bands wider afterwards, so a sensor gives those of every larger pixel
+    and every divisor of its number of bands in the sweep too, with the noise of such a sensor.
+    (Where the sides of pixels do not divide, that takes resampling by parts of a pixel.) All
+    statistics of the sweep have one covariance and one set of slopes, and each sensor takes its
+    part of both. So smaller pixels, or a multiple of the bands, never have a larger bound.
+
+    Errors are the noise of the pixels, an error of `error` times each statistic (calibration, the
+    model), and where the plants stand: nobody measured that, so its covariance is estimated from
+    the stand and other `stand_realisations` (`scatter_covariance`), and only slopes that these
+    share are information (`shared_slopes`). The fewer they are, the less certain the bounds: on a
+    plot of 4 m of fynbos (15 parameters, ten sensors), over those of 1350 plantings, 0.96 (0.45 to
+    1.84 in 80 of 100 cases) with 4 realisations, 1.04 (0.57 to 1.63) with 15, 1.06 (0.78 to 1.36)
+    with 64.
 
     Each planting and sun is rendered once with its derivatives by forward mode, in the finest
     pixels and the sensor's bands; coarser pixels and wider bands are averages of those. Light has
@@ -113,7 +126,7 @@ def sweep_sensors(
     - `sensor`, `placement`: lines of sight; its bands must be adjacent and of equal width, as
       `even_bands` makes them, and its pixels are those of `gsd`.
     - `gsd`: sides of a pixel [m], multiples of the smallest; what is left of the plot beyond whole
-      pixels is cut off.
+      pixels is cut off, though not from means.
     - `bands`: numbers of bands, which divide the sensor's number; they share its range.
     - `noise`: of a pixel, over its reflectance [-].
     - `sun_zenith`: [degrees]; the plot's own if left out.
@@ -148,21 +161,22 @@ def sweep_sensors(
         here = at.at[space.names.index("light.sun_zenith")].set(sun) if free else at
         camera = aim(quick, lit, sensor, placement, accuracy=coarse, point_spread=False)
         camera = camera.sampled(1)  # one ray a pixel, or a voxel
+        measured = []
         with progress.stage(f"Render, sun at {sun:g} degrees", len(plantings)):
-            images = []
             for planted in plantings:
                 rendered = _image_and_slopes(camera, planted, lit, space.names, here)
-                images.append(jax.device_get(rendered))
+                image, slopes = jax.device_get(rendered)
+                measured.append(_measure(image, slopes, steps, bands, noise, draws, seed))
                 progress.advance()
-        with progress.stage("Bounds", len(steps) * len(bands) * len(noise)):
-            for step, size in zip(steps, gsd):
-                for count in bands:
-                    measured = [_degrade(image, slopes, step, count) for image, slopes in images]
-                    for level in noise:
-                        information, pixels = _bounds(measured, space, level, error, draws, seed)
-                        setting = SensorSetting(float(size), count, float(level), sun, pixels)
-                        bounds.append((setting, information))
-                        progress.advance()
+        together = {
+            level: _Sweep.of([every[level] for every in measured], space, error) for level in noise
+        }
+        for step, size in zip(steps, gsd):
+            for count in bands:
+                for level in noise:
+                    pixels, information = together[level].bounds(step, count)
+                    setting = SensorSetting(float(size), count, float(level), sun, pixels)
+                    bounds.append((setting, information))
     return bounds
 
 
@@ -228,55 +242,149 @@ def _degrade(image: np.ndarray, slopes: np.ndarray, step: int, count: int) -> An
 
 
 @jax.jit
-def _statistics(
-    image: Float[Array, "band y x"], noisy: Float[Array, "draw band y x"]
-) -> Float[Array, "draw statistic"]:
-    """Statistics of an image with each draw of its noise (relative, unit mean)."""
-    pixels = image.shape[1] * image.shape[2]
+def _spread(image: Array, slopes: Array, noisy: Array) -> tuple[Array, Array, Array]:
+    """Spread and tails of each band: their mean over draws of the noise (relative, unit mean), its
+    slopes, and the variance over the draws."""
 
     def of_band(band: Array) -> Array:
-        parts = [mean(band)[None]]
-        if pixels >= _SPREAD_FROM:
-            parts.append(standard_deviation(band)[None])
-        if pixels >= _TAILS_FROM:
+        parts = [standard_deviation(band)[None]]
+        if band.size >= _TAILS_FROM:
             parts.append(quantiles(band, jnp.asarray(_SHARES, band.dtype)))
         return jnp.concatenate(parts)
 
-    return jax.vmap(lambda noise: jax.vmap(of_band)(image * noise).ravel())(noisy)
+    def statistics(image: Array) -> Array:
+        return jax.vmap(lambda noise: jax.vmap(of_band)(image * noise).ravel())(noisy)
 
-
-@jax.jit
-def _statistics_and_slopes(image: Array, slopes: Array, noisy: Array) -> tuple[Array, Array]:
-    """Of the noisy images, and the slopes of their mean."""
-    values, push = jax.linearize(lambda x: _statistics(x, noisy), image)
+    values, push = jax.linearize(statistics, image)
     columns = jax.lax.map(lambda t: push(t).mean(axis=0), jnp.moveaxis(slopes, -1, 0))
-    return values, columns.T
+    return values.mean(axis=0), columns.T, values.var(axis=0, ddof=1)
 
 
-def _bounds(
-    images: Sequence[tuple[np.ndarray, np.ndarray]],
-    space: ParameterSpace,
-    noise: float,
-    error: float,
+class _Measured(NamedTuple):
+    """What all sensors of one noise measure of one planting, coarse pixels and few bands first."""
+
+    keys: list[tuple[int, int]]
+    """Of each block of statistics the step of its pixels, 0 for means, and its number of bands."""
+    values: list[np.ndarray]
+    slopes: list[np.ndarray]
+    variances: list[np.ndarray]
+    """By noise; zero for means, of which it depends on the pixel."""
+    mean_noise: dict[tuple[int, int], np.ndarray]
+    """Variance of the mean of each band by noise, for each step and number of bands."""
+    pixels: dict[int, int]
+    """For each step."""
+
+
+def _measure(
+    image: np.ndarray,
+    slopes: np.ndarray,
+    steps: Sequence[int],
+    bands: Sequence[int],
+    noise: Sequence[float],
     draws: int,
     seed: int,
-) -> tuple[Information, int]:
-    shape = images[0][0].shape
-    random = np.random.default_rng(seed)
-    noisy = jnp.asarray(1.0 + noise * random.normal(size=(draws, *shape)))
-    values, slopes, variances = [], [], []
-    for image, change in images:
-        every, slope = _statistics_and_slopes(
-            jnp.asarray(image, float), jnp.asarray(change, float), noisy
+) -> dict[float, _Measured]:
+    measured = {level: _Measured([], [], [], [], {}, {}) for level in noise}
+    counts = sorted(set(bands))
+    image, slopes = np.asarray(image, float), np.asarray(slopes, float)
+    for count in counts:
+        shape = (count, -1)
+        of_bands = image.mean(axis=(1, 2)).reshape(shape).mean(axis=1)
+        change = slopes.mean(axis=(1, 2)).reshape(*shape, slopes.shape[3]).mean(axis=1)
+        for one in measured.values():
+            _add(one, (0, count), of_bands, change, np.zeros(count))
+    for step in sorted(set(steps), reverse=True):
+        for count in counts:
+            coarse, change = _degrade(image, slopes, step, count)
+            pixels = coarse[0].size
+            random = np.random.default_rng(seed)
+            noisy = random.normal(size=(draws, *coarse.shape))
+            for level, one in measured.items():
+                one.pixels[step] = pixels
+                one.mean_noise[step, count] = level**2 * (coarse**2).mean(axis=(1, 2)) / pixels
+                if pixels >= _SPREAD_FROM:
+                    found = jax.device_get(_spread(coarse, change, 1.0 + level * noisy))
+                    _add(one, (step, count), *found)
+    return measured
+
+
+def _add(
+    to: _Measured,
+    key: tuple[int, int],
+    values: np.ndarray,
+    slopes: np.ndarray,
+    variances: np.ndarray,
+) -> None:
+    to.keys.append(key)
+    to.values.append(values)
+    to.slopes.append(slopes)
+    to.variances.append(variances)
+
+
+class _Sweep(NamedTuple):
+    """Covariance and slopes of the statistics of all sensors together."""
+
+    space: ParameterSpace
+    keys: list[tuple[int, int]]
+    blocks: list[np.ndarray]
+    covariance: np.ndarray
+    slopes: np.ndarray
+    """By parameters in their own units."""
+    mean_noise: dict[tuple[int, int], np.ndarray]
+    pixels: dict[int, int]
+
+    @classmethod
+    def of(cls, plantings: Sequence[_Measured], space: ParameterSpace, error: float) -> "_Sweep":
+        """From what each planting shows."""
+        first = plantings[0]
+        sizes = [len(part) for part in first.values]
+        blocks = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
+        values = np.stack([np.concatenate(one.values) for one in plantings])
+        slopes = np.stack([np.concatenate(one.slopes) for one in plantings])
+        noise = np.mean([np.concatenate(one.variances) for one in plantings], axis=0)
+        alike = _alike(first.keys, sizes)
+        sd = np.sqrt((error * values.mean(axis=0)) ** 2 + noise)
+        covariance = scatter_covariance(values, alike) + alike * sd * sd[:, None]
+        scale = np.asarray(space.prior_sd, float)
+        shared = shared_slopes(slopes * scale, covariance, blocks) / scale
+        keys = [one.mean_noise for one in plantings]
+        mean_noise = {key: np.mean([one[key] for one in keys], axis=0) for key in keys[0]}
+        return cls(space, first.keys, blocks, covariance, shared, mean_noise, first.pixels)
+
+    def bounds(self, step: int, count: int) -> tuple[int, Information]:
+        """Pixels, and bounds of the sensor with such pixels and so many bands."""
+        own = [
+            (key, rows)
+            for key, rows in zip(self.keys, self.blocks)
+            if count % key[1] == 0 and (key[0] == 0 or key[0] >= step)
+        ]
+        rows = np.concatenate([rows for _, rows in own])
+        noise = np.concatenate(
+            [np.zeros(len(r)) if s else self.mean_noise[step, n] for (s, n), r in own]
         )
-        values.append(every.mean(axis=0))
-        slopes.append(slope)
-        variances.append(every.var(axis=0, ddof=1))
-    value = values[0]
-    sd = jnp.sqrt(jnp.stack(variances).mean(axis=0) + (error * jnp.abs(value)) ** 2)
-    names = tuple(f"s{i}" for i in range(value.size))
-    data = Data(names, value, sd).with_scatter(jnp.stack(values[1:]) - value)
-    scale = space.prior_sd
-    whitened = jnp.stack([data.whiten(jacobian * scale) for jacobian in slopes])
-    matrix = np.asarray(repeated_information(whitened))
-    return bounds_of(space.names, matrix, np.asarray(scale, float)), int(np.prod(shape[1:]))
+        information = fisher_information(
+            self.space.names,
+            self.slopes[rows],
+            self.covariance[np.ix_(rows, rows)] + np.diag(noise),
+            np.asarray(self.space.prior_sd, float),
+        )
+        return self.pixels[step], information
+
+
+def _alike(keys: Sequence[tuple[int, int]], sizes: Sequence[int]) -> np.ndarray:
+    """Correlation of errors of statistics that share bands.
+
+    An error of a wide band is the mean of those of the narrow ones in it, and an own one that
+    makes it as large as theirs: an instrument of many bands can do what one of few can.
+    Statistics of different kind or pixel have independent errors.
+    """
+    most = int(np.lcm.reduce([count for _, count in keys]))
+    kinds, weights = [], []
+    for (step, count), size in zip(keys, sizes):
+        of_band = np.kron(np.eye(count), np.full(most // count, count / most))
+        weights.append(np.repeat(of_band, size // count, axis=0))
+        kinds += [(step, i % (size // count)) for i in range(size)]
+    weight = np.concatenate(weights)
+    same = np.array([[one == other for other in kinds] for one in kinds])
+    shared = same * (weight @ weight.T)
+    return shared + np.diag(1.0 - np.diagonal(shared))

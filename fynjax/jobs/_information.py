@@ -40,7 +40,7 @@ def information(
     noise: Sequence[float] = (0.01,),
     sun_zenith: Sequence[float] | None = None,
     error: float = 0.01,
-    realisations: int = 4,
+    realisations: int = 15,
     seed: int | None = None,
     progress: Progress | None = None,
 ) -> InformationResult:
@@ -57,7 +57,8 @@ def information(
     - `noise`: standard deviations of the noise of a pixel, relative to its reflectance [-].
     - `sun_zenith`: zenith angles of the sun [degrees]; that of the plot by default.
     - `error`: standard deviation of a further error of every statistic, relative [-].
-    - `realisations`: number of stand realisations used to estimate sampling variance.
+    - `realisations`: number of stand realisations from which their sampling variance, and the
+      slopes that they share, are estimated.
     - `seed`: seed of every random number; that of the plot file by default.
     - `progress`: where to report the stages; nowhere by default.
 
@@ -103,7 +104,7 @@ def information(
     ]
     with run.stage("Write"):
         run.table("bounds.csv", table, "bounds on every parameter by every sensor")
-        what = "the pixel from which on each cover is indistinguishable from absence"
+        what = "at which pixels each cover is told from absence"
         run.table("limits.csv", limits, what)
         sections = [_cover_section(table, limits, covers)] if covers else []
         sections.append(_direction_section(sensor, weak, table))
@@ -145,29 +146,26 @@ def bound_table(
 
 
 def limit_table(table: pd.DataFrame, covers: Sequence[str]) -> pd.DataFrame:
-    """The finest pixel from which on a species' cover is indistinguishable from absence.
+    """From which pixel on a species' cover is indistinguishable from absence.
 
-    For each species, number of bands, noise and sun: the smallest pixel of the sweep from which
-    on, at it and at every larger one, the bound exceeds the cover; NaN where it does not at the
-    largest.
+    For each species, number of bands, noise and sun: at which pixels of the sweep it is `detected`,
+    its bound at most its cover: "at no pixel", "at fine pixels" or "at every pixel"; and the
+    finest at which it is not, `lost_from_gsd_m`: NaN only if detected at every one.
     """
     rows = []
     keys = ["parameter", "bands", "noise", "sun_zenith"]
     for key, part in table[table["parameter"].isin(covers)].groupby(keys, sort=False):
-        part = part.sort_values("gsd_m")
-        lost = (part["bound"] > part["value"]).to_numpy()
-        # Of a run of losses up to the coarsest pixel, the first.
-        held = np.flatnonzero(~lost)
-        first = int(held[-1]) + 1 if held.size else 0
-        gsd = part["gsd_m"].to_numpy()
+        lost = part["gsd_m"][~(part["bound"] <= part["value"])]
+        few = "at no pixel" if len(lost) == len(part) else "at fine pixels"
         rows.append(
             {
                 **dict(zip(keys, key)),
                 "cover_percent": float(part["value"].iloc[0]),
-                "lost_from_gsd_m": float(gsd[first]) if first < len(gsd) else np.nan,
+                "detected": few if len(lost) else "at every pixel",
+                "lost_from_gsd_m": float(lost.min()) if len(lost) else np.nan,
             }
         )
-    return pd.DataFrame(rows, columns=[*keys, "cover_percent", "lost_from_gsd_m"])
+    return pd.DataFrame(rows, columns=[*keys, "cover_percent", "detected", "lost_from_gsd_m"])
 
 
 def _bands(count: int) -> str:
@@ -179,11 +177,12 @@ def _limit_sentences(table: pd.DataFrame, limits: pd.DataFrame) -> list[str]:
     finest, coarsest = table["gsd_m"].min(), table["gsd_m"].max()
     lines = []
     for count, part in limits.groupby("bands"):
-        lost = part["lost_from_gsd_m"]
+        number = part["detected"].value_counts()
         lines.append(
-            f"{_bands(int(str(count)))}: of {len(part)} covers {int((lost <= finest).sum())} "
-            f"exceed their bound at no pixel, {int((lost > finest).sum())} only at fine ones, "
-            f"{int(lost.isna().sum())} up to {coarsest:g} m."
+            f"{_bands(int(str(count)))}: of {len(part)} covers {number.get('at every pixel', 0)} "
+            f"exceed their bound at every pixel up to {coarsest:g} m, "
+            f"{number.get('at fine pixels', 0)} only at fine ones, "
+            f"{number.get('at no pixel', 0)} not even at {finest:g} m."
         )
     return lines
 
@@ -199,11 +198,12 @@ def _cover_section(table: pd.DataFrame, limits: pd.DataFrame, covers: Sequence[s
         "bound on each cover against the pixel",
         "Cramér-Rao bound on each species' cover over the cover itself, the other parameters as "
         "uncertain as their priors. In the shaded part the cover is indistinguishable from "
-        "absence. At a triangle so few plantings show no slope that all share, and nothing counts "
-        "as known; more of them (`--realisations`) may.",
+        "absence. At a triangle there is no bound: the plantings share no slope that chance does "
+        "not explain. Smaller pixels and a multiple of the bands contain what larger and fewer "
+        "tell, so they never know less.",
     )
     rows = limits.assign(parameter=limits["parameter"].map(short_name))
-    return Section("Cover", [picture, Table(rows, "Where each cover is lost (–: not here).")])
+    return Section("Cover", [picture, Table(rows, "Where each cover is lost (–: at no pixel).")])
 
 
 def _direction_section(

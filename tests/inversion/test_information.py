@@ -1,6 +1,7 @@
 """Bounds against closed forms, and sensors whose order is known beforehand."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +15,10 @@ from fynjax.inversion import (
     free_space,
     sweep_sensors,
 )
-from fynjax.scene import Placement
+from fynjax.inversion._fit_result import scatter_covariance
+from fynjax.inversion._information import shared_slopes
+from fynjax.inversion._sensor_sweep import _measure, _Sweep
+from fynjax.scene import Placement, stand_realisation
 from fynjax.sensors import shipped_sensor
 from tests.inversion.linear import DATA, MATRIX, SPACE, posterior
 from tests.scene.plots import small_parameters, small_plot
@@ -94,6 +98,123 @@ def test_wrong_shapes_and_errors_are_refused(changes, text):
         information(**changes)
 
 
+# -- few plantings --------------------------------------------------------------------------
+
+
+FREE, BLOCKS = 4, [np.arange(3), np.arange(3, 9), np.arange(9, 21)]
+NAMES = tuple("abcd")
+ERROR = 0.1 * np.eye(21)
+
+
+def of_blocks(count, slopes, covariance):
+    rows = slice(0, BLOCKS[count - 1][-1] + 1)
+    return fisher_information(NAMES, slopes[rows], covariance[rows, rows], np.ones(FREE)).bound
+
+
+@pytest.fixture(scope="module")
+def known_truth():
+    """Of 50 draws each: bounds from few plantings over those of known slopes and covariance, with
+    one, two and three blocks of statistics, of which the third tells nothing."""
+    random = np.random.default_rng(0)
+    factors = random.normal(size=(21, 4))
+    root = np.linalg.cholesky(factors @ factors.T + np.eye(21))
+    slopes = random.normal(size=(21, FREE)) * np.repeat([2.0, 1.0, 0.0], [3, 6, 12])[:, None]
+    total = root @ root.T + ERROR
+    # What the first two blocks tell of the third, so that it adds nothing.
+    slopes[9:] = total[9:, :9] @ np.linalg.solve(total[:9, :9], slopes[:9])
+    truth = [of_blocks(k, slopes, total) for k in (1, 2, 3)]
+    np.testing.assert_allclose(truth[2], truth[1])
+    ratios = {}
+    for plantings in (5, 9, 17, 33):
+        found = []
+        for _ in range(50):
+            values = random.normal(size=(plantings, 21)) @ root.T
+            chance = 0.4 * root @ random.normal(size=(plantings, 21, FREE))
+            covariance = scatter_covariance(values) + ERROR
+            shared = shared_slopes(slopes + chance, covariance, BLOCKS)
+            found.append([of_blocks(k, shared, covariance) for k in (1, 2, 3)])
+        ratios[plantings] = np.array(found) / truth
+    return ratios
+
+
+def test_bounds_from_few_plantings_are_near_those_of_known_slopes(known_truth):
+    """Rather above than below, the less so the more plantings; and chance alone is no knowledge."""
+    middle = {p: np.median(r, axis=(0, 2)) for p, r in known_truth.items()}
+    for plantings, most in ((5, 2.5), (9, 1.7), (17, 1.35), (33, 1.2)):
+        ratio = middle[plantings]
+        assert np.all((ratio > 0.95) & (ratio < most)), (plantings, ratio)
+    low = np.quantile(known_truth[17], 0.1, axis=(0, 2))
+    assert np.all(low > 0.75), low
+
+
+def test_slopes_without_chance_stay_as_they_are():
+    slopes = np.random.default_rng(0).normal(size=(21, FREE))
+    same = shared_slopes(np.repeat(slopes[None], 5, axis=0), np.eye(21), BLOCKS)
+    np.testing.assert_allclose(same, slopes, rtol=1e-6)
+
+
+def test_slopes_that_are_all_chance_are_none():
+    random = np.random.default_rng(0)
+    norms = [
+        np.linalg.norm(shared_slopes(random.normal(size=(9, 21, FREE)), np.eye(21), BLOCKS))
+        for _ in range(50)
+    ]
+    assert np.mean(np.square(norms)) < 0.25 * 21 * FREE / 9  # of the mean's square
+
+
+def test_a_covariance_of_few_plantings_goes_towards_its_target():
+    """Two pairs of equal statistics: what few draws show amiss is made good by such a target."""
+    random = np.random.default_rng(0)
+    target = np.kron(np.eye(2), np.full((2, 2), 0.9) + 0.1 * np.eye(2))
+    root = np.linalg.cholesky(target)
+    few = [random.normal(size=(4, 4)) @ root.T for _ in range(100)]
+    off = [[np.linalg.norm(scatter_covariance(d, t) - target) for d in few] for t in (None, target)]
+    assert np.mean(off[1]) < 0.8 * np.mean(off[0])
+    many = scatter_covariance(random.normal(size=(20000, 4)) @ root.T, target)
+    np.testing.assert_allclose(many, target, atol=0.05)
+
+
+def images(random, plantings, slopes_of_chance):
+    """Images with bright patches of every size, and slopes most of which is chance."""
+    made = []
+    for _ in range(plantings):
+        patches = [
+            np.kron(random.normal(size=(4, 20 // side, 20 // side)), np.ones((side, side)))
+            for side in (1, 2, 4, 10)
+        ]
+        image = 0.1 * np.exp(0.2 * sum(patches))
+        own = random.normal(size=(4, 20, 20, 5)) * slopes_of_chance
+        made.append((image, image[..., None] * (own + np.linspace(-0.2, 0.2, 5))))
+    return made
+
+
+@pytest.mark.parametrize("plantings", [3, 5, 16])
+@pytest.mark.parametrize("chance", [0.3, 3.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_smaller_pixels_and_more_bands_never_know_less(plantings, chance, seed):
+    """Whatever chance does to slopes and scatter: bounds of all kinds, of each parameter."""
+    random = np.random.default_rng(seed)
+    steps, bands = [1, 2, 10, 20], [1, 2, 4]
+    measured = [
+        _measure(image, slopes, steps, bands, [0.01, 0.5], 4, seed)
+        for image, slopes in images(random, plantings, chance)
+    ]
+    space = SimpleNamespace(names=tuple("abcde"), prior_sd=np.array([1.0, 1.0, 0.1, 2.0, 5.0]))
+    for noise in (0.01, 0.5):
+        sweep = _Sweep.of([one[noise] for one in measured], space, 0.01)
+        never_less({(s, n): sweep.bounds(s, n)[1] for s in steps for n in bands})
+
+
+def never_less(found):
+    """Of bounds by pixel and number of bands."""
+    for (size, count), fine in found.items():
+        for (larger, fewer), coarse in found.items():
+            if larger >= size and count % fewer == 0:
+                for kind in ("conditional", "bound", "joint", "bayesian"):
+                    limit = getattr(coarse, kind) * (1 + 1e-6)
+                    assert np.all(getattr(fine, kind) <= limit), (kind, size, count, larger, fewer)
+
+
 # -- sensors --------------------------------------------------------------------------------
 
 
@@ -136,6 +257,39 @@ def test_every_sensor_has_bounds_in_their_order(swept):
         assert np.all(one.conditional <= one.bound * (1 + 1e-6))
         assert np.all(one.bayesian <= one.prior_sd * (1 + 1e-9))
     np.testing.assert_allclose(found[0][1].prior_sd, space.prior_sd, rtol=1e-6)
+    for noise in (0.01, 0.3):
+        never_less({(s.gsd, s.bands): one for s, one in found if s.noise == noise})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_default_of_a_small_plot_has_bounds_in_order(seed):
+    """And every cover has one in the finest pixels with all bands."""
+    model, parameters = small_plot(dtype="float32"), small_parameters()
+    space = free_space(model, parameters, ["species.*.cover", "ground.brightness"], lambda _: 0.3)
+    model = stand_realisation(model, 100 * seed)
+    found = sweep_sensors(
+        model, parameters, space, SENSOR, Placement(50.0), gsd=[0.1, 0.2, 1.6], bands=[1, 2, 4],
+        seed=seed,
+    )  # fmt: skip
+    never_less({(s.gsd, s.bands): one for s, one in found})
+    assert np.isfinite(found[2][1].bound).all()
+
+
+@pytest.mark.study
+def test_bounds_of_the_default_are_near_those_of_many_plantings():
+    model, parameters = small_plot(dtype="float32"), small_parameters()
+    space = free_space(model, parameters, ["species.*.cover", "ground.brightness"], lambda _: 0.3)
+    few, many = (
+        sweep_sensors(
+            model, parameters, space, SENSOR, Placement(50.0), gsd=[0.1, 0.2, 1.6], bands=[1, 2, 4],
+            **more,
+        )
+        for more in ({}, {"stand_realisations": 255})
+    )  # fmt: skip
+    ratio = np.array([a.bound / b.bound for (_, a), (_, b) in zip(few, many)])
+    assert 0.8 < np.median(ratio) < 1.4
+    assert np.all((ratio > 0.3) & (ratio < 3.0))
 
 
 @pytest.mark.study

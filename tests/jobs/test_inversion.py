@@ -1,5 +1,6 @@
 """What the jobs on posteriors, sensitivities and bounds tell, and one of each on a tiny plot."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,7 @@ from fynjax.assembly import build_plot, image_view, prepare
 from fynjax.inversion import PlotForward, local_sensitivity, search_form
 from fynjax.inversion import _sensitivity as samples
 from fynjax.io.plot import read_plot
-from fynjax.jobs._information import information, limit_table
+from fynjax.jobs._information import _limit_sentences, information, limit_table
 from fynjax.jobs._posterior import _headline, posterior
 from fynjax.jobs._sensitivity import _headline as sensitivity_headline
 from fynjax.jobs._sensitivity import sensitivity
@@ -54,18 +55,24 @@ def bounds(values):
 
 
 @pytest.mark.parametrize(
-    ("values", "expected"),
+    ("values", "detected", "lost"),
     [
-        ((1.0, 5.0, 9.0), np.nan),
-        ((1.0, 5.0, 11.0), 5.0),
-        ((1.0, 12.0, np.inf), 1.0),
-        ((20.0, 12.0, np.inf), 0.1),
-        ((20.0, 5.0, 11.0), 5.0),  # a loss that a larger pixel does not share is chance
+        ((1.0, 5.0, 9.0), "at every pixel", np.nan),
+        ((1.0, 5.0, 11.0), "at fine pixels", 5.0),
+        ((1.0, 12.0, np.inf), "at fine pixels", 1.0),
+        ((20.0, 30.0, np.inf), "at no pixel", 0.1),
+        ((np.nan, 30.0, np.inf), "at no pixel", 0.1),
+        ((20.0, 5.0, 6.0), "at fine pixels", 0.1),  # no sweep gives that; lost it is all the same
     ],
 )
-def test_a_cover_is_lost_from_where_no_larger_pixel_tells_it(values, expected):
-    table = limit_table(bounds(values), ["species.A.cover"])
-    assert table["lost_from_gsd_m"].tolist() == pytest.approx([expected], nan_ok=True)
+def test_a_cover_that_is_lost_at_a_pixel_is_said_to_be(values, detected, lost):
+    limits = limit_table(bounds(values), ["species.A.cover"])
+    assert limits["detected"].tolist() == [detected]
+    assert limits["lost_from_gsd_m"].tolist() == pytest.approx([lost], nan_ok=True)
+    (line,) = _limit_sentences(bounds(values), limits)
+    numbers = [int(n) for n in re.findall(r"(\d+) (?:exceed|only|not)", line)]
+    places = ["at every pixel", "at fine pixels", "at no pixel"]
+    assert numbers == [place == detected for place in places]
 
 
 def test_figures_stand_what_data_bring():
@@ -236,6 +243,8 @@ def test_a_plot_tells_what_sensors_could_know_of_it(plot, tmp_path):
     result = information(plot, tmp_path, gsd=[0.2, 1.0], bands=[1, 2], realisations=2, seed=0)
     assert all((tmp_path / name).stat().st_size for name in result.files)
     assert len(result.limits) == 4
+    states = {"at no pixel", "at fine pixels", "at every pixel"}
+    assert {row["detected"] for row in result.limits} <= states
 
 
 def test_a_headline_of_a_posterior_writes_no_unit_where_there_is_none():
