@@ -2,6 +2,11 @@
 # jupyter:
 #   jupytext:
 #     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -67,8 +72,8 @@ table[["taxon", "cover_percent", "mean_diameter_cm", "height_max_m", "growth_for
 #
 # A species that covers 12 % of 100 m² with crowns 15 cm wide needs many plants. Equation (10) of
 # the article divides the area to be covered by the ground one plant counts for, and rounds up.
-# fynjax keeps the fraction: the last plant of a species fades in as its cover grows, so
-# nothing jumps, and a gradient exists.
+# Images show whole plants; a gradient is that of the mean over plantings, whose number of plants
+# is the real one.
 
 # %%
 diameter = table.mean_diameter_cm.to_numpy() / 100

@@ -61,7 +61,7 @@ LABELS = {"NDVI.mean": "NDVI", "GNDVI.mean": "GNDVI", "GSAVI.mean": "GSAVI"}
 
 plot = dataclasses.replace(read_plot(PLOT), size_m=(SIDE, SIDE), structure_m="even")
 plot = dataclasses.replace(plot, sensor=dataclasses.replace(plot.sensor, pixel_m=0.1))
-whole, table = build_plot(plot)
+whole, table = build_plot(plot, rounding="random")
 view = image_view(plot, whole, table, METRICS)
 scene, (view,) = search_form(whole, table, [view], stride=STRIDE)  # coarse, as a search sees it
 
@@ -98,7 +98,7 @@ def scaled(factor, scene):
 
 
 def planting(number):
-    chance, _ = build_plot(plot, seed=1000 + number)
+    chance, _ = build_plot(plot, seed=1000 + number, rounding="random")
     return (stand_realisation(coarser(chance, table), number),)
 
 

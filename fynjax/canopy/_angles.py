@@ -219,8 +219,8 @@ class VerhoefLeafAngle(AbstractLeafAngle):
         a, b = self.first, self.second
         x = 2.0 * jnp.asarray(_FINE, jnp.result_type(a, float))
         inclination = 0.5 * (x - a * jnp.sin(x) - 0.5 * b * jnp.sin(2 * x))
-        share = jnp.asarray(_FINE_WEIGHT) * (1.0 + a * jnp.cos(x) + b * jnp.cos(2 * x))
-        nodes = jnp.asarray(_INCLINATION)
+        share = jnp.asarray(_FINE_WEIGHT, x.dtype) * (1.0 + a * jnp.cos(x) + b * jnp.cos(2 * x))
+        nodes = jnp.asarray(_INCLINATION, x.dtype)
         above = jnp.clip(jnp.searchsorted(nodes, inclination), 1, len(_INCLINATION) - 1)
         low, high = nodes[above - 1], nodes[above]
         upper = jnp.clip((inclination - low) / (high - low), 0.0, 1.0)

@@ -174,7 +174,8 @@ def rounded_count(count: Any, lessened: Any = 0.0) -> Float[Array, "*species"]:
     (3.0, 3.0, 2.0)
     """
     count = jnp.asarray(count)
-    return jnp.maximum(jnp.ceil(count * (1.0 - _SINGLE_SLACK) - lessened), 0.0)
+    slack = jnp.minimum(_SINGLE_SLACK * count, 1e-3)
+    return jnp.maximum(jnp.ceil(count - slack - lessened), 0.0)
 
 
 def share_from_above(crowns: Any) -> Any:

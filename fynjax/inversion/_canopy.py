@@ -109,8 +109,10 @@ leaves at large (`LEAF_PARAMETERS`) |
       `canopy_reflectance` takes them.
     - `soil`: reflectance of the soil in each band [-]; by default the shipped dry soil.
     - `sd`: standard deviation of each reflectance, the model's error included [-], independent
-      between bands. By default 0.01 and 2 % of the reflectance independent in each band, and as
+      between bands; those of a spectrum that is averaged count as common to each bin. By default
+      0.01 and 2 % of the reflectance independent in each band, and as
       much again that all bands have in common.
+    - `max_steps`: of the fit, at most.
 
     **Returns:** `CanopyFit`, with 90 % intervals by the Laplace approximation; of 40 canopies drawn
     from the prior they held 87.5 % of the truths. Several canopies may have one spectrum: where
@@ -157,8 +159,8 @@ leaves at large (`LEAF_PARAMETERS`) |
             raise InputError("`soil` must have a value wherever `reflectance` has one")
     # In the fit all of it is traced, and not checked.
     for name, number, high in (
-        ("sun_zenith", sun_zenith, 89.5),
-        ("view_zenith", view_zenith, 89.5),
+        ("sun_zenith", sun_zenith, 89.0),
+        ("view_zenith", view_zenith, 89.0),
         ("sky_share", sky_share, 1.0),
         ("hot_spot", hot_spot, 100.0),
     ):

@@ -70,7 +70,9 @@ def fit(
     - `start`: whitened coordinates to start from; the prior's centre by default.
     - `offset`: added to the predicted statistics: what a cheap forward model lacks.
     - `report`: called with the objective and the norm of its gradient at each evaluation.
-    - `context`: further arguments of `predict`.
+    - `context`: further arguments of `predict`. A `Scene` among them shows whole plants, so that a
+      cover moves its image by steps: fit with `scene.faded()`, whose image moves as its slope says,
+      and give what whole plants differ by as `offset`.
     - `keep`: how a step is done, such as by a `Journal`, which keeps what it returned.
     - `known`: statistics, offset included, and Jacobian [statistic, free] at `start`, if they are
       computed already: "least_squares" with `report` or `keep` then does not compute them again.

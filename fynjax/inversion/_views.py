@@ -134,7 +134,7 @@ class ImageView(AbstractView):
         self, scene: Scene, plot_at: Callable[[Array], PlotParameters], u: Float[Array, " free"]
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
         def render(u: Array) -> Array:
-            return self.camera.observe(scene.faded(), plot_at(u)).reflectance
+            return self.camera.observe_stand(scene.faded(), plot_at(u)).reflectance
 
         value = _image_statistics(scene, plot_at(u), self)[1]
         # Slopes of the statistics are those of the image whose slopes are taken.
@@ -161,7 +161,7 @@ class ImageView(AbstractView):
 def _image_statistics(
     scene: Scene, parameters: PlotParameters, view: ImageView
 ) -> tuple[Float[Array, "band y x"], Float[Array, " statistic"]]:
-    image = view.camera.observe(scene, parameters).reflectance
+    image = view.camera.observe_stand(scene, parameters).reflectance
     return image, view._statistics(image)
 
 

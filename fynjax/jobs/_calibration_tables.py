@@ -206,6 +206,10 @@ def calibration_dataset(scene: Scene, result: Calibration) -> xr.Dataset:
                 },
                 attrs={"long_name": "all parameters after calibration, own units", "units": "1"},
             ),
-            "plants": plant_counts(scene, np.asarray(scene.counts(result.after))),
+            "plants": plant_counts(
+                scene,
+                np.asarray(scene.counts(result.after)),
+                "mean number of plants on the plot, eq. (10) without its ceiling",
+            ),
         }
     )

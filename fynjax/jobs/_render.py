@@ -271,13 +271,15 @@ def write_image(
     )
 
 
-def plant_counts(scene: Scene, counts: np.ndarray) -> xr.DataArray:
-    """Plants of each species."""
+def plant_counts(
+    scene: Scene, counts: np.ndarray, what: str = "plants on the plot"
+) -> xr.DataArray:
+    """Plants of each species; `what` they are, in words."""
     return xr.DataArray(
         np.asarray(counts, float),
         dims="species",
         coords={"species": ("species", list(scene.taxa), {"long_name": "taxon"})},
-        attrs={"long_name": "plants on the plot", "units": "1"},
+        attrs={"long_name": what, "units": "1"},
     )
 
 

@@ -127,7 +127,10 @@ def canopy_albedo(
 ) -> CanopyAlbedo:
     """Black-sky and white-sky albedo of a horizontally uniform canopy (DHR and BHR).
 
-    **Arguments:** as those of `canopy_reflectance`.
+    **Arguments:**
+
+    - `leaf_reflectance`, `leaf_transmittance`, `leaf_area_index`, `soil`, `leaf_angles`,
+      `sun_zenith`, `layers`: as `canopy_reflectance` takes them.
 
     **Returns:** `CanopyAlbedo`, the directional-hemispherical and the bihemispherical reflectance
     in each band [-]; of light that is a share d from the sky, (1 - d) DHR + d BHR. The hot spot

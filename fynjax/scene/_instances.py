@@ -3,7 +3,6 @@
 import dataclasses
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
@@ -73,7 +72,7 @@ def hard_instances(scene: Scene, parameters: PlotParameters) -> Instances:
     Not differentiable.
     """
     planting = scene.planting
-    chosen = np.flatnonzero(_standing(scene, parameters))
+    chosen = np.flatnonzero(standing_plants(scene, parameters))
     species, place = np.asarray(planting.species)[chosen], np.asarray(planting.place)[chosen]
     order = np.lexsort((place, species))
     species, chosen = species[order], chosen[order]
@@ -110,15 +109,18 @@ def hard_scene(scene: Scene, parameters: PlotParameters) -> Scene:
 
     **Raises:** `InputError` as `hard_instances`.
     """
-    planting = scene.planting.only(_standing(scene, parameters))
-    hard = eqx.tree_at(
-        lambda m: (m.planting, m.rounding), scene, (planting, jnp.zeros_like(scene.rounding))
+    return dataclasses.replace(
+        scene.faded(False),
+        planting=scene.planting.only(standing_plants(scene, parameters)),
+        number=jnp.asarray(hard_counts(scene, parameters), scene.dtype),
+        rounding=jnp.zeros_like(scene.rounding),
+        softness=0.0,
+        softness_plants=0.0,
     )
-    return dataclasses.replace(hard, softness=0.0, softness_plants=0.0)
 
 
-def _standing(scene: Scene, parameters: PlotParameters) -> np.ndarray:
-    """Mask of the plants that stand."""
+def standing_plants(scene: Scene, parameters: PlotParameters) -> np.ndarray:
+    """Mask of the plants that stand. Raises `InputError` as `hard_instances`."""
     count = hard_counts(scene, parameters)
     species = np.asarray(scene.planting.species)
     ready = np.bincount(species, minlength=len(count))

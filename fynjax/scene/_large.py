@@ -32,7 +32,7 @@ from fynjax.radiation import (
     voxel_values,
     window_cells,
 )
-from fynjax.scene._instances import hard_scene
+from fynjax.scene._instances import hard_scene, standing_plants
 from fynjax.scene._observe import AimedSensor
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._planting import OF_PLANTS, no_plants
@@ -93,6 +93,7 @@ def observe_in_tiles(
     Not differentiable: see `fynjax.radiation.render_tiles`.
     """
     report = NullProgress() if progress is None else progress
+    scene = scene.faded(False)
     accuracy, bands, rays = aimed.accuracy, aimed.sensor.bands, aimed.rays
     assert isinstance(rays, RayLattice)  # else `tile_picture` refuses them
     bare = eqx.tree_at(lambda s: s.planting, scene, no_plants(scene.dtype))
@@ -136,7 +137,7 @@ class _Windows:
         held: int,
     ) -> None:
         crown = np.asarray(_visible_crowns(scene, parameters))
-        standing = np.flatnonzero(crown > 0.0)
+        standing = np.flatnonzero(standing_plants(scene, parameters))
         planting = jax.tree.map(np.asarray, scene.planting).plants(standing)
         diameter, height = (
             np.asarray(getattr(parameters.species, name))[planting.species]

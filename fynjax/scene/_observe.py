@@ -12,6 +12,7 @@ its mean density.
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any, Literal, overload
 
 import equinox as eqx
@@ -206,6 +207,22 @@ class AimedSensor(eqx.Module):
         neighbourhood is more of the same). Raises `InputError` for noise without air or without a
         noise model, and for air that does not cover the bands.
         """
+        return self._observe(_seen, scene, parameters, key, air, surroundings)
+
+    def observe_stand(self, scene: Scene, parameters: PlotParameters) -> Observation:
+        """The same without noise, for a function that is given to `slope_of_fading` as a whole: the
+        derivative is that of the stand as it is."""
+        return self._observe(_seen.__wrapped__, scene, parameters, None, None, None)
+
+    def _observe(
+        self,
+        seen: Callable[..., Any],
+        scene: Scene,
+        parameters: PlotParameters,
+        key: Array | int | None,
+        air: PlotAir | Atmosphere | None,
+        surroundings: Float[Array, " band"] | None,
+    ) -> Observation:
         air = self.air if air is None else air
         if key is not None and (air is None or self.sensor.noise is None):
             lack = "no noise model" if air is not None else "no air to make radiance of"
@@ -213,7 +230,7 @@ class AimedSensor(eqx.Module):
         parameters = jax.tree.map(lambda x: jnp.asarray(x, scene.dtype), parameters)
         if air is None:
             every = jnp.ones(len(self.sensor.bands), bool)
-            image, _, residual = _seen(scene, parameters, self, None)
+            image, _, residual = seen(scene, parameters, self, None)
             return Observation(image, None, every, None, residual)
         by_band = self._air_of_bands(air, parameters.light, scene.dtype)
         order, back = _sorting(self.sensor)
@@ -224,7 +241,7 @@ class AimedSensor(eqx.Module):
             )
         total = by_band.direct + by_band.diffuse
         sky = (by_band.diffuse / jnp.maximum(total, jnp.finfo(total.dtype).tiny))[back]
-        image, mean, residual = _seen(scene, parameters, self, sky)
+        image, mean, residual = seen(scene, parameters, self, sky)
         if self.panels is not None:
             image = self.panels.laid_on(image)
         pixels = jnp.moveaxis(image, 0, -1)[..., order]

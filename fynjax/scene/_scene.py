@@ -698,7 +698,7 @@ def build_scene(
         minimum_area=tuple(one.minimum_area for one in species),
         leaf_angles=tuple(None if plant is None else inclination(plant) for plant in plants),
         boundary=boundary,
-        rounding=_rounding(len(forms), seed, dtype, drawn),
+        rounding=_rounding(len(forms), [seed], dtype, drawn),
         softness=rules.softness if crowns is None else 0.0,
         softness_plants=rules.softness_plants if crowns is None else 0.0,
         flowering=rules.flowering,
@@ -818,11 +818,13 @@ def room_needed(
     return np.where(short, most / np.where(short, stated, 1.0), 0.0)
 
 
-def _rounding(species: int, seed: int, dtype: str, drawn: bool) -> Float[Array, " species"]:
+def _rounding(
+    species: int, seed: Sequence[int], dtype: str, drawn: bool
+) -> Float[Array, " species"]:
     """`Scene.rounding` of so many species."""
     if not drawn:
         return jnp.zeros(species, dtype)
-    return jnp.asarray(np.random.default_rng([seed, 107]).random(species), dtype)
+    return jnp.asarray(np.random.default_rng([*seed, 107]).random(species), dtype)
 
 
 def stand_realisation(scene: Scene, seed: int) -> Scene:
@@ -841,7 +843,7 @@ def stand_realisation(scene: Scene, seed: int) -> Scene:
         mine = species == one
         place[mine] = rng.permutation(place[mine])
     drawn = bool(np.asarray(scene.rounding).any())
-    rounding = _rounding(len(scene.taxa), seed, scene.dtype, drawn)
+    rounding = _rounding(len(scene.taxa), [seed, 211], scene.dtype, drawn)
     order = jnp.asarray(place, planting.place.dtype)
     return eqx.tree_at(lambda s: (s.planting.place, s.rounding), scene, (order, rounding))
 
@@ -864,7 +866,10 @@ def slope_of_fading(function: Callable[..., Any], *, apart: bool = False) -> Cal
       others where they are whole. That is exact by leaf area, height and optics, where the other
       is up to 3 % too steep (of the gap of a plot of 2 m), and takes two derivatives.
 
-    Differentiable in forward and reverse mode.
+    Differentiable in forward and reverse mode; with `apart` once.
+
+    A search that compares values needs one that moves with the parameters as its slope says: that
+    of `Scene.faded`, to which what whole plants differ by is added as a constant.
     """
 
     @eqx.filter_custom_jvp
@@ -875,8 +880,9 @@ def slope_of_fading(function: Callable[..., Any], *, apart: bool = False) -> Cal
     def derivative(primals: Any, tangents: Any) -> tuple[Any, Any]:
         scene, parameters, *rest = primals
         faded = (scene.faded(), parameters, *rest)
+        value = of_whole_plants(*primals)  # not `function`: a derivative of it is this one too
         if not apart:
-            return function(*primals), eqx.filter_jvp(function, faded, tangents)[1]
+            return value, eqx.filter_jvp(function, faded, tangents)[1]
         number, by_number = eqx.filter_jvp(Scene.counts, (scene, parameters), tangents[:2])
 
         def of_number(number: Array) -> Any:
@@ -886,9 +892,11 @@ def slope_of_fading(function: Callable[..., Any], *, apart: bool = False) -> Cal
         def of_others(scene: Scene, *rest: Any) -> Any:
             return function(dataclasses.replace(scene, number=number), *rest)
 
-        value, slope = eqx.filter_jvp(of_others, tuple(primals), tuple(tangents))
+        slope = eqx.filter_jvp(of_others, tuple(primals), tuple(tangents))[1]
         if by_number is not None:
-            slope = jax.tree.map(jnp.add, slope, jax.jvp(of_number, (number,), (by_number,))[1])
+            more = jax.jvp(of_number, (number,), (by_number,))[1]
+            add = lambda a, b: b if a is None else a + b  # noqa: E731
+            slope = jax.tree.map(add, slope, more, is_leaf=lambda leaf: leaf is None)
         return value, slope
 
     @functools.wraps(function)

@@ -194,16 +194,6 @@ def test_no_cover_has_no_area_and_a_finite_slope() -> None:
     assert float(slope["cover"][1]) > 0.0
 
 
-def test_the_soft_scene_tends_to_the_hard_one() -> None:
-    scene = jax.jit(small_scene)
-    p = parameters()
-    hard = scene(p, 0.0)
-    errors = [float(jnp.abs(scene(p, width) - hard).max()) for width in (1.0, 0.3, 0.05, 0.001)]
-    assert errors[0] > 0.0
-    assert errors == sorted(errors, reverse=True)
-    assert errors[-1] == 0.0
-
-
 def test_a_species_cover_does_not_move_another_species() -> None:
     before = small_scene(parameters())
     changed = parameters() | {"cover": jnp.array([0.29, 0.11, 0.077])}

@@ -9,6 +9,8 @@ import rasterio
 import xarray as xr
 
 from fynjax._core.errors import InputError
+from fynjax.assembly import build_plot
+from fynjax.io.plot import read_plot
 from fynjax.jobs import render, simulate
 from tests.helpers import compilations
 from tests.jobs import test_simulate
@@ -54,13 +56,14 @@ def test_an_interrupted_large_image_goes_on(tmp_path, monkeypatch):
 
 
 def test_the_page_of_a_render_counts_whole_plants(tmp_path):
-    """A plant that fades in with its cover stands there; 311.8 plants are none."""
+    """As many as equation (10) says, which the image shows; 311.8 plants are none."""
     plot = test_simulate.write_plot(tmp_path)
     render(plot, tmp_path / "out")
     with xr.open_dataset(tmp_path / "out" / "run.nc") as run:
         count = run["plants"].item()
-    assert count % 1 > 0.01
+    scene, parameters = build_plot(read_plot(plot))
+    assert count == np.ceil(float(scene.counts(parameters)[0]))
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     shown = re.search(r"Erica irregularis</td><td>([^<]*)<", page)
     assert shown is not None
-    assert shown[1] == str(int(np.ceil(count)))
+    assert shown[1] == str(int(count))

@@ -11,14 +11,17 @@ import numpy as np
 import pytest
 
 from fynjax.canopy import element_weight, rounded_count
+from fynjax.inversion import structure_view
 from fynjax.scene import (
     hard_counts,
     hard_instances,
     hard_scene,
     observe_lidar,
+    room_needed,
     slope_of_fading,
     stand_realisation,
 )
+from fynjax.scene._planting import no_plants
 from fynjax.sensors import shipped_lidar
 from tests.scene.plots import densities, drone, reflectance, small_parameters, small_plot
 
@@ -111,6 +114,42 @@ def test_the_slope_is_that_of_plants_that_fade(plot) -> None:
     along = jnp.array([0.3, -1.0, 0.5, 0.2])
     forward = eqx.filter_jit(lambda x, s: jax.jvp(lambda x: mean(x, s), (x,), (along,))[1])
     assert float(forward(none, plot)) == pytest.approx(float(slope @ along), rel=1e-8)
+
+
+def test_a_slope_by_covers_alone(plot) -> None:
+    """Of gap and structure, whose slopes by number are taken apart; in both modes, and of a plot
+    without plants."""
+    parameters, view = small_parameters(), structure_view(("gap_fraction",), grain=1.5)
+    cover = _COVER(parameters)
+    for function in (plot.gap_fraction, lambda p: view.observe(plot, p)[1][0]):
+        by_cover = lambda x, f=function: f(eqx.tree_at(_COVER, parameters, x))  # noqa: E731
+        slope = eqx.filter_jit(jax.grad(by_cover))(cover)
+        assert float(slope[0]) < -0.1
+        along = jax.jvp(by_cover, (cover,), (cover,))[1]
+        assert float(along) == pytest.approx(float(slope @ cover), rel=1e-6)
+    bare = eqx.tree_at(lambda s: s.planting, plot, no_plants(plot.dtype))
+    by_cover = lambda x: bare.gap_fraction(eqx.tree_at(_COVER, parameters, x))  # noqa: E731
+    np.testing.assert_array_equal(jax.grad(by_cover)(cover), 0.0)
+
+
+def test_the_value_beside_a_slope_has_the_same_slope(plot) -> None:
+    """So that a derivative of a value that was computed with its gradient is no other one."""
+    gap = lambda x: plot.gap_fraction(scaled(x))  # noqa: E731
+    both = lambda x: jax.value_and_grad(gap)(x)[0]  # noqa: E731
+    none = jnp.zeros(len(KINDS))
+    np.testing.assert_allclose(jax.grad(both)(none), jax.grad(gap)(none), rtol=1e-9)
+
+
+def test_a_hard_scene_is_that_of_its_own_plants(plot) -> None:
+    """Whatever a cover is set to later, and however often it is made."""
+    parameters = small_parameters()
+    once = hard_scene(plot, parameters)
+    twice = hard_scene(once, parameters)
+    np.testing.assert_array_equal(hard_counts(once, parameters), hard_counts(plot, parameters))
+    assert len(hard_instances(twice, parameters)) == len(once.planting.species)
+    assert not room_needed(once, parameters, once.counts(parameters)).any()
+    none = eqx.tree_at(_COVER, parameters, jnp.zeros(3))
+    np.testing.assert_array_equal(once.standing(none), 1.0)
 
 
 def test_without_a_slope_the_scene_is_seen_once(plot) -> None:

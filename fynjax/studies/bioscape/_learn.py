@@ -108,9 +108,11 @@ def learn(
     resolution = Resolution() if resolution is None else resolution
     read, bands, measured, files, remarks = _read(folders, run, plots, traits)
     with run.stage("Plant the plots"):
-        fine = build_scenes(files, resolution, [seed] * len(files))
+        # Each plot rounds its numbers of plants by a chance of its own.
+        seeds = [seed + i for i in range(len(files))]
+        fine = build_scenes(files, resolution, seeds)
         wide = Resolution(resolution.size_m, max(slope_voxel_m, resolution.voxel_m))
-        coarse = fine if wide == resolution else build_scenes(files, wide, [seed] * len(files))
+        coarse = fine if wide == resolution else build_scenes(files, wide, seeds)
     inputs = sorted(p for folder in folders for p in Path(folder).glob("*.csv"))
     inputs += [] if traits is None else [Path(traits)]
     space, prior = population_space(), hyperprior(np.asarray(bands.centre))

@@ -92,7 +92,7 @@ def validate_plots(
         )
     files = [read_plot(run.folder / "plots" / p.name / "plot.toml") for p in read]
     with run.stage("Plant the plots"):
-        scenes = build_scenes(files, resolution, [seed] * len(files))
+        scenes = build_scenes(files, resolution, [seed + i for i in range(len(files))])
     inputs = [*sorted(folder.glob("*.csv")), traits, None if learned is None else learned.path]
     journal = None
     if checkpoint is not None:
