@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.stats import multivariate_normal, norm
 
 from fynjax.inversion import FitStatus
-from fynjax.inversion._descent import Descended, descend
+from fynjax.inversion._descent import Descended, descend, objective_of, unsettled
 
 ROOT = np.diag([1.0 / 0.03, 1.0 / 0.05, 1.0 / 0.04])
 """Makes of misfits those in units of their errors."""
@@ -75,3 +76,53 @@ def test_the_descent_ends_where_the_objective_is_least(start):
     reached = 0.5 * (np.sum((ROOT @ (found.value - bent(TRUTH))) ** 2) + found.u @ found.u)
     assert found.status == FitStatus.successful
     assert reached < best.cost + 0.01
+
+
+def test_weak_data_leave_the_prior_its_pull():
+    """A linear model ends at the mean of the normal posterior, wherever it started from."""
+    random = np.random.default_rng(3)
+    matrix, weights = random.normal(size=(3, 2)), random.normal(size=(3, 3))
+    target = random.normal(size=3)
+    rows = weights @ matrix
+    information = rows.T @ rows
+    mean = np.linalg.solve(np.eye(2) + information, rows.T @ weights @ target)
+    assert np.linalg.eigvalsh(information).min() < 1.0  # the prior counts
+    for start in (np.zeros(2), np.array([3.0, -2.0])):
+        begin = Descended(start, matrix @ start, matrix, FitStatus.max_steps)
+        found = descend(
+            lambda u: matrix @ u, begin, target, weights,
+            most=5, tolerance=1e-10, note=lambda *_: None,
+        )  # fmt: skip
+        assert found.status == FitStatus.successful
+        np.testing.assert_allclose(found.u, mean, rtol=1e-6)
+
+
+def test_what_is_left_to_move_is_in_posterior_standard_deviations():
+    """Of a linear model: the distance from the mean of its posterior, along the principal axis
+    where it is largest; and no less than what the search just moved."""
+    random = np.random.default_rng(3)
+    matrix, weights, target = (random.normal(size=n) for n in ((3, 2), (3, 3), 3))
+    rows = 3.0 * weights @ matrix
+    covariance = np.linalg.inv(np.eye(2) + rows.T @ rows)
+    mean = covariance @ rows.T @ (3.0 * weights @ target)
+    variances, axes = np.linalg.eigh(covariance)
+    u = mean + axes @ (np.array([0.5, -2.0]) * np.sqrt(variances))
+    none = np.zeros(2)
+    left = unsettled(3.0 * weights, u, none, matrix @ u - target, matrix)
+    assert left == pytest.approx(2.0)
+    moved = axes @ (np.array([3.0, 0.0]) * np.sqrt(variances))
+    assert unsettled(3.0 * weights, u, moved, matrix @ u - target, matrix) == pytest.approx(3.0)
+
+
+def test_the_objective_is_minus_the_logarithm_of_the_posterior_density():
+    """But for a constant: of normal errors with a covariance, and of a unit normal prior."""
+    random = np.random.default_rng(5)
+    root = np.array([[0.3, 0.0, 0.0], [0.1, 0.2, 0.0], [0.0, -0.2, 0.5]])
+    error = multivariate_normal(np.zeros(3), root @ root.T)
+
+    def both(u, misfit):
+        density = error.logpdf(misfit) + norm.logpdf(u).sum()
+        return objective_of(np.linalg.inv(root), u, misfit), -density
+
+    one, other = (both(random.normal(size=2), 0.3 * random.normal(size=3)) for _ in range(2))
+    assert one[0] - other[0] == pytest.approx(one[1] - other[1])

@@ -3,6 +3,7 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import jaxopt
 import numpy as np
@@ -39,6 +40,7 @@ from fynjax.inversion import (
 from fynjax.inversion._calibrate import _gains
 from fynjax.inversion._fit_result import fit_result, scatter_covariance
 from fynjax.inversion._views import (
+    GAIN_SHARED,
     Directions,
     _projections,
     informative_directions,
@@ -688,6 +690,54 @@ def test_gains_of_a_camera_move_statistics_as_stated(views):
     sd = np.sqrt(np.diagonal(covariance))[:2]
     np.testing.assert_allclose(sd, np.std(drawn, axis=0)[:2], rtol=0.15)
     np.testing.assert_allclose(np.cov(gains.T), gain_covariance(4, 0.05), rtol=0.2, atol=1e-5)
+
+
+def test_gains_have_the_stated_deviation_and_share_of_it_in_common():
+    """Against draws: the light is off for all bands alike, each band by itself besides."""
+    random, sd = np.random.default_rng(4), 0.05
+    common, own = random.normal(size=(200_000, 1)), random.normal(size=(200_000, 3))
+    drawn = sd * (np.sqrt(GAIN_SHARED) * common + np.sqrt(1.0 - GAIN_SHARED) * own)
+    np.testing.assert_allclose(gain_covariance(3, sd), np.cov(drawn.T), rtol=0.02)
+    np.testing.assert_allclose(np.diagonal(gain_covariance(3, sd)), sd**2)
+
+
+class Bright(ImageView):
+    """An image of as many bands as there are species, each as bright as its cover: no light."""
+
+    def observe(self, scene, parameters):
+        cover = parameters.species.cover
+        image = jnp.broadcast_to(cover[:, None, None], (cover.size, 2, 2))
+        return image, self._statistics(image)
+
+    def _statistics(self, image):
+        return jnp.mean(image, axis=(1, 2))
+
+    def jacobian(self, scene, plot_at, u):
+        def value(u):
+            return self.observe(scene, plot_at(u))[1]
+
+        return value(u), jax.jacfwd(value)(u)
+
+    def for_search(self, scene, accuracy, stride):
+        return self
+
+
+def test_what_a_camera_may_be_off_by_is_an_error_of_a_calibration(sums):
+    """Means of bands are off by the gains' covariance times the means themselves."""
+    model, _, _, space = sums
+    parameters = small_parameters()
+    cover = np.asarray(parameters.species.cover)
+    names = ("a", "b", "c")
+    data = Data(names, jnp.asarray(cover), jnp.full(3, 0.01))
+    view = Bright(names, None, gain_sd=0.1)
+    settings = CalibrationSettings(stand_realisations=0, rounds=1)
+    found = calibrate_plot(model, parameters, data, space, [view], settings)
+    means = np.asarray(found.statistics_after)
+    want = 0.01**2 * np.eye(3) + np.outer(means, means) * gain_covariance(3, 0.1)
+    np.testing.assert_allclose(found.data.covariance, want, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(found.measured.covariance, want, rtol=1e-6, atol=1e-12)
+    # The weights of the search are those of the same errors.
+    np.testing.assert_allclose(found.fit.data.covariance, want, rtol=1e-6, atol=1e-12)
 
 
 def test_a_signature_is_of_what_solvers_are_made_of():
