@@ -1,9 +1,12 @@
 """What a search makes of draws of plants and parameters: errors, and information of slopes."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from fynjax.inversion._search import _information, chance_covariance
+from fynjax.inversion import CalibrationSettings
+from fynjax.inversion._search import Search, _information, chance_covariance
 
 SD = np.array([1.0, 2.0, 0.5])
 """Of three independent statistics between plantings."""
@@ -64,3 +67,14 @@ def test_information_of_slopes_by_chance_is_that_of_their_mean_without_bias():
     assert np.mean(found) == pytest.approx(float(np.sum(mean**2)), rel=0.05)
     single = _information(np.eye(3), mean[None])
     np.testing.assert_allclose(single, mean.T @ mean)
+
+
+def test_draws_of_the_posterior_have_its_covariance():
+    """What makes them of unit normal numbers is a root of the inverse of prior and information."""
+    random = np.random.default_rng(7)
+    weights, slopes = random.normal(size=(4, 4)), random.normal(size=(1, 4, 3))
+    rows = weights @ slopes[0]
+    place = SimpleNamespace(weights=weights, spread=np.eye(3))
+    search = SimpleNamespace(_settings=CalibrationSettings())
+    root = Search._spread(search, place, slopes)
+    np.testing.assert_allclose(root @ root.T, np.linalg.inv(np.eye(3) + rows.T @ rows), rtol=1e-9)

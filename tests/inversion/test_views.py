@@ -596,7 +596,8 @@ def test_informative_directions_hold_what_the_prior_moves():
     random = np.random.default_rng(4)
     slopes = random.normal(size=(40, 3))
     draws = random.normal(size=(60, 3)) @ slopes.T
-    covariance = np.diag(random.uniform(0.5, 2.0, 40))
+    shared = random.normal(size=(40, 2))
+    covariance = np.diag(random.uniform(0.5, 2.0, 40)) + shared @ shared.T
     chosen = informative_directions(draws, covariance, 3)
     rows, back = np.asarray(chosen.rows), np.asarray(chosen.back)
     np.testing.assert_allclose(rows @ back, np.eye(3), atol=1e-10)
