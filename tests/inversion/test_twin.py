@@ -34,7 +34,7 @@ pytestmark = pytest.mark.slow
 TAXA = ("Erica", "Restio")
 FREE = ("species.*.cover", "species.*.leaf_area_index", "*.leaf.chlorophyll", "ground.brightness")
 STATISTICS = ("green.mean", "red.mean", "red_edge.mean", "nir.mean", "NDVI.std", "nir.std")
-ERROR = 0.02
+ERROR = 0.005
 """Relative error of the image's statistics."""
 TRUTHS = 3
 
