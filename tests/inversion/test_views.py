@@ -741,6 +741,28 @@ def test_what_a_camera_may_be_off_by_is_an_error_of_a_calibration(sums):
     np.testing.assert_allclose(found.fit.data.covariance, want, rtol=1e-6, atol=1e-12)
 
 
+def test_gains_are_estimated_beside_the_parameters():
+    """What parameters can explain as well is no gain: against the normal equations of both."""
+    random, names = np.random.default_rng(6), ("a", "b", "c")
+    view, image = Bright(names, None, gain_sd=0.1), jnp.asarray(random.uniform(0.1, 0.5, (3, 2, 2)))
+    means, jacobian = np.asarray(image.mean(axis=(1, 2))), 0.05 * random.normal(size=(3, 2))
+    u, value = random.normal(size=2), means * np.array([1.1, 1.0, 0.95])
+    data = Data(names, jnp.asarray(value), jnp.full(3, 0.01))
+    space = ParameterSpace(("p", "q"), *(jnp.full(2, v) for v in (0.0, 1.0, 0.5, 0.1)))
+    arrays = (jnp.asarray(a) for a in (u, means, jacobian))
+    result = fit_result(space, data, *arrays, FitStatus.successful, 1, np.empty((0, 2)))
+    total = data.with_covariance(radiometric_covariance((view,), (image,)))  # as a search has it
+    found, sd, with_gain = _gains((view,), image, result, np.asarray(total.whitener))
+    slopes = np.concatenate([jacobian, np.diag(means)], axis=1)
+    prior = np.zeros((5, 5))
+    prior[:2, :2], prior[2:, 2:] = np.eye(2), np.linalg.inv(gain_covariance(3, 0.1))
+    covariance = np.linalg.inv(prior + slopes.T @ slopes / 0.01**2)
+    mean = covariance @ slopes.T @ (value - means + jacobian @ u) / 0.01**2
+    np.testing.assert_allclose(found, np.exp(mean[2:]), rtol=1e-9)
+    np.testing.assert_allclose(sd, np.sqrt(np.diagonal(covariance)[2:]), rtol=1e-9)
+    np.testing.assert_allclose(with_gain, means * (1.0 + mean[2:]), rtol=1e-9)
+
+
 def test_a_signature_is_of_what_solvers_are_made_of():
     def solver(tol, scale=1.0):
         return jaxopt.LBFGSB(fun=lambda x: scale * x.sum(), tol=tol)
