@@ -340,16 +340,7 @@ class Search:
         statistics = rest.mean(axis=0) + lack.mean(axis=0)
         covariance = radiometric_covariance(self._views, images)
         if self._settings.stand_realisations:
-            chance = scatter_covariance(rest)
-            # The expectation is a mean over draws, of which those that fill the same sites count
-            # as one, and of what full and cheap renders differ by.
-            share = 1.0 / len(self.cheap)
-            if len(whole) > 1:
-                variance = np.diagonal(chance)
-                some = variance > 0
-                differ = lack.var(axis=0, ddof=1)[some] / variance[some]
-                share += float(differ.mean()) / len(whole) if some.any() else 0.0
-            covariance = covariance + (1.0 + share) * chance
+            covariance = covariance + chance_covariance(rest, lack, len(self.cheap))
         data = with_error(self._data, covariance)
         offset = statistics - self._cheap(u, spread, self._members).mean(axis=0)
         image = images[0] if images else None
@@ -573,6 +564,39 @@ class Search:
         place = dataclasses.replace(place, data=counted, weights=weights)
         cheap = self._plain(place.u, [stand.faded() for stand in self.cheap])
         return End(objective[best], result, place, origin, self.cheap, cheap, losses, norms)
+
+
+def chance_covariance(
+    draws: Float[np.ndarray, "draw statistic"],
+    lack: Float[np.ndarray, "planting statistic"],
+    stands: int,
+) -> Float[np.ndarray, "statistic statistic"]:
+    """Covariance of what statistics of one plot differ by from their estimated expectation.
+
+    Chance counts twice: as that of the plot, and as the error of the expectation, which is a mean
+    over few draws and over what full and cheap renders of few plantings differ by.
+
+    **Arguments:**
+
+    - `draws`: statistics of the cheap renders of draws of plants and parameters; their mean is the
+      expectation.
+    - `lack`: full less cheap render of some plantings; its mean is added to the expectation.
+    - `stands`: sets of sites that the draws fill. Draws on the same sites are alike, so a set of
+      sites counts as one draw.
+
+    **Returns:** the covariance of `scatter_covariance`, grown by 1 / `stands` and by the mean
+    variance of `lack` over that of the draws, divided by the number of plantings.
+
+    NumPy in and out; not differentiable.
+    """
+    chance = scatter_covariance(draws)
+    share = 1.0 / stands
+    if len(lack) > 1:
+        variance = np.diagonal(chance)
+        some = variance > 0
+        differ = lack.var(axis=0, ddof=1)[some] / variance[some]
+        share += float(differ.mean()) / len(lack) if some.any() else 0.0
+    return (1.0 + share) * chance
 
 
 def _information(weights: np.ndarray, slopes: np.ndarray) -> Float[np.ndarray, "free free"]:

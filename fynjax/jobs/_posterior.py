@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -213,13 +213,14 @@ def posterior(
     if not sampled.whitened.size:
         raise InputError(f"no posterior: {sampled.status}", file=read.file)
     table = posterior_table(sampled)
+    others: dict[str, Any] = {}
     if sampled.method != "laplace":
-        low, high = np.asarray(calibrated.fit.quantiles(0.05, 0.95))
-        table["laplace_q05"], table["laplace_q95"] = low, high
+        others["laplace_q05"], others["laplace_q95"] = calibrated.fit.quantiles(0.05, 0.95)
     if regressed is not None:
-        table["regression_q05"], table["regression_q95"] = regressed.quantiles(
+        others["regression_q05"], others["regression_q95"] = regressed.quantiles(
             ready.space, 0.05, 0.95
         )
+    table = table.join(parameter_columns(sampled.names, others)[list(others)])
     headline = [*_headline(ready, sampled, table), misfit_sentence(calibrated)]
     if simulations:
         headline.append(unchecked if regressed is None else _agreement(sampled, regressed))

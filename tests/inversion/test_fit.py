@@ -15,6 +15,7 @@ from fynjax._core.checkpoint import Journal
 from fynjax.errors import InputError
 from fynjax.inversion import Data, FitStatus, ParameterSpace, fit
 from fynjax.inversion._fit_result import posterior as laplace
+from fynjax.inversion._fit_result import scatter_covariance
 from tests.inversion.linear import DATA, MATRIX, SPACE, posterior, predict
 
 
@@ -210,6 +211,33 @@ def test_scatter_that_moves_all_statistics_together_is_an_error_like_any_other()
     np.testing.assert_allclose(found.sd, np.sqrt(np.diag(covariance)), rtol=1e-3)
     assert np.all(found.sd >= result.sd * (1 - 1e-9))
     np.testing.assert_allclose(found.estimate, result.estimate)
+
+
+def oracle_shrinkage(correlation, count):
+    """The share of the identity by iterating the oracle's rule (Chen et al. 2010, section III.C):
+    the estimate takes the place of the unknown truth until both agree."""
+    size, trace, share = len(correlation), np.trace(correlation), 0.5
+    for _ in range(10_000):
+        estimate = (1.0 - share) * correlation + share * trace / size * np.eye(size)
+        both, square = np.trace(estimate @ correlation), np.trace(estimate) ** 2
+        share = ((1.0 - 2.0 / size) * both + square) / (
+            (count + 1.0 - 2.0 / size) * both + (1.0 - count / size) * square
+        )
+    return share
+
+
+@pytest.mark.parametrize(("count", "size"), [(12, 4), (30, 8), (60, 8)])
+def test_shrinkage_is_the_fixed_point_of_the_oracle(count, size):
+    random = np.random.default_rng(count)
+    root = np.eye(size) + 0.7 * np.eye(size, k=1)
+    draws = random.normal(size=(count, size)) @ root
+    correlation = np.corrcoef(draws.T)
+    # The mean is estimated from the draws too, so that they count as one less.
+    share = oracle_shrinkage(correlation, count - 1)
+    assert 0.1 < share < 0.9
+    found = scatter_covariance(draws) / np.outer(*[draws.std(axis=0, ddof=1)] * 2)
+    want = (1.0 - share) * correlation + share * np.eye(size)
+    np.testing.assert_allclose(found, want, rtol=1e-6, atol=1e-9)
 
 
 def test_without_chance_nothing_changes():

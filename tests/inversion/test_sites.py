@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fynjax.assembly import build_plot, prepare
+from fynjax.canopy import site_weight
 from fynjax.inversion import CalibrationSettings, Data, calibrate_plot, coarser, free_space
 from fynjax.inversion._views import AbstractView
 from fynjax.io.plot import read_plot
@@ -68,6 +69,22 @@ def test_the_room_that_counts_need(plot):
     needed = room_needed(scene, parameters, draws)
     assert needed[1] > 6.0
     assert not needed[[0, 2]].any()
+
+
+def test_room_is_needed_where_plants_that_fade_would_lack_sites(plot):
+    """One more plant is spread over sites beyond the number: without them plants are missing."""
+    scene, parameters = plot
+    stated = np.asarray(scene.counts(parameters))
+    place = np.asarray(scene.planting.place)[np.asarray(scene.planting.species) == 1]
+    needed, missing = [], []
+    for count in len(place) * np.array([0.7, 0.85, 0.95, 0.99]):
+        counts = np.where([False, True, False], count, stated)
+        needed.append(room_needed(scene, parameters, counts)[1])
+        weight = site_weight(count, place, width=scene.softness_plants, softness=scene.softness)
+        missing.append(1.0 - float(np.sum(weight)) / count)
+    short = np.array(needed) > 0
+    assert short.tolist() == [False, False, True, True]
+    assert np.all((np.array(missing) > 1e-3) == short)
 
 
 def test_a_search_gets_the_sites_that_it_asks_for(plot):

@@ -3,6 +3,7 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import jaxopt
 import numpy as np
@@ -39,6 +40,7 @@ from fynjax.inversion import (
 from fynjax.inversion._calibrate import _gains
 from fynjax.inversion._fit_result import fit_result, scatter_covariance
 from fynjax.inversion._views import (
+    GAIN_SHARED,
     Directions,
     _projections,
     informative_directions,
@@ -594,7 +596,8 @@ def test_informative_directions_hold_what_the_prior_moves():
     random = np.random.default_rng(4)
     slopes = random.normal(size=(40, 3))
     draws = random.normal(size=(60, 3)) @ slopes.T
-    covariance = np.diag(random.uniform(0.5, 2.0, 40))
+    shared = random.normal(size=(40, 2))
+    covariance = np.diag(random.uniform(0.5, 2.0, 40)) + shared @ shared.T
     chosen = informative_directions(draws, covariance, 3)
     rows, back = np.asarray(chosen.rows), np.asarray(chosen.back)
     np.testing.assert_allclose(rows @ back, np.eye(3), atol=1e-10)
@@ -688,6 +691,76 @@ def test_gains_of_a_camera_move_statistics_as_stated(views):
     sd = np.sqrt(np.diagonal(covariance))[:2]
     np.testing.assert_allclose(sd, np.std(drawn, axis=0)[:2], rtol=0.15)
     np.testing.assert_allclose(np.cov(gains.T), gain_covariance(4, 0.05), rtol=0.2, atol=1e-5)
+
+
+def test_gains_have_the_stated_deviation_and_share_of_it_in_common():
+    """Against draws: the light is off for all bands alike, each band by itself besides."""
+    random, sd = np.random.default_rng(4), 0.05
+    common, own = random.normal(size=(200_000, 1)), random.normal(size=(200_000, 3))
+    drawn = sd * (np.sqrt(GAIN_SHARED) * common + np.sqrt(1.0 - GAIN_SHARED) * own)
+    np.testing.assert_allclose(gain_covariance(3, sd), np.cov(drawn.T), rtol=0.02)
+    np.testing.assert_allclose(np.diagonal(gain_covariance(3, sd)), sd**2)
+
+
+class Bright(ImageView):
+    """An image of as many bands as there are species, each as bright as its cover: no light."""
+
+    def observe(self, scene, parameters):
+        cover = parameters.species.cover
+        image = jnp.broadcast_to(cover[:, None, None], (cover.size, 2, 2))
+        return image, self._statistics(image)
+
+    def _statistics(self, image):
+        return jnp.mean(image, axis=(1, 2))
+
+    def jacobian(self, scene, plot_at, u):
+        def value(u):
+            return self.observe(scene, plot_at(u))[1]
+
+        return value(u), jax.jacfwd(value)(u)
+
+    def for_search(self, scene, accuracy, stride):
+        return self
+
+
+def test_what_a_camera_may_be_off_by_is_an_error_of_a_calibration(sums):
+    """Means of bands are off by the gains' covariance times the means themselves."""
+    model, _, _, space = sums
+    parameters = small_parameters()
+    cover = np.asarray(parameters.species.cover)
+    names = ("a", "b", "c")
+    data = Data(names, jnp.asarray(cover), jnp.full(3, 0.01))
+    view = Bright(names, None, gain_sd=0.1)
+    settings = CalibrationSettings(stand_realisations=0, rounds=1)
+    found = calibrate_plot(model, parameters, data, space, [view], settings)
+    means = np.asarray(found.statistics_after)
+    want = 0.01**2 * np.eye(3) + np.outer(means, means) * gain_covariance(3, 0.1)
+    np.testing.assert_allclose(found.data.covariance, want, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(found.measured.covariance, want, rtol=1e-6, atol=1e-12)
+    # The weights of the search are those of the same errors.
+    np.testing.assert_allclose(found.fit.data.covariance, want, rtol=1e-6, atol=1e-12)
+
+
+def test_gains_are_estimated_beside_the_parameters():
+    """What parameters can explain as well is no gain: against the normal equations of both."""
+    random, names = np.random.default_rng(6), ("a", "b", "c")
+    view, image = Bright(names, None, gain_sd=0.1), jnp.asarray(random.uniform(0.1, 0.5, (3, 2, 2)))
+    means, jacobian = np.asarray(image.mean(axis=(1, 2))), 0.05 * random.normal(size=(3, 2))
+    u, value = random.normal(size=2), means * np.array([1.1, 1.0, 0.95])
+    data = Data(names, jnp.asarray(value), jnp.full(3, 0.01))
+    space = ParameterSpace(("p", "q"), *(jnp.full(2, v) for v in (0.0, 1.0, 0.5, 0.1)))
+    arrays = (jnp.asarray(a) for a in (u, means, jacobian))
+    result = fit_result(space, data, *arrays, FitStatus.successful, 1, np.empty((0, 2)))
+    total = data.with_covariance(radiometric_covariance((view,), (image,)))  # as a search has it
+    found, sd, with_gain = _gains((view,), image, result, np.asarray(total.whitener))
+    slopes = np.concatenate([jacobian, np.diag(means)], axis=1)
+    prior = np.zeros((5, 5))
+    prior[:2, :2], prior[2:, 2:] = np.eye(2), np.linalg.inv(gain_covariance(3, 0.1))
+    covariance = np.linalg.inv(prior + slopes.T @ slopes / 0.01**2)
+    mean = covariance @ slopes.T @ (value - means + jacobian @ u) / 0.01**2
+    np.testing.assert_allclose(found, np.exp(mean[2:]), rtol=1e-9)
+    np.testing.assert_allclose(sd, np.sqrt(np.diagonal(covariance)[2:]), rtol=1e-9)
+    np.testing.assert_allclose(with_gain, means * (1.0 + mean[2:]), rtol=1e-9)
 
 
 def test_a_signature_is_of_what_solvers_are_made_of():

@@ -112,3 +112,35 @@ def test_a_table_of_one_part_needs_no_checkpoint(table, tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         jobs.fit_leaf([table], tmp_path / "out", checkpoint=tmp_path / "kept")
     assert not (tmp_path / "kept").exists()
+
+
+MEASURED = {
+    "structure": ("N_feret", 0.08),
+    "chlorophyll": ("cab", 7.5),
+    "carotenoids": ("car", 2.5),
+    "water": ("ewt", 0.002),
+    "dry_matter": ("lma", 0.001),
+}
+"""Column of the laboratory's table, and the root mean square error that is allowed. N is that which
+Feret fitted to reflectance and transmittance."""
+
+
+def test_traits_of_real_leaves_are_those_of_the_laboratory(shared_data, tmp_path, monkeypatch):
+    """Every fourth leaf of ANGERS, from a table of reflectance alone to a table of traits: errors
+    below the stated ones, and most intervals hold."""
+    monkeypatch.setattr(job, "_PART", 100)
+    with np.load(shared_data / "leaf" / "angers_spectra.npz") as stored:
+        grid, ids, reflectance = stored["wl"], stored["id"][::4], stored["refl"][::4]
+    laboratory = pd.read_csv(shared_data / "leaf" / "angers_chemistry.csv.gz").set_index("id")
+    columns = {str(i): row for i, row in zip(ids, reflectance, strict=True)}
+    pd.DataFrame({"wavelength": grid, **columns}).to_csv(tmp_path / "leaves.csv", index=False)
+    jobs.fit_leaf([tmp_path / "leaves.csv"], tmp_path / "out")
+    traits = pd.read_csv(tmp_path / "out" / "traits.csv").set_index("name")
+    assert len(traits) == len(ids)
+    assert (traits["status"] == "converged").mean() > 0.8
+    for trait, (column, most) in MEASURED.items():
+        truth = laboratory[column].loc[traits.index]
+        error = traits[trait] - truth
+        held = (truth > traits[f"{trait}_lower90"]) & (truth < traits[f"{trait}_upper90"])
+        assert np.sqrt((error**2).mean()) < most, trait
+        assert held.mean() > 0.78, trait

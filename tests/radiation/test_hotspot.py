@@ -8,8 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fynjax._core.geometry import direction
 from fynjax.canopy import leaf_angle
 from fynjax.radiation import Accuracy, nadir_rays, parallel_rays, reference, render
+from fynjax.radiation._hotspot import overlaps
 from tests.radiation.scenes import (
     FINE,
     patchy,
@@ -112,6 +114,49 @@ def test_each_class_has_its_own_leaf_size():
         for d in (0.03, 0.2)
     ]
     assert np.all((sizes[0] < both) & (both < sizes[1]))
+
+
+def blocked_by_both(angle, sun, view, diameter, height, count=400_000, seed=0):
+    """Leaf area that blocks both of two rays from a point up to `height`, per leaf area per volume
+    [m]: discs are thrown at the sun's ray, and those that the other ray meets too are counted."""
+    random = np.random.default_rng(seed)
+    normals, weight = (np.asarray(a) for a in angle.normals())
+    normal = normals[random.choice(len(weight), size=count, p=weight / weight.sum())]
+    to_sun, to_view = normal @ sun, normal @ view
+    # A disc's centre from where its plane meets the sun's ray, along two axes in the plane.
+    level = height * random.uniform(size=count)
+    met = sun * (level / sun[2])[:, None]
+    one = np.cross(normal, [0.6, 0.0, 0.8])
+    one /= np.linalg.norm(one, axis=1, keepdims=True)
+    two = np.cross(normal, one)
+    away = 0.5 * diameter * np.sqrt(random.uniform(size=count))
+    turn = 2.0 * np.pi * random.uniform(size=count)
+    centre = met + away[:, None] * (np.cos(turn)[:, None] * one + np.sin(turn)[:, None] * two)
+    same_side = to_sun * to_view > 0
+    reach = np.sum(normal * centre, axis=1) / np.where(same_side, to_view, 1.0)
+    distance = np.linalg.norm(view * reach[:, None] - centre, axis=1)
+    hit = same_side & (distance < 0.5 * diameter) & (reach * view[2] < height)
+    # Discs met per length of the ray: their area per volume times the cosine to their normal.
+    return height / sun[2] * np.mean(np.abs(to_sun) * hit)
+
+
+@pytest.mark.parametrize("height", [0.3, 5.0])
+@pytest.mark.parametrize(("zenith", "azimuth"), [(38.0, 270.0), (20.0, 270.0), (30.0, 290.0)])
+@pytest.mark.parametrize("name", ["spherical", "planophile"])
+def test_the_overlap_of_discs_is_that_of_discs_thrown_at_random(name, zenith, azimuth, height):
+    """Leaf area common to both rays, near the sun's direction: in a canopy lower than the overlap
+    reaches, and in one so high that all of it counts."""
+    diameter, angle = 0.1, leaf_angle(name)
+    sun, view = (
+        np.asarray(direction(*map(jnp.asarray, at))) for at in ((30.0, 270.0), (zenith, azimuth))
+    )
+    classes = slab(1.0, [(0.1, 0.1, 0.1)], 30.0, angle=angle).classes
+    classes = with_fields(classes, leaf_diameter=jnp.array([diameter]))
+    rays = parallel_rays(jnp.zeros(1), jnp.zeros(1), 0.01, zenith, azimuth)
+    (overlap,) = overlaps(classes, rays, jnp.asarray(sun), height)
+    common = overlap.at_points(overlap.start((1, 1)), jnp.ones((1, 1)))[-1]
+    want = blocked_by_both(angle, sun, view, diameter, height)
+    assert float(common[0, 0]) == pytest.approx(want, rel=0.04)
 
 
 @pytest.mark.study

@@ -183,6 +183,32 @@ def test_even_panels_come_back_through_the_air(kind):
         run(sensing, model, parameters, jnp.ones(4))
 
 
+def test_bands_in_any_order_see_the_same():
+    """Air, noise and surroundings of each band are its own, however the sensor lists its bands."""
+    order = [3, 0, 4, 1, 2]  # not undone by itself
+    many = BandSet(PANELS.names, (450, 660, 860, 1040, 2200), PANELS.fwhm)
+    land = jnp.array([0.05, 0.1, 0.3, 0.35, 0.2])
+    scene, parameters = bare([0.1, 0.5])
+    camera = OrthographicCamera((-0.2, -0.2, 0.2, 0.2), 0.4)
+    wells = {"quiet": np.full(5, 1e14), "loud": np.array([1e7, 1e6, 1e5, 1e4, 1e3])}
+    run = eqx.filter_jit(lambda a, s, p, x: a.observe(s, p, surroundings=x, key=jax.random.key(0)))
+    seen = []
+    for places in ([0, 1, 2, 3, 4], order):
+        for well in wells.values():
+            noise = CameraNoise(np.full(5, 300.0), well[places], np.zeros(5), 32)
+            sensor = Sensor("any", many.select(places), camera, noise=noise)
+            sensing = over(scene, sensor, air=PlotAir("clear-sky"))
+            seen.append(run(sensing, scene, parameters, land[jnp.array(places)]))
+        clean, noisy = (np.asarray(one.radiance) for one in seen[-2:])
+        sd = np.sqrt(clean * 300.0 / wells["loud"][places][:, None, None])
+        scaled = ((noisy - clean) / sd).std((1, 2))
+        assert np.all((scaled > 0.5) & (scaled < 1.65))  # of 16 pixels each
+    for what in ("reflectance", "radiance"):
+        plain, mixed = (np.asarray(getattr(one, what)) for one in (seen[0], seen[2]))
+        np.testing.assert_allclose(mixed, plain[order], rtol=1e-4)
+    assert np.ptp(np.asarray(seen[0].radiance)[:, 0, 0]) > 5.0
+
+
 def test_panels_in_the_picture_calibrate_it():
     """They come back at their reflectance, and so does the ground beside them: without noise to a
     tenth of a per cent, with it within what is told."""

@@ -1,0 +1,81 @@
+"""The fit to every pixel of known plants, with an image that is linear in the parameters."""
+
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax.inversion import ParameterSpace, gain_covariance
+from fynjax.inversion._known_plants import _Search
+from tests.scene.plots import TAXA, small_parameters
+
+NAMES = tuple(f"species.{taxon}.cover" for taxon in TAXA[:2])
+SPACE = ParameterSpace(
+    NAMES, jnp.full(2, -50.0), jnp.full(2, 50.0), jnp.array([0.3, 0.2]), jnp.array([0.1, 0.2]),
+    distribution="normal",
+)  # fmt: skip
+RANDOM = np.random.default_rng(2)
+BASE = RANDOM.uniform(0.3, 0.5, (2, 2, 3))
+SLOPES = RANDOM.normal(size=(2, 2, 2, 3))
+"""Of two parameters, in two bands."""
+PIXEL_SD, GAIN_SD = 0.3, 0.2
+
+
+class Linear(SimpleNamespace):
+    """A model of pixels without light."""
+
+    def image(self, values):
+        return BASE + np.tensordot(np.asarray(values) - np.array([0.3, 0.2]), SLOPES, axes=1)
+
+    def slopes(self, values):
+        return self.image(values), SLOPES
+
+
+@pytest.fixture(scope="module")
+def found():
+    camera = SimpleNamespace(sensor=SimpleNamespace(bands=SimpleNamespace(names=("red", "nir"))))
+    model = Linear(
+        camera=camera, block=1, parameters=small_parameters(), scene=SimpleNamespace(taxa=TAXA)
+    )
+    measured = model.image([0.35, 0.1]) * np.array([1.2, 0.9])[:, None, None]
+    compared = np.ones((2, 3), bool)
+    compared[1, 2] = False
+    search = _Search(model, SPACE, measured, compared, PIXEL_SD, GAIN_SD, None)
+    return search.run(30, 1e-4), measured[:, compared].ravel(), compared
+
+
+def test_what_gains_may_be_is_an_error_of_the_parameters(found):
+    """Their covariance is that of data whose errors hang together by the gains, and a prior that
+    few and uncertain pixels leave its weight."""
+    result, _, compared = found
+    gain = result.gain[:, None]
+    image = np.asarray(result.image_after)[:, compared]
+    sd = np.asarray(result.fit.data.sd)
+    to_u = np.asarray(SPACE.slope(result.fit.whitened))
+    jacobian = (SLOPES[:, :, compared] * gain).reshape(2, -1).T * to_u
+    by_gain = np.kron(np.eye(2), np.ones((image.shape[1], 1))) * image.reshape(-1, 1)
+    error = np.diag(sd**2) + by_gain @ gain_covariance(2, GAIN_SD) @ by_gain.T
+    want = np.linalg.inv(np.eye(2) + jacobian.T @ np.linalg.solve(error, jacobian))
+    assert result.fit.converged
+    np.testing.assert_allclose(sd, PIXEL_SD * image.ravel(), rtol=0.02)
+    np.testing.assert_allclose(result.fit.covariance, want, rtol=1e-3)
+    assert 0.05 < want[0, 0] < 0.95  # neither the prior alone nor the data alone
+
+
+def test_the_estimate_of_parameters_and_gains_is_where_the_posterior_is_densest(found):
+    """No step of a parameter or a gain has a lower sum of squares and prior."""
+    result, target, compared = found
+    sd = np.asarray(result.fit.data.sd)
+    known = np.linalg.inv(gain_covariance(2, GAIN_SD))
+
+    def objective(u, log_gain):
+        image = Linear().image(SPACE.physical(jnp.asarray(u))) * np.exp(log_gain)[:, None, None]
+        rest = (image[:, compared].ravel() - target) / sd
+        return rest @ rest + u @ u + log_gain @ known @ log_gain
+
+    u, log_gain = np.asarray(result.fit.whitened), np.log(result.gain)
+    least = objective(u, log_gain)
+    assert result.misfit == pytest.approx(least, rel=1e-6)
+    for step in 0.02 * np.concatenate([np.eye(4), -np.eye(4)]):
+        assert objective(u + step[:2], log_gain + step[2:]) > least

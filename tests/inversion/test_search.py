@@ -1,0 +1,80 @@
+"""What a search makes of draws of plants and parameters: errors, and information of slopes."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fynjax.inversion import CalibrationSettings
+from fynjax.inversion._search import Search, _information, chance_covariance
+
+SD = np.array([1.0, 2.0, 0.5])
+"""Of three independent statistics between plantings."""
+
+
+def deviations(stands, lack_sd, count=2000):
+    """Squared difference of a plot from the estimated expectation, and what is stated of it, as
+    means over searches [statistic] in units of the variance between plantings."""
+    random = np.random.default_rng(5)
+    squares, stated = np.zeros(3), np.zeros(3)
+    for _ in range(count):
+        cheap = SD * random.normal(size=(stands, 3))
+        draws = np.concatenate([cheap, cheap])  # each set of sites twice
+        lack = lack_sd * SD * random.normal(size=(2, 3))
+        expectation = draws.mean(axis=0) + lack.mean(axis=0)
+        squares += (SD * random.normal(size=3) - expectation) ** 2 / count
+        # The variance of draws that are alike in pairs is low, as that of any few.
+        ratio = (stands - 1) / stands * 2 * stands / (2 * stands - 1)
+        stated += np.diagonal(chance_covariance(draws, lack, stands)) / ratio / count
+    return squares / SD**2, stated / SD**2
+
+
+@pytest.mark.parametrize(("stands", "lack_sd"), [(3, 0.0), (20, 0.6), (40, 1.5)])
+def test_the_error_of_the_expectation_is_part_of_the_covariance(stands, lack_sd):
+    """1 + 1 / stands + the variance of two plantings' lack, halved: against simulated searches."""
+    squares, stated = deviations(stands, lack_sd)
+    want = 1.0 + 1.0 / stands + 0.5 * lack_sd**2
+    assert squares.mean() == pytest.approx(want, rel=0.04)
+    assert stated.mean() == pytest.approx(want, rel=0.06)
+
+
+def test_one_planting_says_nothing_of_what_renders_differ_by():
+    draws = np.random.default_rng(0).normal(size=(8, 3))
+    one = chance_covariance(draws, np.ones((1, 3)), 4)
+    same = chance_covariance(draws, np.ones((2, 3)), 4)
+    np.testing.assert_allclose(one, same)
+
+
+def test_slopes_of_opposite_draws_count_as_their_mean():
+    """Slopes that change with the parameters differ between opposite draws, and their means over
+    pairs do not: nothing of the information is lost, however much they change."""
+    random = np.random.default_rng(1)
+    mean, bend = random.normal(size=(4, 2)), 3.0 * random.normal(size=(4, 2))
+    normals = random.normal(size=4)
+    slopes = np.stack([mean + sign * n * bend for n in normals for sign in (1, -1)])
+    weights = random.normal(size=(4, 4))
+    want = (weights @ mean).T @ (weights @ mean)
+    np.testing.assert_allclose(_information(weights, slopes), want, rtol=1e-9)
+
+
+def test_information_of_slopes_by_chance_is_that_of_their_mean_without_bias():
+    """Pairs with slopes of chance: on average over searches the information of the expectation."""
+    random = np.random.default_rng(2)
+    mean = np.array([[2.0], [-1.0], [0.5]])
+    found = [
+        _information(np.eye(3), mean + random.normal(size=(8, 3, 1)))[0, 0] for _ in range(300)
+    ]
+    assert np.mean(found) == pytest.approx(float(np.sum(mean**2)), rel=0.05)
+    single = _information(np.eye(3), mean[None])
+    np.testing.assert_allclose(single, mean.T @ mean)
+
+
+def test_draws_of_the_posterior_have_its_covariance():
+    """What makes them of unit normal numbers is a root of the inverse of prior and information."""
+    random = np.random.default_rng(7)
+    weights, slopes = random.normal(size=(4, 4)), random.normal(size=(1, 4, 3))
+    rows = weights @ slopes[0]
+    place = SimpleNamespace(weights=weights, spread=np.eye(3))
+    search = SimpleNamespace(_settings=CalibrationSettings())
+    root = Search._spread(search, place, slopes)
+    np.testing.assert_allclose(root @ root.T, np.linalg.inv(np.eye(3) + rows.T @ rows), rtol=1e-9)
