@@ -100,20 +100,17 @@ def test_every_sensor_sees_the_same_whole_plants(plot) -> None:
 
 
 def test_the_slope_is_that_of_plants_that_fade(plot) -> None:
-    """In both modes, and only where a slope is asked for; the value is that of whole plants."""
+    """And the value is that of whole plants."""
     parameters, camera = small_parameters(), drone(plot)
     mean = lambda x, scene: camera.observe(scene, scaled(x)).reflectance.mean()  # noqa: E731
     none = jnp.zeros(len(KINDS))
-    value, slope = eqx.filter_jit(jax.value_and_grad(mean))(none, plot)
-    faded = eqx.filter_jit(jax.grad(mean))(none, plot.faded())
+    both = eqx.filter_jit(jax.value_and_grad(mean))
+    (value, slope), (faded, same) = both(none, plot), both(none, plot.faded())
     assert float(value) == pytest.approx(
         float(reflectance(camera, plot, parameters).mean()), rel=1e-9
     )
-    assert float(value) != float(eqx.filter_jit(mean)(none, plot.faded()))
-    np.testing.assert_allclose(slope, faded, rtol=1e-9)
-    along = jnp.array([0.3, -1.0, 0.5, 0.2])
-    forward = eqx.filter_jit(lambda x, s: jax.jvp(lambda x: mean(x, s), (x,), (along,))[1])
-    assert float(forward(none, plot)) == pytest.approx(float(slope @ along), rel=1e-8)
+    assert abs(float(faded) / float(value) - 1.0) > 1e-5
+    np.testing.assert_allclose(slope, same, rtol=1e-9)
 
 
 def test_a_slope_by_covers_alone(plot) -> None:
@@ -125,11 +122,11 @@ def test_a_slope_by_covers_alone(plot) -> None:
         by_cover = lambda x, f=function: f(eqx.tree_at(_COVER, parameters, x))  # noqa: E731
         slope = eqx.filter_jit(jax.grad(by_cover))(cover)
         assert float(slope[0]) < -0.1
-        along = jax.jvp(by_cover, (cover,), (cover,))[1]
+        along = eqx.filter_jit(lambda x, f=by_cover: jax.jvp(f, (x,), (x,))[1])(cover)
         assert float(along) == pytest.approx(float(slope @ cover), rel=1e-6)
     bare = eqx.tree_at(lambda s: s.planting, plot, no_plants(plot.dtype))
     by_cover = lambda x: bare.gap_fraction(eqx.tree_at(_COVER, parameters, x))  # noqa: E731
-    np.testing.assert_array_equal(jax.grad(by_cover)(cover), 0.0)
+    np.testing.assert_array_equal(eqx.filter_jit(jax.grad(by_cover))(cover), 0.0)
 
 
 def test_the_value_beside_a_slope_has_the_same_slope(plot) -> None:
@@ -137,7 +134,8 @@ def test_the_value_beside_a_slope_has_the_same_slope(plot) -> None:
     gap = lambda x: plot.gap_fraction(scaled(x))  # noqa: E731
     both = lambda x: jax.value_and_grad(gap)(x)[0]  # noqa: E731
     none = jnp.zeros(len(KINDS))
-    np.testing.assert_allclose(jax.grad(both)(none), jax.grad(gap)(none), rtol=1e-9)
+    found = eqx.filter_jit(lambda x: (jax.grad(both)(x), jax.grad(gap)(x)))(none)
+    np.testing.assert_allclose(*found, rtol=1e-9)
 
 
 def test_a_hard_scene_is_that_of_its_own_plants(plot) -> None:

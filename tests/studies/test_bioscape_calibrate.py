@@ -251,7 +251,8 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
     scenes = build_scenes(
         [file] * len(seeds), Resolution(6.0, 0.5), seeds, room=ROOM, softness=SOFTNESS
     )
-    models, parameters = [m for m, _ in scenes], scenes[0][1]
+    # The spectrum is that of whole plants; the search is on plants that fade, as the command's.
+    models, parameters = [m.faded() for m, _ in scenes], scenes[0][1]
     view = spectrum_view(bands, *scenes[0], ACCURACY)
     predict = PlotSpectrumForward(view, tuple(s == "deadwood" for s in slots))
     space = prior_space(plot)
@@ -261,7 +262,7 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
     truth = jnp.asarray(list(at.values()))
     zero = jnp.zeros(len(centre))
     blank = Data(view.names, zero, zero + 1, jnp.eye(len(centre)))  # as `weigh_spectrum` has it
-    density = LogPosterior(predict, space, blank, zero, (models[-1], parameters))
+    density = LogPosterior(predict, space, blank, zero, (scenes[-1][0], parameters))
     spectrum = np.asarray(predicted_statistics(density, truth))
     data = weigh_spectrum(view.names, spectrum, 0.01, gain=0.0, offset=1e-4)
     case = PlotCase(data, space, parameters, tuple(models[:-1]))
