@@ -8,7 +8,7 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import (
-    FORM_DEFAULTS,
+    FORMS,
     Organ,
     PlantModel,
     leaf_angle,
@@ -16,9 +16,7 @@ from fynjax.canopy import (
     plant_model,
     table1_2006,
 )
-from fynjax.canopy._forms import _outline, free_shoots
-
-FORMS = list(FORM_DEFAULTS)
+from fynjax.canopy._elements import _outline, free_shoots
 
 
 def arrays(plant: PlantModel, organ: Organ) -> tuple[np.ndarray, np.ndarray]:
@@ -37,7 +35,7 @@ def test_what_every_form_promises(form: str, n_elements: int) -> None:
     assert position[:, 2].max() <= 1.0
     np.testing.assert_allclose(np.linalg.norm(plant.normal, axis=1), 1.0, atol=1e-12)
     assert np.asarray(plant.normal)[:, 2].min() >= -1e-12
-    defaults = FORM_DEFAULTS[form]
+    defaults = FORMS[form]
     bears = (defaults.leaf_area_index, defaults.wood_area_index, defaults.flower_fraction)
     for kind, amount in zip(Organ, bears, strict=True):
         total = np.asarray(plant.area_fraction)[organ == kind].sum()
@@ -55,7 +53,7 @@ def test_a_seed_fixes_the_plant(form: str) -> None:
 def test_leaf_normals_project_as_their_distribution(form: str) -> None:
     """G of the elements, with every azimuth, against the Ross-Nilson integral."""
     _, normal = arrays(plant_model(form, 4000, seed=0), Organ.LEAF)
-    angle = leaf_angle(FORM_DEFAULTS[form].leaf_angle)
+    angle = leaf_angle(FORMS[form].leaf_angle)
     level, upright = np.hypot(normal[:, 0], normal[:, 1])[:, None], normal[:, 2:]
     turn = np.cos(np.linspace(0, 2 * np.pi, 180, endpoint=False))
     for zenith in (0.0, 25.0, 57.5, 80.0):
@@ -179,11 +177,11 @@ def test_sizes_of_leaves_are_those_of_the_shipped_taxa() -> None:
     length = pd.to_numeric(sizes.length_mm).fillna(np.inf)
     across = 2.0 / (1.0 / length + 1.0 / pd.to_numeric(sizes.width_mm))
     for form, mean in across.groupby(sizes.growth_form).mean().items():
-        assert FORM_DEFAULTS[str(form)].leaf_diameter == pytest.approx(mean / 1e3, rel=0.06)
+        assert FORMS[str(form)].leaf_diameter == pytest.approx(mean / 1e3, rel=0.06)
 
 
 def test_dead_wood_has_more_or_fewer_stems_and_some_lean_low() -> None:
-    tops = [free_shoots("deadwood", seed, 12)[0][3] for seed in range(30)]
+    tops = [free_shoots(FORMS["deadwood"].shoots, seed, 12)[0][3] for seed in range(30)]
     numbers = np.array([len(top) for top in tops])
     assert set(numbers) == {8, 9, 10, 11, 12}
     low = np.concatenate([top < 0.25 * top.max() for top in tops]).mean()

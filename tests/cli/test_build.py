@@ -13,7 +13,7 @@ import xarray as xr
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import FORM_DEFAULTS, table1_2006
+from fynjax.canopy import FORMS, table1_2006
 from fynjax.cli._build import build
 from fynjax.io.instruments import _scene_mesh
 from fynjax.scene import USUAL_LEAF
@@ -86,7 +86,7 @@ def test_the_files_of_a_build_agree(plot: Path, tmp_path: Path) -> None:
     euclea = disc[plants.taxon == "Euclea racemosa"].sum()
     every = disc.sum() / 4.0
     seen = euclea * (1 - np.prod(1 - disc / 4.0)) / every  # crowns overlap
-    form = FORM_DEFAULTS["broad_leaved"]
+    form = FORMS["broad_leaved"]
     area, dead = form.leaf_area_index, form.dead_fraction
     assert leaf == pytest.approx(area * (1 - form.shoot_clumping) * seen, rel=1e-3)
     stand = pd.read_csv(out / "stand.csv").set_index("taxon")

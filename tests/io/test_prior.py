@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import FORM_DEFAULTS
+from fynjax.canopy import FORMS
 from fynjax.io.plot import (
     DEFAULT_PRIOR,
     LEAFY_FORMS,
@@ -125,7 +125,7 @@ def test_the_defaults_are_those_of_the_shipped_prior() -> None:
     assert learned is not None
     mean = learned.values()
     for form in LEAFY_FORMS:
-        usual = FORM_DEFAULTS[form]
+        usual = FORMS[form]
         assert usual.leaf_area_index == round(mean[f"leaf_area_index.{form}"], 1), form
         assert usual.dead_fraction == round(mean[f"dead_fraction.{form}"], 2), form
         assert usual.shoot_clumping == round(mean[f"shoot_clumping.{form}"], 2), form

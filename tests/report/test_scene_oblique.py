@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fynjax.assembly import build_plot
-from fynjax.canopy import FORM_DEFAULTS, Organ, plant_model
+from fynjax.canopy import FORMS, Organ, plant_model
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.jobs._build import drawn_plants
 from fynjax.report.figures import DrawnPlants
@@ -77,7 +77,7 @@ def test_the_ground_is_drawn_as_the_plane_that_it_is():
     assert np.all(height_at(None, EXTENT, x, y) == 0.0)
 
 
-@pytest.mark.parametrize("form", [f for f, d in FORM_DEFAULTS.items() if d.leaf_area_index > 0])
+@pytest.mark.parametrize("form", [f for f, d in FORMS.items() if d.leaf_area_index > 0])
 def test_points_show_the_area_that_leaves_turn_to_the_eye(form):
     """Area over the crowns, times the mean |cosine| of the form's own elements; pixels in disc."""
     plants, _ = on_a_slope()
