@@ -51,6 +51,27 @@ def parts_of(path: Path) -> dict[str, trimesh.Trimesh]:
     return {piece.visual.material.name: piece for piece in pieces}
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_a_plant_of_a_form_has_its_usual_size_and_areas(form: str) -> None:
+    """Closed areas, for forms of which table 1 has no taxon too."""
+    made, usual = plant(form), FORMS[form]
+    assert (made.form, made.taxon) == (form, form)
+    low, high = made.mesh.vertices.min(axis=0), made.mesh.vertices.max(axis=0)
+    assert (high - low)[:2].mean() == pytest.approx(usual.diameter, rel=1e-3)
+    assert (high - low)[2] == pytest.approx(usual.height, rel=1e-3)
+    disc = np.pi * usual.diameter**2 / 4.0
+    model = plant_model_from_mesh(made.mesh, 60, solid_materials="closed")
+    wanted = [usual.leaf_area_index * disc, usual.wood_area_index * disc, 0.0]
+    np.testing.assert_allclose(model.organ_area, wanted, rtol=1e-9)
+
+
+def test_stems_of_a_column_have_the_thickness_of_its_leaf() -> None:
+    """Fourteen stems of 38 mm make its area: an independent count of what its sources state."""
+    made = plant("column")
+    assert made.n_leaves == FORMS["column"].shoots.number
+    assert made.leaf_scale == pytest.approx(1.0, abs=0.1)
+
+
 @pytest.mark.parametrize("taxon", TAXA)
 def test_size_and_areas_are_those_of_the_tables(taxon: str) -> None:
     generated, row = plant(taxon), TABLE.loc[taxon]
@@ -70,7 +91,7 @@ def test_size_and_areas_are_those_of_the_tables(taxon: str) -> None:
     assert np.linalg.norm(cross, axis=1).min() > 0.0
 
 
-@pytest.mark.parametrize("taxon", TAXA)
+@pytest.mark.parametrize("taxon", [*TAXA, "cushion", "column"])
 def test_organs_stand_where_the_growth_form_has_them(taxon: str) -> None:
     """Mean height and reach of leaves (of wood without them) as in the parametric form.
 

@@ -60,7 +60,8 @@ def init(
       assumptions about recovery, which the files state.
     - `prior`: learned population (`read_prior`) of which the files state leaf area, dead tissue and
       the brightness of dead tissue, each with its spread in another region, and of which leaves
-      have the factors; of growth forms that it lacks, what they assume themselves. "none" states nothing: growth forms have their defaults, with wide priors.
+      have the factors; of growth forms that it lacks, what they assume themselves. "none" states
+      nothing: growth forms have their defaults, with wide priors.
     - `seed`: seed of every random number of the plot.
 
     **Returns:** `InitResult`, with the files that were written.
