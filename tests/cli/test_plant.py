@@ -70,6 +70,15 @@ def test_a_taxon_becomes_a_mesh_and_elements(tmp_path: Path) -> None:
     assert sum(len(piece.faces) for piece in whole.geometry.values()) > 30000
 
 
+def test_a_growth_form_becomes_a_plant_of_its_usual_size(tmp_path: Path) -> None:
+    summary = run("column", "--elements", "100", "--output", str(tmp_path / "made"))
+    form = FORMS["column"]
+    disc = np.pi / 4 * form.diameter**2
+    assert summary["form"] == "column"
+    assert summary["area_m2"]["leaf"] == pytest.approx(form.leaf_area_index * disc, rel=1e-6)
+    assert summary["height_m"] == pytest.approx(form.height, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("text", "word"),
     [

@@ -24,7 +24,7 @@ FORM = GrowthForm(
     height=0.12,
     crown=Crown(0.0, 0.1, 2.0, 2.0, height_power=0.0, shell_power=6.0),
     shoots=Shoots(24, 0.04, (0.05, 0.45), (0.40, 0.90), 1.0, 0.6),
-    foliage=Foliage(120, 0.045, 0.12, outline=0.25, uneven=0.04, bare=0.02),
+    foliage=Foliage(200, 0.055, 0.12, outline=0.25, uneven=0.04, bare=0.02),
     mesh=MeshRecipe(
         MeshLeaf("blade", "linear", 0.004, 0.0012), leaves_per_twig=40, angle_to_twig=45.0
     ),

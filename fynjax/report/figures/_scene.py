@@ -194,7 +194,9 @@ def _points(plants: DrawnPlants, species: int, metre: float) -> Float[np.ndarray
         return np.zeros(len(Organ))
     disc = float(np.mean(np.pi / 4.0 * plants.instances.diameter[mine] ** 2))
     form = FORMS[plants.forms[species]]
-    leaf = max(np.pi / 4.0 * form.leaf_diameter**2, (_LEAST_PIXELS / metre) ** 2)
+    # Culms and thick stems as beads of their own width, that touch.
+    across = form.mesh.leaf.width if form.mesh.green_sides else form.leaf_diameter
+    leaf = max(np.pi / 4.0 * across**2, (_LEAST_PIXELS / metre) ** 2)
     many = disc * plants.area_index[species] / leaf
     shoots = 0 if form.shoots is None else form.shoots.number
     stems = shoots * float(plants.instances.height[mine].mean())
