@@ -22,6 +22,7 @@ PACKAGES = (
     "fynjax.jobs",
     "fynjax.leaf",
     "fynjax.canopy",
+    "fynjax.canopy.forms",
     "fynjax.canopy.mesh",
     "fynjax.metrics",
     "fynjax.metrics.structure",

@@ -15,3 +15,5 @@ FORMS: Mapping[str, GrowthForm] = MappingProxyType(
     {name: import_module(f"{__name__}.{name}").FORM for _, name, _ in iter_modules(__path__)}
 )
 """Each growth form by its name, in the order of the alphabet."""
+
+__all__ = ["FORMS"]
