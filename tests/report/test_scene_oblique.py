@@ -52,6 +52,14 @@ def drawn(plants: Instances, form: str, area: tuple[float, float, float], **othe
     return DrawnPlants(plants, [form], np.array([area]), **(given | other))
 
 
+def test_stems_of_a_column_are_drawn_as_beads_of_their_width():
+    plants, _ = on_a_slope()
+    stated = drawn(plants, "column", (2.5, 0.0, 0.0))
+    _, _, area = element_points(stated, 300.0, UP)
+    disc = np.pi / 4 * np.mean(plants.diameter**2)
+    assert len(area) / 2 == pytest.approx(disc * 2.5 / (np.pi / 4 * 0.038**2), rel=0.02)
+
+
 def test_plants_are_drawn_where_they_stand():
     plants, _ = on_a_slope()
     place, _, _ = element_points(drawn(plants, "rounded_shrub", (4.0, 0.5, 0.0)), 300.0, UP)
