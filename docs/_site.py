@@ -22,6 +22,7 @@ PACKAGES = (
     "fynjax.jobs",
     "fynjax.leaf",
     "fynjax.canopy",
+    "fynjax.canopy.forms",
     "fynjax.canopy.mesh",
     "fynjax.metrics",
     "fynjax.metrics.structure",
@@ -237,12 +238,12 @@ def parameters() -> str:
 
 def forms() -> str:
     """What is taken for a growth form where a table states nothing."""
-    from fynjax.canopy import FORM_DEFAULTS
+    from fynjax.canopy import FORMS
 
     shown = ("leaf_area_index", "wood_area_index", "shoot_clumping", "dead_fraction")
     rows = [
         (code(form), *(f"{getattr(values, field):.3g}" for field in shown))
-        for form, values in FORM_DEFAULTS.items()
+        for form, values in FORMS.items()
     ]
     return table(("growth form", *(field.replace("_", " ") for field in shown)), rows)
 

@@ -36,7 +36,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from fynjax.canopy import FORM_DEFAULTS, hard_count, instance_area, table1_2006, target_area
+from fynjax.canopy import FORMS, hard_count, instance_area, table1_2006, target_area
 from fynjax.leaf import LeafParameters
 from fynjax.radiation import Accuracy
 from fynjax.scene import (
@@ -109,10 +109,10 @@ parameters = PlotParameters(
         height=jnp.asarray(height),
         packing=every(0.0),
         fill=every(1.0),
-        leaf_area_index=jnp.array([FORM_DEFAULTS[form].leaf_area_index for form in forms]),
-        wood_area_index=jnp.array([FORM_DEFAULTS[form].wood_area_index for form in forms]),
-        shoot_clumping=jnp.array([FORM_DEFAULTS[form].shoot_clumping for form in forms]),
-        dead_fraction=jnp.array([FORM_DEFAULTS[form].dead_fraction for form in forms]),
+        leaf_area_index=jnp.array([FORMS[form].leaf_area_index for form in forms]),
+        wood_area_index=jnp.array([FORMS[form].wood_area_index for form in forms]),
+        shoot_clumping=jnp.array([FORMS[form].shoot_clumping for form in forms]),
+        dead_fraction=jnp.array([FORMS[form].dead_fraction for form in forms]),
     ),
     leaf=LeafParameters.many(
         chlorophyll=every(40.0),

@@ -19,6 +19,7 @@ from fynjax.assembly._stands import (
     StandSettings,
     make_stand,
     simulate_stands,
+    stand_forms,
     stand_numbers,
 )
 from fynjax.assembly._targets import Measured, drone_view, read_targets
@@ -45,6 +46,7 @@ __all__ = [
     "sample_pixel",
     "shown_unit",
     "simulate_stands",
+    "stand_forms",
     "stand_numbers",
     "stand_size",
 ]

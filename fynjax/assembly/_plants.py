@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import FORM_DEFAULTS, MeshPlant, Organ, PlantMaterial, plant_model_from_mesh
+from fynjax.canopy import FORMS, MeshPlant, Organ, PlantMaterial, plant_model_from_mesh
 from fynjax.canopy.mesh import mesh_plant
 from fynjax.io.text import Strict, number, read_rows
 
@@ -56,7 +56,7 @@ def read_plant(path: Path, form: str) -> MeshPlant:
         if error.file is not None:
             raise
         raise InputError(str(error), file=path) from error
-    leafy = FORM_DEFAULTS[form].leaf_area_index > 0
+    leafy = FORMS[form].leafy
     if leafy != (float(plant.organ_area[Organ.LEAF]) > 0):
         raise InputError(
             f"expected a plant {'with' if leafy else 'without'} leaves for the growth form "

@@ -17,9 +17,9 @@ import numpy as np
 import scipy.special
 from jaxtyping import Array, Float
 
-from fynjax.canopy import table1_2006
+from fynjax.canopy import FORMS
 from fynjax.inversion import nadir_imager
-from fynjax.io.plot import BY_FORM, LEAFY_FORMS, LearnedPrior, leaf_factors
+from fynjax.io.plot import BY_FORM, LearnedPrior, leaf_factors
 from fynjax.leaf import FLAT, ROUND, LeafParameters, structure_from_dry_matter
 from fynjax.radiation import Accuracy, render, solve_light
 from fynjax.scene import (
@@ -83,43 +83,21 @@ STAND_QUANTITIES: dict[str, StandQuantity] = {
 }
 """What is known of every simulated stand, in the order of its columns."""
 
-FORMS = (*LEAFY_FORMS, "deadwood")
-"""A species each."""
-_ROUND = ("upright_ericoid", "tussock", "climber")
-"""Forms with needles, culms or threads for leaves; the others have flat ones."""
-_SHARES = {
-    "upright_ericoid": 1.0,
-    "rounded_shrub": 0.1,
-    "tussock": 1.0,
-    "broad_leaved": 0.6,
-    "climber": 0.05,
-}
-"""Concentration of a Dirichlet distribution of the forms' shares of live crowns: that of the 18
-plots below, by their moments."""
 _COVERED, _DEAD = (6.5, 1.3), (0.55, 0.5)
 """Beta distributions of the share of the ground under live crowns, and of the share of the rest
 that is dead: those of 18 plots of the Cape Peninsula (CleanPeninsulaCoverData.csv,
-doi:10.5281/zenodo.14198989), by their moments."""
+doi:10.5281/zenodo.14198989), by their moments. Shares of the growth forms are their own
+(`GrowthForm.stand_share`), of the same plots."""
 _ELSEWHERE = 0.2
 """Share of stands whose covers are as good as any, for burnt, cleared and closed ground."""
 _STANDING = (2.0, 2.0)
 """Of the share of dead cover that stands: the rest is litter."""
 _MOST_CROWNS = 3.0
 """Crowns over ground, at most [-]: crowns at random then leave a twentieth free."""
-_LEAVES = {
-    "upright_ericoid": (185.0, 0.49),
-    "rounded_shrub": (100.0, 0.74),
-    "tussock": (395.0, 0.52),
-    "broad_leaved": (235.0, 0.61),
-    "climber": (235.0, 0.61),
-    "deadwood": (235.0, 0.50),
-}
-"""Leaf mass per projected area [g m-2] and water over fresh mass [-] of the growth forms: medians
-of the measured species of those plots by cover (PeninsulaTraitLibrary.csv, source as above);
-climbers as broad leaves."""
 _LEAF_MASS_SD, _WATER_SD = (0.15, 0.27), (0.12, 0.25)
-"""Standard deviations of the logarithm and of the logit of these, between stands and between forms
-of a stand: together those of the same species within their forms, 0.31 and 0.27."""
+"""Standard deviations of the logarithm of leaf mass per area, and of the logit of water over fresh
+mass, about those of the growth form: between stands and between forms of a stand. Together those
+of the same species within their forms, 0.31 and 0.27."""
 _PIGMENT_SD = (0.2, 0.2)
 """Of the logarithm of chlorophyll, between stands and forms: an assumption."""
 _MOST_WATER = 0.05
@@ -135,10 +113,6 @@ _CELL = 0.1
 """Side of the cells in which the cover of crowns is counted [m]."""
 _EDGE = 1e-9
 """Least share, and what the largest lacks of 1."""
-_OF_STAND = 7 + len(LEAFY_FORMS) + len(FORMS)
-"""Numbers that its covers, shares, sizes and sun are made of, beside those of the prior."""
-_OF_SET = 5 + 3 * len(FORMS)
-"""The same of a set's leaves and ground."""
 _GEOMETRY = ("leaf_area_index", "shoot_clumping")
 """What the stand is planted with, so that all its sets of leaves share it."""
 
@@ -229,7 +203,7 @@ def make_stand(
 
     **Returns:** `Stands`, a row a set.
     """
-    scene, planted, imager = _planted(bands, settings)
+    scene, planted, imager = _planted(stand_forms(prior), bands, settings)
     drawn = _draw(prior, settings, common, own)
     stand = stand_realisation(scene, chance)
     parameters = replace(planted, species=drawn.species, light=drawn.light)
@@ -239,20 +213,23 @@ def make_stand(
 
 
 @lru_cache(maxsize=2)
-def _planted(bands: BandSet, settings: StandSettings) -> tuple[Scene, PlotParameters, AimedSensor]:
+def _planted(
+    names: tuple[str, ...], bands: BandSet, settings: StandSettings
+) -> tuple[Scene, PlotParameters, AimedSensor]:
     """The scene that all stands are realisations of: sites for as many plants as any may have."""
-    diameter, _ = _sizes()
+    forms = [FORMS[name] for name in names]
+    diameter = np.array([form.diameter for form in forms])
     values: dict[str, list[float | None]] = {
-        "cover": [_MOST_CROWNS * (1.0 - _PACKING)] * len(FORMS),
+        "cover": [_MOST_CROWNS * (1.0 - _PACKING)] * len(forms),
         "diameter": list(diameter * np.exp(-_SIZE_SD)),
-        "height": [_TALLEST] * len(FORMS),
-        "packing": [_PACKING] * len(FORMS),
-        "fill": [1.0] * len(FORMS),
+        "height": [_TALLEST] * len(forms),
+        "packing": [_PACKING] * len(forms),
+        "fill": [1.0] * len(forms),
     }
-    species, leaf = species_parameters(FORMS, values, [None] * len(FORMS))
+    species, leaf = species_parameters(names, values, [None] * len(forms))
     parameters = PlotParameters(species, leaf, GroundParameters(), LightParameters())
     scene = build_scene(
-        [SceneSpecies(form, form) for form in FORMS],
+        [SceneSpecies(name, name) for name in names],
         parameters,
         extent=(settings.size_m, settings.size_m),
         voxel=settings.voxel_m,
@@ -265,13 +242,6 @@ def _planted(bands: BandSet, settings: StandSettings) -> tuple[Scene, PlotParame
         lattice=1, sublayers=1, coarsening=(2, 2), levels=2, refine=False, solves=settings.solves
     )
     return scene, parameters, nadir_imager(bands, scene, parameters, accuracy)
-
-
-def _sizes() -> tuple[Float[np.ndarray, " form"], Float[np.ndarray, " form"]]:
-    """Usual crown diameter and greatest height of each form [m]: means of the shipped table."""
-    table = table1_2006().groupby("growth_form")[["mean_diameter_cm", "height_max_m"]].mean()
-    rows = table.loc[list(FORMS)]
-    return rows["mean_diameter_cm"].to_numpy() / 100.0, rows["height_max_m"].to_numpy()
 
 
 class _Optics(eqx.Module):
@@ -314,13 +284,22 @@ def _beta(normal: Any, a: Any, b: Any) -> Any:
     return np.clip(scipy.special.betaincinv(a, b, _uniform(normal)), _EDGE, 1.0 - _EDGE)
 
 
+def stand_forms(prior: LearnedPrior) -> tuple[str, ...]:
+    """Growth forms of stands, a species each: those that the prior was learned with, and deadwood.
+
+    **Arguments:** `prior`, which the stands are drawn from.
+    """
+    return (*(form for form in prior.forms if FORMS[form].stand_share > 0.0), "deadwood")
+
+
 def stand_numbers(prior: LearnedPrior) -> tuple[int, int]:
     """How many unit normal numbers make a stand, and each set of its leaves and ground.
 
     **Arguments:** `prior`, which the stand is drawn from.
     """
     common, own = prior.numbers(_GEOMETRY)
-    return common + _OF_STAND, own + _OF_SET
+    forms = len(stand_forms(prior))
+    return common + 6 + 2 * forms, own + 5 + 3 * forms
 
 
 def _draw(
@@ -330,13 +309,15 @@ def _draw(
     own: Float[np.ndarray, "set number"],
 ) -> _Drawn:
     """A stand of unit normal numbers, those that all its sets have in common and those of each."""
-    count, forms, leafy = len(own), len(FORMS), len(LEAFY_FORMS)
+    names, count = stand_forms(prior), len(own)
+    records = [FORMS[name] for name in names]
+    forms, leafy = len(names), len(names) - 1
     first, each = prior.numbers(_GEOMETRY)
     at = prior.drawn(common[:first], own[:, :each], _GEOMETRY)
     stand, of_set = _Numbers(common[first:]), _Numbers(own[:, each:])
 
     def by_form(kind: str) -> Float[np.ndarray, "set form"]:
-        values = [at[f"{kind}.{form}"] for form in LEAFY_FORMS]
+        values = [at[f"{kind}.{form}"] for form in names[:-1]]
         return np.stack([*values, np.zeros(count)], axis=1)
 
     def around(
@@ -350,12 +331,14 @@ def _draw(
     )
     standing = dead * float(_beta(stand.take(1)[0], *_STANDING))
     # A Dirichlet distribution is that of the shares of gamma variates.
-    parts = scipy.special.gammaincinv(list(_SHARES.values()), _uniform(stand.take(leafy)))
+    parts = scipy.special.gammaincinv(
+        [form.stand_share for form in records[:-1]], _uniform(stand.take(leafy))
+    )
     shares = parts / parts.sum()
     crowns = np.minimum(
         -np.log1p(-np.append(live * np.ones(leafy), standing)), _MOST_CROWNS
     ) * np.append(shares, 1.0)
-    diameter, height = _sizes()
+    diameter, height = np.array([(form.diameter, form.height) for form in records]).T
     diameter = diameter * np.exp(np.clip(_SIZE_SD * stand.take(forms), -_SIZE_SD, None))
     height = height * np.exp(_SIZE_SD * stand.take(1))
     values: dict[str, Any] = {
@@ -366,16 +349,16 @@ def _draw(
         "fill": [1.0] * forms,
         **{kind: by_form(kind)[0] for kind in BY_FORM},
     }
-    species, _ = species_parameters(FORMS, values, [None] * forms)
+    species, _ = species_parameters(names, values, [None] * forms)
     low, high = settings.sun_zenith
     light = LightParameters(
         sun_zenith=jnp.asarray(low + (high - low) * _uniform(stand.take(1)[0])),
         sun_azimuth=jnp.asarray(360.0 * _uniform(stand.take(1)[0])),
     )
-    mass, water = np.array([_LEAVES[form] for form in FORMS]).T
+    mass, water = np.array([(f.leaf_mass_per_area, f.water_content) for f in records]).T
     leaf_mass = around(mass, _LEAF_MASS_SD)
     odds = around(water / (1.0 - water), _WATER_SD)
-    ratio = np.array([ROUND if form in _ROUND else FLAT for form in FORMS])
+    ratio = np.array([ROUND if form.round_leaves else FLAT for form in records])
     dry = np.minimum(leaf_mass / ratio / 1e4, PARAMETERS["dry_matter"].upper)
     pigment = around(1.0, _PIGMENT_SD)
     average = prior.values()["chlorophyll"]  # which the usual leaf is already times
@@ -443,7 +426,7 @@ def _quantities(
     scene: Scene, parameters: PlotParameters, drawn: _Drawn
 ) -> Float[np.ndarray, "set quantity"]:
     """`STAND_QUANTITIES` of each set of a planted stand."""
-    species, planting = parameters.species, scene.planting
+    species, planting, forms = parameters.species, scene.planting, drawn.leaf_mass.shape[1]
     area = np.asarray(scene.crown_areas(parameters), float)
     owner = np.asarray(planting.species)
     size = np.asarray(species.diameter)[owner] * np.asarray(planting.size)
@@ -455,16 +438,20 @@ def _quantities(
     squared = np.minimum(away, side - away) ** 2
     under = squared[:, :, None, 0] + squared[:, None, :, 1] <= 0.25 * size[stands, None, None] ** 2
     free = 1.0 - weight[:, None, None] * under  # share of a cell that each crown leaves free
-    is_live = owner[stands] < len(LEAFY_FORMS)
+    is_live = owner[stands] < forms - 1
     not_live = np.prod(free[is_live], axis=0)
     open_ground = float((not_live * np.prod(free[~is_live], axis=0)).mean())
     live = 1.0 - float(not_live.mean())
     litter = np.asarray(drawn.optics.ground.litter_fraction, float)
     shown = np.asarray(scene.crown_share(parameters), float)
-    crowns = np.bincount(owner, area, len(FORMS))[:-1] / side**2 * float(shown)
+    crowns = np.bincount(owner, area, forms)[:-1] / side**2 * float(shown)
     shoots = crowns * np.asarray(species.leaf_area_index, float)[:-1]
     dead = np.asarray(drawn.optics.dead_fraction, float)[:, :-1]
-    share = crowns / max(crowns.sum(), 1e-12) if crowns.sum() > 0 else np.full(len(crowns), 0.2)
+    share = (
+        crowns / max(crowns.sum(), 1e-12)
+        if crowns.sum() > 0
+        else np.full(forms - 1, 1.0 / (forms - 1))
+    )
     leafy = shoots / shoots.sum() if shoots.sum() > 0 else share
     chlorophyll = np.asarray(drawn.optics.leaf.chlorophyll, float)
     count = len(litter)

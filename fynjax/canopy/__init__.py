@@ -22,12 +22,14 @@ from fynjax.canopy._counts import (
     soft_count,
     target_area,
 )
-from fynjax.canopy._forms import FORM_DEFAULTS, FormDefaults, plant_model, shoot_number
+from fynjax.canopy._elements import Crown, Foliage, Shoots
+from fynjax.canopy._form import FormPrior, GrowthForm, MeshLeaf, MeshRecipe, Taxa
 from fynjax.canopy._greenness import Greenness, band_roles, choose_greenness
 from fynjax.canopy._grid import VoxelGrid, deposit
 from fynjax.canopy._instances import instantiate, random_orientation, stack_plants, unit_shapes
 from fynjax.canopy._pattern import VegetationPattern, even_levels, vegetation_pattern
 from fynjax.canopy._plant import Organ, PlantModel, thin_plant
+from fynjax.canopy._plant_model import plant_model
 from fynjax.canopy._sites import (
     assign_sites,
     element_weight,
@@ -36,6 +38,7 @@ from fynjax.canopy._sites import (
     soft_weights,
 )
 from fynjax.canopy._table import table1_2006
+from fynjax.canopy.forms import FORMS
 from fynjax.canopy.mesh import (
     GeneratedPlant,
     MeshPlant,
@@ -52,20 +55,27 @@ from fynjax.canopy.mesh import (
 )
 
 __all__ = [
-    "FORM_DEFAULTS",
+    "FORMS",
     "AbstractLeafAngle",
+    "Crown",
     "CrownPacking",
     "EllipsoidalLeafAngle",
-    "FormDefaults",
+    "Foliage",
+    "FormPrior",
     "GeneratedPlant",
     "Greenness",
+    "GrowthForm",
+    "MeshLeaf",
     "MeshPlant",
+    "MeshRecipe",
     "Organ",
     "PlantMaterial",
     "PlantMesh",
     "PlantModel",
+    "Shoots",
     "SphericalLeafAngle",
     "TabulatedLeafAngle",
+    "Taxa",
     "TrigonometricLeafAngle",
     "VegetationPattern",
     "VerhoefLeafAngle",
@@ -97,7 +107,6 @@ __all__ = [
     "read_scan",
     "rounded_count",
     "share_from_above",
-    "shoot_number",
     "site_weight",
     "soft_count",
     "soft_weights",

@@ -20,7 +20,7 @@ Source = Annotated[
     typer.Argument(
         metavar="MESH|SCAN|TAXON",
         help="Mesh (OBJ, PLY, STL, GLB; metres), scan with normals (XYZ, CSV, TXT, PLY without "
-        "faces), or a taxon of table 1 to generate.",
+        "faces), or a taxon of table 1 or growth form to generate.",
     ),
 ]
 # Options whose names are not those of the arguments behind them.
@@ -89,11 +89,12 @@ def plant(
     ] = None,
     seed: Seed = 0,
 ) -> Job:
-    """Turn a plant mesh or a scan into area elements, or generate the mesh of a taxon.
+    """Turn a plant mesh or a scan into area elements, or generate the mesh of a taxon or
+    growth form.
 
     Writes elements.csv (position, normal, one-sided area, organ, optics of each element), a
-    picture and, for a taxon or a mesh made of branches, plant.obj with plant.mtl. Closed surfaces
-    count half.
+    picture and, of what is generated or made of branches, plant.obj with plant.mtl. Closed
+    surfaces count half.
 
     Example:  fynjax plant "Metalasia muricata" --elements 5000 --output metalasia
     """

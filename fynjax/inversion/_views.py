@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float, Int
 
-from fynjax.canopy import FORM_DEFAULTS, VoxelGrid, leaf_angle
+from fynjax.canopy import FORMS, VoxelGrid, leaf_angle
 from fynjax.inversion._log_posterior import jacobian_by_rows
 from fynjax.metrics import STRUCTURE_METRICS, StructureSettings, image_statistics, voxel_structure
 from fynjax.radiation import Accuracy, VoxelScene
@@ -379,7 +379,7 @@ def _projections(scene: Scene) -> Float[Array, " class"]:
     found = []
     for i in leafy_species(scene.forms):
         own = scene.leaf_angles[i]
-        angle = leaf_angle(FORM_DEFAULTS[scene.forms[i]].leaf_angle) if own is None else own
+        angle = leaf_angle(FORMS[scene.forms[i]].leaf_angle) if own is None else own
         found.append(angle.projection(jnp.ones(())))
     return jnp.stack([*found, *(jnp.asarray(_EVEN),) * 2])
 

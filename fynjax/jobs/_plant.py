@@ -11,6 +11,7 @@ from pydantic import Field
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.canopy import (
+    FORMS,
     GeneratedPlant,
     MeshPlant,
     Organ,
@@ -115,7 +116,7 @@ def plant(
 
     **Arguments:**
 
-    - `source`: a mesh, a scan, or a taxon of table 1.
+    - `source`: a mesh, a scan, or a taxon of table 1 or growth form to grow.
     - `output`: folder of the results, made if missing.
     - `materials`: table of materials (columns material, organ, optics, solid).
     - `up`, `n_elements`: as in `plant_model_from_mesh`; `maximum_extent` as there, 4 m if left
@@ -199,8 +200,8 @@ def plant(
 
 
 def _kind(source: str) -> str:
-    """Whether the source is a mesh, a scan or a taxon."""
-    taxa = list(table1_2006().taxon)
+    """Whether the source is a mesh, a scan or a taxon (or growth form)."""
+    taxa = [*table1_2006().taxon, *FORMS]
     if source in taxa:
         return "taxon"
     path = Path(source)
@@ -215,8 +216,8 @@ def _kind(source: str) -> str:
             file=source,
         )
     raise InputError(
-        f"{source!r} is no file and no taxon of table 1.{did_you_mean(source, taxa)} "
-        f"Taxa: {', '.join(taxa)}."
+        f"{source!r} is no file, no taxon of table 1 and no growth form."
+        f"{did_you_mean(source, taxa)} Known are {', '.join(taxa)}."
     )
 
 

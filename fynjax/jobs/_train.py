@@ -17,7 +17,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import Progress
-from fynjax.assembly import STAND_QUANTITIES, StandSettings, simulate_stands
+from fynjax.assembly import STAND_QUANTITIES, StandSettings, simulate_stands, stand_forms
 from fynjax.inversion import (
     INTERVALS,
     AmortisedPosterior,
@@ -104,7 +104,7 @@ def train(
     - `sensor`: name of a shipped sensor or path of a sensor file, or instead
     - `like`: a cube, for whose good bands to train.
     - `sun_zenith`: least and greatest zenith angle of the sun [degrees].
-    - `prior`: learned population, see `fynjax.io.plot.read_prior`.
+    - `prior`: learned population, see `fynjax.io.plot.read_prior`. Stands have its growth forms.
     - `simulations`: number of spectra, rounded up to whole stands.
     - `steps`: of the optimisation.
     - `seed`: of everything random.
@@ -166,6 +166,7 @@ def train(
         "kind": _KIND,
         "sensor": name,
         "sensor_bands": len(bands),
+        "growth_forms": ", ".join(stand_forms(learned)),
         "prior": learned.file.title,
         "prior_sha256": file_hash(learned.path),
         "simulations": count,
@@ -193,6 +194,7 @@ def train(
         headline=[
             f"{count} spectra of {name} in {len(channels.centre)} channels, sun at {low:g} to "
             f"{high:g} degrees.",
+            f"Growth forms of the stands, those of the prior: {', '.join(stand_forms(learned))}.",
             f"On {held_out.count} held out the 90 % intervals hold {100 * worst[0]:.0f} to "
             f"{100 * worst[1]:.0f} % of the truths.",
             "Share of the variance explained: "

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax.canopy import (
-    FORM_DEFAULTS,
+    FORMS,
     AbstractLeafAngle,
     Organ,
     PlantModel,
@@ -75,7 +75,7 @@ def optical_classes(
     angles = class_angles(forms, leaf_angles)
     if not hot_spot:
         return OpticalClasses(reflectance, transmittance, *angles)
-    leaf = [FORM_DEFAULTS[forms[i]].leaf_diameter for i in leafy.tolist()]
+    leaf = [FORMS[forms[i]].leaf_diameter for i in leafy.tolist()]
     diameter, size_of_class = np.unique(
         [*leaf, _OTHER_DIAMETER, _OTHER_DIAMETER], return_inverse=True
     )
@@ -94,7 +94,7 @@ def class_angles(
     """The distinct inclinations of a plot, and for each optical class the place of its own."""
     keys: list[int | str] = []
     for i in leafy_species(forms):
-        keys.append(FORM_DEFAULTS[forms[i]].leaf_angle if leaf_angles[i] is None else i)
+        keys.append(FORMS[forms[i]].leaf_angle if leaf_angles[i] is None else i)
     keys += ["spherical", "spherical"]
     distinct = tuple(dict.fromkeys(keys))
     own = [leaf_angles[key] if isinstance(key, int) else leaf_angle(key) for key in distinct]

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtr, ndtri
 
 from fynjax.canopy import (
-    FORM_DEFAULTS,
+    FORMS,
     Organ,
     PlantModel,
     assign_sites,
@@ -269,7 +269,7 @@ def draw_planting(
 
     **Arguments:**
 
-    - `forms`: growth form of each species, keys of `fynjax.canopy.FORM_DEFAULTS`.
+    - `forms`: growth form of each species, keys of `fynjax.canopy.FORMS`.
     - `wanted`: real number of plants of each [-], 0 or more.
     - `diameter`, `height`: mean crown diameter and greatest height of each [m].
     - `rotation_spread`: standard deviation of the plants' lean, of each [degrees].
@@ -453,7 +453,7 @@ def individual_seeds(seed: int, species: int) -> list[int]:
 
 def leafy_species(forms: Sequence[str]) -> dict[int, int]:
     """Optical class of the leaves of each species that has leaves, of `forms` of the species."""
-    with_leaves = [i for i, form in enumerate(forms) if FORM_DEFAULTS[form].leaf_area_index > 0]
+    with_leaves = [i for i, form in enumerate(forms) if FORMS[form].leafy]
     return {species: index for index, species in enumerate(with_leaves)}
 
 

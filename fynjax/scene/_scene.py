@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import (
-    FORM_DEFAULTS,
+    FORMS,
     AbstractLeafAngle,
     CrownPacking,
     PlantModel,
@@ -77,7 +77,7 @@ class SceneSpecies:
     taxon: str
     """Name."""
     form: str
-    """Growth form, a key of `fynjax.canopy.FORM_DEFAULTS`."""
+    """Growth form, a key of `fynjax.canopy.FORMS`."""
     branches: float = 1.0
     """Copies of the plant model that make one plant [-]."""
     rotation_spread: float = 0.0
@@ -392,7 +392,7 @@ class Scene(eqx.Module):
         """One-sided area of leaves, wood and flowers over the ground area of a crown [m2 m-2], as
         seen from outside the shoots: leaves of a shoot shade each other. Differentiable."""
         species = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), parameters.species)
-        full = np.array([FORM_DEFAULTS[form].flower_fraction for form in self.forms])
+        full = np.array([FORMS[form].flower_fraction for form in self.forms])
         flower = species.leaf_area_index * jnp.asarray(self.flowering * full, self.dtype)
         leaf = species.leaf_area_index * (1.0 - species.shoot_clumping)
         return jnp.stack([leaf, species.wood_area_index, flower], axis=-1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.parameters import Parameter, parameters_of
-from fynjax.canopy import FORM_DEFAULTS
+from fynjax.canopy import FORMS
 from fynjax.leaf import LeafParameters, structure_from_dry_matter
 from fynjax.scene._parameters import (
     FIXED_PARAMETERS,
@@ -71,7 +71,7 @@ def species_parameters(
         usual: list[Any]
         stated, default = values.get(name, [None] * len(forms)), PARAMETERS[name].default
         if default is None:
-            usual = [getattr(FORM_DEFAULTS[form], name, None) for form in forms]
+            usual = [getattr(FORMS[form], name, None) for form in forms]
         else:
             usual = [default] * len(forms)
         filled = zip(stated, usual, strict=True)
@@ -135,10 +135,10 @@ def _check_row(row: Mapping[str, Any], number: int, earlier: Sequence[str]) -> N
             raise InputError(
                 f"expected the {name} as text, but got {row[name]!r}", row=number, column=name
             )
-    if row["growth_form"] not in FORM_DEFAULTS:
+    if row["growth_form"] not in FORMS:
         raise InputError(
-            f"expected a growth form{of_taxon} among {', '.join(FORM_DEFAULTS)}, but got "
-            f"{row['growth_form']!r}.{did_you_mean(row['growth_form'], FORM_DEFAULTS)}",
+            f"expected a growth form{of_taxon} among {', '.join(FORMS)}, but got "
+            f"{row['growth_form']!r}.{did_you_mean(row['growth_form'], FORMS)}",
             row=number,
             column="growth_form",
         )

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fynjax.canopy import (
-    FORM_DEFAULTS,
+    FORMS,
     VoxelGrid,
     assign_sites,
     deposit,
@@ -73,7 +73,7 @@ def build_and_time(side: float, radius: float, n_elements: int) -> None:
     plants = stack_plants(models, species)
     organ = np.asarray(plants.organ)
     classes = np.where(organ > 0, len(table) - 1 + organ, species[:, None]).ravel()
-    defaults = [FORM_DEFAULTS[form] for form in table.growth_form]
+    defaults = [FORMS[form] for form in table.growth_form]
     leaf, wood, flower = np.array(
         [
             [d.leaf_area_index, d.wood_area_index, d.flower_fraction * d.leaf_area_index]

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from fynjax.assembly import build_plot
-from fynjax.canopy import FORM_DEFAULTS, leaf_angle
+from fynjax.canopy import FORMS, leaf_angle
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.scene import PlotParameters, Scene
 
@@ -50,7 +50,7 @@ def even_discs(scene: Scene, parameters: PlotParameters) -> tuple[np.ndarray, np
     area of leaves and wood as seen from above, evenly spread over each disc."""
     side = scene.grid.extent[0]
     place = (np.arange(round(side / STEP)) + 0.5) * STEP
-    down = [float(leaf_angle(FORM_DEFAULTS[f].leaf_angle).projection(1.0)) for f in scene.forms]
+    down = [float(leaf_angle(FORMS[f].leaf_angle).projection(1.0)) for f in scene.forms]
     species = parameters.species
     leaf = np.asarray(species.leaf_area_index * (1.0 - species.shoot_clumping)) * np.array(down)
     each = float(scene.crown_share(parameters)) * (leaf + 0.5 * np.asarray(species.wood_area_index))

@@ -1,6 +1,7 @@
 """Plant models: what they promise of shape, area and normals."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -8,17 +9,16 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import (
-    FORM_DEFAULTS,
+    FORMS,
     Organ,
     PlantModel,
+    forms,
     leaf_angle,
     leaf_sizes,
     plant_model,
     table1_2006,
 )
-from fynjax.canopy._forms import _outline, free_shoots
-
-FORMS = list(FORM_DEFAULTS)
+from fynjax.canopy._elements import _outline, free_shoots
 
 
 def arrays(plant: PlantModel, organ: Organ) -> tuple[np.ndarray, np.ndarray]:
@@ -37,7 +37,7 @@ def test_what_every_form_promises(form: str, n_elements: int) -> None:
     assert position[:, 2].max() <= 1.0
     np.testing.assert_allclose(np.linalg.norm(plant.normal, axis=1), 1.0, atol=1e-12)
     assert np.asarray(plant.normal)[:, 2].min() >= -1e-12
-    defaults = FORM_DEFAULTS[form]
+    defaults = FORMS[form]
     bears = (defaults.leaf_area_index, defaults.wood_area_index, defaults.flower_fraction)
     for kind, amount in zip(Organ, bears, strict=True):
         total = np.asarray(plant.area_fraction)[organ == kind].sum()
@@ -51,11 +51,13 @@ def test_a_seed_fixes_the_plant(form: str) -> None:
     assert not np.array_equal(same[0].position, plant_model(form, 50, seed=2).position)
 
 
-@pytest.mark.parametrize("form", ["upright_ericoid", "rounded_shrub", "broad_leaved", "climber"])
+@pytest.mark.parametrize(
+    "form", ["upright_ericoid", "rounded_shrub", "broad_leaved", "climber", "cushion"]
+)
 def test_leaf_normals_project_as_their_distribution(form: str) -> None:
     """G of the elements, with every azimuth, against the Ross-Nilson integral."""
     _, normal = arrays(plant_model(form, 4000, seed=0), Organ.LEAF)
-    angle = leaf_angle(FORM_DEFAULTS[form].leaf_angle)
+    angle = leaf_angle(FORMS[form].leaf_angle)
     level, upright = np.hypot(normal[:, 0], normal[:, 1])[:, None], normal[:, 2:]
     turn = np.cos(np.linspace(0, 2 * np.pi, 180, endpoint=False))
     for zenith in (0.0, 25.0, 57.5, 80.0):
@@ -69,7 +71,7 @@ def test_leaf_normals_project_as_their_distribution(form: str) -> None:
 def test_individuals_differ_and_are_as_wide_and_high_as_stated(form: str) -> None:
     """Mean of two horizontal extents is the diameter; sectors differ within a plant, not on the
     mean of all. Few elements of a large crown tell the same as many."""
-    organ = Organ.WOOD if form == "deadwood" else Organ.LEAF
+    organ = Organ.LEAF if FORMS[form].leafy else Organ.WOOD
     extents, sectors, reach = [], [], []
     for seed in range(40):
         position, _ = arrays(plant_model(form, 60 if seed % 2 else 800, seed=seed), organ)
@@ -80,8 +82,10 @@ def test_individuals_differ_and_are_as_wide_and_high_as_stated(form: str) -> Non
         sectors.append(np.histogram(turn, 6, (0.0, 1.0))[0] / len(turn))
         distance = np.hypot(position[:, 0], position[:, 1])
         reach.append([distance[(6 * turn).astype(int) % 6 == k].max(initial=0) for k in range(6)])
-    # Few stems of deadwood reach its rim.
-    assert np.mean(extents) == pytest.approx(1.0, abs=0.2 if form == "deadwood" else 0.1)
+    # Few of few stems reach the rim, and columns are thick about their axes.
+    shoots = FORMS[form].shoots
+    few = FORMS[form].crown is None and shoots is not None and shoots.number < 20
+    assert np.mean(extents) == pytest.approx(1.0, abs=0.2 if few else 0.1)
     assert np.std(reach, axis=1).mean() > 0.04  # lobes: of discs it is 0.01
     np.testing.assert_allclose(np.mean(sectors, axis=0), 1 / 6, atol=0.035)
 
@@ -115,6 +119,38 @@ def test_leaves_stand_in_bunches_with_gaps_between(form: str) -> None:
     assert 0.05 < np.mean(empty) < 0.4
 
 
+def test_a_form_is_a_file_of_its_folder_and_nothing_else() -> None:
+    files = {path.stem for path in Path(forms.__file__).parent.glob("*.py")} - {"__init__"}
+    assert set(FORMS) == files
+    for form in FORMS.values():
+        assert (form.prior is not None) == form.leafy == (form.stand_share > 0.0)
+        blade, culm = form.mesh.leaves_per_twig > 0, form.mesh.green_sides > 0
+        assert blade + culm == form.leafy
+
+
+def test_a_genus_or_family_belongs_to_one_form() -> None:
+    for kind in ("genera", "families"):
+        names = [
+            name
+            for form in FORMS.values()
+            for taxa in (form.flat_leaved, form.round_leaved)
+            for name in getattr(taxa, kind).split()
+        ]
+        assert len(names) == len(set(names)) > 0
+
+
+def test_usual_sizes_are_means_of_the_shipped_taxa_or_said_to_be_assumed() -> None:
+    table = table1_2006()
+    for name, form in FORMS.items():
+        rows = table[table.growth_form == name]
+        if rows.empty:
+            assert form.size_source.startswith("assumed")
+            continue
+        assert form.diameter == pytest.approx(rows.mean_diameter_cm.mean() / 100, rel=1e-12)
+        assert form.height == pytest.approx(rows.height_max_m.mean(), rel=1e-12)
+        assert form.size_source.startswith(f"mean of {len(rows)} taxa")
+
+
 def test_forms_differ_as_described() -> None:
     leaf = {
         form: arrays(plant_model(form, 1500, seed=0), Organ.LEAF)
@@ -128,6 +164,13 @@ def test_forms_differ_as_described() -> None:
     steepness = {form: np.abs(normal[:, 2]).mean() for form, (_, normal) in leaf.items()}
     assert steepness["tussock"] < steepness["upright_ericoid"] < steepness["broad_leaved"]
     assert steepness["climber"] > 0.8
+    assert steepness["column"] < steepness["upright_ericoid"]
+    # Leaves of a cushion lie in its surface, those of a round shrub also below.
+    depth = {}
+    for form in ("cushion", "rounded_shrub"):
+        x, y, z = leaf[form][0].T
+        depth[form] = 1.0 - np.sqrt((2.0 * np.hypot(x, y)) ** 2 + z**2).mean()
+    assert depth["cushion"] < depth["rounded_shrub"]
 
 
 def test_wood_stays_inside_and_flowers_stand_on_top() -> None:
@@ -179,11 +222,11 @@ def test_sizes_of_leaves_are_those_of_the_shipped_taxa() -> None:
     length = pd.to_numeric(sizes.length_mm).fillna(np.inf)
     across = 2.0 / (1.0 / length + 1.0 / pd.to_numeric(sizes.width_mm))
     for form, mean in across.groupby(sizes.growth_form).mean().items():
-        assert FORM_DEFAULTS[str(form)].leaf_diameter == pytest.approx(mean / 1e3, rel=0.06)
+        assert FORMS[str(form)].leaf_diameter == pytest.approx(mean / 1e3, rel=0.06)
 
 
 def test_dead_wood_has_more_or_fewer_stems_and_some_lean_low() -> None:
-    tops = [free_shoots("deadwood", seed, 12)[0][3] for seed in range(30)]
+    tops = [free_shoots(FORMS["deadwood"].shoots, seed, 12)[0][3] for seed in range(30)]
     numbers = np.array([len(top) for top in tops])
     assert set(numbers) == {8, 9, 10, 11, 12}
     low = np.concatenate([top < 0.25 * top.max() for top in tops]).mean()

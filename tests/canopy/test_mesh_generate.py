@@ -10,7 +10,7 @@ import trimesh
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import (
-    FORM_DEFAULTS,
+    FORMS,
     Organ,
     TabulatedLeafAngle,
     VoxelGrid,
@@ -51,10 +51,31 @@ def parts_of(path: Path) -> dict[str, trimesh.Trimesh]:
     return {piece.visual.material.name: piece for piece in pieces}
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_a_plant_of_a_form_has_its_usual_size_and_areas(form: str) -> None:
+    """Closed areas, for forms of which table 1 has no taxon too."""
+    made, usual = plant(form), FORMS[form]
+    assert (made.form, made.taxon) == (form, form)
+    low, high = made.mesh.vertices.min(axis=0), made.mesh.vertices.max(axis=0)
+    assert (high - low)[:2].mean() == pytest.approx(usual.diameter, rel=1e-3)
+    assert (high - low)[2] == pytest.approx(usual.height, rel=1e-3)
+    disc = np.pi * usual.diameter**2 / 4.0
+    model = plant_model_from_mesh(made.mesh, 60, solid_materials="closed")
+    wanted = [usual.leaf_area_index * disc, usual.wood_area_index * disc, 0.0]
+    np.testing.assert_allclose(model.organ_area, wanted, rtol=1e-9)
+
+
+def test_stems_of_a_column_have_the_thickness_of_its_leaf() -> None:
+    """Fourteen stems of 38 mm make its area: an independent count of what its sources state."""
+    made = plant("column")
+    assert made.n_leaves == FORMS["column"].shoots.number
+    assert made.leaf_scale == pytest.approx(1.0, abs=0.1)
+
+
 @pytest.mark.parametrize("taxon", TAXA)
 def test_size_and_areas_are_those_of_the_tables(taxon: str) -> None:
     generated, row = plant(taxon), TABLE.loc[taxon]
-    defaults = FORM_DEFAULTS[row.growth_form]
+    defaults = FORMS[row.growth_form]
     low, high = generated.mesh.vertices.min(axis=0), generated.mesh.vertices.max(axis=0)
     assert (high - low)[:2].mean() == pytest.approx(row.mean_diameter_cm / 100, rel=1e-3)
     assert (high - low)[2] == pytest.approx(row.height_max_m, rel=1e-3)
@@ -70,7 +91,7 @@ def test_size_and_areas_are_those_of_the_tables(taxon: str) -> None:
     assert np.linalg.norm(cross, axis=1).min() > 0.0
 
 
-@pytest.mark.parametrize("taxon", TAXA)
+@pytest.mark.parametrize("taxon", [*TAXA, "cushion", "column"])
 def test_organs_stand_where_the_growth_form_has_them(taxon: str) -> None:
     """Mean height and reach of leaves (of wood without them) as in the parametric form.
 
@@ -146,7 +167,7 @@ def test_area_index_size_flowers_and_seed_are_the_users() -> None:
     first = generate_plant(taxon, 5, flowering=0.5, max_triangles=SMALL, **options)
     model = plant_model_from_mesh(first.mesh, None, solid_materials="closed")
     disc = np.pi * 0.09
-    flower = 0.5 * FORM_DEFAULTS["rounded_shrub"].flower_fraction * 1.1 * disc
+    flower = 0.5 * FORMS["rounded_shrub"].flower_fraction * 1.1 * disc
     np.testing.assert_allclose(model.organ_area, [1.1 * disc, 0.2 * disc, flower], rtol=1e-9)
     assert (model.modelled_diameter, model.depth) == pytest.approx((0.6, 0.4), rel=1e-3)
 
@@ -279,7 +300,7 @@ def test_leaf_angles_are_those_of_the_form_and_fit_a_tabulated_distribution(taxo
     table = TabulatedLeafAngle.from_normals(piece.face_normals, piece.area_faces)
     np.testing.assert_allclose(table.projection(jnp.asarray(cos_zenith)), facets, rtol=0.01)
     # The arch of a blade spreads its normals by a few degrees about that of the form.
-    form = leaf_angle(FORM_DEFAULTS[generated.form].leaf_angle)
+    form = leaf_angle(FORMS[generated.form].leaf_angle)
     np.testing.assert_allclose(form.projection(jnp.asarray(cos_zenith)), facets, rtol=0.02)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from fynjax.canopy import (
-    FORM_DEFAULTS,
+    FORMS,
     assign_sites,
     hard_count,
     instance_area,
@@ -26,7 +26,7 @@ def test_table_equals_the_paper(shared_data: Path) -> None:
     for row in table.itertuples():
         for column in ("mean_diameter_cm", "cover_percent", "height_max_m"):
             assert getattr(row, column) == rows[row.taxon][column]
-    assert set(table.growth_form) <= set(FORM_DEFAULTS)
+    assert set(table.growth_form) <= set(FORMS)
     assert table.cover_percent.sum() == 100.0
 
 

@@ -13,9 +13,8 @@ import xarray as xr
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import FORM_DEFAULTS, table1_2006
+from fynjax.canopy import FORMS
 from fynjax.cli._build import build
-from fynjax.io.instruments import _scene_mesh
 from fynjax.scene import USUAL_LEAF
 from tests.helpers import assert_valid_summary
 
@@ -86,7 +85,7 @@ def test_the_files_of_a_build_agree(plot: Path, tmp_path: Path) -> None:
     euclea = disc[plants.taxon == "Euclea racemosa"].sum()
     every = disc.sum() / 4.0
     seen = euclea * (1 - np.prod(1 - disc / 4.0)) / every  # crowns overlap
-    form = FORM_DEFAULTS["broad_leaved"]
+    form = FORMS["broad_leaved"]
     area, dead = form.leaf_area_index, form.dead_fraction
     assert leaf == pytest.approx(area * (1 - form.shoot_clumping) * seen, rel=1e-3)
     stand = pd.read_csv(out / "stand.csv").set_index("taxon")
@@ -129,15 +128,26 @@ def test_what_cannot_be_built(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_growth_form_without_known_leaves_has_no_mesh(
-    plot: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_cushions_and_columns_are_built_with_meshes_of_their_form(
+    plot: Path, tmp_path: Path
 ) -> None:
-    table = table1_2006()
-    monkeypatch.setattr(_scene_mesh, "table1_2006", lambda: table[table.growth_form != "deadwood"])
-    (tmp_path / "species.csv").write_text(SPECIES.replace("Deadwood", "Old trunk"))
-    with pytest.raises(InputError, match=r"neither 'Old trunk' nor .* growth form 'deadwood'"):
-        run(plot, "--output", tmp_path / "out", "--mesh")
-    assert not (tmp_path / "out").exists()
+    """Leaf area in the voxels against that of the crowns, of which overlaps count once."""
+    forms = {"Muraltia mitior": "cushion", "Hoodia gordonii": "column"}
+    rows = ("Muraltia mitior,30,25,0.12,cushion,0", "Hoodia gordonii,40,15,0.5,column,0")
+    (tmp_path / "species.csv").write_text("\n".join([SPECIES.splitlines()[0], *rows]) + "\n")
+    out = tmp_path / "out"
+    summary = run(plot, "--output", out, "--size", 2, "--mesh", "--triangles", 200_000)
+    said = [line for line in summary["warnings"] if "usual leaf of its growth form" in line]
+    assert [line.rpartition(": ")[0].split()[-1] for line in said] == list(forms.values())
+    plants = pd.read_csv(out / "instances.csv")
+    disc = np.pi / 4 * plants.diameter_m**2
+    once = 4.0 * (1 - np.prod(1 - disc / 4.0)) / disc.sum()
+    with xr.open_dataset(out / "voxels.nc") as voxels:
+        leaf = voxels.area_density.sum(("x", "y", "z")) * 1e-3
+        for taxon, name in forms.items():
+            area = FORMS[name].leaf_area_index * (1 - FORMS[name].shoot_clumping)
+            wanted = area * once * disc[plants.taxon == taxon].sum()
+            assert float(leaf.sel({"class": f"{taxon}, leaf"})) == pytest.approx(wanted, rel=1e-3)
 
 
 def test_a_plot_beyond_the_memory_is_refused_at_once(plot: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import typer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import FORM_DEFAULTS
+from fynjax.canopy import FORMS
 from fynjax.cli._plant import plant
 from tests.helpers import assert_valid_summary
 
@@ -41,7 +41,7 @@ def test_a_taxon_becomes_a_mesh_and_elements(tmp_path: Path) -> None:
     assert len(rows) == 400
     for organ in ("leaf", "wood"):
         assert areas(rows, "organ", organ) == pytest.approx(summary["area_m2"][organ], rel=1e-6)
-    area = FORM_DEFAULTS["rounded_shrub"].leaf_area_index
+    area = FORMS["rounded_shrub"].leaf_area_index
     assert summary["area_m2"]["leaf"] == pytest.approx(area * np.pi * 0.075**2, rel=1e-6)
     assert summary["height_m"] == pytest.approx(0.5, rel=1e-3)
     made = tmp_path / "made"
@@ -68,6 +68,15 @@ def test_a_taxon_becomes_a_mesh_and_elements(tmp_path: Path) -> None:
     assert areas(rows, "optics", "bark") == pytest.approx(again["area_m2"]["wood"], rel=1e-6)
     whole = trimesh.load(tmp_path / "bush" / "plant.obj", process=False)
     assert sum(len(piece.faces) for piece in whole.geometry.values()) > 30000
+
+
+def test_a_growth_form_becomes_a_plant_of_its_usual_size(tmp_path: Path) -> None:
+    summary = run("column", "--elements", "100", "--output", str(tmp_path / "made"))
+    form = FORMS["column"]
+    disc = np.pi / 4 * form.diameter**2
+    assert summary["form"] == "column"
+    assert summary["area_m2"]["leaf"] == pytest.approx(form.leaf_area_index * disc, rel=1e-6)
+    assert summary["height_m"] == pytest.approx(form.height, rel=1e-3)
 
 
 @pytest.mark.parametrize(

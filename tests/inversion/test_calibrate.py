@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fynjax.canopy import FORM_DEFAULTS
+from fynjax.canopy import FORMS
 from fynjax.inversion import (
     IMAGE_STATISTICS,
     WELL_CONSTRAINED,
@@ -34,7 +34,7 @@ from fynjax.scene import (
 from fynjax.sensors import shipped_sensor
 
 TAXA = ("Erica", "Restio", "Euclea")
-FORMS = ("rounded_shrub", "tussock", "broad_leaved")
+GROWN = ("rounded_shrub", "tussock", "broad_leaved")
 FREE = (
     "species.*.cover",
     "species.*.diameter",
@@ -47,7 +47,7 @@ FREE = (
 
 def truth() -> PlotParameters:
     def default(name):
-        return jnp.array([getattr(FORM_DEFAULTS[form], name) for form in FORMS])
+        return jnp.array([getattr(FORMS[form], name) for form in GROWN])
 
     return PlotParameters(
         SpeciesParameters(
@@ -79,7 +79,7 @@ def truth() -> PlotParameters:
 def twin():
     """Truth by name, and the calibration from a start (and prior) 30 % off, either way."""
     real = truth()
-    species = [SceneSpecies(taxon, form) for taxon, form in zip(TAXA, FORMS, strict=True)]
+    species = [SceneSpecies(taxon, form) for taxon, form in zip(TAXA, GROWN, strict=True)]
     rules = PlantingRules(structure="even")
     scene = build_scene(species, real, extent=(6.0, 6.0), voxel=0.1, seed=11, rules=rules)
     camera = aim(scene, real, shipped_sensor("mavic_3m"), Placement(50.0, 0.05))

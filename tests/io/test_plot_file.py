@@ -9,7 +9,7 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.assembly._ground import plot_ground
-from fynjax.canopy import FORM_DEFAULTS, table1_2006
+from fynjax.canopy import FORMS, table1_2006
 from fynjax.io.plot import SpeciesRow, example_folder, read_plot, read_statistics
 from fynjax.io.plot._plot_file import shipped_growth_forms
 from fynjax.scene import LEAF_FIELDS
@@ -53,7 +53,7 @@ def test_example_is_the_table_that_the_canopy_ships():
 
 def test_a_species_table_takes_every_growth_form_that_the_canopy_has():
     choice, _ = SpeciesRow.model_json_schema()["properties"]["growth_form"]["anyOf"]
-    assert choice["enum"] == list(FORM_DEFAULTS)
+    assert choice["enum"] == list(FORMS)
 
 
 def test_example_statistics_are_table_4_of_the_paper(folder, shared_data):

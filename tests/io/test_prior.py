@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import FORM_DEFAULTS
+from fynjax.canopy import FORMS
 from fynjax.io.plot import (
+    BY_FORM,
     DEFAULT_PRIOR,
     LEAFY_FORMS,
     PRIOR_PARAMETERS,
@@ -24,13 +25,15 @@ from fynjax.io.plot import (
 )
 from fynjax.leaf import structure_from_dry_matter
 from fynjax.scene import PARAMETERS, USUAL_LEAF
+from fynjax.studies.fynbos_2006 import init
 
 
-def prior_file(**changes) -> PriorFile:
-    """A population of three plots, of which A1 is left out of another."""
+def prior_file(*, lacking: str = "", **changes) -> PriorFile:
+    """A population of three plots, of which A1 is left out of another; `lacking` a growth form."""
     rows = [
         PriorParameter(name=n, mean=0.4, mean_sd=0.03, plot_sd=0.04, assumed=0.5, assumed_sd=0.1)
         for n in PRIOR_PARAMETERS
+        if not lacking or not n.endswith(f".{lacking}")
     ]
     fields = {
         "title": 'Plots of "fynbos"', "licence": "CC-BY-4.0", "sources": ["tables.csv"],
@@ -101,7 +104,7 @@ def test_errors_between_wavelengths_are_no_smaller_than_at_them(prior) -> None:
         ("    [1, 0.5, 0],", "    [1, 0.9, 0],", "symmetric correlation of the error"),
         ("    [1, 0.5, 0],", "    [4, 0.5, 0],", "ones on its diagonal"),
         ("    [0.5, 1, 0.5,", "    [0.5, 2, 0.5,", "correlation of the means"),
-        ("    [0.5, 1, 0.5,", "    [1, 0.5,", "21 correlations of the means"),
+        ("    [0.5, 1, 0.5,", "    [1, 0.5,", f"{len(PRIOR_PARAMETERS)} correlations of the means"),
         ("mean_sd = 0.03\nplot_sd = 0.04", "mean_sd = 0\nplot_sd = 0", r"dead_fraction\.\w+ above"),
         ('name = "structure"', 'name = "chlorophyll"', "structure"),
         ("sd = [0.3, 0.2, 0.1]", "sd = [0.3, 0.2]", "3 standard deviations"),
@@ -118,14 +121,62 @@ def test_a_damaged_file_names_what_is_wrong(tmp_path: Path, old: str, new: str, 
         read_prior(path)
 
 
+def test_of_a_form_that_a_prior_lacks_its_own_assumptions_are_taken_and_said(tmp_path) -> None:
+    write_prior(tmp_path / "prior.toml", prior_file(lacking="tussock"))
+    prior = read_prior(tmp_path / "prior.toml")
+    assert set(prior.forms) == set(LEAFY_FORMS) - {"tussock"}
+    own = FORMS["tussock"].prior
+    for plot in ("A1", "B2"):
+        values = prior.values(plot)
+        assert set(values) == set(PRIOR_PARAMETERS)
+        assert values["leaf_area_index.tussock"] == own.leaf_area_index[0]
+        assert values["leaf_area_index.climber"] == (0.3 if plot == "A1" else 0.4)
+    for elsewhere in (False, True):
+        assert prior.sd("dead_fraction.tussock", elsewhere=elsewhere) == own.dead_fraction[1]
+    assert "dead_fraction.tussock" not in prior.draws(3)
+    (said,) = prior.unlearned(["deadwood", "tussock", "climber", "tussock"])
+    assert said.startswith("prior.toml has no growth form tussock")
+
+    plot = read_plot(example_folder() / "plot.toml")
+    with pytest.warns(UserWarning, match="no growth form tussock"):
+        taken = with_prior(plot, tmp_path / "prior.toml")
+    restio = next(s for s in taken.species if s.growth_form == "tussock")
+    assert restio.shoot_clumping == own.shoot_clumping[0]
+    relative = own.dead_fraction[1] / own.dead_fraction[0]
+    name = f"species.{restio.taxon}.dead_fraction"
+    assert taken.calibration.relative_sd(name) == pytest.approx(relative)
+
+    made = init(tmp_path / "plot", prior=tmp_path / "prior.toml")
+    assert made.warnings == [said]
+    rows = (tmp_path / "plot" / "species.csv").read_text("utf-8")
+    assert f",{own.leaf_area_index[0]:g}," in next(r for r in rows.split() if ",tussock," in r)
+    assert init(tmp_path / "shipped").warnings == []
+
+
+def test_a_prior_with_a_part_of_a_form_is_refused(tmp_path: Path) -> None:
+    rows = [p for p in prior_file().parameters if p.name != "dead_fraction.tussock"]
+    with pytest.raises(ValueError, match=r"'dead_fraction\.tussock' is not so"):
+        prior_file(parameters=rows)
+
+
+def test_the_shipped_prior_was_learned_before_cushions_and_columns() -> None:
+    prior = read_prior(DEFAULT_PRIOR)
+    assert not {"cushion", "column"} & set(prior.forms)
+    assert len(prior.unlearned(["cushion", "column", *prior.forms])) == 2
+
+
 def test_the_defaults_are_those_of_the_shipped_prior() -> None:
-    """Of growth forms and dead tissue to their digits; of the usual leaf as `pigments` and traits
+    """Of growth forms and dead tissue to their digits (of forms that it lacks those are what they
+    assume); of the usual leaf as `pigments` and traits
     of a plot without measured ones, times the factors."""
     learned = read_prior(DEFAULT_PRIOR)
     assert learned is not None
     mean = learned.values()
-    for form in LEAFY_FORMS:
-        usual = FORM_DEFAULTS[form]
+    for form in set(LEAFY_FORMS) - set(learned.forms):
+        for kind in BY_FORM:
+            assert getattr(FORMS[form], kind) == mean[f"{kind}.{form}"], (form, kind)
+    for form in learned.forms:
+        usual = FORMS[form]
         assert usual.leaf_area_index == round(mean[f"leaf_area_index.{form}"], 1), form
         assert usual.dead_fraction == round(mean[f"dead_fraction.{form}"], 2), form
         assert usual.shoot_clumping == round(mean[f"shoot_clumping.{form}"], 2), form

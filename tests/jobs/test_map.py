@@ -71,7 +71,7 @@ def test_stands_are_those_of_their_number(known):
 def test_spectra_of_sets_taken_together_are_those_of_each_alone(known):
     """Against a solve of every band of one set, on the same voxels."""
     _, bands, prior = known
-    scene, planted, imager = stands._planted(bands, SETTINGS)
+    scene, planted, imager = stands._planted(stands.stand_forms(prior), bands, SETTINGS)
     rng = np.random.default_rng(2)
     common, own = (rng.normal(size=n) for n in stands.stand_numbers(prior))
     own = rng.normal(size=(SETTINGS.together, own.size))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fynjax.assembly import build_plot
-from fynjax.canopy import FORM_DEFAULTS, Organ, plant_model
+from fynjax.canopy import FORMS, Organ, plant_model
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.jobs._build import drawn_plants
 from fynjax.report.figures import DrawnPlants
@@ -52,6 +52,14 @@ def drawn(plants: Instances, form: str, area: tuple[float, float, float], **othe
     return DrawnPlants(plants, [form], np.array([area]), **(given | other))
 
 
+def test_stems_of_a_column_are_drawn_as_beads_of_their_width():
+    plants, _ = on_a_slope()
+    stated = drawn(plants, "column", (2.5, 0.0, 0.0))
+    _, _, area = element_points(stated, 300.0, UP)
+    disc = np.pi / 4 * np.mean(plants.diameter**2)
+    assert len(area) / 2 == pytest.approx(disc * 2.5 / (np.pi / 4 * 0.038**2), rel=0.02)
+
+
 def test_plants_are_drawn_where_they_stand():
     plants, _ = on_a_slope()
     place, _, _ = element_points(drawn(plants, "rounded_shrub", (4.0, 0.5, 0.0)), 300.0, UP)
@@ -77,7 +85,7 @@ def test_the_ground_is_drawn_as_the_plane_that_it_is():
     assert np.all(height_at(None, EXTENT, x, y) == 0.0)
 
 
-@pytest.mark.parametrize("form", [f for f, d in FORM_DEFAULTS.items() if d.leaf_area_index > 0])
+@pytest.mark.parametrize("form", [f for f, d in FORMS.items() if d.leaf_area_index > 0])
 def test_points_show_the_area_that_leaves_turn_to_the_eye(form):
     """Area over the crowns, times the mean |cosine| of the form's own elements; pixels in disc."""
     plants, _ = on_a_slope()

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
+from fynjax.canopy import FORMS
 from fynjax.cli import main
 from fynjax.io.plot import read_plot
 from fynjax.studies.bioscape._plot_files import (
@@ -107,6 +108,30 @@ def test_covers_and_leaves_by_hand(tables: Path, tmp_path: Path) -> None:
     assert sources["Protea repens", "dry_matter"]["source"] == "measured"
     assert sources["Restio capensis", "dry_matter"]["source"] == "genus mean"
     assert sources["Protea repens", "chlorophyll"]["source"] == "growth form default"
+
+
+def test_plants_of_a_form_that_the_prior_lacks_have_what_the_form_assumes(
+    tables: Path, tmp_path: Path
+) -> None:
+    change(
+        tables, "CleanVegData.csv", "Protea repens,Protea,Proteaceae",
+        "Hoodia gordonii,Hoodia,Apocynaceae",
+    )  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a family without measured leaves
+        made = run_bioscape(tables, tmp_path / "out", plots=["A1"])
+    (said,) = [line for line in made.warnings if "no growth form" in line]
+    assert "fynbos_2023.toml has no growth form column" in said
+    plot = read_plot(tmp_path / "out" / "A1" / "plot.toml")
+    hoodia, restio = plot.species[:2]
+    column = FORMS["column"]
+    assert (hoodia.growth_form, hoodia.diameter_m) == ("column", column.diameter)
+    assert hoodia.leaf_area_index == column.prior.leaf_area_index[0]
+    assert hoodia.dead_fraction == column.prior.dead_fraction[0]
+    assert restio.leaf_area_index == pytest.approx(4.411, abs=1e-3)  # of the file
+    sources = sources_of(tmp_path / "out" / "A1")
+    assert sources["*", "leaf_area_index.column"]["source"] == "assumed by growth form"
+    assert sources["*", "leaf_area_index.tussock"]["source"] == "learned (fynbos_2023.toml)"
 
 
 def test_dead_cover_under_live_cover_does_not_stand(tables: Path) -> None:

@@ -1,12 +1,12 @@
-"""Explicit three-dimensional meshes of the taxa of table 1: stems, and every leaf.
+"""Explicit three-dimensional meshes of taxa and growth forms: stems, and every leaf.
 
-Shapes are those of the growth forms of `FORM_DEFAULTS` and of the individuals that `plant_model`
-makes: of one seed the same outline and bunches, stems or strands, leaf angles and areas. What
-differs: a mesh has as many culms and threads as its area takes, fewer stems where its crown is
-narrow, and is as wide as stated on the mean of its two extents, lobes included. Dimensions come
-from table 1, leaf sizes from `data/leaf_sizes.csv` (a source each). What a mesh adds to the
-parametric form is the leaf as a body of its own, on a twig of its own, so that the same plant can
-stand in a mesh renderer and, voxelised, in this one.
+Shapes are those of the growth forms (`FORMS`) and of the individuals that `plant_model` makes: of
+one seed the same outline and bunches, stems or strands, leaf angles and areas. What differs: a mesh
+has as many culms and threads as its area takes, fewer stems where its crown is narrow, and is as
+wide as stated on the mean of its two extents, lobes included. Dimensions come from table 1, leaf
+sizes from `data/leaf_sizes.csv` (a source each), for other taxa both from the growth form. What a
+mesh adds to the parametric form is the leaf as a body of its own, on a twig of its own, so that the
+same plant can stand in a mesh renderer and, voxelised, in this one.
 """
 
 from importlib import resources
@@ -17,11 +17,12 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.canopy._counts import modelled_diameter
-from fynjax.canopy._forms import FORM_DEFAULTS
+from fynjax.canopy._form import GrowthForm, MeshLeaf
+from fynjax.canopy._lines import Skeleton
 from fynjax.canopy._plant import Organ
 from fynjax.canopy._table import table1_2006
-from fynjax.canopy.mesh._generate_forms import Skeleton, climber, deadwood, shrub, tussock
-from fynjax.canopy.mesh._generate_organs import GREEN_SIDES, Foliage, Leaf, build_organs, lay_out
+from fynjax.canopy.forms import FORMS
+from fynjax.canopy.mesh._generate_organs import Foliage, build_organs, lay_out
 from fynjax.canopy.mesh._generate_parts import (
     OUTLINES,
     Surface,
@@ -34,12 +35,10 @@ from fynjax.canopy.mesh._plant_mesh import PlantMesh
 if TYPE_CHECKING:
     import pandas as pd
 
-_LEAVES_PER_TWIG = {"upright_ericoid": 100, "rounded_shrub": 45, "broad_leaved": 12}
 _MOST_TWIGS = 900
 _FIT_STEPS = 24
 _LARGEST_MISS = 1e-3
 _TRIAL = 100
-_GREEN = {"climber": climber, "tussock": tussock}
 
 
 class GeneratedPlant(eqx.Module):
@@ -48,7 +47,7 @@ class GeneratedPlant(eqx.Module):
     mesh: PlantMesh
     """Its triangles; materials "leaf", "wood" and "flower", those it has."""
     taxon: str = eqx.field(static=True)
-    """Row of table 1."""
+    """Row of table 1, or the growth form again."""
     form: str = eqx.field(static=True)
     """Growth form."""
     diameter: float = eqx.field(static=True)
@@ -89,19 +88,20 @@ def generate_plant(
     flowering: float = 0.0,
     max_triangles: int = 200_000,
 ) -> GeneratedPlant:
-    """A mesh of one plant of a taxon of table 1, with individual leaves and stems.
+    """A mesh of one plant of a taxon or growth form, with individual leaves and stems.
 
     **Arguments:**
 
-    - `taxon`: its name in `table1_2006()`.
+    - `taxon`: its name in `table1_2006()`, or that of a growth form (`FORMS`) for a plant of its
+      usual size and leaves.
     - `seed`: fixes everything random; the same seed gives the same mesh.
     - `diameter`, `height`: of the crown and of the plant [m], 0.01 to 10; those of table 1 (mean
-      diameter, maximum height) if left out.
+      diameter, maximum height) or of the form if left out.
     - `leaf_area_index`, `wood_area_index`: one-sided area of leaves, half the surface of the wood,
-      per area of the crown's disc [-], 0 to 20; those of `FORM_DEFAULTS` if left out. Leaves are
+      per area of the crown's disc [-], 0 to 20; those of the form if left out. Leaves are
       added until their area is met; stems get the thickness that their area needs.
-    - `flowering`: part of full bloom, 0 to 1; full bloom is `FORM_DEFAULTS[...].flower_fraction`
-      of the leaf area.
+    - `flowering`: part of full bloom, 0 to 1; full bloom is the form's
+      `flower_fraction` of the leaf area.
     - `max_triangles`: roughly the most triangles of the mesh, at least 2000. Where the leaves would
       take more, there are fewer and larger ones (`leaf_scale`).
 
@@ -124,28 +124,17 @@ def generate_plant(
     >>> model.plant.position.shape
     (100, 3)
     """
-    table = table1_2006().set_index("taxon")
-    if taxon not in table.index:
-        raise InputError(f"`taxon` must be one of {', '.join(table.index)}, but is {taxon!r}")
-    row: dict[Any, Any] = table.loc[taxon].to_dict()
-    form = row["growth_form"]
-    defaults = FORM_DEFAULTS[form]
-    crown = row["mean_diameter_cm"] / 100.0 if diameter is None else float(diameter)
-    tall = float(row["height_max_m"]) if height is None else float(height)
-    leaf_index = defaults.leaf_area_index if leaf_area_index is None else float(leaf_area_index)
-    wood_index = defaults.wood_area_index if wood_area_index is None else float(wood_area_index)
+    name, usual, leaf = _usual(taxon)
+    form = FORMS[name]
+    crown = usual[0] if diameter is None else float(diameter)
+    tall = usual[1] if height is None else float(height)
+    leaf_index = form.leaf_area_index if leaf_area_index is None else float(leaf_area_index)
+    wood_index = form.wood_area_index if wood_area_index is None else float(wood_area_index)
     _check(crown, tall, leaf_index, wood_index, flowering, max_triangles)
     disc = np.pi * crown**2 / 4.0
-    leaf_area = leaf_index * disc if defaults.leaf_area_index > 0.0 else 0.0
-    wood_area = wood_index * disc if defaults.wood_area_index > 0.0 else 0.0
-    flower_area = leaf_area * defaults.flower_fraction * flowering
-    size: dict[Any, Any] = leaf_sizes().set_index("taxon").loc[taxon].to_dict()
-    leaf = Leaf(
-        size["organ_form"],
-        size["outline"],
-        float(size["length_mm"] or 0.0) / 1000.0,
-        float(size["width_mm"] or 0.0) / 1000.0,
-    )
+    leaf_area = leaf_index * disc if form.leafy else 0.0
+    wood_area = wood_index * disc if form.wood_area_index > 0.0 else 0.0
+    flower_area = leaf_area * form.flower_fraction * flowering
 
     n_leaves = _leaf_count(leaf, leaf_area, max_triangles)
     skeleton = _skeleton(form, crown, tall, n_leaves, leaf, leaf_area, max_triangles, seed)
@@ -163,7 +152,7 @@ def generate_plant(
         if np.abs(miss - 1.0).max() < 1e-4:
             break
         stretch = stretch * miss
-    _check_size(taxon, surfaces, wide, float(high[2] - low[2]), crown, tall, row)
+    _check_size(taxon, surfaces, wide, float(high[2] - low[2]), crown, tall, usual)
     middle = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
     whole = join(list(surfaces.values()))
     counts = [len(surface.faces) for surface in surfaces.values()]
@@ -175,7 +164,30 @@ def generate_plant(
     )
     number = _number(skeleton, foliage)
     tallness = float(high[2] - low[2])
-    return GeneratedPlant(mesh, taxon, form, float(wide), tallness, number, scale, radius)
+    return GeneratedPlant(mesh, taxon, name, float(wide), tallness, number, scale, radius)
+
+
+def _usual(taxon: str) -> tuple[str, tuple[float, float], MeshLeaf]:
+    """Growth form, usual crown diameter and height [m] and leaf of a taxon of table 1, or of a
+    growth form of this name."""
+    if taxon in FORMS:
+        form = FORMS[taxon]
+        return taxon, (form.diameter, form.height), form.mesh.leaf
+    table = table1_2006().set_index("taxon")
+    if taxon not in table.index:
+        raise InputError(
+            f"`taxon` must be one of {', '.join((*table.index, *FORMS))}, but is {taxon!r}"
+        )
+    row: dict[Any, Any] = table.loc[taxon].to_dict()
+    size: dict[Any, Any] = leaf_sizes().set_index("taxon").loc[taxon].to_dict()
+    leaf = MeshLeaf(
+        size["organ_form"],
+        size["outline"],
+        float(size["length_mm"] or 0.0) / 1000.0,
+        float(size["width_mm"] or 0.0) / 1000.0,
+    )
+    usual = row["mean_diameter_cm"] / 100.0, float(row["height_max_m"])
+    return row["growth_form"], usual, leaf
 
 
 def _check(
@@ -204,7 +216,7 @@ def _check_size(
     high: float,
     diameter: float,
     height: float,
-    row: dict[Any, Any],
+    usual: tuple[float, float],
 ) -> None:
     """Raise `InputError` where the plant came out larger or smaller than it should."""
     if max(abs(wide / diameter - 1.0), abs(high / height - 1.0)) <= _LARGEST_MISS:
@@ -218,11 +230,11 @@ def _check_size(
         f"a {taxon} {diameter:g} m wide and {height:g} m tall has no room for its "
         f"{organ_too_large} area: with it the plant is {wide:.3g} m wide and {high:.3g} m tall. "
         "Take a lower `leaf_area_index` or `wood_area_index`, or a `diameter` and `height` nearer "
-        f"those of table 1 ({row['mean_diameter_cm'] / 100.0:g} m and {row['height_max_m']:g} m)"
+        f"the usual ({usual[0]:g} m and {usual[1]:g} m)"
     )
 
 
-def _leaf_count(leaf: Leaf, leaf_area: float, max_triangles: int) -> int:
+def _leaf_count(leaf: MeshLeaf, leaf_area: float, max_triangles: int) -> int:
     if leaf.kind != "blade" or leaf_area == 0.0:
         return 0
     outline = OUTLINES[leaf.outline]
@@ -244,31 +256,31 @@ def _lengths(paths: np.ndarray) -> np.ndarray:
 
 
 def _skeleton(
-    form: str,
+    form: GrowthForm,
     diameter: float,
     height: float,
     n_leaves: int,
-    leaf: Leaf,
+    leaf: MeshLeaf,
     leaf_area: float,
     max_triangles: int,
     seed: int,
 ) -> Skeleton:
-    if form == "deadwood":
-        return deadwood(diameter, height, 14, seed)
-    if form in ("climber", "tussock"):
-        # As many as make the area at the thickness of the table, by the lines of a trial.
-        trial = _GREEN[form](diameter, height, _TRIAL, seed)
+    recipe = form.mesh
+    number = 0
+    if recipe.green_sides:
+        # As many as make the area at the thickness of the leaf, by the lines of a trial.
+        trial = recipe.lines(form, diameter, height, _TRIAL, seed)
         area = sum(
-            0.25 * leaf.width * _perimeter(GREEN_SIDES[form]) * (_lengths(paths) * radii).sum()
+            0.25 * leaf.width * _perimeter(recipe.green_sides) * (_lengths(paths) * radii).sum()
             for paths, radii in trial.green
         )
-        faces = sum(2 * GREEN_SIDES[form] * paths[..., 0].size for paths, _ in trial.green)
+        faces = sum(2 * recipe.green_sides * paths[..., 0].size for paths, _ in trial.green)
         most = 0.8 * max_triangles * _TRIAL / faces
         number = int(np.clip(round(_TRIAL * leaf_area / area), 8, max(8.0, most)))
-        return _GREEN[form](diameter, height, number, seed)
-    most_twigs = min(_MOST_TWIGS, max(40, max_triangles // 180))
-    n_twigs = int(np.clip(n_leaves / _LEAVES_PER_TWIG[form], 40, most_twigs))
-    return shrub(form, diameter, height, n_twigs, seed)
+    elif recipe.leaves_per_twig:
+        most_twigs = min(_MOST_TWIGS, max(40, max_triangles // 180))
+        number = int(np.clip(n_leaves / recipe.leaves_per_twig, 40, most_twigs))
+    return recipe.lines(form, diameter, height, number, seed)
 
 
 def _number(skeleton: Skeleton, foliage: Foliage | None) -> int:

@@ -6,9 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from fynjax.canopy._angles import leaf_angle
-from fynjax.canopy._forms import _FLOWERS_ABOVE, _QUANTILES, FORM_DEFAULTS, _quantile, quasi_random
+from fynjax.canopy._elements import FLOWERS_ABOVE, QUANTILES, quantile, quasi_random
+from fynjax.canopy._form import GrowthForm, MeshLeaf
+from fynjax.canopy._lines import Skeleton, unit
 from fynjax.canopy._plant import Organ
-from fynjax.canopy.mesh._generate_forms import Skeleton
 from fynjax.canopy.mesh._generate_parts import (
     EMPTY,
     OUTLINES,
@@ -17,24 +18,13 @@ from fynjax.canopy.mesh._generate_parts import (
     frames,
     outline_area,
     tubes_of_area,
-    unit,
 )
 
-GREEN_SIDES = {"climber": 3, "tussock": 4}
 _GOLDEN_ANGLE = 2.399963  # rad: the usual spiral of leaves along a stem
-_ANGLE_TO_TWIG = {"upright_ericoid": 25.0, "rounded_shrub": 50.0, "broad_leaved": 55.0}
 _FLOWER_SIDE = 0.004
 _SPIKELET = (0.006, 0.0012)
 _LEAF_SIZE_SPREAD = 0.15
 _LEAVES, _FLOWERS = 21, 22
-
-
-@dataclass(frozen=True)
-class Leaf:
-    kind: str
-    outline: str
-    length: float
-    width: float
 
 
 @dataclass(frozen=True)
@@ -49,7 +39,12 @@ class Foliage:
 
 
 def lay_out(
-    form: str, skeleton: Skeleton, n_leaves: int, leaf: Leaf, leaf_area: float, seed: int
+    form: GrowthForm,
+    skeleton: Skeleton,
+    n_leaves: int,
+    leaf: MeshLeaf,
+    leaf_area: float,
+    seed: int,
 ) -> Foliage | None:
     """Leaves in a spiral along the twigs, whose normals have the angle distribution of the form."""
     if skeleton.leafy is None or n_leaves == 0 or leaf_area == 0.0:
@@ -68,7 +63,7 @@ def lay_out(
     along, side, second = (_at(vectors, twig, place) for vectors in frames(paths))
     roll = _GOLDEN_ANGLE * np.arange(n_leaves) + rng.normal(0.0, 0.3, n_leaves)
     out = np.cos(roll)[:, None] * side + np.sin(roll)[:, None] * second
-    opening = np.deg2rad(_ANGLE_TO_TWIG[form] * np.exp(rng.normal(0.0, 0.25, n_leaves)))
+    opening = np.deg2rad(form.mesh.angle_to_twig * np.exp(rng.normal(0.0, 0.25, n_leaves)))
     cos, sin = np.cos(opening)[:, None], np.sin(opening)[:, None]
     natural = unit(sin * along - cos * out)
     natural = np.where(natural[:, 2:] < 0.0, -natural, natural)
@@ -76,7 +71,7 @@ def lay_out(
     # The steepest leaf gets the steepest inclination of the distribution, and so on.
     tilt = np.empty(n_leaves)
     rank = (np.arange(n_leaves) + 0.5) / n_leaves
-    tilts = _inclinations(rank, FORM_DEFAULTS[form].leaf_angle)
+    tilts = _inclinations(rank, form.leaf_angle)
     tilt[np.argsort(-natural[:, 2], kind="stable")] = tilts
     azimuth = np.arctan2(natural[:, 1], natural[:, 0])
     normal = np.stack(
@@ -90,9 +85,9 @@ def lay_out(
 
 def _inclinations(uniform: np.ndarray, name: str) -> np.ndarray:
     """Quantiles of the inclination of the normal of a leaf angle distribution [rad]."""
-    grid = np.linspace(0.0, 0.5 * np.pi, _QUANTILES)
+    grid = np.linspace(0.0, 0.5 * np.pi, QUANTILES)
     density = np.asarray(leaf_angle(name).inclination_density(jnp.asarray(grid)), float)
-    return _quantile(uniform, grid, np.maximum(density, 0.0))
+    return quantile(uniform, grid, np.maximum(density, 0.0))
 
 
 def _at(values: np.ndarray, path: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -104,11 +99,11 @@ def _at(values: np.ndarray, path: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def build_organs(
-    form: str,
+    form: GrowthForm,
     skeleton: Skeleton,
     foliage: Foliage | None,
     stretch: np.ndarray,
-    leaf: Leaf,
+    leaf: MeshLeaf,
     leaf_area: float,
     wood_area: float,
     flower_area: float,
@@ -119,7 +114,7 @@ def build_organs(
     surfaces: dict[Organ, Surface] = {}
     scale, radius = 1.0, 0.0
     if lines.green and leaf_area > 0.0:
-        surfaces[Organ.LEAF], factor = tubes_of_area(lines.green, GREEN_SIDES[form], leaf_area)
+        surfaces[Organ.LEAF], factor = tubes_of_area(lines.green, form.mesh.green_sides, leaf_area)
         scale = factor / (0.5 * leaf.width)
     elif foliage is not None and lines.leafy is not None:
         base = _at(lines.leafy, foliage.twig, foliage.place)
@@ -134,14 +129,14 @@ def build_organs(
         surfaces[Organ.WOOD], factor = tubes_of_area(lines.stems, 4, wood_area)
         radius = factor * min(float(radii.min()) for _, radii in lines.stems)
     if flower_area > 0.0:
-        surfaces[Organ.FLOWER] = _flowers(form, lines, flower_area, seed)
+        surfaces[Organ.FLOWER] = _flowers(lines, flower_area, seed)
     return surfaces, scale, radius
 
 
-def _flowers(form: str, lines: Skeleton, area: float, seed: int) -> Surface:
+def _flowers(lines: Skeleton, area: float, seed: int) -> Surface:
     """Spikelets at the tips of culms, or level petals about the upper tips of twigs."""
     rng = np.random.default_rng([seed, _FLOWERS])
-    if form == "tussock":
+    if lines.green:
         tips = np.concatenate([paths[:, -2:] for paths, _ in lines.green])
         length, width = _SPIKELET
         number = int(np.clip(round(area / (0.7 * length * 2.0 * width)), 3, len(tips)))
@@ -153,7 +148,7 @@ def _flowers(form: str, lines: Skeleton, area: float, seed: int) -> Surface:
     if lines.leafy is None:
         return EMPTY
     tips = lines.leafy[:, -1]
-    tips = tips[tips[:, 2] >= _FLOWERS_ABOVE * tips[:, 2].max()]
+    tips = tips[tips[:, 2] >= FLOWERS_ABOVE * tips[:, 2].max()]
     number = max(3, round(area / _FLOWER_SIDE**2))
     middle = tips[np.arange(number) % len(tips)]
     middle = middle + rng.normal(0.0, _FLOWER_SIDE, (number, 3)) * [1.0, 1.0, 0.3]

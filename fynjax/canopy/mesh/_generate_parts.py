@@ -5,6 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from fynjax.canopy._lines import tangents, unit
+
 Outline = tuple[tuple[float, float], ...]
 
 OUTLINES: dict[str, Outline] = {
@@ -31,7 +33,6 @@ def outline_triangles(outline: Outline) -> int:
 _CURL = 0.06
 """Height of a blade's arch over its chord, in lengths."""
 _WIDTH_STEPS = 12
-_MINIMUM_CROSS = 1e-12
 
 
 @dataclass(frozen=True)
@@ -61,19 +62,6 @@ def join(parts: list[Surface]) -> Surface:
         np.concatenate([part.vertices for part in parts]),
         np.concatenate([part.faces + start for part, start in zip(parts, first)]),
     )
-
-
-def unit(vectors: np.ndarray) -> np.ndarray:
-    """Vectors [..., 3] at length one; those of length zero stay."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.where(length > _MINIMUM_CROSS, length, 1.0)
-
-
-def tangents(paths: np.ndarray) -> np.ndarray:
-    """Unit tangents at the points of `paths` [path, point, 3]."""
-    step = np.diff(paths, axis=1)
-    inner = unit(step[:, 1:]) + unit(step[:, :-1])
-    return unit(np.concatenate([step[:, :1], inner, step[:, -1:]], axis=1))
 
 
 def frames(paths: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

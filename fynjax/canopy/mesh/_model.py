@@ -3,7 +3,7 @@
 One-sided area. A leaf blade, flat and without thickness, counts once: the area of its triangles.
 A closed surface, such as a stem built as a tube, counts half of its area, because light that
 enters it also leaves it: half of it intercepts, whatever its shape (for a convex body that is
-Cauchy's mean silhouette times two; Chen and Black 1992). Both are the areas of `FORM_DEFAULTS`.
+Cauchy's mean silhouette times two; Chen and Black 1992). Both are the areas of a `GrowthForm`.
 """
 
 import warnings
@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.canopy._forms import quasi_random, split_elements
+from fynjax.canopy._elements import quasi_random, split_elements
 from fynjax.canopy._plant import Organ
 from fynjax.canopy.mesh._facets import closed_faces, draw_evenly, facets, volume
 from fynjax.canopy.mesh._organ_names import organ_named, organ_of_name

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from fynjax._core.errors import InputError
 from fynjax._core.text_columns import TextTable, name_and_unit, open_text_table, places_of
-from fynjax.canopy._forms import split_elements
+from fynjax.canopy._elements import split_elements
 from fynjax.canopy._plant import Organ
 from fynjax.canopy.mesh._facets import draw_evenly
 from fynjax.canopy.mesh._organ_names import organ_named, organ_of_name

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import Organ, PlantMesh, generate_plant, table1_2006, unit_shapes
+from fynjax.canopy import FORMS, Organ, PlantMesh, generate_plant, table1_2006, unit_shapes
 from fynjax.io.text import atomic_path, write_text
 from fynjax.scene import Instances, PlotParameters, Scene
 
@@ -36,9 +36,8 @@ def scene_meshes(
     **Returns:** for each species its mesh [m], or `None` where it has no plants; and the number of
     triangles of all plants.
 
-    **Raises:** `InputError` with both numbers where the plants need more than `max_triangles`, and
-    for a growth form that no taxon of table 1 has. Warns where a taxon is
-    not in table 1 and another of its growth form stands in for it.
+    **Raises:** `InputError` with both numbers where the plants need more than `max_triangles`.
+    Warns where a taxon is not in table 1, and has the usual leaf of its growth form.
     """
     counts = instances.counts
     least = int(counts.sum()) * LEAST_TRIANGLES
@@ -80,22 +79,15 @@ def scene_meshes(
 
 
 def _known(taxon: str, form: str) -> str:
-    table = table1_2006()
-    if taxon in set(table.taxon):
+    if taxon in set(table1_2006().taxon):
         return taxon
-    alike = table.taxon[table.growth_form == form]
-    if alike.empty:
-        raise InputError(
-            f"table 1 has neither {taxon!r} nor another taxon of the growth form {form!r}, so that "
-            "the size of its leaves is not known: build without meshes"
+    if FORMS[form].leafy:
+        warnings.warn(
+            f"the mesh of {taxon!r} has the usual leaf of its growth form, {form}: leaf sizes are "
+            "known for the taxa of table 1 alone",
+            stacklevel=4,
         )
-    stand_in = str(alike.iloc[0])
-    warnings.warn(
-        f"the mesh of {taxon!r} is that of {stand_in!r}, of the same growth form: leaf sizes are "
-        "known for the taxa of table 1 alone",
-        stacklevel=4,
-    )
-    return stand_in
+    return form
 
 
 def write_scene_mesh(

@@ -36,7 +36,7 @@ class Species:
     height_m: float
     """Greatest height [m]."""
     growth_form: str
-    """A key of `fynjax.canopy.FORM_DEFAULTS`."""
+    """A key of `fynjax.canopy.FORMS`."""
     leaf: LeafSource | None
     """Leaf optics; `None` where the plot has no leaf table, and for deadwood."""
     packing: float

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.canopy import FORM_DEFAULTS
+from fynjax.canopy import FORMS
 from fynjax.io.plot._crowns import with_crowns
 from fynjax.io.plot._plot import Calibration, Floats, Ground, LeafSource, Plot, Sky, Species
 from fynjax.io.plot._plot_tables import COVER_FRACTIONS, PlotFile
@@ -86,7 +86,7 @@ def _growth_form(row: SpeciesRow, shipped: dict[str, str], path: Path, number: i
         raise InputError(
             f"expected a growth form for {row.taxon!r}, which is not in the shipped table."
             f"{did_you_mean(row.taxon, shipped)} Add a column growth_form with one of "
-            f"{', '.join(FORM_DEFAULTS)}.",
+            f"{', '.join(FORMS)}.",
             file=path,
             row=number,
             column="growth_form",

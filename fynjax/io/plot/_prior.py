@@ -1,7 +1,8 @@
 """Prior files: what plots share, and how they vary, learned from many plots (`fynjax learn`)."""
 
 import math
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field, model_validator
 
-from fynjax.canopy import FORM_DEFAULTS
+from fynjax.canopy import FORMS
 from fynjax.io.plot._plot import Plot
 from fynjax.io.text import Strict, number, read_toml, shipped_or_own, write_text
 from fynjax.scene import PARAMETERS
@@ -21,7 +22,7 @@ SHIPPED_PRIORS = ("fynbos_2023",)
 DEFAULT_PRIOR, NO_PRIOR = "fynbos_2023", "none"
 """Name of the prior that ships, and of none."""
 
-LEAFY_FORMS = tuple(form for form, usual in FORM_DEFAULTS.items() if usual.leaf_area_index > 0)
+LEAFY_FORMS = tuple(name for name, form in FORMS.items() if form.leafy)
 """Growth forms with leaves."""
 BY_FORM = ("dead_fraction", "leaf_area_index", "shoot_clumping")
 """What each growth form has a value of, in its own unit."""
@@ -104,11 +105,14 @@ class PriorFile(Strict):
     @model_validator(mode="after")
     def _belongs_together(self) -> "PriorFile":
         names = [p.name for p in self.parameters]
-        if set(names) != set(PRIOR_PARAMETERS) or len(set(names)) != len(names):
-            odd = sorted(set(names) ^ set(PRIOR_PARAMETERS)) or [
-                n for n in names if names.count(n) > 1
-            ]
-            raise ValueError(f"expected each known parameter once, but {odd[0]!r} is not so")
+        forms = {form for _, _, form in (n.partition(".") for n in names) if form in LEAFY_FORMS}
+        expected = {*FACTORS, *(f"{kind}.{form}" for kind in BY_FORM for form in forms)}
+        if set(names) != expected or len(expected) != len(names):
+            odd = sorted(set(names) ^ expected) or [n for n in names if names.count(n) > 1]
+            raise ValueError(
+                f"expected each factor once, and each of {', '.join(BY_FORM)} of each growth form "
+                f"that the file has, but {odd[0]!r} is not so"
+            )
         for row in self.left_out:
             if len(row.means) != len(names):
                 raise ValueError(
@@ -169,28 +173,61 @@ def leaf_factors(population: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def assumed_by_form() -> dict[str, tuple[float, float]]:
+    """Median and standard deviation that each growth form assumes of each of `BY_FORM`, by name as
+    in `PRIOR_PARAMETERS`, in the parameter's own unit."""
+    return {
+        f"{kind}.{name}": getattr(form.prior, kind)
+        for kind in BY_FORM
+        for name, form in FORMS.items()
+        if form.prior is not None
+    }
+
+
 @dataclass(frozen=True)
 class LearnedPrior:
-    """A population of plots, from a prior file."""
+    """A population of plots, from a prior file.
+
+    Of growth forms that the file does not have, `values` and `sd` give what the form itself
+    assumes (`GrowthForm.prior`); `unlearned` says so.
+    """
 
     path: Path
     file: PriorFile
+
+    @property
+    def forms(self) -> tuple[str, ...]:
+        """Growth forms that it was learned with, in the order of the file."""
+        kind = BY_FORM[0]
+        names = [p.name.partition(".") for p in self.file.parameters]
+        return tuple(form for of, _, form in names if of == kind)
+
+    def unlearned(self, forms: Iterable[str]) -> list[str]:
+        """What a user must know of growth forms that the file does not have: a sentence for each.
+
+        **Arguments:** `forms`, names of growth forms, in any number.
+        """
+        missing = [f for f in dict.fromkeys(forms) if f in LEAFY_FORMS and f not in self.forms]
+        return [
+            f"{self.path.name} has no growth form {form}: dead tissue, leaf area and clumping of "
+            "its shoots are what the form itself assumes, learned from no spectrum"
+            for form in missing
+        ]
 
     def knows(self, plot: str) -> bool:
         """Whether it was learned from the plot of this name, among others."""
         return any(row.plot == plot for row in self.file.left_out)
 
     def values(self, plot: str = "") -> dict[str, float]:
-        """Parameters of a plot (`PRIOR_PARAMETERS`) before its spectrum.
+        """Parameters of a plot (`PRIOR_PARAMETERS`) before its spectrum, of all growth forms.
 
         **Arguments:** `plot`, its name. If the population was learned from it, its values are
         those learned from all other plots; standard deviations and the error stay those of all.
         """
-        names = [p.name for p in self.file.parameters]
-        for row in self.file.left_out:
-            if row.plot == plot:
-                return dict(zip(names, row.means, strict=True))
-        return {p.name: p.mean for p in self.file.parameters}
+        means = [p.mean for p in self.file.parameters]
+        means = next((row.means for row in self.file.left_out if row.plot == plot), means)
+        learned = {p.name: m for p, m in zip(self.file.parameters, means, strict=True)}
+        return {**{name: median for name, (median, _) in assumed_by_form().items()}, **learned}
 
     def sd(self, name: str, *, elsewhere: bool = False) -> float:
         """Standard deviation of a parameter of a plot before its spectrum: between plots, and of
@@ -199,11 +236,14 @@ class LearnedPrior:
         A plot `elsewhere` stands in another region than those learned from. How far regions differ
         cannot be learned from one: taken to be as far as its plots do.
         """
-        found = next(p for p in self.file.parameters if p.name == name)
+        found = next((p for p in self.file.parameters if p.name == name), None)
+        if found is None:
+            return assumed_by_form()[name][1]
         return math.hypot(found.mean_sd, found.plot_sd, found.plot_sd if elsewhere else 0.0)
 
     def draws(self, count: int, *, seed: int = 0) -> dict[str, Float[np.ndarray, " draw"]]:
-        """Parameters of `count` plots elsewhere (`sd`), each of a region of its own (`drawn`)."""
+        """Parameters of `count` plots elsewhere (`sd`), each of a region of its own (`drawn`); of
+        the growth forms of the file."""
         _, own = self.numbers()
         return self.drawn(np.empty(0), np.random.default_rng(seed).normal(size=(count, own)))
 
@@ -299,11 +339,14 @@ def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
 
     **Returns:** `Plot`; `plot` itself with "none".
 
-    **Raises:** `InputError` as `read_prior`.
+    **Raises:** `InputError` as `read_prior`. Warns of growth forms that the population lacks, of
+    which the plot gets what they assume themselves.
     """
     prior = read_prior(name_or_path)
     if prior is None:
         return plot
+    for sentence in prior.unlearned(one.growth_form for one in plot.species):
+        warnings.warn(sentence, stacklevel=2)
     values = prior.values(plot.name)
     species, spread = [], dict(plot.calibration.priors)
     for one in plot.species:

@@ -4,14 +4,14 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from fynjax.canopy import FORM_DEFAULTS
+from fynjax.canopy import FORMS
 from fynjax.io.text import Slip, Strict, number, optional_quantity, quantity
 from fynjax.scene import FIXED_PARAMETERS, PARAMETERS
 
 if TYPE_CHECKING:
-    GrowthForm = str
+    FormName = str
 else:  # the names as a choice: in errors, and as an enumeration of the schema
-    GrowthForm = Literal[tuple(FORM_DEFAULTS)]
+    FormName = Literal[tuple(FORMS)]
 
 _BRANCHES = FIXED_PARAMETERS["branches"]
 _OF_THE_FORM = "that of the growth form if left out"
@@ -36,7 +36,7 @@ class SpeciesRow(Strict):
     mean_diameter_cm: float = quantity(PARAMETERS["diameter"])
     cover_percent: float = quantity(PARAMETERS["cover"])
     height_max_m: float = quantity(PARAMETERS["height"])
-    growth_form: GrowthForm | None = Field(
+    growth_form: FormName | None = Field(
         default=None,
         description="Shape of the plant. May be left out for a taxon of the shipped table.",
     )

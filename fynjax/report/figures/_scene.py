@@ -10,11 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from fynjax.canopy import (
-    FORM_DEFAULTS,
+    FORMS,
     Organ,
     PlantModel,
     plant_model,
-    shoot_number,
     unit_shapes,
 )
 from fynjax.report.figures._style import style
@@ -194,10 +193,13 @@ def _points(plants: DrawnPlants, species: int, metre: float) -> Float[np.ndarray
     if not mine.any():
         return np.zeros(len(Organ))
     disc = float(np.mean(np.pi / 4.0 * plants.instances.diameter[mine] ** 2))
-    form = FORM_DEFAULTS[plants.forms[species]]
-    leaf = max(np.pi / 4.0 * form.leaf_diameter**2, (_LEAST_PIXELS / metre) ** 2)
+    form = FORMS[plants.forms[species]]
+    # Culms and thick stems as beads of their own width, that touch.
+    across = form.mesh.leaf.width if form.mesh.green_sides else form.leaf_diameter
+    leaf = max(np.pi / 4.0 * across**2, (_LEAST_PIXELS / metre) ** 2)
     many = disc * plants.area_index[species] / leaf
-    stems = shoot_number(plants.forms[species]) * float(plants.instances.height[mine].mean())
+    shoots = 0 if form.shoots is None else form.shoots.number
+    stems = shoots * float(plants.instances.height[mine].mean())
     many[Organ.WOOD] = stems * metre * (plants.area_index[species, Organ.WOOD] > 0.0)
     return np.minimum(many, _MOST_OF_A_PLANT)
 

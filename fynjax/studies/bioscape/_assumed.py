@@ -6,43 +6,13 @@ this program ships. Each value goes into a plot's files with the word for where 
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
-from fynjax.io.plot import FACTORS
+from fynjax.canopy import FORMS
+from fynjax.io.plot import FACTORS, assumed_by_form
 from fynjax.leaf import FLAT, ROUND
 
-ERICOID, DOME, TUFT, BROAD, TWINER = (
-    "upright_ericoid", "rounded_shrub", "tussock", "broad_leaved", "climber",
-)  # fmt: skip
-
-_GENERA = {
-    (ERICOID, ROUND): "Aspalathus Aulax Cyclopia Disparago Elytropappus Metalasia Stoebe Thesium",
-    (ERICOID, FLAT): "Amphithalea Anthospermum Clutia Polygala Psoralea Rafnia",
-    (DOME, ROUND): "Paranomus Serruria Sorocephalus Spatalla",
-    (DOME, FLAT): "Diastella",
-    (TUFT, FLAT): "Corymbium",
-    (TUFT, ROUND): "Bobartia",
-    (BROAD, FLAT): "Osteospermum Osyris Podalyria Virgilia",
-    (BROAD, ROUND): "Hakea Pinus",
-    (TWINER, ROUND): "Cassytha",
-}
-_FAMILIES = {
-    (ERICOID, ROUND): "Bruniaceae Ericaceae Grubbiaceae Rhamnaceae Santalaceae Stilbaceae "
-    "Thymelaeaceae",
-    (ERICOID, FLAT): "Peraceae Polygalaceae Rosaceae Rubiaceae Rutaceae",
-    (DOME, ROUND): "Aizoaceae Crassulaceae",
-    (DOME, FLAT): "Apiaceae Apocynaceae Asteraceae Boraginaceae Campanulaceae Fabaceae "
-    "Geissolomataceae Gentianaceae Geraniaceae Lamiaceae Malvaceae Penaeaceae Roridulaceae "
-    "Scrophulariaceae Solanaceae Zygophyllaceae",
-    (TUFT, ROUND): "Cyperaceae Juncaceae Restionaceae",
-    (TUFT, FLAT): "Amaryllidaceae Asparagaceae Asphodelaceae Haemodoraceae Hyacinthaceae Iridaceae "
-    "Orchidaceae Poaceae Tecophilaeaceae",
-    (BROAD, FLAT): "Anacardiaceae Aquifoliaceae Araliaceae Celastraceae Cunoniaceae Ebenaceae "
-    "Myricaceae Myrtaceae Oleaceae Pittosporaceae Primulaceae Proteaceae Salicaceae Sapindaceae "
-    "Sapotaceae",
-    (BROAD, ROUND): "Cupressaceae Pinaceae",
-    (TWINER, FLAT): "Convolvulaceae Cucurbitaceae Menispermaceae",
-}
+DOME = "rounded_shrub"
+"""Growth form of plants of which neither genus nor family is known here."""
 
 OLD_GENERA = {
     "Calopsis": "Restio", "Chondropetalum": "Elegia", "Chrysanthemoides": "Osteospermum",
@@ -65,10 +35,12 @@ class PlantShape:
 
 def plant_shape(genus: str, family: str) -> PlantShape:
     """Form and leaf shape of a genus, else of its family, else a rounded shrub with flat leaves."""
-    for name, table, source in ((genus, _GENERA, "genus"), (family, _FAMILIES, "family")):
-        for (form, ratio), names in table.items():
-            if name in names.split():
-                return PlantShape(form, source, ratio)
+    for kind, name in (("genera", genus), ("families", family)):
+        for growth_form, form in FORMS.items():
+            for taxa, ratio in ((form.round_leaved, ROUND), (form.flat_leaved, FLAT)):
+                if name in getattr(taxa, kind).split():
+                    source = "genus" if kind == "genera" else "family"
+                    return PlantShape(growth_form, source, ratio)
     return PlantShape(DOME, "default", FLAT)
 
 
@@ -83,23 +55,15 @@ class PlantSize:
     source: str
 
 
-@lru_cache
 def plant_size(family: str, growth_form: str) -> PlantSize:
     """Size of a grown plant of fynbos that burnt some 6 to 17 years ago."""
-    if family == "Proteaceae" and growth_form == BROAD:
+    if family == "Proteaceae" and growth_form == "broad_leaved":
         return PlantSize(
             1.0, 1.4, "height: Kraaij et al. 2013, Applied Vegetation Science 16:84 (127 to 148 cm "
             "at 6 to 15 years, mean of three Proteaceae); crown: assumed",
         )  # fmt: skip
-    from fynjax.canopy import table1_2006
-
-    table = table1_2006()
-    rows = table[table["growth_form"] == growth_form]
-    return PlantSize(
-        float(rows["mean_diameter_cm"].mean()) / 100,
-        float(rows["height_max_m"].mean()),
-        f"mean of {len(rows)} taxa of this form in the shipped table of a plot burnt in 2006",
-    )
+    form = FORMS[growth_form]
+    return PlantSize(form.diameter, form.height, form.size_source)
 
 
 def pigments(growth_form: str) -> dict[str, float]:
@@ -109,42 +73,21 @@ def pigments(growth_form: str) -> dict[str, float]:
     is known for crops (Evans 1989, Oecologia 78:9), not for sclerophyllous leaves and culms. Brown
     pigments are a trace: what is brown of a shoot is its dead tissue.
     """
-    chlorophyll, carotenoids, anthocyanins = {
-        TUFT: (50.0, 10.0, 1.5),
-        BROAD: (65.0, 13.0, 1.5),
-        TWINER: (15.0, 5.0, 2.0),
-    }.get(growth_form, (60.0, 12.0, 1.5))
+    form = FORMS[growth_form]
     return {
-        "chlorophyll": chlorophyll,
-        "carotenoids": carotenoids,
-        "anthocyanins": anthocyanins,
+        "chlorophyll": form.chlorophyll,
+        "carotenoids": form.carotenoids,
+        "anthocyanins": form.anthocyanins,
         "brown_pigments": 0.03,
     }
 
 
 ASSUMED_POPULATION = {
-    "dead_fraction.upright_ericoid": 0.40,
-    "dead_fraction.rounded_shrub": 0.30,
-    "dead_fraction.tussock": 0.45,
-    "dead_fraction.broad_leaved": 0.25,
-    "dead_fraction.climber": 0.30,
-    "leaf_area_index.upright_ericoid": 2.5,
-    "leaf_area_index.rounded_shrub": 3.0,
-    "leaf_area_index.tussock": 2.0,
-    "leaf_area_index.broad_leaved": 3.5,
-    "leaf_area_index.climber": 1.5,
-    "shoot_clumping.upright_ericoid": 0.5,
-    "shoot_clumping.rounded_shrub": 0.4,
-    "shoot_clumping.tussock": 0.2,
-    "shoot_clumping.broad_leaved": 0.2,
-    "shoot_clumping.climber": 0.2,
+    **{name: median for name, (median, _) in assumed_by_form().items()},
     **dict.fromkeys(FACTORS, 1.0),
 }
 """What plots share (`PRIOR_PARAMETERS`) before any population is learned: the centre of the prior
-of `fynjax learn`. Leaf areas lie in the range of 0.5 to 4 that shrub crowns commonly
-show. Shares of dead tissue are near those with which the spectra of 18 BioSCape plots agree best
-when each form has one value and these leaf areas; that of climbers is assumed. Clumping is that of
-a pine shoot, 0.44, for small leaves along a twig, and less for culms, threads and large leaves."""
+of `fynjax learn`. By growth form it is what the form itself assumes (`GrowthForm.prior`)."""
 
 MOST_WATER = 0.05
 """Water of a leaf is at most this [cm]: that of the thickest leaves that PROSPECT was made with

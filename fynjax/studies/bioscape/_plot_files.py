@@ -298,8 +298,12 @@ def _sources(
 ) -> list[tuple[Any, ...]]:
     learned = "assumed" if prior is None else f"learned ({prior.path.name})"
     without = "without this plot" if prior is not None and prior.knows(plot.name) else ""
+    own = () if prior is None else {p.name for p in prior.file.parameters}
     rows: list[tuple[Any, ...]] = [
-        ("*", name, value, "-", learned, without) for name, value in population.items()
+        ("*", name, value, "-", learned, without)
+        if prior is None or name in own
+        else ("*", name, value, "-", "assumed by growth form", f"not in {prior.path.name}")
+        for name, value in population.items()
     ]
     for s in plot.species:
         leaf, lma = leaf_parameters(s, population), s.traits["leaf_mass_per_area"]
@@ -583,6 +587,9 @@ def run_bioscape(
                 f"{most:g} {PARAMETERS[name].unit} (sources.csv has what their traits give): "
                 f"{', '.join(sorted(thick))}"
             )
+    if learned is not None:
+        forms = [s.shape.growth_form for p in read for s in p.species]
+        cut += learned.unlearned([*forms, *(DOME for p in read if p.other_cover > 0)])
     headline = [
         f"{len(read)} plots with {len({s.taxon for p in read for s in p.species})} species.",
         f"Leaf mass per area by cover: {named}.",

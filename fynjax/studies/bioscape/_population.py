@@ -17,7 +17,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax.inversion import Hyperprior, ParameterSpace, SpectrumView
-from fynjax.io.plot import BY_FORM, FACTORS, LEAFY_FORMS, PRIOR_PARAMETERS, leaf_factors
+from fynjax.io.plot import (
+    BY_FORM,
+    FACTORS,
+    LEAFY_FORMS,
+    PRIOR_PARAMETERS,
+    assumed_by_form,
+    leaf_factors,
+)
 from fynjax.scene import PARAMETERS, PlotParameters, Scene
 from fynjax.studies.bioscape._assumed import ASSUMED_POPULATION
 from fynjax.studies.bioscape._inversion import FREE, logit_space
@@ -34,9 +41,6 @@ _SHARED = ("shoot_clumping", "structure")
 EFFECTS = tuple(name for name in (*BY_FORM, *FACTORS) if name not in _SHARED)
 """What varies between plots: dead tissue and leaf area of all forms alike, and the others."""
 
-_RELATIVE_SD = 0.5
-"""Relative error of assumed leaf areas, of which shrub crowns have 0.5 to 4, and of clumping, which
-nobody measured on shoots of fynbos."""
 _ALIKE = 0.7
 """Correlation of the errors of assumed values between growth forms."""
 _COVER_ERROR_SD, _CREW_SD = 0.15, 0.10
@@ -49,16 +53,14 @@ _DARKEST = 0.005
 
 
 def population_space() -> ParameterSpace:
-    """Parameters of a plot with what is assumed of their means: `ASSUMED_POPULATION`, to one unit
-    of the logit for dead tissue and to a half for leaf area and clumping; the records' priors for
-    the rest."""
-    priors = {}
+    """Parameters of a plot with what is assumed of their means: by the growth forms themselves
+    (`GrowthForm.prior`), and the records' priors for the rest."""
+    priors, by_form = {}, assumed_by_form()
     for name in PER_PLOT:
-        centre, (kind, _, form) = ASSUMED_POPULATION[name], name.partition(".")
-        if form:
-            record = PARAMETERS[kind]
-            sd = centre * (1.0 - centre) if kind == "dead_fraction" else _RELATIVE_SD * centre
-            priors[name] = (record.lower, record.upper, centre, sd)
+        centre = ASSUMED_POPULATION[name]
+        if name in by_form:
+            record = PARAMETERS[name.split(".")[0]]
+            priors[name] = (record.lower, record.upper, *by_form[name])
         elif name == "wood_brightness":
             record = PARAMETERS[name]
             assert record.relative_sd is not None

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax.assembly import plot_parameters
-from fynjax.canopy import FORM_DEFAULTS, VoxelGrid
+from fynjax.canopy import FORMS, VoxelGrid
 from fynjax.io.plot import Plot
 from fynjax.radiation import Accuracy, render, solve_light
 from fynjax.scene import (
@@ -155,7 +155,7 @@ def slotted_parameters(plot: Plot, slots: tuple[str, ...]) -> PlotParameters:
         species,
         **{name: fill(getattr(species, name), [value] * count) for name, value in nothing.items()},
         **{
-            name: fill(getattr(species, name), [getattr(FORM_DEFAULTS[f], name) for f in slots])
+            name: fill(getattr(species, name), [getattr(FORMS[f], name) for f in slots])
             for name in ("leaf_area_index", "wood_area_index", "shoot_clumping", "dead_fraction")
         },
     )

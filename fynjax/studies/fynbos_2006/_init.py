@@ -60,7 +60,8 @@ def init(
       assumptions about recovery, which the files state.
     - `prior`: learned population (`read_prior`) of which the files state leaf area, dead tissue and
       the brightness of dead tissue, each with its spread in another region, and of which leaves
-      have the factors. "none" states nothing: growth forms have their defaults, with wide priors.
+      have the factors; of growth forms that it lacks, what they assume themselves. "none" states
+      nothing: growth forms have their defaults, with wide priors.
     - `seed`: seed of every random number of the plot.
 
     **Returns:** `InitResult`, with the files that were written.
@@ -85,18 +86,20 @@ def init(
         text = re.sub(r"(?m)^seed = 0 ", f"seed = {seed} ", text)
         if burnt != PUBLISHED:
             text = _at_another_age(burnt, text, staged)
+        assumed = [] if burnt == PUBLISHED else [ASSUMED]
         if learned is not None:
-            text = _with_population(learned, text, staged)
+            text, unlearned = _with_population(learned, text, staged)
+            assumed += unlearned
         plot.write_text(text, encoding="utf-8")
-    assumed = [] if burnt == PUBLISHED else [ASSUMED]
     headline = [f"Assumed: {text}." for text in assumed]
     return InitResult(
         output=str(folder), seed=seed, headline=headline, files=files, warnings=assumed
     )
 
 
-def _with_population(prior: LearnedPrior, text: str, folder: Path) -> str:
-    """The plot file with means and spreads of a population; its tables get theirs."""
+def _with_population(prior: LearnedPrior, text: str, folder: Path) -> tuple[str, list[str]]:
+    """The plot file with means and spreads of a population, and what to say of growth forms that
+    it lacks; the tables of the plot get theirs."""
     values = prior.values()
     source = f"prior {prior.path.name}: {prior.file.title}"
     notes = (
@@ -142,7 +145,8 @@ def _with_population(prior: LearnedPrior, text: str, folder: Path) -> str:
     text = text.replace(
         "not measured here, and how densely they stand was guessed", "not measured here"
     )
-    return text.replace("[calibration.priors]\n", "\n".join(["[calibration.priors]", *priors, ""]))
+    text = text.replace("[calibration.priors]\n", "\n".join(["[calibration.priors]", *priors, ""]))
+    return text, prior.unlearned(row["growth_form"] for row in rows)
 
 
 def _rewrite(

@@ -1,38 +1,50 @@
 """Stems and threads of generated plants: lines in space, before they get a thickness.
 
-Lengths in metres, the foot of the plant at the origin. The shapes are those of the parametric
-growth forms (`_forms`), with the same numbers: of one seed the same outline, the same bunches in
-which the twigs end, the same stems, culms and threads.
+Lengths in metres, the foot of the plant at the origin. The shapes are those of the area elements
+(`_elements`), with the same numbers: of one seed the same outline, the same bunches in which the
+twigs end, the same stems, culms and threads.
 """
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fynjax.canopy._forms import (
-    FOLIAGE,
-    SHOOTS,
+from fynjax.canopy._elements import (
     ShootsDrawn,
     crown_stems,
-    free_shoots,
     in_bunches,
     individual_of,
-    on_mat,
     quasi_random,
-    thread_paths,
 )
-from fynjax.canopy.mesh._generate_parts import tangents, unit
 
-_STEM_POINTS = 14
+if TYPE_CHECKING:
+    from fynjax.canopy._form import GrowthForm
+
+STEM_POINTS = 14
+"""Points of a stem or culm."""
 _TWIG_POINTS = 6
-_HANGING = 0.07
-"""Share of a climber's threads that hang down to the ground."""
 _FLOW_POWER = 1.0 / 2.2
 """A stem's section grows a little slower than the number of tips it carries (Murray's law is
 1/3 for the radius, the pipe model 1/2)."""
 
+_MINIMUM_CROSS = 1e-12
+
 # Streams of random numbers of one seed, beside those of `plant_model`.
-_WOBBLE, _TIPS, _CULMS, _THREADS = 11, 12, 13, 14
+_WOBBLE, TIPS = 11, 12
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors [..., 3] at length one; those of length zero stay."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(length > _MINIMUM_CROSS, length, 1.0)
+
+
+def tangents(paths: np.ndarray) -> np.ndarray:
+    """Unit tangents at the points of `paths` [path, point, 3]."""
+    step = np.diff(paths, axis=1)
+    inner = unit(step[:, 1:]) + unit(step[:, :-1])
+    return unit(np.concatenate([step[:, :1], inner, step[:, -1:]], axis=1))
 
 
 @dataclass
@@ -62,7 +74,7 @@ def shoot_paths(
     it."""
     part, foot, tip, top = drawn
     number = len(part)
-    s = np.linspace(0.0, 1.0, _STEM_POINTS)
+    s = np.linspace(0.0, 1.0, STEM_POINTS)
     distance = diameter * (foot[:, None] + (tip - foot)[:, None] * s ** arch[:, None])
     turn = 2.0 * np.pi * part[:, None]
     level = height * top[:, None] * s
@@ -138,88 +150,17 @@ def branched(trunks: np.ndarray, tips: np.ndarray, rise: float) -> Skeleton:
     )
 
 
-def shrub(form: str, diameter: float, height: float, n_twigs: int, seed: int) -> Skeleton:
-    """Stems of an ericoid, rounded or broad-leaved shrub, with twigs into all of its crown."""
+def shrub(form: "GrowthForm", diameter: float, height: float, n_twigs: int, seed: int) -> Skeleton:
+    """Stems of a form with a crown, and twigs into all of it."""
+    assert form.shoots is not None
     plant = individual_of(form, seed, n_twigs)
     stems = crown_stems(form, plant)
     # A narrow crown has room for fewer stems: as many as stand in one as wide as it is tall.
     number = max(3, round(len(stems[0]) * min(1.0, diameter / height)))
     turn, foot, tip, top = (part[:number] for part in stems)
-    arch = np.full(number, SHOOTS[form].arch)
+    arch = np.full(number, form.shoots.arch)
     trunks = shoot_paths((turn, foot, tip, top), arch, diameter, height, seed)
-    uniform = quasi_random(n_twigs, 6, [seed, _TIPS])
-    tips = in_bunches(uniform, plant, plant.leafy, FOLIAGE[form].radius)
+    uniform = quasi_random(n_twigs, 6, [seed, TIPS])
+    tips = in_bunches(uniform, plant, plant.leafy, form.foliage.radius)
     tips = tips * [diameter, diameter, height]
-    return branched(trunks, tips, rise=1.0 if form == "upright_ericoid" else 0.5)
-
-
-def deadwood(diameter: float, height: float, n_twigs: int, seed: int) -> Skeleton:
-    """Bare, leaning stems with a few broken side branches."""
-    most = max(3, round(SHOOTS["deadwood"].number * min(1.0, diameter / height)))
-    drawn, arch = free_shoots("deadwood", seed, most)
-    trunks = shoot_paths(drawn, arch, diameter, height, seed)
-    draw = quasi_random(n_twigs, 3, [seed, _TIPS])
-    level = 0.25 + 0.7 * draw[:, 2]
-    distance = diameter * (0.1 + 0.4 * np.sqrt(draw[:, 1])) * np.sqrt(level)
-    turn = 2.0 * np.pi * draw[:, 0]
-    tips = np.stack([distance * np.cos(turn), distance * np.sin(turn), height * level], axis=-1)
-    bare = branched(trunks, tips, rise=0.7)
-    return Skeleton(stems=bare.stems)
-
-
-def tussock(diameter: float, height: float, n_culms: int, seed: int) -> Skeleton:
-    """Culms that fan out and divide in two above the middle, and dead sheaths at their base."""
-    shoots = SHOOTS["tussock"]
-    plant = individual_of("tussock", seed, 1)
-    drawn, arch = free_shoots("tussock", seed, n_culms)
-    paths = shoot_paths(drawn, arch, diameter, height, seed)
-    paths = plant.widened(paths.reshape(-1, 3)).reshape(paths.shape)
-    rng = np.random.default_rng([seed, _CULMS])
-    # A second branch leaves each culm above its middle and ends beside its tip.
-    joint = rng.integers(_STEM_POINTS // 2, _STEM_POINTS - 4, n_culms)
-    part = np.linspace(0.0, 1.0, _STEM_POINTS // 2)
-    place = joint[:, None] + part * (_STEM_POINTS - 1 - joint)[:, None]
-    low = np.minimum(place.astype(int), _STEM_POINTS - 2)
-    share = (place - low)[..., None]
-    row = np.arange(n_culms)[:, None]
-    second = (1 - share) * paths[row, low] + share * paths[row, low + 1]
-    aside = rng.normal(0.0, 0.10 * height, (n_culms, 3)) * [1.0, 1.0, 0.4]
-    second = second + part[None, :, None] ** 1.3 * (aside * [1, 1, 0.5])[:, None, :]
-    second[..., 2] = np.minimum(second[..., 2], height)
-    thickness = np.linspace(1.0, 0.7, _STEM_POINTS)
-    green = [
-        (paths, np.broadcast_to(thickness, paths.shape[:2])),
-        (second, np.broadcast_to(np.linspace(0.8, 0.6, len(part)), second.shape[:2])),
-    ]
-    # Dead sheaths: stubs round the foot, shorter outside.
-    n_stubs = max(6, n_culms // 6)
-    turn = rng.uniform(0.0, 2.0 * np.pi, n_stubs)
-    distance = shoots.base_radius * diameter * np.sqrt(rng.random(n_stubs))
-    level = height * rng.uniform(0.05, 0.16, n_stubs)
-    s = np.linspace(0.0, 1.0, 4)
-    out = distance[:, None] * (1.0 + 0.5 * s)
-    stubs = np.stack(
-        [out * np.cos(turn)[:, None], out * np.sin(turn)[:, None], level[:, None] * s], axis=-1
-    )
-    return Skeleton(
-        stems=[(stubs, np.broadcast_to([1.0, 1.1, 1.0, 0.7], (n_stubs, 4)))], green=green
-    )
-
-
-def climber(diameter: float, height: float, n_threads: int, seed: int) -> Skeleton:
-    """Threads that twine along the strands of a shallow mat, some hanging to the ground."""
-    rng = np.random.default_rng([seed, _THREADS])
-    plant = individual_of("climber", seed, n_threads)
-    strands = thread_paths(seed, len(plant.leafy))
-    mine = np.arange(n_threads) % len(strands)
-    # About its strand a thread winds as it will, within the strand's width.
-    steps = np.linspace(0.0, 1.0, strands.shape[1])
-    turn = rng.random((n_threads, 1)) + rng.normal(0.0, 2.0, (n_threads, 1)) * steps
-    aside = FOLIAGE["climber"].radius * np.sqrt(rng.random((n_threads, 1)))
-    place = strands[mine] + aside * np.exp(2j * np.pi * turn)
-    paths = on_mat(place, np.repeat(rng.random((n_threads, 1)), strands.shape[1], axis=1))
-    hanging = rng.random(n_threads) < _HANGING
-    paths[hanging, :, 2] *= 1.0 - steps**1.5
-    paths = plant.widened(paths.reshape(-1, 3)).reshape(paths.shape)
-    paths = paths * [diameter, diameter, height]
-    return Skeleton(green=[(paths, np.full(paths.shape[:2], 1.0))])
+    return branched(trunks, tips, rise=form.mesh.rise)

@@ -1,0 +1,166 @@
+"""What a growth form is: one record, of which `fynjax.canopy.forms` has one file each."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from fynjax.canopy._elements import (
+    Crown,
+    Elements,
+    Foliage,
+    Shoots,
+    flowers_on_top,
+    leaves_in_bunches,
+    wood_of_stems,
+)
+from fynjax.canopy._lines import Skeleton, shrub
+
+
+@dataclass(frozen=True)
+class MeshLeaf:
+    """Shape and size of a leaf of a generated plant."""
+
+    kind: str
+    """blade, culm, thread or none."""
+    outline: str = ""
+    """Outline of a blade: linear, lanceolate, elliptic, obovate or wedge."""
+    length: float = 0.0
+    """Length of a blade [m]."""
+    width: float = 0.0
+    """Width of a blade, or diameter of a culm or thread [m]."""
+
+
+@dataclass(frozen=True)
+class MeshRecipe:
+    """How the mesh of a plant of a growth form is made (`generate_plant`)."""
+
+    leaf: MeshLeaf
+    """Leaf of a plant whose taxon has no row in `leaf_sizes`."""
+    lines: Callable[[Any, float, float, int, int], Skeleton] = shrub
+    """Stems, twigs and culms as lines: of the form, crown diameter [m], height [m], number of twigs
+    or culms, and seed."""
+    leaves_per_twig: int = 0
+    """Blades of a twig; 0 of a form without blades."""
+    angle_to_twig: float = 45.0
+    """Between a blade and its twig, median [degree]."""
+    rise: float = 0.5
+    """How steeply twigs leave their stem: height gained over sideways reach, at least [-]."""
+    green_sides: int = 0
+    """Edges round a culm or thread that counts as leaf; 0 of a form without."""
+
+
+@dataclass(frozen=True)
+class FormPrior:
+    """What is assumed of a form's shoots before any spectrum: median and standard deviation.
+
+    The centre that `fynjax learn` starts from, and what a learned population that lacks the form
+    says of it. In the shipped forms leaf areas lie in the range of 0.5 to 4 that shrub crowns
+    commonly show, known to a half. Shares of dead tissue are near those with which the spectra of
+    18 BioSCape plots agree best when each form has one value and these leaf areas, or assumed,
+    known to one unit of the logit. Clumping is that of a pine shoot, 0.44, for small leaves along a
+    twig, and less for culms, threads and large leaves; nobody measured it on shoots of fynbos.
+    """
+
+    dead_fraction: tuple[float, float]
+    """Share of the area of live shoots that is dead or woody [-]."""
+    leaf_area_index: tuple[float, float]
+    """One-sided area of leaves over the ground area of crowns [m2 m-2]."""
+    shoot_clumping: tuple[float, float]
+    """Probability that light which a leaf scatters meets another leaf of its shoot [-]."""
+
+
+@dataclass(frozen=True)
+class Taxa:
+    """Genera and families, apart by blanks; a family counts for genera that no form names."""
+
+    genera: str = ""
+    """Names of genera; each belongs to one form at most."""
+    families: str = ""
+    """Names of families, likewise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GrowthForm:
+    """A growth form: shape, usual areas and leaves, and where each number is from.
+
+    What a plant has where the user gives nothing. Its name is that of its file.
+    """
+
+    description: str
+    """The shape, in words."""
+    sources: str
+    """Where the numbers are from; what is assumed."""
+
+    leaf_area_index: float
+    """One-sided area of leaves (or of green culms and threads) over the ground area of its crowns
+    as seen from above [m2 m-2]; 0 of a dead plant."""
+    wood_area_index: float
+    """Half the surface of stems and branches below the shoots, and of dead stubs at the base, over
+    the ground area of its crowns as seen from above [m2 m-2]."""
+    flower_fraction: float
+    """Flower area at full bloom per leaf area [-]."""
+    shoot_clumping: float
+    """Probability that light which a leaf scatters meets another leaf of its shoot [-], as far
+    as the voxels do not show it. 0.44 is a pine shoot (Smolander and Stenberg 2005)."""
+    dead_fraction: float
+    """Share of the one-sided area of live shoots that is dead or woody [-]: old leaves and bracts,
+    dead culms and sheaths on live ones, the twig that bears the leaves. Leaf area counts it."""
+    leaf_angle: str
+    """Distribution of the leaf normals (`leaf_angle`)."""
+    leaf_diameter: float
+    """Four times the area of a leaf's outline over its perimeter [m]: the diameter of a round leaf,
+    and of the disc whose overlap with itself falls as fast when it is shifted a little, so that it
+    makes the same hot spot. Culms and threads count as strips."""
+    prior: FormPrior | None = None
+    """What is assumed of dead tissue, leaf area and clumping before they are learned; None of a
+    form without leaves."""
+
+    diameter: float
+    """Usual crown diameter [m]."""
+    height: float
+    """Usual greatest height in a plot [m]."""
+    size_source: str = "assumed by growth form"
+    """Where the usual size is from."""
+
+    crown: Crown | None = None
+    """Envelope of the leaves; None of a form that is shoots or threads alone."""
+    shoots: Shoots | None = None
+    """Stems or culms; None of a form without."""
+    foliage: Foliage
+    """How leaves stand together, and how uneven the plant is."""
+    leaf_elements: Elements = leaves_in_bunches
+    """Where the area elements of leaves lie."""
+    wood_elements: Elements = wood_of_stems
+    """Where those of wood lie."""
+    flower_elements: Elements = flowers_on_top
+    """Where those of flowers lie."""
+    mesh: MeshRecipe
+    """How a mesh of it is made."""
+
+    leaf_mass_per_area: float
+    """Dry mass over projected area of a leaf in the stands that `fynjax train` draws, median
+    [g m-2]."""
+    water_content: float
+    """Water over fresh mass of the same leaf, median [-]."""
+    round_leaves: bool = False
+    """Whether the same leaf is a needle, culm or thread, of which half the surface is pi/2
+    times the projected area."""
+    stand_share: float = 0.0
+    """Concentration of the Dirichlet distribution of its share of the live crowns of such a
+    stand [-]; positive of a form with leaves."""
+
+    chlorophyll: float = 60.0
+    """Chlorophyll of its leaves where none was measured [ug cm-2]."""
+    carotenoids: float = 12.0
+    """Carotenoids of the same [ug cm-2]."""
+    anthocyanins: float = 1.5
+    """Anthocyanins of the same [ug cm-2]."""
+    flat_leaved: Taxa = Taxa()
+    """Plants of this form with flat leaves, in tables that state no form."""
+    round_leaved: Taxa = Taxa()
+    """The same with rolled leaves, needles or culms."""
+
+    @property
+    def leafy(self) -> bool:
+        """Whether it has leaves, or green culms or threads."""
+        return self.leaf_area_index > 0.0

@@ -1,0 +1,44 @@
+"""Shrubs and small trees with large leaves: Euclea, Pterocelastrus, Protea."""
+
+from fynjax.canopy._elements import Crown, Foliage, Shoots
+from fynjax.canopy._form import FormPrior, GrowthForm, MeshLeaf, MeshRecipe, Taxa
+
+FORM = GrowthForm(
+    description="Ellipsoidal crown on a few stout stems, foliage in large clumps in its outer "
+    "shell, oblique leaves.",
+    sources="Dead tissue, leaf area, clumping: means of the shipped prior (18 BioSCape plots), to "
+    "two digits. Leaf diameter: mean over its taxa in `leaf_sizes`. Leaf mass, water, share of "
+    "stands: the species of this form on those plots (doi:10.5281/zenodo.14198989). All else: "
+    "assumed.",
+    leaf_area_index=5.4,
+    wood_area_index=0.50,
+    flower_fraction=0.01,
+    shoot_clumping=0.12,
+    dead_fraction=0.41,
+    leaf_angle="plagiophile",
+    leaf_diameter=0.023,
+    prior=FormPrior(
+        dead_fraction=(0.25, 0.1875), leaf_area_index=(3.5, 1.75), shoot_clumping=(0.2, 0.1)
+    ),
+    diameter=0.675,
+    height=2.445,
+    size_source="mean of 2 taxa of this form in the shipped table of a plot burnt in 2006",
+    crown=Crown(0.12, 0.60, 2.0, 2.0, height_power=0.3, shell_power=1.5),
+    shoots=Shoots(8, 0.04, (0.10, 0.40), (0.60, 0.90), 1.5, 0.6),
+    foliage=Foliage(24, 0.15, 0.24, outline=0.45, uneven=0.15, bare=0.05),
+    mesh=MeshRecipe(
+        MeshLeaf("blade", "obovate", 0.025, 0.0115), leaves_per_twig=12, angle_to_twig=55.0
+    ),
+    leaf_mass_per_area=235.0,
+    water_content=0.61,
+    stand_share=0.6,
+    chlorophyll=65.0,
+    carotenoids=13.0,
+    flat_leaved=Taxa(
+        genera="Osteospermum Osyris Podalyria Virgilia",
+        families="Anacardiaceae Aquifoliaceae Araliaceae Celastraceae Cunoniaceae Ebenaceae "
+        "Myricaceae Myrtaceae Oleaceae Pittosporaceae Primulaceae Proteaceae Salicaceae "
+        "Sapindaceae Sapotaceae",
+    ),
+    round_leaved=Taxa(genera="Hakea Pinus", families="Cupressaceae Pinaceae"),
+)

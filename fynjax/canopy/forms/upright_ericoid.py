@@ -1,0 +1,47 @@
+"""Upright shrubs with small leaves: Metalasia, Passerina, Anthospermum, many Erica."""
+
+from fynjax.canopy._elements import Crown, Foliage, Shoots
+from fynjax.canopy._form import FormPrior, GrowthForm, MeshLeaf, MeshRecipe, Taxa
+
+FORM = GrowthForm(
+    description="Broom-like: crown widens upwards to 70 % of the height, long ascending shoots of "
+    "uneven height with gaps between, small leaves pressed along them, flowers at their ends.",
+    sources="Dead tissue, leaf area, clumping: means of the shipped prior (18 BioSCape plots), to "
+    "two digits. Leaf diameter: mean over its taxa in `leaf_sizes`, without Clutia, whose leaves "
+    "are those of no ericoid shrub. Leaf mass, water, share of stands: the species of this form "
+    "on those plots (doi:10.5281/zenodo.14198989). All else: assumed.",
+    leaf_area_index=4.2,
+    wood_area_index=0.40,
+    flower_fraction=0.05,
+    shoot_clumping=0.19,
+    dead_fraction=0.62,
+    leaf_angle="erectophile",
+    leaf_diameter=0.0015,
+    prior=FormPrior(
+        dead_fraction=(0.40, 0.24), leaf_area_index=(2.5, 1.25), shoot_clumping=(0.5, 0.25)
+    ),
+    diameter=0.2375,
+    height=1.125,
+    size_source="mean of 4 taxa of this form in the shipped table of a plot burnt in 2006",
+    crown=Crown(0.12, 0.70, 1.6, 2.5, height_power=2.0, shell_power=1.0),
+    shoots=Shoots(12, 0.03, (0.05, 0.40), (0.75, 0.95), 1.4, 0.7),
+    foliage=Foliage(34, 0.085, 0.45, outline=0.40, uneven=0.25, bare=0.08),
+    mesh=MeshRecipe(
+        MeshLeaf("blade", "linear", 0.006, 0.0008),
+        leaves_per_twig=100,
+        angle_to_twig=25.0,
+        rise=1.0,
+    ),
+    leaf_mass_per_area=185.0,
+    water_content=0.49,
+    round_leaves=True,
+    stand_share=1.0,
+    flat_leaved=Taxa(
+        genera="Amphithalea Anthospermum Clutia Polygala Psoralea Rafnia",
+        families="Peraceae Polygalaceae Rosaceae Rubiaceae Rutaceae",
+    ),
+    round_leaved=Taxa(
+        genera="Aspalathus Aulax Cyclopia Disparago Elytropappus Metalasia Stoebe Thesium",
+        families="Bruniaceae Ericaceae Grubbiaceae Rhamnaceae Santalaceae Stilbaceae Thymelaeaceae",
+    ),
+)
