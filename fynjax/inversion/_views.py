@@ -117,7 +117,8 @@ class ImageView(AbstractView):
     def observe(
         self, scene: Scene, parameters: PlotParameters
     ) -> tuple[Float[Array, "band y x"], Float[Array, " statistic"]]:
-        return slope_of_fading(_image_statistics)(scene, parameters, self)
+        image = self.camera.observe(scene, parameters).reflectance
+        return image, self._statistics(image)
 
     def _statistics(self, image: Float[Array, "band y x"]) -> Float[Array, " statistic"]:
         pixel = self.camera.pixel if self.spacing is None else self.spacing
@@ -134,12 +135,10 @@ class ImageView(AbstractView):
         self, scene: Scene, plot_at: Callable[[Array], PlotParameters], u: Float[Array, " free"]
     ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
         def render(u: Array) -> Array:
-            return self.camera.observe_stand(scene.faded(), plot_at(u)).reflectance
+            return self.camera.observe(scene, plot_at(u)).reflectance
 
-        value = _image_statistics(scene, plot_at(u), self)[1]
-        # Slopes of the statistics are those of the image whose slopes are taken.
         image, to_parameters = jax.vjp(render, u)
-        _, to_image = jax.vjp(self._statistics, image)
+        value, to_image = jax.vjp(self._statistics, image)
         chosen = self.directions
         rows = jnp.eye(value.size) if chosen is None else chosen.rows
         # All slopes by the image at once, so that the loop holds the renderer alone.
@@ -156,13 +155,6 @@ class ImageView(AbstractView):
 
         none = jnp.zeros(image.shape[0], image.dtype)
         return jax.jacfwd(scaled)(none)
-
-
-def _image_statistics(
-    scene: Scene, parameters: PlotParameters, view: ImageView
-) -> tuple[Float[Array, "band y x"], Float[Array, " statistic"]]:
-    image = view.camera.observe_stand(scene, parameters).reflectance
-    return image, view._statistics(image)
 
 
 GAIN_SHARED = 0.5

@@ -12,7 +12,7 @@ its mean density.
 
 import dataclasses
 import math
-from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal, overload
 
 import equinox as eqx
@@ -207,22 +207,6 @@ class AimedSensor(eqx.Module):
         neighbourhood is more of the same). Raises `InputError` for noise without air or without a
         noise model, and for air that does not cover the bands.
         """
-        return self._observe(_seen, scene, parameters, key, air, surroundings)
-
-    def observe_stand(self, scene: Scene, parameters: PlotParameters) -> Observation:
-        """The same without noise, for a function that is given to `slope_of_fading` as a whole: the
-        derivative is that of the stand as it is."""
-        return self._observe(_seen.__wrapped__, scene, parameters, None, None, None)
-
-    def _observe(
-        self,
-        seen: Callable[..., Any],
-        scene: Scene,
-        parameters: PlotParameters,
-        key: Array | int | None,
-        air: PlotAir | Atmosphere | None,
-        surroundings: Float[Array, " band"] | None,
-    ) -> Observation:
         air = self.air if air is None else air
         if key is not None and (air is None or self.sensor.noise is None):
             lack = "no noise model" if air is not None else "no air to make radiance of"
@@ -230,7 +214,7 @@ class AimedSensor(eqx.Module):
         parameters = jax.tree.map(lambda x: jnp.asarray(x, scene.dtype), parameters)
         if air is None:
             every = jnp.ones(len(self.sensor.bands), bool)
-            image, _, residual = seen(scene, parameters, self, None)
+            image, _, residual = _seen(scene, parameters, self, None)
             return Observation(image, None, every, None, residual)
         by_band = self._air_of_bands(air, parameters.light, scene.dtype)
         order, back = _sorting(self.sensor)
@@ -241,7 +225,7 @@ class AimedSensor(eqx.Module):
             )
         total = by_band.direct + by_band.diffuse
         sky = (by_band.diffuse / jnp.maximum(total, jnp.finfo(total.dtype).tiny))[back]
-        image, mean, residual = seen(scene, parameters, self, sky)
+        image, mean, residual = _seen(scene, parameters, self, sky)
         if self.panels is not None:
             image = self.panels.laid_on(image)
         pixels = jnp.moveaxis(image, 0, -1)[..., order]
@@ -590,7 +574,7 @@ def observe_lidar(
     return LidarObservation(voxels, beams, sublayers, waveforms, electrons, returns)
 
 
-@slope_of_fading
+@partial(slope_of_fading, relative=True)
 def _seen(
     scene: Scene, parameters: PlotParameters, sensor: AimedSensor, sky: Float[Array, " band"] | None
 ) -> tuple[Float[Array, "band y x"], Float[Array, " band"], Float[Array, " band"]]:

@@ -848,7 +848,17 @@ def stand_realisation(scene: Scene, seed: int) -> Scene:
     return eqx.tree_at(lambda s: (s.planting.place, s.rounding), scene, (order, rounding))
 
 
-def slope_of_fading(function: Callable[..., Any], *, apart: bool = False) -> Callable[..., Any]:
+def _relative(whole: Array, fades: Array, slope: Array | None) -> Array | None:
+    if slope is None:
+        return None
+    total = whole + fades
+    some = total > 0.0
+    return slope * jnp.where(some, 2.0 * whole / jnp.where(some, total, 1.0), 1.0)
+
+
+def slope_of_fading(
+    function: Callable[..., Any], *, apart: bool = False, relative: bool = False
+) -> Callable[..., Any]:
     """A function of a scene whose value is that of whole plants and whose derivative is that of
     the expected stand.
 
@@ -865,6 +875,11 @@ def slope_of_fading(function: Callable[..., Any], *, apart: bool = False) -> Cal
     - `apart`: whether only the slope by the number of plants is taken where plants fade, and all
       others where they are whole. That is exact by leaf area, height and optics, where the other
       is up to 3 % too steep (of the gap of a plot of 2 m), and takes two derivatives.
+    - `relative`: whether the slope of each number is that of the fading stand over the mean of both
+      stands' numbers, times that of the whole plants: for images, none of whose numbers is
+      negative. What is computed from their ratios in a pixel, such as an index, then has the slope
+      of its expectation: for a pixel that is as likely bright as dark, b or d, and fades from one
+      to the other, b / (b + s) + d / (d + s) over s is that of log s, whatever the way between.
 
     Differentiable in forward and reverse mode; with `apart` once.
 
@@ -882,7 +897,8 @@ def slope_of_fading(function: Callable[..., Any], *, apart: bool = False) -> Cal
         faded = (scene.faded(), parameters, *rest)
         value = of_whole_plants(*primals)  # not `function`: a derivative of it is this one too
         if not apart:
-            return value, eqx.filter_jvp(function, faded, tangents)[1]
+            fades, slope = eqx.filter_jvp(function, faded, tangents)
+            return value, jax.tree.map(_relative, value, fades, slope) if relative else slope
         number, by_number = eqx.filter_jvp(Scene.counts, (scene, parameters), tangents[:2])
 
         def of_number(number: Array) -> Any:

@@ -10,6 +10,7 @@ mean and median of the slopes that are taken; then what an image and a gradient 
 
 import argparse
 import time
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -59,7 +60,7 @@ def scaled(parameters: PlotParameters, log_factor: Float[Array, " kind"]) -> Plo
     return eqx.tree_at(where, parameters, values)
 
 
-@slope_of_fading
+@partial(slope_of_fading, apart=True)
 def first_return_height(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
     """Height below which 95 % of the first returns of a LiDAR from straight above lie [m]."""
     density = scene.area_density(parameters).sum(axis=0)[::-1]  # from the top down

@@ -4,6 +4,8 @@ A plot of 1.5 m with three species and few voxels. What is held against each oth
 apart: plants are counted, and the derivative of the mean over plantings is a difference of means.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,7 +25,7 @@ from fynjax.scene import (
 )
 from fynjax.scene._planting import no_plants
 from fynjax.sensors import shipped_lidar
-from tests.scene.plots import densities, drone, reflectance, small_parameters, small_plot
+from tests.scene.plots import EXACT, densities, drone, reflectance, small_parameters, small_plot
 
 PLANTINGS = 60
 KINDS = ("cover", "diameter", "leaf_area_index", "height")
@@ -100,16 +102,18 @@ def test_every_sensor_sees_the_same_whole_plants(plot) -> None:
 
 
 def test_the_slope_is_that_of_plants_that_fade(plot) -> None:
-    """And the value is that of whole plants."""
+    """Of each pixel relative to the mean of both images; and the value is that of whole plants."""
     parameters, camera = small_parameters(), drone(plot)
-    mean = lambda x, scene: camera.observe(scene, scaled(x)).reflectance.mean()  # noqa: E731
-    none = jnp.zeros(len(KINDS))
-    both = eqx.filter_jit(jax.value_and_grad(mean))
-    (value, slope), (faded, same) = both(none, plot), both(none, plot.faded())
-    assert float(value) == pytest.approx(
-        float(reflectance(camera, plot, parameters).mean()), rel=1e-9
-    )
-    assert abs(float(faded) / float(value) - 1.0) > 1e-5
+
+    def mean(x: jax.Array, scene, weight: jax.Array) -> jax.Array:
+        return (weight * camera.observe(scene, scaled(x)).reflectance).mean()
+
+    none, both = jnp.zeros(len(KINDS)), eqx.filter_jit(jax.value_and_grad(mean))
+    whole, fades = (reflectance(camera, s, parameters) for s in (plot, plot.faded()))
+    value, slope = both(none, plot, jnp.ones_like(whole))
+    _, same = both(none, plot.faded(), 2.0 * whole / (whole + fades))
+    assert float(value) == pytest.approx(float(whole.mean()), rel=1e-9)
+    assert np.abs(whole / fades - 1.0).max() > 0.05
     np.testing.assert_allclose(slope, same, rtol=1e-9)
 
 
@@ -165,20 +169,40 @@ def test_without_a_slope_the_scene_is_seen_once(plot) -> None:
     assert len(seen) == 3
 
 
-@pytest.fixture(scope="module")
-def expectation(plot):
-    """Over plantings: the gap, its derivative by differences, and the slopes taken."""
-    gap = lambda x, scene: scene.gap_fraction(scaled(x))  # noqa: E731
-    value, slope = eqx.filter_jit(gap), eqx.filter_jit(jax.grad(gap))
+def over_plantings(plot, function, plantings=PLANTINGS):
+    """Over plantings: a function's values, derivatives by differences, and the slopes taken."""
+    value, slope = eqx.filter_jit(function), eqx.filter_jit(jax.grad(function))
     steps = np.array([0.28, 0.28, 0.1, 0.1])
     values, differences, slopes = [], [], []
-    for seed in range(PLANTINGS):
+    for seed in range(plantings):
         scene = stand_realisation(plot, seed)
         values.append(float(value(jnp.zeros(4), scene)))
         ends = [[float(value(s * step, scene)) for s in (1, -1)] for step in np.diag(steps)]
         differences.append([(up - down) / (2 * step) for (up, down), step in zip(ends, steps)])
         slopes.append(np.asarray(slope(jnp.zeros(4), scene)))
     return np.array(values), np.array(differences), np.array(slopes)
+
+
+@pytest.fixture(scope="module")
+def expectation(plot):
+    return over_plantings(plot, lambda x, scene: scene.gap_fraction(scaled(x)))
+
+
+@pytest.mark.slow
+def test_an_index_has_the_slope_of_its_mean_over_plantings(plot) -> None:
+    """The mean NDVI of the drone's pixels: a ratio within each pixel, so that bright and dark ones
+    count as they are."""
+    camera = drone(plot, dataclasses.replace(EXACT, tolerance=1e-3), pixel=0.05)
+
+    def ndvi(x: jax.Array, scene) -> jax.Array:
+        _, red, _, nir = camera.observe(scene, scaled(x)).reflectance
+        return ((nir - red) / (nir + red)).mean()
+
+    _, differences, slopes = over_plantings(plot, ndvi, 48)
+    for i, kind in enumerate(KINDS):
+        error = np.hypot(*(x[:, i].std() / np.sqrt(48) for x in (slopes, differences)))
+        off = slopes[:, i].mean() - differences[:, i].mean()
+        assert abs(off) < 2.0 * error, (kind, off / error)
 
 
 def test_the_slope_is_the_derivative_of_the_mean_over_plantings(expectation) -> None:
