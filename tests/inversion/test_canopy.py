@@ -43,19 +43,19 @@ def test_without_noise_the_truth_is_found_as_far_as_it_shows():
     assert found.estimate["chlorophyll"] == pytest.approx(45.0, rel=0.1)
 
 
-@pytest.mark.slow  # twenty fits
+@pytest.mark.slow  # ten fits
 def test_nine_of_ten_intervals_hold_the_truth():
     rng, space, predict = np.random.default_rng(3), _space(), model()
     inside = np.zeros(len(space.names))
-    for _ in range(20):
+    for _ in range(10):
         truth = np.asarray(space.physical(jnp.asarray(rng.standard_normal(len(space.names)))))
         found = fit_canopy(WAVELENGTH, noisy(np.asarray(predict(truth)), rng), **LIGHT)
         ends = np.array([found.interval[name] for name in found.names])
         inside += (ends[:, 0] < truth) & (truth < ends[:, 1])
-    # 160 intervals, of which those of a canopy hang together: 0.9 within two standard errors of
-    # twenty canopies; and none of the eight far from it.
-    assert 0.82 < inside.sum() / (20 * len(space.names)) < 0.98
-    assert inside.min() >= 13
+    # 80 intervals, of which those of a canopy hang together: 0.9 within two standard errors of
+    # ten canopies; and none of the eight far from it.
+    assert 0.79 < inside.sum() / (10 * len(space.names)) < 0.995
+    assert inside.min() >= 6
 
 
 @pytest.mark.slow  # compiles for 78 wavelengths
