@@ -109,15 +109,15 @@ class Shoots:
 
 @dataclass(frozen=True)
 class Foliage:
-    """How leaves stand together in a crown, and how uneven the crown is. Assumptions, chosen for
+    """Bunches of leaves in a crown, and the unevenness of its outline. Assumptions, chosen for
     the eye of a botanist and not fitted to anything."""
 
     bunches: int
     """Leafy shoots, or clumps of leaves, of a plant; an individual has 0.7 to 1.4 times as many."""
     radius: float
-    """Of a bunch across its shoot, in crown diameters."""
+    """Radius of a bunch of leaves across its shoot [crown diameters]."""
     length: float
-    """Of a bunch along its shoot, in plant heights."""
+    """Length of a bunch of leaves along its shoot [plant heights]."""
     outline: float
     """Variation of the outline: standard deviation over mean of the square of its distance from the
     axis, which keeps its area."""
@@ -156,7 +156,7 @@ def quasi_random(count: int, dimensions: int, seed: int | list[int]) -> np.ndarr
 
 @dataclass(frozen=True)
 class Individual:
-    """What the organs of one plant share: its outline and where its shoots end."""
+    """Outline of one plant and ends of its shoots, on which all its organs are laid."""
 
     reach: np.ndarray
     """Distance of the outline from the axis over even parts of a full turn, in crown radii."""

@@ -32,7 +32,7 @@ class MeshLeaf:
 
 @dataclass(frozen=True)
 class MeshRecipe:
-    """How the mesh of a plant of a growth form is made (`generate_plant`)."""
+    """Leaves, twigs and green stems of the mesh of a plant of a growth form (`generate_plant`)."""
 
     leaf: MeshLeaf
     """Leaf of a plant whose taxon has no row in `leaf_sizes`."""
@@ -44,7 +44,7 @@ class MeshRecipe:
     angle_to_twig: float = 45.0
     """Between a blade and its twig, median [degree]."""
     rise: float = 0.5
-    """How steeply twigs leave their stem: height gained over sideways reach, at least [-]."""
+    """Least slope at which a twig leaves its stem: height gained over sideways reach [-]."""
     green_sides: int = 0
     """Edges round a culm or thread that counts as leaf; 0 of a form without."""
 

@@ -104,7 +104,7 @@ def information(
     ]
     with run.stage("Write"):
         run.table("bounds.csv", table, "bounds on every parameter by every sensor")
-        what = "at which pixels each cover is told from absence"
+        what = "at which pixels each cover is distinguished from absence"
         run.table("limits.csv", limits, what)
         sections = [_cover_section(table, limits, covers)] if covers else []
         sections.append(_direction_section(sensor, weak, table))

@@ -204,11 +204,11 @@ def _headline(table: pd.DataFrame) -> list[str]:
     """For each metric its largest elasticities, of those that are distinguished from zero."""
     lines = []
     for metric, part in table.groupby("metric", sort=False):
-        told = part[part["distinguished"] & (part["elasticity"].abs() > 0)]
-        order = told["elasticity"].abs().sort_values(ascending=False).index
+        distinct = part[part["distinguished"] & (part["elasticity"].abs() > 0)]
+        order = distinct["elasticity"].abs().sort_values(ascending=False).index
         named = ", ".join(
             f"{short_name(str(r.parameter))} ({r.elasticity:+.2g} ± {r.elasticity_error:.2g} %)"
-            for r in told.loc[order[:LEADING_ELASTICITIES]].itertuples()
+            for r in distinct.loc[order[:LEADING_ELASTICITIES]].itertuples()
         )
         lines.append(
             f"{metric} changes most, for 1 % more, by {named}."

@@ -24,6 +24,7 @@ from fynjax.scene import (
     stand_realisation,
 )
 from fynjax.scene._planting import no_plants
+from fynjax.scene._scene import _relative
 from fynjax.sensors import shipped_lidar
 from tests.scene.plots import EXACT, densities, drone, reflectance, small_parameters, small_plot
 
@@ -186,6 +187,19 @@ def over_plantings(plot, function, plantings=PLANTINGS):
 @pytest.fixture(scope="module")
 def expectation(plot):
     return over_plantings(plot, lambda x, scene: scene.gap_fraction(scaled(x)))
+
+
+@pytest.mark.parametrize("power", [1.0, 2.5])
+def test_ratios_within_a_pixel_have_the_slope_of_their_mean(power: float) -> None:
+    """Of a pixel that is as likely still bright as already dark, whatever the way it fades by: the
+    logarithm changes by that of the end over the beginning, in closed form."""
+    bright, dark, steps = 0.15, 0.04, 20_000
+    way = (np.arange(steps) + 0.5) / steps
+    fades = bright + (dark - bright) * way**power
+    slope = (dark - bright) * power * way ** (power - 1.0)
+    found = [np.mean(_relative(jnp.asarray(w), fades, slope) / w) for w in (bright, dark)]
+    assert np.mean(found) == pytest.approx(np.log(dark / bright), rel=1e-5)
+    np.testing.assert_array_equal(_relative(jnp.zeros(2), jnp.zeros(2), jnp.ones(2)), 1.0)
 
 
 @pytest.mark.slow

@@ -169,9 +169,9 @@ def tornado_plot(table: pd.DataFrame, *, most: int = 15) -> Figure:
             part = part.loc[order]
             value = part["elasticity"].to_numpy(float)
             y = np.arange(len(part))
-            told = part["distinguished"].to_numpy(bool)
-            colour = np.where(told, np.where(value > 0, BLUE, VERMILION), GREY)
-            axes.barh(y, value, height=0.7, color=np.where(told, colour, "none"), edgecolor=colour,
+            clear = part["distinguished"].to_numpy(bool)
+            colour = np.where(clear, np.where(value > 0, BLUE, VERMILION), GREY)
+            axes.barh(y, value, height=0.7, color=np.where(clear, colour, "none"), edgecolor=colour,
                       xerr=part["interval"].to_numpy(float),
                       error_kw={"lw": 0.8, "ecolor": REAL})  # fmt: skip
             axes.axvline(0.0, color=REAL, lw=0.7)
