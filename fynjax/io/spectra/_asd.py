@@ -47,10 +47,10 @@ def read_asd(path: str | Path, data: bytes | None = None) -> MeasuredSpectrum:
     - `data`: its content, if it was read already.
 
     **Returns:** a `MeasuredSpectrum` with target over white reference, unchecked: outdoor spectra
-    hold any number in the water bands. Reflectance is multiplied by that of the white panel if the file
-    holds it (versions 7 and 8, calibration of type ABS). `meta` has the version, type, instrument,
-    integration time [ms], gains, the wavelengths of the detector changes, `splices` [nm], and
-    `panel`, "applied" or "unknown".
+    hold any number in the water bands. Reflectance is multiplied by that of the white panel if
+    the file holds it (versions 7 and 8, calibration of type ABS). `meta` has the version, type,
+    instrument, integration time [ms], gains, the wavelengths of the detector changes, `splices`
+    [nm], and `panel`, "applied" or "unknown".
 
     **Raises:** `InputError` for a version below 6, a file cut short, radiance or irradiance (its
     reference block need not be a white panel), a missing white reference, or one that is zero.
