@@ -4,16 +4,24 @@ A run whose steps follow from each other the same way each time need not keep it
 what its steps returned, and a run that starts again is given those instead of computing them.
 """
 
+import dataclasses
+import hashlib
 import os
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any, TypeVar, get_origin, get_type_hints
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from fynjax._core.errors import InputError
+
+State = TypeVar("State")
 
 Keep = Callable[[Callable[[], tuple[Array, ...]]], tuple[Array, ...]]
 """Does a step, or gives back what it returned in an earlier run."""
@@ -89,11 +97,37 @@ class Journal:
             _write(path, lambda work: _save(work, kept))
             (self._folder / _FAILED.format(number)).unlink(missing_ok=True)
         except OSError as error:
+            raise self._cannot_keep(error) from error
+
+    def put_state(self, name: str, state: Any) -> None:
+        """Keep a state, a dataclass of arrays, of tuples of these and of such dataclasses, in place
+        of the last of this name."""
+        kept = {key: np.asarray(value) for key, value in _leaves(state, "")}
+        try:
+            _write(self._folder / _STATE.format(name), lambda work: _save(work, kept))
+        except OSError as error:
+            raise self._cannot_keep(error) from error
+
+    def kept_state(self, name: str, kind: type[State]) -> State | None:
+        """The last state of a name, of the dataclass `kind`; None if none was kept."""
+        path = self._folder / _STATE.format(name)
+        if not path.is_file():
+            return None
+        try:
+            with open(path, "rb") as raw, np.load(raw) as file:
+                state: State = _built(kind, {key: file[key] for key in file.files}, "")
+                return state
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise InputError(
-                f"cannot keep what was done: {error.strerror}. What was kept before stays, and "
-                "the same command goes on from it",
-                file=self._folder,
+                "no checkpoint, or a damaged one; remove its folder to start again", file=path
             ) from error
+
+    def _cannot_keep(self, error: OSError) -> InputError:
+        return InputError(
+            f"cannot keep what was done: {error.strerror}. What was kept before stays, and the "
+            "same command goes on from it",
+            file=self._folder,
+        )
 
     def put_failure(self, number: int, text: str) -> Path | None:
         """Keep how a step failed; gives the file, or None where nothing can be written."""
@@ -107,7 +141,33 @@ class Journal:
 
 _MARK = "calibration.mark"
 _STEP = "calibration.{:04d}.npz"
+_STATE = "calibration.{}.npz"
 _FAILED = "calibration.{:04d}.failed.txt"
+
+
+def _leaves(value: Any, key: str) -> Iterator[tuple[str, Any]]:
+    """Arrays of a state, each with the way to it."""
+    if dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            yield from _leaves(getattr(value, field.name), f"{key}.{field.name}")
+    elif isinstance(value, tuple):
+        for number, part in enumerate(value):
+            yield from _leaves(part, f"{key}.{number}")
+    else:
+        yield key, value
+
+
+def _built(kind: Any, leaves: dict[str, np.ndarray], key: str) -> Any:
+    """A state of the dataclass `kind` from its leaves."""
+    if dataclasses.is_dataclass(kind):
+        hints = get_type_hints(kind)
+        fields = dataclasses.fields(kind)
+        make: Any = kind
+        return make(*(_built(hints[f.name], leaves, f"{key}.{f.name}") for f in fields))
+    if get_origin(kind) is tuple:
+        count = sum(name.startswith(f"{key}.") for name in leaves)
+        return tuple(jnp.asarray(leaves[f"{key}.{number}"]) for number in range(count))
+    return jnp.asarray(leaves[key])
 
 
 def forget_journal(folder: str | Path) -> None:
@@ -134,3 +194,55 @@ def _write(path: Path, how: Callable[[Path], object]) -> None:
         work.unlink(missing_ok=True)
         raise
     os.replace(work, path)
+
+
+def signature(*signed: Any) -> str:
+    """A hash of all that a run follows from.
+
+    It is the same in every process, and differs where a type, an array, a number, a text or a
+    function within `signed` does. Functions are known by their names and what they close over.
+
+    **Arguments:** `signed`, any values; modules, dataclasses and containers are taken apart.
+
+    **Returns:** 64 hexadecimal digits.
+    """
+    total = hashlib.sha256()
+    entered: set[int] = set()
+
+    def add(value: Any) -> None:
+        total.update(f"|{type(value).__module__}.{type(value).__qualname__}:".encode())
+        if isinstance(value, jax.Array | np.ndarray):
+            array = np.ascontiguousarray(value)
+            total.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
+            return
+        parts = _parts(value)
+        if parts is None:
+            total.update(repr(value).encode())
+        elif id(value) not in entered:  # a function may close over itself
+            entered.add(id(value))
+            total.update(f"{len(parts)}".encode())
+            for part in parts:
+                add(part)
+            entered.remove(id(value))
+
+    add((version("fynjax"), signed))
+    return total.hexdigest()
+
+
+def _parts(value: Any) -> Sequence[Any] | None:
+    """What a value is made of; None for a number, a text and the like, which `repr` shows whole."""
+    if isinstance(value, list | tuple):
+        return value
+    if isinstance(value, set | frozenset):
+        return sorted(value, key=repr)
+    if isinstance(value, dict):
+        return [*value.keys(), *value.values()]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return [getattr(value, field.name, None) for field in dataclasses.fields(value)]
+    if isinstance(value, partial):
+        return [value.func, value.args, value.keywords]
+    if callable(value):
+        cells = getattr(value, "__closure__", None) or ()
+        names = [getattr(value, name, "") for name in ("__module__", "__qualname__")]
+        return [*names, *(cell.cell_contents for cell in cells)]
+    return list(vars(value).items()) if hasattr(value, "__dict__") else None

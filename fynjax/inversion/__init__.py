@@ -3,6 +3,7 @@
 Importing it lets JAX compute in 64 bits, unless `JAX_ENABLE_X64=0` is in the environment.
 """
 
+from fynjax._core.least_squares import BroydenLM, descend
 from fynjax._core.precision import enable_double_precision
 from fynjax.inversion._amortised import (
     INTERVALS,
@@ -16,25 +17,31 @@ from fynjax.inversion._calibrate import (
     Calibration,
     Ends,
     calibrate_plot,
+    calibration,
     coarser,
     free_space,
+    plot_search,
     search_form,
+    search_starts,
 )
 from fynjax.inversion._canopy import CanopyFit, fit_canopy
+from fynjax.inversion._expected import Expected
 from fynjax.inversion._fit import (
-    evaluate,
     fit,
-    objective_and_gradient,
     predicted_statistics,
     statistics_and_jacobian,
+    whitened_residual,
 )
 from fynjax.inversion._fit_result import WELL_CONSTRAINED, Data, FitResult, FitStatus
 from fynjax.inversion._information import Information, fisher_information
 from fynjax.inversion._known_plants import (
     PIXEL_SD,
     KnownPlants,
+    PixelSearch,
+    PixelState,
     block_of,
     calibrate_known_plants,
+    known_plants_search,
 )
 from fynjax.inversion._log_posterior import LogPosterior
 from fynjax.inversion._population import (
@@ -63,7 +70,7 @@ from fynjax.inversion._regressed import (
     regress,
     simulation_posterior,
 )
-from fynjax.inversion._search import COARSE, CalibrationSettings, signature
+from fynjax.inversion._search import COARSE, CalibrationSettings, PlotSearch, SearchState
 from fynjax.inversion._sensitivity import (
     LEADING_ELASTICITIES,
     DerivativeMeasures,
@@ -118,6 +125,7 @@ __all__ = [
     "WIDER",
     "AbstractView",
     "AmortisedPosterior",
+    "BroydenLM",
     "Calibration",
     "CalibrationSettings",
     "CanopyFit",
@@ -125,6 +133,7 @@ __all__ = [
     "Data",
     "DerivativeMeasures",
     "Ends",
+    "Expected",
     "ExpectedSensitivity",
     "FitResult",
     "FitStatus",
@@ -139,12 +148,16 @@ __all__ = [
     "LogPosterior",
     "ParameterSpace",
     "PixelEstimates",
+    "PixelSearch",
+    "PixelState",
     "PlotForward",
+    "PlotSearch",
     "Population",
     "Posterior",
     "PriorChain",
     "RegressedPosterior",
     "SamplingMethod",
+    "SearchState",
     "SensorSetting",
     "SobolIndices",
     "SpectrumView",
@@ -154,11 +167,12 @@ __all__ = [
     "block_of",
     "calibrate_known_plants",
     "calibrate_plot",
+    "calibration",
     "coarser",
     "derivative_measures",
+    "descend",
     "draws_like",
     "estimate_pixels",
-    "evaluate",
     "even_bands",
     "expected_sensitivity",
     "fisher_information",
@@ -169,19 +183,20 @@ __all__ = [
     "free_space",
     "gain_covariance",
     "join_data",
+    "known_plants_search",
     "local_sensitivity",
     "log_marginal",
     "look",
     "make_space",
     "match_names",
     "nadir_imager",
-    "objective_and_gradient",
+    "plot_search",
     "predicted_statistics",
     "regress",
     "sample_posterior",
     "sample_prior",
     "search_form",
-    "signature",
+    "search_starts",
     "simulation_posterior",
     "sobol_indices",
     "spectrum_likelihood",
@@ -194,4 +209,5 @@ __all__ = [
     "weigh_spectrum",
     "weigh_structure",
     "weigh_targets",
+    "whitened_residual",
 ]

@@ -1,10 +1,8 @@
 """Calibrate a plot to what sensors measured of it."""
 
 import dataclasses
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,21 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.stats import chi2
 
-from fynjax._core.checkpoint import Journal, keep_nothing
 from fynjax._core.errors import InputError
 from fynjax._core.precision import require_double_precision
 from fynjax.canopy import VoxelGrid
-from fynjax.inversion._descent import objective_of
-from fynjax.inversion._fit_result import Data, FitResult
-from fynjax.inversion._search import (
-    COARSE,
-    CalibrationSettings,
-    End,
-    Replant,
-    Search,
-    signature,
-    with_error,
-)
+from fynjax.inversion._expected import Replant, mean_information, with_error
+from fynjax.inversion._fit_result import Data, FitResult, fit_result, status_of
+from fynjax.inversion._search import COARSE, CalibrationSettings, PlotSearch, SearchState
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
 from fynjax.inversion._views import (
     AbstractView,
@@ -88,9 +77,6 @@ class Calibration(eqx.Module):
     """Those after, as a camera with these gains measures them."""
     ends: "Ends"
     """Where the search ended from each start."""
-    seconds: dict[str, float]
-    """Wall time of a full render, of a step of the search and of the whole search, compilation
-    included [s]."""
 
     @property
     def misfit(self) -> float:
@@ -191,8 +177,6 @@ def calibrate_plot(
     *,
     start: Float[Array, " free"] | None = None,
     replant: Replant | None = None,
-    checkpoint: str | Path | None = None,
-    report: Callable[[str, float, float], None] | None = None,
 ) -> Calibration:
     """Calibrate the free parameters of a plot to what one or several sensors measured.
 
@@ -225,9 +209,8 @@ def calibrate_plot(
       `scene`; and with sites for so many plants of each species, asked for where the plants of a
       search need more than there are. Without it other plantings fill the same sites in another
       order, and plants get no more sites; where it raises `InputError` neither.
-    - `checkpoint`: a folder that keeps every step. The same call goes on from it, and ends as if
-      it had not been interrupted; `forget_journal` removes it.
-    - `report`: called with the stage, the objective and its gradient's norm.
+
+    To watch, keep or stop it go through `plot_search` step by step, as this function does.
 
     **Returns:** `Calibration`. Its `fit` is that of the best start, `loss`, `gradient_norm` and
     `steps` those of all its rounds. Its `predicted` are expectations over plantings and the
@@ -235,7 +218,34 @@ def calibrate_plot(
     converged if a round ended there within the tolerance, `FitStatus.no_gain` if not.
 
     **Raises:** `InputError` for views that do not yield the data's statistics, a start at which
-    these are not finite, a checkpoint of another calibration, and where JAX is limited to 32 bits.
+    these are not finite, and where JAX is limited to 32 bits.
+    """
+    search = plot_search(scene, parameters, data, space, views, settings, replant=replant)
+    ends: list[SearchState] = []
+    for u in search_starts(search, start):
+        state = search.begin(u, ends[0] if ends else None)
+        while not state.ended:
+            state = search.step(state)
+        ends.append(state)
+    return calibration(search, ends)
+
+
+def plot_search(
+    scene: Scene,
+    parameters: PlotParameters,
+    data: Data,
+    space: ParameterSpace,
+    views: Sequence[AbstractView],
+    settings: CalibrationSettings | None = None,
+    *,
+    replant: Replant | None = None,
+) -> PlotSearch:
+    """The search of `calibrate_plot`, to be gone through step by step.
+
+    **Arguments:** as of `calibrate_plot`.
+
+    **Raises:** `InputError` for views that do not yield the data's statistics, and where JAX is
+    limited to 32 bits.
     """
     require_double_precision("`calibrate_plot`")
     settings = CalibrationSettings() if settings is None else settings
@@ -248,14 +258,6 @@ def calibrate_plot(
             f"`views` must yield the statistics of `data` in their order, {data.names[:3]}..., but "
             f"yield {yielded[:3]}..."
         )
-    free = len(space.names)
-    first = jnp.zeros(free) if start is None else jnp.asarray(start, float)
-    drawn = np.random.default_rng([settings.seed, 61]).normal(size=(settings.starts - 1, free))
-    drawn = drawn.clip(-2.0, 2.0)
-    journal = None
-    if checkpoint is not None:
-        signed = (scene, parameters, data, space, views, first, drawn, replant is None)
-        journal = Journal(checkpoint, signature(signed, settings))
     form = partial(
         search_form,
         parameters=parameters,
@@ -263,55 +265,76 @@ def calibrate_plot(
         stride=settings.stride,
         accuracy=settings.accuracy,
     )
-    keep = journal or keep_nothing
-    search = Search(scene, parameters, data, space, views, form, replant, settings, keep, report)
-    began = time.perf_counter()
-    ends = [
-        search.run(u, f"start {i + 1}, " if drawn.size else "")
-        for i, u in enumerate([first, *map(jnp.asarray, drawn)])
-    ]
+    return PlotSearch(scene, parameters, data, space, views, form, replant, settings)
+
+
+def search_starts(
+    search: PlotSearch, start: Float[Array, " free"] | None = None
+) -> list[Float[Array, " free"]]:
+    """Where the searches of a calibration start, in whitened coordinates: at `start`, by default
+    the prior's centre, and at draws of the prior."""
+    free, settings = len(search.space.names), search.settings
+    first = jnp.zeros(free) if start is None else jnp.asarray(start, float)
+    drawn = np.random.default_rng([settings.seed, 61]).normal(size=(settings.starts - 1, free))
+    return [first, *map(jnp.asarray, drawn.clip(-2.0, 2.0))]
+
+
+def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
+    """What the searches from all starts found.
+
+    **Arguments:** the `search`, and its state at the end from each start, the first that of the
+    prior's centre.
+    """
     # By one likelihood: errors differ between the ends.
-    judge = ends[0].reached
-    best = min(
-        ends,
-        key=lambda end: objective_of(
-            judge.weights,
-            np.asarray(end.reached.u),
-            end.reached.statistics - np.asarray(judge.data.value),
-        ),
-    )
-    seconds = {
-        "search_s": time.perf_counter() - began,
-        "render_s": search.render_s,
-        "step_s": float(np.median(np.diff(search.times))) if len(search.times) > 1 else np.nan,
-    }
-    origin, reached = ends[0].origin, best.reached
-    _, images, lack = reached.rendered
-    gain, gain_sd, with_gain = _gains(views, reached.image, best.fit, reached.weights)
+    judge = search.weights(ends[0].best, ends[0].subspace)
+    number = int(np.argmin([search.objective(end.best, judge) for end in ends]))
+    fits = [_fit_of(search, end) for end in ends]
+    won, fit, origin = ends[number], fits[number], ends[0].origin
+    place, weights = won.best, search.weights(won.place, won.subspace)
+    images = place.images
+    with_image = any(isinstance(view, ImageView) for view in search.views)
+    image = images[0] if with_image else None
+    gain, gain_sd, with_gain = _gains(search.views, image, fit, weights)
+    stands = search.stands(won)
+    objective = [search.objective(e.best, search.weights(e.place, e.subspace)) for e in ends]
     return Calibration(
-        scene=search.scene,
-        stands=tuple(best.stands),
-        stand_statistics=best.cheap,
-        fit=best.fit,
-        before=origin.plot,
-        after=reached.plot,
-        views=views,
-        image_before=origin.image,
-        image_after=reached.image,
-        statistics_before=jnp.asarray(origin.statistics),
-        statistics_after=jnp.asarray(reached.statistics),
-        spread=reached.spread,
-        data=reached.data,
-        measured=with_error(data, radiometric_covariance(views, images)),
-        lack=lack.mean(axis=0),
-        degrees=len(reached.weights),
-        projector=search.projector,
+        scene=search.scene(won),
+        stands=stands,
+        stand_statistics=search.expected(won).plain(place.u, [s.faded() for s in stands]),
+        fit=fit,
+        before=search.plot(origin.u),
+        after=search.plot(place.u),
+        views=search.views,
+        image_before=origin.images[0] if with_image else None,
+        image_after=image,
+        statistics_before=origin.statistics,
+        statistics_after=place.statistics,
+        spread=np.asarray(place.spread),
+        data=fit.data,
+        measured=with_error(search.data, radiometric_covariance(search.views, images)),
+        lack=np.asarray(place.lack).mean(axis=0),
+        degrees=len(weights),
+        projector=np.asarray(won.subspace.back @ won.subspace.rows),
         gain=gain,
         gain_sd=gain_sd,
         statistics_with_gain=with_gain,
-        ends=_ends(ends, best, best.fit),
-        seconds=seconds,
+        ends=_ends(objective, fits, fit),
     )
+
+
+def _fit_of(search: PlotSearch, end: SearchState) -> FitResult:
+    """The estimate of a search, with the errors at the last place it came to."""
+    place, weights = end.best, search.weights(end.place, end.subspace)
+    # The same likelihood for whoever goes on with these data: along the directions alone.
+    counted = search.data_at(end.place).along(weights)
+    slopes = np.asarray(place.slopes)
+    result = fit_result(
+        search.space, counted, place.u, place.statistics, jnp.asarray(place.slope),
+        status_of(end.status), len(end.trace), end.trace,
+    )  # fmt: skip
+    if np.isfinite(slopes).all():
+        result = result.with_information(jnp.asarray(mean_information(weights, slopes)))
+    return result
 
 
 def _gains(
@@ -347,18 +370,18 @@ def _gains(
     return np.exp(log_gain), sd, np.asarray(fit.predicted) + slopes @ log_gain
 
 
-def _ends(ends: Sequence[End], best: End, result: FitResult) -> Ends:
+def _ends(objective: Sequence[float], fits: Sequence[FitResult], best: FitResult) -> Ends:
     """How far the ends of a search lie apart, and how many are distinct."""
-    sd = np.sqrt(np.diagonal(np.asarray(result.covariance)))
-    places = np.stack([np.asarray(end.fit.whitened) for end in ends])
+    sd = np.sqrt(np.diagonal(np.asarray(best.covariance)))
+    places = np.stack([np.asarray(fit.whitened) for fit in fits])
     kept: list[np.ndarray] = []
-    for i in np.argsort([end.objective for end in ends], kind="stable"):
+    for i in np.argsort(objective, kind="stable"):
         if all(np.max(np.abs(places[i] - other) / sd) > 1.0 for other in kept):
             kept.append(places[i])
     return Ends(
-        objective=np.array([end.objective for end in ends]),
+        objective=np.array(objective),
         whitened=places,
-        apart=np.max(np.abs(places - np.asarray(best.fit.whitened)) / sd, axis=1),
+        apart=np.max(np.abs(places - np.asarray(best.whitened)) / sd, axis=1),
         minima=len(kept),
     )
 

@@ -126,6 +126,16 @@ class FitStatus(optx.RESULTS):
     no_gain = "Stopped before it converged: no step improved on the estimate any more."
 
 
+def number_of(status: Any) -> Int[Array, ""]:
+    """The number of a `FitStatus`, as it is kept between runs."""
+    return jnp.asarray(status._value)
+
+
+def status_of(number: Int[Array, ""]) -> Any:
+    """The `FitStatus` of a number, as `number_of` has it."""
+    return eqx.tree_at(lambda s: s._value, FitStatus.max_steps, jnp.asarray(number))
+
+
 class FitResult(eqx.Module):
     """What a fit found, and how far to trust it. A pytree of arrays, so that fits can be mapped."""
 

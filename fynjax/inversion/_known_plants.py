@@ -7,23 +7,29 @@ by the ground's reflectance, chained with the derivatives of these by the traits
 parameter that acts through optics alone.
 """
 
-import time
-from collections.abc import Callable
+import dataclasses
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse
-from jaxtyping import Array, Bool, Float
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
 from scipy.stats import chi2
 
 from fynjax._core.errors import InputError
+from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
 from fynjax._core.precision import require_double_precision
 from fynjax.inversion._calibrate import Ends
-from fynjax.inversion._descent import Descended, descend, objective_of
-from fynjax.inversion._fit_result import Data, FitResult, FitStatus, fit_result
+from fynjax.inversion._fit_result import (
+    Data,
+    FitResult,
+    FitStatus,
+    fit_result,
+    number_of,
+    status_of,
+)
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import gain_covariance
 from fynjax.radiation import VoxelScene
@@ -73,8 +79,6 @@ class KnownPlants(eqx.Module):
     misfit: float
     """Squared whitened misfit and distance from the prior, at the estimate: of data that the model
     and the prior explain a chi-square of `degrees`."""
-    seconds: dict[str, float]
-    """Wall time of an image, of the slopes and of the whole search, compilation included [s]."""
 
     @property
     def data(self) -> Data:
@@ -109,13 +113,12 @@ def calibrate_known_plants(
     gain_sd: float = 0.05,
     max_steps: int = 30,
     tolerance: float = 0.05,
-    report: Callable[[str, float, float], None] | None = None,
 ) -> KnownPlants:
     """Calibrate the free parameters of a plot whose plants are known to an image of it.
 
     Every compared value, the mean of a block of pixels in one band, has an error of its own. The
     gains of the bands are estimated beside the parameters, with a normal prior of their logarithms.
-    The search is that of `calibrate_plot` (Levenberg-Marquardt whose slopes each step corrects), on
+    The search is that of `calibrate_plot` (`BroydenLM`), on
     the whole scene at the camera's own accuracy; slopes are computed anew, and errors renewed by
     the simulated image, until these would lower the objective no more.
 
@@ -136,7 +139,8 @@ def calibrate_known_plants(
     - `max_steps`: most steps between two computations of the slopes.
     - `tolerance`: the search ends where another step would lower the objective by less than this,
       half a squared distance in posterior standard deviations.
-    - `report`: called with the stage, the objective and its gradient's norm.
+
+    To watch, keep or stop it go through `known_plants_search` step by step, as this function does.
 
     **Returns:** `KnownPlants`.
 
@@ -145,6 +149,33 @@ def calibrate_known_plants(
     bits.
 
     Not differentiable.
+    """
+    search = known_plants_search(
+        scene, parameters, image, space, camera, block=block, pixel_sd=pixel_sd, gain_sd=gain_sd,
+        max_steps=max_steps, tolerance=tolerance,
+    )  # fmt: skip
+    state = search.begin()
+    while not state.ended:
+        state = search.step(state)
+    return search.result(state)
+
+
+def known_plants_search(
+    scene: Scene,
+    parameters: PlotParameters,
+    image: Float[np.ndarray, "band row column"],
+    space: ParameterSpace,
+    camera: AimedSensor,
+    *,
+    block: int | None = None,
+    pixel_sd: float = PIXEL_SD,
+    gain_sd: float = 0.05,
+    max_steps: int = 30,
+    tolerance: float = 0.05,
+) -> "PixelSearch":
+    """The search of `calibrate_known_plants`, to be gone through step by step.
+
+    **Arguments:** and errors as of `calibrate_known_plants`.
     """
     require_double_precision("`calibrate_known_plants`")
     bands = len(camera.sensor.bands)
@@ -169,8 +200,8 @@ def calibrate_known_plants(
     if not compared.any():
         raise InputError(f"no block of {block} x {block} pixels of the image has all its values")
     model = PixelModel(scene, parameters, space.names, camera, block)
-    search = _Search(model, space, measured, compared, pixel_sd, gain_sd, report)
-    return search.run(max_steps, tolerance)
+    errors = (pixel_sd, gain_sd)
+    return PixelSearch(model, space, measured, compared, errors, max_steps, tolerance)
 
 
 class PixelModel(eqx.Module):
@@ -284,8 +315,37 @@ class PixelModel(eqx.Module):
         return len(self.camera.sensor.bands), rows // self.block, columns // self.block
 
 
-class _Search:
-    """The search: coordinates of the parameters, then of the gains."""
+class PixelState(eqx.Module):
+    """Where the search of known plants stands: all that another process needs to go on."""
+
+    u: Float[Array, " coordinate"]
+    """Whitened coordinates: of the parameters, then of the gains."""
+    descent: BroydenState
+    sd: Float[Array, " value"]
+    """Errors of the compared values in this round [-]."""
+    before: Float[Array, "band y x"]
+    """The blocks at the prior's centre, as the camera measures them."""
+    trace: Float[Array, "evaluation 2"]
+    """Objective and norm of its gradient before each step, of all rounds."""
+    turn: Int[Array, ""]
+    """Rounds that have ended."""
+    step: Int[Array, ""]
+    """Steps of this round."""
+    status: Int[Array, ""]
+    """Number of the `FitStatus`."""
+    ended: Int[Array, ""]
+    """1 where the search has ended."""
+
+
+class PixelSearch:
+    """Search of a calibration of known plants, step by step, as `PlotSearch`: coordinates of the
+    parameters, then of the gains.
+
+    **Arguments:** those of `calibrate_known_plants`; `measured` are means of blocks, of which those
+    that are `compared` count.
+    """
+
+    state = PixelState
 
     def __init__(
         self,
@@ -293,120 +353,138 @@ class _Search:
         space: ParameterSpace,
         measured: Float[np.ndarray, "band y x"],
         compared: Bool[np.ndarray, "y x"],
-        pixel_sd: float,
-        gain_sd: float,
-        report: Callable[[str, float, float], None] | None,
+        errors: tuple[float, float],
+        max_steps: int,
+        tolerance: float,
     ) -> None:
-        self._model, self._space, self._report = model, space, report
-        self._measured, self._compared, self._pixel_sd = measured, compared, pixel_sd
+        self.model, self.space, self._max_steps = model, space, max_steps
+        self._measured, self._compared, self._pixel_sd = measured, compared, errors[0]
         self._free = len(space.names)
-        self._gain_root = np.linalg.cholesky(gain_covariance(len(measured), gain_sd))
+        self._gain_root = np.linalg.cholesky(gain_covariance(len(measured), errors[1]))
         self._target = measured[:, compared].ravel()
-        self.trace: list[tuple[float, float]] = []
-        self.seconds = {"render_s": np.nan, "slopes_s": np.nan}
+        self._solver = BroydenLM(atol=tolerance)
+        self.signed = (model, space, measured, compared, errors, max_steps, tolerance)
+        """All that its steps follow from, besides where it starts."""
 
-    def _values(self, u: np.ndarray) -> Array:
-        return self._space.physical(jnp.asarray(u[: self._free]))
+    def _values(self, u: Array) -> Array:
+        return self.space.physical(jnp.asarray(u[: self._free]))
 
-    def _gain(self, u: np.ndarray) -> np.ndarray:
-        return np.exp(self._gain_root @ u[self._free :])
+    def _gain(self, u: Array) -> np.ndarray:
+        return np.exp(self._gain_root @ np.asarray(u)[self._free :])
 
-    def image(self, u: np.ndarray) -> Float[np.ndarray, "band y x"]:
+    def image(self, u: Array) -> Float[np.ndarray, "band y x"]:
         """The blocks as the camera measures them."""
-        began = time.perf_counter()
-        image = np.asarray(self._model.image(self._values(u)), float)
-        self.seconds["render_s"] = time.perf_counter() - began
+        image = np.asarray(self.model.image(self._values(u)), float)
         return image * self._gain(u)[:, None, None]
 
-    def _evaluate(self, u: np.ndarray) -> Float[np.ndarray, " value"]:
-        return self.image(u)[:, self._compared].ravel()
-
-    def linear(self, u: np.ndarray) -> Descended:
+    def linear(
+        self, u: Array
+    ) -> tuple[Float[np.ndarray, " value"], Float[np.ndarray, "value coordinate"]]:
         """Compared values at `u` and their slopes."""
-        began = time.perf_counter()
-        image, by_value = self._model.slopes(self._values(u))
-        self.seconds["slopes_s"] = time.perf_counter() - began
+        image, by_value = self.model.slopes(self._values(u))
         gain, bands = self._gain(u), len(image)
         image = (image * gain[:, None, None])[:, self._compared]
         by_value = (by_value * gain[:, None, None])[:, :, self._compared]
-        to_values = np.asarray(jax.jacfwd(self._space.physical)(jnp.asarray(u[: self._free])))
+        to_values = np.asarray(jax.jacfwd(self.space.physical)(jnp.asarray(u[: self._free])))
         own = by_value.reshape(self._free, -1).T @ to_values
         # The logarithm of a gain scales its band.
         by_gain = np.eye(bands)[:, None, :] * image[:, :, None]
         by_gain = by_gain.reshape(-1, bands) @ self._gain_root
-        return Descended(
-            u, image.ravel(), np.concatenate([own, by_gain], axis=1), FitStatus.max_steps
-        )
+        return image.ravel(), np.concatenate([own, by_gain], axis=1)
 
-    def run(self, max_steps: int, tolerance: float) -> KnownPlants:
-        began = time.perf_counter()
-        place = np.zeros(self._free + len(self._measured))
-        before = self.image(place)
-        status = FitStatus.max_steps
-        for turn in range(_ROUNDS):
-            point = self.linear(place)
-            sd = self._pixel_sd * np.maximum(point.value, _DARKEST)
-            weights = scipy.sparse.diags_array(1.0 / sd)
+    def _whitened(self, values: np.ndarray, u: Array | np.ndarray, sd: np.ndarray) -> Array:
+        return jnp.asarray(np.concatenate([(values - self._target) / sd, np.asarray(u)]))
 
-            def note(loss: float, norm: float, stage: str = f"round {turn + 1}") -> None:
-                self.trace.append((loss, norm))
-                if self._report is not None:
-                    self._report(stage, loss, norm)
+    def _descent(self, u: Array) -> tuple[BroydenState, np.ndarray]:
+        """State of the solver with slopes and errors of this very place, and these errors."""
+        values, slopes = self.linear(u)
+        sd = self._pixel_sd * np.maximum(values, _DARKEST)
+        rows = np.concatenate([slopes / sd[:, None], np.eye(len(u))])
+        known = self._whitened(values, u, sd), jnp.asarray(rows)
+        options = {"jacobian": lambda *_: known}
+        return self._solver.init(None, u, None, options, None, None, NO_TAGS), sd
 
-            steps = len(self.trace)
-            end = descend(
-                self._evaluate, point, self._target, weights,
-                most=max_steps, tolerance=tolerance, note=note,
+    def begin(self, u: Float[Array, " free"] | None = None) -> PixelState:
+        """The state at whitened coordinates of the parameters, by default the prior's centre."""
+        own = np.zeros(self._free) if u is None else np.asarray(u)
+        place = jnp.asarray(np.concatenate([own, np.zeros(len(self._measured))]))
+        descent, sd = self._descent(place)
+        whole = lambda number: jnp.asarray(number, int)  # noqa: E731
+        return PixelState(
+            place, descent, jnp.asarray(sd), jnp.asarray(self.image(place)),
+            figures_of(descent)[None], whole(0), whole(0),
+            number_of(FitStatus.max_steps), whole(0),
+        )  # fmt: skip
+
+    def step(self, state: PixelState) -> PixelState:
+        """The next state: one step of the solver, or slopes and errors anew."""
+        solver = self._solver
+        done, result = solver.terminate(None, state.u, None, None, state.descent, NO_TAGS)
+        finite = bool(result == optx.RESULTS.successful)
+        if not finite or done or state.step >= self._max_steps:
+            status = FitStatus.successful if done else FitStatus.max_steps
+            status = status if finite else FitStatus.not_finite
+            # With slopes and errors of this very place no step is left: the end.
+            last = int(state.turn) + 1 == _ROUNDS
+            ended = not finite or bool(done and state.step == 0)
+            changed = dataclasses.replace(state, status=number_of(status))
+            if ended:
+                return dataclasses.replace(changed, ended=state.ended + 1)
+            descent, sd = self._descent(state.u)
+            if last:
+                status = FitStatus.max_steps
+            return dataclasses.replace(
+                changed, descent=descent, sd=state.sd if last else jnp.asarray(sd),
+                trace=state.trace if last else jnp.concatenate(
+                    [state.trace, figures_of(descent)[None]]
+                ),
+                turn=state.turn + 1, step=jnp.asarray(0), status=number_of(status),
+                ended=state.ended + int(last),
             )  # fmt: skip
-            status = end.status
-            if len(self.trace) == steps + 1 or bool(status == FitStatus.not_finite):
-                break  # with slopes and errors of this very place no step is left
-            place = end.u
-        else:
-            point, status = self.linear(place), FitStatus.max_steps
-        return self._result(point, sd, before, status, time.perf_counter() - began)
+        sd = np.asarray(state.sd)
 
-    def _result(
-        self,
-        point: Descended,
-        sd: Float[np.ndarray, " value"],
-        before: Float[np.ndarray, "band y x"],
-        status: Any,
-        seconds: float,
-    ) -> KnownPlants:
-        model, free = self._model, self._free
-        bands = model.camera.sensor.bands.names
+        def whitened(u: Array, _: Any) -> tuple[Array, None]:
+            return self._whitened(self.image(u)[:, self._compared].ravel(), u, sd), None
+
+        u, descent, _ = solver.step(whitened, state.u, None, None, state.descent, NO_TAGS)
+        trace = state.trace
+        if state.step + 1 < self._max_steps:
+            trace = jnp.concatenate([trace, figures_of(descent)[None]])
+        return dataclasses.replace(state, u=u, descent=descent, trace=trace, step=state.step + 1)
+
+    def result(self, state: PixelState) -> KnownPlants:
+        """What a search that has ended found."""
+        model, free, sd, u = self.model, self._free, np.asarray(state.sd), np.asarray(state.u)
+        values, slopes = self.linear(state.u)
         places = np.argwhere(self._compared)
+        bands = model.camera.sensor.bands.names
         names = tuple(f"{band} {y},{x}" for band in bands for y, x in places)
         data = Data(names, jnp.asarray(self._target), jnp.asarray(sd))
-        u = point.u[:free]
         result = fit_result(
-            self._space, data, jnp.asarray(u), jnp.asarray(point.value),
-            jnp.asarray(point.jacobian[:, :free]), status, len(self.trace), np.array(self.trace),
+            self.space, data, jnp.asarray(u[:free]), jnp.asarray(values),
+            jnp.asarray(slopes[:, :free]), status_of(state.status), len(state.trace), state.trace,
         )  # fmt: skip
-        scaled = point.jacobian / sd[:, None]
-        covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(point.u)))
+        scaled = slopes / sd[:, None]
+        covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(u)))
         # Of the parameters alone, the gains integrated over.
         information = np.linalg.inv(covariance[:free, :free]) - np.eye(free)
         gains = self._gain_root @ covariance[free:, free:] @ self._gain_root.T
-        weights = scipy.sparse.diags_array(1.0 / sd)
-        named = dict(zip(self._space.names, self._values(point.u)))
+        rest = np.asarray(self._whitened(values, u, sd))
+        centre = self.space.named(jnp.zeros(free))
+        named = dict(zip(self.space.names, self._values(state.u)))
         return KnownPlants(
             scene=model.scene,
             camera=model.camera,
             block=model.block,
             fit=result.with_information(jnp.asarray(0.5 * (information + information.T))),
-            before=with_values(
-                model.parameters, model.scene.taxa, self._space.named(jnp.zeros(free))
-            ),
+            before=with_values(model.parameters, model.scene.taxa, centre),
             after=with_values(model.parameters, model.scene.taxa, named),
             measured=np.where(self._compared, self._measured, np.nan),
-            image_before=before,
-            image_after=self.image(point.u),
-            gain=self._gain(point.u),
+            image_before=np.asarray(state.before),
+            image_after=self.image(state.u),
+            gain=self._gain(state.u),
             gain_sd=np.sqrt(np.diagonal(gains)),
-            misfit=2.0 * objective_of(weights, point.u, point.value - self._target),
-            seconds=self.seconds | {"search_s": seconds},
+            misfit=float(rest @ rest),
         )
 
 

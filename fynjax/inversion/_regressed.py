@@ -16,9 +16,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.inversion._calibrate import Calibration
-from fynjax.inversion._fit import predicted_statistics
-from fynjax.inversion._log_posterior import LogPosterior
-from fynjax.inversion._search import FARTHEST, plants_wanted
+from fynjax.inversion._expected import FARTHEST, plants_wanted, predicted
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import AbstractView, PlotForward
 from fynjax.scene import PlotParameters, room_needed, stand_realisation
@@ -146,14 +144,13 @@ def simulation_posterior(
     total = -(-simulations // _AT_ONCE) * _AT_ONCE  # parts are alike, whatever is asked for
     draws = np.random.default_rng([seed, 97]).normal(size=(total, len(fit.names)))
     draws = draws.clip(-FARTHEST, FARTHEST)
-    count, none = len(calibration.stands), jnp.zeros(measured.value.shape)
+    count = len(calibration.stands)
 
     def rendered(some: range) -> tuple[Array, ...]:
         found = []
         for i in some:
             stand = stand_realisation(calibration.stands[i % count], _PLANTINGS + i)
-            density = LogPosterior(forward, fit.space, measured, none, (stand,))
-            found.append(predicted_statistics(density, jnp.asarray(draws[i])))
+            found.append(predicted(forward, fit.space, stand, jnp.asarray(draws[i])))
             progress.advance()
         return (jnp.stack(found),)
 

@@ -1,37 +1,32 @@
-"""The search of a calibration, from one start: cheap scenes of several plantings and draws of the
-parameters, corrected by whole ones."""
+"""The search of a calibration: rounds over coarse scenes, each corrected by whole ones."""
 
 import dataclasses
-import hashlib
-import time
 from collections.abc import Callable, Sequence
-from functools import partial
-from importlib.metadata import version
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 import scipy.linalg
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from fynjax._core.checkpoint import Keep
 from fynjax._core.errors import InputError
-from fynjax.inversion._descent import Descended, descend, objective_of, unsettled
-from fynjax.inversion._fit import predicted_statistics, statistics_and_jacobian
-from fynjax.inversion._fit_result import (
-    Data,
-    FitResult,
-    FitStatus,
-    fit_result,
-    repeated_information,
-    scatter_covariance,
+from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
+from fynjax.inversion._expected import (
+    Expected,
+    Replant,
+    chance_covariance,
+    mean_information,
+    plants_wanted,
+    unit_draw,
+    with_error,
 )
-from fynjax.inversion._log_posterior import LogPosterior
+from fynjax.inversion._fit_result import Data, FitStatus, number_of
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import (
     AbstractView,
+    Directions,
     ImageView,
     PlotForward,
     informative_directions,
@@ -73,7 +68,7 @@ class CalibrationSettings:
     """Such draws from which the covariance of the statistics is estimated; those after the first
     `stand_realisations` fill the sites of these in another order."""
     full_renders: int = 2
-    """Plantings on which what the cheap form lacks is measured, at most `stand_realisations`."""
+    """Plantings on which what the coarse form lacks is measured, at most `stand_realisations`."""
     max_steps: int = 30
     """Most steps of the first round; those after have half as many."""
     tolerance: float = 0.05
@@ -110,66 +105,79 @@ _SETTLED = 0.6
 step still would [posterior standard deviations]."""
 _FURTHER = 3
 """Rounds beyond those of the settings, at most."""
-FARTHEST = 2.2
-"""Of a draw of a parameter from its mean [standard deviations]."""
-
-Replant = Callable[[int, Float[np.ndarray, " species"] | None], Scene]
-"""Makes the scene with the plants of a number's chance, 0 being the scene's own, and sites for so
-many plants of each species, or as many as the scene has."""
 
 
-class Draw(NamedTuple):
-    """Plants, and a place of the parameters."""
-
-    stand: Scene
-    """In the cheap form."""
-    normal: Float[np.ndarray, " free"]
-    """Independent unit normal numbers, from which the place is made."""
-
-
-@dataclasses.dataclass
-class Observed:
-    """What the full scene says about one place, over plantings and what is unknown of the
+class Place(eqx.Module):
+    """What full and coarse scenes say about one place, over plantings and what is unknown of the
     parameters."""
 
     u: Float[Array, " free"]
-    plot: PlotParameters
-    image: Float[Array, "band y x"] | None
-    """Of the scene's own plants."""
-    statistics: Float[np.ndarray, " statistic"]
-    """Their expectation."""
-    spread: Float[np.ndarray, "free free"]
-    """Makes what is unknown of the parameters of unit normal numbers."""
-    offset: Float[np.ndarray, " statistic"]
-    """What the cheap form's mean over the draws of the search lacks."""
-    data: Data
-    """With the errors of plantings, of slopes and of the camera's gains about this place."""
-    weights: Float[np.ndarray, "direction statistic"]
-    """Makes of misfits independent ones of unit size, along the directions that count."""
-    rendered: tuple[np.ndarray, list[Array], np.ndarray]
-    """Statistics of the full form of some stands at the place itself, the images of the first,
-    and what the cheap form of the same plants lacks."""
+    """Whitened coordinates of the parameters."""
+    spread: Float[Array, "free free"]
+    """Root of the covariance of what is unknown of them."""
+    statistics: Float[Array, " statistic"]
+    """Expected statistics of the full scene."""
+    covariance: Float[Array, "statistic statistic"]
+    """Of the errors of statistics by plantings, by how they bend and by the camera's gains."""
+    offset: Float[Array, " statistic"]
+    """What the coarse form's mean over the members of a search lacks."""
+    slopes: Float[Array, "member statistic free"]
+    """Derivatives of the statistics by the coordinates, of each member of the search."""
+    whole: Float[Array, "planting statistic"]
+    """Statistics of the full form of some plantings, at `u` itself."""
+    lack: Float[Array, "planting statistic"]
+    """What the coarse form of the same plants lacks of these."""
+    images: tuple[Float[Array, "band y x"], ...]
+    """Images of the scene's own plants in the full form, of each sensor that makes one."""
+
+    @property
+    def slope(self) -> Float[np.ndarray, "statistic free"]:
+        """Mean of the slopes over the members."""
+        return np.asarray(self.slopes).mean(axis=0)
 
 
-@dataclasses.dataclass
-class End:
-    """Where a search from one start ended, and what the full scene says there."""
+class SearchState(eqx.Module):
+    """Where a search stands: all that another process needs to go on from here."""
 
-    objective: float
-    """Half the squared whitened misfit and distance from the prior."""
-    fit: FitResult
-    reached: Observed
-    origin: Observed
-    stands: list[Scene]
-    """Those of the search, in the cheap form."""
-    cheap: Float[np.ndarray, "stand statistic"]
-    """Their statistics there, of plants that fade."""
-    losses: list[np.ndarray]
-    norms: list[np.ndarray]
+    place: Place
+    """Where the round began; its errors and offset hold all through the round."""
+    u: Float[Array, " free"]
+    """Where the descent of the round has come to."""
+    descent: BroydenState
+    origin: Place
+    """Where the search began, without any spread."""
+    best: Place
+    """End of the last round; of known plants the best of the start and the rounds."""
+    subspace: Directions
+    """Informative subspace of the statistics."""
+    wanted: Float[Array, " species"]
+    """Plants for which sites were made; zeros: those of the scene suffice."""
+    trace: Float[Array, "evaluation 2"]
+    """Objective and norm of its gradient before each step, of all rounds."""
+    status: Int[Array, ""]
+    """Number of the `FitStatus` of `best`."""
+    turn: Int[Array, ""]
+    """Rounds that have ended."""
+    turns: Int[Array, ""]
+    """Rounds that are to be done."""
+    step: Int[Array, ""]
+    """Steps of this round."""
+    ended: Int[Array, ""]
+    """1 where the search has ended."""
 
 
-class Search:
-    """What the searches from all starts share: everything is compiled once."""
+class PlotSearch:
+    """Search of a calibration from one start, step by step.
+
+    `begin` gives the state at a start, `step` the next one until `state.ended`; `calibrate_plot`
+    runs it. Who watches, keeps or stops a search does so between the steps. What is compiled is
+    shared by all starts.
+
+    **Arguments:** those of `calibrate_plot`; `form` makes of a scene its coarse form and the views
+    of it (`search_form`).
+    """
+
+    state = SearchState
 
     def __init__(
         self,
@@ -181,508 +189,345 @@ class Search:
         form: Callable[[Scene], tuple[Scene, tuple[AbstractView, ...]]],
         replant: Replant | None,
         settings: CalibrationSettings,
-        keep: Keep,
-        report: Callable[[str, float, float], None] | None,
     ) -> None:
-        self.scene, self._parameters, self._data, self._space = scene, parameters, data, space
-        self._keep, self._report, self._views = keep, report, tuple(views)
-        self._form, self._replant, self._settings = form, replant, settings
-        _, cheap_views = form(scene)
-        self._predict = PlotForward(parameters, space.names, cheap_views)
-        self._none = jnp.zeros(data.value.shape)
-        """No offset of the statistics."""
-        self._along: PlotForward | None = None
-        """The same with slopes along the most informative directions of many statistics."""
-        self.rows: Float[np.ndarray, "direction statistic"] | None = None
-        """These directions, of all views; None: every statistic counts for itself."""
-        self.projector = np.eye(len(data.names))
-        """Keeps of statistics what lies along them."""
-        self._wanted: Float[np.ndarray, " species"] | float = 0.0
-        """Plants for which sites were made."""
-        self.times: list[float] = []
-        """When each step ended that was not one of an earlier run [s]."""
-        self.cheap: list[Scene] = []
-        """The stands in the cheap form."""
+        self.data, self.space, self.views, self.settings = data, space, tuple(views), settings
+        self.signed = (scene, parameters, data, space, self.views, settings, replant is None)
+        """All that its steps follow from, besides where it starts."""
+        self._scene, self._parameters, self._form, self._replant = scene, parameters, form, replant
+        self._predict = PlotForward(parameters, space.names, form(scene)[1])
+        self._planted: tuple[bytes, tuple[Scene, ...], tuple[Scene, ...]] | None = None
 
-    def plant(self, u: Array) -> None:
-        """Plant the stands of the search, with sites for what `u` and the draws of the prior about
-        it need."""
-        drawn = self._settings.stand_realisations
-        normals = [self._normal(i) for i in range(self._most)] if drawn else []
-        if self._grown(u, normals) or self.cheap:
-            return
-        try:
-            self._stand(None)
-        except InputError:  # another chance finds no room: the same sites in another order
-            self._replant = None
-            self._stand(None)
+    # -- plantings --------------------------------------------------------------------------
 
-    @property
-    def _most(self) -> int:
-        """Draws in all."""
-        settings = self._settings
+    def _stands(self, wanted: Array | np.ndarray) -> tuple[tuple[Scene, ...], tuple[Scene, ...]]:
+        """Plantings with sites for so many plants of each species, in full and in coarse form."""
+        wanted = np.asarray(wanted)
+        if self._planted is None or self._planted[0] != wanted.tobytes():
+            counts = wanted if wanted.any() else None
+            count = max(self.settings.stand_realisations, 1)
+            try:
+                if self._replant is None:
+                    others = [stand_realisation(self._scene, i) for i in range(1, count)]
+                else:
+                    others = [self._replant(i, counts) for i in range(1, count)]
+            except InputError:  # another chance finds no room: the same sites in another order
+                if counts is not None:
+                    raise
+                self._replant = None
+                others = [stand_realisation(self._scene, i) for i in range(1, count)]
+            own = (
+                self._scene if counts is None or self._replant is None else self._replant(0, counts)
+            )
+            full = (own, *others)
+            coarse = tuple(self._form(stand)[0] for stand in full)
+            self._planted = wanted.tobytes(), full, coarse
+        return self._planted[1], self._planted[2]
+
+    def scene(self, state: SearchState) -> Scene:
+        """The scene, with the sites that the search needed."""
+        return self._stands(state.wanted)[0][0]
+
+    def stands(self, state: SearchState) -> tuple[Scene, ...]:
+        """The plantings of the search, in the coarse form."""
+        return self._stands(state.wanted)[1]
+
+    def expected(self, state: SearchState) -> Expected:
+        """Statistics over the plantings of a state."""
+        return self._expected(state.wanted, state.subspace)
+
+    def _expected(self, wanted: Array | np.ndarray, subspace: Directions | None = None) -> Expected:
+        _, coarse = self._stands(wanted)
+        settings = self.settings
         count = settings.stand_realisations
-        return max(settings.scatter_draws, count) if count else 1
+        number = max(settings.scatter_draws, count) if count else 1
+        along = self._predict if subspace is None else self._along(subspace)
+        return Expected(self._predict, along, self.space, coarse, settings.seed, number)
 
-    def _stand(self, counts: Float[np.ndarray, " species"] | None) -> None:
-        """Plant the stands over which expectations are taken."""
-        settings = self._settings
-        count = max(settings.stand_realisations, 1)
-        if self._replant is None:
-            others = [stand_realisation(self.scene, i) for i in range(1, count)]
-        else:
-            others = [self._replant(i, counts) for i in range(1, count)]
-        stands = [self.scene, *others]
-        self._stands = stands[: settings.full_renders]
-        self.cheap = [self._form(stand)[0] for stand in stands]
-        self._draws = [self._draw(i) for i in range(self._most)]
-        self._members = [d._replace(stand=d.stand.faded()) for d in self._draws[:count]]
-        """Those that each step of the search and its slopes are means over. Their plants fade, so
-        that the mean is smooth; what it differs by from that of whole plants is in the offset."""
+    def _short(self, u: Array, wanted: np.ndarray, draws: int) -> np.ndarray:
+        """Plants for which sites must be made at `u` and at draws of the prior about it; `wanted`
+        where there are enough, or where no more can be made."""
+        normals = [unit_draw(self.settings.seed, i, len(self.space.names)) for i in range(draws)]
+        places = jnp.stack([u, *(u + jnp.asarray(normal) for normal in normals)])
+        counts = np.asarray(plants_wanted(self._scene, self._parameters, self.space, places))
+        scene = self._stands(wanted)[0][0] if wanted.any() else self._scene
+        short = room_needed(scene, self._parameters, counts) > 0.0
+        if self._replant is None or not short.any():
+            return wanted
+        most = counts.max(axis=0)
+        more = np.where(short, np.maximum(_SPARE * counts[0], most), most)
+        more = np.maximum(more, wanted)  # what has grown stays
+        before = self._planted
+        try:
+            self._stands(more)
+        except InputError:  # no room on the plot, or in memory
+            self._planted = before
+            return wanted
+        return more
 
-    def _draw(self, number: int) -> Draw:
-        """A draw of plants and parameters."""
-        count = len(self.cheap)
-        stand = self.cheap[number % count]
-        if number >= count:
-            stand = stand_realisation(stand, number)  # no number of a stand of the search
-        return Draw(stand, self._normal(number))
+    # -- the informative subspace -----------------------------------------------------------
 
-    def _normal(self, number: int) -> Float[np.ndarray, " free"]:
-        """Where a draw's parameters are. Two in a row are opposite, so that what is linear in these
-        leaves a mean as it is."""
-        random = np.random.default_rng([self._settings.seed, 83, number // 2])
-        normal = random.normal(size=len(self._space.names)).clip(-FARTHEST, FARTHEST)
-        return normal if number % 2 == 0 else -normal
-
-    # -- evaluations ------------------------------------------------------------------------
-
-    def _density(self, cheap: Scene, predict: PlotForward | None = None) -> LogPosterior:
-        predict = self._predict if predict is None else predict
-        return LogPosterior(predict, self._space, self._data, self._none, (cheap,))
-
-    def _cheap(
-        self, u: Array, spread: np.ndarray, draws: Sequence[Draw]
-    ) -> Float[np.ndarray, "draw statistic"]:
-        """Statistics of the cheap form of each draw about `u`."""
-
-        def step() -> tuple[Array, ...]:
-            every = [
-                predicted_statistics(self._density(d.stand), u + jnp.asarray(spread @ d.normal))
-                for d in draws
-            ]
-            return (jnp.stack(every),)
-
-        return np.asarray(self._keep(step)[0])
-
-    def _slopes(self, u: Array, spread: np.ndarray) -> Float[np.ndarray, "member statistic free"]:
-        """Derivatives of the cheap form's statistics, of each member about `u`.
-
-        Their mean is the slope of the linear model that is best for all of `spread`, not only at
-        `u` (statistical linearisation): which plants come next at `u` is chance, and over what is
-        unknown beforehand statistics bend.
-        """
-
-        def step() -> tuple[Array, ...]:
-            every = [
-                statistics_and_jacobian(
-                    self._density(d.stand, self._along), u + jnp.asarray(spread @ d.normal)
-                )[1]
-                for d in self._members
-            ]
-            return (jnp.stack(every),)
-
-        return np.asarray(self._keep(step)[0])
-
-    def _whole(self, plot: PlotParameters) -> tuple[np.ndarray, list[Array]]:
-        """Statistics of the full form of some stands [stand, statistic]; images of the first."""
-
-        def step() -> tuple[Array, ...]:
-            every = [look(self._views, stand, plot) for stand in self._stands]
-            return jax.block_until_ready((jnp.stack([one[0] for one in every]), *every[0][1:]))
-
-        began = time.perf_counter()
-        statistics, *images = self._keep(step)
-        if not getattr(self._keep, "repeating", False):
-            self.render_s = (time.perf_counter() - began) / len(self._stands)
-        return np.asarray(statistics), images
-
-    render_s = float("nan")
-    """Wall time of the last full render [s]."""
-
-    def _plot(self, u: Array) -> PlotParameters:
-        return with_values(self._parameters, self.scene.taxa, self._space.named(u))
-
-    def observe(
-        self,
-        u: Array,
-        spread: np.ndarray,
-        slopes: Float[np.ndarray, "statistic free"],
-        rendered: tuple[np.ndarray, list[Array], np.ndarray] | None = None,
-    ) -> Observed:
-        """The full scene about `u`: expectation over plantings and `spread`, and the errors there.
-
-        What the mean `slopes` do not explain of draws is their error and how statistics bend. It
-        counts with the plants' chance.
-        """
-        u, plot = jnp.asarray(u), self._plot(u)
-        own = len(self._members)
-        if rendered is None:
-            whole, images = self._whole(plot)
-            rendered = whole, images, whole - self._plain(u, self.cheap[: len(whole)])
-        whole, images, lack = rendered
-        drawn = self._cheap(u, spread, self._draws)
-        moves = np.stack([spread @ d.normal for d in self._draws])
-        rest = drawn - moves @ slopes.T if np.isfinite(slopes).all() else drawn
-        finite = np.isfinite(rest).all(axis=1)
-        if finite.sum() >= own:  # of some draws a statistic may be undefined
-            rest = rest[finite | (np.arange(len(rest)) < own)]
-        statistics = rest.mean(axis=0) + lack.mean(axis=0)
-        covariance = radiometric_covariance(self._views, images)
-        if self._settings.stand_realisations:
-            covariance = covariance + chance_covariance(rest, lack, len(self.cheap))
-        data = with_error(self._data, covariance)
-        offset = statistics - self._cheap(u, spread, self._members).mean(axis=0)
-        image = images[0] if images else None
-        weights = self._weights(data)
-        return Observed(u, plot, image, statistics, spread, offset, data, weights, rendered)
-
-    def _plain(self, u: Array, stands: Sequence[Scene]) -> Float[np.ndarray, "stand statistic"]:
-        """Statistics of `stands` in the cheap form at `u` itself."""
-        free = len(self._space.names)
-        draws = [Draw(stand, np.zeros(free)) for stand in stands]
-        return self._cheap(u, np.eye(free), draws)
-
-    def _weights(self, data: Data) -> Float[np.ndarray, "direction statistic"]:
-        rows = np.eye(len(data.names)) if self.rows is None else self.rows
-        covariance = rows @ np.asarray(data.covariance) @ rows.T
-        return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows))
-
-    def choose_directions(self, data: Data) -> None:
-        """Choose the directions of many statistics along which slopes are taken, by the errors of
-        `data` and draws of the prior."""
-        views: list[AbstractView] = []
-        rows: list[np.ndarray] = []
-        kept: list[np.ndarray] = []
+    def _subspace(self, expected: Expected, data: Data) -> Directions:
+        """The directions along which slopes of many statistics are taken, by the errors of `data`
+        and draws of the prior; the statistics themselves where they are few."""
+        rows, back = [], []
         draws = covariance = None
         start = 0
         for view in self._predict.views:
             part = slice(start, start + len(view.names))
             start = part.stop
+            own = back_own = np.eye(len(view.names))
             if isinstance(view, ImageView) and len(view.names) > _MOST_ROWS:
                 if draws is None or covariance is None:
-                    draws, covariance = self._prior_draws(), np.asarray(data.covariance)
+                    draws = expected.prior_draws(_PRIOR_DRAWS)
+                    covariance = np.asarray(data.covariance)
                 chosen = informative_directions(draws[:, part], covariance[part, part], _MOST_ROWS)
-                view = dataclasses.replace(view, directions=chosen)
-                rows.append(np.asarray(chosen.rows))
-                kept.append(np.asarray(chosen.back @ chosen.rows))
-            else:
-                rows.append(np.eye(len(view.names)))
-                kept.append(np.eye(len(view.names)))
+                own, back_own = np.asarray(chosen.rows), np.asarray(chosen.back)
+            rows.append(own)
+            back.append(back_own)
+        block = scipy.linalg.block_diag
+        return Directions(jnp.asarray(block(*rows)), jnp.asarray(block(*back)))
+
+    def _along(self, subspace: Directions) -> PlotForward:
+        """The forward model with slopes along the directions that were chosen of each view."""
+        views: list[AbstractView] = []
+        start = first = 0
+        for view in self._predict.views:
+            count = chosen = len(view.names)
+            if isinstance(view, ImageView) and count > _MOST_ROWS:
+                chosen = _MOST_ROWS
+                across, along = slice(start, start + count), slice(first, first + chosen)
+                own = Directions(subspace.rows[along, across], subspace.back[across, along])
+                view = dataclasses.replace(view, directions=own)
             views.append(view)
-        self._along = dataclasses.replace(self._predict, views=tuple(views))
-        if draws is not None:
-            self.rows = scipy.linalg.block_diag(*rows)
-            self.projector = scipy.linalg.block_diag(*kept)
+            start, first = start + count, first + chosen
+        return dataclasses.replace(self._predict, views=tuple(views))
 
-    def _prior_draws(self) -> Float[np.ndarray, "draw statistic"]:
-        """Statistics of the cheap form at draws of the prior, each with other plants."""
-        draws = [self._draw(1000 + i) for i in range(_PRIOR_DRAWS)]
-        free = len(self._space.names)
-        drawn = self._cheap(jnp.zeros(free), np.eye(free), draws)
-        return drawn[np.isfinite(drawn).all(axis=1)]
+    # -- what a place says ------------------------------------------------------------------
 
-    # -- the descent ------------------------------------------------------------------------
+    def plot(self, u: Array) -> PlotParameters:
+        """The parameters at whitened coordinates."""
+        return with_values(self._parameters, self._scene.taxa, self.space.named(u))
 
-    def _descend(
-        self, begin: Observed, slopes: np.ndarray, most: int, stage: str
-    ) -> tuple[np.ndarray, Any, list[tuple[float, float]]]:
-        """Levenberg-Marquardt from `begin` with the errors and the mean `slopes` there.
+    def _observe(
+        self,
+        expected: Expected,
+        wanted: np.ndarray,
+        u: Array,
+        spread: np.ndarray,
+        slopes: Float[np.ndarray, "member statistic free"],
+        rendered: Place | None = None,
+    ) -> Place:
+        """The full scene about `u`: expectation over plantings and `spread`, and the errors there.
 
-        Each step corrects the slopes by what it changed (Broyden 1965): new ones cost as much as
-        twenty renders of each draw.
-
-        **Returns:** the end, why it ended, and the objective and its gradient's norm after each
-        step.
+        What the mean `slopes` do not explain of draws is their error and how statistics bend. It
+        counts with the plants' chance. Full renders at the same `u` are taken over from `rendered`.
         """
-        trace: list[tuple[float, float]] = []
+        u = jnp.asarray(u)
+        if rendered is None:
+            stands = self._stands(wanted)[0][: self.settings.full_renders]
+            every = [look(self.views, stand, self.plot(u)) for stand in stands]
+            whole = np.stack([np.asarray(one[0]) for one in every])
+            images = tuple(every[0][1:])
+            lack = whole - expected.plain(u, expected.stands[: len(whole)])
+        else:
+            whole, lack = np.asarray(rendered.whole), np.asarray(rendered.lack)
+            images = rendered.images
+        rest = expected.residues(u, spread, slopes.mean(axis=0))
+        statistics = rest.mean(axis=0) + lack.mean(axis=0)
+        covariance = radiometric_covariance(self.views, images)
+        if self.settings.stand_realisations:
+            covariance = covariance + chance_covariance(rest, lack, len(expected.stands))
+        offset = statistics - expected.members(u, spread)
+        array = jnp.asarray
+        return Place(
+            u, array(spread), array(statistics), array(covariance), array(offset), array(slopes),
+            array(whole), array(lack), images,
+        )  # fmt: skip
 
-        def expected(u: np.ndarray) -> np.ndarray:
-            reached = self._cheap(jnp.asarray(u), begin.spread, self._members)
-            return reached.mean(axis=0) + begin.offset
+    def data_at(self, place: Place) -> Data:
+        """The targets with the errors at a place."""
+        return with_error(self.data, np.asarray(place.covariance))
 
-        end = descend(
-            expected,
-            # The statistics at the start are those of the full scene: the mean over all draws.
-            Descended(
-                np.asarray(begin.u, float),
-                np.asarray(begin.statistics),
-                np.array(slopes),
-                FitStatus.max_steps,
-            ),
-            np.asarray(begin.data.value),
-            begin.weights,
-            most=most,
-            tolerance=self._settings.tolerance,
-            note=lambda loss, norm: self._note(trace, stage, loss, norm),
-        )
-        return end.u, end.status, trace
+    def weights(
+        self, place: Place, subspace: Directions
+    ) -> Float[np.ndarray, "direction statistic"]:
+        """Makes of misfits independent ones of unit size, along the directions of the subspace."""
+        rows = np.asarray(subspace.rows)
+        covariance = rows @ np.asarray(self.data_at(place).covariance) @ rows.T
+        return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows))
 
-    def _note(self, trace: list[tuple[float, float]], stage: str, loss: float, norm: float) -> None:
-        trace.append((loss, norm))
-        if not getattr(self._keep, "repeating", False):
-            self.times.append(time.perf_counter())
-        if self._report is not None:
-            self._report(stage, loss, norm)
+    def objective(self, place: Place, weights: np.ndarray) -> float:
+        """Half the squared whitened misfit and distance from the prior at a place."""
+        rest = self._whitened(weights, np.asarray(place.statistics), place.u)
+        return 0.5 * float(rest @ rest)
 
-    def _grown(self, u: Array, normals: Sequence[np.ndarray] = ()) -> bool:
-        """Whether more sites had to be made for the plants at `u` and of draws of the prior about
-        it, and could be."""
-        places = jnp.stack([u, *(u + jnp.asarray(normal) for normal in normals)])
-        counts = np.asarray(plants_wanted(self.scene, self._parameters, self._space, places))
-        before = self.scene
-        short = room_needed(self.scene, self._parameters, counts) > 0.0
-        if self._replant is None or not short.any():
-            return False
-        most = counts.max(axis=0)
-        wanted = np.where(short, np.maximum(_SPARE * counts[0], most), most)
-        wanted = np.maximum(wanted, self._wanted)  # what has grown stays
-        try:
-            self.scene = self._replant(0, wanted)
-            self._stand(wanted)
-            self._wanted = wanted
-        except InputError:  # no room on the plot, or in memory
-            self.scene = before
-            return False
-        return True
+    def _whitened(self, weights: np.ndarray, statistics: np.ndarray, u: Array) -> np.ndarray:
+        misfit = weights @ (statistics - np.asarray(self.data.value))
+        return np.concatenate([misfit, np.asarray(u)])
 
-    def _spread(self, place: Observed, slopes: np.ndarray) -> np.ndarray:
-        """Makes draws of the posterior, by the errors and slopes of the `place`, of unit normal
-        numbers; none where the plants are known."""
-        if not self._settings.stand_realisations:
-            return np.zeros_like(place.spread)
-        information = _information(place.weights, slopes)
-        values, vectors = np.linalg.eigh(information)
-        return np.asarray((vectors / np.sqrt(1.0 + np.maximum(values, 0.0))) @ vectors.T)
+    # -- the search -------------------------------------------------------------------------
 
-    def run(self, u: Array, stage: str) -> End:
-        """Search from `u`; `stage` begins the name of each round."""
-        settings = self._settings
-        free = len(self._space.names)
+    @property
+    def _solver(self) -> BroydenLM:
+        return BroydenLM(atol=self.settings.tolerance)
+
+    def begin(self, u: Float[Array, " free"], after: SearchState | None = None) -> SearchState:
+        """The state at whitened coordinates `u`.
+
+        **Arguments:** `u`, and the end of another start, whose sites and informative subspace this
+        one shares.
+
+        **Raises:** `InputError` where a statistic is not finite there.
+        """
+        u, free = jnp.asarray(u), len(self.space.names)
         none = np.zeros((free, free))
-        prior = np.eye(free) if settings.stand_realisations else none
-        self.plant(u)
-        origin = self.observe(u, none, np.zeros((len(self._data.names), free)))
-        finite = np.isfinite(origin.statistics)
+        chance = self.settings.stand_realisations
+        draws = max(self.settings.scatter_draws, chance) if chance else 0
+        sites = np.zeros(len(self._scene.taxa)) if after is None else np.asarray(after.wanted)
+        wanted = self._short(u, sites, draws)
+        expected = self._expected(wanted)
+        flat = np.zeros((1, len(self.data.names), free))
+        origin = self._observe(expected, wanted, u, none, flat)
+        finite = np.isfinite(np.asarray(origin.statistics))
         if not finite.all():
             raise InputError(
-                f"the statistic {self._data.names[int(np.argmin(finite))]} is not finite at the "
+                f"the statistic {self.data.names[int(np.argmin(finite))]} is not finite at the "
                 "start. Is the sun near the horizon, or a parameter at the end of its range?"
             )
-        if self._along is None:
-            self.choose_directions(origin.data)
-        slopes = self._slopes(u, prior)
-        places = [self.observe(u, prior, slopes.mean(axis=0), origin.rendered)]
-        ends = [(slopes, FitStatus.no_gain)]
-        losses: list[np.ndarray] = []
-        norms: list[np.ndarray] = []
-        turn, turns = 0, settings.rounds
-        target = np.asarray(self._data.value)
-        while turn < turns:
-            most = settings.max_steps if turn == 0 else (settings.max_steps + 1) // 2
-            reached, status, trace = self._descend(
-                places[-1], slopes.mean(axis=0), most, f"{stage}round {turn + 1}"
-            )
-            losses.append(np.array([loss for loss, _ in trace]))
-            norms.append(np.array([norm for _, norm in trace]))
-            if status == FitStatus.not_finite:
-                ends[-1] = (ends[-1][0], status)
-                break
-            begun = u
-            u, spread = jnp.asarray(reached), self._spread(places[-1], slopes)
-            grown = self._grown(u)
-            if grown:
-                places, ends = [], []  # what was of other stands compares with nothing
-                # It had fewer plants than it asked for: go on from there, once more at most.
-                turns = min(max(turns, turn + 2), settings.rounds + 1)
-            turn += 1
-            # The last round moves little: its end keeps the slopes of its start.
-            if turn < turns or grown:
-                slopes = self._slopes(u, spread)
-            place = self.observe(u, spread, slopes.mean(axis=0))
-            # The round kept its slopes, and the expectation is now over another spread.
-            end, misfit = np.asarray(u), place.statistics - target
-            left = unsettled(
-                place.weights, end, end - np.asarray(begun), misfit, slopes.mean(axis=0)
-            )
-            if turn == turns and left > _SETTLED:
-                if turns < settings.rounds + _FURTHER:
-                    turns += 1
-                    slopes = self._slopes(u, spread)
-                    place = self.observe(u, spread, slopes.mean(axis=0), place.rendered)
-                else:
-                    status = FitStatus.max_steps
-            places.append(place)
-            ends.append((slopes, status))
-        if settings.stand_realisations:
-            # Each is an expectation over a spread of its own, which compares with no other.
-            sound = [i for i, place in enumerate(places) if np.isfinite(place.statistics).all()]
-            places, ends = [places[sound[-1]]], [ends[sound[-1]]]
-        return self._end(origin, places, ends, losses, norms)
-
-    def _end(
-        self,
-        origin: Observed,
-        places: list[Observed],
-        ends: list[tuple[np.ndarray, Any]],
-        losses: list[np.ndarray],
-        norms: list[np.ndarray],
-    ) -> End:
-        """The best of the places, which are of one spread, by the errors at the last."""
-        data, weights = places[-1].data, places[-1].weights
-        # The same likelihood for whoever goes on with these data: along the directions alone.
-        counted = data.along(weights)
-        objective = [
-            objective_of(weights, np.asarray(p.u), p.statistics - np.asarray(data.value))
-            for p in places
-        ]
-        best = int(np.argmin(np.nan_to_num(objective, nan=np.inf)))
-        slopes, status = ends[best]
-        last, final = places[-1], ends[-1][1]
-        if bool(final == FitStatus.successful) and _same(
-            last.u, places[best].u, self._settings.tolerance
-        ):
-            status = final
-        place = places[best]
-        trace = np.stack([np.concatenate(losses), np.concatenate(norms)], axis=1)
-        result = fit_result(
-            self._space, counted, place.u, jnp.asarray(place.statistics),
-            jnp.asarray(slopes.mean(axis=0)), status, len(trace), trace,
+        if after is None:
+            subspace = self._subspace(expected, self.data_at(origin))
+        else:
+            subspace = after.subspace
+        expected = self._expected(wanted, subspace)
+        spread = np.eye(free) if chance else none
+        slopes = expected.slopes(u, spread)
+        place = self._observe(expected, wanted, u, spread, slopes, origin)
+        descent = self._descent(place, subspace)
+        whole = lambda number: jnp.asarray(number, int)  # noqa: E731
+        return SearchState(
+            place=place, u=u, descent=descent, origin=origin, best=place, subspace=subspace,
+            wanted=jnp.asarray(wanted), trace=figures_of(descent)[None],
+            status=number_of(FitStatus.no_gain), turn=whole(0),
+            turns=whole(self.settings.rounds), step=whole(0), ended=whole(0),
         )  # fmt: skip
-        if np.isfinite(slopes).all():
-            result = result.with_information(jnp.asarray(_information(weights, slopes)))
-        place = dataclasses.replace(place, data=counted, weights=weights)
-        cheap = self._plain(place.u, [stand.faded() for stand in self.cheap])
-        return End(objective[best], result, place, origin, self.cheap, cheap, losses, norms)
+
+    def _descent(self, place: Place, subspace: Directions) -> BroydenState:
+        """State of the solver at the start of a round, with the slopes and errors there."""
+        weights = self.weights(place, subspace)
+        residual = self._whitened(weights, np.asarray(place.statistics), place.u)
+        jacobian = np.concatenate([weights @ place.slope, np.eye(place.u.size)])
+        known = jnp.asarray(residual), jnp.asarray(jacobian)
+        options = {"jacobian": lambda *_: known}
+        return self._solver.init(None, place.u, None, options, None, None, NO_TAGS)
+
+    def step(self, state: SearchState) -> SearchState:
+        """The next state: one step of the solver, or the end of a round and the full scenes there.
+
+        Each step corrects the slopes by what it changed: new ones cost as much as twenty renders of
+        each draw.
+        """
+        solver = self._solver
+        done, result = solver.terminate(None, state.u, None, None, state.descent, NO_TAGS)
+        most = self.settings.max_steps
+        most = most if state.turn == 0 else (most + 1) // 2
+        if result != optx.RESULTS.successful:
+            failed = number_of(FitStatus.not_finite)
+            return dataclasses.replace(state, status=failed, ended=state.ended + 1)
+        if done or state.step >= most:
+            status = FitStatus.successful if done else FitStatus.max_steps
+            return self._next_round(state, status)
+        expected, place = self.expected(state), state.place
+        weights = self.weights(place, state.subspace)
+
+        def whitened(u: Array, _: Any) -> tuple[Array, None]:
+            reached = expected.members(u, np.asarray(place.spread)) + np.asarray(place.offset)
+            return jnp.asarray(self._whitened(weights, reached, u)), None
+
+        u, descent, _ = solver.step(whitened, state.u, None, None, state.descent, NO_TAGS)
+        trace = state.trace
+        if state.step + 1 < most:
+            trace = jnp.concatenate([trace, figures_of(descent)[None]])
+        return dataclasses.replace(state, u=u, descent=descent, trace=trace, step=state.step + 1)
+
+    def _next_round(self, state: SearchState, status: Any) -> SearchState:
+        """The place that a round has come to, and whether another one follows."""
+        settings, before = self.settings, state.place
+        u, turn, turns = state.u, int(state.turn) + 1, int(state.turns)
+        spread = np.zeros_like(before.spread)
+        if settings.stand_realisations:
+            weights = self.weights(before, state.subspace)
+            spread = posterior_root(weights, np.asarray(before.slopes))
+        wanted = self._short(u, np.asarray(state.wanted), 0)
+        grown = not np.array_equal(wanted, np.asarray(state.wanted))
+        if grown:  # it had fewer plants than it asked for: go on from there, once more at most
+            turns = min(max(turns, turn + 1), settings.rounds + 1)
+        expected = self._expected(wanted, state.subspace)
+        slopes = np.asarray(before.slopes)
+        # The last round moves little: its end keeps the slopes of its start.
+        if turn < turns or grown:
+            slopes = expected.slopes(u, spread)
+        place = self._observe(expected, wanted, u, spread, slopes)
+        descent = self._descent(place, state.subspace)
+        # The round kept its slopes, and the expectation is now over another spread.
+        moved = np.asarray(u - before.u)
+        left = unsettled(np.asarray(descent.residual), np.asarray(descent.jacobian), moved)
+        if turn == turns and left > _SETTLED:
+            if turns < settings.rounds + _FURTHER:
+                turns += 1
+                slopes = expected.slopes(u, spread)
+                place = self._observe(expected, wanted, u, spread, slopes, place)
+                descent = self._descent(place, state.subspace)
+            else:
+                status = FitStatus.max_steps
+        best, reason = self._better(state, place, status, fresh=grown)
+        goes_on = turn < turns
+        trace = state.trace
+        if goes_on:
+            trace = jnp.concatenate([trace, figures_of(descent)[None]])
+        whole = lambda number: jnp.asarray(number, int)  # noqa: E731
+        return dataclasses.replace(
+            state, place=place, u=u, descent=descent, best=best, wanted=jnp.asarray(wanted),
+            trace=trace, status=jnp.asarray(reason), turn=whole(turn), turns=whole(turns),
+            step=whole(0), ended=whole(not goes_on),
+        )  # fmt: skip
+
+    def _better(
+        self, state: SearchState, place: Place, status: Any, *, fresh: bool
+    ) -> tuple[Place, Array]:
+        """The place that is kept, and the number of its status."""
+        reason = number_of(status)
+        finite = bool(np.isfinite(np.asarray(place.statistics)).all())
+        if fresh or (self.settings.stand_realisations and finite):
+            # An expectation over a spread of its own compares with no other.
+            return place, reason
+        if not finite:
+            return state.best, state.status
+        weights = self.weights(place, state.subspace)
+        if self.objective(place, weights) < self.objective(state.best, weights):
+            return place, reason
+        same = np.abs(np.asarray(place.u - state.best.u)) <= self.settings.tolerance * (
+            1.0 + np.abs(np.asarray(state.best.u))
+        )
+        settled = same.all() and bool(status == FitStatus.successful)
+        return state.best, reason if settled else state.status
 
 
-def chance_covariance(
-    draws: Float[np.ndarray, "draw statistic"],
-    lack: Float[np.ndarray, "planting statistic"],
-    stands: int,
-) -> Float[np.ndarray, "statistic statistic"]:
-    """Covariance of what statistics of one plot differ by from their estimated expectation.
-
-    Chance counts twice: as that of the plot, and as the error of the expectation, which is a mean
-    over few draws and over what full and cheap renders of few plantings differ by.
-
-    **Arguments:**
-
-    - `draws`: statistics of the cheap renders of draws of plants and parameters; their mean is the
-      expectation.
-    - `lack`: full less cheap render of some plantings; its mean is added to the expectation.
-    - `stands`: sets of sites that the draws fill. Draws on the same sites are alike, so a set of
-      sites counts as one draw.
-
-    **Returns:** the covariance of `scatter_covariance`, grown by 1 / `stands` and by the mean
-    variance of `lack` over that of the draws, divided by the number of plantings.
-
-    NumPy in and out; not differentiable.
-    """
-    chance = scatter_covariance(draws)
-    share = 1.0 / stands
-    if len(lack) > 1:
-        variance = np.diagonal(chance)
-        some = variance > 0
-        differ = lack.var(axis=0, ddof=1)[some] / variance[some]
-        share += float(differ.mean()) / len(lack) if some.any() else 0.0
-    return (1.0 + share) * chance
+def posterior_root(
+    weights: Float[np.ndarray, "direction statistic"],
+    slopes: Float[np.ndarray, "member statistic free"],
+) -> Float[np.ndarray, "free free"]:
+    """Root of the covariance of the posterior in whitened coordinates, by what the mean of the
+    slopes of several draws says. `weights` make of misfits independent ones of unit size."""
+    values, vectors = np.linalg.eigh(mean_information(weights, slopes))
+    return np.asarray((vectors / np.sqrt(1.0 + np.maximum(values, 0.0))) @ vectors.T)
 
 
-def _information(weights: np.ndarray, slopes: np.ndarray) -> Float[np.ndarray, "free free"]:
-    """Fisher information of the mean of the `slopes` of several draws.
-
-    Two in a row are opposite, so that slopes that change with the parameters hang together: only
-    the means of such pairs are independent.
-    """
-    pairs = len(slopes) // 2
-    if pairs >= 2:
-        slopes = slopes[: 2 * pairs].reshape(pairs, 2, *slopes.shape[1:]).mean(axis=1)
-    if len(slopes) == 1:
-        return np.asarray((weights @ slopes[0]).T @ (weights @ slopes[0]))
-    return np.asarray(repeated_information(jnp.asarray(weights @ slopes), confidence=0.5))
-
-
-@eqx.filter_jit
-def plants_wanted(
-    scene: Scene, parameters: PlotParameters, space: ParameterSpace, places: Array
-) -> Float[Array, "place species"]:
-    """Plants of each species at several places of the whitened coordinates."""
-
-    def at(u: Array) -> Array:
-        return scene.counts(with_values(parameters, scene.taxa, space.named(u)))
-
-    return jax.lax.map(at, places)
-
-
-def with_error(data: Data, covariance: Float[np.ndarray, "statistic statistic"]) -> Data:
-    """The data with an error of this covariance added; as they are where it is none or unknown."""
-    sound = np.isfinite(covariance).all() and covariance.any()
-    return data.with_covariance(covariance) if sound else data
-
-
-def _same(u: Array, other: Array, tolerance: float) -> bool:
-    """Whether coordinates agree to the tolerance at which a search ends."""
-    return bool(jnp.all(jnp.abs(u - other) <= tolerance * (1.0 + jnp.abs(other))))
-
-
-def signature(*signed: Any) -> str:
-    """A hash of all that a calibration follows from.
-
-    It is the same in every process, and differs where a type, an array, a number, a text or a
-    function within `signed` does. Functions are known by their names and what they close over.
-
-    **Arguments:** `signed`, any values; modules, dataclasses and containers are taken apart.
-
-    **Returns:** 64 hexadecimal digits.
-    """
-    total = hashlib.sha256()
-    entered: set[int] = set()
-
-    def add(value: Any) -> None:
-        total.update(f"|{type(value).__module__}.{type(value).__qualname__}:".encode())
-        if isinstance(value, jax.Array | np.ndarray):
-            array = np.ascontiguousarray(value)
-            total.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
-            return
-        parts = _parts(value)
-        if parts is None:
-            total.update(repr(value).encode())
-        elif id(value) not in entered:  # a function may close over itself
-            entered.add(id(value))
-            total.update(f"{len(parts)}".encode())
-            for part in parts:
-                add(part)
-            entered.remove(id(value))
-
-    add((version("fynjax"), signed))
-    return total.hexdigest()
-
-
-def _parts(value: Any) -> Sequence[Any] | None:
-    """What a value is made of; None for a number, a text and the like, which `repr` shows whole."""
-    if isinstance(value, list | tuple):
-        return value
-    if isinstance(value, set | frozenset):
-        return sorted(value, key=repr)
-    if isinstance(value, dict):
-        return [*value.keys(), *value.values()]
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return [getattr(value, field.name, None) for field in dataclasses.fields(value)]
-    if isinstance(value, partial):
-        return [value.func, value.args, value.keywords]
-    if callable(value):
-        cells = getattr(value, "__closure__", None) or ()
-        names = [getattr(value, name, "") for name in ("__module__", "__qualname__")]
-        return [*names, *(cell.cell_contents for cell in cells)]
-    return list(vars(value).items()) if hasattr(value, "__dict__") else None
+def unsettled(residual: np.ndarray, jacobian: np.ndarray, moved: np.ndarray) -> float:
+    """The distance that a round `moved`, or that a Gauss-Newton step from where it ended would
+    move, along the principal direction where it is largest [posterior standard deviations]."""
+    hessian = jacobian.T @ jacobian
+    if not np.isfinite(hessian).all():
+        return np.inf
+    values, vectors = np.linalg.eigh(hessian)
+    moves = np.stack([moved, np.linalg.solve(hessian, jacobian.T @ residual)])
+    return float(np.max(np.abs(moves @ vectors) * np.sqrt(values)))

@@ -13,11 +13,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
+from fynjax._core.least_squares import NO_TAGS, BroydenLM
 from fynjax.inversion._fit_result import Data, FitStatus
 from fynjax.inversion._log_posterior import LogPosterior
 
@@ -28,35 +28,11 @@ _DAMPING = 0.1
 """Step size of the trust region at first: a full first step often overshoots."""
 _REACH = 4.0
 """Bounds in prior standard deviations: beyond, the transform to a bounded parameter is flat."""
-_NO_TAGS: frozenset[object] = frozenset()
 _OPTIONS = {"jac": "bwd"}  # the Jacobian as an array, which another fit can pass again
-
-
-def least_squares(tolerance: float) -> "OptimistixStepper":
-    """Levenberg-Marquardt, damped from the start."""
-    limit: Any = jnp.asarray(tolerance)  # an array: another tolerance compiles nothing
-    return OptimistixStepper(optx.LevenbergMarquardt(rtol=limit, atol=limit), limit, _DAMPING)
-
-
-def lbfgsb(tolerance: float) -> Any:
-    """L-BFGS-B of SciPy, by jaxopt."""
-    import jaxopt  # late: it warns on import that it is no longer maintained
-
-    # No end by a small relative fall: in a flat valley, or far from data with small errors, a step
-    # that gains much may be small against the objective.
-    options = {"maxcor": 20, "gtol": tolerance, "ftol": 0.0}
-    return jaxopt.ScipyBoundedMinimize(
-        fun=jnp.sum, method="l-bfgs-b", tol=tolerance, options=options
-    )
 
 
 def _of_jaxopt(solver: Any) -> bool:
     return type(solver).__module__.split(".")[0] == "jaxopt"
-
-
-def is_scipy(solver: Any) -> bool:
-    """Whether it is a solver of SciPy, which runs outside JAX."""
-    return _of_jaxopt(solver) and type(solver).__name__ in ("ScipyMinimize", "ScipyBoundedMinimize")
 
 
 def gain(
@@ -113,15 +89,19 @@ class AbstractStepper(eqx.Module):
 
 
 def stepper(solver: Any, tolerance: float) -> AbstractStepper:
-    """The stepper of a solver object, which goes on while more than `tolerance` is to gain."""
-    if isinstance(solver, AbstractStepper):
-        return solver
+    """The stepper of a solver object, which goes on while more than `tolerance` is to gain; of
+    Levenberg-Marquardt, damped from the start, where there is none."""
+    if solver is None:
+        limit: Any = jnp.asarray(tolerance)  # an array: another tolerance compiles nothing
+        return OptimistixStepper(optx.LevenbergMarquardt(limit, limit), limit, _DAMPING)
+    if isinstance(solver, BroydenLM):
+        return BroydenStepper(solver, jnp.asarray(tolerance))
     if isinstance(solver, optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser):
         return OptimistixStepper(solver, jnp.asarray(tolerance), None)
     if _of_jaxopt(solver) and hasattr(solver, "init_state"):
         return JaxoptStepper(solver)
     raise InputError(
-        "`solver` must be a name, or a solver of optimistix or jaxopt for least squares or "
+        "`solver` must be a solver of optimistix or jaxopt that runs in JAX, for least squares or "
         f"minimisation, but is of {type(solver).__module__}.{type(solver).__name__}"
     )
 
@@ -179,7 +159,7 @@ class OptimistixStepper(AbstractStepper):
         else:
             function = lambda u, _: (0.5 * u @ u, (0.5 * u @ u, jnp.linalg.norm(u)))  # noqa: E731
         out, aux = jax.eval_shape(lambda u: function(u, density), u)
-        state = self.solver.init(function, u, density, _OPTIONS, out, aux, _NO_TAGS)
+        state = self.solver.init(function, u, density, _OPTIONS, out, aux, NO_TAGS)
         if self.damping is not None:
             size = jnp.asarray(self.damping)
             state = eqx.tree_at(lambda s: s.search_state.step_size, state, size)
@@ -189,8 +169,8 @@ class OptimistixStepper(AbstractStepper):
         self, density: LogPosterior, u: Float[Array, " free"], state: Any
     ) -> tuple[Float[Array, " free"], Any, Figures, FitStatus]:
         function: Any = _residual(density.jacobian) if self._by_residuals else _objective
-        u, state, _ = self.solver.step(function, u, density, _OPTIONS, state, _NO_TAGS)
-        done, result = self.solver.terminate(function, u, density, _OPTIONS, state, _NO_TAGS)
+        u, state, _ = self.solver.step(function, u, density, _OPTIONS, state, NO_TAGS)
+        done, result = self.solver.terminate(function, u, density, _OPTIONS, state, NO_TAGS)
         *reached, loss, norm = state.aux
         if self._by_residuals:
             done &= gain(density.data, u, *reached) <= self.tolerance
@@ -198,6 +178,50 @@ class OptimistixStepper(AbstractStepper):
 
     def statistics(self, state: Any) -> tuple[Array, Array] | None:
         return state.aux[:2] if self._by_residuals else None
+
+
+class BroydenStepper(AbstractStepper):
+    """`BroydenLM`, whose state holds the figures, and which asks for a Jacobian rarely."""
+
+    solver: BroydenLM
+    tolerance: Float[Array, ""]
+    """Of the `gain` left at the end."""
+
+    def _call(self, density: LogPosterior) -> tuple[BroydenLM, Any, dict[str, Any]]:
+        def residual(u: Array, _: Any) -> tuple[Array, None]:
+            misfit = density.data.whiten(density.statistics(u) - density.data.value)
+            return jnp.concatenate([misfit, u]), None
+
+        def jacobian(u: Array, _: Any) -> tuple[Array, Array]:
+            value, slopes = density.jacobian(u)
+            misfit = density.data.whiten(value - density.data.value)
+            rows = jnp.concatenate([density.data.whiten(slopes), jnp.eye(u.size)])
+            return jnp.concatenate([misfit, u]), rows
+
+        solver = dataclasses.replace(
+            self.solver, atol=jnp.minimum(self.solver.atol, self.tolerance)
+        )
+        return solver, residual, {"jacobian": jacobian}
+
+    def start(self, density: LogPosterior, u: Float[Array, " free"]) -> Any:
+        solver, residual, options = self._call(density)
+        return solver.init(residual, u, None, options, None, None, NO_TAGS)
+
+    def step(
+        self, density: LogPosterior, u: Float[Array, " free"], state: Any
+    ) -> tuple[Float[Array, " free"], Any, Figures, FitStatus]:
+        solver, residual, options = self._call(density)
+        u, state, _ = solver.step(residual, u, None, options, state, NO_TAGS)
+        done, _ = solver.terminate(residual, u, None, options, state, NO_TAGS)
+        # A corrected Jacobian may lack what is left to gain: only a new one can tell.
+        fresh = lambda: solver.init(residual, u, None, options, None, None, NO_TAGS)  # noqa: E731
+        state = jax.lax.cond(done, fresh, lambda: state)
+        done, result = solver.terminate(residual, u, None, options, state, NO_TAGS)
+        figures = (
+            0.5 * state.residual @ state.residual,
+            jnp.linalg.norm(state.jacobian.T @ state.residual),
+        )
+        return u, state, figures, _status(figures, done, result)
 
 
 class JaxoptStepper(AbstractStepper):
@@ -219,7 +243,11 @@ class JaxoptStepper(AbstractStepper):
         else:
             options |= {"fun": lambda u: _objective(u, density), "value_and_grad": False}
         reach = jnp.full_like(u, _REACH)
-        bounds = ((-reach, reach),) if type(self.solver).__name__ == "LBFGSB" else ()
+        projection = getattr(self.solver, "projection", None)
+        bounded = type(self.solver).__name__ == "LBFGSB" or (
+            getattr(projection, "__name__", "") == "projection_box"
+        )
+        bounds = ((-reach, reach),) if bounded else (None,) * (projection is not None)
         return dataclasses.replace(self.solver, **options), bounds
 
     def start(self, density: LogPosterior, u: Float[Array, " free"]) -> Any:
@@ -234,38 +262,3 @@ class JaxoptStepper(AbstractStepper):
         u, state = solver.update(u, state, *bounds)
         done = state.error <= solver.tol
         return u, state, state.aux, _status(state.aux, done, optx.RESULTS.successful)
-
-
-def run_scipy(
-    solver: Any,
-    objective_and_gradient: Callable[[Array], tuple[Array, ...]],
-    start: Float[Array, " free"],
-    max_steps: int,
-    note: Callable[[Figures], None],
-) -> tuple[Float[Array, " free"], Any]:
-    """The end of a solver of SciPy, and why it stopped. It notes each evaluation."""
-
-    def objective(u: Array) -> tuple[float, Array]:
-        loss, gradient = objective_and_gradient(jnp.asarray(u))
-        note((loss, jnp.linalg.norm(gradient)))
-        return float(loss), gradient
-
-    bounded = type(solver).__name__ == "ScipyBoundedMinimize"
-    options = {k: v for k, v in (solver.options or {}).items() if k != "maxiter"}
-    if str(solver.method).lower() == "l-bfgs-b":
-        options = {"maxfun": 2 * max_steps} | options
-    ready = dataclasses.replace(
-        solver, fun=objective, value_and_grad=True, jit=False, maxiter=max_steps, options=options
-    )
-    reach = jnp.full_like(start, _REACH)
-    u, state = ready.run(start, (-reach, reach)) if bounded else ready.run(start)
-    if not np.isfinite(float(state.fun_val)):
-        return start, FitStatus.not_finite
-    limits = [options[name] for name in ("maxfun", "maxfev") if name in options]
-    if bool(state.success):
-        status = FitStatus.successful
-    elif int(state.iter_num) >= max_steps or int(state.num_fun_eval) >= min(limits, default=np.inf):
-        status = FitStatus.max_steps
-    else:
-        status = FitStatus.no_gain
-    return jnp.asarray(u), status

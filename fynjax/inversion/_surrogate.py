@@ -11,9 +11,8 @@ from jaxtyping import Array, Float
 from fynjax._core.checkpoint import Keep, keep_nothing
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.inversion._calibrate import Calibration
-from fynjax.inversion._fit import predicted_statistics
+from fynjax.inversion._expected import predicted
 from fynjax.inversion._fit_result import FitResult
-from fynjax.inversion._log_posterior import LogPosterior
 from fynjax.inversion._views import AbstractView, PlotForward
 from fynjax.scene import PlotParameters
 
@@ -83,14 +82,13 @@ def fit_surrogate(
     random = np.random.default_rng([seed, 71])
     centre, covariance = np.asarray(fit.whitened), np.asarray(fit.covariance)
     draws = random.multivariate_normal(centre, _SPREAD**2 * covariance, _RENDERS, method="eigh")
-    count, none = len(calibration.stands), jnp.zeros(fit.data.value.shape)
+    count = len(calibration.stands)
 
     def step() -> tuple[Array, ...]:
         found = []
         for i, u in enumerate(draws):
             stand = calibration.stands[i % count].faded()
-            density = LogPosterior(forward, fit.space, fit.data, none, (stand,))
-            found.append(predicted_statistics(density, jnp.asarray(u)))
+            found.append(predicted(forward, fit.space, stand, jnp.asarray(u)))
             progress.advance()
         return (jnp.stack(found),)
 

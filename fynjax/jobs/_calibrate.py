@@ -10,7 +10,14 @@ import pandas as pd
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.assembly import Measured, prepare, read_targets
-from fynjax.inversion import Calibration, CalibrationSettings, calibrate_plot, join_data
+from fynjax.inversion import (
+    Calibration,
+    CalibrationSettings,
+    calibration,
+    join_data,
+    plot_search,
+    search_starts,
+)
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.raster import write_run
 from fynjax.jobs._calibrate_known import known_plants
@@ -26,6 +33,7 @@ from fynjax.jobs._calibration_tables import (
     parameter_table,
     statistic_table,
 )
+from fynjax.jobs._follow import follow
 from fynjax.jobs._render import check_finite, write_image
 from fynjax.jobs._result import JobResult, Number, ParameterSummary, Record, StatisticSummary
 from fynjax.jobs._run import Run
@@ -108,13 +116,17 @@ def calibrate(
     paths = [targets] if isinstance(targets, Path) else list(targets)
     run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
     if read.crowns is not None and paths[0].suffix.lower() in (".tif", ".tiff"):
-        return _calibrate_known(read, paths, run, bands)
+        return _calibrate_known(read, paths, run, bands, checkpoint)
     measured = read_targets(read, paths, bands=bands, seed=run.seed, progress=run.progress)
     return calibrate_to(read, measured, run, inputs=(*read.inputs, *paths), checkpoint=checkpoint)
 
 
 def _calibrate_known(
-    plot: Plot, paths: Sequence[Path], run: Run, bands: Sequence[str] | None
+    plot: Plot,
+    paths: Sequence[Path],
+    run: Run,
+    bands: Sequence[str] | None,
+    checkpoint: Path | None,
 ) -> CalibrateResult:
     """Calibrate a plot whose plants are known to an image, pixel by pixel."""
     if len(paths) > 1:
@@ -124,7 +136,7 @@ def _calibrate_known(
             file=paths[1],
         )
     result, parameters, table, headline = known_plants(
-        plot, paths[0], run, bands, (*plot.inputs, *paths)
+        plot, paths[0], run, bands, (*plot.inputs, *paths), checkpoint
     )
     fit, rows = result.fit, table.rename(columns={"real": "target"})
     summary = StatisticSummary.model_fields.keys() & set(rows.columns)
@@ -184,7 +196,7 @@ def calibrate_to(
     steps, starts = plot.calibration.max_iterations, plot.calibration.starts
     evaluations = starts * (steps + (steps + 1) // 2)
     with run.stage("Calibrate", "calibrate", total=evaluations):
-        result = calibrate_plot(
+        search = plot_search(
             ready.scene,
             ready.parameters,
             join_data([sensor.data for sensor in measured]),
@@ -192,16 +204,8 @@ def calibrate_to(
             views,
             CalibrationSettings(max_steps=steps, starts=starts, seed=run.seed),
             replant=ready.replant,
-            checkpoint=checkpoint,
-            report=lambda stage, loss, norm: run.progress.advance(
-                1, stage=stage, loss=f"{loss:.1f}", gradient=f"{norm:.1f}"
-            ),
         )
-    run.seconds |= {
-        "render": result.seconds["render_s"],
-        "search_step": result.seconds["step_s"],
-        "search": result.seconds["search_s"],
-    }
+        result = calibration(search, follow(search, search_starts(search), run, checkpoint))
     if result.image_after is not None:
         check_finite(result.image_after, plot)
     reference = ReferenceImage() if reference is None else reference

@@ -11,7 +11,7 @@ import pandas as pd
 from fynjax._core.errors import InputError
 from fynjax.assembly import aim_at_plot, prepare
 from fynjax.compare import read_drone_image
-from fynjax.inversion import KnownPlants, block_of, calibrate_known_plants
+from fynjax.inversion import KnownPlants, block_of, known_plants_search
 from fynjax.io.plot import Air, Plot, drone_sensor
 from fynjax.jobs._calibration_page import (
     doubt_first,
@@ -20,6 +20,7 @@ from fynjax.jobs._calibration_page import (
     search_section,
 )
 from fynjax.jobs._calibration_tables import parameter_table
+from fynjax.jobs._follow import follow
 from fynjax.jobs._render import check_finite, write_image
 from fynjax.jobs._run import Run, peak_memory_mib
 from fynjax.metrics import BANDS
@@ -28,7 +29,12 @@ from fynjax.report.pages import Page, Picture, Section, Table
 
 
 def known_plants(
-    plot: Plot, path: Path, run: Run, bands: Sequence[str] | None, inputs: Sequence[Path | None]
+    plot: Plot,
+    path: Path,
+    run: Run,
+    bands: Sequence[str] | None,
+    inputs: Sequence[Path | None],
+    checkpoint: Path | None,
 ) -> tuple[KnownPlants, pd.DataFrame, pd.DataFrame, list[str]]:
     """Calibrate a plot with crowns to an image, pixel by pixel, and write what comes out.
 
@@ -39,6 +45,7 @@ def known_plants(
     - `run`: the folder and the progress of the job.
     - `bands`: of the image, as `read_drone_image` has them.
     - `inputs`: files for the provenance.
+    - `checkpoint`: folder that keeps every step; None keeps none.
 
     **Returns:** the calibration, the tables of its parameters and of the bands, and its headline.
 
@@ -63,7 +70,7 @@ def known_plants(
     settings = plot.calibration
     block = _block(plot, len(order), camera.shape, pixel)
     with run.stage("Calibrate", "calibrate", total=settings.max_iterations):
-        result = calibrate_known_plants(
+        search = known_plants_search(
             ready.scene,
             ready.parameters,
             image.values[order],
@@ -73,15 +80,8 @@ def known_plants(
             pixel_sd=settings.pixel_sd,
             gain_sd=max(settings.gain_sd, 1e-6),
             max_steps=settings.max_iterations,
-            report=lambda stage, loss, norm: run.progress.advance(
-                1, stage=stage, loss=f"{loss:.1f}", gradient=f"{norm:.1f}"
-            ),
         )
-    run.seconds |= {
-        "render": result.seconds["render_s"],
-        "slopes": result.seconds["slopes_s"],
-        "search": result.seconds["search_s"],
-    }
+        result = search.result(follow(search, [None], run, checkpoint)[0])
     check_finite(jnp.asarray(result.image_after), plot)
     parameters, table = parameter_table(result), band_table(result)
     rmse = _relative_rmse(result)

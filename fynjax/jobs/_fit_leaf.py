@@ -10,11 +10,10 @@ import pandas as pd
 from jaxtyping import Float
 
 from fynjax import leaf
-from fynjax._core.checkpoint import Journal
+from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers
 from fynjax._core.progress import Progress
-from fynjax.inversion import signature
 from fynjax.io.spectra import (
     MeasuredSpectrum,
     note,

@@ -12,12 +12,12 @@ import pandas as pd
 from jaxtyping import Float
 from pydantic import Field
 
-from fynjax._core.checkpoint import forget_journal
+from fynjax._core.checkpoint import forget_journal, signature
 from fynjax._core.errors import InputError, listed
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import Progress
 from fynjax.assembly import STAND_QUANTITIES
-from fynjax.inversion import estimate_pixels, signature
+from fynjax.inversion import estimate_pixels
 from fynjax.io.plot import DEFAULT_PRIOR
 from fynjax.io.raster import CubeBlocks, MapWriter, file_hash, open_blocks
 from fynjax.jobs._map_pixels import (

@@ -12,12 +12,12 @@ import xarray as xr
 from jaxtyping import Bool, Float
 from pydantic import Field
 
-from fynjax._core.checkpoint import Journal
+from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Pool
 from fynjax._core.sampling import effective_size
 from fynjax.assembly import STAND_QUANTITIES, StandSettings, sample_pixel
-from fynjax.inversion import PixelEstimates, estimate_pixels, signature
+from fynjax.inversion import PixelEstimates, estimate_pixels
 from fynjax.io.plot import LearnedPrior, read_prior
 from fynjax.io.raster import CubeBlocks, file_hash, write_run
 from fynjax.jobs._result import Number, Record

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from fynjax._core.checkpoint import Journal
+from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.progress import Progress
@@ -29,17 +29,19 @@ from fynjax.inversion import (
     RegressedPosterior,
     SamplingMethod,
     TooFewSimulationsError,
-    calibrate_plot,
+    calibration,
     fit_surrogate,
     join_data,
+    plot_search,
     sample_posterior,
     search_form,
-    signature,
+    search_starts,
     simulation_posterior,
 )
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.text import atomic_path
 from fynjax.jobs._calibration_page import misfit_sentence
+from fynjax.jobs._follow import follow
 from fynjax.jobs._result import JobResult, Number, ParameterSummary
 from fynjax.jobs._run import Run
 from fynjax.report.figures import (
@@ -157,7 +159,7 @@ def posterior(
     inputs = (*(p for p in ready.plot.inputs if p is not None), *paths)
     steps = ready.plot.calibration.max_iterations
     with run.stage("Calibrate", total=steps + (steps + 1) // 2):
-        calibrated = calibrate_plot(
+        search = plot_search(
             ready.scene,
             ready.parameters,
             data,
@@ -167,11 +169,9 @@ def posterior(
                 max_steps=steps, starts=ready.plot.calibration.starts, seed=run.seed
             ),
             replant=ready.replant,
-            checkpoint=checkpoint / "calibration",
-            report=lambda stage, loss, norm: run.progress.advance(
-                1, stage=stage, loss=f"{loss:.1f}"
-            ),
         )
+        ends = follow(search, search_starts(search), run, checkpoint / "calibration")
+        calibrated = calibration(search, ends)
     with run.stage("Fit a surrogate"):
         _, cheap = search_form(calibrated.scene, ready.parameters, views)
         surrogate, surrogate_error = fit_surrogate(

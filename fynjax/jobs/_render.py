@@ -14,11 +14,10 @@ import xarray as xr
 from jaxtyping import Array, Float
 
 import fynjax
-from fynjax._core.checkpoint import Journal, Keep, keep_nothing
+from fynjax._core.checkpoint import Journal, Keep, keep_nothing, signature
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.assembly import aim_without_air, build_plot
-from fynjax.inversion import signature
 from fynjax.io.plot import Plot, as_plot, plot_instrument, plot_place
 from fynjax.io.raster import Cube, file_hash, image_array, write_geotiff, write_run
 from fynjax.jobs._result import JobResult, StatisticSummary

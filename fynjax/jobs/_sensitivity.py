@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from fynjax._core.checkpoint import Journal
+from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers
@@ -24,7 +24,6 @@ from fynjax.inversion import (
     derivative_measures,
     expected_sensitivity,
     search_form,
-    signature,
     sobol_indices,
 )
 from fynjax.io.plot import Plot, as_plot

@@ -12,7 +12,7 @@ import pandas as pd
 import xarray as xr
 from pydantic import Field
 
-from fynjax._core.checkpoint import Journal
+from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers, at_work
@@ -22,7 +22,6 @@ from fynjax.inversion import (
     INTERVALS,
     AmortisedPosterior,
     HeldOut,
-    signature,
     train_posterior,
 )
 from fynjax.io.instruments import load_sensor

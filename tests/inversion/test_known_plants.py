@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fynjax.inversion import ParameterSpace, gain_covariance
-from fynjax.inversion._known_plants import _Search
+from fynjax.inversion._known_plants import PixelSearch
 from tests.scene.plots import TAXA, small_parameters
 
 NAMES = tuple(f"species.{taxon}.cover" for taxon in TAXA[:2])
@@ -41,8 +41,11 @@ def found():
     measured = model.image([0.35, 0.1]) * np.array([1.2, 0.9])[:, None, None]
     compared = np.ones((2, 3), bool)
     compared[1, 2] = False
-    search = _Search(model, SPACE, measured, compared, PIXEL_SD, GAIN_SD, None)
-    return search.run(30, 1e-4), measured[:, compared].ravel(), compared
+    search = PixelSearch(model, SPACE, measured, compared, (PIXEL_SD, GAIN_SD), 30, 1e-4)
+    state = search.begin()
+    while not state.ended:
+        state = search.step(state)
+    return search.result(state), measured[:, compared].ravel(), compared
 
 
 def test_what_gains_may_be_is_an_error_of_the_parameters(found):

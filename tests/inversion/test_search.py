@@ -1,12 +1,13 @@
 """What a search makes of draws of plants and parameters: errors, and information of slopes."""
 
-from types import SimpleNamespace
-
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal, norm
 
-from fynjax.inversion import CalibrationSettings
-from fynjax.inversion._search import Search, _information, chance_covariance
+from fynjax.inversion import Data, ParameterSpace, whitened_residual
+from fynjax.inversion._expected import chance_covariance, mean_information
+from fynjax.inversion._search import posterior_root, unsettled
 
 SD = np.array([1.0, 2.0, 0.5])
 """Of three independent statistics between plantings."""
@@ -54,7 +55,7 @@ def test_slopes_of_opposite_draws_count_as_their_mean():
     slopes = np.stack([mean + sign * n * bend for n in normals for sign in (1, -1)])
     weights = random.normal(size=(4, 4))
     want = (weights @ mean).T @ (weights @ mean)
-    np.testing.assert_allclose(_information(weights, slopes), want, rtol=1e-9)
+    np.testing.assert_allclose(mean_information(weights, slopes), want, rtol=1e-9)
 
 
 def test_information_of_slopes_by_chance_is_that_of_their_mean_without_bias():
@@ -62,10 +63,10 @@ def test_information_of_slopes_by_chance_is_that_of_their_mean_without_bias():
     random = np.random.default_rng(2)
     mean = np.array([[2.0], [-1.0], [0.5]])
     found = [
-        _information(np.eye(3), mean + random.normal(size=(8, 3, 1)))[0, 0] for _ in range(300)
+        mean_information(np.eye(3), mean + random.normal(size=(8, 3, 1)))[0, 0] for _ in range(300)
     ]
     assert np.mean(found) == pytest.approx(float(np.sum(mean**2)), rel=0.05)
-    single = _information(np.eye(3), mean[None])
+    single = mean_information(np.eye(3), mean[None])
     np.testing.assert_allclose(single, mean.T @ mean)
 
 
@@ -74,7 +75,42 @@ def test_draws_of_the_posterior_have_its_covariance():
     random = np.random.default_rng(7)
     weights, slopes = random.normal(size=(4, 4)), random.normal(size=(1, 4, 3))
     rows = weights @ slopes[0]
-    place = SimpleNamespace(weights=weights, spread=np.eye(3))
-    search = SimpleNamespace(_settings=CalibrationSettings())
-    root = Search._spread(search, place, slopes)
+    root = posterior_root(weights, slopes)
     np.testing.assert_allclose(root @ root.T, np.linalg.inv(np.eye(3) + rows.T @ rows), rtol=1e-9)
+
+
+def test_what_is_left_to_move_is_in_posterior_standard_deviations():
+    """Of a linear model: the distance from the mean of its posterior, along the principal axis
+    where it is largest; and no less than what the search just moved."""
+    random = np.random.default_rng(3)
+    matrix, weights, target = (random.normal(size=n) for n in ((3, 2), (3, 3), 3))
+    rows = 3.0 * weights @ matrix
+    covariance = np.linalg.inv(np.eye(2) + rows.T @ rows)
+    mean = covariance @ rows.T @ (3.0 * weights @ target)
+    variances, axes = np.linalg.eigh(covariance)
+    u = mean + axes @ (np.array([0.5, -2.0]) * np.sqrt(variances))
+    residual = np.concatenate([3.0 * weights @ (matrix @ u - target), u])
+    jacobian = np.concatenate([rows, np.eye(2)])
+    assert unsettled(residual, jacobian, np.zeros(2)) == pytest.approx(2.0)
+    moved = axes @ (np.array([3.0, 0.0]) * np.sqrt(variances))
+    assert unsettled(residual, jacobian, moved) == pytest.approx(3.0)
+
+
+def test_the_whitened_residual_is_minus_the_logarithm_of_the_posterior_density():
+    """But for a constant: of normal errors with a covariance, and of a unit normal prior."""
+    random = np.random.default_rng(5)
+    root = np.array([[0.3, 0.0, 0.0], [0.1, 0.2, 0.0], [0.0, -0.2, 0.5]])
+    error = multivariate_normal(np.zeros(3), root @ root.T)
+    data = Data(("a", "b", "c"), jnp.zeros(3), jnp.ones(3), jnp.asarray(np.linalg.inv(root)))
+    low, high, none, one = (jnp.full(2, v) for v in (-50.0, 50.0, 0.0, 1.0))
+    space = ParameterSpace(("x", "y"), low, high, none, one, distribution="normal")
+    slopes = random.normal(size=(3, 2))
+    residual = whitened_residual(lambda x: jnp.asarray(slopes) @ x, data, space)
+
+    def both(u):
+        rest = residual(jnp.asarray(u))
+        density = error.logpdf(slopes @ np.asarray(space.physical(jnp.asarray(u))))
+        return 0.5 * float(rest @ rest), -density - norm.logpdf(u).sum()
+
+    first, other = (both(random.normal(size=2)) for _ in range(2))
+    assert first[0] - other[0] == pytest.approx(first[1] - other[1])

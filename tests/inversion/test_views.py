@@ -7,13 +7,17 @@ import jax
 import jax.numpy as jnp
 import jaxopt
 import numpy as np
+import optimistix as optx
 import pytest
+import scipy.optimize
 
-from fynjax._core.checkpoint import forget_journal
+from fynjax._core.checkpoint import forget_journal, signature
 from fynjax._core.errors import InputError
+from fynjax._core.progress import NullProgress
 from fynjax.inversion import (
     COARSE,
     AbstractView,
+    BroydenLM,
     CalibrationSettings,
     Data,
     FitStatus,
@@ -21,21 +25,26 @@ from fynjax.inversion import (
     LogPosterior,
     ParameterSpace,
     PlotForward,
+    PlotSearch,
     _search,
     calibrate_plot,
+    calibration,
+    fit,
     fit_surrogate,
     free_space,
     gain_covariance,
     join_data,
+    plot_search,
     predicted_statistics,
     search_form,
-    signature,
+    search_starts,
     spectrum_view,
     statistics_and_jacobian,
     structure_view,
     weigh_spectrum,
     weigh_structure,
     weigh_targets,
+    whitened_residual,
 )
 from fynjax.inversion._calibrate import _gains
 from fynjax.inversion._fit_result import fit_result, scatter_covariance
@@ -46,6 +55,8 @@ from fynjax.inversion._views import (
     informative_directions,
     radiometric_covariance,
 )
+from fynjax.jobs._follow import follow
+from fynjax.jobs._run import Run
 from fynjax.metrics import STRUCTURE_METRICS, voxel_structure
 from fynjax.radiation import parallel_rays, reflectance_factor, solve_light
 from fynjax.scene import stand_realisation, with_values
@@ -257,16 +268,24 @@ class Stop(Exception):
     """What interrupts a run."""
 
 
-def stop_after(count):
-    """A report that interrupts at its `count`-th call."""
-    calls = []
+class Watch(NullProgress):
+    """Counts what is reported, and interrupts at the report of a number."""
 
-    def report(*reported):
-        calls.append(reported)
-        if len(calls) == count:
+    def __init__(self, last=0):
+        self.last, self.count = last, 0
+
+    def advance(self, n=1, **info):
+        self.count += n
+        if self.count == self.last:
             raise Stop
 
-    return report
+
+def followed(sums, folder, progress=None, **options):
+    """The same calibration, its states kept in `folder`."""
+    settings = {"stand_realisations": 2, "scatter_draws": 3, "max_steps": 6} | options
+    search = plot_search(*sums, (Sums(),), CalibrationSettings(**settings))
+    run = Run(folder, progress=progress)
+    return calibration(search, follow(search, search_starts(search), run, folder))
 
 
 @pytest.fixture(scope="module")
@@ -275,44 +294,40 @@ def whole(sums):
 
 
 @pytest.mark.parametrize("count", [1, 3, 5])
-def test_an_interrupted_run_goes_on_as_if_it_had_not_been(sums, whole, tmp_path, count):
+def test_an_interrupted_run_ends_at_the_same_bits(sums, whole, tmp_path, count):
     folder = tmp_path / "kept"
     with pytest.raises(Stop):
-        calibrated(sums, checkpoint=folder, report=stop_after(count))
-    steps = len(list(folder.glob("*.npz")))
-    assert steps >= 2 + count
-    reported = []
-    found = calibrated(sums, checkpoint=folder, report=lambda *args: reported.append(args))
-    assert len(reported) == len(whole.fit.loss)
+        followed(sums, folder, Watch(count + 1))
+    watch = Watch()
+    found = followed(sums, folder, watch)
+    assert watch.count == len(whole.fit.loss)
     for name in ("estimate", "sd", "loss", "predicted", "covariance"):
-        expected = getattr(whole.fit, name)
-        np.testing.assert_allclose(getattr(found.fit, name), expected, rtol=1e-6, atol=1e-12)
-    np.testing.assert_allclose(found.statistics_after, whole.statistics_after, rtol=1e-6)
+        np.testing.assert_array_equal(getattr(found.fit, name), getattr(whole.fit, name))
+    np.testing.assert_array_equal(found.statistics_after, whole.statistics_after)
     assert found.fit.status == whole.fit.status
     forget_journal(folder)
     assert not folder.exists()
 
 
 def test_what_was_kept_is_not_done_again(sums, whole, tmp_path, monkeypatch):
-    """A finished calibration is read, not computed: nothing of the model may run."""
+    """A finished calibration is read, not computed: no step of the search may run."""
     folder = tmp_path / "kept"
-    calibrated(sums, checkpoint=folder)
+    followed(sums, folder)
 
     def never(*_):
         raise AssertionError("this was computed before")
 
-    for name in ("look", "predicted_statistics", "statistics_and_jacobian"):
-        monkeypatch.setattr(f"fynjax.inversion._search.{name}", never)
-    monkeypatch.setattr("fynjax.inversion._views.PlotForward._plot", never)
-    found = calibrated(sums, checkpoint=folder)
-    np.testing.assert_allclose(found.fit.estimate, whole.fit.estimate, rtol=1e-6)
+    for name in ("begin", "step"):
+        monkeypatch.setattr(PlotSearch, name, never)
+    found = followed(sums, folder)
+    np.testing.assert_array_equal(found.fit.estimate, whole.fit.estimate)
 
 
 def test_a_checkpoint_of_another_calibration_is_refused(sums, tmp_path):
     model, start, data, space = sums
     folder = tmp_path / "kept"
     with pytest.raises(Stop):
-        calibrated(sums, checkpoint=folder, report=stop_after(1))
+        followed(sums, folder, Watch(2))
     other = Data(data.names, data.value.at[0].mul(1.001), data.sd)
     for changed, options in (
         ((model, start, other, space), {}),
@@ -320,11 +335,42 @@ def test_a_checkpoint_of_another_calibration_is_refused(sums, tmp_path):
         (sums, {"max_steps": 5}),
     ):
         with pytest.raises(InputError, match="checkpoint is of another run"):
-            calibrated(changed, checkpoint=folder, **options)
-    (last,) = sorted(folder.glob("*.npz"))[-1:]
+            followed(changed, folder, **options)
+    (last,) = folder.glob("*.npz")
     last.write_bytes(last.read_bytes()[:50])
     with pytest.raises(InputError, match="damaged one"):
-        calibrated(sums, checkpoint=folder)
+        followed(sums, folder)
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [
+        pytest.param(None, id="default"),
+        pytest.param(BroydenLM(), id="BroydenLM"),
+        pytest.param(optx.LevenbergMarquardt(1e-4, 1e-4), id="optimistix LevenbergMarquardt"),
+        pytest.param(optx.Dogleg(1e-4, 1e-4), id="optimistix Dogleg"),
+        pytest.param(optx.BFGS(1e-6, 1e-6), id="optimistix BFGS"),
+        pytest.param(jaxopt.LBFGSB(fun=jnp.sum, tol=1e-3), id="jaxopt LBFGSB"),
+        pytest.param(
+            jaxopt.ProjectedGradient(
+                fun=jnp.sum, projection=jaxopt.projection.projection_box, tol=1e-3
+            ),
+            id="jaxopt ProjectedGradient",
+        ),
+    ],
+)
+def test_any_solver_fits_a_plot(sums, solver):
+    """In the same call, with the plot's scene as context, to the same minimum."""
+    model, start, data, space = sums
+    forward = PlotForward(start, space.names, (Sums(),))
+    found = fit(forward, data, space, solver=solver, max_steps=200, context=(model.faded(),))
+    assert found.converged, found.explanation
+    residual = whitened_residual(forward, data, space, context=(model.faded(),))
+    best = scipy.optimize.least_squares(
+        lambda u: np.asarray(residual(jnp.asarray(u))), np.zeros(len(space.names))
+    )
+    sd = np.sqrt(np.diagonal(np.linalg.inv(best.jac.T @ best.jac)))
+    assert np.abs((np.asarray(found.whitened) - best.x) / sd).max() < 0.1
 
 
 def test_other_starts_end_in_the_same_minimum(sums, whole):

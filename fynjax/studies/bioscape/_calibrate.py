@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from fynjax._core.checkpoint import Journal
+from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import Progress
-from fynjax.inversion import Data, signature, spectrum_view
+from fynjax.inversion import Data, spectrum_view
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
 from fynjax.io.raster import file_hash
 from fynjax.jobs import Run

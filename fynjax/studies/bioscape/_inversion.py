@@ -21,9 +21,9 @@ from fynjax.inversion import (
     LogPosterior,
     ParameterSpace,
     SpectrumView,
-    evaluate,
     fit,
     predicted_statistics,
+    statistics_and_jacobian,
     weigh_spectrum,
 )
 from fynjax.io.plot import BY_FORM, FACTORS, LearnedPrior
@@ -444,9 +444,8 @@ def infer_plot(
         tolerance=0.02,
         context=densities[0].context,
         offset=offset,
-        report=lambda *_: None,  # step by step: `evaluate` then needs no program of its own
     )
-    others = [evaluate(replace(density, data=grown), result.whitened) for density in densities[1:]]
+    others = [statistics_and_jacobian(density, result.whitened) for density in densities[1:]]
     deviations = jnp.stack([value for value, _ in others]) + offset - result.predicted
     if bias is not None:
         deviations = jnp.zeros_like(deviations)

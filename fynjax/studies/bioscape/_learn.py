@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax._core.checkpoint import Journal
+from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import Progress
@@ -23,7 +23,6 @@ from fynjax.inversion import (
     ParameterSpace,
     Population,
     fit_population,
-    signature,
     spectrum_view,
 )
 from fynjax.io.plot import NO_PRIOR, Plot, read_plot

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from fynjax._core.checkpoint import Journal
+from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import Progress
 from fynjax.compare import PlotSpectraPair
-from fynjax.inversion import nadir_imager, signature
+from fynjax.inversion import nadir_imager
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
 from fynjax.io.raster import file_hash
 from fynjax.jobs import Run

@@ -1,0 +1,180 @@
+"""Levenberg-Marquardt as a solver of optimistix, for models whose Jacobian costs tens of
+evaluations."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
+
+NO_TAGS: frozenset[object] = frozenset()
+"""A solver of optimistix may use tags of the structure of a problem; there are none."""
+
+
+class BroydenState(eqx.Module):
+    """Where a descent stands: all that another process needs to go on from here."""
+
+    residual: Float[Array, " residual"]
+    """Residual at the current point [-]."""
+    jacobian: Float[Array, "residual free"]
+    """Its derivative there, as corrected so far."""
+    damping: Float[Array, ""]
+    """Added to the diagonal of the Gauss-Newton Hessian [-]."""
+    gain: Float[Array, ""]
+    """By how much a further undamped step would lower half the squared residual [-]."""
+    steps: Int[Array, ""]
+    """Steps taken, refused ones included."""
+
+
+class BroydenLM(optx.AbstractLeastSquaresSolver):
+    """Levenberg-Marquardt whose Jacobian each step corrects by what it changed, or takes anew.
+
+    The Jacobian is taken once at the start. After each step to a point d away, it is corrected by
+    the least change that explains the residuals there (Broyden 1965, Mathematics of Computation 19,
+    577). A step starts undamped, as the residuals of a fit hold the distance from its prior in
+    units of the prior, which bounds the Hessian from below.
+
+    The descent has converged where a further Gauss-Newton step would lower half the squared
+    residual by at most `atol + rtol` times that: with a prior, half a squared distance in posterior
+    standard deviations. Where a residual or slope is not finite the result is
+    `optx.RESULTS.nonlinear_divergence`.
+
+    Works in `optx.least_squares` and, step by step, in `descend`. `options["jacobian"]` may be a
+    function (y, args) -> (residual, jacobian), where these are known more cheaply than by
+    differentiating `fn`. The state is a pytree of arrays; jit and vmap work.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import optimistix as optx
+    >>> import fynjax as fx
+    >>> bent = lambda y, _: jnp.array([y[0] ** 2 - 2.0, y[0] - 1.0])
+    >>> found = optx.least_squares(bent, fx.BroydenLM(atol=1e-6), jnp.ones(1))
+    >>> found.value.round(2).tolist()
+    [1.34]
+    """
+
+    atol: Any = 0.05
+    """Least fall of half the squared residual that is worth another step [-]."""
+    rtol: float = 0.0
+    """The same as a share of half the squared residual [-]."""
+    norm: Callable = eqx.field(static=True, default=optx.max_norm)
+    """Not used; optimistix asks every solver for one."""
+    renew: bool = eqx.field(static=True, default=False)
+    """Whether every step takes the Jacobian anew instead of correcting it."""
+    longest: float = eqx.field(static=True, default=float("inf"))
+    """A step changes no coordinate by more."""
+
+    def init(
+        self, fn: Any, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any
+    ) -> BroydenState:
+        """The state at `y`."""
+        residual, jacobian = _jacobian(fn, y, args, options)
+        return _state(residual, jacobian, jnp.zeros((), residual.dtype), jnp.zeros((), int))
+
+    def step(
+        self, fn: Any, y: Any, args: Any, options: Any, state: BroydenState, tags: Any
+    ) -> tuple[Any, BroydenState, Any]:
+        """One step; where it would not lower the objective, none, and more damping."""
+        residual, jacobian = state.residual, state.jacobian
+        gradient, hessian = jacobian.T @ residual, jacobian.T @ jacobian
+        damped = hessian + state.damping * jnp.eye(y.size, dtype=hessian.dtype)
+        move = -jnp.linalg.solve(damped, gradient)
+        move = move / jnp.maximum(1.0, jnp.max(jnp.abs(move)) / self.longest)
+        aux = None
+        if self.renew:
+            reached, renewed = _jacobian(fn, y + move, args, options)
+        else:
+            reached, aux = fn(y + move, args)
+        expected = -gradient @ move - 0.5 * move @ hessian @ move
+        fall = 0.5 * (residual @ residual - reached @ reached)
+        finite = jnp.isfinite(fall)
+        accepted = finite & (fall > 0)
+        if self.renew:
+            jacobian = jnp.where(accepted, renewed, jacobian)
+        else:  # a refused step corrects the Jacobian too
+            change = jnp.where(finite, reached - residual - jacobian @ move, 0.0)
+            jacobian = jacobian + jnp.outer(change, move) / jnp.maximum(move @ move, 1e-300)
+        eased = jnp.where(fall > 0.5 * expected, 0.25 * state.damping, state.damping)
+        damping = jnp.where(accepted, eased, jnp.maximum(4.0 * state.damping, 1.0))
+        residual = jnp.where(accepted, reached, residual)
+        y = jnp.where(accepted, y + move, y)
+        return y, _state(residual, jacobian, damping, state.steps + 1), aux
+
+    def terminate(
+        self, fn: Any, y: Any, args: Any, options: Any, state: BroydenState, tags: Any
+    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
+        """Whether too little is left to gain, or a number is not finite."""
+        finite = jnp.isfinite(state.gain)
+        enough = self.atol + self.rtol * 0.5 * (state.residual @ state.residual)
+        good, bad = optx.RESULTS.successful, optx.RESULTS.nonlinear_divergence
+        return (state.gain <= enough) | ~finite, optx.RESULTS.where(finite, good, bad)
+
+    def postprocess(
+        self, fn: Any, y: Any, aux: Any, args: Any, options: Any, state: BroydenState, tags: Any,
+        result: optx.RESULTS,
+    ) -> tuple[Any, Any, dict[str, Any]]:  # fmt: skip
+        """The end, and how many steps it took."""
+        return y, aux, {"steps": state.steps}
+
+
+def _jacobian(fn: Any, y: Any, args: Any, options: Any) -> tuple[Array, Array]:
+    known = (options or {}).get("jacobian")
+    if known is not None:
+        residual, jacobian = known(y, args)
+        return jnp.asarray(residual), jnp.asarray(jacobian)
+    residual, push = jax.linearize(lambda y: fn(y, args)[0], y)
+    basis = jnp.eye(jnp.size(y), dtype=y.dtype).reshape(-1, *y.shape)
+    return residual, jax.vmap(push, out_axes=-1)(basis)
+
+
+def _state(residual: Array, jacobian: Array, damping: Array, steps: Array) -> BroydenState:
+    gradient, hessian = jacobian.T @ residual, jacobian.T @ jacobian
+    gain = 0.5 * gradient @ jnp.linalg.solve(hessian, gradient)
+    return BroydenState(residual, jacobian, damping, gain, steps)
+
+
+def figures_of(state: BroydenState) -> Float[Array, " 2"]:
+    """Half the squared residual at a state, and the norm of its gradient."""
+    residual = state.residual
+    return jnp.stack([0.5 * residual @ residual, jnp.linalg.norm(state.jacobian.T @ residual)])
+
+
+def descend(
+    residual: Callable[[Array], Array],
+    solver: Any,
+    start: Float[Array, " free"],
+    *,
+    max_steps: int,
+    jacobian: Callable[[Array], tuple[Array, Array]] | None = None,
+) -> Iterator[tuple[Float[Array, " free"], Any, optx.RESULTS]]:
+    """Steps of a solver of optimistix, one by one, for who watches, keeps or stops them.
+
+    **Arguments:**
+
+    - `residual`: residuals at y; need not be traceable where the solver only calls it.
+    - `solver`: for least squares, such as `BroydenLM()`.
+    - `start`: where to start from.
+    - `max_steps`: most steps.
+    - `jacobian`: gives residuals and Jacobian at y to a `BroydenLM`.
+
+    **Returns:** an iterator over y, the solver's state there, and why it stopped; at first of the
+    start. While it goes on the reason is `optx.RESULTS.nonlinear_max_steps_reached`.
+    """
+    options = {} if jacobian is None else {"jacobian": lambda y, _: jacobian(y)}
+    call = lambda y, _: (residual(y), None)  # noqa: E731
+    y = jnp.asarray(start)
+    struct = None if jacobian is not None else jax.eval_shape(residual, y)
+    state = solver.init(call, y, None, options, struct, None, NO_TAGS)
+    for number in range(max_steps + 1):
+        if number:
+            y, state, _ = solver.step(call, y, None, options, state, NO_TAGS)
+        done, result = solver.terminate(call, y, None, options, state, NO_TAGS)
+        ended = bool(done) or bool(result != optx.RESULTS.successful)
+        going: Any = optx.RESULTS.nonlinear_max_steps_reached
+        yield y, state, result if ended else going
+        if ended:
+            return

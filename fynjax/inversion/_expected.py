@@ -1,0 +1,195 @@
+"""What statistics of a plot are to be expected: means over plantings and over what is unknown of
+the parameters, their slopes and their covariance."""
+
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fynjax.inversion._fit_result import Data, repeated_information, scatter_covariance
+from fynjax.inversion._space import ParameterSpace
+from fynjax.inversion._views import PlotForward
+from fynjax.scene import PlotParameters, Scene, stand_realisation, with_values
+
+FARTHEST = 2.2
+"""Of a draw of a parameter from its mean [standard deviations]."""
+
+
+def unit_draw(seed: int, number: int, size: int) -> Float[np.ndarray, " free"]:
+    """Independent unit normal numbers of the draw of a `number`. Two in a row are opposite
+    (antithetic), so that what is linear in these leaves a mean as it is."""
+    random = np.random.default_rng([seed, 83, number // 2])
+    normal = random.normal(size=size).clip(-FARTHEST, FARTHEST)
+    return normal if number % 2 == 0 else -normal
+
+
+class Expected(eqx.Module):
+    """Statistics of a plot in its coarse form, expected over draws of plants and parameters.
+
+    A draw is one of the plantings and a place of the parameters, u plus a root of a covariance
+    (`spread`) times unit normal numbers. The first draws, as many as plantings, are those that each
+    step of a search is a mean over: their plants fade, so that the mean is smooth in u.
+    """
+
+    predict: PlotForward
+    """Statistics of the coarse form."""
+    along: PlotForward
+    """The same with slopes along the informative subspace of many statistics."""
+    space: ParameterSpace
+    stands: tuple[Scene, ...]
+    """Plantings, in the coarse form."""
+    seed: int = eqx.field(static=True)
+    """Of the unit normal numbers."""
+    number: int = eqx.field(static=True)
+    """Draws in all; those beyond the plantings fill the same sites in another order."""
+
+    def draw(self, number: int) -> tuple[Scene, Float[np.ndarray, " free"]]:
+        """The planting and the unit normal numbers of a draw."""
+        stand = self.stands[number % len(self.stands)]
+        if number >= len(self.stands):
+            stand = stand_realisation(stand, number)  # no number of a planting
+        return stand, unit_draw(self.seed, number, len(self.space.names))
+
+    def at(self, stand: Scene, u: Array) -> Float[Array, " statistic"]:
+        """Statistics of one planting at whitened coordinates."""
+        return predicted(self.predict, self.space, stand, jnp.asarray(u))
+
+    def plain(self, u: Array, stands: Sequence[Scene]) -> Float[np.ndarray, "stand statistic"]:
+        """Statistics of each of the `stands` at `u` itself."""
+        return np.stack([np.asarray(self.at(stand, u)) for stand in stands])
+
+    def members(self, u: Array, spread: np.ndarray) -> Float[np.ndarray, " statistic"]:
+        """Mean over the plantings, which fade, each at its own place about `u`."""
+        pairs = [self.draw(i) for i in range(len(self.stands))]
+        every = [self.at(stand.faded(), u + jnp.asarray(spread @ n)) for stand, n in pairs]
+        return np.asarray(jnp.stack(every)).mean(axis=0)
+
+    def slopes(self, u: Array, spread: np.ndarray) -> Float[np.ndarray, "member statistic free"]:
+        """Derivatives of the statistics by the whitened coordinates, of each planting about `u`.
+
+        Their mean is the slope of the linear model that is best for all of `spread`, not only at
+        `u` (statistical linearisation): which plants come next at `u` is chance, and over what is
+        unknown beforehand statistics bend.
+        """
+        pairs = [self.draw(i) for i in range(len(self.stands))]
+        every = [
+            predicted_slopes(self.along, self.space, stand.faded(), u + jnp.asarray(spread @ n))
+            for stand, n in pairs
+        ]
+        return np.asarray(jnp.stack(every))
+
+    def residues(
+        self, u: Array, spread: np.ndarray, slopes: Float[np.ndarray, "statistic free"]
+    ) -> Float[np.ndarray, "draw statistic"]:
+        """Statistics of every draw about `u`, with whole plants, less what the mean `slopes`
+        explain of its place. Their mean is the expectation, and their covariance chance and how
+        statistics bend. A draw of which a statistic is undefined is left out."""
+        pairs = [self.draw(i) for i in range(self.number)]
+        drawn = np.stack(
+            [np.asarray(self.at(stand, u + jnp.asarray(spread @ n))) for stand, n in pairs]
+        )
+        moves = np.stack([spread @ n for _, n in pairs])
+        rest = drawn - moves @ slopes.T if np.isfinite(slopes).all() else drawn
+        finite, own = np.isfinite(rest).all(axis=1), len(self.stands)
+        if finite.sum() >= own:
+            rest = rest[finite | (np.arange(len(rest)) < own)]
+        return rest
+
+    def prior_draws(self, number: int) -> Float[np.ndarray, "draw statistic"]:
+        """Statistics at `number` draws of the prior, each with other plants."""
+        pairs = [self.draw(1000 + i) for i in range(number)]
+        drawn = np.stack([np.asarray(self.at(stand, jnp.asarray(n))) for stand, n in pairs])
+        return drawn[np.isfinite(drawn).all(axis=1)]
+
+
+@eqx.filter_jit
+def predicted(
+    predict: PlotForward, space: ParameterSpace, stand: Scene, u: Float[Array, " free"]
+) -> Float[Array, " statistic"]:
+    """Statistics of a `stand` at whitened coordinates `u`, compiled."""
+    return predict(space.physical(u), stand).astype(u.dtype)
+
+
+@eqx.filter_jit
+def predicted_slopes(
+    predict: PlotForward, space: ParameterSpace, stand: Scene, u: Float[Array, " free"]
+) -> Float[Array, "statistic free"]:
+    """Derivatives of the statistics of a `stand` by whitened coordinates, compiled."""
+    return predict.jacobian(space.physical, u, stand)[1]
+
+
+def chance_covariance(
+    draws: Float[np.ndarray, "draw statistic"],
+    lack: Float[np.ndarray, "planting statistic"],
+    stands: int,
+) -> Float[np.ndarray, "statistic statistic"]:
+    """Covariance of what statistics of one plot differ by from their estimated expectation.
+
+    Chance counts twice: as that of the plot, and as the error of the expectation, which is a mean
+    over few draws and over what full and coarse renders of few plantings differ by.
+
+    **Arguments:**
+
+    - `draws`: statistics of the coarse renders of draws of plants and parameters; their mean is the
+      expectation.
+    - `lack`: full less coarse render of some plantings; its mean is added to the expectation.
+    - `stands`: sets of sites that the draws fill. Draws on the same sites are alike, so a set of
+      sites counts as one draw.
+
+    **Returns:** the covariance of `scatter_covariance`, grown by 1 / `stands` and by the mean
+    variance of `lack` over that of the draws, divided by the number of plantings.
+
+    NumPy in and out; not differentiable.
+    """
+    chance = scatter_covariance(draws)
+    share = 1.0 / stands
+    if len(lack) > 1:
+        variance = np.diagonal(chance)
+        some = variance > 0
+        differ = lack.var(axis=0, ddof=1)[some] / variance[some]
+        share += float(differ.mean()) / len(lack) if some.any() else 0.0
+    return (1.0 + share) * chance
+
+
+def mean_information(
+    weights: Float[np.ndarray, "direction statistic"],
+    slopes: Float[np.ndarray, "member statistic free"],
+) -> Float[np.ndarray, "free free"]:
+    """Fisher information of the mean of the slopes of several draws.
+
+    **Arguments:** `weights`, which make of misfits independent ones of unit size; `slopes` of each
+    draw. Two in a row are antithetic, so that slopes that change with the parameters hang together:
+    only the means of such pairs are independent.
+    """
+    pairs = len(slopes) // 2
+    if pairs >= 2:
+        slopes = slopes[: 2 * pairs].reshape(pairs, 2, *slopes.shape[1:]).mean(axis=1)
+    if len(slopes) == 1:
+        return np.asarray((weights @ slopes[0]).T @ (weights @ slopes[0]))
+    return np.asarray(repeated_information(jnp.asarray(weights @ slopes), confidence=0.5))
+
+
+@eqx.filter_jit
+def plants_wanted(
+    scene: Scene, parameters: PlotParameters, space: ParameterSpace, places: Array
+) -> Float[Array, "place species"]:
+    """Plants of each species at several places of the whitened coordinates."""
+
+    def at(u: Array) -> Array:
+        return scene.counts(with_values(parameters, scene.taxa, space.named(u)))
+
+    return jax.lax.map(at, places)
+
+
+def with_error(data: Data, covariance: Float[np.ndarray, "statistic statistic"]) -> Data:
+    """The data with an error of this covariance added; as they are where it is none or unknown."""
+    sound = np.isfinite(covariance).all() and covariance.any()
+    return data.with_covariance(covariance) if sound else data
+
+
+Replant = Callable[[int, Float[np.ndarray, " species"] | None], Scene]
+"""Makes the scene with the plants of a number's chance, 0 being the scene's own, and sites for so
+many plants of each species, or as many as the scene has."""
