@@ -26,7 +26,7 @@ from fynjax.inversion import (
     ParameterSpace,
     PlotForward,
     PlotSearch,
-    _search,
+    _expected,
     calibrate_plot,
     calibration,
     fit,
@@ -456,10 +456,8 @@ def test_a_search_without_gain_ends_at_its_start(sums):
 def test_slopes_are_computed_few_times(sums, monkeypatch):
     """Steps correct them; they are new at the start of a round."""
     count = []
-    real = _search.statistics_and_jacobian
-    monkeypatch.setattr(
-        _search, "statistics_and_jacobian", lambda *a: (count.append(1), real(*a))[1]
-    )
+    real = _expected.predicted_slopes
+    monkeypatch.setattr(_expected, "predicted_slopes", lambda *a: (count.append(1), real(*a))[1])
     found = calibrated(sums, max_steps=12)
     assert found.fit.converged
     assert len(found.fit.loss) > 2
@@ -680,7 +678,7 @@ def test_a_surrogate_bends_as_the_model_does(sums):
     assert error.max() < 0.5
     fit = whole.fit
     lack = Sums().predict(model, whole.after) - cheap[0].predict(model, whole.after)
-    near = np.random.default_rng(9).multivariate_normal(fit.whitened, 4.0 * fit.covariance, 20)
+    near = np.random.default_rng(9).multivariate_normal(fit.whitened, 4.0 * fit.covariance, 100)
     bent, straight = [], []
     for u in map(jnp.asarray, near):
         plot = with_values(start, TAXA, space.named(u))
