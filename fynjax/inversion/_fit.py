@@ -41,8 +41,8 @@ def fit(
     - `data`, `space`: statistics with their errors; free parameters with their priors.
     - `solver`: of optimistix for least squares or minimisation, such as `BroydenLM()`,
       `optx.Dogleg(1e-3, 1e-3)` or `optx.BFGS(1e-3, 1e-3)`; or of jaxopt, such as
-      `jaxopt.LBFGSB(fun=jnp.sum)`, whose function is replaced. Those that minimise take one gradient
-      at each of many steps: for more statistics than a Jacobian should have rows. Those of jaxopt
+      `jaxopt.LBFGSB(fun=jnp.sum)`, whose function is replaced. Those that minimise take one
+      gradient at each of many steps: for more statistics than a Jacobian should have rows. Those of jaxopt
       that take bounds stay within four prior standard deviations of the prior; where the data want
       more, they do not converge. Levenberg-Marquardt of optimistix by default.
     - `max_steps`: most steps.
