@@ -4,12 +4,14 @@ import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import jax
 import numpy as np
 import pandas as pd
 from typer.testing import CliRunner
 
+from fynjax import jobs
 from fynjax.cli import app
 from fynjax.io.raster import write_geotiff
 from fynjax.leaf import LeafParameters, prospect
@@ -30,12 +32,20 @@ from tests.studies.test_bioscape_validate import write_tables
 from tests.studies.test_learn import write_population
 from tests.terrain.synthetic import shrubland
 
+RESIDUAL = "largest_residual"
+"""What iterations of light leave, the difference of nearly equal numbers."""
+
 Runs = Mapping[str, list[Any]]
 """The command lines of a case, in order, by the names of their output folders."""
 
 
 class Case(NamedTuple):
-    """Writes its input into a folder and says what to run; `out` there holds the results."""
+    """A function that writes the input into a folder and says what to run, of which `out` there
+    holds the results; and the mark of the test.
+
+    `loose` is what numbers may differ by that amplify rounding, by pattern: some three times what
+    another set of flags of XLA and two threads instead of one changed. All others kept 1e-5.
+    """
 
     runs: Callable[[Path], Runs]
     mark: str | None
@@ -63,7 +73,8 @@ def run(command: str, folder: Path) -> Numbers:
         line = list(map(str, line))
         if line[0] not in ("sensors", "view"):
             line += ["--output", str(out / name), "--quiet"]
-        result = CliRunner().invoke(app, line, catch_exceptions=False)
+        with patch.dict(jobs.train.__kwdefaults__, steps=30):  # more would amplify rounding
+            result = CliRunner().invoke(app, line, catch_exceptions=False)
         assert result.exit_code == 0, f"{line}: {result.output}"
         if line[0] == "sensors":
             (out / f"{name}.json").write_text(json.dumps(json.loads(result.stdout)))
@@ -102,7 +113,10 @@ def _render(folder: Path) -> Runs:
     return {"even": ["render", plot], "fine": ["render", fine]}
 
 
-@_case("simulate")
+@_case(
+    "simulate",
+    loose={RESIDUAL: 1e-3, "^lidar/(cloud|heights|waveforms)": 3e-3, "^lidar/summary": 2e-2},
+)
 def _simulate(folder: Path) -> Runs:
     plot, _ = _small(folder)
     (folder / "camera").mkdir()
@@ -125,7 +139,7 @@ def _build(folder: Path) -> Runs:
     return {"build": ["build", folder / "plot.toml", "--mesh", "--triangles", 20_000]}
 
 
-@_case("calibrate", "slow")
+@_case("calibrate", "slow", {"weakly_constrained": 1e-3, "": 1e-4})
 def _calibrate(folder: Path) -> Runs:
     plot, target = _small(folder)
     spectrum, cloud = folder / "spectrum.csv", folder / "cloud.csv"
@@ -137,13 +151,13 @@ def _calibrate(folder: Path) -> Runs:
     }
 
 
-@_case("calibrate-plots")
+@_case("calibrate-plots", loose={"": 3e-2})
 def _calibrate_plots(folder: Path) -> Runs:
     write_tables(folder / "tables")
     return {"plots": ["calibrate-plots", folder / "tables", "--size", 2]}
 
 
-@_case("posterior")
+@_case("posterior", loose={"^emcee": 5e-4, "^laplace": 2e-4})
 def _posterior(folder: Path) -> Runs:
     plot, target = _small(folder)
     line = ["posterior", plot, "--target", target]
@@ -153,7 +167,7 @@ def _posterior(folder: Path) -> Runs:
     }
 
 
-@_case("sensitivity")
+@_case("sensitivity", loose={"metric_sd|bound": 1e-4})
 def _sensitivity(folder: Path) -> Runs:
     line = ["sensitivity", _small(folder)[0], "--metrics", "nir.mean,NDVI.std", "--plantings", 2]
     return {"sensitivity": [*line, "--derivatives", 2, "--sobol", 2]}
@@ -205,12 +219,12 @@ def _learn(folder: Path) -> Runs:
 TRAIN = ["train", "sentinel_2a", "--sun-zenith", "25-35", "--simulations", 200]
 
 
-@_case("train", "slow")
+@_case("train")
 def _train(folder: Path) -> Runs:
     return {"train": TRAIN}
 
 
-@_case("map", "slow")
+@_case("map")
 def _map(folder: Path) -> Runs:
     rng = np.random.default_rng(5)
     names = [f"B{i}" for i in range(1, 14)]
@@ -273,7 +287,7 @@ def _validate(folder: Path) -> Runs:
                          "--repetitions", 3, "--bounds", "0,0,10,10"]}  # fmt: skip
 
 
-@_case("validate-plots")
+@_case("validate-plots", loose={RESIDUAL: 1e-3})
 def _validate_plots(folder: Path) -> Runs:
     write_tables(folder / "tables")
     return {"plots": ["validate-plots", folder / "tables", "--size", 2, "--voxel", 0.25]}

@@ -18,10 +18,8 @@ import xarray as xr
 Numbers = dict[str, list[float]]
 """By file and column: how many values are finite, their mean, the mean of each times the sine of
 its place (so that another order is seen), and their root mean square; of one value itself. Of text
-how much there is, and of short text, such as names, a checksum."""
+how many there are, and of short text, such as names, a checksum."""
 
-MOST_COLUMNS = 60
-"""Of a file. Of more, neighbours are taken together."""
 _DIFFERS_BY_RUN = re.compile(
     r"(^|[._])(timings?|time|timings_s|files?|output|date|version|created|command)(\[\]|[._]|$)"
     r"|memory|seconds|hash|software"
@@ -129,20 +127,6 @@ def _numbers(values: np.ndarray) -> list[float]:
     return [float(f"{part:.9g}") for part in parts]
 
 
-def _reduced(columns: Mapping[str, np.ndarray]) -> Numbers:
-    kept = {k: np.asarray(v) for k, v in columns.items() if not _DIFFERS_BY_RUN.search(k)}
-    if len(kept) <= MOST_COLUMNS:
-        return {name: _numbers(values) for name, values in kept.items()}
-    names = sorted(kept, key=lambda name: kept[name].dtype.kind in "biuf")  # numbers last
-    made: Numbers = {}
-    for some in np.array_split(np.array(names, object), MOST_COLUMNS):
-        parts = [kept[name].ravel() for name in some]
-        numeric = [part.astype(float) for part in parts if part.dtype.kind in "biuf"]
-        name = some[0] if len(some) == 1 else f"{some[0]} to {some[-1]} ({len(some)})"
-        made[name] = _numbers(np.concatenate(numeric or parts))
-    return made
-
-
 def numbers_of(folder: Path) -> Numbers:
     """Every file below `folder`, by name, as numbers; nothing that differs from run to run."""
     found: Numbers = {}
@@ -152,25 +136,24 @@ def numbers_of(folder: Path) -> Numbers:
         if (path.is_dir() and not store) or any(p.suffix == ".zarr" for p in inside.parents):
             continue
         found[inside.as_posix()] = [1.0]
-        reduced = _reduced(columns_of(path))
-        found |= {f"{inside.as_posix()}: {name}": part for name, part in reduced.items()}
+        for name, values in columns_of(path).items():
+            if not _DIFFERS_BY_RUN.search(name):
+                found[f"{inside.as_posix()}: {name}"] = _numbers(np.asarray(values))
     return found
 
 
 def differences(frozen: Numbers, now: Numbers, loose: Mapping[str, float]) -> list[str]:
     """A line for everything that differs by more than 1e-5 of its root mean square.
 
-    `loose` has a larger share for what a pattern finds.
+    `loose` has a larger share for what a pattern finds, also for how many values there are.
     """
     lines = [f"{name}: is new" for name in now.keys() - frozen.keys()]
     lines += [f"{name}: is missing" for name in frozen.keys() - now.keys()]
     for name in frozen.keys() & now.keys():
         old, new = frozen[name], now[name]
-        if len(old) != len(new) or old[0] != new[0]:
-            lines.append(f"{name}: {old} was frozen, now {new} (values that are finite differ)")
-            continue
         share = max([1e-5, *(s for pattern, s in loose.items() if re.search(pattern, name))])
-        for what, a, b in zip(("mean", "mean by place", "root mean square"), old[1:], new[1:]):
-            if abs(a - b) > share * abs(old[-1]) + 1e-30:
-                lines.append(f"{name}: {what} {a:.9g} was frozen, now {b:.9g} (allowed {share:g})")
+        sizes = [old[0] * (share > 1e-5), *[abs(old[-1])] * (len(old) - 1)]
+        apart = [abs(a - b) > share * size for a, b, size in zip(old, new, sizes)]
+        if len(old) != len(new) or any(apart):
+            lines.append(f"{name}: {old} was frozen, now {new} (allowed {share:g})")
     return sorted(lines)
