@@ -100,7 +100,7 @@ def _small(folder: Path) -> tuple[Path, Path]:
     return write_plot(folder, SMALL), folder / "target.csv"
 
 
-@_case("demo", "study")
+@_case("demo", "study", {"weakly_constrained": np.inf, "": 6e-4})
 def _demo(folder: Path) -> Runs:
     return {"demo": ["demo"]}
 
@@ -109,7 +109,7 @@ def _demo(folder: Path) -> Runs:
 def _render(folder: Path) -> Runs:
     plot, _ = _small(folder)
     fine = folder / "fine.toml"
-    fine.write_text(plot.read_text().replace('structure_m = "even"\n', ""))
+    fine.write_text(plot.read_text().replace('structure_m = "even"\n', "hot_spot = true\n"))
     return {"even": ["render", plot], "fine": ["render", fine]}
 
 

@@ -145,8 +145,14 @@ def numbers_of(folder: Path) -> Numbers:
 def differences(frozen: Numbers, now: Numbers, loose: Mapping[str, float]) -> list[str]:
     """A line for everything that differs by more than 1e-5 of its root mean square.
 
-    `loose` has a larger share for what a pattern finds, also for how many values there are.
+    `loose` has a larger share for what a pattern finds, also for how many values there are;
+    of infinity, whether there are any.
     """
+    left_out = [pattern for pattern, share in loose.items() if share == np.inf]
+    frozen, now = (
+        {k: v for k, v in one.items() if not any(re.search(p, k) for p in left_out)}
+        for one in (frozen, now)
+    )
     lines = [f"{name}: is new" for name in now.keys() - frozen.keys()]
     lines += [f"{name}: is missing" for name in frozen.keys() - now.keys()]
     for name in frozen.keys() & now.keys():
