@@ -2,7 +2,8 @@
 
 Blades and petals lie at elements as the form draws them, with the elements' normals. Culms, threads
 and stems are the lines that elements make which differ in their place along a shoot alone; each
-part of a line between two such elements has the same area. Nothing else says where organs are.
+part of a line between two such elements has the same area. A blade begins on the stem or twig that
+is nearest to its element. Nothing else says where organs are.
 """
 
 from dataclasses import dataclass, replace
@@ -155,12 +156,7 @@ def leaf_area(leaf: LeafShape) -> float:
 
 
 def _lines(
-    elements: Elements,
-    form: GrowthForm,
-    plant: Individual,
-    number: int,
-    points: int,
-    seed: int,
+    elements: Elements, form: GrowthForm, plant: Individual, number: int, points: int, seed: int
 ) -> np.ndarray:
     """Lines [line, point, 3] through the elements of evenly spread shoots, in crown units.
 
@@ -209,7 +205,7 @@ def _stems(
     lines, weight = np.unique(lines.round(9), axis=0, return_counts=True)
     paths = lines * size
     beside = None
-    if weight.min() < _FORKS:
+    if weight.min() < _FORKS:  # the lines of a shoot differ: it is forked
         turn = 2.0 * np.pi * np.arange(len(lines))[:, None] / _FORKS
         beside = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
     return Tubes([(paths, _radii(paths, weight))], [sides], beside)
@@ -233,7 +229,7 @@ def _tubes(
         if form.shoots is not None:
             made = replace(form, shoots=replace(form.shoots, number=number))
         paths = _lines(made.leaf_elements, made, plant, number, points, seed)
-        if paths[..., 2].min() > 0.1:
+        if paths[..., 2].min() > 0.1:  # nothing stands on the ground
             paths[::_HANGING, :, 2] *= 1.0 - np.linspace(0.0, 1.0, points) ** 1.5
         return made, paths * size
 
