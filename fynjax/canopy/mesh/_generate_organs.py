@@ -30,6 +30,8 @@ _FINE, _COARSE, _FINE_FROM = (12, 5), (5, 3), 20_000
 """The same of a woody stem: from this number of triangles of the plant on, and below."""
 _TWIG_SIDES = 3
 _MOST_TWIGS, _TRIANGLES_PER_TWIG = 900, 200
+_ON_A_TWIG = 0.06
+"""Width of all leaves of a twig, side by side [m]; more where there are the most twigs."""
 _FORKS = 3
 """Lines that are looked for along a woody shoot."""
 _CROOKED = 0.006
@@ -132,7 +134,8 @@ def lay_out(
         most = 0.8 * max_triangles / outline_triangles(OUTLINES[leaf.outline])
         number = int(np.clip(round(area[Organ.LEAF] / leaf_area(leaf)), 12, most))
         position, normal = drawn(form.leaf_elements, Organ.LEAF, number)
-        tips = position[: min(_MOST_TWIGS, max_triangles // _TRIANGLES_PER_TWIG)]
+        most_twigs = min(_MOST_TWIGS, max_triangles // _TRIANGLES_PER_TWIG)
+        tips = position[: int(np.clip(number * leaf.width / _ON_A_TWIG, 10, most_twigs))]
         wood.lines.append(twigs(wood.lines[0][0], tips))
         wood.sides.append(_TWIG_SIDES)
         spread = np.random.default_rng([seed, _SIZES]).normal(0.0, _SIZE_SPREAD, number)
@@ -258,8 +261,8 @@ def _sheets(
 
 
 def _finer(paths: np.ndarray) -> np.ndarray:
-    """Points [n, 3] of paths [path, point, 3], and ten between each two of them."""
-    part = np.linspace(0.0, 1.0, 12)[:, None]
+    """Points [n, 3] of paths [path, point, 3], and thirty between each two of them."""
+    part = np.linspace(0.0, 1.0, 32)[:, None]
     return (paths[:, :-1, None] * (1.0 - part) + paths[:, 1:, None] * part).reshape(-1, 3)
 
 
