@@ -42,9 +42,9 @@ def fit(
     - `solver`: of optimistix for least squares or minimisation, such as `BroydenLM()`,
       `optx.Dogleg(1e-3, 1e-3)` or `optx.BFGS(1e-3, 1e-3)`; or of jaxopt, such as
       `jaxopt.LBFGSB(fun=jnp.sum)`, whose function is replaced. Those that minimise take one
-      gradient at each of many steps: for more statistics than a Jacobian should have rows. Those of jaxopt
-      that take bounds stay within four prior standard deviations of the prior; where the data want
-      more, they do not converge. Levenberg-Marquardt of optimistix by default.
+      gradient at each of many steps: for more statistics than a Jacobian should have rows. Those of
+      jaxopt that take bounds stay within four prior standard deviations of the prior; where the
+      data want more, they do not converge. Levenberg-Marquardt of optimistix by default.
     - `max_steps`: most steps.
     - `tolerance`: the fit has converged only where a Gauss-Newton step would lower the objective by
       no more than this, whatever tolerances the solver has of its own: 1e-3 is 0.045 posterior
