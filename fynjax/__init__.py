@@ -9,7 +9,8 @@
   backward.
 - `fx.read_plot`, `fx.sensor`: a plot, and a sensor or LiDAR, from files or by a shipped name.
 - `fx.calibrate`, `fx.posterior`: what the commands of these names do, from Python.
-- `fx.fit`, `fx.ParameterSpace`, `fx.Data`: any forward model fitted to any statistics.
+- `fx.fit`, `fx.ParameterSpace`, `fx.Data`: any forward model fitted to any statistics, by
+  `fx.BroydenLM` or any solver of optimistix and jaxopt; `fx.whitened_residual` for one's own loop.
 - `fx.cite`: BibTeX of the models used.
 - `fx.errors`: what a user's input can raise; `fx.jobs` and the other packages by their names.
 """

@@ -15,12 +15,14 @@ from . import studies as studies
 from . import terrain as terrain
 from ._cite import cite as cite
 from ._sensor import sensor as sensor
+from .inversion import BroydenLM as BroydenLM
 from .inversion import Data as Data
 from .inversion import FitResult as FitResult
 from .inversion import FitStatus as FitStatus
 from .inversion import ParameterSpace as ParameterSpace
 from .inversion import fit as fit
 from .inversion import fit_canopy as fit_canopy
+from .inversion import whitened_residual as whitened_residual
 from .io.plot import read_plot as read_plot
 from .jobs import calibrate as calibrate
 from .jobs import posterior as posterior

@@ -18,7 +18,7 @@ FIT = """
 import jax.numpy as jnp
 from fynjax.inversion import Data, ParameterSpace, fit
 space = ParameterSpace(("x",), *(jnp.array([v]) for v in (-9.0, 9.0, 0.0, 2.0)))
-line = fit(lambda x: x, Data(("y",), jnp.array([1.0]), jnp.array([0.1])), space, solver="lbfgsb")
+line = fit(lambda x: x, Data(("y",), jnp.array([1.0]), jnp.array([0.1])), space)
 print(line.estimate.dtype, line.covariance.dtype)
 """
 

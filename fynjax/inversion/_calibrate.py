@@ -242,7 +242,10 @@ def plot_search(
 ) -> PlotSearch:
     """The search of `calibrate_plot`, to be gone through step by step.
 
-    **Arguments:** as of `calibrate_plot`.
+    **Arguments:**
+
+    - `scene`, `parameters`, `data`, `space`, `views`, `settings`, `replant`: as of
+      `calibrate_plot`.
 
     **Raises:** `InputError` for views that do not yield the data's statistics, and where JAX is
     limited to 32 bits.
@@ -271,8 +274,13 @@ def plot_search(
 def search_starts(
     search: PlotSearch, start: Float[Array, " free"] | None = None
 ) -> list[Float[Array, " free"]]:
-    """Where the searches of a calibration start, in whitened coordinates: at `start`, by default
-    the prior's centre, and at draws of the prior."""
+    """Where the searches of a calibration start, in whitened coordinates.
+
+    **Arguments:**
+
+    - `search`: of the calibration.
+    - `start`: of the first; the prior's centre by default. The others start at draws of the prior.
+    """
     free, settings = len(search.space.names), search.settings
     first = jnp.zeros(free) if start is None else jnp.asarray(start, float)
     drawn = np.random.default_rng([settings.seed, 61]).normal(size=(settings.starts - 1, free))
@@ -282,8 +290,10 @@ def search_starts(
 def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
     """What the searches from all starts found.
 
-    **Arguments:** the `search`, and its state at the end from each start, the first that of the
-    prior's centre.
+    **Arguments:**
+
+    - `search`: of the calibration.
+    - `ends`: its state at the end from each start, the first that of the prior's centre.
     """
     # By one likelihood: errors differ between the ends.
     judge = search.weights(ends[0].best, ends[0].subspace)

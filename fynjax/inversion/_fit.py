@@ -108,7 +108,7 @@ def whitened_residual(
 ) -> Callable[[Float[Array, " free"], Any], Float[Array, " residual"]]:
     """What a fit makes small, for a solver of one's own.
 
-    **Arguments:** as of `fit`.
+    **Arguments:** `predict`, `data`, `space`, `offset` and `context` as of `fit`.
 
     **Returns:** a function of whitened coordinates u and of further arguments, which it ignores, as
     solvers of optimistix call it. It gives the misfit of the statistics in units of their errors,

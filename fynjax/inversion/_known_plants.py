@@ -175,7 +175,12 @@ def known_plants_search(
 ) -> "PixelSearch":
     """The search of `calibrate_known_plants`, to be gone through step by step.
 
-    **Arguments:** and errors as of `calibrate_known_plants`.
+    **Arguments:**
+
+    - `scene`, `parameters`, `image`, `space`, `camera`, `block`, `pixel_sd`, `gain_sd`,
+      `max_steps`, `tolerance`: as of `calibrate_known_plants`.
+
+    **Raises:** `InputError` as `calibrate_known_plants`.
     """
     require_double_precision("`calibrate_known_plants`")
     bands = len(camera.sensor.bands)

@@ -26,7 +26,6 @@ import dataclasses
 import os
 import tempfile
 import time
-from functools import partial
 from pathlib import Path
 
 import equinox as eqx
@@ -43,7 +42,6 @@ from sklearn.model_selection import StratifiedKFold, cross_val_predict
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from fynjax._core.checkpoint import keep_nothing
 from fynjax._core.parts import Workers, at_work
 from fynjax.assembly import image_view, prepare
 from fynjax.assembly._targets import reflectance_noise, structure_settings
@@ -59,6 +57,7 @@ from fynjax.inversion import (
     gain_covariance,
     join_data,
     look,
+    plot_search,
     predicted_statistics,
     search_form,
     spectrum_names,
@@ -68,7 +67,6 @@ from fynjax.inversion import (
     weigh_structure,
     weigh_targets,
 )
-from fynjax.inversion._search import Search
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.metrics import image_statistics, spectral_mask
 from fynjax.scene import stand_realisation, with_values
@@ -185,29 +183,21 @@ def line(chosen, ready, truths, view):
     """Estimates by the line over the prior that a search starts from."""
     space, free = ready.space, len(ready.space.names)
     settings = CalibrationSettings(stand_realisations=16, scatter_draws=200)
-    form = partial(
-        search_form, parameters=ready.parameters, views=(view,), accuracy=settings.accuracy
-    )
     centre = np.asarray(look((view,), ready.scene, ready.parameters)[0])
     data = weigh_targets(view.names, centre, ready.plot.calibration.target_sd)
-    search = Search(
-        ready.scene, ready.parameters, data, space, (view,), form, ready.replant, settings,
-        keep_nothing, None,
-    )  # fmt: skip
-    none, prior = jnp.zeros(free), np.eye(free)
-    search.plant(none)
-    start = search.observe(none, 0.0 * prior, np.zeros((len(view.names), free)))
-    search.choose_directions(start.data)
-    slopes = search._slopes(none, prior).mean(axis=0)
-    place = search.observe(none, prior, slopes)
-    jacobian = place.weights @ slopes
+    search = plot_search(
+        ready.scene, ready.parameters, data, space, (view,), settings, replant=ready.replant
+    )
+    state = search.begin(jnp.zeros(free))
+    place, weights = state.place, search.weights(state.place, state.subspace)
+    jacobian = weights @ place.slope
     covariance = np.linalg.inv(np.eye(free) + jacobian.T @ jacobian)
     twins = []
     for number in range(chosen.seeds):
         random = np.random.default_rng([number, 17])
         truth = random.normal(size=free).clip(-2.2, 2.2)
         measured = np.asarray(measure(truths, (view,), truth, number, random).value)
-        rest = place.weights @ (measured - place.statistics)
+        rest = weights @ (measured - np.asarray(place.statistics))
         estimate = covariance @ jacobian.T @ rest
         misfit = rest @ np.linalg.solve(np.eye(len(rest)) + jacobian @ jacobian.T, rest)
         twins.append(

@@ -139,13 +139,14 @@ def linear_plot(monkeypatch):
     """A calibration whose renders are the linear model, and the count of these."""
     rendered = []
 
-    def predicted(_, u):
+    def predicted(*arguments):
+        u = arguments[-1]
         rendered.append(u)
         return jnp.asarray(SLOPES) @ u
 
-    for name in ("PlotForward", "LogPosterior", "stand_realisation"):
+    for name in ("PlotForward", "stand_realisation"):
         monkeypatch.setattr(module, name, lambda *_: None)
-    monkeypatch.setattr(module, "predicted_statistics", predicted)
+    monkeypatch.setattr(module, "predicted", predicted)
     space = ParameterSpace(
         tuple("abc"), [-9.0] * 3, [9.0] * 3, [0.0] * 3, [1.0] * 3, distribution="normal"
     )

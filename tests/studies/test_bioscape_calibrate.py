@@ -13,9 +13,9 @@ from fynjax._core.errors import InputError
 from fynjax.inversion import (
     Data,
     LogPosterior,
-    evaluate,
     predicted_statistics,
     spectrum_view,
+    statistics_and_jacobian,
     weigh_spectrum,
 )
 from fynjax.io.plot import read_plot
@@ -293,7 +293,7 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
 
     u = truth * 0.5
     density = replace(density, data=data, context=(models[0], parameters))
-    value, slope = evaluate(density, u)
+    value, slope = statistics_and_jacobian(density, u)
     np.testing.assert_allclose(value, predicted_statistics(density, u), rtol=1e-5)
     weights = np.cos(np.arange(len(centre)))
     for name in ("cover", "water_per_dry_matter", "soil_brightness", "leaf_area_index"):
