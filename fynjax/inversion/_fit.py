@@ -4,6 +4,7 @@ The objective is half the squared whitened misfit of the statistics plus half th
 distance from the prior, also whitened: the negative log posterior, but for a constant.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -11,13 +12,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from fynjax._core.errors import InputError
+from fynjax._core.least_squares import BroydenLM
 from fynjax._core.precision import require_double_precision
 from fynjax.inversion._fit_result import Data, FitResult, FitStatus, fit_result
 from fynjax.inversion._log_posterior import LogPosterior, Predict
-from fynjax.inversion._solvers import AbstractStepper, confirmed, stepper
+from fynjax.inversion._solvers import confirmed, gain, run_solver
 from fynjax.inversion._space import ParameterSpace
 
 
@@ -44,7 +46,7 @@ def fit(
       `jaxopt.LBFGSB(fun=jnp.sum)`, whose function is replaced. Those that minimise take one
       gradient at each of many steps: for more statistics than a Jacobian should have rows. Those of
       jaxopt that take bounds stay within four prior standard deviations of the prior; where the
-      data want more, they do not converge. Levenberg-Marquardt of optimistix by default.
+      data want more, they do not converge. By default a `BroydenLM` that renews its Jacobian.
     - `max_steps`: most steps.
     - `tolerance`: the fit has converged only where a Gauss-Newton step would lower the objective by
       no more than this, whatever tolerances the solver has of its own: 1e-3 is 0.045 posterior
@@ -58,7 +60,7 @@ def fit(
     **Returns:** `FitResult`. A stop without convergence, a loss or slope that is not finite, and
     parameters that nothing depends on are stated in its `status`, not raised. Where a solver ends
     by a rule of its own before the fit has converged (see `tolerance`), the status is
-    `FitStatus.no_gain`; one of optimistix for least squares goes on. A minimum may be a local one.
+    `FitStatus.no_gain`. A minimum may be a local one.
 
     The fit can be compiled by `jax.jit` and mapped by `jax.vmap`, over data, priors, start or
     context. To watch or stop it between steps, run the solver on `whitened_residual`. The
@@ -87,14 +89,18 @@ def fit(
     shift = jnp.zeros(data.value.shape) if offset is None else jnp.asarray(offset, float)
     u = jnp.zeros(len(space.names)) if start is None else jnp.asarray(start, float)
     density = LogPosterior(predict, space, data, shift, context)
-    method = stepper(solver, tolerance)
+    if solver is None:
+        solver = BroydenLM(renew=True)
+    if isinstance(solver, BroydenLM):  # by the same measure of what is to gain
+        solver = dataclasses.replace(solver, atol=jnp.minimum(solver.atol, tolerance))
+    solved, rest = eqx.partition(solver, eqx.is_array)
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((density, u)))
     run = _run if traced else _run_compiled
-    u, predicted, jacobian, status, steps, trace = run(density, method, u, max_steps)
-    status = confirmed(status, data, u, predicted, jacobian, jnp.asarray(tolerance))
+    limit = jnp.asarray(tolerance)
+    found = run(density, solved, rest, u, max_steps, limit)
+    u, predicted, jacobian, status, steps, trace = found
+    status = confirmed(status, data, u, predicted, jacobian, limit)
     u, predicted, jacobian = _solution(density, u, predicted, jacobian)
-    if not isinstance(steps, jax.core.Tracer):
-        trace = jnp.asarray(trace[: int(steps)])
     return fit_result(space, data, u, predicted, jacobian, status, steps, trace)
 
 
@@ -154,37 +160,58 @@ def statistics_and_jacobian(
 
 
 def _run(
-    density: LogPosterior, method: AbstractStepper, u: Array, max_steps: int
+    density: LogPosterior, solver: Any, rest: Any, u: Array, max_steps: int, tolerance: Array
 ) -> tuple[Array, Array, Array, FitStatus, Array, Array]:
-    """Steps in one loop of JAX; the figures of steps not taken are NaN."""
+    """The end of a solver, and the objective and its gradient's norm at the start and there.
+
+    A solver that ends by a rule of its own, while more than the tolerance is to gain, starts again
+    from there as long as that lowers the objective.
+    """
     density, u = _constant((density, u))
-    start = (u, method.start(density, u))
-    arrays, rest = eqx.partition(start, eqx.is_array)
-    trace = jnp.full((max_steps, 2), jnp.nan, u.dtype)
+    start = _Run(u, *density.jacobian(u), FitStatus.successful, jnp.asarray(0), jnp.asarray(True))
+    solver = eqx.combine(solver, rest)
 
-    def going(carry: Any) -> Array:
-        count, status, *_ = carry
-        return (count < max_steps) & (status == FitStatus.max_steps)
+    def going(run: _Run) -> Array:
+        left = gain(density.data, run.u, run.predicted, run.jacobian) > tolerance
+        # A solver that goes wrong from the start says why, once.
+        open_end = (run.status == FitStatus.successful) & (run.steps < max_steps) & run.fell
+        return open_end & (left | (run.steps == 0))
 
-    def do(carry: Any) -> Any:
-        count, _, arrays, trace = carry
-        u, state, figures, status = method.step(density, *eqx.combine(arrays, rest))
-        arrays = eqx.filter((u, state), eqx.is_array)
-        return count + 1, status, arrays, trace.at[count].set(jnp.stack(figures))
+    def again(run: _Run) -> _Run:
+        u, status, steps = run_solver(solver, density, run.u, max_steps)
+        value, slopes = density.jacobian(u)
+        before = _figures(density, run.u, (run.predicted, run.jacobian))[0]
+        fell = _figures(density, u, (value, slopes))[0] < before
+        return _Run(u, value, slopes, status, run.steps + steps, fell)
 
-    begin = (jnp.asarray(0), _as_array(FitStatus.max_steps), arrays, trace)
-    steps, status, arrays, trace = jax.lax.while_loop(going, do, begin)
-    u, state = eqx.combine(arrays, rest)
-    known = method.statistics(state)
-    predicted, jacobian = density.jacobian(u) if known is None else known
-    return u, predicted, jacobian, status, steps, trace
+    end = jax.lax.while_loop(going, again, start)
+    trace = jnp.stack(
+        [_figures(density, run.u, (run.predicted, run.jacobian)) for run in (start, end)]
+    )
+    return end.u, end.predicted, end.jacobian, end.status, end.steps, trace
+
+
+class _Run(eqx.Module):
+    """Where a solver ended."""
+
+    u: Float[Array, " free"]
+    predicted: Float[Array, " statistic"]
+    jacobian: Float[Array, "statistic free"]
+    status: Any
+    steps: Int[Array, ""]
+    fell: Bool[Array, ""]
+    """Whether the objective fell."""
+
+
+def _figures(density: LogPosterior, u: Array, end: tuple[Array, Array]) -> Float[Array, " 2"]:
+    """The objective and the norm of its gradient."""
+    value, slopes = end
+    rest = density.data.whiten(value - density.data.value)
+    gradient = density.data.whiten(slopes).T @ rest + u
+    return jnp.stack([0.5 * (rest @ rest + u @ u), jnp.linalg.norm(gradient)])
 
 
 _run_compiled = eqx.filter_jit(_run)
-
-
-def _as_array(status: Any) -> Any:
-    return jax.tree.map(jnp.asarray, status)
 
 
 def _constant(tree: Any) -> Any:

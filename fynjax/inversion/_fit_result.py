@@ -163,13 +163,13 @@ class FitResult(eqx.Module):
     modes: Float[Array, "mode free"]
     """Their eigenvectors in whitened coordinates."""
     loss: Float[Array | np.ndarray, " evaluation"]
-    """The objective after each evaluation, at the best point so far for least squares. Of a fit
-    inside `jax.jit` as many as it may take steps, NaN after the last."""
+    """The objective: at the start and at the end of a fit; before each step of a calibration."""
     gradient_norm: Float[Array | np.ndarray, " evaluation"]
+    """Norm of the gradient of the objective by the whitened coordinates, likewise."""
     status: Any
     """Why the fit stopped, a `FitStatus`."""
     steps: Int[Array, ""]
-    """Evaluations it took, as many as `loss` has: those of all rounds in a calibration."""
+    """Steps that the solver took: those of all rounds in a calibration."""
 
     @property
     def names(self) -> tuple[str, ...]:

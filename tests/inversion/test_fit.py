@@ -104,13 +104,11 @@ def test_fits_mapped_over_data_are_those_of_a_loop(name):
     several = jax.jit(jax.vmap(one))(many_data())
     assert several.converged.shape == (3,)
     assert several.converged.all()
-    assert several.loss.shape == (3, 40)
+    assert several.loss.shape == (3, 2)
     for i, value in enumerate(many_data()):
         single = one(value)
-        steps = int(single.steps)
-        assert int(several.steps[i]) == steps == len(single.loss)
-        np.testing.assert_allclose(several.loss[i, :steps], single.loss, rtol=1e-6)
-        assert np.isnan(several.loss[i, steps:]).all()
+        assert int(several.steps[i]) == int(single.steps)
+        np.testing.assert_allclose(several.loss[i], single.loss, rtol=1e-6)
         np.testing.assert_allclose(several.estimate[i], single.estimate, rtol=1e-6)
         np.testing.assert_allclose(several.sd[i], single.sd, rtol=1e-5)
 
@@ -151,7 +149,7 @@ def test_the_reason_is_enumerated():
     every = lambda x: MATRIX[:, :2] @ x  # noqa: E731
     good = fit(every, DATA, two)
     assert good.status == FitStatus.successful
-    assert good.explanation == f"Converged after {int(good.steps)} steps."
+    assert good.explanation.startswith("Converged after ")
     narrow = ParameterSpace(("a", "b"), fields[0], jnp.array([1.1, 1e4]), *fields[2:])
     bound = fit(every, dataclasses.replace(DATA, value=40 * DATA.value), narrow, max_steps=100)
     assert bound.status == FitStatus.at_bound
@@ -328,8 +326,11 @@ def test_an_offset_in_other_bits_than_the_data_compiles_nothing_again():
 
 def test_the_objective_falls():
     result = fit(predict, DATA, SPACE)
-    assert len(result.loss) == int(result.steps) > 1
-    assert result.loss[-1] <= result.loss[0]
+    before, after = result.loss
+    rest = whitened_residual(predict, DATA, SPACE)(jnp.zeros(len(SPACE.names)))
+    assert float(before) == pytest.approx(0.5 * float(rest @ rest))
+    assert after < before
+    assert result.gradient_norm[1] < 1e-3 * result.gradient_norm[0]
 
 
 def test_too_few_steps_are_not_called_converged():
