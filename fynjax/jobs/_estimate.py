@@ -255,9 +255,9 @@ def _pixels(plot: Plot, sensor: Sensor, options: Mapping[str, Any]) -> float:
         given = options.get(name)
         if given is not None and not 0.0 < given < math.inf:
             raise InputError(f"`{name}` must be a positive number of m, but is {given:g}")
-    pixel = options.get("pixel") or (plot.sensor.stated_pixel_m if own else None)
+    pixel = options.get("pixel") or (plot.sensor.pixel_m if own else None)
     if pixel is None:
-        height = options.get("altitude") or (plot.sensor.stated_altitude_m if own else None)
+        height = options.get("altitude") or (plot.sensor.altitude_m if own else None)
         pixel = sensor_pixel(sensor, height or sensor_altitude(sensor))
     return float(np.prod(np.ceil(np.array(plot.size_m) / pixel)))
 
