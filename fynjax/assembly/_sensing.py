@@ -8,8 +8,6 @@ from fynjax.io.instruments import read_atmosphere
 from fynjax.io.plot import (
     AtmosphereTable,
     Plot,
-    sensor_altitude,
-    sensor_pixel,
     sensor_place,
     visible_sensor,
 )
@@ -54,8 +52,8 @@ def aim_at_plot(
     place = plot.sensor.placement if own else Placement()
     altitude = place.altitude if altitude is None else altitude
     pixel = place.pixel if pixel is None else pixel
-    height = sensor_altitude(instrument) if altitude is None else altitude
-    usual = sensor_pixel(instrument, height)
+    height = instrument.altitude if altitude is None else altitude
+    usual = float(instrument.pixel(height))
     fixed = isinstance(instrument.camera, OrthographicCamera)
     if not quiet and pixel is not None and not fixed and abs(pixel / usual - 1.0) > _DISAGREE:
         warnings.warn(
@@ -114,7 +112,7 @@ def aim_without_air(
 
     **Raises:** `InputError` as `aim_at_plot`.
     """
-    altitude, usual = sensor_place(plot.sensor)
+    altitude, usual = sensor_place(plot)
     return aim_at_plot(
         plot,
         scene,

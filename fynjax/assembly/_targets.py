@@ -202,7 +202,7 @@ def image_target(
     extra: dict[str, Any] = {}
     if path.suffix.lower() in (".tif", ".tiff"):
         image = read_drone_image(path, bands=bands, most_pixels=None, progress=progress)
-        pixel = sensor_place(plot.sensor)[1] if image.pixel_m is None else image.pixel_m
+        pixel = sensor_place(plot)[1] if image.pixel_m is None else image.pixel_m
         side = min(*plot.size_m, pixel * min(image.mask.shape))
         every = fitting_statistics(IMAGE_STATISTICS, side, pixel)
         names = [every[i] for i in _used(plot, every, "the statistics")]

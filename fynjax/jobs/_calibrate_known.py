@@ -47,7 +47,7 @@ def known_plants(
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
     image = read_drone_image(path, bands=bands, most_pixels=None, progress=run.progress)
-    pixel = sensor_place(plot.sensor)[1] if image.pixel_m is None else image.pixel_m
+    pixel = sensor_place(plot)[1] if image.pixel_m is None else image.pixel_m
     camera = aim_without_air(plot, ready.scene, ready.parameters, drone_sensor(plot), pixel=pixel)
     if camera.shape != image.mask.shape:
         raise InputError(

@@ -152,7 +152,7 @@ def _image_sections(
     plot: Plot, result: Calibration, statistics: pd.DataFrame, reference: Reference
 ) -> list[Section]:
     before, after = np.asarray(result.image_before), np.asarray(result.image_after)
-    pair, pixel = {"Before": before, "After": after}, sensor_place(plot.sensor)[1]
+    pair, pixel = {"Before": before, "After": after}, sensor_place(plot)[1]
     means = statistics[statistics["statistic"].str.endswith(".mean")]
     named = means.set_index(means["statistic"].str.removesuffix(".mean"))
     errors: dict[str, Any] = {

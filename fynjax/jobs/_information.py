@@ -73,7 +73,7 @@ def information(
     run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
-    altitude, _ = sensor_place(read.sensor)
+    altitude, _ = sensor_place(read)
     swept = Sensor("sweep", even_bands(max(bands), *spectrum), plot_instrument(read).camera)
     sweep = sweep_sensors(
         ready.scene,

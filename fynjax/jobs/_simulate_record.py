@@ -29,7 +29,7 @@ def run_record(
     """What made the product, for `run.json`."""
     camera, accuracy = aimed.sensor.camera, aimed.accuracy
     frame, angles = frame_of(camera), {}
-    optics = instrument.ground_sample_distance(None if frame is None else aimed.sensor_height)
+    optics = instrument.ground_sample_distance(aimed.sensor_height)
     if frame is not None:
         angles = {"tilt_deg": frame.tilt, "heading_deg": frame.heading}
     elif isinstance(camera, OrthographicCamera):

@@ -68,7 +68,7 @@ def plot(folder: Path, tables: str = "", head: str = HEAD):
 def test_left_out_sensors_are_the_drone_of_old_files(tmp_path):
     read = plot(tmp_path)
     assert read.sensor.name == "mavic_3m"
-    assert sensor_place(read.sensor) == (50.0, 0.025)
+    assert sensor_place(read) == (50.0, 0.025)
     assert read.air is None
     assert drone_sensor(read).bands == load_sensor("mavic_3m").bands
 
@@ -85,7 +85,7 @@ def test_left_out_sensors_are_the_drone_of_old_files(tmp_path):
 )
 def test_altitude_and_pixel_come_from_the_sensor(tmp_path, table, altitude, pixel):
     read = plot(tmp_path, f"[sensor]\n{table}\n")
-    assert sensor_place(read.sensor) == (altitude, pytest.approx(pixel, rel=1e-4))
+    assert sensor_place(read) == (altitude, pytest.approx(pixel, rel=1e-4))
 
 
 def test_place_and_time_give_the_sun(tmp_path):
@@ -125,7 +125,7 @@ def test_a_slip_is_explained(tmp_path, tables, words):
 
 
 def test_a_satellite_sees_a_plot_that_goes_on_for_ever_only(tmp_path):
-    assert sensor_place(plot(tmp_path, '[sensor]\nname = "emit"\n').sensor)[1] == 60.0
+    assert sensor_place(plot(tmp_path, '[sensor]\nname = "emit"\n'))[1] == 60.0
     with pytest.raises(
         InputError, match=r"2 m, but got 60 m\. A plot with boundary = \"periodic\""
     ):

@@ -5,14 +5,7 @@ from fynjax.io.plot._parameter_values import with_parameter_table
 from fynjax.io.plot._place import Place, plot_place
 from fynjax.io.plot._plot import LeafSource, Plot, Species
 from fynjax.io.plot._plot_file import as_plot, example_folder, read_plot
-from fynjax.io.plot._plot_tables import (
-    AtmosphereTable,
-    GroundTable,
-    PlotFile,
-    SensorTable,
-    SkyTable,
-    SunTable,
-)
+from fynjax.io.plot._plot_tables import AtmosphereTable, PlotFile
 from fynjax.io.plot._prior import (
     BY_FORM,
     DEFAULT_PRIOR,
@@ -45,8 +38,6 @@ from fynjax.io.plot._rows import (
 from fynjax.io.plot._sensor import (
     drone_sensor,
     plot_instrument,
-    sensor_altitude,
-    sensor_pixel,
     sensor_place,
     visible_sensor,
 )
@@ -64,7 +55,6 @@ __all__ = [
     "AtmosphereTable",
     "CalibrationTable",
     "CrownRow",
-    "GroundTable",
     "LeafRow",
     "LeafSource",
     "LearnedPrior",
@@ -76,15 +66,12 @@ __all__ = [
     "PlotFile",
     "PriorFile",
     "PriorParameter",
-    "SensorTable",
     "SkyPatternRow",
     "SkyRow",
-    "SkyTable",
     "Species",
     "SpeciesRow",
     "StatisticRow",
     "StructureRow",
-    "SunTable",
     "TargetStatistics",
     "as_plot",
     "assumed_by_form",
@@ -99,8 +86,6 @@ __all__ = [
     "read_sky_pattern",
     "read_statistics",
     "read_structure",
-    "sensor_altitude",
-    "sensor_pixel",
     "sensor_place",
     "visible_sensor",
     "with_parameter_table",

@@ -44,7 +44,7 @@ def with_crowns(plot: Plot, path: Path) -> Plot:
     geopackage = path.suffix.lower() == ".gpkg"
     rows = _read_geopackage(path, plot) if geopackage else read_rows(path, CrownRow, _WHAT)
     corner: tuple[float, float] | None = None
-    altitude, _ = sensor_place(plot.sensor)
+    altitude, _ = sensor_place(plot)
     places: dict[tuple[str, float, float], int] = {}
     for number, row in rows:
         if row.taxon not in plot.taxa:

@@ -205,22 +205,6 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
                 dead_fraction=row.dead_fraction,
             )
         )
-    sensor = named_sensor(parsed.sensor)
-    altitude, pixel = sensor_place(sensor)
-    tallest = max(s.height_m for s in species)
-    if altitude <= tallest:
-        raise refused(
-            "sensor.altitude_m",
-            f"expected a sensor above the plants ({tallest:g} m), but got {altitude:g} m",
-        )
-    # A drone's pixel as wide as the plot is a slip, a satellite's is not: the plot goes on.
-    slip = '. A plot with boundary = "periodic" goes on for ever, and fills any pixel.'
-    if pixel > min(size) and (sensor.name == DRONE or table.boundary == "open"):
-        raise refused(
-            "sensor.pixel_m",
-            f"expected a pixel of at most the plot's side, {min(size):g} m, but got {pixel:g} m"
-            f"{'' if sensor.name == DRONE else slip}",
-        )
     if parsed.sky.table is not None:
         read_sky(parsed.sky.table)
     if parsed.sky.pattern is not None:
@@ -234,9 +218,24 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
         sun=parsed.sun.position,
         sky=parsed.sky,
         ground=parsed.ground,
-        sensor=sensor,
+        sensor=named_sensor(parsed.sensor),
         air=parsed.atmosphere,
         calibration=parsed.calibration,
         inputs=(path, *parsed.named_files, *(p for p in in_tables if p is not None)),
     )
+    altitude, pixel = sensor_place(plot)
+    tallest = max(s.height_m for s in species)
+    if altitude <= tallest:
+        raise refused(
+            "sensor.altitude_m",
+            f"expected a sensor above the plants ({tallest:g} m), but got {altitude:g} m",
+        )
+    # A drone's pixel as wide as the plot is a slip, a satellite's is not: the plot goes on.
+    slip = '. A plot with boundary = "periodic" goes on for ever, and fills any pixel.'
+    if pixel > min(size) and (plot.sensor.name == DRONE or table.boundary == "open"):
+        raise refused(
+            "sensor.pixel_m",
+            f"expected a pixel of at most the plot's side, {min(size):g} m, but got {pixel:g} m"
+            f"{'' if plot.sensor.name == DRONE else slip}",
+        )
     return plot if table.crowns is None else with_crowns(plot, table.crowns)

@@ -9,36 +9,11 @@ from fynjax.io.instruments import load_sensor
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._plot_tables import SensorTable
 from fynjax.metrics import BANDS
-from fynjax.sensors import SPACE, OrthographicCamera, Sensor, frame_of
+from fynjax.sensors import Sensor
 
 DRONE = "mavic_3m"
 """The sensor of a plot file that names none."""
-_DRONE_ALTITUDE, _DRONE_PIXEL = 50.0, 0.025  # m, of the paper
-
-
-def sensor_altitude(instrument: Sensor) -> float:
-    """Usual height of a sensor above the ground [m]; in space where its file has none.
-
-    **Arguments:**
-
-    - `instrument`: as of `fynjax.io.instruments.load_sensor`.
-    """
-    frame = frame_of(instrument.camera)
-    return SPACE if frame is None else float(frame.position[2])
-
-
-def sensor_pixel(instrument: Sensor, altitude: float) -> float:
-    """Side of a sensor's pixel on the ground straight below [m]: as its file states, else from its
-    optics.
-
-    **Arguments:**
-
-    - `instrument`: as of `fynjax.io.instruments.load_sensor`.
-    - `altitude`: above the ground [m]; without effect on a sensor with parallel lines of sight.
-    """
-    if isinstance(instrument.camera, OrthographicCamera):
-        return instrument.camera.pixel_size
-    return float(instrument.pixel(altitude))
+_DRONE_PIXEL = 0.025  # m, of the paper
 
 
 def named_sensor(table: SensorTable) -> SensorTable:
@@ -46,23 +21,23 @@ def named_sensor(table: SensorTable) -> SensorTable:
     return table if table.path is None else table.replace(name=_load(table).name)
 
 
-def sensor_place(table: SensorTable) -> tuple[float, float]:
-    """Height above the ground, and side of a pixel on it [m], of a plot's sensor: what its table
+def sensor_place(plot: Plot) -> tuple[float, float]:
+    """Height above the ground, and side of a pixel on it [m], of a plot's sensor: what its file
     leaves out, as the sensor's file has it, or as the paper flew the drone that is the default.
 
     **Arguments:**
 
-    - `table`: `Plot.sensor`.
+    - `plot`: as of `read_plot`.
 
     **Raises:** `InputError` for a sensor file that cannot be read.
     """
-    altitude, pixel = table.altitude_m, table.pixel_m
-    if table.path is None and table.name == DRONE:
-        usual = (_DRONE_ALTITUDE, _DRONE_PIXEL)
-        return usual[0] if altitude is None else altitude, usual[1] if pixel is None else pixel
+    table = plot.sensor
     instrument = _load(table)
-    altitude = sensor_altitude(instrument) if altitude is None else altitude
-    return altitude, sensor_pixel(instrument, altitude) if pixel is None else pixel
+    altitude = instrument.altitude if table.altitude_m is None else table.altitude_m
+    if table.pixel_m is not None:
+        return altitude, table.pixel_m
+    of_paper = table.path is None and table.name == DRONE
+    return altitude, _DRONE_PIXEL if of_paper else float(instrument.pixel(altitude))
 
 
 def _load(table: SensorTable) -> Sensor:
@@ -123,7 +98,7 @@ def drone_sensor(plot: Plot) -> Sensor:
             file=plot.file,
             column="sensor.name",
         )
-    pixel = sensor_place(plot.sensor)[1]
+    pixel = sensor_place(plot)[1]
     if pixel > min(plot.size_m):
         raise InputError(
             f"expected a pixel of at most the plot's side, {min(plot.size_m):g} m, but "
