@@ -301,6 +301,23 @@ def test_a_wrong_plot_file_names_the_line(folder, old, new, column, words):
     assert "\n" not in str(caught.value)
 
 
+def test_a_changed_plot_is_another_and_has_no_new_names(folder):
+    plot = read_plot(folder / "plot.toml")
+    small = plot.replace(size_m=(2.0, 2.0), sensor=plot.sensor.replace(pixel_m=0.1))
+    assert (small.size_m, small.sensor.pixel_m, small.sun) == ((2.0, 2.0), 0.1, plot.sun)
+    assert plot.size_m == (10.0, 10.0)
+    with pytest.raises(TypeError, match="has no size"):
+        plot.replace(size=2.0)
+
+
+def test_wet_soil_is_a_moisture_of_one_unless_stated(folder):
+    edit(folder / "plot.toml", 'soil = "dry"', 'soil = "wet"')
+    stated = plot_parameters(read_plot(folder / "plot.toml")).ground.moisture
+    edit(folder / "plot.toml", "moisture = 0.5", "# moisture = 0.5")
+    left_out = plot_parameters(read_plot(folder / "plot.toml")).ground.moisture
+    assert (float(stated), float(left_out)) == (0.5, 1.0)
+
+
 def test_missing_plot_table_is_named(tmp_path):
     (tmp_path / "plot.toml").write_text("[sun]\nzenith_deg = 10\n")
     with pytest.raises(InputError, match="'plot'"):

@@ -97,6 +97,7 @@ def test_place_and_time_give_the_sun(tmp_path):
     assert read.sun.solar_factor == pytest.approx(1.019, abs=2e-3)  # near perihelion
     for time, words in (
         ("2017-11-08T08:42:29Z", "above the horizon, but is"),
+        ("2017-11-09T00:48:00Z", "at least 1 degree above the horizon, but it is 0"),
         ("2017-11-08T18:42:29", "time zone"),
     ):
         with pytest.raises(InputError, match=words) as caught:
@@ -167,6 +168,7 @@ def test_a_sensor_is_built_as_the_files_say(tmp_path):
         '[sensor]\npath = "mine.toml"\naltitude_m = 120\ntilt_deg = 10\nheading_deg = 90\n'
         "[atmosphere]\nwater_vapour_cm = 2.5\naerosol_optical_depth = 0.07\n",
     )
+    read = read.replace(sun=read.sun._replace(solar_factor=1.02))
     scene, parameters = build_plot(read)
     sensing = aim_at_plot(read, scene, parameters, plot_instrument(read))
     assert sensing.pixel == pytest.approx(0.06)
@@ -174,12 +176,14 @@ def test_a_sensor_is_built_as_the_files_say(tmp_path):
     assert float(sensing.sensor.camera.tilt) == 10.0
     assert isinstance(sensing.air, PlotAir)
     assert (sensing.air.water_vapour, sensing.air.aerosol) == (2.5, 0.07)
+    assert sensing.air.solar_factor == 1.02
     assert sensing.sensor.psf is not None
     # Another sensor takes nothing from the file's.
     none = AtmosphereTable(model="none")
     other = aim_at_plot(read, scene, parameters, load_sensor("emit"), air=none)
     assert (other.pixel, other.air, other.shape) == (60.0, None, (1, 1))
     air = AtmosphereTable(file=tmp_path / "curves.csv")
+    assert (read.air.source, none.source, air.source) == ("table", "none", "file")
     own = aim_at_plot(read, scene, parameters, plot_instrument(read), air=air)
     assert isinstance(own.air, Atmosphere)
     with pytest.raises(InputError, match=r"outside the spectrum's range 400 to 1000 nm"):
