@@ -27,7 +27,6 @@ PACKAGES = (
     "fynjax.metrics",
     "fynjax.metrics.structure",
     "fynjax.radiation",
-    "fynjax.radiation.reference",
     "fynjax.sensors",
     "fynjax.sensors.air",
     "fynjax.sensors.lidar",

@@ -52,10 +52,7 @@ def undeclared(source: str, requirements: list[str]) -> set[str]:
 def test_what_is_imported_is_declared() -> None:
     extras = PROJECT["optional-dependencies"]
     requirements = [*PROJECT["dependencies"], *(r for extra in extras.values() for r in extra)]
-    recipes = {"make_sixs_table.py"}  # names its own requirements
     for path in (ROOT / "fynjax").rglob("*.py"):
-        if path.name in recipes:
-            continue
         assert not undeclared(path.read_text("utf-8"), requirements), path
 
 

@@ -9,7 +9,7 @@ import typer
 from fynjax.cli._runtime import Job, OwnSeed, PlotPath, command
 
 
-class View(StrEnum):
+class SceneView(StrEnum):
     """What the oblique picture shows of a plant."""
 
     points = "points"
@@ -38,8 +38,8 @@ def build(
         int, typer.Option(min=2000, help="Most triangles of that mesh.")
     ] = 5_000_000,
     view: Annotated[
-        View, typer.Option(help="Oblique picture of points, or of meshes (the extra `view`).")
-    ] = View.points,
+        SceneView, typer.Option(help="Oblique picture of points, or of meshes (the extra `view`).")
+    ] = SceneView.points,
 ) -> Job:
     """Plant a plot: whole plants, as many as its covers ask for.
 

@@ -47,7 +47,7 @@ class Domain(StrEnum):
     optimal = "optimal"
 
 
-class Posterior(StrEnum):
+class Sampler(StrEnum):
     """How the posterior is sampled."""
 
     none = "none"
@@ -160,8 +160,8 @@ def fit_leaf(
         ),
     ] = False,
     posterior: Annotated[
-        Posterior, typer.Option(help="Sample the posterior of each leaf as well.")
-    ] = Posterior.none,
+        Sampler, typer.Option(help="Sample the posterior of each leaf as well.")
+    ] = Sampler.none,
     checkpoint: Checkpoint = None,
     workers: WorkerCount = None,
     scheduler: SchedulerAddress = None,
@@ -195,7 +195,7 @@ def fit_leaf(
         further["groups"] = groups
     if regression:
         further["regression"] = True
-    if posterior is not Posterior.none:
+    if posterior is not Sampler.none:
         further["posterior"] = posterior.value
     from fynjax import jobs
 

@@ -3,7 +3,7 @@ from ._build import build as build
 from ._calibrate import CalibrateResult as CalibrateResult
 from ._calibrate import calibrate as calibrate
 from ._calibrate import calibrate_to as calibrate_to
-from ._calibration_tables import Reference as Reference
+from ._calibration_tables import ReferenceImage as ReferenceImage
 from ._convert import ConvertResult as ConvertResult
 from ._convert import convert as convert
 from ._estimate import Estimate as Estimate

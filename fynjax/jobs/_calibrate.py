@@ -21,7 +21,7 @@ from fynjax.jobs._calibration_page import (
     status_of,
 )
 from fynjax.jobs._calibration_tables import (
-    Reference,
+    ReferenceImage,
     calibration_dataset,
     parameter_table,
     statistic_table,
@@ -158,7 +158,7 @@ def calibrate_to(
     run: Run,
     *,
     inputs: Sequence[Path | None],
-    reference: Reference | None = None,
+    reference: ReferenceImage | None = None,
     checkpoint: Path | None = None,
     command: Literal["calibrate", "demo"] = "calibrate",
 ) -> CalibrateResult:
@@ -204,7 +204,7 @@ def calibrate_to(
     }
     if result.image_after is not None:
         check_finite(result.image_after, plot)
-    reference = Reference() if reference is None else reference
+    reference = ReferenceImage() if reference is None else reference
     parameters_of_fit, statistics = parameter_table(result), statistic_table(result, reference)
     with run.stage("Write"):
         page = calibration_page(

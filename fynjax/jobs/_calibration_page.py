@@ -10,7 +10,12 @@ import pandas as pd
 from fynjax.assembly import Measured
 from fynjax.inversion import Calibration, FitResult, KnownPlants
 from fynjax.io.plot import Plot, sensor_place
-from fynjax.jobs._calibration_tables import Reference, largest_errors, sensor_misfit, sensor_table
+from fynjax.jobs._calibration_tables import (
+    ReferenceImage,
+    largest_errors,
+    sensor_misfit,
+    sensor_table,
+)
 from fynjax.jobs._render import SHOWN_INDICES, image_views, index_images
 from fynjax.jobs._run import Run, peak_memory_mib
 from fynjax.metrics import VEGETATION_INDICES
@@ -25,7 +30,7 @@ from fynjax.report.pages import Page, Part, Picture, Section, Table, sensor_sect
 
 
 def agreement_sentences(
-    plot: Plot, measured: Sequence[Measured], statistics: pd.DataFrame, reference: Reference
+    plot: Plot, measured: Sequence[Measured], statistics: pd.DataFrame, reference: ReferenceImage
 ) -> list[str]:
     """How well every sensor's data are met before and after."""
     lines = []
@@ -117,7 +122,7 @@ def calibration_page(
     result: Calibration,
     measured: Sequence[Measured],
     tables: tuple[pd.DataFrame, pd.DataFrame],
-    reference: Reference,
+    reference: ReferenceImage,
     inputs: Sequence[Path | None],
 ) -> Page:
     """The page. `tables` are those of the parameters and of the statistics."""
@@ -149,7 +154,7 @@ def calibration_page(
 
 
 def _image_sections(
-    plot: Plot, result: Calibration, statistics: pd.DataFrame, reference: Reference
+    plot: Plot, result: Calibration, statistics: pd.DataFrame, reference: ReferenceImage
 ) -> list[Section]:
     before, after = np.asarray(result.image_before), np.asarray(result.image_after)
     pair, pixel = {"Before": before, "After": after}, sensor_place(plot)[1]

@@ -43,7 +43,7 @@ def parameter_table(calibration: Calibration | KnownPlants) -> pd.DataFrame:
 
 
 @dataclass(frozen=True)
-class Reference:
+class ReferenceImage:
     """What else is known of the real image, and what another simulation made of it."""
 
     real: Mapping[str, float] = field(default_factory=dict)
@@ -56,7 +56,7 @@ class Reference:
     """Errors that the calibration aims at, by what they are of [%]."""
 
 
-def statistic_table(calibration: Calibration, reference: Reference) -> pd.DataFrame:
+def statistic_table(calibration: Calibration, reference: ReferenceImage) -> pd.DataFrame:
     """Every statistic: real, simulated before and after, and another simulation's value.
 
     What was fitted is expected over plantings, and after also over what is unknown of the

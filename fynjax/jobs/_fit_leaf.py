@@ -16,7 +16,7 @@ from fynjax._core.parts import Workers
 from fynjax._core.progress import Progress
 from fynjax.inversion import signature
 from fynjax.io.spectra import (
-    Spectrum,
+    MeasuredSpectrum,
     note,
     posterior_dataset,
     prior_decides,
@@ -129,8 +129,8 @@ def _background(given: str | Path | float, measurement: str) -> Float[np.ndarray
 
 def _transmittances(
     over_black: Float[np.ndarray, "leaf band"],
-    first: list[Spectrum],
-    second: list[Spectrum],
+    first: list[MeasuredSpectrum],
+    second: list[MeasuredSpectrum],
     background: Float[np.ndarray, " band"],
 ) -> Float[np.ndarray, "leaf band"]:
     """T of each leaf from its readings over black and over the background, with a note; NaN where
@@ -172,7 +172,7 @@ def _transmittances(
     return np.where(known, through, np.nan)
 
 
-def _without_jumps(spectrum: Spectrum, changes: Sequence[float] | None) -> Spectrum:
+def _without_jumps(spectrum: MeasuredSpectrum, changes: Sequence[float] | None) -> MeasuredSpectrum:
     """The spectrum with the jumps of its detectors taken out at `changes` [nm], or, if None, where
     the file says that they change."""
     stated = changes is not None
@@ -191,7 +191,7 @@ def _without_jumps(spectrum: Spectrum, changes: Sequence[float] | None) -> Spect
                 if stated and not np.isfinite(jump):
                     note(meta, f"detectors change at {at:g} nm: too few bands beside it to tell")
         parts.append(values)
-    return Spectrum(spectrum.name, spectrum.wavelength, parts[0], parts[1], meta)
+    return MeasuredSpectrum(spectrum.name, spectrum.wavelength, parts[0], parts[1], meta)
 
 
 def _read_groups(path: str | Path, names: Sequence[str]) -> list[str]:
@@ -226,7 +226,7 @@ def _read_groups(path: str | Path, names: Sequence[str]) -> list[str]:
     return [species[name] for name in names]
 
 
-def _on_grid(spectrum: Spectrum, values: np.ndarray | None) -> np.ndarray:
+def _on_grid(spectrum: MeasuredSpectrum, values: np.ndarray | None) -> np.ndarray:
     """The spectrum on 1 nm steps; a band wider than that is spread no further than 25 nm."""
     if values is None:
         return np.full(_GRID.shape, np.nan)
@@ -244,7 +244,7 @@ def _read(
     paths: Sequence[str | Path],
     panel: str | Path | None,
     detector_changes: Sequence[float] | None,
-) -> tuple[list[tuple[str, Spectrum]], list[tuple[str, str, InputError]]]:
+) -> tuple[list[tuple[str, MeasuredSpectrum]], list[tuple[str, str, InputError]]]:
     """`usable_spectra` of files, without the jumps of their detectors."""
     spectra, refused = usable_spectra(paths, panel)
     return [(file, _without_jumps(s, detector_changes)) for file, s in spectra], refused
@@ -398,7 +398,7 @@ def fit_leaf(
 def _result(
     run: Run,
     fit: LeafFit,
-    spectra: list[tuple[str, Spectrum]],
+    spectra: list[tuple[str, MeasuredSpectrum]],
     refused: list[tuple[str, str, InputError]],
     regression: bool,
 ) -> FitLeafResult:

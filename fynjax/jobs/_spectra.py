@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fynjax._core.errors import InputError
-from fynjax.io.spectra import Spectrum, read_curve, read_spectra_files, with_panel
+from fynjax.io.spectra import MeasuredSpectrum, read_curve, read_spectra_files, with_panel
 from fynjax.jobs._result import Record
 
 _NAMED_REFUSALS = 5
@@ -32,7 +32,7 @@ def refused_spectra(refused: Sequence[tuple[str, str, InputError]]) -> list[Refu
     return [RefusedSpectrum(file=f, name=n, reason=str(e)) for f, n, e in refused]
 
 
-def repairs(spectra: Sequence[tuple[str, Spectrum]]) -> list[SpectrumRepair]:
+def repairs(spectra: Sequence[tuple[str, MeasuredSpectrum]]) -> list[SpectrumRepair]:
     """Records of what was repaired, of files and their spectra."""
     return [
         SpectrumRepair(file=file, name=spectrum.name, repair=sentence)
@@ -43,7 +43,7 @@ def repairs(spectra: Sequence[tuple[str, Spectrum]]) -> list[SpectrumRepair]:
 
 def usable_spectra(
     paths: Sequence[str | Path], panel: str | Path | None
-) -> tuple[list[tuple[str, Spectrum]], list[tuple[str, str, InputError]]]:
+) -> tuple[list[tuple[str, MeasuredSpectrum]], list[tuple[str, str, InputError]]]:
     """Spectra of files and folders, times the reflectance of a `panel` where its table is given.
 
     **Returns:** as `read_spectra_files`.
@@ -65,7 +65,7 @@ def usable_spectra(
 
 
 def warnings_of_reading(
-    spectra: Sequence[tuple[str, Spectrum]],
+    spectra: Sequence[tuple[str, MeasuredSpectrum]],
     refused: Sequence[tuple[str, str, InputError]],
     table: str,
 ) -> list[str]:

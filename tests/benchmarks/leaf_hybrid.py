@@ -23,15 +23,15 @@ from pathlib import Path
 
 import numpy as np
 
-from fynjax.leaf.data.estimate_error_model import CHEMISTRY, LeafSet
-from fynjax.leaf.data.estimate_regression import (
+from tests.benchmarks.leaf_campaigns import UNIT, difference, leaf_folder, rmse
+from tools.estimate_error_model import CHEMISTRY, LeafSet
+from tools.estimate_regression import (
     Case,
     Correction,
     log_error,
     process,
     sets_of,
 )
-from tests.benchmarks.leaf_campaigns import UNIT, difference, leaf_folder, rmse
 
 METHODS: dict[str, Callable[[Case, LeafSet], Correction | None]] = {
     "process": lambda case, leaves: process(case, leaves, False),

@@ -6,7 +6,7 @@ from scipy.optimize import minimize_scalar
 
 from fynjax.leaf import default_error_model
 from fynjax.leaf._error_model import POPULATION_TRAITS
-from fynjax.leaf.data.estimate_error_model import correlation, discrepancy, reflectance_share
+from tools.estimate_error_model import correlation, discrepancy, reflectance_share
 
 
 def test_correlation_is_that_within_sets_drawn_towards_none():

@@ -39,7 +39,7 @@ from fynjax.leaf._problem import (
     leaf_problems,
     make_setup,
 )
-from fynjax.leaf.data.estimate_error_model import estimate
+from tools.estimate_error_model import estimate
 
 GRID = np.arange(400.0, 2501.0)
 

@@ -10,8 +10,8 @@ import fynjax as fx
 from fynjax.errors import InputError
 from fynjax.leaf import LEAF_PARAMETERS, fit_leaf, regress_water
 from fynjax.leaf._regression import remains, water_regressions, window_bins
-from fynjax.leaf.data.estimate_error_model import read
-from fynjax.leaf.data.estimate_regression import Case, Process, fitted, process, rms
+from tools.estimate_error_model import read
+from tools.estimate_regression import Case, Process, fitted, process, rms
 
 CAMPAIGNS, LEAVES, INPUTS = 6, 60, 5
 

@@ -15,12 +15,12 @@ from fynjax.radiation import (
     nadir_rays,
     parallel_rays,
     perspective_rays,
-    reference,
     reflectance_factor,
     render,
     solve_light,
     voxel_scene,
 )
+from tests import reference
 from tests.radiation.scenes import patchy, solver
 from tests.radiation.test_monte_carlo_reference import with_fields
 

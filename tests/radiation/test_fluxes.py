@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fynjax.radiation import Accuracy, absorption, nadir_rays, reference, reflectance_factor
+from fynjax.radiation import Accuracy, absorption, nadir_rays, reflectance_factor
+from tests import reference
 from tests.radiation.scenes import fluxes_of, patchy, reflectance_of, solver
 from tests.radiation.test_monte_carlo import clumps
 from tests.radiation.test_monte_carlo_reference import with_fields

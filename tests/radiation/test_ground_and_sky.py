@@ -13,11 +13,11 @@ from fynjax.radiation import (
     directional_reflectance,
     fluxes,
     nadir_rays,
-    reference,
     reflectance_factor,
     solve_light,
 )
 from fynjax.radiation._ordinates import Ordinates, sky_radiance
+from tests import reference
 from tests.radiation.scenes import closure, fluxes_of, patchy, reflectance_of, solver
 from tests.radiation.test_monte_carlo import clumps
 from tests.radiation.test_monte_carlo_reference import bare, rahman, with_fields

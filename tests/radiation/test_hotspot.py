@@ -10,8 +10,9 @@ import pytest
 
 from fynjax._core.geometry import direction
 from fynjax.canopy import leaf_angle
-from fynjax.radiation import Accuracy, nadir_rays, parallel_rays, reference, render
+from fynjax.radiation import Accuracy, nadir_rays, parallel_rays, render
 from fynjax.radiation._hotspot import overlaps
+from tests import reference
 from tests.radiation.scenes import (
     FINE,
     patchy,

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from fynjax.canopy import leaf_angle
-from fynjax.radiation import Accuracy, Illumination, OpticalClasses, VoxelScene, reference
+from fynjax.radiation import Accuracy, Illumination, OpticalClasses, VoxelScene
+from tests import reference
 from tests.radiation.scenes import fluxes_of, reflectance_of, solver
 
 BANDS = ("red, sun and sky", "near infrared, sun alone")

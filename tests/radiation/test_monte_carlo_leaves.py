@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from fynjax.canopy import leaf_angle
-from fynjax.radiation import VoxelScene, parallel_rays, reference
+from fynjax.radiation import VoxelScene, parallel_rays
+from tests import reference
 from tests.radiation.scenes import patchy, slab, spherical_gamma, views_of_reference
 from tests.radiation.test_monte_carlo_reference import SIGMA, assert_close, with_fields
 

@@ -3,8 +3,6 @@
 import dataclasses
 import json
 import os
-import subprocess
-import sys
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,8 +17,8 @@ from fynjax.radiation import (
     VoxelScene,
     nadir_rays,
     parallel_rays,
-    reference,
 )
+from tests import reference
 from tests.radiation.scenes import patchy, slab, spherical_gamma, towards, views_of_reference
 from tests.radiation.test_reference_scenes import floating_spheres
 
@@ -362,11 +360,6 @@ def test_seed_alone_decides(monkeypatch):
     other = reference.reflectance(scene, 10.0, 0.0, photons=3_200, seed=2, band=0)
     assert (one.mean, one.error) == (two.mean, two.error)
     assert one.mean != other.mean
-
-
-def test_numba_waits_until_the_reference_is_wanted():
-    code = "import sys, fynjax.radiation; sys.exit('numba' in sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.parametrize(

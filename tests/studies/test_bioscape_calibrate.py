@@ -29,10 +29,10 @@ from fynjax.studies.bioscape._inversion import (
     QUANTITIES,
     ROOM,
     SOFTNESS,
-    Estimate,
     PlotCase,
+    PlotEstimate,
     PlotSpectrumForward,
-    Reference,
+    ReferencePlot,
     bias_corrected_data,
     flight_covariance,
     infer_plot,
@@ -61,7 +61,7 @@ def plots(tmp_path_factory: pytest.TempPathFactory):
 
 def test_at_one_a_plot_is_what_its_tables_say(plots):
     for plot in plots:
-        reference = Reference(plot)
+        reference = ReferencePlot(plot)
         assert quantity(reference, "live_cover", 1.0) == pytest.approx(100 * plot.live)
         mass, water = (plot.weighted_mean(t) for t in ("leaf_mass_per_area", "water_content"))
         assert quantity(reference, "leaf_mass_per_area", 1.0) == pytest.approx(mass)
@@ -75,7 +75,7 @@ def test_at_one_a_plot_is_what_its_tables_say(plots):
             traits=plot.species[0].traits
             | {"water_content": replace(plot.species[0].traits["water_content"], value=50.0)},
         )
-        alone = Reference(replace(plot, species=(species,)))
+        alone = ReferencePlot(replace(plot, species=(species,)))
         assert quantity(alone, "water_content", 2.0) == pytest.approx(200.0 / 3.0)
 
 
@@ -88,7 +88,7 @@ def test_water_is_that_of_leaves_as_planted(plots):
     dry = 0.09 / species.shape.area_ratio
     assert 9 * dry > MOST_WATER
     held = 100 * MOST_WATER / (MOST_WATER + dry)
-    assert quantity(Reference(plot), "water_content", 1.0) == pytest.approx(held)
+    assert quantity(ReferencePlot(plot), "water_content", 1.0) == pytest.approx(held)
 
 
 def test_dead_tissue_is_at_most_all_of_a_shoot(plots):
@@ -114,7 +114,7 @@ def test_other_plots_as_prior_are_as_wide_as_they_differ(plots):
             plot = replace(plot, species=same)
         space = prior_space(plot, {name: (mean, sd)})
         i = space.names.index(QUANTITIES[name][0])
-        reference = Reference(plot)
+        reference = ReferencePlot(plot)
         at = [
             quantity(reference, name, float(space.physical(jnp.full(len(space.names), u))[i]))
             for u in (-0.1, 0.0, 0.1)
@@ -168,11 +168,13 @@ def test_intervals_and_scores_by_hand(plots):
     blank = np.zeros(2)
     slope = np.zeros((3, len(space.names)))
     slope[0, :2], slope[2, 0] = (0.3, 0.4), 50.0
-    one = Estimate(
+    one = PlotEstimate(
         space, np.zeros(len(space.names)), covariance, blank, blank, (1.0, 1.0), True,
         np.array([2.0, 0.5, 40.0]), slope,
     )  # fmt: skip
-    table = estimate_table(plots[:1], "x", [Reference(plots[0])], [one], field_values(plots[:1]))
+    table = estimate_table(
+        plots[:1], "x", [ReferencePlot(plots[0])], [one], field_values(plots[:1])
+    )
     row = table[table["quantity"] == "leaf_mass_per_area"].iloc[0]
     mean = plots[0].weighted_mean("leaf_mass_per_area")
     assert row["estimate"] == pytest.approx(mean, rel=0.01)
@@ -266,7 +268,7 @@ def test_a_plot_comes_back_from_its_own_spectrum(tmp_path: Path, plots):
     spectrum = np.asarray(predicted_statistics(density, truth))
     data = weigh_spectrum(view.names, spectrum, 0.01, gain=0.0, offset=1e-4)
     case = PlotCase(data, space, parameters, tuple(models[:-1]))
-    estimate = Estimate.of(space, infer_plot(case, predict))
+    estimate = PlotEstimate.of(space, infer_plot(case, predict))
     assert estimate.converged
     assert estimate.misfit[1] < 0.5 * estimate.misfit[0]
     off = (estimate.whitened - np.asarray(truth)) / np.sqrt(np.diagonal(estimate.covariance))

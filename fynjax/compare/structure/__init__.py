@@ -3,13 +3,13 @@
 from fynjax.compare.structure._compare import cloud_structure, compare_clouds
 from fynjax.compare.structure._grain import cut_off, grain_table
 from fynjax.compare.structure._published import PublishedStructure, structure_2006
-from fynjax.compare.structure._result import Estimate, MetricComparison, StructureComparison
+from fynjax.compare.structure._result import MetricComparison, MetricEstimate, StructureComparison
 from fynjax.compare.structure._settings import ComparisonSettings, cloud_settings
 
 __all__ = [
     "ComparisonSettings",
-    "Estimate",
     "MetricComparison",
+    "MetricEstimate",
     "PublishedStructure",
     "StructureComparison",
     "cloud_settings",

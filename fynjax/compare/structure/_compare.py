@@ -15,8 +15,8 @@ from fynjax.compare.structure._result import (
     CloudSide,
     CloudStructure,
     DistributionComparison,
-    Estimate,
     MetricComparison,
+    MetricEstimate,
     StructureComparison,
 )
 from fynjax.compare.structure._settings import ComparisonSettings
@@ -231,7 +231,7 @@ def _estimates(
     repeated: list[CellStructure] | None,
     settings: ComparisonSettings,
     rng: np.random.Generator,
-) -> tuple[dict[str, np.ndarray], dict[str, Estimate]]:
+) -> tuple[dict[str, np.ndarray], dict[str, MetricEstimate]]:
     """Each metric in cells, and its mean over them with intervals."""
     least = settings.least_returns
     parts = [full] if repeated is None else repeated
@@ -248,7 +248,7 @@ def _estimates(
         series = np.array([m[name] for m in means])
         series = series[np.isfinite(series)]
         defined = cells[name][np.isfinite(cells[name])]
-        estimates[name] = Estimate(
+        estimates[name] = MetricEstimate(
             value=float(np.median(series)) if series.size else None,
             full=whole[name] if np.isfinite(whole[name]) else None,
             thinning_interval=(

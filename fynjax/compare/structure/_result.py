@@ -18,7 +18,7 @@ _NEXT_TO_NOTHING = 1e-3
 
 
 @dataclass(frozen=True)
-class Estimate:
+class MetricEstimate:
     """One number of one cloud. `None` where it is undefined."""
 
     value: float | None
@@ -37,8 +37,8 @@ class MetricComparison:
 
     name: str
     unit: str
-    real: Estimate
-    simulated: Estimate
+    real: MetricEstimate
+    simulated: MetricEstimate
 
     @property
     def difference_percent(self) -> float | None:
@@ -287,7 +287,7 @@ class CloudStructure:
     """The grains that were tried; a given one, and the next larger."""
     structure: CellStructure
     """Every metric in each cell, with its settings."""
-    metrics: dict[str, Estimate]
+    metrics: dict[str, MetricEstimate]
     """Mean over cells and its bootstrap interval."""
 
     def table(self) -> pd.DataFrame:
@@ -300,7 +300,7 @@ class CloudStructure:
         ).rename(columns={"cloud": "value"})
 
 
-def _columns(prefix: str, estimate: Estimate) -> dict[str, float | None]:
+def _columns(prefix: str, estimate: MetricEstimate) -> dict[str, float | None]:
     columns: dict[str, float | None] = {prefix: estimate.value, f"{prefix}_full": estimate.full}
     for kind, interval in (
         ("thinning", estimate.thinning_interval),

@@ -19,10 +19,10 @@ from fynjax.io.spectra._read import (
     read_usable_spectra,
     reflectances,
 )
-from fynjax.io.spectra._record import Spectrum, note
+from fynjax.io.spectra._record import MeasuredSpectrum, note
 
 __all__ = [
-    "Spectrum",
+    "MeasuredSpectrum",
     "header_numbers",
     "in_nanometres",
     "measured_dataset",

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.io.spectra._record import Spectrum, note
+from fynjax.io.spectra._record import MeasuredSpectrum, note
 
 _HEADER = 484
 _TYPES = {
@@ -38,7 +38,7 @@ def is_asd(data: bytes) -> bool:
     return data[:3] in (b"ASD", b"as2", b"as3", b"as4", b"as5", b"as6", b"as7", b"as8")
 
 
-def read_asd(path: str | Path, data: bytes | None = None) -> Spectrum:
+def read_asd(path: str | Path, data: bytes | None = None) -> MeasuredSpectrum:
     """Read one ASD binary file as reflectance (or transmittance, if its type says so).
 
     **Arguments:**
@@ -46,11 +46,11 @@ def read_asd(path: str | Path, data: bytes | None = None) -> Spectrum:
     - `path`: the file.
     - `data`: its content, if it was read already.
 
-    **Returns:** a `Spectrum` with target over white reference, unchecked: outdoor spectra hold any
-    number in the water bands. Reflectance is multiplied by that of the white panel if the file
-    holds it (versions 7 and 8, calibration of type ABS). `meta` has the version, type, instrument,
-    integration time [ms], gains, the wavelengths of the detector changes, `splices` [nm], and
-    `panel`, "applied" or "unknown".
+    **Returns:** a `MeasuredSpectrum` with target over white reference, unchecked: outdoor spectra
+    hold any number in the water bands. Reflectance is multiplied by that of the white panel if
+    the file holds it (versions 7 and 8, calibration of type ABS). `meta` has the version, type,
+    instrument, integration time [ms], gains, the wavelengths of the detector changes, `splices`
+    [nm], and `panel`, "applied" or "unknown".
 
     **Raises:** `InputError` for a version below 6, a file cut short, radiance or irradiance (its
     reference block need not be a white panel), a missing white reference, or one that is zero.
@@ -129,7 +129,7 @@ def read_asd(path: str | Path, data: bytes | None = None) -> Spectrum:
             "multiplied by the white panel's own reflectance in the file, "
             f"{panel.min():.3f} to {panel.max():.3f}",
         )
-    return Spectrum(
+    return MeasuredSpectrum(
         path.stem, wavelength, None if through else ratio, ratio if through else None, meta
     )
 

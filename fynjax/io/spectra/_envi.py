@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fynjax._core.errors import LARGEST, InputError
-from fynjax.io.spectra._record import Spectrum, note
+from fynjax.io.spectra._record import MeasuredSpectrum, note
 
 _MICROMETRES = ("micro", "um", "\u00b5m", "\u03bcm")
 _NANOMETRES = ("nano", "nm")
@@ -172,7 +172,7 @@ def in_nanometres(
     return wavelength, 1.0
 
 
-def read_envi_library(path: str | Path) -> list[Spectrum]:
+def read_envi_library(path: str | Path) -> list[MeasuredSpectrum]:
     """Read an ENVI spectral library, given its data file or its header.
 
     **Raises:** `InputError` if one of the two files is missing, the header lacks a needed field, or
@@ -205,6 +205,8 @@ def read_envi_library(path: str | Path) -> list[Spectrum]:
     if len(names) != lines:
         names = [f"{data_path.stem}_{i + 1}" for i in range(lines)]
     return [
-        Spectrum(name, wavelength, row, None, {**meta, "repairs": list(meta.get("repairs", []))})
+        MeasuredSpectrum(
+            name, wavelength, row, None, {**meta, "repairs": list(meta.get("repairs", []))}
+        )
         for name, row in zip(names, values)
     ]

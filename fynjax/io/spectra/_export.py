@@ -8,14 +8,14 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from fynjax.io.spectra._record import Spectrum
+from fynjax.io.spectra._record import MeasuredSpectrum
 
 _DIGITS = 3
 """Decimals of a wavelength [nm]: bands nearer to each other are the same."""
 
 
 def measured_dataset(
-    spectra: Sequence[tuple[str, Spectrum]], attributes: Mapping[str, str | int]
+    spectra: Sequence[tuple[str, MeasuredSpectrum]], attributes: Mapping[str, str | int]
 ) -> xr.Dataset:
     """Spectra of files over all their wavelengths, NaN where one has no such band.
 
@@ -63,7 +63,7 @@ def measured_dataset(
     )
 
 
-def _header(spectrum: Spectrum) -> str:
+def _header(spectrum: MeasuredSpectrum) -> str:
     rest = {k: v for k, v in spectrum.meta.items() if k not in ("format", "repairs")}
     return json.dumps(rest, default=str, ensure_ascii=False)
 

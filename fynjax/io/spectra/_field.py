@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.io.spectra._record import Spectrum, note
+from fynjax.io.spectra._record import MeasuredSpectrum, note
 from fynjax.io.spectra._text import cell_value
 
 _SVC = "/*** Spectra Vista"
@@ -30,7 +30,7 @@ def _without_overlap(wavelength: np.ndarray) -> tuple[np.ndarray, list[float]]:
     return kept, cuts
 
 
-def read_field_spectrum(text: str, file: Path) -> Spectrum | None:
+def read_field_spectrum(text: str, file: Path) -> MeasuredSpectrum | None:
     """The spectrum of a text of SVC or Spectral Evolution; `None` where it is neither.
 
     Where the ranges of two detectors overlap, both are cut in the middle of the overlap.
@@ -75,4 +75,4 @@ def read_field_spectrum(text: str, file: Path) -> Spectrum | None:
     if changes:
         meta["splices"] = changes
         note(meta, f"overlap of detectors cut at {', '.join(f'{c:g}' for c in changes)} nm")
-    return Spectrum(file.stem, wavelength[kept], values[kept], None, meta)
+    return MeasuredSpectrum(file.stem, wavelength[kept], values[kept], None, meta)

@@ -7,7 +7,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.io.spectra._read import reflectances
-from fynjax.io.spectra._record import Spectrum, note
+from fynjax.io.spectra._record import MeasuredSpectrum, note
 
 
 def read_curve(path: str | Path, what: str) -> tuple[np.ndarray, np.ndarray]:
@@ -30,7 +30,9 @@ def read_curve(path: str | Path, what: str) -> tuple[np.ndarray, np.ndarray]:
     return wavelength[have], values[have]
 
 
-def with_panel(spectrum: Spectrum, wavelength: np.ndarray, panel: np.ndarray) -> Spectrum:
+def with_panel(
+    spectrum: MeasuredSpectrum, wavelength: np.ndarray, panel: np.ndarray
+) -> MeasuredSpectrum:
     """The spectrum with its reflectance multiplied by that of the white panel.
 
     **Arguments:**

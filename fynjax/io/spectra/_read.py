@@ -11,12 +11,12 @@ from fynjax._core.errors import InputError
 from fynjax.io.spectra._asd import is_asd, read_asd
 from fynjax.io.spectra._envi import read_envi_library
 from fynjax.io.spectra._field import read_field_spectrum
-from fynjax.io.spectra._record import Spectrum, check_spectrum
+from fynjax.io.spectra._record import MeasuredSpectrum, check_spectrum
 from fynjax.io.spectra._text import read_text_spectra
 from fynjax.io.text import broken_row, existing_file, read_bytes
 
 
-def read_spectra(path: str | Path) -> list[Spectrum]:
+def read_spectra(path: str | Path) -> list[MeasuredSpectrum]:
     r"""Read every spectrum of a file.
 
     Recognised by content, not by name: ASD binary (versions 6, 7, 8); ASD's ASCII export;
@@ -29,9 +29,9 @@ def read_spectra(path: str | Path) -> list[Spectrum]:
 
     - `path`: the file.
 
-    **Returns:** a list of `Spectrum`, wavelengths in nm and ascending, fractions 0 to 1. What was
-    repaired on the way (unit conversion, sorting, single impossible values set to NaN) is written
-    in `meta["repairs"]`.
+    **Returns:** a list of `MeasuredSpectrum`, wavelengths in nm and ascending, fractions 0 to 1.
+    What was repaired on the way (unit conversion, sorting, single impossible values set to NaN) is
+    written in `meta["repairs"]`.
 
     **Raises:** `InputError` naming the file, for an unknown format, a file cut short, an ASD file
     that holds radiance or has no usable white reference, reflectance that must be percent, is
@@ -54,7 +54,7 @@ def read_spectra(path: str | Path) -> list[Spectrum]:
 
 def read_usable_spectra(
     path: str | Path,
-) -> tuple[list[Spectrum], list[tuple[str, InputError]]]:
+) -> tuple[list[MeasuredSpectrum], list[tuple[str, InputError]]]:
     """The spectra of a file that can be used, and name and reason of those that cannot.
 
     As `read_spectra`, but one bad spectrum among many does not stop the others.
@@ -108,7 +108,7 @@ def read_usable_spectra(
 
 def read_spectra_files(
     paths: Sequence[str | Path],
-) -> tuple[list[tuple[str, Spectrum]], list[tuple[str, str, InputError]]]:
+) -> tuple[list[tuple[str, MeasuredSpectrum]], list[tuple[str, str, InputError]]]:
     """The usable spectra of files and folders, and what could not be used.
 
     **Arguments:**
@@ -121,7 +121,7 @@ def read_spectra_files(
 
     **Raises:** `InputError` where no spectrum can be used, with the first reason.
     """
-    spectra: list[tuple[str, Spectrum]] = []
+    spectra: list[tuple[str, MeasuredSpectrum]] = []
     refused: list[tuple[str, str, InputError]] = []
     for file in _files(paths):
         try:

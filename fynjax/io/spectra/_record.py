@@ -19,7 +19,7 @@ _LARGEST_RATIO = 65535.0
 
 
 @dataclass(frozen=True)
-class Spectrum:
+class MeasuredSpectrum:
     """One measured spectrum."""
 
     name: str
@@ -90,7 +90,7 @@ def _checked(
     return values
 
 
-def check_spectrum(spectrum: Spectrum, file: Path) -> Spectrum:
+def check_spectrum(spectrum: MeasuredSpectrum, file: Path) -> MeasuredSpectrum:
     """Sort the bands and refuse what cannot be a reflectance or transmittance."""
     meta = {**spectrum.meta, "repairs": list(spectrum.meta.get("repairs", []))}
     wavelength = np.asarray(spectrum.wavelength, float)
@@ -137,4 +137,6 @@ def check_spectrum(spectrum: Spectrum, file: Path) -> Spectrum:
         parts[what] = _checked(values[order], looked_at, what, spectrum.name, meta, file)
     if parts["reflectance"] is None and parts["transmittance"] is None:
         raise InputError(f"spectrum {spectrum.name!r} has neither R nor T", file=file)
-    return Spectrum(spectrum.name, wavelength, parts["reflectance"], parts["transmittance"], meta)
+    return MeasuredSpectrum(
+        spectrum.name, wavelength, parts["reflectance"], parts["transmittance"], meta
+    )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax.io.spectra._record import Spectrum, note
+from fynjax.io.spectra._record import MeasuredSpectrum, note
 
 _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _WAVELENGTH = re.compile(r"^(wave[ _]?length|wavelen|wvl?|wl|lambda|nm|[uµμ]m|x)\b", re.I)
@@ -121,7 +121,7 @@ def _percent(label: str) -> bool:
     return "%" in label or "percent" in label.lower()
 
 
-def _ecostress(text: str, file: Path) -> list[Spectrum] | None:
+def _ecostress(text: str, file: Path) -> list[MeasuredSpectrum] | None:
     head, keys = text.splitlines()[:60], {}
     for line in head:
         if ":" in line:
@@ -156,13 +156,15 @@ def _ecostress(text: str, file: Path) -> list[Spectrum] | None:
     through = "transm" in (label + keys.get("measurement", "")).lower()
     name = keys.get("name", file.stem) or file.stem
     return [
-        Spectrum(name, wavelength, None if through else values, values if through else None, meta)
+        MeasuredSpectrum(
+            name, wavelength, None if through else values, values if through else None, meta
+        )
     ]
 
 
 def _paired(
     columns: dict[str, np.ndarray], wavelength: np.ndarray, meta: dict, stem: str
-) -> list[Spectrum]:
+) -> list[MeasuredSpectrum]:
     """Spectra from named columns; a transmittance column joins the reflectance of its name."""
     records: dict[str, dict[str, Any]] = {}
     for label, values in columns.items():
@@ -182,12 +184,12 @@ def _paired(
             record = records.setdefault(label, {"meta": row_meta})
         record[kind] = values
     return [
-        Spectrum(name, wavelength, r.get("reflectance"), r.get("transmittance"), r["meta"])
+        MeasuredSpectrum(name, wavelength, r.get("reflectance"), r.get("transmittance"), r["meta"])
         for name, r in records.items()
     ]
 
 
-def _by_row(rows: _Rows, bands: dict[int, float], unit: str, file: Path) -> list[Spectrum]:
+def _by_row(rows: _Rows, bands: dict[int, float], unit: str, file: Path) -> list[MeasuredSpectrum]:
     """Wide layout: one row a spectrum, wavelengths as column names."""
     header, base = rows[0], {"format": "table, one row a spectrum"}
     meta: dict[str, Any] = dict(base)
@@ -199,7 +201,7 @@ def _by_row(rows: _Rows, bands: dict[int, float], unit: str, file: Path) -> list
     kind_at = next(
         (i for i in others if header[i].lower() in ("measurement", "type", "kind")), None
     )
-    records: dict[str, Spectrum] = {}
+    records: dict[str, MeasuredSpectrum] = {}
     # Bands behind everything else are read at once.
     last = others == list(range(len(others)))
     for number in range(2, len(rows) + 1):
@@ -220,19 +222,19 @@ def _by_row(rows: _Rows, bands: dict[int, float], unit: str, file: Path) -> list
         through = kind_at is not None and row[kind_at].lower().startswith("t")
         old = records.get(name)
         if old is not None and through and old.transmittance is None:
-            records[name] = Spectrum(name, wavelength, old.reflectance, values, old.meta)
+            records[name] = MeasuredSpectrum(name, wavelength, old.reflectance, values, old.meta)
             continue
         if old is not None and not through and old.reflectance is None:
-            records[name] = Spectrum(name, wavelength, values, old.transmittance, old.meta)
+            records[name] = MeasuredSpectrum(name, wavelength, values, old.transmittance, old.meta)
             continue
         unique = name if old is None else f"{name}_row{number}"
-        records[unique] = Spectrum(
+        records[unique] = MeasuredSpectrum(
             unique, wavelength, None if through else values, values if through else None, row_meta
         )
     return list(records.values())
 
 
-def read_text_spectra(text: str, file: Path) -> list[Spectrum]:
+def read_text_spectra(text: str, file: Path) -> list[MeasuredSpectrum]:
     """Read spectra from text of any layout that `read_spectra` lists."""
     library = _ecostress(text, file)
     if library is not None:

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fynjax.compare.structure import Estimate, MetricComparison, StructureComparison
+from fynjax.compare.structure import MetricComparison, MetricEstimate, StructureComparison
 from fynjax.report.figures._style import AFTER, REAL, style, words
 
 _SIDES = (("real", REAL, "o"), ("simulated", AFTER, "s"))
@@ -88,7 +88,7 @@ def _title(metric: MetricComparison) -> str:
 def _metric(axes: Axes, metric: MetricComparison) -> None:
     """Value, thinnings (thin) and bootstrap over cells (thick) of both clouds."""
     for place, (side, colour, marker) in enumerate(_SIDES):
-        estimate: Estimate = getattr(metric, side)
+        estimate: MetricEstimate = getattr(metric, side)
         for interval, width in (
             (estimate.bootstrap_interval, 4.0),
             (estimate.thinning_interval, 1.3),

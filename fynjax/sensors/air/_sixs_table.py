@@ -1,4 +1,4 @@
-"""Atmospheres interpolated in a table that 6SV computed (`data/make_sixs_table.py`).
+"""Atmospheres interpolated in a table that 6SV computed (`tools/make_sixs_table.py`).
 
 6SV multiplies a scattering part by a gas part, and so does this. Every axis is a cubic spline in a
 variable that makes the tabulated function nearly straight: ln T of gas in the square root of the
@@ -110,7 +110,7 @@ def _read(path: Path) -> _Table:
         return _prepare(table)
     except KeyError as error:
         raise InputError(
-            f"expected a table made by make_sixs_table.py, but it has no variable {error}",
+            f"expected a table made by tools/make_sixs_table.py, but it has no variable {error}",
             file=path,
         ) from error
 
@@ -166,7 +166,7 @@ def table_limits(path: str | Path | None = None) -> dict[str, tuple[float, float
 
     **Arguments:**
 
-    - `path`: of a table made by `data/make_sixs_table.py`, the shipped one if left out.
+    - `path`: of a table made by `tools/make_sixs_table.py`, the shipped one if left out.
 
     **Returns:** lowest and highest value of each field, by its name.
     """
@@ -216,7 +216,7 @@ def tabulated_atmosphere(air: ClearAir, path: str | Path | None = None) -> Atmos
     **Arguments:**
 
     - `air`: the atmosphere, within `table_limits()`.
-    - `path`: of a table made by `data/make_sixs_table.py`, the shipped one if left out.
+    - `path`: of a table made by `tools/make_sixs_table.py`, the shipped one if left out.
 
     **Raises:** `InputError` for a field outside the table, where it is known before tracing; a
     traced one is moved to the nearest end, with slope zero.

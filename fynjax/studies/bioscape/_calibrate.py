@@ -25,10 +25,10 @@ from fynjax.studies.bioscape._inversion import (
     QUANTITIES,
     ROOM,
     SOFTNESS,
-    Estimate,
     PlotCase,
+    PlotEstimate,
     PlotSpectrumForward,
-    Reference,
+    ReferencePlot,
     bias_corrected_data,
     flight_covariance,
     infer_plot,
@@ -171,7 +171,7 @@ def calibrate_plots(
     cases = [
         _case(prior, i, data[i], learned, stands[i]) for prior in free for i in range(len(read))
     ]
-    estimates: dict[str, list[Estimate]] = {}
+    estimates: dict[str, list[PlotEstimate]] = {}
     with run.stage("Infer", total=len(priors) * len(read)), at_work(workers) as pool:
 
         def infer(cases: list[PlotCase], of: Sequence[Prior]) -> None:
@@ -179,7 +179,7 @@ def calibrate_plots(
             found = pool.all(
                 infer_plot, cases, predict, names=names, journal=journal, progress=run.progress
             )
-            fits = [Estimate.of(case.space, arrays) for case, arrays in zip(cases, found)]
+            fits = [PlotEstimate.of(case.space, arrays) for case, arrays in zip(cases, found)]
             for k, prior in enumerate(of):
                 estimates[prior.name] = fits[k * len(read) : (k + 1) * len(read)]
                 for fit, plot in zip(estimates[prior.name], prior.plots):
@@ -281,7 +281,7 @@ def _case(
     return PlotCase(spectrum, space, prior.parameters[i], tuple(stands))
 
 
-def _check(fit: Estimate, plot: BioscapePlot, folder: Path) -> None:
+def _check(fit: PlotEstimate, plot: BioscapePlot, folder: Path) -> None:
     if not (np.isfinite(fit.after).all() and np.isfinite(fit.covariance).all()):
         raise InputError(
             f"the fit of plot {plot.name!r} is not finite; is its spectrum a reflectance?",
@@ -292,7 +292,7 @@ def _check(fit: Estimate, plot: BioscapePlot, folder: Path) -> None:
 def _findings(
     read: Sequence[BioscapePlot],
     priors: Sequence[Prior],
-    estimates: dict[str, list[Estimate]],
+    estimates: dict[str, list[PlotEstimate]],
     field: Field,
     bands: BandSet,
     data: Sequence[Data],
@@ -302,7 +302,7 @@ def _findings(
         names, np.asarray(bands.centre), np.stack([np.asarray(d.value) for d in data]), estimates
     )
     for prior in priors:
-        references = [Reference(p) for p in prior.plots]
+        references = [ReferencePlot(p) for p in prior.plots]
         findings.tables.append(
             estimate_table(read, prior.name, references, estimates[prior.name], field)
         )

@@ -73,7 +73,7 @@ assumed. Dead tissue, at most all of a shoot, has the absolute sd of its record,
 
 
 @dataclass(frozen=True)
-class Reference:
+class ReferencePlot:
     """Reference values of a plot, on which its parameters are factors."""
 
     plot: BioscapePlot
@@ -150,7 +150,7 @@ WORDS = {name: words for name, (_, *words) in QUANTITIES.items()} | COVERS | STA
 """Words and unit of each quantity that is estimated."""
 
 
-def quantity(reference: Reference, name: str, factor: Any) -> Any:
+def quantity(reference: ReferencePlot, name: str, factor: Any) -> Any:
     """One of `QUANTITIES` at a factor."""
     if name == "live_cover":
         return 100.0 * reference.live(factor)
@@ -258,7 +258,7 @@ def prior_space(
             if name != "soil_brightness":  # the others are factors on the population's means
                 known = f"{name}.{form}" if name in BY_FORM else name
                 sd[name] = learned.sd(known) / values[known]
-    reference = Reference(plot)
+    reference = ReferencePlot(plot)
     for name, (mean, spread) in ({} if elsewhere is None else elsewhere).items():
         free = QUANTITIES[name][0]
         if name == "live_cover":  # the scene's traits are already that mean, its cover is not
@@ -279,7 +279,7 @@ def logit_space(priors: Mapping[str, tuple[float, float, float, float]]) -> Para
     return ParameterSpace(tuple(priors), lower, upper, centre, width=sd / slope)
 
 
-def _crowns_for(reference: Reference, live_percent: float) -> float:
+def _crowns_for(reference: ReferencePlot, live_percent: float) -> float:
     """Factor on the crowns that gives a live cover, within what a plot has room for."""
     wanted, free = reference.factor(live_percent / 100.0), FREE["cover"]
     if free.lower < wanted < free.upper:
@@ -349,7 +349,7 @@ def bias_corrected_data(
 
 
 @dataclass(frozen=True)
-class Estimate:
+class PlotEstimate:
     """Posterior of a plot, given its spectrum and a prior."""
 
     space: ParameterSpace
@@ -389,7 +389,7 @@ class Estimate:
         return random.multivariate_normal(self.whitened, self.covariance, count, method="cholesky")
 
     def quantity(
-        self, reference: Reference, name: str, u: Float[np.ndarray, "draw free"]
+        self, reference: ReferencePlot, name: str, u: Float[np.ndarray, "draw free"]
     ) -> Float[np.ndarray, " draw"]:
         """One of `WORDS` at whitened parameters; those of `STAND` linear about the estimate."""
         if name in STAND:
@@ -402,7 +402,7 @@ class Estimate:
             return quantity(reference, name, values[QUANTITIES[name][0]])
         return 100.0 * (reference.dead if name == "dead_cover" else reference.bare)(values)
 
-    def removed(self, reference: Reference, name: str) -> float:
+    def removed(self, reference: ReferencePlot, name: str) -> float:
         """Share of the prior variance of a quantity that the spectrum removes [-], linear about
         the estimate; 0 where no free parameter moves it."""
         step = 1e-3 * np.eye(len(self.whitened))
@@ -428,7 +428,7 @@ class PlotCase(NamedTuple):
 def infer_plot(
     case: PlotCase, predict: PlotSpectrumForward, max_steps: int = 20
 ) -> tuple[Array, ...]:
-    """Fit one plot: the arrays of an `Estimate`."""
+    """Fit one plot: the arrays of an `PlotEstimate`."""
     data, space, parameters, scenes, bias = case
     none = jnp.zeros_like(data.value)
     offset = none if bias is None else jnp.asarray(bias)

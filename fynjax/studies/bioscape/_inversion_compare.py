@@ -8,7 +8,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from fynjax.compare import leave_one_out
-from fynjax.studies.bioscape._inversion import FREE, WORDS, Estimate, Reference
+from fynjax.studies.bioscape._inversion import FREE, WORDS, PlotEstimate, ReferencePlot
 from fynjax.studies.bioscape._plots import BioscapePlot
 
 TABLES_PRIOR, OTHERS_PRIOR, BIAS_CORRECTED = (
@@ -93,8 +93,8 @@ def others(values: Float[np.ndarray, " plot"]) -> tuple[np.ndarray, np.ndarray]:
 def estimate_table(
     plots: Sequence[BioscapePlot],
     predictor: str,
-    references: Sequence[Reference],
-    estimates: Sequence[Estimate],
+    references: Sequence[ReferencePlot],
+    estimates: Sequence[PlotEstimate],
     field: Field,
 ) -> pd.DataFrame:
     """Every quantity of every plot: field, prior, estimate and its interval."""
@@ -181,7 +181,7 @@ def _inside(table: pd.DataFrame, low: str, high: str) -> float:
 
 
 def parameter_table(
-    plots: Sequence[str], predictor: str, estimates: Sequence[Estimate]
+    plots: Sequence[str], predictor: str, estimates: Sequence[PlotEstimate]
 ) -> pd.DataFrame:
     """Every free parameter of every plot."""
     rows = []

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from fynjax.jobs import JobResult, Rows, Run
 from fynjax.report.figures import estimates_plot, residuals_plot, shifts_plot
 from fynjax.report.pages import Page, Part, Picture, Section, Table
-from fynjax.studies.bioscape._inversion import MODEL_SD, WORDS, Estimate
+from fynjax.studies.bioscape._inversion import MODEL_SD, WORDS, PlotEstimate
 from fynjax.studies.bioscape._inversion_compare import (
     BIAS_CORRECTED,
     CONSTRAINED,
@@ -40,7 +40,7 @@ class Findings:
     plots: tuple[str, ...]
     wavelength: Float[np.ndarray, " band"]
     measured: Float[np.ndarray, "plot band"]
-    estimates: dict[str, list[Estimate]]
+    estimates: dict[str, list[PlotEstimate]]
     """By prior, in the order of the plots."""
     tables: list[pd.DataFrame] = field(default_factory=list)
     """Estimates of each predictor."""

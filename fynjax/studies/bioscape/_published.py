@@ -192,7 +192,7 @@ class ViewFromAbove:
 
 
 @dataclass(frozen=True)
-class Place:
+class PlotCentre:
     """Centre of a plot."""
 
     longitude: float
@@ -218,7 +218,7 @@ class FieldTables:
     """Years since fire, mean of the quadrants that state a number."""
     view: dict[str, ViewFromAbove] = field(default_factory=dict)
     """Line intercepts."""
-    place: dict[str, Place] = field(default_factory=dict)
+    place: dict[str, PlotCentre] = field(default_factory=dict)
     """Centres of the plots."""
     remarks: list[Remark] = field(default_factory=list)
     """What is odd."""
@@ -433,7 +433,7 @@ def _read_intercepts(tables: FieldTables, path: Path) -> None:
 _PLACE_COLUMNS = ("bioscape_plot_id", "townsend_long", "townsend_lat", "quality_flag")
 
 
-def _read_places(path: Path) -> dict[str, Place]:
+def _read_places(path: Path) -> dict[str, PlotCentre]:
     """Centres of the plots from the layer `plot_centers` of a GeoPackage, which is SQLite."""
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as base:
@@ -448,7 +448,7 @@ def _read_places(path: Path) -> dict[str, Place]:
     except sqlite3.DatabaseError as error:
         raise InputError(f"expected a GeoPackage (SQLite), but: {error}", file=path) from error
     return {
-        str(plot): Place(float(x), float(y), "" if not_available(flag) is None else str(flag))
+        str(plot): PlotCentre(float(x), float(y), "" if not_available(flag) is None else str(flag))
         for plot, x, y, flag in rows
         if _on_earth((x, 180.0), (y, 90.0))
     }

@@ -9,7 +9,7 @@ from fynjax.assembly import Measured, drone_view
 from fynjax.compare import bands_2006, consistent_targets, table4_2006
 from fynjax.inversion import weigh_targets
 from fynjax.io.plot import example_folder, read_plot
-from fynjax.jobs import CalibrateResult, Reference, Run, calibrate_to
+from fynjax.jobs import CalibrateResult, ReferenceImage, Run, calibrate_to
 from fynjax.metrics import BANDS
 
 _LAST_DIGIT = 0.0005 / 3**0.5
@@ -47,7 +47,7 @@ def demo(output: Path, *, seed: int, progress: Progress | None = None) -> Calibr
         (Measured("image", plot.file, data, drone_view(plot, names), description),),
         Run(output, seed=seed, progress=progress),
         inputs=plot.inputs,
-        reference=Reference(
+        reference=ReferenceImage(
             known, *paper_simulation(), goals={"mean of a band": 3.0, "mean of an index": 5.0}
         ),
         command="demo",

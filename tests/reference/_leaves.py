@@ -7,7 +7,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.radiation._scene import VoxelScene
-from fynjax.radiation.reference._world import Discs, World, build_world, plain
+from tests.reference._world import Discs, World, build_world, plain
 
 _MOST_CELLS = 20_000_000
 

@@ -1,6 +1,6 @@
 """Recipe of `water_regression.csv`: water from what fits of PROSPECT-D leave in spectra.
 
-Run `python -m fynjax.leaf.data.estimate_regression FOLDER [OUTPUT]` with the folder of
+Run `python -m tools.estimate_regression FOLDER [OUTPUT]` with the folder of
 `estimate_error_model`; the table is written into the folder OUTPUT.
 
 A Gaussian process on the logarithm of measured over fitted trait, linear in the derivative along
@@ -27,7 +27,7 @@ from scipy.stats import t as student
 from fynjax.leaf._error_model import bin_centres
 from fynjax.leaf._fit import LeafFit, fit_leaf
 from fynjax.leaf._regression import WINDOW, bounded, remains
-from fynjax.leaf.data.estimate_error_model import CAMPAIGNS, LeafSet, estimate_spectral, read
+from tools.estimate_error_model import CAMPAIGNS, DATA, LeafSet, estimate_spectral, read
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
@@ -248,7 +248,7 @@ def estimate(folder: Path) -> pd.DataFrame:
 
 
 if __name__ == "__main__":
-    output = Path(sys.argv[2]) if len(sys.argv) > 2 else Path(__file__).parent
+    output = Path(sys.argv[2]) if len(sys.argv) > 2 else DATA
     estimate(Path(sys.argv[1])).to_csv(
         output / "water_regression.csv", index=False, float_format="%.5g"
     )

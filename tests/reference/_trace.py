@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from fynjax.radiation.reference._random import Vector, compiled
-from fynjax.radiation.reference._world import Discs, Ground, World
+from tests.reference._random import Vector, compiled
+from tests.reference._world import Discs, Ground, World
 
 LEAF, GROUND, SKY, SIDE = 0, 1, 2, 3
 _OPAQUE = 40.0  # optical depth beyond which transmittance is taken as zero

@@ -10,11 +10,11 @@ between the column centres (at an open edge the last height goes on), shines by 
 slope, and hides what lies below it: a voxel's density is that of the part above the ground. The
 sides of the ground under an open scene are black, and there is no ground beside it.
 
-Compiled by numba on first use (some seconds), so it is not imported with `fynjax.radiation`:
-`from fynjax.radiation import reference`.
+Compiled by numba on first use (some seconds), so it stands beside the tests:
+`from tests import reference`.
 """
 
-from fynjax.radiation.reference._estimate import (
+from tests.reference._estimate import (
     Estimate,
     FluxEstimates,
     PixelRays,
@@ -25,7 +25,7 @@ from fynjax.radiation.reference._estimate import (
     image,
     reflectance,
 )
-from fynjax.radiation.reference._leaves import Leaves, discs
+from tests.reference._leaves import Leaves, discs
 
 __all__ = [
     "Estimate",

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from fynjax.radiation.reference._random import (
+from tests.reference._random import (
     Vector,
     compiled,
     compiled_with_arrays,
@@ -14,7 +14,7 @@ from fynjax.radiation.reference._random import (
     uniform,
     unit,
 )
-from fynjax.radiation.reference._trace import (
+from tests.reference._trace import (
     LEAF,
     SIDE,
     SKY,
@@ -23,7 +23,7 @@ from fynjax.radiation.reference._trace import (
     trace_path,
     transmittance,
 )
-from fynjax.radiation.reference._world import Ground, Light, World
+from tests.reference._world import Ground, Light, World
 
 _LIFT = 1e-7  # of a column's width, so that uneven ground does not shade itself
 _FAINT = 0.1  # weight below which every other path ends

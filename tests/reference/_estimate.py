@@ -10,9 +10,9 @@ import numpy as np
 from fynjax._core.errors import InputError
 from fynjax.radiation._rays import RayLattice
 from fynjax.radiation._scene import VoxelScene
-from fynjax.radiation.reference._leaves import Leaves, with_leaves
-from fynjax.radiation.reference._paths import FIXED, backward, forward
-from fynjax.radiation.reference._world import World, build_world, plain, towards
+from tests.reference._leaves import Leaves, with_leaves
+from tests.reference._paths import FIXED, backward, forward
+from tests.reference._world import World, build_world, plain, towards
 
 _BATCHES = 32
 _PIXELS = 256  # that one thread takes at a time

