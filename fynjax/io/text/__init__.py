@@ -1,6 +1,8 @@
 """Text files of a user: strict tables and TOML with errors that point at the cell; safe writing."""
 
 from fynjax._core.errors import did_you_mean
+from fynjax._core.records import Slip, Strict, number, optional_quantity, quantity
+from fynjax._core.validation import first_error, sentence
 from fynjax.io.text._atomic import (
     atomic_path,
     remove_abandoned,
@@ -16,7 +18,6 @@ from fynjax.io.text._files import (
     read_bytes,
 )
 from fynjax.io.text._named import shipped_or_own
-from fynjax.io.text._strict import Slip, Strict, number, optional_quantity, quantity
 from fynjax.io.text._tables import (
     broken_row,
     foreign_rows,
@@ -26,7 +27,6 @@ from fynjax.io.text._tables import (
     split_lines,
 )
 from fynjax.io.text._toml import line_of, read_toml
-from fynjax.io.text._validate import first_error, sentence
 
 __all__ = [
     "NamedFile",

@@ -10,8 +10,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from fynjax._core.errors import InputError
+from fynjax._core.validation import first_error, sentence
 from fynjax.io.text._tables import read_text
-from fynjax.io.text._validate import first_error, sentence
 
 Model = TypeVar("Model", bound=BaseModel)
 
