@@ -12,7 +12,7 @@ from fynjax.io.plot import (
     visible_sensor,
 )
 from fynjax.scene import AimedSensor, Placement, PlotAir, PlotParameters, Scene, aim
-from fynjax.sensors import Atmosphere, OrthographicCamera, Panel, Sensor
+from fynjax.sensors import Atmosphere, OrthographicCamera, Sensor
 
 _DISAGREE = 0.02  # share by which a pixel may differ from the optics without a warning
 
@@ -71,7 +71,6 @@ def aim_at_plot(
             file=plot.file,
             column="sky.table",
         )
-    panels = tuple(Panel(**panel.model_dump()) for panel in plot.sensor.panels)
     try:
         aimed = aim(
             scene,
@@ -80,7 +79,7 @@ def aim_at_plot(
             dataclasses.replace(place, altitude=altitude, pixel=pixel),
             air=_air(plot, air),
             point_spread=plot.sensor.point_spread,
-            panels=panels if own and air.source != "none" else (),
+            panels=plot.sensor.panels if own and air.source != "none" else (),
         )
         aimed.check(parameters)
     except InputError as error:

@@ -12,6 +12,7 @@ its mean density.
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, Literal, overload
 
@@ -419,7 +420,7 @@ def aim(
     placement: Placement | None = None,
     *,
     air: PlotAir | Atmosphere | None = None,
-    panels: tuple[Panel, ...] = (),
+    panels: Sequence[Panel] = (),
     point_spread: bool = True,
     accuracy: Accuracy | None = None,
 ) -> AimedSensor:

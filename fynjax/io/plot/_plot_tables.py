@@ -25,7 +25,7 @@ from fynjax.io.text import (
     quantity,
 )
 from fynjax.scene import PARAMETERS, Placement
-from fynjax.sensors import SunPosition, shipped_sensors, sun_position
+from fynjax.sensors import Panel, SunPosition, shipped_sensors, sun_position
 
 
 def _two_sides(value: Any) -> Any:
@@ -292,21 +292,6 @@ class GroundTable(Strict):
         return self
 
 
-class PanelTable(Strict):
-    """A square reference panel in the picture, flat and above the plants."""
-
-    slips: ClassVar[dict[str, Slip]] = {
-        "reflectance": lambda v: "In percent? Divide by 100." if v > 1.2 else None
-    }
-    x_m: float = number("Middle of the panel, east of the plot's south-west corner", "m", ge=0)
-    y_m: float = number("Middle of the panel, north of it", "m", ge=0)
-    side_m: float = number("Its side", "m", default=0.5, gt=0, le=1000)
-    reflectance: float = number("Reflectance factor in all bands", "-", gt=0, le=1.2)
-    reflectance_sd: float = number(
-        "Standard deviation of that, relative to it", "-", default=0.01, ge=0, le=1
-    )
-
-
 class SensorTable(Strict):
     """The sensor, and from where it looks."""
 
@@ -355,7 +340,7 @@ class SensorTable(Strict):
     point_spread: bool = Field(
         default=True, description="Whether the optics blur, if the sensor says how."
     )
-    panels: list[PanelTable] = Field(
+    panels: list[Panel] = Field(
         default=[],
         description="Reference panels in the picture; `simulate` then calibrates by them.",
     )
