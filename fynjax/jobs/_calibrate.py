@@ -10,14 +10,7 @@ import pandas as pd
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.assembly import Measured, prepare, read_targets
-from fynjax.inversion import (
-    Calibration,
-    CalibrationSettings,
-    calibration,
-    join_data,
-    plot_search,
-    search_starts,
-)
+from fynjax.inversion import Calibration, calibration, join_data, plot_search, search_starts
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.raster import write_run
 from fynjax.jobs._calibrate_known import known_plants
@@ -115,7 +108,7 @@ def calibrate(
     read = with_prior(as_plot(plot), prior)
     paths = [targets] if isinstance(targets, Path) else list(targets)
     run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
-    if read.crowns is not None and paths[0].suffix.lower() in (".tif", ".tiff"):
+    if read.known_crowns is not None and paths[0].suffix.lower() in (".tif", ".tiff"):
         return _calibrate_known(read, paths, run, bands, checkpoint)
     measured = read_targets(read, paths, bands=bands, seed=run.seed, progress=run.progress)
     return calibrate_to(read, measured, run, inputs=(*read.inputs, *paths), checkpoint=checkpoint)
@@ -193,8 +186,8 @@ def calibrate_to(
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
-    steps, starts = plot.calibration.max_iterations, plot.calibration.starts
-    evaluations = starts * (steps + (steps + 1) // 2)
+    steps = ready.settings.max_steps
+    evaluations = ready.settings.starts * (steps + (steps + 1) // 2)
     with run.stage("Calibrate", "calibrate", total=evaluations):
         search = plot_search(
             ready.scene,
@@ -202,7 +195,7 @@ def calibrate_to(
             join_data([sensor.data for sensor in measured]),
             ready.space,
             views,
-            CalibrationSettings(max_steps=steps, starts=starts, seed=run.seed),
+            ready.settings,
             replant=ready.replant,
         )
         result = calibration(search, follow(search, search_starts(search), run, checkpoint))

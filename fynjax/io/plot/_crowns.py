@@ -13,6 +13,7 @@ from fynjax._core.extras import require
 from fynjax.io.plot._place import plot_place
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._rows import CrownRow
+from fynjax.io.plot._sensor import sensor_place
 from fynjax.io.raster import check_metric, parse_crs
 from fynjax.io.text import existing_file, first_error, read_rows, sentence
 from fynjax.scene import Crowns
@@ -31,8 +32,8 @@ def with_crowns(plot: Plot, path: Path) -> Plot:
       of their area. Coordinates of a GeoPackage are those of the plot's maps if it has a reference
       system, else metres from the plot's south-west corner.
 
-    **Returns:** the plot with `crowns`, and with the cover, the mean diameter and the greatest
-    height of each species that follow from them; species without crowns have a cover of 0.
+    **Returns:** the plot with `known_crowns`, and with the cover, the mean diameter and the
+    greatest height of each species that follow from them; species without crowns have a cover of 0.
 
     **Raises:** `InputError` with file, row (of a GeoPackage the number of the feature) and column
     for a crown of another taxon, outside the plot, of no size, or that is there twice; for map
@@ -43,6 +44,7 @@ def with_crowns(plot: Plot, path: Path) -> Plot:
     geopackage = path.suffix.lower() == ".gpkg"
     rows = _read_geopackage(path, plot) if geopackage else read_rows(path, CrownRow, _WHAT)
     corner: tuple[float, float] | None = None
+    altitude, _ = sensor_place(plot)
     places: dict[tuple[str, float, float], int] = {}
     for number, row in rows:
         if row.taxon not in plot.taxa:
@@ -79,10 +81,9 @@ def with_crowns(plot: Plot, path: Path) -> Plot:
                 row=number,
                 column="diameter_cm",
             )
-        if row.height_m >= plot.sensor.altitude_m:
+        if row.height_m >= altitude:
             raise InputError(
-                f"expected a plant below the sensor at {plot.sensor.altitude_m:g} m, but got "
-                f"{row.height_m:g} m",
+                f"expected a plant below the sensor at {altitude:g} m, but got {row.height_m:g} m",
                 file=path,
                 row=number,
                 column="height_m",
@@ -129,7 +130,7 @@ def _with_sizes(plot: Plot, crowns: Crowns, path: Path) -> Plot:
     )
     if bare:
         note += f" Without crowns, and so without plants: {', '.join(bare)}."
-    return replace(plot, species=tuple(species), crowns=crowns, crowns_note=note)
+    return plot.replace(species=tuple(species), known_crowns=crowns, crowns_note=note)
 
 
 def _corner(plot: Plot, path: Path) -> tuple[float, float]:

@@ -366,13 +366,12 @@ def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
                 prior.sd(f"{kind}.{one.growth_form}", elsewhere=True) / value,
             )
     ground = plot.ground
-    if ground.wood_brightness == PARAMETERS["wood_brightness"].default:
-        ground = replace(ground, wood_brightness=values["wood_brightness"])
-    return replace(
-        plot,
+    if ground.wood_brightness is None and plot.dead_tissue is None:
+        ground = ground.replace(wood_brightness=values["wood_brightness"])
+    return plot.replace(
         species=tuple(species),
         ground=ground,
-        calibration=replace(plot.calibration, priors=spread),
+        calibration=plot.calibration.replace(priors=spread),
         inputs=(*plot.inputs, prior.path),
     )
 

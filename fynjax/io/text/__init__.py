@@ -1,6 +1,8 @@
 """Text files of a user: strict tables and TOML with errors that point at the cell; safe writing."""
 
 from fynjax._core.errors import did_you_mean
+from fynjax._core.records import Slip, Strict, number, optional_quantity, quantity
+from fynjax._core.validation import first_error, sentence
 from fynjax.io.text._atomic import (
     atomic_path,
     remove_abandoned,
@@ -8,9 +10,14 @@ from fynjax.io.text._atomic import (
     staged_folder,
     write_text,
 )
-from fynjax.io.text._files import check_stated_size, existing_file, named_file, read_bytes
+from fynjax.io.text._files import (
+    NamedFile,
+    check_stated_size,
+    existing_file,
+    named_file,
+    read_bytes,
+)
 from fynjax.io.text._named import shipped_or_own
-from fynjax.io.text._strict import Slip, Strict, number, optional_quantity, quantity
 from fynjax.io.text._tables import (
     broken_row,
     foreign_rows,
@@ -20,9 +27,9 @@ from fynjax.io.text._tables import (
     split_lines,
 )
 from fynjax.io.text._toml import line_of, read_toml
-from fynjax.io.text._validate import first_error, sentence
 
 __all__ = [
+    "NamedFile",
     "Slip",
     "Strict",
     "atomic_path",

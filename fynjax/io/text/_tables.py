@@ -10,8 +10,8 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from fynjax._core.errors import InputError, did_you_mean, listed
+from fynjax._core.validation import first_error, sentence
 from fynjax.io.text._files import existing_file, read_bytes
-from fynjax.io.text._validate import first_error, sentence
 
 Row = TypeVar("Row", bound=BaseModel)
 

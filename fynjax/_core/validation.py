@@ -9,7 +9,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from fynjax._core.errors import did_you_mean
-from fynjax.io.text._strict import Strict
+from fynjax._core.records import Strict
 
 
 def _bounds(field: FieldInfo) -> str:

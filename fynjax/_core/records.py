@@ -86,6 +86,15 @@ class Strict(BaseModel):
     slips: ClassVar[dict[str, Slip]] = {}
     """For a field, what a value outside its range was probably meant to be."""
 
+    def replace(self, **changes: Any) -> Self:
+        """The same record with other values, as `dataclasses.replace`. Ranges are not checked.
+
+        **Raises:** `TypeError` for a name that the record has not.
+        """
+        if unknown := sorted(set(changes) - set(type(self).model_fields)):
+            raise TypeError(f"{type(self).__name__} has no {', '.join(unknown)}")
+        return self.model_copy(update=changes)
+
     @model_validator(mode="after")
     def _measurable(self) -> Self:
         for name in type(self).model_fields:
