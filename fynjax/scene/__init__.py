@@ -38,7 +38,6 @@ from fynjax.scene._planting import (
     MOST_LISTED,
     Crowns,
     Planting,
-    draw_planting,
     element_count,
     individual_seeds,
     leafy_species,
@@ -47,12 +46,25 @@ from fynjax.scene._profile import height_profile
 from fynjax.scene._scene import (
     PlantingRules,
     Scene,
-    SceneSpecies,
     build_scene,
     ground_at,
     room_needed,
     slope_of_fading,
     stand_realisation,
+)
+from fynjax.scene._species import (
+    USUAL_LEAF,
+    LeafRow,
+    Species,
+    SpeciesRow,
+    check_leaves,
+    check_species,
+    diameter_slip,
+    height_slip,
+    leaf_parameters,
+    leaves_of,
+    species_parameters,
+    species_rows,
 )
 from fynjax.scene._spectra import (
     Spectrum,
@@ -61,7 +73,6 @@ from fynjax.scene._spectra import (
     mixed_surroundings,
 )
 from fynjax.scene._stand import StandArea, stand_area
-from fynjax.scene._table import USUAL_LEAF, species_parameters
 
 enable_double_precision()
 
@@ -78,6 +89,7 @@ __all__ = [
     "Ground",
     "GroundParameters",
     "Instances",
+    "LeafRow",
     "LidarObservation",
     "LightParameters",
     "Observation",
@@ -88,16 +100,19 @@ __all__ = [
     "PlotParameters",
     "ProjectedCover",
     "Scene",
-    "SceneSpecies",
+    "Species",
     "SpeciesParameters",
+    "SpeciesRow",
     "Spectrum",
     "StandArea",
     "aim",
     "background_spectrum",
     "band_wavelengths",
     "build_scene",
+    "check_leaves",
+    "check_species",
     "crown_centres",
-    "draw_planting",
+    "diameter_slip",
     "element_count",
     "fitted_accuracy",
     "ground_at",
@@ -106,9 +121,12 @@ __all__ = [
     "hard_instances",
     "hard_scene",
     "height_profile",
+    "height_slip",
     "individual_seeds",
     "is_large",
+    "leaf_parameters",
     "leafy_species",
+    "leaves_of",
     "mixed_surroundings",
     "named_values",
     "observe",
@@ -121,6 +139,7 @@ __all__ = [
     "room_needed",
     "slope_of_fading",
     "species_parameters",
+    "species_rows",
     "stand_area",
     "stand_realisation",
     "with_values",

@@ -42,7 +42,7 @@ def test_area_and_angles_of_a_plot_are_those_of_the_plant(made, tmp_path, name):
     model, parameters = build_plot(read_plot(tmp_path / "plot.toml", allow_outside=True))
     index = float(whole.organ_area[Organ.LEAF]) / crown
     assert float(parameters.species.leaf_area_index[0]) == pytest.approx(index, rel=0.05)
-    angle = model.leaf_angles[0]
+    angle = model.species[0].leaf_angle
     leaf = np.asarray(whole.plant.organ) == Organ.LEAF
     want = TabulatedLeafAngle.from_normals(
         whole.plant.normal[leaf], whole.plant.area_fraction[leaf]

@@ -93,7 +93,7 @@ def wrong_plot(plot, what):
     if what == "form":
         species = list(plot.species)
         i = next(i for i, one in enumerate(species) if one.taxon == "Erica irregularis")
-        species[i] = dataclasses.replace(species[i], growth_form="tussock")
+        species[i] = species[i].model_copy(update={"growth_form": "tussock"})
         return dataclasses.replace(plot, species=tuple(species))
     if what == "soil":
         folder = Path(os.environ.get("FYNJAX_SHARED_DATA", "../shared/data"))

@@ -188,8 +188,8 @@ def test_the_defaults_are_those_of_the_shipped_prior() -> None:
         "dry_matter": dry * mean["leaf_mass_per_area"],
         "water": dry * 0.52 / 0.48 * mean["leaf_mass_per_area"] * mean["water_per_dry_matter"],
     }
-    assert {n: USUAL_LEAF[n] for n in leaf} == pytest.approx(leaf, rel=0.02)
-    assert USUAL_LEAF["structure"] == pytest.approx(
+    assert {n: getattr(USUAL_LEAF, n) for n in leaf} == pytest.approx(leaf, rel=0.02)
+    assert USUAL_LEAF.structure == pytest.approx(
         structure_from_dry_matter(dry) * mean["structure"], rel=0.02
     )
 
@@ -203,7 +203,7 @@ def test_a_plot_takes_what_its_files_leave_open(tmp_path: Path) -> None:
     write_prior(tmp_path / "prior.toml", prior_file())
     plot = read_plot(example_folder() / "plot.toml")
     first, *others = plot.species
-    stated = replace(plot, species=(replace(first, dead_fraction=0.1), *others))
+    stated = replace(plot, species=(first.model_copy(update={"dead_fraction": 0.1}), *others))
     stated = replace(
         stated, calibration=replace(plot.calibration, priors={"species.*.leaf_area_index": 0.7})
     )

@@ -6,11 +6,9 @@ from fynjax.io.plot._plot import (
     Air,
     Calibration,
     Ground,
-    LeafSource,
     Plot,
     Sensor,
     Sky,
-    Species,
     Sun,
 )
 from fynjax.io.plot._plot_file import as_plot, example_folder, read_plot
@@ -36,11 +34,9 @@ from fynjax.io.plot._prior import (
 )
 from fynjax.io.plot._rows import (
     CrownRow,
-    LeafRow,
     ParameterRow,
     SkyPatternRow,
     SkyRow,
-    SpeciesRow,
     StatisticRow,
     StructureRow,
 )
@@ -65,8 +61,6 @@ __all__ = [
     "Calibration",
     "CrownRow",
     "Ground",
-    "LeafRow",
-    "LeafSource",
     "LearnedPrior",
     "LeftOutPlot",
     "ModelError",
@@ -80,8 +74,6 @@ __all__ = [
     "Sky",
     "SkyPatternRow",
     "SkyRow",
-    "Species",
-    "SpeciesRow",
     "StatisticRow",
     "StructureRow",
     "Sun",

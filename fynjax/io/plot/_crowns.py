@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.extras import require
+from fynjax._core.validation import checked_row
 from fynjax.io.plot._place import plot_place
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._rows import CrownRow
 from fynjax.io.raster import check_metric, parse_crs
-from fynjax.io.text import existing_file, first_error, read_rows, sentence
+from fynjax.io.text import existing_file, read_rows
 from fynjax.scene import Crowns
 
 _WHAT = "a table of crowns"
@@ -109,16 +109,17 @@ def _with_sizes(plot: Plot, crowns: Crowns, path: Path) -> Plot:
         mine = crowns.species == i
         if not mine.any():
             bare.append(stated.taxon)
-            species[i] = replace(stated, cover=0.0)
+            species[i] = stated.model_copy(update={"cover": 0.0})
             continue
         mean, greatest = crowns.sizes(i)
         disc = np.pi / 4.0 * mean**2 * (1.0 - stated.packing) * stated.fill
         share = min(1.0, float(mine.sum() * disc / np.prod(plot.size_m)))
-        species[i] = replace(stated, cover=share, diameter_m=mean, height_m=greatest)
+        found = {"cover": share, "diameter": mean, "height": greatest}
+        species[i] = stated.model_copy(update=found)
         change = (
             abs(share - stated.cover),
-            abs(mean / stated.diameter_m - 1.0),
-            abs(greatest / stated.height_m - 1.0),
+            abs(mean / stated.diameter - 1.0),
+            abs(greatest / stated.height - 1.0),
         )
         differ = np.maximum(differ, change)
     cover, diameter, height = (f"{100 * change:.0f}" for change in differ)
@@ -179,14 +180,7 @@ def _read_geopackage(path: Path, plot: Plot) -> list[tuple[int, CrownRow]]:
         middle = shape.centroid
         names = ("easting_m", "northing_m") if on_map else ("x_m", "y_m")
         given |= dict(zip(names, (middle.x, middle.y)))
-        try:
-            rows.append((int(number), CrownRow.model_validate(given)))
-        except ValidationError as error:
-            first = first_error(error)
-            name = str(first["loc"][0]) if first["loc"] else None
-            raise InputError(
-                sentence(first, CrownRow, name or ""), file=path, row=int(number), column=name
-            ) from error
+        rows.append((int(number), checked_row(CrownRow, given, file=path, row=int(number))))
     return rows
 
 

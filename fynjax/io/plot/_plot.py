@@ -8,57 +8,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fynjax.scene import PARAMETERS, Crowns, parameter_kind
+from fynjax.scene import PARAMETERS, Crowns, LeafRow, SpeciesRow, parameter_kind
 from fynjax.sensors import Panel
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class LeafSource:
-    """Where the optics of a taxon's leaves come from: exactly one of the two is set."""
-
-    parameters: dict[str, float] | None
-    """PROSPECT-D parameters by column name, in PROSPECT's units (`fynjax.scene.LEAF_FIELDS`)."""
-    spectrum: Path | None
-    """File of a measured reflectance spectrum, to be fitted."""
-
-
-@dataclass(frozen=True)
-class Species:
-    """One taxon of the plot. `None` means: take the default of the growth form."""
-
-    taxon: str
-    diameter_m: float
-    """Mean crown diameter [m]."""
-    cover: float
-    """Share of the ground under the crowns [-], 0 to 1."""
-    height_m: float
-    """Greatest height [m]."""
-    growth_form: str
-    """A key of `fynjax.canopy.FORMS`."""
-    leaf: LeafSource | None
-    """Leaf optics; `None` where the plot has no leaf table, and for deadwood."""
-    packing: float
-    """Share of a crown over its neighbours, PE/100 of equation (8) [-]."""
-    fill: float
-    """Share of the crown circle filled, FF/100 of equation (9) [-]."""
-    branches: int | None
-    """Branch models of one plant [-]."""
-    rotation_spread_deg: float | None
-    """Spread of the branches' tilt, sigma_rot [degree]."""
-    minimum_object_area_m2: float | None
-    """Least ground area that one plant counts for [m2]."""
-    leaf_area_index: float | None
-    """One-sided leaf area over the area of the crowns as seen from above [m2 m-2]."""
-    wood_area_index: float | None
-    """One-sided wood area over the area of the crowns as seen from above [m2 m-2]."""
-    plant: Path | None
-    """Mesh or area elements of one plant; `None` takes the shape of the growth form."""
-    shoot_clumping: float | None
-    """Probability that scattered light meets another leaf of the same shoot [-]."""
-    dead_fraction: float | None
-    """Share of the area of live shoots that is dead or woody tissue [-]."""
 
 
 @dataclass(frozen=True)
@@ -212,8 +165,10 @@ class Plot:
     `fynjax.scene.PlantingRules` has it."""
     boundary: str
     """'periodic' or 'open'."""
-    species: tuple[Species, ...]
+    species: tuple[SpeciesRow, ...]
     """In the order of the species table."""
+    leaves: tuple[LeafRow, ...]
+    """Rows of the leaf table; empty where the plot has none."""
     probability_map: Path | None
     """GeoTIFF, 0 to 255."""
     terrain: Path | None
@@ -258,9 +213,9 @@ class Plot:
     @property
     def diameter_m(self) -> Floats:
         """Mean crown diameter of each species [m]."""
-        return np.array([s.diameter_m for s in self.species])
+        return np.array([s.diameter for s in self.species])
 
     @property
     def height_m(self) -> Floats:
         """Greatest height of each species [m]."""
-        return np.array([s.height_m for s in self.species])
+        return np.array([s.height for s in self.species])

@@ -3,33 +3,27 @@
 `read_plot` is the only door: whatever it returns is complete, in SI units and within range.
 """
 
-import warnings
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
 from fynjax._core.errors import InputError
+from fynjax._core.validation import Row
 from fynjax.canopy import FORMS
 from fynjax.io.plot._crowns import with_crowns
-from fynjax.io.plot._plot import Calibration, Floats, Ground, LeafSource, Plot, Sky, Species
+from fynjax.io.plot._plot import Calibration, Floats, Ground, Plot, Sky
 from fynjax.io.plot._plot_tables import COVER_FRACTIONS, PlotFile
-from fynjax.io.plot._rows import LeafRow, SkyPatternRow, SkyRow, SpeciesRow
+from fynjax.io.plot._rows import SkyPatternRow, SkyRow
 from fynjax.io.plot._sensor import DRONE, plot_air, plot_sensor, plot_sun
-from fynjax.io.text import did_you_mean, existing_file, line_of, named_file, read_rows, read_toml
-from fynjax.leaf import structure_from_dry_matter
-from fynjax.scene import LEAF_FIELDS, PARAMETERS
+from fynjax.io.text import existing_file, line_of, named_file, read_rows, read_toml
+from fynjax.scene import PARAMETERS, LeafRow, SpeciesRow, check_leaves, check_species
 
 
 def example_folder() -> Path:
     """Folder of the shipped example plot: table 1 of the paper, burnt in 2006."""
     return Path(str(files("fynjax.io.plot") / "data" / "plot_2006"))
-
-
-def shipped_growth_forms() -> dict[str, str]:
-    """Growth form of each taxon of the shipped species table."""
-    rows = read_rows(example_folder() / "species.csv", SpeciesRow, "a species table")
-    return {row.taxon: str(row.growth_form) for _, row in rows}
 
 
 def _size(
@@ -49,75 +43,49 @@ def _size(
     return (float(sides[0]), float(sides[1]))
 
 
-def _read_species(path: Path) -> list[tuple[int, SpeciesRow]]:
+def _read_species(
+    path: Path, within: Path | None, size: tuple[float, float]
+) -> tuple[SpeciesRow, ...]:
     rows = read_rows(path, SpeciesRow, "a species table")
-    row_of: dict[str, int] = {}
+    check_species(rows, path)
     for number, row in rows:
-        if row.taxon in row_of:
+        if row.diameter > min(size):
             raise InputError(
-                f"{row.taxon!r} is in row {row_of[row.taxon]} already. Add the covers up, or give "
-                "the two layers different names.",
+                f"expected a crown smaller than the plot ({min(size):g} m), but got "
+                f"{100 * row.diameter:g} cm",
                 file=path,
                 row=number,
-                column="taxon",
+                column="mean_diameter_cm",
             )
-        row_of[row.taxon] = number
-    total = sum(row.cover_percent for _, row in rows)
-    if total > 300:
-        raise InputError(
-            f"expected covers that sum to at most 300 % (layers may overlap), but they sum to "
-            f"{total:g} %. Are these counts?",
-            file=path,
-            column="cover_percent",
-        )
-    largest = max(row.cover_percent for _, row in rows)
-    if 0 < largest <= 1 and total <= 1.5:
-        warnings.warn(
-            f"{path}: the largest cover is {largest:g} %. Are these fractions? Percent is "
-            f"expected: {largest:g} would be {largest * 100:g}.",
-            stacklevel=3,
-        )
-    return rows
+    return tuple(_located(row, number, "plant", "a plant", path, within) for number, row in rows)
 
 
-def _growth_form(row: SpeciesRow, shipped: dict[str, str], path: Path, number: int) -> str:
-    form = row.growth_form or shipped.get(row.taxon)
-    if form is None:
-        raise InputError(
-            f"expected a growth form for {row.taxon!r}, which is not in the shipped table."
-            f"{did_you_mean(row.taxon, shipped)} Add a column growth_form with one of "
-            f"{', '.join(FORMS)}.",
-            file=path,
-            row=number,
-            column="growth_form",
-        )
-    return form
-
-
-def _read_leaves(path: Path, taxa: list[str], within: Path | None) -> dict[str, LeafSource]:
-    sources: dict[str, LeafSource] = {}
-    for number, row in read_rows(path, LeafRow, "a leaf table"):
-        if row.taxon != "*" and row.taxon not in taxa:
+def _read_leaves(
+    path: Path, within: Path | None, species: Sequence[SpeciesRow]
+) -> tuple[LeafRow, ...]:
+    rows = read_rows(path, LeafRow, "a leaf table")
+    check_leaves(rows, [row.taxon for row in species], path)
+    named = {row.taxon for _, row in rows}
+    for one in species:
+        if not named & {one.taxon, "*"} and FORMS[one.growth_form].leafy:
             raise InputError(
-                f"unknown taxon {row.taxon!r}: it is not in the species table."
-                f"{did_you_mean(row.taxon, taxa)}",
+                f"expected leaf optics for {one.taxon!r}, but it has no row. Add one, or a row "
+                "'*' for all that have none.",
                 file=path,
-                row=number,
                 column="taxon",
             )
-        if row.taxon in sources:
-            raise InputError(f"{row.taxon!r} is there twice", file=path, row=number, column="taxon")
-        if row.spectrum is not None:
-            spectrum = named_file(
-                path, row.spectrum, "a leaf spectrum", within=within, row=number, column="spectrum"
-            )
-            sources[row.taxon] = LeafSource(None, spectrum)
-        else:
-            values = {name: _stated(getattr(row, name), name) for name in LEAF_FIELDS}
-            if row.structure is None:
-                values["structure"] = float(structure_from_dry_matter(values["dry_matter"]))
-            sources[row.taxon] = LeafSource(values, None)
-    return sources
+    what = "a leaf spectrum"
+    return tuple(_located(row, number, "spectrum", what, path, within) for number, row in rows)
+
+
+def _located(
+    row: Row, number: int, column: str, what: str, table: Path, within: Path | None
+) -> Row:
+    """The row of a table with the place of the file that it names."""
+    if (name := getattr(row, column)) is None:
+        return row
+    path = named_file(table, str(name), what, within=within, row=number, column=column)
+    return row.model_copy(update={column: path})
 
 
 def _stated(value: float | None, kind: str) -> float:
@@ -230,55 +198,10 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
     air = parsed.atmosphere
     air_path = None if air is None else named("atmosphere", "file", air.file, "curves of the air")
 
-    rows = _read_species(species_path)
-    shipped, taxa = shipped_growth_forms(), [row.taxon for _, row in rows]
-    leaves = {} if leaf_path is None else _read_leaves(leaf_path, taxa, within)
-    species = []
-    for number, row in rows:
-        form = _growth_form(row, shipped, species_path, number)
-        diameter = _stated(row.mean_diameter_cm, "diameter")
-        if diameter > min(size):
-            raise InputError(
-                f"expected a crown smaller than the plot ({min(size):g} m), but got "
-                f"{row.mean_diameter_cm:g} cm",
-                file=species_path,
-                row=number,
-                column="mean_diameter_cm",
-            )
-        leaf = leaves.get(row.taxon, leaves.get("*"))
-        if leaf_path is not None and leaf is None and form != "deadwood":
-            raise InputError(
-                f"expected leaf optics for {row.taxon!r}, but it has no row. Add one, or a row "
-                "'*' for all that have none.",
-                file=leaf_path,
-                column="taxon",
-            )
-        species.append(
-            Species(
-                taxon=row.taxon,
-                diameter_m=diameter,
-                cover=_stated(row.cover_percent, "cover"),
-                height_m=row.height_max_m,
-                growth_form=form,
-                leaf=None if form == "deadwood" else leaf,
-                packing=_stated(row.packing_percent, "packing"),
-                fill=_stated(row.fill_percent, "fill"),
-                branches=row.branches,
-                rotation_spread_deg=row.rotation_spread_deg,
-                minimum_object_area_m2=row.minimum_object_area_m2,
-                leaf_area_index=row.leaf_area_index,
-                wood_area_index=row.wood_area_index,
-                plant=named_file(
-                    species_path, row.plant, "a plant", within=within, row=number, column="plant"
-                )
-                if row.plant
-                else None,
-                shoot_clumping=row.shoot_clumping,
-                dead_fraction=row.dead_fraction,
-            )
-        )
+    species = _read_species(species_path, within, size)
+    leaves = () if leaf_path is None else _read_leaves(leaf_path, within, species)
     sensor = plot_sensor(parsed.sensor, sensor_path, path, text)
-    tallest = max(s.height_m for s in species)
+    tallest = max(row.height for row in species)
     if sensor.altitude_m <= tallest:
         raise InputError(
             f"expected a sensor above the plants ({tallest:g} m), but got {sensor.altitude_m:g} m",
@@ -298,14 +221,13 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
             column="sensor.pixel_m",
         )
     wavelength, diffuse = (None, None) if sky_path is None else _read_sky(sky_path)
-    spectra = [leaf.spectrum for leaf in leaves.values()]
     inputs = (
         *(path, species_path, leaf_path, map_path, sky_path, soil_path, cover_map),
         *(terrain_path, sensor_path, air_path, values_path, dead_path),
         *(pattern_path, crowns_path),
         *cover_paths,
-        *(entry.plant for entry in species),
-        *spectra,
+        *(row.plant for row in species),
+        *(row.spectrum for row in leaves),
     )
     fractions = [_stated(getattr(parsed.ground, name), name) for name in COVER_FRACTIONS]
     wet = 1.0 if parsed.ground.soil == "wet" else None
@@ -321,7 +243,8 @@ def read_plot(path: str | Path, *, allow_outside: bool = False) -> Plot:
         voxel_m=parsed.plot.voxel_m,
         structure_m=parsed.plot.structure_m,
         boundary=parsed.plot.boundary,
-        species=tuple(species),
+        species=species,
+        leaves=leaves,
         probability_map=map_path,
         terrain=terrain_path,
         map_origin_m=parsed.plot.map_origin_m,

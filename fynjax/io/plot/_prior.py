@@ -358,7 +358,7 @@ def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
             and (one.plant is None or kind != "leaf_area_index")
         ]
         found: dict[str, Any] = {kind: values[f"{kind}.{one.growth_form}"] for kind in open_kinds}
-        species.append(replace(one, **found))
+        species.append(one.model_copy(update=found))
         for kind, value in found.items():
             # Patterns of the plot file come first.
             spread.setdefault(

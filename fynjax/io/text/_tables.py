@@ -5,15 +5,12 @@ import io
 import itertools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
-from fynjax._core.errors import InputError, did_you_mean, listed
-from fynjax._core.validation import first_error, sentence
+from fynjax._core.errors import InputError
+from fynjax._core.validation import Row, check_header, checked_row
 from fynjax.io.text._files import existing_file, read_bytes
-
-Row = TypeVar("Row", bound=BaseModel)
 
 _DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
@@ -126,30 +123,7 @@ def _check_header(header: Sequence[str], model: type[BaseModel], path: Path, row
                     file=path,
                     row=row,
                 )
-    known = list(model.model_fields)
-    required = [name for name, field in model.model_fields.items() if field.is_required()]
-    missing = [name for name in required if name not in header]
-    strange = [name for name in header if name not in known]
-    if missing:
-        near = did_you_mean(missing[0], strange)
-        near = near.replace("Did you mean", "Is it").replace("?", " in this file?")
-        raise InputError(
-            f"expected a column {missing[0]!r}, but the header has {listed(header)}.{near}",
-            file=path,
-            row=row,
-            column=missing[0],
-        )
-    if strange:
-        what = repr(strange[0]) if strange[0] else "a column without a name"
-        raise InputError(
-            f"unknown column {what}.{did_you_mean(strange[0], known)} Known: {', '.join(known)}.",
-            file=path,
-            row=row,
-            column=strange[0],
-        )
-    twice = [name for k, name in enumerate(header) if name in header[:k]]
-    if twice:
-        raise InputError("this column is there twice", file=path, row=row, column=twice[0])
+    check_header(header, model, file=path, row=row)
 
 
 def _check_cells(cells: Sequence[str], header: Sequence[str], path: Path, row: int) -> None:
@@ -195,14 +169,7 @@ def read_rows(path: str | Path, model: type[Row], what: str) -> list[tuple[int, 
             continue
         _check_cells(cells, header, path, number)
         given = {name: cell for name, cell in zip(header, cells, strict=True) if cell}
-        try:
-            rows.append((number, model.model_validate(given)))
-        except ValidationError as error:
-            first = first_error(error)
-            name = str(first["loc"][0]) if first["loc"] else None
-            raise InputError(
-                sentence(first, model, name or ""), file=path, row=number, column=name
-            ) from error
+        rows.append((number, checked_row(model, given, file=path, row=number)))
     if header is None:
         raise InputError(f"expected {what}, but the file is empty", file=path)
     if not rows:
