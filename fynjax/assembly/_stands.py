@@ -367,11 +367,13 @@ def _draw(
     dry = np.minimum(leaf_mass / ratio / 1e4, PARAMETERS["dry_matter"].upper)
     pigment = around(1.0, _PIGMENT_SD)
     average = prior.values()["chlorophyll"]  # which the usual leaf is already times
-    common = USUAL_LEAF.model_dump()
+    usual_leaf = USUAL_LEAF.model_dump()
     leaf: dict[str, Any] = {
         "structure": np.asarray(structure_from_dry_matter(dry)),
-        **{name: common[name] / average * pigment for name in ("chlorophyll", "carotenoids")},
-        **{name: np.full_like(dry, common[name]) for name in ("anthocyanins", "brown_pigments")},
+        **{name: usual_leaf[name] / average * pigment for name in ("chlorophyll", "carotenoids")},
+        **{
+            name: np.full_like(dry, usual_leaf[name]) for name in ("anthocyanins", "brown_pigments")
+        },
         "water": np.minimum(dry * odds, _MOST_WATER),
         "dry_matter": dry,
     }

@@ -120,10 +120,10 @@ def test_a_row_that_cannot_serve_is_named(change, words):
 
 
 def test_tables_in_python_are_checked_as_files_are():
+    many = [TABLE[0] | {"taxon": str(k), "cover_percent": 90} for k in range(4)]
     with pytest.raises(InputError, match=r"sum to 360 %. Are these counts"):
-        many = [TABLE[0] | {"taxon": str(k), "cover_percent": 90} for k in range(4)]
         Scene.from_table(many, size_m=2.0)
-    with pytest.raises(InputError, match="column 'cover_percent'.*Is it 'cover' in this table"):
+    with pytest.raises(InputError, match=r"column 'cover_percent'.*Is it 'cover' in this table"):
         Scene.from_table(pd.DataFrame(TABLE).rename(columns={"cover_percent": "cover"}), size_m=2.0)
     fractions = [row | {"cover_percent": row["cover_percent"] / 100} for row in TABLE]
     with pytest.warns(UserWarning, match="species table.*0.3 would be 30"):
