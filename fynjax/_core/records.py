@@ -89,7 +89,11 @@ class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     slips: ClassVar[dict[str, Slip]] = {}
-    """For a field, what a value outside its range was probably meant to be."""
+    """For a column, what a value outside its range was probably meant to be."""
+    unique: ClassVar[str | None] = None
+    """Field whose value no two rows of a table share."""
+    if_twice: ClassVar[str] = ""
+    """What to do about two rows that share it."""
 
     @model_validator(mode="after")
     def _measurable(self) -> Self:

@@ -2,7 +2,8 @@
 
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -139,6 +140,36 @@ def checked_row(model: type[Row], given: Mapping[str, Any], **where: Any) -> Row
         first = first_error(error)
         name = str(first["loc"][0]) if first["loc"] else None
         raise InputError(sentence(first, model, name or ""), **where, column=name) from error
+
+
+def checked_rows(
+    given: Iterable[tuple[int, Mapping[str, Any]]], model: type[Row], file: Path | None = None
+) -> list[tuple[int, Row]]:
+    """Records of the rows of a table, each with its number.
+
+    **Arguments:**
+
+    - `given`: number of each row, and its values as `checked_row` takes them.
+    - `model`: class of the record.
+    - `file`: that holds the table.
+
+    **Raises:** `InputError` as `checked_row`, and for rows that share what must be `unique`.
+    """
+    rows: list[tuple[int, Row]] = []
+    first: dict[Any, int] = {}
+    rules = model if issubclass(model, Strict) else Strict
+    key = rules.unique
+    for number, cells in given:
+        row = checked_row(model, cells, file=file, row=number)
+        if key is not None and first.setdefault(value := getattr(row, key), number) != number:
+            raise InputError(
+                f"{value!r} is there twice, first in row {first[value]}. {rules.if_twice}".rstrip(),
+                file=file,
+                row=number,
+                column=key,
+            )
+        rows.append((number, row))
+    return rows
 
 
 def check_header(header: Sequence[str], model: type[BaseModel], **where: Any) -> None:

@@ -19,7 +19,7 @@ from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_v
 from fynjax._core.errors import InputError, did_you_mean
 from fynjax._core.parameters import parameters_of
 from fynjax._core.records import Slip, Strict, quantity
-from fynjax._core.validation import check_header, checked_row
+from fynjax._core.validation import check_header, checked_row, checked_rows
 from fynjax.canopy import FORMS, AbstractLeafAngle, table1_2006
 from fynjax.leaf import LeafParameters, structure_from_dry_matter
 from fynjax.scene._parameters import (
@@ -39,16 +39,10 @@ _MOST_COVER = 3.0
 """Sum of the covers of a plot, whose layers overlap, above which they are taken for counts [-]."""
 
 
-def diameter_slip(value: float) -> str | None:
-    """What a crown diameter [cm] out of its bounds was probably meant to be."""
+def _diameter_slip(value: float) -> str | None:
     if 0 < value < 1:
         return f"Metres? In cm this is {value * 100:g}."
     return "Millimetres?" if value > 1000 else None
-
-
-def height_slip(value: float) -> str | None:
-    """What a height [m] out of its bounds was probably meant to be."""
-    return f"Centimetres? In m this is {value / 100:g}." if value > 20 else None
 
 
 def _per_area_slip(value: float) -> str | None:
@@ -82,10 +76,12 @@ class SpeciesRow(Strict):
     """One row of the species table: what a field crew notes of one taxon in one plot."""
 
     slips: ClassVar[dict[str, Slip]] = {
-        "mean_diameter_cm": diameter_slip,
-        "height_max_m": height_slip,
+        "mean_diameter_cm": _diameter_slip,
+        "height_max_m": lambda v: f"Centimetres? In m this is {v / 100:g}." if v > 20 else None,
         "fill_percent": lambda v: "A crown must hold some plant." if v == 0 else None,
     }
+    unique = "taxon"
+    if_twice = "Add the covers up, or give the two layers different names."
 
     taxon: str = Field(description="Scientific name, or 'Deadwood'.", min_length=1)
     diameter: float = quantity(PARAMETERS["diameter"], column="mean_diameter_cm")
@@ -162,6 +158,7 @@ class LeafRow(Strict):
         },
     )
     slips: ClassVar[dict[str, Slip]] = {"water": _per_area_slip, "dry_matter": _per_area_slip}
+    unique = "taxon"
 
     taxon: str = Field(
         description="Name as in the species table; '*' is every taxon without a row of its own.",
@@ -219,7 +216,7 @@ that follows from dry matter. What is brown of its shoots is their dead tissue."
 
 
 def check_species(rows: Sequence[tuple[int, SpeciesRow]], file: Path | None = None) -> None:
-    """Raise `InputError` for a taxon that is there twice and for covers that are none.
+    """Raise `InputError` for covers that are none.
 
     **Arguments:**
 
@@ -228,7 +225,6 @@ def check_species(rows: Sequence[tuple[int, SpeciesRow]], file: Path | None = No
 
     Warns where covers look like fractions.
     """
-    _check_once(rows, file, "Add the covers up, or give the two layers different names.")
     covers = [100.0 * row.cover for _, row in rows]
     total, largest = sum(covers), max(covers)
     if total > 100.0 * _MOST_COVER:
@@ -249,7 +245,7 @@ def check_species(rows: Sequence[tuple[int, SpeciesRow]], file: Path | None = No
 def check_leaves(
     rows: Sequence[tuple[int | None, LeafRow]], taxa: Sequence[str], file: Path | None = None
 ) -> None:
-    """Raise `InputError` for leaves of a taxon that is not among `taxa`, or that are there twice.
+    """Raise `InputError` for leaves of a taxon that is not among `taxa`.
 
     **Arguments:**
 
@@ -266,28 +262,15 @@ def check_leaves(
                 row=number,
                 column="taxon",
             )
-    _check_once(rows, file)
-
-
-def _check_once(
-    rows: Sequence[tuple[int | None, SpeciesRow | LeafRow]], file: Path | None, hint: str = ""
-) -> None:
-    row_of: dict[str, int | None] = {}
-    for number, row in rows:
-        if row.taxon in row_of:
-            raise InputError(
-                f"{row.taxon!r} is in row {row_of[row.taxon]} already. {hint}".rstrip(),
-                file=file,
-                row=number,
-                column="taxon",
-            )
-        row_of[row.taxon] = number
 
 
 def species_rows(table: Any) -> tuple[SpeciesRow, ...]:
-    """The species of a table, a pandas frame or records with the columns of a species table.
+    """The species of a table in Python.
 
-    Empty cells are left out; rows are counted from 1.
+    **Arguments:**
+
+    - `table`: a pandas frame or records with the columns of a species table; empty cells are left
+      out, and rows are counted from 1.
 
     **Raises:** `InputError` with row and column for what is no table and for a row or a table that
     a file would not be taken with either. Warns as `check_species`.
@@ -303,14 +286,16 @@ def species_rows(table: Any) -> tuple[SpeciesRow, ...]:
     if frame.empty:
         raise InputError("expected a species table with rows, but it has none")
     check_header([str(name) for name in frame.columns], SpeciesRow)
-    rows = []
-    for number, record in enumerate(frame.where(frame.notna(), None).to_dict("records"), start=1):
-        given = {
+    records = frame.where(frame.notna(), None).to_dict("records")
+    given = (
+        {
             str(name): str(value) if isinstance(value, bool | np.bool_) else value  # no number
             for name, value in record.items()
             if value is not None
         }
-        rows.append((number, checked_row(SpeciesRow, given, row=number)))
+        for record in records
+    )
+    rows = checked_rows(enumerate(given, start=1), SpeciesRow)
     check_species(rows)
     return tuple(row for _, row in rows)
 
@@ -333,8 +318,13 @@ def leaf_rows(leaves: Mapping[str, Mapping[str, float]], taxa: Sequence[str]) ->
 
 
 def leaves_of(species: Sequence[SpeciesRow], leaves: Sequence[LeafRow]) -> list[LeafRow]:
-    """The leaf of each species: its own row, else that of "*", else the usual leaf, which species
-    without leaves have too."""
+    """The leaf of each species: its own row, else that of "*", else the usual leaf.
+
+    **Arguments:**
+
+    - `species`: of a plot; those without leaves have the usual one.
+    - `leaves`: rows of its leaf table, in any number.
+    """
     by_taxon = {row.taxon: row for row in leaves}
     return [
         by_taxon.get(one.taxon, by_taxon.get("*", USUAL_LEAF))
@@ -375,7 +365,7 @@ class Species(eqx.Module):
 def species_parameters(rows: Sequence[SpeciesRow]) -> SpeciesParameters:
     """Parameters of species, with those of the growth form where a row states none.
 
-    **Arguments:** `rows` of a species table, one a species.
+    **Arguments:** `rows`, one a species.
     """
 
     def column(name: str) -> Any:
@@ -387,7 +377,10 @@ def species_parameters(rows: Sequence[SpeciesRow]) -> SpeciesParameters:
 
 
 def leaf_parameters(rows: Sequence[LeafRow]) -> LeafParameters:
-    """PROSPECT parameters of leaves, one a row of a leaf table that states no spectrum."""
+    """PROSPECT parameters of leaves, vectors over them.
+
+    **Arguments:** `rows`, one a leaf, none of which states a spectrum.
+    """
     return LeafParameters.many(
         **{name: np.array([getattr(row, name) for row in rows]) for name in LEAF_FIELDS}
     )

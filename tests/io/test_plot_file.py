@@ -190,7 +190,7 @@ def test_absurd_total_cover_and_double_taxa_are_refused(folder):
     with pytest.raises(InputError, match="360 %"):
         read_plot(folder / "plot.toml")
     path.write_text(header + "A b,20,9,1,tussock\nA b,20,9,1,tussock\n")
-    with pytest.raises(InputError, match="row 2 already") as caught:
+    with pytest.raises(InputError, match=r"there twice, first in row 2\. Add the covers") as caught:
         read_plot(folder / "plot.toml")
     assert caught.value.row == 3
 
@@ -333,7 +333,7 @@ def test_sky_table_rises_in_nm(folder):
         (b"statistic,value\nnir.mean,\xe9\n", "UTF-8"),
         (b"statistic,value\nnir.mean,22.6\n", "Percent\\? This is 0.226"),
         (b"statistic,value\nnir,0.226\n", "nir.mean"),
-        (b"statistic,value\nnir.mean,0.2\nnir.mean,0.2\n", "row 2 already"),
+        (b"statistic,value\nnir.mean,0.2\nnir.mean,0.2\n", "first in row 2"),
         (b"statistic,value,sd\nnir.mean,0.2,0\n", "above 0"),
         (b"statistic,value\nNDVI.std,-0.1\n", "at least 0"),
         (b"statistic,value\nNDVII.mean,0.7\n", "Did you mean 'NDVI'"),

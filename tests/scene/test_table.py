@@ -111,7 +111,7 @@ LEAF = {
             "row 1, column 'growth_form'.*'Erica irregulars'.*Did you mean 'Erica irregularis'",
         ),
         ({"plant": "shrub.obj"}, "'plant'.*only a plot file"),
-        ({"taxon": "Restio eleocharis"}, "row 2, column 'taxon'.*in row 1 already"),
+        ({"taxon": "Restio eleocharis"}, "row 2, column 'taxon'.*first in row 1. Add the covers"),
     ],
 )
 def test_a_row_that_cannot_serve_is_named(change, words):

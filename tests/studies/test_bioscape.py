@@ -104,7 +104,7 @@ def test_covers_and_leaves_by_hand(tables: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose([leaves[0].dry_matter, leaves[0].water], 0.03, rtol=1e-5)
     culm = 0.07 / (math.pi / 2)
     np.testing.assert_allclose([leaves[1].dry_matter, leaves[1].water], culm, rtol=1e-5)
-    assert leaves[2]["dry_matter"] == pytest.approx(0.75 * 0.03 + 0.25 * culm, rel=1e-5)
+    assert leaves[2].dry_matter == pytest.approx(0.75 * 0.03 + 0.25 * culm, rel=1e-5)
     sources = sources_of(tmp_path / "A1")
     assert sources["Protea repens", "dry_matter"]["source"] == "measured"
     assert sources["Restio capensis", "dry_matter"]["source"] == "genus mean"
@@ -126,7 +126,7 @@ def test_plants_of_a_form_that_the_prior_lacks_have_what_the_form_assumes(
     plot = read_plot(tmp_path / "out" / "A1" / "plot.toml")
     hoodia, restio = plot.species[:2]
     column = FORMS["column"]
-    assert (hoodia.growth_form, hoodia.diameter_m) == ("column", column.diameter)
+    assert (hoodia.growth_form, hoodia.diameter) == ("column", column.diameter)
     assert hoodia.leaf_area_index == column.prior.leaf_area_index[0]
     assert hoodia.dead_fraction == column.prior.dead_fraction[0]
     assert restio.leaf_area_index == pytest.approx(4.411, abs=1e-3)  # of the file

@@ -6,15 +6,15 @@ from typing import ClassVar, Literal
 from pydantic import Field, model_validator
 
 from fynjax.io.text import Slip, Strict, number, quantity
-from fynjax.scene import PARAMETERS, diameter_slip, height_slip
+from fynjax.scene import PARAMETERS, SpeciesRow
 
 
 class CrownRow(Strict):
     """One row of the table of crowns: one plant whose place and size are known."""
 
     slips: ClassVar[dict[str, Slip]] = {
-        "diameter_cm": diameter_slip,
-        "height_m": height_slip,
+        "diameter_cm": SpeciesRow.slips["mean_diameter_cm"],
+        "height_m": SpeciesRow.slips["height_max_m"],
     }
 
     taxon: str = Field(
@@ -47,6 +47,8 @@ class CrownRow(Strict):
 class StatisticRow(Strict):
     """One row of a target file: a statistic of a real image."""
 
+    unique = "statistic"
+
     statistic: str = Field(
         description="'<band or index>.<mean|std|qNN|stdNNcm>', such as 'nir.mean', 'NDVI.std', "
         "'GCI.q25', 'nir.std40cm' (of means over squares of 40 cm).",
@@ -64,6 +66,8 @@ class StatisticRow(Strict):
 class ParameterRow(Strict):
     """One row of the parameters that `calibrate` and `posterior` write; name and estimate, and the
     unit of covers and lengths, are enough to be read as `scene.parameters`."""
+
+    unique = "name"
 
     name: str = Field(description="Such as 'species.Erica irregularis.cover'.", min_length=1)
     kind: str | None = Field(default=None, description="Last word of the name.")
@@ -91,6 +95,8 @@ class ParameterRow(Strict):
 
 class StructureRow(Strict):
     """One row of a target file: a structure metric of a real point cloud."""
+
+    unique = "metric"
 
     metric: Literal[
         "foliage_height_diversity",
