@@ -35,8 +35,8 @@ else:  # the names as a choice: in errors, and as an enumeration of the schema
     FormName = Literal[tuple(FORMS)]
 
 _RECORDS = PARAMETERS | FIXED_PARAMETERS
-_MOST_COVER = 3.0
-"""Sum of the covers of a plot, whose layers overlap, above which they are taken for counts [-]."""
+_MOST_COVER = 300.0
+"""Sum of the covers of a plot, whose layers overlap, above which they are taken for counts [%]."""
 
 
 def _diameter_slip(value: float) -> str | None:
@@ -216,7 +216,7 @@ that follows from dry matter. What is brown of its shoots is their dead tissue."
 
 
 def check_species(rows: Sequence[tuple[int, SpeciesRow]], file: Path | None = None) -> None:
-    """Raise `InputError` for covers that are none.
+    """Raise `InputError` for covers that cannot be those of one plot.
 
     **Arguments:**
 
@@ -227,9 +227,9 @@ def check_species(rows: Sequence[tuple[int, SpeciesRow]], file: Path | None = No
     """
     covers = [100.0 * row.cover for _, row in rows]
     total, largest = sum(covers), max(covers)
-    if total > 100.0 * _MOST_COVER:
+    if total > _MOST_COVER:
         raise InputError(
-            f"expected covers that sum to at most {100.0 * _MOST_COVER:g} % (layers may overlap), "
+            f"expected covers that sum to at most {_MOST_COVER:g} % (layers may overlap), "
             f"but they sum to {total:g} %. Are these counts?",
             file=file,
             column="cover_percent",
@@ -242,19 +242,19 @@ def check_species(rows: Sequence[tuple[int, SpeciesRow]], file: Path | None = No
         )
 
 
-def check_leaves(
-    rows: Sequence[tuple[int | None, LeafRow]], taxa: Sequence[str], file: Path | None = None
+def check_taxa(
+    rows: Sequence[tuple[int | None, Any]], taxa: Sequence[str], file: Path | None = None
 ) -> None:
-    """Raise `InputError` for leaves of a taxon that is not among `taxa`.
+    """Raise `InputError` for a row of a taxon that is not in the species table.
 
     **Arguments:**
 
-    - `rows`: of a leaf table, each with its number.
-    - `taxa`: names in the species table; "*" is any other.
-    - `file`: of the table, for errors.
+    - `rows`: of leaves or crowns, each with its number.
+    - `taxa`: that it may be of.
+    - `file`: of the rows, for errors.
     """
     for number, row in rows:
-        if row.taxon not in (*taxa, "*"):
+        if row.taxon not in taxa:
             raise InputError(
                 f"unknown taxon {row.taxon!r}: it is not in the species table."
                 f"{did_you_mean(row.taxon, taxa)}",
@@ -303,7 +303,8 @@ def species_rows(table: Any) -> tuple[SpeciesRow, ...]:
 def leaf_rows(leaves: Mapping[str, Mapping[str, float]], taxa: Sequence[str]) -> list[LeafRow]:
     """Leaves stated by taxon, with "*" for any other, as rows of a leaf table.
 
-    **Raises:** `InputError` for leaves that a leaf table could not have, and as `check_leaves`.
+    **Raises:** `InputError` for leaves that a leaf table could not have, and for those of a taxon
+    that is not among `taxa`.
     """
     rows = []
     for taxon, leaf in leaves.items():
@@ -313,7 +314,7 @@ def leaf_rows(leaves: Mapping[str, Mapping[str, float]], taxa: Sequence[str]) ->
             rows.append(checked_row(LeafRow, {"taxon": taxon, **leaf}))
         except InputError as error:
             raise InputError(f"leaves of {taxon!r}: {error}") from error
-    check_leaves([(None, row) for row in rows], taxa)
+    check_taxa([(None, row) for row in rows], (*taxa, "*"))
     return rows
 
 

@@ -220,6 +220,14 @@ def test_unknown_taxon_in_the_leaf_table_names_the_nearest(folder):
     assert caught.value.column == "taxon"
 
 
+def test_two_rows_of_leaves_of_one_taxon_are_refused(folder):
+    path = folder / "leaves.csv"
+    twice = next(line for line in path.read_text().splitlines() if line.startswith("Restio"))
+    path.write_text(f"{path.read_text()}{twice}\n")
+    with pytest.raises(InputError, match=r"'Restio eleocharis' is there twice, first in row \d+$"):
+        read_plot(folder / "plot.toml")
+
+
 LEAF_SLIPS = [
     ("0.0428,0.0398,", "0.0428,398,", "dry_matter", r"g m-2\? In g cm-2 .* 0.0398"),
     ("0.0428,0.0398,", "42.8,0.0398,", "water", "g m-2"),

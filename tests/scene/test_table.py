@@ -144,6 +144,15 @@ def test_a_row_is_in_the_units_of_the_package():
     assert (row.dead_fraction, row.plant) == (None, None)
 
 
+def test_what_a_table_says_of_crowns_counts():
+    """Equation (10) by hand: of 0.5 m radius with its lean, and by the least area."""
+    lean = {"rotation_spread_deg": 30, "packing_percent": 20, "fill_percent": 50, "branches": 3}
+    table = [TABLE[0] | lean, TABLE[1] | {"minimum_object_area_m2": 0.5}]
+    scene, parameters = Scene.from_table(table, size_m=2.0, structure_m="even")
+    each = np.pi * 0.5**2 * 0.8 * 0.5
+    np.testing.assert_allclose(scene.counts(parameters), [3 * 1.2 / each, 0.6 / 0.5], rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("leaves", "words"),
     [

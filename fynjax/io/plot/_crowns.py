@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.validation import checked_row
 from fynjax.io.plot._place import plot_place
@@ -15,7 +15,7 @@ from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._rows import CrownRow
 from fynjax.io.raster import check_metric, parse_crs
 from fynjax.io.text import existing_file, read_rows
-from fynjax.scene import Crowns
+from fynjax.scene import Crowns, check_taxa
 
 _WHAT = "a table of crowns"
 
@@ -42,17 +42,10 @@ def with_crowns(plot: Plot, path: Path) -> Plot:
     path = existing_file(path, _WHAT)
     geopackage = path.suffix.lower() == ".gpkg"
     rows = _read_geopackage(path, plot) if geopackage else read_rows(path, CrownRow, _WHAT)
+    check_taxa(rows, plot.taxa, path)
     corner: tuple[float, float] | None = None
     places: dict[tuple[str, float, float], int] = {}
     for number, row in rows:
-        if row.taxon not in plot.taxa:
-            raise InputError(
-                f"unknown taxon {row.taxon!r}: it is not in the species table."
-                f"{did_you_mean(row.taxon, plot.taxa)}",
-                file=path,
-                row=number,
-                column="taxon",
-            )
         if row.x_m is None or row.y_m is None:
             corner = _corner(plot, path) if corner is None else corner
             assert row.easting_m is not None  # the record has one of the two places

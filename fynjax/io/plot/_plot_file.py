@@ -18,7 +18,7 @@ from fynjax.io.plot._plot_tables import COVER_FRACTIONS, PlotFile
 from fynjax.io.plot._rows import SkyPatternRow, SkyRow
 from fynjax.io.plot._sensor import DRONE, plot_air, plot_sensor, plot_sun
 from fynjax.io.text import existing_file, line_of, named_file, read_rows, read_toml
-from fynjax.scene import PARAMETERS, LeafRow, SpeciesRow, check_leaves, check_species
+from fynjax.scene import PARAMETERS, LeafRow, SpeciesRow, check_species, check_taxa
 
 
 def example_folder() -> Path:
@@ -64,7 +64,7 @@ def _read_leaves(
     path: Path, within: Path | None, species: Sequence[SpeciesRow]
 ) -> tuple[LeafRow, ...]:
     rows = read_rows(path, LeafRow, "a leaf table")
-    check_leaves(rows, [row.taxon for row in species], path)
+    check_taxa(rows, [*(row.taxon for row in species), "*"], path)
     named = {row.taxon for _, row in rows}
     for one in species:
         if not named & {one.taxon, "*"} and FORMS[one.growth_form].leafy:
