@@ -224,7 +224,7 @@ def test_two_rows_of_leaves_of_one_taxon_are_refused(folder):
     path = folder / "leaves.csv"
     twice = next(line for line in path.read_text().splitlines() if line.startswith("Restio"))
     path.write_text(f"{path.read_text()}{twice}\n")
-    with pytest.raises(InputError, match=r"'Restio eleocharis' is there twice, first in row \d+$"):
+    with pytest.raises(InputError, match=r"'Restio eleocharis' is there twice, first in row \d+\."):
         read_plot(folder / "plot.toml")
 
 
