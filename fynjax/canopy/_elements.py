@@ -223,7 +223,11 @@ def individual_of(form: "GrowthForm", seed: int, most_bunches: int) -> Individua
 
 Elements = Callable[["GrowthForm", np.ndarray, int, Individual], tuple[np.ndarray, np.ndarray]]
 """Positions and normals [n, 3] of the elements of an organ: of a growth form, for uniform numbers
-[n, 6], the plant's seed and its individual."""
+[n, 6], the plant's seed and its individual.
+
+Of organs along shoots the first number chooses the shoot (of `form.shoots.number`, or of the
+individual's strands) and the second the place along it; the third and sixth may move it aside. A
+mesh has its stems, culms and threads along the elements that differ in the second alone."""
 
 
 def leaves_in_bunches(

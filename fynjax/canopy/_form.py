@@ -1,8 +1,6 @@
 """What a growth form is: one record, of which `fynjax.canopy.forms` has one file each."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from fynjax.canopy._elements import (
     Crown,
@@ -13,40 +11,25 @@ from fynjax.canopy._elements import (
     leaves_in_bunches,
     wood_of_stems,
 )
-from fynjax.canopy._lines import Skeleton, shrub
 
 
 @dataclass(frozen=True)
-class MeshLeaf:
-    """Shape and size of a leaf of a generated plant."""
+class LeafShape:
+    """Shape and size of one leaf, which a mesh of the plant shows."""
 
     kind: str
-    """blade, culm, thread or none."""
+    """blade, culm, thread, stem (a thick one) or none."""
     outline: str = ""
     """Outline of a blade: linear, lanceolate, elliptic, obovate or wedge."""
     length: float = 0.0
     """Length of a blade [m]."""
     width: float = 0.0
-    """Width of a blade, or diameter of a culm or thread [m]."""
+    """Width of a blade, or diameter of a culm, thread or stem [m]."""
 
-
-@dataclass(frozen=True)
-class MeshRecipe:
-    """Leaves, twigs and green stems of the mesh of a plant of a growth form (`generate_plant`)."""
-
-    leaf: MeshLeaf
-    """Leaf of a plant whose taxon has no row in `leaf_sizes`."""
-    lines: Callable[[Any, float, float, int, int], Skeleton] = shrub
-    """Stems, twigs and culms as lines: of the form, crown diameter [m], height [m], number of twigs
-    or culms, and seed."""
-    leaves_per_twig: int = 0
-    """Blades of a twig; 0 of a form without blades."""
-    angle_to_twig: float = 45.0
-    """Between a blade and its twig, median [degree]."""
-    rise: float = 0.5
-    """Least slope at which a twig leaves its stem: height gained over sideways reach [-]."""
-    green_sides: int = 0
-    """Edges round a culm or thread that counts as leaf; 0 of a form without."""
+    @property
+    def tubular(self) -> bool:
+        """Whether it is a culm, thread or stem."""
+        return self.kind not in ("blade", "none")
 
 
 @dataclass(frozen=True)
@@ -129,13 +112,13 @@ class GrowthForm:
     foliage: Foliage
     """How leaves stand together, and how uneven the plant is."""
     leaf_elements: Elements = leaves_in_bunches
-    """Where the area elements of leaves lie."""
+    """Where the area elements of leaves lie, and so the leaves of a mesh."""
     wood_elements: Elements = wood_of_stems
-    """Where those of wood lie."""
+    """Where those of wood lie; twigs that a mesh has besides join leaves to them."""
     flower_elements: Elements = flowers_on_top
     """Where those of flowers lie."""
-    mesh: MeshRecipe
-    """How a mesh of it is made."""
+    leaf: LeafShape
+    """One leaf of a plant whose taxon has no row in `leaf_sizes`."""
 
     leaf_mass_per_area: float
     """Dry mass over projected area of a leaf in the stands that `fynjax train` draws, median

@@ -124,8 +124,7 @@ def test_a_form_is_a_file_of_its_folder_and_nothing_else() -> None:
     assert set(FORMS) == files
     for form in FORMS.values():
         assert (form.prior is not None) == form.leafy == (form.stand_share > 0.0)
-        blade, culm = form.mesh.leaves_per_twig > 0, form.mesh.green_sides > 0
-        assert blade + culm == form.leafy
+        assert (form.leaf.kind != "none") == form.leafy
 
 
 def test_a_genus_or_family_belongs_to_one_form() -> None:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import KDTree
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import (
@@ -20,7 +21,7 @@ from fynjax.canopy import (
     table1_2006,
 )
 from fynjax.canopy.mesh._generate import GeneratedPlant, generate_plant, leaf_sizes
-from fynjax.canopy.mesh._generate_parts import OUTLINES, blades, outline_area, tubes
+from fynjax.canopy.mesh._generate_parts import OUTLINES, blades, outline_area, tubes_of_area
 from fynjax.canopy.mesh._model import plant_model_from_mesh
 from fynjax.canopy.mesh._plant_mesh import PlantMaterial, PlantMesh
 
@@ -108,6 +109,91 @@ def test_organs_stand_where_the_growth_form_has_them(taxon: str) -> None:
         share = np.asarray(model.area_fraction)[mine]
         moments.append([share @ z, np.sqrt(share @ (z - share @ z) ** 2), share @ np.hypot(x, y)])
     np.testing.assert_allclose(moments[0], np.mean(moments[1:], axis=0), atol=0.13)
+
+
+def facets_of(mesh: PlantMesh, organ: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Middles, vertical parts of the normals and shares of the area of an organ's triangles."""
+    corners = mesh.triangles[mesh.material == mesh.materials.index(organ)]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    double = np.linalg.norm(cross, axis=1)
+    return corners.mean(axis=1), np.abs(cross[:, 2]) / double, double / double.sum()
+
+
+def apart(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> float:
+    """Largest difference of two cumulative distributions, of values with weights."""
+    places = np.sort(np.concatenate([one[0], other[0]]))
+    curves = []
+    for value, weight in (one, other):
+        order = np.argsort(value)
+        mass = np.concatenate([[0.0], np.cumsum(weight[order])])
+        curves.append(mass[np.searchsorted(value[order], places, side="right")])
+    return float(np.abs(curves[0] - curves[1]).max())
+
+
+@pytest.mark.parametrize(
+    ("form", "organ", "largest"),
+    [
+        ("upright_ericoid", "leaf", (0.03, 0.04, 0.01)),
+        ("rounded_shrub", "leaf", (0.03, 0.04, 0.01)),
+        ("broad_leaved", "leaf", (0.03, 0.06, 0.02)),
+        ("cushion", "leaf", (0.11, 0.04, 0.01)),  # its bunches are flat, its leaves long
+        ("tussock", "leaf", (0.05, 0.04, 0.09)),
+        ("tussock", "wood", (0.05, 0.04, 0.09)),
+        ("tussock", "flower", (0.05, 0.08, 0.19)),
+        ("rounded_shrub", "flower", (0.17, 0.12, 0.02)),  # some hundred, each on a twig
+        ("climber", "leaf", (0.08, 0.04, None)),  # see the next test
+        ("column", "leaf", (0.04, 0.08, 0.20)),  # thick, with two ends each
+        ("deadwood", "wood", (0.18, 0.06, 0.28)),  # widened a fifth to its stated diameter
+    ],
+)
+def test_a_mesh_has_its_area_where_the_light_meets_the_form(
+    form: str, organ: str, largest: tuple[float, float, float | None]
+) -> None:
+    """Area by height, by distance from the middle, by inclination, of the mesh and of the elements
+    of the same individual, as it stands on the mean of all its elements (a mesh is fitted to its
+    extents). As wide as tall where the elements take their stems' slopes from such a plant."""
+    usual = FORMS[form]
+    size = {} if usual.leaf.kind == "blade" else {"diameter": 0.5, "height": 0.5}
+    for seed in (3, 4):
+        made = generate_plant(form, seed, flowering=1.0, max_triangles=40_000, **size)
+        elements = plant_model(form, 8000, seed=seed)
+        mine = np.asarray(elements.organ) == Organ[organ.upper()]
+        place = np.asarray(elements.position)[mine] * [made.diameter, made.diameter, made.height]
+        steep = np.abs(np.asarray(elements.normal)[mine, 2])
+        of_elements = place, steep, np.full(len(place), 1.0 / len(place))
+        found = []
+        for point, upright, share in (facets_of(made.mesh, organ), of_elements):
+            reach = np.hypot(*(point[:, :2] - share @ point[:, :2]).T)
+            found.append((point[:, 2], reach, upright, share))
+        for which, most in enumerate(largest):
+            if most is None:
+                continue
+            (first, second), share = (f[which] for f in found), [f[3] for f in found]
+            means = share[0] @ first, share[1] @ second
+            if which < 2:
+                first, second = first / means[0], second / means[1]
+                assert means[0] == pytest.approx(means[1], rel=(0.12, 0.25)[which])
+            assert apart((first, share[0]), (second, share[1])) < most, (seed, which)
+
+
+def test_threads_have_the_normals_of_level_cylinders() -> None:
+    """Mean vertical part 2 / pi, less what hangs or slopes; the light has planophile elements."""
+    _, upright, share = facets_of(plant("climber").mesh, "leaf")
+    assert share @ upright == pytest.approx(2.0 / np.pi, abs=0.08)
+
+
+@pytest.mark.parametrize("form", [name for name in FORMS if FORMS[name].leaf.kind == "blade"])
+def test_no_leaf_floats_beside_its_twig(form: str) -> None:
+    mesh = plant(form).mesh
+    wood = mesh.triangles[mesh.material == mesh.materials.index("wood")]
+    corner = np.random.default_rng(0).dirichlet(np.ones(3), (len(wood), 60))
+    surface = KDTree(np.einsum("fnc,fcd->fnd", corner, wood).reshape(-1, 3))
+    leaves = mesh.faces[mesh.material == 0]
+    per_leaf = len(np.unique(leaves)) // plant(form).n_leaves
+    leaf = mesh.vertices[np.unique(leaves)].reshape(-1, per_leaf, 3)
+    # A linear leaf begins in two corners, the others in one.
+    base = leaf[:, :2].mean(axis=1) if per_leaf == 4 else leaf[:, 0]
+    assert surface.query(base)[0].max() < 0.009 * FORMS[form].diameter  # in the middle of a stem
 
 
 @pytest.mark.parametrize(
@@ -199,12 +285,14 @@ def test_a_blade_and_a_tube_have_their_closed_form_areas() -> None:
         assert mesh.area == pytest.approx(outline_area(outline), rel=0.03)
 
     line = np.array([[[0.0, 0, 0], [0.1, 0.2, 0.7], [0.2, 0.4, 1.4]]])
-    tube = tubes(line, np.full((1, 3), 0.01), 6)
-    solid = trimesh.Trimesh(tube.vertices, tube.faces, process=False)
     length, hexagon = np.sqrt(0.04 + 0.16 + 1.96), 1.5 * np.sqrt(3) * 0.01**2
+    area = 0.5 * (6 * 0.01 * length + 2 * hexagon)
+    tube, radius = tubes_of_area([(line, np.ones((1, 3)))], [6], area)
+    assert radius == pytest.approx(0.01)
+    solid = trimesh.Trimesh(tube.vertices, tube.faces, process=False)
     assert solid.is_watertight
     assert solid.volume == pytest.approx(hexagon * length)
-    assert solid.area == pytest.approx(6 * 0.01 * length + 2 * hexagon)
+    assert solid.area == pytest.approx(2.0 * area)
 
 
 GRID = VoxelGrid((5, 4, 9), 0.3, 0.3, (-0.7, -0.6, 0.0))
@@ -253,7 +341,8 @@ def facet_projection(piece: trimesh.Trimesh, towards: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("taxon", TAXA)
 def test_projection_of_leaves_and_wood_is_that_of_the_facets(taxon: str, tmp_path: Path) -> None:
-    """G of the drawn leaves within 1 %, of few drawn pieces of wood within 2 %, of all facets."""
+    """G of the drawn leaves within 1 %, of few drawn pieces of wood within 2 % and 0.003, of all
+    facets."""
     path = file_of(plant(taxon).mesh, tmp_path)
     towards = directions()
     every = plant_model_from_mesh(path, None, solid_materials="closed").plant
@@ -261,11 +350,12 @@ def test_projection_of_leaves_and_wood_is_that_of_the_facets(taxon: str, tmp_pat
     sampled = plant_model_from_mesh(path, 20000, solid_materials="closed").plant
     for name, piece in parts_of(path).items():
         facets = facet_projection(piece, towards)
-        for model, rtol in ((every, 1e-6), (sampled, 0.01 if name == "leaf" else 0.02)):
+        few = (0.01, 0.0) if name == "leaf" else (0.02, 0.003)
+        for model, (rtol, atol) in ((every, (1e-6, 0.0)), (sampled, few)):
             mine = np.asarray(model.organ) == Organ[name.upper()]
             cosine = np.abs(towards @ np.asarray(model.normal)[mine].T)
             share = np.asarray(model.area_fraction)[mine]
-            np.testing.assert_allclose(cosine @ share, facets, rtol=rtol)
+            np.testing.assert_allclose(cosine @ share, facets, rtol=rtol, atol=atol)
 
 
 def test_depositing_keeps_the_projection_of_the_elements() -> None:

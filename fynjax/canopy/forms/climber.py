@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from fynjax.canopy._elements import Foliage, Individual, individual_of, normals
-from fynjax.canopy._form import FormPrior, GrowthForm, MeshLeaf, MeshRecipe, Taxa
-from fynjax.canopy._lines import Skeleton
+from fynjax.canopy._elements import Foliage, Individual, normals
+from fynjax.canopy._form import FormPrior, GrowthForm, LeafShape, Taxa
 from fynjax.canopy._plant import Organ
 
 _SINKS, _THICK = 0.2, 0.15
@@ -12,9 +11,6 @@ _SINKS, _THICK = 0.2, 0.15
 height: it rests on what bears it."""
 _STEPS = 64
 """Places of which a thread is made."""
-_HANGING = 0.07
-"""Share of the threads of a mesh that hang down to the ground."""
-_THREADS = 14  # stream of random numbers
 
 
 def thread_paths(seed: int, number: int) -> np.ndarray:
@@ -58,27 +54,6 @@ def on_threads(
     return position, normals(uniform[:, 3:5], form.leaf_angle)
 
 
-def threads(
-    form: GrowthForm, diameter: float, height: float, n_threads: int, seed: int
-) -> Skeleton:
-    """Threads that twine along the strands of a shallow mat, some hanging to the ground."""
-    rng = np.random.default_rng([seed, _THREADS])
-    plant = individual_of(form, seed, n_threads)
-    strands = thread_paths(seed, len(plant.leafy))
-    mine = np.arange(n_threads) % len(strands)
-    # About its strand a thread winds as it will, within the strand's width.
-    steps = np.linspace(0.0, 1.0, strands.shape[1])
-    turn = rng.random((n_threads, 1)) + rng.normal(0.0, 2.0, (n_threads, 1)) * steps
-    aside = form.foliage.radius * np.sqrt(rng.random((n_threads, 1)))
-    place = strands[mine] + aside * np.exp(2j * np.pi * turn)
-    paths = on_mat(place, np.repeat(rng.random((n_threads, 1)), strands.shape[1], axis=1))
-    hanging = rng.random(n_threads) < _HANGING
-    paths[hanging, :, 2] *= 1.0 - steps**1.5
-    paths = plant.widened(paths.reshape(-1, 3)).reshape(paths.shape)
-    paths = paths * [diameter, diameter, height]
-    return Skeleton(green=[(paths, np.full(paths.shape[:2], 1.0))])
-
-
 FORM = GrowthForm(
     description="Shallow mat of green threads (counted as leaf) that wander over the top of its "
     "height, with holes, falling towards its rim: its height is that of the plants that it lies "
@@ -101,7 +76,7 @@ FORM = GrowthForm(
     size_source="mean of 1 taxa of this form in the shipped table of a plot burnt in 2006",
     foliage=Foliage(20, 0.03, 0.0, outline=0.60, uneven=0.0, bare=0.0),
     leaf_elements=on_threads,
-    mesh=MeshRecipe(MeshLeaf("thread", width=0.0012), threads, green_sides=3),
+    leaf=LeafShape("thread", width=0.0012),
     leaf_mass_per_area=235.0,
     water_content=0.61,
     round_leaves=True,

@@ -1,22 +1,7 @@
 """Columns: leafless stem succulents such as Hoodia, columnar Euphorbia and cacti."""
 
-import numpy as np
-
-from fynjax.canopy._elements import Foliage, Shoots, along_shoots, free_shoots, individual_of
-from fynjax.canopy._form import FormPrior, GrowthForm, MeshLeaf, MeshRecipe, Taxa
-from fynjax.canopy._lines import STEM_POINTS, Skeleton, shoot_paths
-
-
-def columns(form: GrowthForm, diameter: float, height: float, _: int, seed: int) -> Skeleton:
-    """Thick stems side by side, rounded at their tips."""
-    assert form.shoots is not None
-    drawn, arch = free_shoots(form.shoots, seed, form.shoots.number)
-    paths = shoot_paths(drawn, arch, diameter, height, seed)
-    paths = individual_of(form, seed, 1).widened(paths.reshape(-1, 3)).reshape(paths.shape)
-    thickness = np.ones(STEM_POINTS)
-    thickness[-2:] = 0.85, 0.4
-    return Skeleton(green=[(paths, np.broadcast_to(thickness, paths.shape[:2]))])
-
+from fynjax.canopy._elements import Foliage, Shoots, along_shoots
+from fynjax.canopy._form import FormPrior, GrowthForm, LeafShape, Taxa
 
 FORM = GrowthForm(
     description="A clump of thick green stems without leaves, nearly upright from feet side by "
@@ -41,7 +26,7 @@ FORM = GrowthForm(
     shoots=Shoots(14, 0.40, (0.05, 0.50), (0.45, 1.00), 1.0, 0.1),
     foliage=Foliage(14, 0.0, 0.0, outline=0.30, uneven=0.0, bare=0.0),
     leaf_elements=along_shoots(0.0, 1.0),
-    mesh=MeshRecipe(MeshLeaf("culm", width=0.038), columns, green_sides=8),
+    leaf=LeafShape("stem", width=0.038),
     leaf_mass_per_area=400.0,
     water_content=0.90,
     round_leaves=True,

@@ -2,20 +2,9 @@
 
 import numpy as np
 
-from fynjax.canopy._elements import (
-    Foliage,
-    Individual,
-    Shoots,
-    free_shoots,
-    quasi_random,
-    shoot_elements,
-)
-from fynjax.canopy._form import GrowthForm, MeshLeaf, MeshRecipe
-from fynjax.canopy._lines import TIPS, Skeleton, branched, shoot_paths
+from fynjax.canopy._elements import Foliage, Individual, Shoots, shoot_elements
+from fynjax.canopy._form import GrowthForm, LeafShape
 from fynjax.canopy._plant import Organ
-
-_BRANCHES = 14
-"""Broken side branches of a mesh."""
 
 
 def _forked(position: np.ndarray, uniform: np.ndarray, seed: int) -> np.ndarray:
@@ -41,21 +30,6 @@ def forked_stems(
     return plant.widened(_forked(position, uniform, seed)), normal
 
 
-def bare_stems(form: GrowthForm, diameter: float, height: float, _: int, seed: int) -> Skeleton:
-    """Bare, leaning stems with a few broken side branches."""
-    assert form.shoots is not None
-    most = max(3, round(form.shoots.number * min(1.0, diameter / height)))
-    drawn, arch = free_shoots(form.shoots, seed, most)
-    trunks = shoot_paths(drawn, arch, diameter, height, seed)
-    draw = quasi_random(_BRANCHES, 3, [seed, TIPS])
-    level = 0.25 + 0.7 * draw[:, 2]
-    distance = diameter * (0.1 + 0.4 * np.sqrt(draw[:, 1])) * np.sqrt(level)
-    turn = 2.0 * np.pi * draw[:, 0]
-    tips = np.stack([distance * np.cos(turn), distance * np.sin(turn), height * level], axis=-1)
-    bare = branched(trunks, tips, rise=0.7)
-    return Skeleton(stems=bare.stems)
-
-
 FORM = GrowthForm(
     description="Bare stems from the base, eight to twelve, forked above, upright to leaning far "
     "outwards, some of them low; wood only.",
@@ -73,7 +47,7 @@ FORM = GrowthForm(
     shoots=Shoots(12, 0.04, (0.05, 0.50), (0.25, 1.00), 1.0, 0.6, fewest=8, leaning=0.25),
     foliage=Foliage(12, 0.0, 0.0, outline=0.45, uneven=0.0, bare=0.0),
     wood_elements=forked_stems,
-    mesh=MeshRecipe(MeshLeaf("none"), bare_stems),
+    leaf=LeafShape("none"),
     leaf_mass_per_area=235.0,
     water_content=0.50,
 )

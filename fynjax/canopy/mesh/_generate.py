@@ -1,12 +1,11 @@
 """Explicit three-dimensional meshes of taxa and growth forms: stems, and every leaf.
 
-Shapes are those of the growth forms (`FORMS`) and of the individuals that `plant_model` makes: of
-one seed the same outline and bunches, stems or strands, leaf angles and areas. What differs: a mesh
-has as many culms and threads as its area takes, fewer stems where its crown is narrow, and is as
-wide as stated on the mean of its two extents, lobes included. Dimensions come from table 1, leaf
-sizes from `data/leaf_sizes.csv` (a source each), for other taxa both from the growth form. What a
-mesh adds to the parametric form is the leaf as a body of its own, on a twig of its own, so that the
-same plant can stand in a mesh renderer and, voxelised, in this one.
+Organs lie where the growth form has its area elements (`GrowthForm`), of one seed in the same
+individual as `plant_model` makes. Dimensions come from table 1, leaf sizes from
+`data/leaf_sizes.csv` (a source each), for other taxa both from the growth form. What a mesh adds:
+each leaf is a body of its own, twigs join leaves to stems, and the mean of its two extents is the
+stated diameter, lobes included. So the same plant can stand in a mesh renderer and, voxelised, in
+this one.
 """
 
 from importlib import resources
@@ -17,28 +16,19 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.canopy._counts import modelled_diameter
-from fynjax.canopy._form import GrowthForm, MeshLeaf
-from fynjax.canopy._lines import Skeleton
+from fynjax.canopy._form import LeafShape
 from fynjax.canopy._plant import Organ
 from fynjax.canopy._table import table1_2006
 from fynjax.canopy.forms import FORMS
-from fynjax.canopy.mesh._generate_organs import Foliage, build_organs, lay_out
-from fynjax.canopy.mesh._generate_parts import (
-    OUTLINES,
-    Surface,
-    join,
-    outline_area,
-    outline_triangles,
-)
+from fynjax.canopy.mesh._generate_organs import Tubes, lay_out
+from fynjax.canopy.mesh._generate_parts import Surface, join
 from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_MOST_TWIGS = 900
 _FIT_STEPS = 24
 _LARGEST_MISS = 1e-3
-_TRIAL = 100
 
 
 class GeneratedPlant(eqx.Module):
@@ -98,19 +88,20 @@ def generate_plant(
     - `diameter`, `height`: of the crown and of the plant [m], 0.01 to 10; those of table 1 (mean
       diameter, maximum height) or of the form if left out.
     - `leaf_area_index`, `wood_area_index`: one-sided area of leaves, half the surface of the wood,
-      per area of the crown's disc [-], 0 to 20; those of the form if left out. Leaves are
-      added until their area is met; stems get the thickness that their area needs.
+      per area of the crown's disc [-], 0 to 20; those of the form if left out. There are as many
+      leaves as make their area; stems get the thickness that their area needs.
     - `flowering`: part of full bloom, 0 to 1; full bloom is the form's
       `flower_fraction` of the leaf area.
     - `max_triangles`: roughly the most triangles of the mesh, at least 2000. Where the leaves would
       take more, there are fewer and larger ones (`leaf_scale`).
 
     **Returns:** a `GeneratedPlant`. Leaf blades are flat sheets of two to five triangles, slightly
-    arched; their normals follow the leaf angle distribution of the form. Stems, culms, threads and
-    spikelets are closed tubes, of which half the surface is the one-sided area:
-    `plant_model_from_mesh(mesh, n, solid_materials="closed")` counts so. Threads of the climber lie
-    nearly level and have the normals of level cylinders. The areas are met to rounding, diameter
-    and height to 1e-3. Not differentiable.
+    arched, with the normals of the form's area elements, each on the twig nearest to its element.
+    Stems, culms, threads and spikelets are closed tubes along the form's elements, of which half
+    the surface is the one-sided area, as `plant_model_from_mesh(mesh, n, solid_materials="closed")`
+    counts. Twigs are wood that the elements lack. Threads of the climber have the normals of level
+    cylinders, where its elements are planophile, and some hang to the ground. The areas are met to
+    rounding, diameter and height to 1e-3. Not differentiable.
 
     **Raises:** `InputError` for an unknown taxon, sizes and areas out of range, and areas that do
     not fit into the size.
@@ -133,18 +124,18 @@ def generate_plant(
     _check(crown, tall, leaf_index, wood_index, flowering, max_triangles)
     disc = np.pi * crown**2 / 4.0
     leaf_area = leaf_index * disc if form.leafy else 0.0
-    wood_area = wood_index * disc if form.wood_area_index > 0.0 else 0.0
-    flower_area = leaf_area * form.flower_fraction * flowering
-
-    n_leaves = _leaf_count(leaf, leaf_area, max_triangles)
-    skeleton = _skeleton(form, crown, tall, n_leaves, leaf, leaf_area, max_triangles, seed)
-    # Laid out once on the plain skeleton, so that fitting it to its size only moves them.
-    foliage = lay_out(form, skeleton, n_leaves, leaf, leaf_area, seed)
+    area = {
+        Organ.LEAF: leaf_area,
+        Organ.WOOD: wood_index * disc if form.wood_area_index > 0.0 else 0.0,
+        Organ.FLOWER: leaf_area * form.flower_fraction * flowering,
+    }
+    # Laid out once, so that fitting the plant to its size only moves its organs.
+    size = np.array([crown, crown, tall])
+    organs = lay_out(form, leaf, size, area, max_triangles, seed)
     stretch = np.ones(3)
     for _ in range(_FIT_STEPS):
-        surfaces, scale, radius = build_organs(
-            form, skeleton, foliage, stretch, leaf, leaf_area, wood_area, flower_area, seed
-        )
+        made = {organ: laid.surface(stretch, area[organ]) for organ, laid in organs.items()}
+        surfaces = {organ: surface for organ, (surface, _) in made.items()}
         vertices = np.concatenate([surface.vertices for surface in surfaces.values()])
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         wide = modelled_diameter(high[0] - low[0], high[1] - low[1])
@@ -162,17 +153,26 @@ def generate_plant(
         np.repeat(np.arange(len(counts)), counts),
         tuple(organ.name.lower() for organ in surfaces),
     )
-    number = _number(skeleton, foliage)
+    number, scale, radius = 0, 1.0, 0.0
+    if Organ.LEAF in made:
+        leaves, scale = organs[Organ.LEAF], made[Organ.LEAF][1]
+        if isinstance(leaves, Tubes):
+            number, scale = len(leaves.lines[0][0]), scale / (0.5 * leaf.width)
+        else:
+            number = len(leaves.size)
+    wood = organs.get(Organ.WOOD)
+    if isinstance(wood, Tubes):
+        radius = made[Organ.WOOD][1] * min(float(radii.min()) for _, radii in wood.lines)
     tallness = float(high[2] - low[2])
     return GeneratedPlant(mesh, taxon, name, float(wide), tallness, number, scale, radius)
 
 
-def _usual(taxon: str) -> tuple[str, tuple[float, float], MeshLeaf]:
+def _usual(taxon: str) -> tuple[str, tuple[float, float], LeafShape]:
     """Growth form, usual crown diameter and height [m] and leaf of a taxon of table 1, or of a
     growth form of this name."""
     if taxon in FORMS:
         form = FORMS[taxon]
-        return taxon, (form.diameter, form.height), form.mesh.leaf
+        return taxon, (form.diameter, form.height), form.leaf
     table = table1_2006().set_index("taxon")
     if taxon not in table.index:
         raise InputError(
@@ -180,7 +180,7 @@ def _usual(taxon: str) -> tuple[str, tuple[float, float], MeshLeaf]:
         )
     row: dict[Any, Any] = table.loc[taxon].to_dict()
     size: dict[Any, Any] = leaf_sizes().set_index("taxon").loc[taxon].to_dict()
-    leaf = MeshLeaf(
+    leaf = LeafShape(
         size["organ_form"],
         size["outline"],
         float(size["length_mm"] or 0.0) / 1000.0,
@@ -232,58 +232,3 @@ def _check_size(
         "Take a lower `leaf_area_index` or `wood_area_index`, or a `diameter` and `height` nearer "
         f"the usual ({usual[0]:g} m and {usual[1]:g} m)"
     )
-
-
-def _leaf_count(leaf: MeshLeaf, leaf_area: float, max_triangles: int) -> int:
-    if leaf.kind != "blade" or leaf_area == 0.0:
-        return 0
-    outline = OUTLINES[leaf.outline]
-    blade_area = outline_area(outline) * leaf.length * leaf.width
-    most = 0.8 * max_triangles / outline_triangles(outline)
-    return int(np.clip(round(leaf_area / blade_area), 12, most))
-
-
-def _perimeter(sides: int) -> float:
-    """Round a regular polygon whose corners are 1 from its middle."""
-    return float(2.0 * sides * np.sin(np.pi / sides))
-
-
-def _lengths(paths: np.ndarray) -> np.ndarray:
-    """Length that each point of `paths` [path, point, 3] stands for."""
-    step = 0.5 * np.linalg.norm(np.diff(paths, axis=1), axis=2)
-    none = np.zeros((len(paths), 1))
-    return np.concatenate([step, none], axis=1) + np.concatenate([none, step], axis=1)
-
-
-def _skeleton(
-    form: GrowthForm,
-    diameter: float,
-    height: float,
-    n_leaves: int,
-    leaf: MeshLeaf,
-    leaf_area: float,
-    max_triangles: int,
-    seed: int,
-) -> Skeleton:
-    recipe = form.mesh
-    number = 0
-    if recipe.green_sides:
-        # As many as make the area at the thickness of the leaf, by the lines of a trial.
-        trial = recipe.lines(form, diameter, height, _TRIAL, seed)
-        area = sum(
-            0.25 * leaf.width * _perimeter(recipe.green_sides) * (_lengths(paths) * radii).sum()
-            for paths, radii in trial.green
-        )
-        faces = sum(2 * recipe.green_sides * paths[..., 0].size for paths, _ in trial.green)
-        most = 0.8 * max_triangles * _TRIAL / faces
-        number = int(np.clip(round(_TRIAL * leaf_area / area), 8, max(8.0, most)))
-    elif recipe.leaves_per_twig:
-        most_twigs = min(_MOST_TWIGS, max(40, max_triangles // 180))
-        number = int(np.clip(n_leaves / recipe.leaves_per_twig, 40, most_twigs))
-    return recipe.lines(form, diameter, height, number, seed)
-
-
-def _number(skeleton: Skeleton, foliage: Foliage | None) -> int:
-    if foliage is not None:
-        return len(foliage.size)
-    return sum(len(paths) for paths, _ in skeleton.green)

@@ -5,8 +5,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from fynjax.canopy._lines import tangents, unit
-
 Outline = tuple[tuple[float, float], ...]
 
 OUTLINES: dict[str, Outline] = {
@@ -33,6 +31,20 @@ def outline_triangles(outline: Outline) -> int:
 _CURL = 0.06
 """Height of a blade's arch over its chord, in lengths."""
 _WIDTH_STEPS = 12
+_SHORTEST = 1e-12
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors [..., 3] at length one; those of length zero stay."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(length > _SHORTEST, length, 1.0)
+
+
+def tangents(paths: np.ndarray) -> np.ndarray:
+    """Unit tangents at the points of `paths` [path, point, 3]."""
+    step = np.diff(paths, axis=1)
+    inner = unit(step[:, 1:]) + unit(step[:, :-1])
+    return unit(np.concatenate([step[:, :1], inner, step[:, -1:]], axis=1))
 
 
 @dataclass(frozen=True)
@@ -64,8 +76,8 @@ def join(parts: list[Surface]) -> Surface:
     )
 
 
-def frames(paths: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Tangent, side and second side [path, point, 3], right-handed, without needless twist."""
+def _frames(paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two sides of paths [path, point, 3], right-handed with them, without needless twist."""
     along = tangents(paths)
     level = np.abs(along[:, 0, 2]) < 0.9
     reference = np.where(level[:, None], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
@@ -75,26 +87,19 @@ def frames(paths: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         ahead = along[:, point]
         before = side[:, point - 1]
         side[:, point] = unit(before - (before * ahead).sum(-1, keepdims=True) * ahead)
-    return along, side, np.cross(along, side)
-
-
-def tubes(paths: np.ndarray, radii: np.ndarray, sides: int) -> Surface:
-    """Closed tubes with `sides` edges round `paths` [path, point, 3], `radii` [path, point] [m].
-
-    Outward faces are counter-clockwise.
-    """
-    middle, offset, faces = _rings(paths, radii, sides)
-    return Surface(middle + offset, faces)
+    return side, np.cross(along, side)
 
 
 def tubes_of_area(
-    groups: list[tuple[np.ndarray, np.ndarray]], sides: int, one_sided_area: float
+    groups: list[tuple[np.ndarray, np.ndarray]], sides: list[int], one_sided_area: float
 ) -> tuple[Surface, float]:
-    """Tubes (of groups of paths and relative radii) thickened to a one-sided area [m2].
+    """Closed tubes (of groups of paths [path, point, 3] and relative radii [path, point], each with
+    its number of edges) thickened to a one-sided area [m2].
 
-    The one-sided area of a closed surface is half of it. Returns the factor of the radii too.
+    The one-sided area of a closed surface is half of it; outward faces are counter-clockwise.
+    Returns the factor of the radii too.
     """
-    rings = [_rings(paths, radii, sides) for paths, radii in groups]
+    rings = [_rings(paths, radii, edges) for (paths, radii), edges in zip(groups, sides)]
     middle = np.concatenate([part[0] for part in rings])
     offset = np.concatenate([part[1] for part in rings])
     faces = join([Surface(part[0], part[2]) for part in rings]).faces
@@ -113,7 +118,7 @@ def _rings(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Corners of tubes as points on the paths plus offsets, [vertex, 3] each, and faces."""
     count, points, _ = paths.shape
-    _, side, second = frames(paths)
+    side, second = _frames(paths)
     turn = 2.0 * np.pi * np.arange(sides) / sides
     cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
     out = side[:, :, None, :] * cos + second[:, :, None, :] * sin

@@ -195,7 +195,7 @@ def _points(plants: DrawnPlants, species: int, metre: float) -> Float[np.ndarray
     disc = float(np.mean(np.pi / 4.0 * plants.instances.diameter[mine] ** 2))
     form = FORMS[plants.forms[species]]
     # Culms and thick stems as beads of their own width, that touch.
-    across = form.mesh.leaf.width if form.mesh.green_sides else form.leaf_diameter
+    across = form.leaf.width if form.leaf.tubular else form.leaf_diameter
     leaf = max(np.pi / 4.0 * across**2, (_LEAST_PIXELS / metre) ** 2)
     many = disc * plants.area_index[species] / leaf
     shoots = 0 if form.shoots is None else form.shoots.number

@@ -1,0 +1,29 @@
+"""Every command writes the numbers that it wrote before."""
+
+import json
+from pathlib import Path
+
+import pytest
+import typer
+
+from fynjax.cli import app
+from tests.frozen.cases import CASES, run
+from tests.frozen.numbers import differences
+
+HERE = Path(__file__).parent
+MARKED = [
+    pytest.param(command, marks=getattr(pytest.mark, case.mark) if case.mark else ())
+    for command, case in CASES.items()
+]
+
+
+@pytest.mark.parametrize("command", MARKED)
+def test_numbers_are_those_frozen(command: str, tmp_path: Path) -> None:
+    frozen = json.loads((HERE / f"{command}.json").read_text("utf-8"))
+    lines = differences(frozen, run(command, tmp_path), CASES[command].loose)
+    more = f"\n... and {len(lines) - 20} more" if len(lines) > 20 else ""
+    assert not lines, f"fynjax {command}:\n" + "\n".join(lines[:20]) + more
+
+
+def test_every_command_has_a_case() -> None:
+    assert set(typer.main.get_command(app).commands) == set(CASES)
