@@ -2,6 +2,11 @@
 # jupyter:
 #   jupytext:
 #     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -49,7 +54,7 @@ PIXEL = 0.1 if FAST else 0.05  # m, of the drone's image
 # same plants stand in the same places whichever sensor looks.
 
 # %%
-plot = dataclasses.replace(read_plot(PLOT), size_m=(SIDE, SIDE), structure_m="even")
+plot = read_plot(PLOT).replace(size_m=(SIDE, SIDE), structure_m="even")
 
 
 scene, table = build_plot(plot)

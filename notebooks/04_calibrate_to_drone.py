@@ -2,6 +2,11 @@
 # jupyter:
 #   jupytext:
 #     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -24,7 +29,6 @@ PLOT = example_folder() / "plot.toml"
 SPECIES = ("Erica irregularis", "Indigofera brachystachya")  # in truth less and more
 
 # %%
-import dataclasses
 import os
 
 import equinox as eqx
@@ -59,11 +63,10 @@ PIXEL = 0.1 if FAST else 0.05  # m
 
 # %%
 plot = read_plot(PLOT)
-plot = dataclasses.replace(
-    plot,
+plot = plot.replace(
     size_m=(SIDE, SIDE),
     structure_m="even",
-    sensor=dataclasses.replace(plot.sensor, pixel_m=PIXEL),
+    sensor=plot.sensor.replace(pixel_m=PIXEL),
 )
 scene, table = build_plot(plot)
 

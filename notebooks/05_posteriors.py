@@ -2,6 +2,11 @@
 # jupyter:
 #   jupytext:
 #     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -23,7 +28,6 @@ from fynjax.io.plot import example_folder
 PLOT = example_folder() / "plot.toml"
 
 # %%
-import dataclasses
 import os
 from itertools import combinations_with_replacement
 
@@ -188,8 +192,8 @@ print(f"Without the short-wave infrared the interval of water is {ratio:.1f} tim
 # %%
 SIDE = 2.0 if FAST else 3.0  # m
 STRIDE = 2 if FAST else 3  # every so many pixels of 10 cm are rendered
-plot = dataclasses.replace(read_plot(PLOT), size_m=(SIDE, SIDE), structure_m="even")
-plot = dataclasses.replace(plot, sensor=dataclasses.replace(plot.sensor, pixel_m=0.1))
+plot = read_plot(PLOT).replace(size_m=(SIDE, SIDE), structure_m="even")
+plot = plot.replace(sensor=plot.sensor.replace(pixel_m=0.1))
 scene, table = build_plot(plot)
 living = jnp.array([one.growth_form != "deadwood" for one in plot.species])
 unknown = {  # lower and upper bound, prior: middle and standard deviation

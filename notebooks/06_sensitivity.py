@@ -28,7 +28,6 @@ from fynjax.io.plot import example_folder
 PLOT = example_folder() / "plot.toml"
 
 # %%
-import dataclasses
 import os
 from itertools import combinations_with_replacement
 
@@ -59,8 +58,8 @@ STRIDE = 2 if FAST else 4  # every so many pixels are rendered
 METRICS = ("NDVI.mean", "GNDVI.mean", "GSAVI.mean")
 LABELS = {"NDVI.mean": "NDVI", "GNDVI.mean": "GNDVI", "GSAVI.mean": "GSAVI"}
 
-plot = dataclasses.replace(read_plot(PLOT), size_m=(SIDE, SIDE), structure_m="even")
-plot = dataclasses.replace(plot, sensor=dataclasses.replace(plot.sensor, pixel_m=0.1))
+plot = read_plot(PLOT).replace(size_m=(SIDE, SIDE), structure_m="even")
+plot = plot.replace(sensor=plot.sensor.replace(pixel_m=0.1))
 whole, table = build_plot(plot, rounding="random")
 view = image_view(plot, whole, table, METRICS)
 scene, (view,) = search_form(whole, table, [view], stride=STRIDE)  # coarse, as a search sees it

@@ -62,7 +62,7 @@ BANDS = (1, 4) if FAST else (1, 2, 4, 8)
 # covers seen by eye to a quarter.
 
 # %%
-plot = dataclasses.replace(read_plot(PLOT), size_m=(SIDE, SIDE), structure_m="even")
+plot = read_plot(PLOT).replace(size_m=(SIDE, SIDE), structure_m="even")
 scene, table = build_plot(plot)
 sensor = dataclasses.replace(load_sensor("mavic_3m"), bands=even_bands(max(BANDS), 450.0, 900.0))
 free = [f"species.{taxon}.cover" for taxon in (SPECIES if FAST else plot.taxa)]

@@ -2,6 +2,11 @@
 # jupyter:
 #   jupytext:
 #     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -174,9 +179,8 @@ print(f"without a factor {float(parts.rmse_without_gain):.4f}")
 
 # %%
 SIDE = 2.0 if FAST else 4.0
-plot = dataclasses.replace(
-    read_plot(example_folder() / "plot.toml"), size_m=(SIDE, SIDE), structure_m="even"
-)
+plot = read_plot(example_folder() / "plot.toml")
+plot = plot.replace(size_m=(SIDE, SIDE), structure_m="even")
 scene, table = build_plot(plot)
 scene = coarser(scene, table)
 accuracy = fitted_accuracy(COARSE, scene, table)

@@ -89,14 +89,14 @@ def check_schemas():
 def check_fits():
     """Bounds and priors of fits of plots and of leaves."""
     from fynjax.inversion import make_space
-    from fynjax.io.plot._plot import Calibration
+    from fynjax.io.plot import CalibrationTable
     from fynjax.leaf import LEAF_PARAMETERS, LeafParameters
     from fynjax.leaf import _levenberg as levenberg
     from fynjax.leaf._problem import make_setup
     from fynjax.scene import PARAMETERS
     from fynjax.studies.bioscape._inversion import FREE
 
-    plain = Calibration(free=(), targets=(), target_sd=0.1, priors={}, max_iterations=1)
+    plain = CalibrationTable()
     for kind, record in PARAMETERS.items():
         name = full_name(kind)
         value = 0.1 * record.lower + 0.9 * record.upper

@@ -95,6 +95,15 @@ class Strict(BaseModel):
     if_twice: ClassVar[str] = ""
     """What to do about two rows that share it."""
 
+    def replace(self, **changes: Any) -> Self:
+        """The same record with other values, as `dataclasses.replace`. Ranges are not checked.
+
+        **Raises:** `TypeError` for a name that the record has not.
+        """
+        if unknown := sorted(set(changes) - set(type(self).model_fields)):
+            raise TypeError(f"{type(self).__name__} has no {', '.join(unknown)}")
+        return self.model_copy(update=changes)
+
     @model_validator(mode="after")
     def _measurable(self) -> Self:
         for name in type(self).model_fields:

@@ -11,17 +11,22 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax.assembly._ground import cover_patches, dead_tissue, ground_heights, plot_ground
+from fynjax.assembly._ground import (
+    cover_patches,
+    dead_tissue,
+    ground_heights,
+    ground_parameters,
+    plot_ground,
+)
 from fynjax.assembly._memory import check_memory
 from fynjax.assembly._plants import read_plant
 from fynjax.canopy import MeshPlant, Organ
-from fynjax.io.plot import Plot, with_parameter_table
+from fynjax.io.plot import Plot, read_sky, read_sky_pattern, with_parameter_table
 from fynjax.io.raster import read_probability_map
 from fynjax.io.spectra import reflectances
 from fynjax.leaf import fit_leaf
 from fynjax.scene import (
     LEAF_FIELDS,
-    GroundParameters,
     LeafRow,
     LightParameters,
     PlantingRules,
@@ -64,9 +69,9 @@ def build_plot(
     room on the plot or in memory.
     """
     seed = plot.seed if seed is None else seed
-    check_memory(plot, room=PlantingRules.room if plot.crowns is None else 1.0)
+    check_memory(plot, room=PlantingRules.room if plot.known_crowns is None else 1.0)
     patches = cover_patches(plot, seed)
-    fractions = plot.ground.fractions
+    fractions = None
     if plot.ground.map is not None and patches is not None:
         fractions = tuple(patches[1:].mean(axis=(1, 2)).tolist())
     plants = [
@@ -92,15 +97,15 @@ def build_plot(
         extent=plot.size_m,
         voxel=plot.voxel_m,
         seed=seed,
-        boundary=plot.boundary,  # type: ignore[arg-type]
+        boundary=plot.boundary,
         ground=plot_ground(plot, patches),
         dead_tissue=dead_tissue(plot),
         hot_spot=plot.hot_spot,
         terrain=ground_heights(plot),
         sky=_sky(plot),
-        sky_pattern=plot.sky.pattern,
+        sky_pattern=None if plot.sky.pattern is None else read_sky_pattern(plot.sky.pattern),
         plants=[None if plant is None else plant.plant for plant in plants],
-        crowns=plot.crowns,
+        crowns=plot.known_crowns,
     )
     scene = plant(rules=rules)
     if plot.parameters is not None:
@@ -154,7 +159,6 @@ def plot_parameters(
 
     **Raises:** `InputError` for a leaf spectrum that cannot be used.
     """
-    litter, char, rock = plot.ground.fractions if fractions is None else fractions
     rows: Sequence[SpeciesRow] = plot.species
     if plants is not None:
         rows = [_with_areas(*pair) for pair in zip(rows, plants, strict=True)]
@@ -162,17 +166,10 @@ def plot_parameters(
     return PlotParameters(
         species_parameters(rows),
         leaf_parameters([fitted(leaf) for leaf in leaves_of(rows, plot.leaves)]),
-        GroundParameters(
-            brightness=jnp.asarray(plot.ground.brightness),
-            moisture=jnp.asarray(plot.ground.moisture),
-            litter_fraction=jnp.asarray(litter),
-            char_fraction=jnp.asarray(char),
-            rock_fraction=jnp.asarray(rock),
-            wood_brightness=jnp.asarray(plot.ground.wood_brightness),
-        ),
+        ground_parameters(plot, fractions),
         LightParameters(
-            sun_zenith=jnp.asarray(plot.sun.zenith_deg),
-            sun_azimuth=jnp.asarray(plot.sun.azimuth_deg),
+            sun_zenith=jnp.asarray(plot.sun.zenith),
+            sun_azimuth=jnp.asarray(plot.sun.azimuth),
             aerosol=jnp.asarray(plot.sky.aerosol_optical_depth),
         ),
     )
@@ -184,7 +181,7 @@ def _with_areas(row: SpeciesRow, plant: MeshPlant | None) -> SpeciesRow:
         return row
     crown = np.pi / 4.0 * plant.modelled_diameter**2
     own = {name: float(plant.organ_area[organ]) / crown for name, organ in AREA_INDICES.items()}
-    return row.model_copy(update={n: v for n, v in own.items() if getattr(row, n) is None})
+    return row.replace(**{n: v for n, v in own.items() if getattr(row, n) is None})
 
 
 def _fitted(leaf: LeafRow) -> LeafRow:
@@ -203,14 +200,13 @@ def _fitted(leaf: LeafRow) -> LeafRow:
         )
     fit = fit_leaf(grid, many)
     found = {name: float(np.mean(getattr(fit.parameters, name))) for name in LEAF_FIELDS}
-    return leaf.model_copy(update=found)
+    return leaf.replace(**found)
 
 
 def _sky(plot: Plot) -> Spectrum | None:
-    sky = plot.sky
-    if sky.wavelength is None or sky.diffuse_fraction is None:
+    if plot.sky.table is None:
         return None
-    return Spectrum.of(sky.wavelength, sky.diffuse_fraction, "the sky table", plot.file)
+    return Spectrum.of(*read_sky(plot.sky.table), "the sky table", plot.file)
 
 
 def _probability(plot: Plot) -> np.ndarray | None:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from fynjax.assembly._build import build_plot
 from fynjax.assembly._sensing import aim_without_air
-from fynjax.inversion import ImageView, ParameterSpace, free_space
+from fynjax.inversion import CalibrationSettings, ImageView, ParameterSpace, free_space
 from fynjax.io.plot import Plot, drone_sensor
 from fynjax.scene import (
     PARAMETERS,
@@ -33,6 +33,14 @@ class Prepared(NamedTuple):
     """Of everything random."""
     counts: Float[np.ndarray, " species"]
     """Plants that find sites."""
+
+    @property
+    def settings(self) -> CalibrationSettings:
+        """How `calibrate_plot` searches, by the plot's [calibration]."""
+        table = self.plot.calibration
+        return CalibrationSettings(
+            max_steps=table.max_iterations, starts=table.starts, seed=self.seed
+        )
 
     def replant(self, number: int, counts: Float[np.ndarray, " species"] | None = None) -> Scene:
         """The scene with the plants of another chance, as `calibrate_plot` asks for it.

@@ -3,14 +3,22 @@ spectrum of dead tissue."""
 
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float64
 
 from fynjax._core.errors import InputError
+from fynjax._core.parameters import parameters_of
 from fynjax.io.plot import Plot
 from fynjax.io.raster import METRES, read_cover_map, read_over_plot
 from fynjax.io.spectra import reflectances
-from fynjax.scene import COVERS, Ground, Spectrum, random_patches
+from fynjax.scene import (
+    COVERS,
+    Ground,
+    GroundParameters,
+    Spectrum,
+    random_patches,
+)
 
 
 def plot_ground(plot: Plot, patches: Float64[np.ndarray, "kind y x"] | None) -> Ground:
@@ -19,11 +27,29 @@ def plot_ground(plot: Plot, patches: Float64[np.ndarray, "kind y x"] | None) -> 
     def read(path: Path | None, what: str) -> Spectrum | None:
         return None if path is None else _one_spectrum(path, what)
 
-    covers = {
-        cover: read(path, cover) for cover, path in zip(COVERS, plot.ground.spectra, strict=True)
-    }
-    return Ground(
-        soil=read(plot.ground.spectrum, "soil"), patches=patches, shape=plot.ground.rpv, **covers
+    ground = plot.ground
+    covers = {cover: read(getattr(ground, cover), cover) for cover in COVERS}
+    soil = ground.soil if isinstance(ground.soil, Path) else None
+    return Ground(soil=read(soil, "soil"), patches=patches, shape=ground.rpv, **covers)
+
+
+def ground_parameters(plot: Plot, fractions: tuple[float, ...] | None = None) -> GroundParameters:
+    """What a plot's file states of its ground, the parameters' defaults filled in; `fractions` of
+    litter, char and rock [-] instead of the file's."""
+    names = parameters_of(GroundParameters)
+    values = {name: getattr(plot.ground, name) for name in names}
+    if values["moisture"] is None and plot.ground.soil == "wet":
+        values["moisture"] = 1.0
+    # The default is learned with the shipped bark in place of dead tissue.
+    if values["wood_brightness"] is None and plot.dead_tissue is not None:
+        values["wood_brightness"] = 1.0
+    if fractions is not None:
+        values |= {f"{cover}_fraction": f for cover, f in zip(COVERS, fractions, strict=True)}
+    return GroundParameters(
+        **{
+            name: jnp.asarray(record.default if values[name] is None else values[name])
+            for name, record in names.items()
+        }
     )
 
 

@@ -1,10 +1,16 @@
 """From a plot's files and a sensor to a simulation of what it measures."""
 
+import dataclasses
 import warnings
 
 from fynjax._core.errors import InputError
 from fynjax.io.instruments import read_atmosphere
-from fynjax.io.plot import Air, Plot, sensor_altitude, sensor_pixel, visible_sensor
+from fynjax.io.plot import (
+    AtmosphereTable,
+    Plot,
+    sensor_place,
+    visible_sensor,
+)
 from fynjax.scene import AimedSensor, Placement, PlotAir, PlotParameters, Scene, aim
 from fynjax.sensors import Atmosphere, OrthographicCamera, Sensor
 
@@ -19,7 +25,7 @@ def aim_at_plot(
     *,
     altitude: float | None = None,
     pixel: float | None = None,
-    air: Air | None = None,
+    air: AtmosphereTable | None = None,
     quiet: bool = False,
 ) -> AimedSensor:
     """A sensor over the scene of a plot, from where the plot file has it.
@@ -42,12 +48,12 @@ def aim_at_plot(
     **Raises:** `InputError` as `fynjax.scene.aim` and where the air does not reach to the sun of
     `parameters`.
     """
-    own = plot.sensor if plot.sensor.name == instrument.name else None
-    if own is not None:
-        altitude = own.stated_altitude_m if altitude is None else altitude
-        pixel = own.stated_pixel_m if pixel is None else pixel
-    height = sensor_altitude(instrument) if altitude is None else altitude
-    usual = sensor_pixel(instrument, height)
+    own = plot.sensor.name == instrument.name
+    place = plot.sensor.placement if own else Placement()
+    altitude = place.altitude if altitude is None else altitude
+    pixel = place.pixel if pixel is None else pixel
+    height = instrument.altitude if altitude is None else altitude
+    usual = float(instrument.pixel(height))
     fixed = isinstance(instrument.camera, OrthographicCamera)
     if not quiet and pixel is not None and not fixed and abs(pixel / usual - 1.0) > _DISAGREE:
         warnings.warn(
@@ -57,8 +63,8 @@ def aim_at_plot(
             UserWarning,
             stacklevel=2,
         )
-    air = air or plot.air or Air()
-    if air.model != "none" and scene.sky is not None and plot.air is not None:
+    air = air or plot.air or AtmosphereTable()
+    if air.source != "none" and scene.sky is not None and plot.air is not None:
         raise InputError(
             "expected a table of the sky's share in [sky] or an [atmosphere], which has its own, "
             "but got both: leave one out",
@@ -70,15 +76,10 @@ def aim_at_plot(
             scene,
             parameters,
             visible_sensor(instrument),
-            Placement(
-                altitude,
-                pixel,
-                None if own is None else own.tilt_deg,
-                None if own is None else own.heading_deg,
-            ),
+            dataclasses.replace(place, altitude=altitude, pixel=pixel),
             air=_air(plot, air),
             point_spread=plot.sensor.point_spread,
-            panels=plot.sensor.panels if own is not None and air.model != "none" else (),
+            panels=plot.sensor.panels if own and air.source != "none" else (),
         )
         aimed.check(parameters)
     except InputError as error:
@@ -91,7 +92,12 @@ def aim_at_plot(
 
 
 def aim_without_air(
-    plot: Plot, scene: Scene, parameters: PlotParameters, instrument: Sensor
+    plot: Plot,
+    scene: Scene,
+    parameters: PlotParameters,
+    instrument: Sensor,
+    *,
+    pixel: float | None = None,
 ) -> AimedSensor:
     """A sensor over the scene of a plot as its file has it, for reflectance under the plot's own
     sky: what `render` shows and a calibration compares.
@@ -101,17 +107,19 @@ def aim_without_air(
     - `plot`: as `read_plot` gives it.
     - `scene`, `parameters`: of the plot, from `build_plot`.
     - `instrument`: from `load_sensor`.
+    - `pixel`: on the ground [m], instead of the plot file's.
 
     **Raises:** `InputError` as `aim_at_plot`.
     """
+    altitude, usual = sensor_place(plot)
     return aim_at_plot(
         plot,
         scene,
         parameters,
         instrument,
-        altitude=plot.sensor.altitude_m,
-        pixel=plot.sensor.pixel_m,
-        air=Air("none"),
+        altitude=altitude,
+        pixel=usual if pixel is None else pixel,
+        air=AtmosphereTable(model="none"),
         quiet=True,
     )
 
@@ -133,14 +141,13 @@ def _check_swath(plot: Plot, instrument: Sensor, pixel: float) -> None:
         )
 
 
-def _air(plot: Plot, air: Air) -> PlotAir | Atmosphere | None:
+def _air(plot: Plot, air: AtmosphereTable) -> PlotAir | Atmosphere | None:
+    if air.file is not None:
+        return read_atmosphere(air.file)
     if air.model == "none":
         return None
-    if air.model == "file":
-        assert air.file is not None
-        return read_atmosphere(air.file)
     return PlotAir(
-        model=air.model,  # type: ignore[arg-type]
+        model=air.model,
         water_vapour=air.water_vapour_cm,
         ozone=air.ozone_cm_atm,
         pressure=air.pressure_hpa,

@@ -29,7 +29,7 @@ from fynjax.inversion import (
     weigh_structure,
     weigh_targets,
 )
-from fynjax.io.plot import Plot, drone_sensor, read_statistics, read_structure
+from fynjax.io.plot import Plot, drone_sensor, read_statistics, read_structure, sensor_place
 from fynjax.io.raster import open_raster
 from fynjax.io.text import existing_file, read_text, split_line
 from fynjax.metrics import (
@@ -202,8 +202,7 @@ def image_target(
     extra: dict[str, Any] = {}
     if path.suffix.lower() in (".tif", ".tiff"):
         image = read_drone_image(path, bands=bands, most_pixels=None, progress=progress)
-        pixel = plot.sensor.pixel_m if image.pixel_m is None else image.pixel_m
-        assert pixel is not None  # `drone_view` below asks for it
+        pixel = sensor_place(plot)[1] if image.pixel_m is None else image.pixel_m
         side = min(*plot.size_m, pixel * min(image.mask.shape))
         every = fitting_statistics(IMAGE_STATISTICS, side, pixel)
         names = [every[i] for i in _used(plot, every, "the statistics")]
@@ -273,7 +272,7 @@ def spectrum_target(plot: Plot, path: Path, progress: Progress | None = None) ->
     sampling = None
     if count > 1:
         sampling = np.atleast_2d(np.cov(sample.values @ weights.T, rowvar=False)) / count
-    noise = reflectance_noise(bands, value, plot.sun.zenith_deg, averaged=count)
+    noise = reflectance_noise(bands, value, plot.sun.zenith, averaged=count)
     share = plot.calibration.target_sd
     try:
         data = weigh_spectrum(names, value, share, noise=noise, sampling=sampling)

@@ -1,6 +1,5 @@
 """What `fynjax build` does: the plants of a plot, its cover, its voxels and its pictures."""
 
-import dataclasses
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -259,7 +258,7 @@ def resized(plot: Plot, size: float) -> Plot:
         raise InputError(f"`size` must be at least the widest crown, {widest:g} m, but is {size:g}")
     if not 0.5 <= size <= 1000.0:
         raise InputError(f"`size` must be 0.5 to 1000 m, but is {size:g} m")
-    return dataclasses.replace(plot, size_m=(float(size), float(size)))
+    return plot.replace(size_m=(float(size), float(size)))
 
 
 def cover_table(

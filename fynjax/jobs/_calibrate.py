@@ -10,7 +10,7 @@ import pandas as pd
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.assembly import Measured, prepare, read_targets
-from fynjax.inversion import Calibration, CalibrationSettings, calibrate_plot, join_data
+from fynjax.inversion import Calibration, calibrate_plot, join_data
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.raster import write_run
 from fynjax.jobs._calibrate_known import known_plants
@@ -107,7 +107,7 @@ def calibrate(
     read = with_prior(as_plot(plot), prior)
     paths = [targets] if isinstance(targets, Path) else list(targets)
     run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
-    if read.crowns is not None and paths[0].suffix.lower() in (".tif", ".tiff"):
+    if read.known_crowns is not None and paths[0].suffix.lower() in (".tif", ".tiff"):
         return _calibrate_known(read, paths, run, bands)
     measured = read_targets(read, paths, bands=bands, seed=run.seed, progress=run.progress)
     return calibrate_to(read, measured, run, inputs=(*read.inputs, *paths), checkpoint=checkpoint)
@@ -181,8 +181,8 @@ def calibrate_to(
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
-    steps, starts = plot.calibration.max_iterations, plot.calibration.starts
-    evaluations = starts * (steps + (steps + 1) // 2)
+    steps = ready.settings.max_steps
+    evaluations = ready.settings.starts * (steps + (steps + 1) // 2)
     with run.stage("Calibrate", "calibrate", total=evaluations):
         result = calibrate_plot(
             ready.scene,
@@ -190,7 +190,7 @@ def calibrate_to(
             join_data([sensor.data for sensor in measured]),
             ready.space,
             views,
-            CalibrationSettings(max_steps=steps, starts=starts, seed=run.seed),
+            ready.settings,
             replant=ready.replant,
             checkpoint=checkpoint,
             report=lambda stage, loss, norm: run.progress.advance(

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import aim_at_plot, prepare
+from fynjax.assembly import aim_without_air, prepare
 from fynjax.compare import read_drone_image
 from fynjax.inversion import KnownPlants, block_of, calibrate_known_plants
-from fynjax.io.plot import Air, Plot, drone_sensor
+from fynjax.io.plot import Plot, drone_sensor, sensor_place
 from fynjax.jobs._calibration_page import (
     doubt_first,
     parameter_section,
@@ -34,7 +34,7 @@ def known_plants(
 
     **Arguments:**
 
-    - `plot`: with `Plot.crowns`.
+    - `plot`: with `Plot.known_crowns`.
     - `path`: the image, GeoTIFF; it covers the plot and nothing else, its rows from the north.
     - `run`: the folder and the progress of the job.
     - `bands`: of the image, as `read_drone_image` has them.
@@ -47,11 +47,8 @@ def known_plants(
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
     image = read_drone_image(path, bands=bands, most_pixels=None, progress=run.progress)
-    pixel = plot.sensor.pixel_m if image.pixel_m is None else image.pixel_m
-    camera = aim_at_plot(
-        plot, ready.scene, ready.parameters, drone_sensor(plot),
-        altitude=plot.sensor.altitude_m, pixel=pixel, air=Air("none"), quiet=True,
-    )  # fmt: skip
+    pixel = sensor_place(plot)[1] if image.pixel_m is None else image.pixel_m
+    camera = aim_without_air(plot, ready.scene, ready.parameters, drone_sensor(plot), pixel=pixel)
     if camera.shape != image.mask.shape:
         raise InputError(
             f"expected an image of the whole plot and nothing else, {camera.shape[0]} rows and "

@@ -9,7 +9,7 @@ import pandas as pd
 
 from fynjax.assembly import Measured
 from fynjax.inversion import Calibration, FitResult, KnownPlants
-from fynjax.io.plot import Plot
+from fynjax.io.plot import Plot, sensor_place
 from fynjax.jobs._calibration_tables import (
     ReferenceImage,
     largest_errors,
@@ -157,7 +157,7 @@ def _image_sections(
     plot: Plot, result: Calibration, statistics: pd.DataFrame, reference: ReferenceImage
 ) -> list[Section]:
     before, after = np.asarray(result.image_before), np.asarray(result.image_after)
-    pair, pixel = {"Before": before, "After": after}, plot.sensor.pixel_m
+    pair, pixel = {"Before": before, "After": after}, sensor_place(plot)[1]
     means = statistics[statistics["statistic"].str.endswith(".mean")]
     named = means.set_index(means["statistic"].str.removesuffix(".mean"))
     errors: dict[str, Any] = {

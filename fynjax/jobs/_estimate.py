@@ -17,7 +17,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.memory import free_memory
 from fynjax.assembly import stand_size
 from fynjax.io.instruments import load_instrument
-from fynjax.io.plot import Plot, sensor_altitude, sensor_pixel, visible_sensor
+from fynjax.io.plot import Plot, visible_sensor
 from fynjax.io.raster import open_raster
 from fynjax.io.text import existing_file
 from fynjax.jobs._build import resized
@@ -255,10 +255,10 @@ def _pixels(plot: Plot, sensor: Sensor, options: Mapping[str, Any]) -> float:
         given = options.get(name)
         if given is not None and not 0.0 < given < math.inf:
             raise InputError(f"`{name}` must be a positive number of m, but is {given:g}")
-    pixel = options.get("pixel") or (plot.sensor.stated_pixel_m if own else None)
+    pixel = options.get("pixel") or (plot.sensor.pixel_m if own else None)
     if pixel is None:
-        height = options.get("altitude") or (plot.sensor.stated_altitude_m if own else None)
-        pixel = sensor_pixel(sensor, height or sensor_altitude(sensor))
+        height = options.get("altitude") or (plot.sensor.altitude_m if own else None)
+        pixel = float(sensor.pixel(height))
     return float(np.prod(np.ceil(np.array(plot.size_m) / pixel)))
 
 

@@ -1,5 +1,6 @@
 """What a sensor can know about a plot: what `fynjax information` does."""
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -10,12 +11,11 @@ import pandas as pd
 from fynjax._core.progress import Progress
 from fynjax.assembly import prepare, shown_unit
 from fynjax.inversion import Information, SensorSetting, even_bands, sweep_sensors
-from fynjax.io.plot import Plot, as_plot, plot_instrument
+from fynjax.io.plot import Plot, as_plot, plot_instrument, sensor_place
 from fynjax.jobs._result import JobResult, Rows
 from fynjax.jobs._run import Run
 from fynjax.report.figures import bound_plot, short_name
 from fynjax.report.pages import Page, Part, Picture, Section, Table
-from fynjax.scene import Placement
 from fynjax.sensors import Sensor
 
 
@@ -73,14 +73,14 @@ def information(
     run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
-    place = read.sensor
+    altitude, _ = sensor_place(read)
     swept = Sensor("sweep", even_bands(max(bands), *spectrum), plot_instrument(read).camera)
     sweep = sweep_sensors(
         ready.scene,
         ready.parameters,
         ready.space,
         swept,
-        Placement(place.altitude_m, tilt=place.tilt_deg, heading=place.heading_deg),
+        dataclasses.replace(read.sensor.placement, altitude=altitude, pixel=None),
         gsd=gsd,
         bands=bands,
         noise=noise,

@@ -24,7 +24,6 @@ from fynjax.inversion import (
     NARROWER,
     OFF,
     WIDER,
-    CalibrationSettings,
     Posterior,
     RegressedPosterior,
     SamplingMethod,
@@ -155,7 +154,7 @@ def posterior(
         ready = prepare(read, free, seed=run.seed)
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
     inputs = (*(p for p in ready.plot.inputs if p is not None), *paths)
-    steps = ready.plot.calibration.max_iterations
+    steps = ready.settings.max_steps
     with run.stage("Calibrate", total=steps + (steps + 1) // 2):
         calibrated = calibrate_plot(
             ready.scene,
@@ -163,9 +162,7 @@ def posterior(
             data,
             ready.space,
             views,
-            CalibrationSettings(
-                max_steps=steps, starts=ready.plot.calibration.starts, seed=run.seed
-            ),
+            ready.settings,
             replant=ready.replant,
             checkpoint=checkpoint / "calibration",
             report=lambda stage, loss, norm: run.progress.advance(

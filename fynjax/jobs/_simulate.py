@@ -15,7 +15,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.assembly import aim_at_plot, build_plot
 from fynjax.io.instruments import load_instrument
-from fynjax.io.plot import Air, Place, Plot, as_plot, plot_place
+from fynjax.io.plot import AtmosphereTable, Place, Plot, as_plot, plot_place
 from fynjax.io.raster import Cube, write_cube_envi, write_cube_geotiff, write_cubes_netcdf
 from fynjax.io.text import write_text
 from fynjax.jobs._result import JobResult
@@ -107,7 +107,7 @@ def simulate(
         return simulate_lidar(run, read, instrument, noise=noise is not False, files=files)
     air = _chosen_air(read, atmosphere)
     asked = read.sensor.noise if noise is None and _is_own(read, instrument) else noise
-    noisy = instrument.noise is not None and air.model != "none" if asked is None else asked
+    noisy = instrument.noise is not None and air.source != "none" if asked is None else asked
     _check(read, instrument, air, noisy, products)
     with run.stage("Build the plot", "build"):
         scene, parameters = build_plot(read, seed=run.seed)
@@ -143,20 +143,22 @@ def _is_own(plot: Plot, instrument: Sensor) -> bool:
     return plot.sensor.name == instrument.name
 
 
-def _chosen_air(plot: Plot, atmosphere: str | Path | None) -> Air:
-    given = plot.air or Air()
+def _chosen_air(plot: Plot, atmosphere: str | Path | None) -> AtmosphereTable:
+    given = plot.air or AtmosphereTable()
     if atmosphere is None:
         return given
     if str(atmosphere) in AIR_MODELS:
-        return dataclasses.replace(given, model=str(atmosphere), file=None)
-    return Air(model="file", file=Path(atmosphere))
+        return given.replace(model=str(atmosphere), file=None)
+    return AtmosphereTable(file=Path(atmosphere))
 
 
-def _check(plot: Plot, instrument: Sensor, air: Air, noisy: bool, products: Sequence[str]) -> None:
+def _check(
+    plot: Plot, instrument: Sensor, air: AtmosphereTable, noisy: bool, products: Sequence[str]
+) -> None:
     if not products or any(product not in PRODUCTS for product in products):
         got = ", ".join(products) or "none"
         raise InputError(f"expected products among {', '.join(PRODUCTS)}, but got {got}")
-    if air.model == "none":
+    if air.source == "none":
         if plot.sensor.panels and _is_own(plot, instrument):
             raise InputError("expected an atmosphere: panels calibrate radiance", file=plot.file)
         if "reflectance" not in products:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fynjax.io.plot import Air, Plot
+from fynjax.io.plot import AtmosphereTable, Plot
 from fynjax.scene import AimedSensor, Observation, PlotAir
 from fynjax.sensors import OrthographicCamera, Sensor, frame_of
 
@@ -21,7 +21,7 @@ def run_record(
     plot: Plot,
     instrument: Sensor,
     aimed: AimedSensor,
-    air: Air,
+    air: AtmosphereTable,
     noisy: bool,
     observation: Observation,
     seconds: dict[str, float],
@@ -29,7 +29,7 @@ def run_record(
     """What made the product, for `run.json`."""
     camera, accuracy = aimed.sensor.camera, aimed.accuracy
     frame, angles = frame_of(camera), {}
-    optics = instrument.ground_sample_distance(None if frame is None else aimed.sensor_height)
+    optics = instrument.ground_sample_distance(aimed.sensor_height)
     if frame is not None:
         angles = {"tilt_deg": frame.tilt, "heading_deg": frame.heading}
     elif isinstance(camera, OrthographicCamera):
@@ -43,8 +43,8 @@ def run_record(
             "voxel_m": plot.voxel_m,
             "structure_m": plot.structure_m,
             "boundary": plot.boundary,
-            "sun_zenith_deg": plot.sun.zenith_deg,
-            "sun_azimuth_deg": plot.sun.azimuth_deg,
+            "sun_zenith_deg": plot.sun.zenith,
+            "sun_azimuth_deg": plot.sun.azimuth,
             "solar_factor": plot.sun.solar_factor,
         },
         "sensor": {
@@ -65,11 +65,11 @@ def run_record(
             "reflectance_by": "the known air" if aimed.panels is None else "panels",
         },
         "atmosphere": {
-            "model": air.model,
+            "model": air.source,
             "file": None if air.file is None else air.file.name,
             **(
                 {}
-                if air.model in ("file", "none")
+                if air.source in ("file", "none")
                 else {
                     "water_vapour_cm": air.water_vapour_cm,
                     "aerosol_optical_depth_550": air.aerosol_optical_depth,

@@ -12,6 +12,7 @@ its mean density.
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, Literal, overload
 
@@ -36,7 +37,6 @@ from fynjax.scene._parameters import LightParameters, PlotParameters
 from fynjax.scene._pixels import axis_pixels, footprint_shares
 from fynjax.scene._scene import Scene, slope_of_fading
 from fynjax.sensors import (
-    SPACE,
     AbstractCamera,
     Atmosphere,
     ClearAir,
@@ -420,7 +420,7 @@ def aim(
     placement: Placement | None = None,
     *,
     air: PlotAir | Atmosphere | None = None,
-    panels: tuple[Panel, ...] = (),
+    panels: Sequence[Panel] = (),
     point_spread: bool = True,
     accuracy: Accuracy | None = None,
 ) -> AimedSensor:
@@ -457,14 +457,13 @@ def aim(
     frame = frame_of(sensor.camera)
     if frame is None and (placement.tilt is not None or placement.heading is not None):
         raise InputError("an orthographic view has no tilt or heading: set its view angles instead")
-    height = SPACE if frame is None else float(frame.position[2])
-    height = height if placement.altitude is None else placement.altitude
+    height = sensor.altitude if placement.altitude is None else placement.altitude
     if not height + base > top:
         raise InputError(
             f"the sensor must be above the plants, which reach {top - base:.2f} m, but is at "
             f"{height:g} m above the ground"
         )
-    own = float(sensor.pixel(None if frame is None else height))
+    own = float(sensor.pixel(height))
     pixel = own if placement.pixel is None else placement.pixel
     if not 0.0 < pixel < np.inf:
         raise InputError(f"`pixel` must be a positive number of m, but is {pixel:g}.")

@@ -1,5 +1,7 @@
 """Reference panels in a sensor's picture, and the empirical line that they give."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -72,7 +74,7 @@ class PanelsInPicture(eqx.Module):
 
 
 def panels_in_picture(
-    panels: tuple[Panel, ...], shape: tuple[int, int], pixel: float, origin: tuple[float, float]
+    panels: Sequence[Panel], shape: tuple[int, int], pixel: float, origin: tuple[float, float]
 ) -> PanelsInPicture:
     """Lay panels into a picture of `shape` (rows, columns) with pixels of side `pixel` [m], whose
     south-west corner is at `origin` (x, y) [m].

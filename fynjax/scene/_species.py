@@ -1,7 +1,7 @@
 """Species of a plot as a table states them, what of them is fixed in a scene, and their parameters.
 
 A row is made by the table's columns, in the units of field crews (`SpeciesRow.model_validate`). Its
-fields are in the package's own units; `model_copy` changes them. The same rows and checks serve
+fields are in the package's own units; `replace` changes them. The same rows and checks serve
 files, pandas frames and records.
 """
 

@@ -3,8 +3,7 @@
 Bands are on the last axis, as elsewhere in this package; images of panels are [band, y, x].
 """
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -14,6 +13,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.math import real_array
+from fynjax._core.records import Slip, Strict, number
 
 _ROUNDS = 4
 """Times the weights are computed again with the slope: the last changes it by less than 1e-6 of its
@@ -196,20 +196,19 @@ def irradiance_line(
     return one_panel_line(light / jnp.pi, jnp.ones_like(light), signal_sd=irradiance_sd / jnp.pi)
 
 
-@dataclass(frozen=True)
-class Panel:
-    """A flat, square panel, level, above the plants."""
+class Panel(Strict):
+    """A square reference panel in the picture, flat and above the plants."""
 
-    x_m: float
-    """Middle, east of the plot's south-west corner [m]."""
-    y_m: float
-    """Middle, north of it [m]."""
-    side_m: float
-    """Its side [m]."""
-    reflectance: float
-    """Reflectance factor, the same in all bands [-]."""
-    reflectance_sd: float = 0.0
-    """How sure that is: standard deviation relative to it [-]."""
+    slips: ClassVar[dict[str, Slip]] = {
+        "reflectance": lambda v: "In percent? Divide by 100." if v > 1.2 else None
+    }
+    x_m: float = number("Middle of the panel, east of the plot's south-west corner", "m", ge=0)
+    y_m: float = number("Middle of the panel, north of it", "m", ge=0)
+    side_m: float = number("Its side", "m", default=0.5, gt=0, le=1000)
+    reflectance: float = number("Reflectance factor in all bands", "-", gt=0, le=1.2)
+    reflectance_sd: float = number(
+        "Standard deviation of that, relative to it", "-", default=0.01, ge=0, le=1
+    )
 
 
 class PanelReading(eqx.Module):

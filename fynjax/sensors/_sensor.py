@@ -16,7 +16,9 @@ from fynjax.sensors._bands import BandSet
 from fynjax.sensors._camera import AbstractCamera, Real
 from fynjax.sensors._noise import AbstractNoise
 from fynjax.sensors._psf import PointSpread
+from fynjax.sensors._pushbroom import frame_of
 from fynjax.sensors._rays import camera_rays
+from fynjax.sensors.air import SPACE
 
 
 class Sensor(eqx.Module):
@@ -59,12 +61,19 @@ class Sensor(eqx.Module):
         """
         return jnp.asarray(self.bands.weights(wavelength, max_loss=max_loss))
 
+    @property
+    def altitude(self) -> float:
+        """Usual height above the ground [m]; in space where its file has none."""
+        frame = frame_of(self.camera)
+        return SPACE if frame is None else float(frame.position[2])
+
     def ground_sample_distance(self, altitude: Real | None = None) -> Float[Array, ""]:
         """Pixel spacing on the ground straight below, from the optics [m].
 
-        `altitude` above the ground [m]; left out, that of the file.
+        `altitude` above the ground [m], without effect on parallel lines of sight; left out, that
+        of the file.
         """
-        if altitude is None:
+        if altitude is None or frame_of(self.camera) is None:
             return self.camera.ground_sample_distance
         return self.camera.over(0.0, 0.0, altitude=altitude).ground_sample_distance
 

@@ -1,7 +1,5 @@
 """Files of any sensor as targets of a calibration: what they are, and what is taken of them."""
 
-import dataclasses
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -93,7 +91,7 @@ def test_a_spectrum_is_compared_in_some_bands_outside_the_water_windows(plot, tm
     np.testing.assert_allclose(one.data.value, curve(centre), atol=2e-6)
     covariance = np.linalg.inv(np.asarray(one.data.whitener.T @ one.data.whitener))
     value = curve(centre)
-    noise = reflectance_noise(one.bands, value, plot.sun.zenith_deg)
+    noise = reflectance_noise(one.bands, value, plot.sun.zenith)
     share = plot.calibration.target_sd
     extra = np.diagonal(covariance) - (0.03 * value) ** 2 - 0.003**2 - (share * value) ** 2
     np.testing.assert_allclose(extra, noise**2, rtol=1e-6)
@@ -173,21 +171,21 @@ def test_one_target_of_each_kind_in_the_same_order(plot, tmp_path):
         read_targets(plot, [cloud, table, structure_file(tmp_path / "d.csv")])
     with pytest.raises(InputError, match=r"no such file. Did you mean 'c.csv'"):
         read_targets(plot, [tmp_path / "cc.csv"])
-    fewer = dataclasses.replace(plot.calibration, targets=("*.mean",))
+    fewer = plot.calibration.replace(targets=("*.mean",))
     with pytest.raises(InputError, match="fits none of the metrics of the cloud"):
-        read_targets(dataclasses.replace(plot, calibration=fewer), [cloud])
+        read_targets(plot.replace(calibration=fewer), [cloud])
 
 
 def test_cells_are_whole_voxels(plot):
     for voxel, size in ((0.1, 2.0), (0.25, 10.0), (0.2, 10.0)):
-        sized = dataclasses.replace(plot, voxel_m=voxel, size_m=(size, size))
+        sized = plot.replace(voxel_m=voxel, size_m=(size, size))
         settings, grains = structure_settings(sized)
         for grain in grains:
             across = grain / max(1, round(grain / settings.canopy_cell)) / voxel
             assert across == pytest.approx(round(across))
             assert grain <= size
     with pytest.raises(InputError, match="has no cells of whole voxels"):
-        structure_settings(dataclasses.replace(plot, size_m=(0.8, 0.8)))
+        structure_settings(plot.replace(size_m=(0.8, 0.8)))
 
 
 def test_noise_falls_with_the_number_of_pixels():

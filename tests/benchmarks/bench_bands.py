@@ -7,7 +7,6 @@ how much the means and pixels (10 cm) of some bands differ where each is solved 
 """
 
 import argparse
-import dataclasses
 import time
 
 import equinox as eqx
@@ -16,7 +15,7 @@ import numpy as np
 
 from fynjax.assembly import aim_at_plot, build_plot
 from fynjax.io.instruments import load_sensor
-from fynjax.io.plot import Air, example_folder, read_plot, visible_sensor
+from fynjax.io.plot import AtmosphereTable, example_folder, read_plot, visible_sensor
 from fynjax.scene import AimedSensor, PlotParameters, Scene
 
 ONE_BAND = 860.0
@@ -49,13 +48,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--size", type=float, default=5.0, help="side of the plot [m]")
     size = parser.parse_args().size
-    plot = dataclasses.replace(read_plot(example_folder() / "plot.toml"), size_m=(size, size))
+    plot = read_plot(example_folder() / "plot.toml").replace(size_m=(size, size))
     scene, parameters = build_plot(plot)
     every = visible_sensor(load_sensor("aviris_ng"))
     nearest = min(range(len(every.bands)), key=lambda i: abs(every.bands.centre[i] - ONE_BAND))
     some = np.linspace(0, len(every.bands) - 1, CHECKED).round().astype(int).tolist()
+    none = AtmosphereTable(model="none")
     whole, one, few = (
-        aim_at_plot(plot, scene, parameters, sensor, pixel=PIXEL, air=Air("none"), quiet=True)
+        aim_at_plot(plot, scene, parameters, sensor, pixel=PIXEL, air=none, quiet=True)
         for sensor in (every, every.select([nearest]), every.select(some))
     )
     print("bands  compilation CPU s  image CPU s")

@@ -7,7 +7,6 @@ of the largest side at 10 cm comes last.
 """
 
 import argparse
-import dataclasses
 import json
 import subprocess
 import sys
@@ -52,7 +51,7 @@ def build(side: float) -> dict[str, Any]:
     from fynjax.scene import hard_instances, hard_scene
 
     prepare_jax()
-    plot = dataclasses.replace(read_plot(example_folder() / "plot.toml"), size_m=(side, side))
+    plot = read_plot(example_folder() / "plot.toml").replace(size_m=(side, side))
     both = watch("plants", lambda: build_plot(plot))
     sites, parameters = len(both[0].planting.species), both[1]
     instances = watch("instances", partial(hard_instances, *both))

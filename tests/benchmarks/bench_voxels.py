@@ -7,7 +7,6 @@ after compilation, peak memory of the process; the last column is the ratio of t
 """
 
 import argparse
-import dataclasses
 import json
 import resource
 import subprocess
@@ -34,7 +33,7 @@ def measure(side: float, voxel: float, structure: Any) -> dict[str, Any]:
     from fynjax.sensors import shipped_sensor
 
     plot = read_plot(example_folder() / "plot.toml")
-    plot = dataclasses.replace(plot, size_m=(side, side), voxel_m=voxel, structure_m=structure)
+    plot = plot.replace(size_m=(side, side), voxel_m=voxel, structure_m=structure)
     scene, parameters = build_plot(plot)
     bands = shipped_sensor("mavic_3m").bands
     x = (jnp.arange(round(side / 0.025), dtype=jnp.float32) + 0.5) * 0.025

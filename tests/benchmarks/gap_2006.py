@@ -25,7 +25,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--size", type=float, default=5.0, help="side of the plot [m]")
     side = parser.parse_args().size
-    plot = replace(read_plot(example_folder() / "plot.toml"), size_m=(side, side))
+    plot = read_plot(example_folder() / "plot.toml").replace(size_m=(side, side))
     scene, parameters = build_plot(plot)
     clumping = parameters.species.shoot_clumping
     apart = replace(parameters, species=replace(parameters.species, shoot_clumping=0.0 * clumping))

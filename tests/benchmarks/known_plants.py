@@ -12,17 +12,16 @@ and leaf areas of all species free (`--structure`). Qi et al. (2026, Remote Sens
 """
 
 import argparse
-import dataclasses
 import resource
 import time
 
 import jax.numpy as jnp
 import numpy as np
 
-from fynjax.assembly import aim_at_plot, build_plot, prepare
+from fynjax.assembly import aim_without_air, build_plot, prepare
 from fynjax.inversion import calibrate_known_plants
 from fynjax.inversion._known_plants import PixelModel
-from fynjax.io.plot import Air, drone_sensor, example_folder, read_plot
+from fynjax.io.plot import drone_sensor, example_folder, read_plot
 from fynjax.scene import Crowns, hard_instances
 
 OPTICS = (
@@ -39,12 +38,12 @@ EXACT = 1e-4
 def known_plot(size, free):
     """The example plot, smaller, its plants as a table of crowns has them."""
     plot = read_plot(example_folder() / "plot.toml")
-    calibration = dataclasses.replace(plot.calibration, free=free, priors=PRIORS)
-    plot = dataclasses.replace(plot, size_m=(size, size), calibration=calibration)
+    calibration = plot.calibration.replace(free=free, priors=PRIORS)
+    plot = plot.replace(size_m=(size, size), calibration=calibration)
     there = hard_instances(*build_plot(plot))
     foot = np.stack([there.x, there.y], axis=1)
     crowns = Crowns(there.species, foot, there.diameter, there.height)
-    return dataclasses.replace(plot, crowns=crowns)
+    return plot.replace(known_crowns=crowns)
 
 
 def optics(model, values):
@@ -71,10 +70,8 @@ def main():
     truth = space.physical(jnp.asarray(random.normal(size=len(space.names)).clip(-2.0, 2.0)))
     print(f"{chosen.size:g} m, {len(scene.planting.foot)} plants, {len(space.names)} parameters")
     for pixel in chosen.pixels:
-        camera = aim_at_plot(
-            ready.plot, scene, ready.parameters, drone_sensor(ready.plot),
-            altitude=50.0, pixel=pixel, air=Air("none"), quiet=True,
-        )  # fmt: skip
+        drone = drone_sensor(ready.plot)
+        camera = aim_without_air(ready.plot, scene, ready.parameters, drone, pixel=pixel)
         model = PixelModel(scene, ready.parameters, space.names, camera, 1)
         image = np.asarray(model.image(truth), float)
         for noise in chosen.noise:

@@ -22,7 +22,6 @@ images left out: how much a diagnosis by these statistics may hope for.
 """
 
 import argparse
-import dataclasses
 import os
 import tempfile
 import time
@@ -93,8 +92,8 @@ def wrong_plot(plot, what):
     if what == "form":
         species = list(plot.species)
         i = next(i for i, one in enumerate(species) if one.taxon == "Erica irregularis")
-        species[i] = species[i].model_copy(update={"growth_form": "tussock"})
-        return dataclasses.replace(plot, species=tuple(species))
+        species[i] = species[i].replace(growth_form="tussock")
+        return plot.replace(species=tuple(species))
     if what == "soil":
         folder = Path(os.environ.get("FYNJAX_SHARED_DATA", "../shared/data"))
         soils = np.load(folder / "leaf" / "soil_spectra.npz")
@@ -102,8 +101,8 @@ def wrong_plot(plot, what):
         path = Path(tempfile.mkdtemp()) / "soil.csv"
         columns = {"wavelength_nm": soils["wl"], "reflectance": soils["refl"][of]}
         pd.DataFrame(columns).to_csv(path, index=False)
-        ground = dataclasses.replace(plot.ground, spectrum=path, moisture=0.0)
-        return dataclasses.replace(plot, ground=ground)
+        ground = plot.ground.replace(soil=path, moisture=0.0)
+        return plot.replace(ground=ground)
     return plot
 
 
@@ -111,8 +110,8 @@ def plot_of(size):
     """The example plot, smaller, with covers free by a half and the rest by 30 %."""
     plot = read_plot(example_folder() / "plot.toml")
     priors = {"*.cover": 0.5, "*": 0.3}
-    calibration = dataclasses.replace(plot.calibration, free=FREE, priors=priors)
-    return dataclasses.replace(plot, size_m=(size, size), calibration=calibration)
+    calibration = plot.calibration.replace(free=FREE, priors=priors)
+    return plot.replace(size_m=(size, size), calibration=calibration)
 
 
 def measure(ready, views, u, number, random):
@@ -143,7 +142,7 @@ def weigh(plot, view, value, share):
         cells = min(plot.size_m) ** 2 / GRAIN**2
         sd = CELLS_APART * np.abs(value) / np.sqrt(cells)
         return weigh_structure(view.names, value, share, sd=sd)
-    noise = reflectance_noise(view.imager.sensor.bands, value, plot.sun.zenith_deg)
+    noise = reflectance_noise(view.imager.sensor.bands, value, plot.sun.zenith)
     return weigh_spectrum(view.names, value, share, noise=noise)
 
 

@@ -354,7 +354,7 @@ def test_init_writes_a_plot_of_another_fire_and_says_what_is_assumed(capsys, tmp
     plot = read_plot(target / "plot.toml")
     assert f"burnt {year} (assumed)" in plot.name
     assert sum(s.cover for s in plot.species) < 0.9
-    assert plot.ground.fractions[1] > 0.05
+    assert plot.ground.char_fraction > 0.05
     assert "ASSUMED" in (target / "species.csv").read_text()
     assert not (target / "statistics.csv").exists()
     guide = (target / "README.txt").read_text()

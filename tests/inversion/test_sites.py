@@ -1,7 +1,5 @@
 """Sites for plants: more are made where a search asks for them, and who stands stays."""
 
-import dataclasses
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -130,10 +128,10 @@ def test_a_table_of_parameters_gets_its_sites_and_growth_counts_from_the_species
 def test_a_prior_finds_sites_for_what_it_makes_likely(tmp_path):
     """Diameters that may be half: four times as many plants."""
     plot = read_plot(write_plot(tmp_path))
-    wide = dataclasses.replace(plot.calibration, free=("*.diameter",), priors={"*": 0.5})
-    ready = prepare(dataclasses.replace(plot, calibration=wide), None, seed=0)
-    narrow = dataclasses.replace(plot.calibration, free=("*.leaf_area_index",))
-    usual = prepare(dataclasses.replace(plot, calibration=narrow), None, seed=0)
+    wide = plot.calibration.replace(free=("*.diameter",), priors={"*": 0.5})
+    ready = prepare(plot.replace(calibration=wide), None, seed=0)
+    narrow = plot.calibration.replace(free=("*.leaf_area_index",))
+    usual = prepare(plot.replace(calibration=narrow), None, seed=0)
     assert len(ready.scene.planting.species) > 1.5 * len(usual.scene.planting.species)
 
 

@@ -41,7 +41,7 @@ def test_map_coordinates_count_from_the_corner_that_the_plot_file_states(tmp_pat
     for x in ("0.5", "1.5", "1.0"):
         on_map = on_map.replace(f",{x},", f",{500000 + float(x)},", 1)
     stated = read_plot(write(tmp_path, on_map, more="map_origin_m = [500000.0, 0.0]\n"))
-    np.testing.assert_allclose(stated.crowns.foot[:, 0], [0.5, 1.5, 1.0])
+    np.testing.assert_allclose(stated.known_crowns.foot[:, 0], [0.5, 1.5, 1.0])
     with pytest.raises(InputError, match="map_origin_m of the plot file"):
         read_plot(write(tmp_path, on_map))
 
@@ -95,12 +95,12 @@ def test_a_geopackage_of_polygons_and_points(tmp_path):
     taxon, height = ["Erica irregularis"], [0.5]
     place = "map_origin_m = [500000.0, 6000000.0]\n"
     geopackage(tmp_path / "map.gpkg", [square], "EPSG:32734", taxon=taxon, height_m=height)
-    crowns = read_plot(write(tmp_path, None, "map.gpkg", place)).crowns
+    crowns = read_plot(write(tmp_path, None, "map.gpkg", place)).known_crowns
     np.testing.assert_allclose(crowns.foot, [[0.5, 0.5]], atol=1e-6)
     np.testing.assert_allclose(crowns.diameter, 2 * np.sqrt(0.16 / np.pi))
     columns = {"taxon": taxon, "height_m": height, "diameter_cm": [35.0], "note": ["old"]}
     geopackage(tmp_path / "own.gpkg", [shapely.Point(1.5, 0.25)], **columns)
-    crowns = read_plot(write(tmp_path, None, "own.gpkg")).crowns
+    crowns = read_plot(write(tmp_path, None, "own.gpkg")).known_crowns
     np.testing.assert_allclose([*crowns.foot[0], *crowns.diameter], [1.5, 0.25, 0.35])
     geopackage(tmp_path / "bad.gpkg", [shapely.Point(9, 9)], **columns)
     with pytest.raises(InputError, match="0 to below 2 m"):

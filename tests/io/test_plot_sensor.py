@@ -9,8 +9,14 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.assembly import aim_at_plot, build_plot
 from fynjax.io.instruments import load_sensor
-from fynjax.io.plot import Air, read_plot
-from fynjax.io.plot._sensor import drone_sensor, plot_instrument, visible_sensor
+from fynjax.io.plot import (
+    AtmosphereTable,
+    drone_sensor,
+    plot_instrument,
+    read_plot,
+    sensor_place,
+    visible_sensor,
+)
 from fynjax.metrics import BANDS
 from fynjax.scene import PlotAir
 from fynjax.sensors import SPACE, Atmosphere, BandSet
@@ -61,11 +67,8 @@ def plot(folder: Path, tables: str = "", head: str = HEAD):
 
 def test_left_out_sensors_are_the_drone_of_old_files(tmp_path):
     read = plot(tmp_path)
-    assert (read.sensor.name, read.sensor.altitude_m, read.sensor.pixel_m) == (
-        "mavic_3m",
-        50.0,
-        0.025,
-    )
+    assert read.sensor.name == "mavic_3m"
+    assert sensor_place(read) == (50.0, 0.025)
     assert read.air is None
     assert drone_sensor(read).bands == load_sensor("mavic_3m").bands
 
@@ -82,19 +85,19 @@ def test_left_out_sensors_are_the_drone_of_old_files(tmp_path):
 )
 def test_altitude_and_pixel_come_from_the_sensor(tmp_path, table, altitude, pixel):
     read = plot(tmp_path, f"[sensor]\n{table}\n")
-    assert read.sensor.altitude_m == altitude
-    assert read.sensor.pixel_m == pytest.approx(pixel, rel=1e-4)
+    assert sensor_place(read) == (altitude, pytest.approx(pixel, rel=1e-4))
 
 
 def test_place_and_time_give_the_sun(tmp_path):
     """The Pasadena lawn of 8 November 2017: zenith 52.49, azimuth 163.69 degrees."""
     where = "latitude_deg = 34.138\nlongitude_deg = -118.126\n"
     read = plot(tmp_path, f"[sun]\n{where}time = 2017-11-08T18:42:29Z\n")
-    assert read.sun.zenith_deg == pytest.approx(52.49, abs=0.1)
-    assert read.sun.azimuth_deg == pytest.approx(163.69, abs=0.1)
+    assert read.sun.zenith == pytest.approx(52.49, abs=0.1)
+    assert read.sun.azimuth == pytest.approx(163.69, abs=0.1)
     assert read.sun.solar_factor == pytest.approx(1.019, abs=2e-3)  # near perihelion
     for time, words in (
         ("2017-11-08T08:42:29Z", "above the horizon, but is"),
+        ("2017-11-09T00:48:00Z", "at least 1 degree above the horizon, but it is 0"),
         ("2017-11-08T18:42:29", "time zone"),
     ):
         with pytest.raises(InputError, match=words) as caught:
@@ -123,7 +126,7 @@ def test_a_slip_is_explained(tmp_path, tables, words):
 
 
 def test_a_satellite_sees_a_plot_that_goes_on_for_ever_only(tmp_path):
-    assert plot(tmp_path, '[sensor]\nname = "emit"\n').sensor.pixel_m == 60.0
+    assert sensor_place(plot(tmp_path, '[sensor]\nname = "emit"\n'))[1] == 60.0
     with pytest.raises(
         InputError, match=r"2 m, but got 60 m\. A plot with boundary = \"periodic\""
     ):
@@ -165,6 +168,7 @@ def test_a_sensor_is_built_as_the_files_say(tmp_path):
         '[sensor]\npath = "mine.toml"\naltitude_m = 120\ntilt_deg = 10\nheading_deg = 90\n'
         "[atmosphere]\nwater_vapour_cm = 2.5\naerosol_optical_depth = 0.07\n",
     )
+    read = read.replace(sun=read.sun._replace(solar_factor=1.02))
     scene, parameters = build_plot(read)
     sensing = aim_at_plot(read, scene, parameters, plot_instrument(read))
     assert sensing.pixel == pytest.approx(0.06)
@@ -172,11 +176,14 @@ def test_a_sensor_is_built_as_the_files_say(tmp_path):
     assert float(sensing.sensor.camera.tilt) == 10.0
     assert isinstance(sensing.air, PlotAir)
     assert (sensing.air.water_vapour, sensing.air.aerosol) == (2.5, 0.07)
+    assert sensing.air.solar_factor == 1.02
     assert sensing.sensor.psf is not None
     # Another sensor takes nothing from the file's.
-    other = aim_at_plot(read, scene, parameters, load_sensor("emit"), air=Air("none"))
+    none = AtmosphereTable(model="none")
+    other = aim_at_plot(read, scene, parameters, load_sensor("emit"), air=none)
     assert (other.pixel, other.air, other.shape) == (60.0, None, (1, 1))
-    air = Air("file", tmp_path / "curves.csv")
+    air = AtmosphereTable(file=tmp_path / "curves.csv")
+    assert (read.air.source, none.source, air.source) == ("table", "none", "file")
     own = aim_at_plot(read, scene, parameters, plot_instrument(read), air=air)
     assert isinstance(own.air, Atmosphere)
     with pytest.raises(InputError, match=r"outside the spectrum's range 400 to 1000 nm"):

@@ -1,6 +1,5 @@
 """Prior files: what is written is read, and a plot can be left out."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -203,11 +202,14 @@ def test_a_plot_takes_what_its_files_leave_open(tmp_path: Path) -> None:
     write_prior(tmp_path / "prior.toml", prior_file())
     plot = read_plot(example_folder() / "plot.toml")
     first, *others = plot.species
-    stated = replace(plot, species=(first.model_copy(update={"dead_fraction": 0.1}), *others))
-    stated = replace(
-        stated, calibration=replace(plot.calibration, priors={"species.*.leaf_area_index": 0.7})
-    )
+    stated = plot.replace(species=(first.replace(dead_fraction=0.1), *others))
+    priors = {"species.*.leaf_area_index": 0.7}
+    stated = stated.replace(calibration=plot.calibration.replace(priors=priors))
     taken = with_prior(stated, tmp_path / "prior.toml")
+    wood = stated.replace(ground=stated.ground.replace(wood_brightness=1.3))
+    assert with_prior(wood, tmp_path / "prior.toml").ground.wood_brightness == 1.3
+    own = with_prior(stated.replace(dead_tissue=tmp_path / "dead.csv"), tmp_path / "prior.toml")
+    assert own.ground.wood_brightness is None
     assert taken.species[0].dead_fraction == 0.1
     assert taken.species[0].leaf_area_index == 0.4
     assert taken.ground.wood_brightness == 0.4

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import aim_at_plot, prepare
+from fynjax.assembly import aim_without_air, prepare
 from fynjax.inversion import calibrate_known_plants
 from fynjax.inversion._known_plants import PixelModel, block_of
-from fynjax.io.plot import Air, drone_sensor, read_plot
+from fynjax.io.plot import drone_sensor, read_plot
 from fynjax.io.raster import write_geotiff
 from fynjax.jobs import calibrate
 from fynjax.jobs._schemas import json_schema
@@ -48,10 +48,7 @@ def twin(tmp_path_factory):
     path = write(folder, CROWDED, more=MORE)
     plot = read_plot(path)
     ready = prepare(plot, None, seed=0)
-    camera = aim_at_plot(
-        plot, ready.scene, ready.parameters, drone_sensor(plot),
-        altitude=plot.sensor.altitude_m, pixel=0.1, air=Air("none"), quiet=True,
-    )  # fmt: skip
+    camera = aim_without_air(plot, ready.scene, ready.parameters, drone_sensor(plot), pixel=0.1)
     model = PixelModel(ready.scene, ready.parameters, ready.space.names, camera, 1)
     truth = ready.space.physical(jnp.asarray(TRUTH))
     image = np.asarray(model.image(truth), float) * GAIN[:, None, None]

@@ -1,7 +1,6 @@
 """Estimates beforehand: counts of the files, costs as measured, nothing written."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +23,10 @@ PLOT = read_plot(example_folder() / "plot.toml")
     [(10.0, 0.1, 3.0), (10.0, 0.025, 8.9), (100.0, 0.1, 403.0)],
 )
 def test_time_of_an_image_is_as_measured_within_a_factor_of_two(size, voxel, seconds):
-    sensor = replace(PLOT.sensor, stated_pixel_m=0.1 if size > 10 else 0.025)
-    plot = replace(PLOT, size_m=(size, size), voxel_m=voxel, sensor=sensor)
+    sensor = PLOT.sensor.replace(pixel_m=0.1 if size > 10 else 0.025)
+    plot = PLOT.replace(size_m=(size, size), voxel_m=voxel, sensor=sensor)
     some, none = estimate("render", "out", plot=plot), estimate(
-        "render", "out", plot=replace(plot, size_m=(1e-3, 1e-3))
+        "render", "out", plot=plot.replace(size_m=(1e-3, 1e-3))
     )  # fmt: skip
     assert 0.45 < (some.seconds - none.seconds) / seconds < 2.2
 

@@ -1,7 +1,5 @@
 """A LiDAR flown over a small plot: its files, opened by other readers."""
 
-from dataclasses import replace
-
 import laspy
 import numpy as np
 import pytest
@@ -98,7 +96,7 @@ def test_a_slope_comes_out_on_its_map(tmp_path):
 def test_slits_between_the_frames_of_a_flash_are_told(side):
     """Against the lines of sight: the widest gap of where they pass 1 m above the ground."""
     lidar = flash()
-    plot = replace(read_plot(example_folder() / "plot.toml"), size_m=(side, side))
+    plot = read_plot(example_folder() / "plot.toml").replace(size_m=(side, side))
     beams = lidar.beams(plot.size_m, top=2.0)
     steps = (1.0 - beams.origin[:, 2]) / beams.direction[:, 2]
     x = np.unique((beams.origin[:, 0] + steps * beams.direction[:, 0]).round(6))

@@ -23,7 +23,7 @@ from fynjax.scene import (
 from fynjax.scene._planting import INDIVIDUALS
 from tests.scene.plots import densities, small_parameters, small_plot
 
-PLOT = dataclasses.replace(read_plot(example_folder() / "plot.toml"), structure_m="even")
+PLOT = read_plot(example_folder() / "plot.toml").replace(structure_m="even")
 TABLE = table1_2006()
 
 
@@ -78,7 +78,7 @@ def test_counts_are_those_of_equation_10_for_ten_seeds() -> None:
 
 
 def test_a_plot_of_another_side_has_the_counts_of_its_area() -> None:
-    plot = dataclasses.replace(PLOT, size_m=(5.0, 5.0))
+    plot = PLOT.replace(size_m=(5.0, 5.0))
     model, parameters = build_plot(plot)
     crown = np.pi / 4.0 * plot.diameter_m**2
     packing = np.array([species.packing for species in plot.species])

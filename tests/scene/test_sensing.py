@@ -214,7 +214,10 @@ def test_panels_in_the_picture_calibrate_it():
     tenth of a per cent, with it within what is told."""
     camera = OrthographicCamera((0.0, 0.0, 1.6, 1.6), 0.1)
     sensors = [Sensor("panel", PANELS, camera, noise=CameraNoise(200.0, *n, 32)) for n in NOISE]
-    dark, bright = Panel(0.4, 0.4, 0.35, 0.05, 0.02), Panel(1.2, 0.4, 0.4, 0.5, 0.01)
+    dark, bright = (
+        Panel(x_m=0.4, y_m=0.4, side_m=0.35, reflectance=0.05, reflectance_sd=0.02),
+        Panel(x_m=1.2, y_m=0.4, side_m=0.4, reflectance=0.5, reflectance_sd=0.01),
+    )
     model, parameters = bare(0.2)
     quiet, loud = (
         over(model, one, air=PlotAir("clear-sky"), panels=(dark, bright)) for one in sensors
@@ -253,13 +256,13 @@ def test_panels_in_the_picture_calibrate_it():
         return over(model, sensor, air=PlotAir("clear-sky"), panels=panels)
 
     with pytest.raises(InputError, match=r"panel 1 must cover some pixels wholly.* holds none"):
-        with_panels(Panel(0.45, 0.45, 0.05, 0.5))
+        with_panels(Panel(x_m=0.45, y_m=0.45, side_m=0.05, reflectance=0.5))
     with pytest.raises(InputError, match="panels must not overlap"):
-        with_panels(dark, Panel(0.5, 0.4, 0.4, 0.5))
+        with_panels(dark, Panel(x_m=0.5, y_m=0.4, side_m=0.4, reflectance=0.5))
     with pytest.raises(InputError, match=r"must differ in reflectance, but all have 0\.05"):
-        with_panels(dark, Panel(1.2, 0.4, 0.4, 0.05))
+        with_panels(dark, Panel(x_m=1.2, y_m=0.4, side_m=0.4, reflectance=0.05))
     with pytest.raises(InputError, match=r"must lie in the image, 0 to 1\.6 m east"):
-        with_panels(dark, Panel(1.5, 0.4, 0.4, 0.5))
+        with_panels(dark, Panel(x_m=1.5, y_m=0.4, side_m=0.4, reflectance=0.5))
     with pytest.raises(InputError, match="expected an atmosphere"):
         over(model, sensor, panels=(dark, bright))
 

@@ -140,7 +140,7 @@ def test_a_row_is_in_the_units_of_the_package():
     row = SpeciesRow.model_validate(TABLE[0] | {"fill_percent": "80", "rotation_spread_deg": 5})
     assert (row.diameter, row.cover, row.height, row.fill) == (0.4, 0.3, 0.6, 0.8)
     assert (row.packing, row.branches, row.rotation_spread, row.minimum_area) == (0, 1, 5, 0)
-    assert row.model_copy(update={"cover": 0.1}).cover == 0.1
+    assert row.replace(cover=0.1).cover == 0.1
     assert (row.dead_fraction, row.plant) == (None, None)
 
 

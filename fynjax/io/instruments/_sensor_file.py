@@ -11,7 +11,14 @@ from pydantic import BaseModel
 from fynjax._core.errors import InputError
 from fynjax.io.instruments._lidar_file import load_lidar
 from fynjax.io.instruments._sensor_tables import BandRow, CurveRow, NoiseRow, SensorFile
-from fynjax.io.text import did_you_mean, existing_file, line_of, named_file, read_rows, read_toml
+from fynjax.io.text import (
+    did_you_mean,
+    line_of,
+    named_file,
+    read_rows,
+    read_toml,
+    shipped_or_own,
+)
 from fynjax.sensors import (
     Lidar,
     Sensor,
@@ -77,7 +84,7 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     >>> load_sensor("mavic_3m").bands.names
     ('green', 'red', 'red_edge', 'nir')
     """
-    path = _path_of(name_or_path)
+    path = shipped_or_own(name_or_path, "sensor", shipped_sensors(), sensor_folder())
     description, text = read_toml(path, SensorFile)
     tables: dict[str, list[tuple[int, BaseModel]]] = {}
 
@@ -120,18 +127,6 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     except InputError as error:
         raise InputError(str(error), file=path) from error
     return sensor
-
-
-def _path_of(name_or_path: str | Path) -> Path:
-    text = str(name_or_path)
-    if Path(text).suffix or len(Path(text).parts) != 1:
-        return existing_file(text, "a sensor file")
-    if text not in shipped_sensors():
-        raise InputError(
-            f"expected a shipped sensor or the path of a sensor file, but got {text!r}."
-            f"{did_you_mean(text, shipped_sensors())} Shipped: {', '.join(shipped_sensors())}."
-        )
-    return sensor_folder() / f"{text}.toml"
 
 
 def _order_slip(

@@ -1,18 +1,11 @@
 """A plot as its files describe it: plot file, species and leaf tables, statistics."""
 
+from fynjax.io.plot._calibration import CalibrationTable
 from fynjax.io.plot._parameter_values import with_parameter_table
 from fynjax.io.plot._place import Place, plot_place
-from fynjax.io.plot._plot import (
-    Air,
-    Calibration,
-    Ground,
-    Plot,
-    Sensor,
-    Sky,
-    Sun,
-)
+from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._plot_file import as_plot, example_folder, read_plot
-from fynjax.io.plot._plot_tables import PlotFile
+from fynjax.io.plot._plot_tables import AtmosphereTable, PlotFile
 from fynjax.io.plot._prior import (
     BY_FORM,
     DEFAULT_PRIOR,
@@ -43,10 +36,10 @@ from fynjax.io.plot._rows import (
 from fynjax.io.plot._sensor import (
     drone_sensor,
     plot_instrument,
-    sensor_altitude,
-    sensor_pixel,
+    sensor_place,
     visible_sensor,
 )
+from fynjax.io.plot._sky import read_sky, read_sky_pattern
 from fynjax.io.plot._statistics import TargetStatistics, read_statistics, read_structure
 
 __all__ = [
@@ -57,10 +50,9 @@ __all__ = [
     "NO_PRIOR",
     "PRIOR_PARAMETERS",
     "SHIPPED_PRIORS",
-    "Air",
-    "Calibration",
+    "AtmosphereTable",
+    "CalibrationTable",
     "CrownRow",
-    "Ground",
     "LearnedPrior",
     "LeftOutPlot",
     "ModelError",
@@ -70,13 +62,10 @@ __all__ = [
     "PlotFile",
     "PriorFile",
     "PriorParameter",
-    "Sensor",
-    "Sky",
     "SkyPatternRow",
     "SkyRow",
     "StatisticRow",
     "StructureRow",
-    "Sun",
     "TargetStatistics",
     "as_plot",
     "assumed_by_form",
@@ -87,10 +76,11 @@ __all__ = [
     "plot_place",
     "read_plot",
     "read_prior",
+    "read_sky",
+    "read_sky_pattern",
     "read_statistics",
     "read_structure",
-    "sensor_altitude",
-    "sensor_pixel",
+    "sensor_place",
     "visible_sensor",
     "with_parameter_table",
     "with_prior",

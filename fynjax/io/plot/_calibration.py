@@ -1,11 +1,12 @@
 """The [calibration] table of `plot.toml`, as a pydantic model."""
 
+from fnmatch import fnmatchcase
 from typing import Annotated
 
 from pydantic import Field
 
 from fynjax.io.text import Strict, number
-from fynjax.scene import LEAF_FIELDS
+from fynjax.scene import LEAF_FIELDS, PARAMETERS, parameter_kind
 
 DEFAULT_FREE = (
     *(f"species.*.{kind}" for kind in ("cover", "diameter", "dead_fraction")),
@@ -77,3 +78,15 @@ class CalibrationTable(Strict):
         ge=1,
         le=1000,
     )
+
+    def uses_target(self, statistic: str) -> bool:
+        """Whether the target's statistic is to be used."""
+        return any(fnmatchcase(statistic, pattern) for pattern in self.targets)
+
+    def relative_sd(self, name: str) -> float | None:
+        """Relative prior standard deviation of parameter `name` [-]; None where it has no prior, or
+        that of its record is absolute."""
+        for pattern, sd in self.priors.items():
+            if fnmatchcase(name, pattern):
+                return sd
+        return PARAMETERS[parameter_kind(name)].relative_sd

@@ -1,7 +1,6 @@
 """Plants that are known: a table of crowns, or a GeoPackage."""
 
 import warnings
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from fynjax._core.validation import checked_row
 from fynjax.io.plot._place import plot_place
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._rows import CrownRow
+from fynjax.io.plot._sensor import sensor_place
 from fynjax.io.raster import check_metric, parse_crs
 from fynjax.io.text import existing_file, read_rows
 from fynjax.scene import Crowns, check_taxa
@@ -31,8 +31,8 @@ def with_crowns(plot: Plot, path: Path) -> Plot:
       of their area. Coordinates of a GeoPackage are those of the plot's maps if it has a reference
       system, else metres from the plot's south-west corner.
 
-    **Returns:** the plot with `crowns`, and with the cover, the mean diameter and the greatest
-    height of each species that follow from them; species without crowns have a cover of 0.
+    **Returns:** the plot with `known_crowns`, and with the cover, the mean diameter and the
+    greatest height of each species that follow from them; species without crowns have a cover of 0.
 
     **Raises:** `InputError` with file, row (of a GeoPackage the number of the feature) and column
     for a crown of another taxon, outside the plot, of no size, or that is there twice; for map
@@ -44,6 +44,7 @@ def with_crowns(plot: Plot, path: Path) -> Plot:
     rows = _read_geopackage(path, plot) if geopackage else read_rows(path, CrownRow, _WHAT)
     check_taxa(rows, plot.taxa, path)
     corner: tuple[float, float] | None = None
+    altitude, _ = sensor_place(plot)
     places: dict[tuple[str, float, float], int] = {}
     for number, row in rows:
         if row.x_m is None or row.y_m is None:
@@ -72,10 +73,9 @@ def with_crowns(plot: Plot, path: Path) -> Plot:
                 row=number,
                 column="diameter_cm",
             )
-        if row.height_m >= plot.sensor.altitude_m:
+        if row.height_m >= altitude:
             raise InputError(
-                f"expected a plant below the sensor at {plot.sensor.altitude_m:g} m, but got "
-                f"{row.height_m:g} m",
+                f"expected a plant below the sensor at {altitude:g} m, but got {row.height_m:g} m",
                 file=path,
                 row=number,
                 column="height_m",
@@ -102,13 +102,12 @@ def _with_sizes(plot: Plot, crowns: Crowns, path: Path) -> Plot:
         mine = crowns.species == i
         if not mine.any():
             bare.append(stated.taxon)
-            species[i] = stated.model_copy(update={"cover": 0.0})
+            species[i] = stated.replace(cover=0.0)
             continue
         mean, greatest = crowns.sizes(i)
         disc = np.pi / 4.0 * mean**2 * (1.0 - stated.packing) * stated.fill
         share = min(1.0, float(mine.sum() * disc / np.prod(plot.size_m)))
-        found = {"cover": share, "diameter": mean, "height": greatest}
-        species[i] = stated.model_copy(update=found)
+        species[i] = stated.replace(cover=share, diameter=mean, height=greatest)
         change = (
             abs(share - stated.cover),
             abs(mean / stated.diameter - 1.0),
@@ -123,7 +122,7 @@ def _with_sizes(plot: Plot, crowns: Crowns, path: Path) -> Plot:
     )
     if bare:
         note += f" Without crowns, and so without plants: {', '.join(bare)}."
-    return replace(plot, species=tuple(species), crowns=crowns, crowns_note=note)
+    return plot.replace(species=tuple(species), known_crowns=crowns, crowns_note=note)
 
 
 def _corner(plot: Plot, path: Path) -> tuple[float, float]:

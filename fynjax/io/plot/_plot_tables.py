@@ -1,23 +1,50 @@
 """`plot.toml` and its tables, as pydantic models."""
 
+from collections.abc import Iterator
 from datetime import datetime
-from typing import Annotated, ClassVar, Literal
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from fynjax.io.plot._calibration import CalibrationTable
-from fynjax.io.text import Slip, Strict, number, optional_quantity, quantity
-from fynjax.scene import PARAMETERS
+from fynjax.io.text import (
+    NamedFile,
+    Slip,
+    Strict,
+    did_you_mean,
+    number,
+    optional_quantity,
+    quantity,
+)
+from fynjax.scene import PARAMETERS, Placement
+from fynjax.sensors import Panel, SunPosition, shipped_sensors, sun_position
 
 
-def _size_is_positive(value: float | tuple[float, float]) -> float | tuple[float, float]:
-    for side in value if isinstance(value, tuple) else (value,):
+def _two_sides(value: Any) -> Any:
+    return value if isinstance(value, list | tuple) else (value, value)
+
+
+def _sides_fit(value: tuple[float, float]) -> tuple[float, float]:
+    for side in value:
         if not 0.5 <= side <= 1000:
             raise ValueError(f"expected sides of 0.5 to 1000 m, but got {side:g}")
     return value
 
 
-Size = Annotated[float | tuple[float, float], AfterValidator(_size_is_positive)]
+Size = Annotated[
+    tuple[float, float],
+    AfterValidator(_sides_fit),
+    BeforeValidator(_two_sides, json_schema_input_type=float | tuple[float, float]),
+]
+Raster = Annotated[Path, NamedFile("a GeoTIFF")]
 
 
 class PlotTable(Strict):
@@ -42,21 +69,23 @@ class PlotTable(Strict):
         default="periodic",
         description="'periodic' repeats the plot for ever; 'open' stands alone on bare ground.",
     )
-    species_table: str = Field(
-        default="species.csv", description="Species table; a path from this file's folder."
+    species_table: Annotated[Path, NamedFile("a species table")] = Field(
+        default="species.csv",
+        validate_default=True,
+        description="Species table; a path from this file's folder.",
     )
-    crowns: str | None = Field(
+    crowns: Annotated[Path, NamedFile("a table of crowns")] | None = Field(
         default=None,
         description="Crowns of the plants, where these are known: a CSV table, or a GeoPackage of "
         "points or polygons; a path from this file's folder. They replace what is drawn, and give "
         "cover, diameter and height of each species in place of the species table. Left out: the "
         "plants stand by chance.",
     )
-    leaf_table: str | None = Field(
+    leaf_table: Annotated[Path, NamedFile("a leaf table")] | None = Field(
         default=None,
         description="Leaf table; a path from this file's folder. Left out: usual leaves.",
     )
-    dead_tissue: str | None = Field(
+    dead_tissue: Annotated[Path, NamedFile("a spectrum of dead tissue")] | None = Field(
         default=None,
         description="Spectrum of dead tissue in live shoots; a CSV file as for soil, a path from "
         "this file's folder. Left out: bark.",
@@ -66,10 +95,10 @@ class PlotTable(Strict):
         description="Whether leaves have the size of their growth form, which brightens the plot "
         "where sensor and sun are in the same direction; takes longer.",
     )
-    probability_map: str | None = Field(
+    probability_map: Raster | None = Field(
         default=None, description="GeoTIFF, 0 to 255: where plants are likely to stand."
     )
-    terrain: str | None = Field(
+    terrain: Raster | None = Field(
         default=None,
         description="GeoTIFF of the height of the ground [m], such as `fynjax terrain` makes; for "
         "a plot with an open boundary.",
@@ -119,6 +148,20 @@ class SunTable(Strict):
         description="Date and time with its zone, such as 2024-10-30T11:00:00+02:00.",
     )
 
+    @field_validator("time")
+    @classmethod
+    def _sun_is_up(cls, time: datetime | None, info: ValidationInfo) -> datetime | None:
+        north, east = (info.data.get(name) for name in PLACE_AND_TIME[:2])
+        lowest = PARAMETERS["sun_zenith"].upper
+        if time is not None and north is not None and east is not None:
+            zenith = sun_position(north, east, time).zenith
+            if zenith > lowest:
+                raise ValueError(
+                    f"expected the sun at least {90.0 - lowest:g} degree above the horizon, but it "
+                    f"is {90.0 - zenith:.2f} degrees above it at that time"
+                )
+        return time
+
     @model_validator(mode="after")
     def _angles_or_place_and_time(self) -> "SunTable":
         missing = [name for name in PLACE_AND_TIME if getattr(self, name) is None]
@@ -134,6 +177,14 @@ class SunTable(Strict):
             )
         return self
 
+    @property
+    def position(self) -> SunPosition:
+        """Where the sun stands, by its angles or by place and time; with the sunlight of the day,
+        that at one astronomical unit where no time is given."""
+        if self.time is None or self.latitude_deg is None or self.longitude_deg is None:
+            return SunPosition(self.zenith_deg, self.azimuth_deg, 1.0)
+        return sun_position(self.latitude_deg, self.longitude_deg, self.time)
+
 
 class SkyTable(Strict):
     """What the sky adds to the sun."""
@@ -141,10 +192,10 @@ class SkyTable(Strict):
     aerosol_optical_depth: float = quantity(
         PARAMETERS["aerosol"], default=PARAMETERS["aerosol"].default
     )
-    table: str | None = Field(
+    table: Annotated[Path, NamedFile("a sky table")] | None = Field(
         default=None, description="CSV with wavelength_nm, diffuse_fraction; replaces the model."
     )
-    pattern: str | None = Field(
+    pattern: Annotated[Path, NamedFile("a pattern of the sky")] | None = Field(
         default=None,
         description="CSV with zenith_deg, azimuth_deg, radiance: where the sky is bright, in any "
         "unit, on an even grid. Left out: the same from everywhere.",
@@ -170,7 +221,9 @@ Shape = Annotated[tuple[float, float, float], AfterValidator(_is_a_shape)]
 class GroundTable(Strict):
     """Soil and what lies on it."""
 
-    soil: str = Field(
+    soil: Annotated[
+        Path | str, NamedFile("'dry', 'wet' or a soil spectrum", words=("dry", "wet"))
+    ] = Field(
         default="dry",
         description="'dry', 'wet', or the path of a spectrum (wavelength_nm, reflectance).",
     )
@@ -184,11 +237,13 @@ class GroundTable(Strict):
     litter_fraction: float | None = optional_quantity(PARAMETERS["litter_fraction"])
     char_fraction: float | None = optional_quantity(PARAMETERS["char_fraction"])
     rock_fraction: float | None = optional_quantity(PARAMETERS["rock_fraction"])
-    litter: str | None = Field(
+    litter: Annotated[Path, NamedFile("a spectrum of litter")] | None = Field(
         default=None, description="Spectrum of the litter (wavelength_nm, reflectance)."
     )
-    char: str | None = Field(default=None, description="Spectrum of ash and charcoal.")
-    rock: str | None = Field(
+    char: Annotated[Path, NamedFile("a spectrum of char")] | None = Field(
+        default=None, description="Spectrum of ash and charcoal."
+    )
+    rock: Annotated[Path, NamedFile("a spectrum of rock")] | None = Field(
         default=None, description="Spectrum of the rock. Left out: as the dry soil."
     )
     patch_m: float = number(
@@ -198,7 +253,7 @@ class GroundTable(Strict):
         ge=0,
         le=100,
     )
-    map: str | None = Field(
+    map: Raster | None = Field(
         default=None,
         description="GeoTIFF with bands litter, char, rock (any of them): shares of 0 to 1 in "
         "their places, instead of fractions and patches.",
@@ -237,21 +292,6 @@ class GroundTable(Strict):
         return self
 
 
-class PanelTable(Strict):
-    """A square reference panel in the picture, flat and above the plants."""
-
-    slips: ClassVar[dict[str, Slip]] = {
-        "reflectance": lambda v: "In percent? Divide by 100." if v > 1.2 else None
-    }
-    x_m: float = number("Middle of the panel, east of the plot's south-west corner", "m", ge=0)
-    y_m: float = number("Middle of the panel, north of it", "m", ge=0)
-    side_m: float = number("Its side", "m", default=0.5, gt=0, le=1000)
-    reflectance: float = number("Reflectance factor in all bands", "-", gt=0, le=1.2)
-    reflectance_sd: float = number(
-        "Standard deviation of that, relative to it", "-", default=0.01, ge=0, le=1
-    )
-
-
 class SensorTable(Strict):
     """The sensor, and from where it looks."""
 
@@ -262,7 +302,7 @@ class SensorTable(Strict):
     name: str = Field(
         default="mavic_3m", description="A shipped sensor, such as 'mavic_3m' or 'aviris_ng'."
     )
-    path: str | None = Field(
+    path: Annotated[Path, NamedFile("a sensor file")] | None = Field(
         default=None,
         description="Sensor file of your own, instead of a name; a path from this file's folder.",
     )
@@ -300,16 +340,31 @@ class SensorTable(Strict):
     point_spread: bool = Field(
         default=True, description="Whether the optics blur, if the sensor says how."
     )
-    panels: list[PanelTable] = Field(
+    panels: list[Panel] = Field(
         default=[],
         description="Reference panels in the picture; `simulate` then calibrates by them.",
     )
+
+    @field_validator("name")
+    @classmethod
+    def _is_shipped(cls, name: str) -> str:
+        if name not in (known := shipped_sensors()):
+            raise ValueError(
+                f"expected a shipped sensor ({', '.join(known)}) or a path, but got {name!r}."
+                f"{did_you_mean(name, known)}"
+            )
+        return name
 
     @model_validator(mode="after")
     def _a_name_or_a_path(self) -> "SensorTable":
         if self.path is not None and "name" in self.model_fields_set:
             raise ValueError("expected name or path, but got both: leave one out")
         return self
+
+    @property
+    def placement(self) -> Placement:
+        """What is stated of where the sensor is."""
+        return Placement(self.altitude_m, self.pixel_m, self.tilt_deg, self.heading_deg)
 
 
 class AtmosphereTable(Strict):
@@ -326,7 +381,7 @@ class AtmosphereTable(Strict):
         description="'table', computed with 6S; 'clear-sky', the simple model SPCTRL2; 'none', "
         "reflectance without air.",
     )
-    file: str | None = Field(
+    file: Annotated[Path, NamedFile("curves of the air")] | None = Field(
         default=None,
         description="Curves of your own (CSV or NetCDF, such as of MODTRAN), instead of a model; a "
         "path from this file's folder.",
@@ -356,6 +411,11 @@ class AtmosphereTable(Strict):
             )
         return self
 
+    @property
+    def source(self) -> Literal["table", "clear-sky", "none", "file"]:
+        """The model, or 'file' where there are curves of the user's."""
+        return self.model if self.file is None else "file"
+
 
 class SceneTable(Strict):
     """How the random part of the scene is drawn."""
@@ -375,7 +435,7 @@ class SceneTable(Strict):
         ge=0,
         le=10,
     )
-    parameters: str | None = Field(
+    parameters: Annotated[Path, NamedFile("a table of parameters")] | None = Field(
         default=None,
         description="Table of values that replace those of the other files, such as the "
         "parameters.csv of `fynjax calibrate`; a path from this file's folder.",
@@ -395,3 +455,9 @@ class PlotFile(Strict):
     )
     scene: SceneTable = SceneTable()
     calibration: CalibrationTable = CalibrationTable()
+
+    @property
+    def named_files(self) -> Iterator[Path]:
+        """Files that the tables name."""
+        tables = (table for _, table in self if isinstance(table, Strict))
+        return (value for table in tables for _, value in table if isinstance(value, Path))

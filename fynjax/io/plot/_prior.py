@@ -3,7 +3,7 @@
 import math
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -358,7 +358,7 @@ def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
             and (one.plant is None or kind != "leaf_area_index")
         ]
         found: dict[str, Any] = {kind: values[f"{kind}.{one.growth_form}"] for kind in open_kinds}
-        species.append(one.model_copy(update=found))
+        species.append(one.replace(**found))
         for kind, value in found.items():
             # Patterns of the plot file come first.
             spread.setdefault(
@@ -366,13 +366,12 @@ def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
                 prior.sd(f"{kind}.{one.growth_form}", elsewhere=True) / value,
             )
     ground = plot.ground
-    if ground.wood_brightness == PARAMETERS["wood_brightness"].default:
-        ground = replace(ground, wood_brightness=values["wood_brightness"])
-    return replace(
-        plot,
+    if ground.wood_brightness is None and plot.dead_tissue is None:
+        ground = ground.replace(wood_brightness=values["wood_brightness"])
+    return plot.replace(
         species=tuple(species),
         ground=ground,
-        calibration=replace(plot.calibration, priors=spread),
+        calibration=plot.calibration.replace(priors=spread),
         inputs=(*plot.inputs, prior.path),
     )
 

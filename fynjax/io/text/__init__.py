@@ -10,7 +10,13 @@ from fynjax.io.text._atomic import (
     staged_folder,
     write_text,
 )
-from fynjax.io.text._files import check_stated_size, existing_file, named_file, read_bytes
+from fynjax.io.text._files import (
+    NamedFile,
+    check_stated_size,
+    existing_file,
+    named_file,
+    read_bytes,
+)
 from fynjax.io.text._named import shipped_or_own
 from fynjax.io.text._tables import (
     broken_row,
@@ -23,6 +29,7 @@ from fynjax.io.text._tables import (
 from fynjax.io.text._toml import line_of, read_toml
 
 __all__ = [
+    "NamedFile",
     "Slip",
     "Strict",
     "atomic_path",

@@ -2,7 +2,11 @@
 
 import stat
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+from pydantic_core import CoreSchema, core_schema
 
 from fynjax._core.errors import InputError, did_you_mean
 
@@ -76,6 +80,13 @@ def named_file(
 
     **Raises:** `InputError` for a file elsewhere, and as `existing_file`.
     """
+    try:
+        return _file_beside(owner, name, what, within)
+    except ValueError as error:
+        raise InputError(str(error), file=owner, row=row, column=column) from error
+
+
+def _file_beside(owner: Path, name: str, what: str, within: Path | None) -> Path:
     place = owner.parent / name
     try:
         path = place.resolve()
@@ -92,7 +103,34 @@ def named_file(
         text = f"expected {what}, but no file can have this name"
     except (OSError, RuntimeError) as error:  # a link in a loop
         text = f"expected {what}, but {_why_not(place, error)}"
-    raise InputError(f"{name!r}: {text}", file=owner, row=row, column=column)
+    raise ValueError(f"{name!r}: {text}")
+
+
+@dataclass(frozen=True)
+class NamedFile:
+    """Type of a key that names a file: `Annotated[Path, NamedFile("a sky table")]`.
+
+    Where `read_toml` reads the record, the text becomes the path of a file that is there, as
+    `named_file` has it; elsewhere the path is taken as it is.
+    """
+
+    what: str
+    """Names the file in errors."""
+    words: tuple[str, ...] = ()
+    """Texts that stand for something else and are kept."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        return core_schema.with_info_wrap_validator_function(self._path, core_schema.str_schema())
+
+    def _path(self, value: Any, text: Any, info: core_schema.ValidationInfo) -> Path | str:
+        if isinstance(value, Path):
+            return value
+        name = str(text(value))
+        if name in self.words:
+            return name
+        if info.context is None:
+            return Path(name)
+        return _file_beside(info.context["owner"], name, self.what, info.context["within"])
 
 
 def read_bytes(path: Path) -> bytes:

@@ -41,13 +41,15 @@ def line_of(text: str, loc: tuple[str | int, ...]) -> int | None:
     return row
 
 
-def read_toml(path: Path, model: type[Model]) -> tuple[Model, str]:
+def read_toml(path: Path, model: type[Model], *, within: Path | None = None) -> tuple[Model, str]:
     """A TOML file as a record.
 
     **Arguments:**
 
     - `path`: a file that exists.
     - `model`: class of the record; its fields are tables and keys.
+    - `within`: folder in which files must lie that a `NamedFile` of the record names; `None` allows
+      any place.
 
     **Returns:** the record, and the text of the file.
 
@@ -69,7 +71,7 @@ def read_toml(path: Path, model: type[Model]) -> tuple[Model, str]:
             column=int(at[2]) if at else None,
         ) from error
     try:
-        return model.model_validate(raw), text
+        return model.model_validate(raw, context={"owner": path, "within": within}), text
     except ValidationError as error:
         first = first_error(error)
         table, first, loc = _place(first, model, raw)

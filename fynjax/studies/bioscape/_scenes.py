@@ -145,7 +145,7 @@ def slotted_parameters(plot: Plot, slots: tuple[str, ...]) -> PlotParameters:
     free = {form: [i for i, f in enumerate(slots) if f == form] for form in set(slots)}
     for row in plot.species:
         rows[free[row.growth_form].pop(0)] = row
-    return plot_parameters(replace(plot, species=tuple(rows)))
+    return plot_parameters(plot.replace(species=tuple(rows)))
 
 
 def _nothing(form: str) -> SpeciesRow:

@@ -1,6 +1,5 @@
 """Time and memory: the image, its gradient, many bands, large areas."""
 
-import dataclasses
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -11,8 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from fynjax._core.memory import peak_memory
-from fynjax.assembly import aim_at_plot, build_plot
-from fynjax.io.plot import Air, example_folder, read_plot
+from fynjax.assembly import aim_at_plot, aim_without_air, build_plot
+from fynjax.io.plot import AtmosphereTable, example_folder, read_plot
 from fynjax.radiation import (
     Accuracy,
     VoxelScene,
@@ -125,12 +124,9 @@ def example_plot(setting: Setting) -> Iterator[Row]:
         ((2.0, 0.1, None, None),) if setting.quick else PLOTS
     ):
         plot = read_plot(example_folder() / "plot.toml")
-        plot = dataclasses.replace(plot, size_m=(side, side), voxel_m=voxel)
+        plot = plot.replace(size_m=(side, side), voxel_m=voxel)
         scene, parameters = build_plot(plot)
-        aimed = aim_at_plot(
-            plot, scene, parameters, shipped_sensor("mavic_3m"),
-            pixel=0.025, air=Air("none"), quiet=True,
-        )  # fmt: skip
+        aimed = aim_without_air(plot, scene, parameters, shipped_sensor("mavic_3m"))
         numbers, rest = eqx.partition((aimed, scene), eqx.is_array)
 
         def observed(at: Any, rest: Any = rest) -> jax.Array:
@@ -175,12 +171,12 @@ def hectare(setting: Setting) -> Iterator[Row]:
     if setting.quick:
         return
     plot = read_plot(example_folder() / "plot.toml")
-    plot = dataclasses.replace(plot, size_m=(100.0, 100.0), structure_m="even")
+    plot = plot.replace(size_m=(100.0, 100.0), structure_m="even")
     start = time.process_time()
     scene, parameters = build_plot(plot)
     aimed = aim_at_plot(
         plot, scene, parameters, shipped_sensor("mavic_3m"),
-        pixel=0.1, altitude=200.0, air=Air("none"), quiet=True,
+        pixel=0.1, altitude=200.0, air=AtmosphereTable(model="none"), quiet=True,
     )  # fmt: skip
     observe_in_tiles(aimed, scene, parameters)
     test, what = "100 m x 100 m, 4 bands", "and compilation"

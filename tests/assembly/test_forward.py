@@ -1,0 +1,15 @@
+"""What the jobs on a plot's parameters share."""
+
+from types import SimpleNamespace
+from typing import Any
+
+from fynjax.assembly import Prepared
+from fynjax.inversion import CalibrationSettings
+from fynjax.io.plot import CalibrationTable
+
+
+def test_a_search_has_the_steps_and_starts_of_the_plot_file():
+    plot: Any = SimpleNamespace(calibration=CalibrationTable(max_iterations=7, starts=2))
+    nothing: Any = None
+    settings = Prepared(plot, nothing, nothing, nothing, 3, nothing).settings
+    assert settings == CalibrationSettings(max_steps=7, starts=2, seed=3)
