@@ -45,7 +45,7 @@ from fynjax.scene import (
     Placement,
     PlantingRules,
     PlotParameters,
-    SceneSpecies,
+    Species,
     SpeciesParameters,
     aim,
     build_scene,
@@ -133,7 +133,7 @@ parameters = PlotParameters(
         sun_zenith=jnp.asarray(28.0), sun_azimuth=jnp.asarray(0.0), aerosol=jnp.asarray(0.1)
     ),
 )
-species = [SceneSpecies(taxon, form) for taxon, form in zip(taxa, forms)]
+species = [Species(taxon, form) for taxon, form in zip(taxa, forms)]
 rules = PlantingRules(structure="even")  # leaves fill the voxels, which takes half the time
 scene = build_scene(species, parameters, extent=(SIDE, SIDE), voxel=0.1, seed=0, rules=rules)
 density = np.asarray(eqx.filter_jit(scene.area_density)(parameters))  # [class, z, y, x]

@@ -268,9 +268,11 @@ def test_what_is_assumed_of_leaves_and_forms_lies_within_the_bounds():
     from fynjax.scene import LEAF_FIELDS, PARAMETERS, USUAL_LEAF
     from fynjax.studies.bioscape._assumed import pigments
 
-    assert tuple(USUAL_LEAF) == LEAF_FIELDS
     of_forms = ("leaf_area_index", "wood_area_index", "shoot_clumping", "dead_fraction")
-    assumed = [USUAL_LEAF, *(pigments(form) for form in FORMS)]
+    assumed = [
+        USUAL_LEAF.model_dump(include=set(LEAF_FIELDS)),
+        *(pigments(form) for form in FORMS),
+    ]
     assumed += [{kind: getattr(d, kind) for kind in of_forms} for d in FORMS.values()]
     for values in assumed:
         for kind, value in values.items():

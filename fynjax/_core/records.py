@@ -48,7 +48,9 @@ def number(
     )
 
 
-def quantity(parameter: Parameter, *, default: Any = ..., note: str = "") -> Any:
+def quantity(
+    parameter: Parameter, *, default: Any = ..., note: str = "", column: str | None = None
+) -> Any:
     """A field of a record that holds a physical parameter, in its shown unit and within its bounds.
 
     **Arguments:**
@@ -56,12 +58,15 @@ def quantity(parameter: Parameter, *, default: Any = ..., note: str = "") -> Any
     - `parameter`: the parameter's record, with unit and bounds.
     - `default`: value where none is given, in the shown unit; required if this is left out.
     - `note`: what the description adds to unit and name.
+    - `column`: name in files, where it is not that of the field.
 
     **Returns:** a pydantic field.
     """
     factor, unit = parameter.shown_factor, parameter.shown_unit
     return Field(
         default,
+        alias=column,
+        validate_default=True,
         description=f"{parameter.name}{'; ' if note else ''}{note} [{unit}]. "
         f"{parameter.description}",
         ge=factor * parameter.lower,
@@ -84,7 +89,11 @@ class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     slips: ClassVar[dict[str, Slip]] = {}
-    """For a field, what a value outside its range was probably meant to be."""
+    """For a column, what a value outside its range was probably meant to be."""
+    unique: ClassVar[str | None] = None
+    """Field whose value no two rows of a table share."""
+    if_twice: ClassVar[str] = ""
+    """What to do about two rows that share it."""
 
     def replace(self, **changes: Any) -> Self:
         """The same record with other values, as `dataclasses.replace`. Ranges are not checked.

@@ -2,14 +2,23 @@
 
 import types
 import typing
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from fynjax._core.errors import did_you_mean
+from fynjax._core.errors import InputError, did_you_mean, listed
 from fynjax._core.records import Strict
+
+Row = TypeVar("Row", bound=BaseModel)
+
+
+def columns(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """The fields of a record by the names that files have for them."""
+    return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
 def _bounds(field: FieldInfo) -> str:
@@ -72,10 +81,6 @@ def _text_slip(value: str) -> str:
     return ""
 
 
-def _field(model: type[BaseModel], name: str) -> FieldInfo | None:
-    return model.model_fields.get(name)
-
-
 def sentence(error: ErrorDetails, model: type[BaseModel], name: str) -> str:
     """One sentence of a validation error: what was expected, what came, and the likely slip.
 
@@ -86,10 +91,10 @@ def sentence(error: ErrorDetails, model: type[BaseModel], name: str) -> str:
     - `name`: of the field.
     """
     kind, value = error["type"], error["input"]
-    known = list(model.model_fields)
+    known = columns(model)
     if kind == "extra_forbidden":
         return f"unknown name {name!r}.{did_you_mean(name, known)} Known: {', '.join(known)}."
-    field = _field(model, name)
+    field = known.get(name)
     if kind == "missing":
         return f"expected {name!r} ({expected(field) if field else 'a value'}), but it is missing"
     if kind == "value_error":
@@ -116,3 +121,84 @@ def first_error(error: ValidationError) -> ErrorDetails:
     """
     errors = error.errors(include_url=False)
     return min(errors, key=lambda e: (e["type"] != "extra_forbidden", e["type"] != "missing"))
+
+
+def checked_row(model: type[Row], given: Mapping[str, Any], **where: Any) -> Row:
+    """A record of what a row of a table states.
+
+    **Arguments:**
+
+    - `model`: class of the record.
+    - `given`: values by column, without those of empty cells.
+    - `where`: file and row, as `InputError` takes them.
+
+    **Raises:** `InputError` with the column, what was expected, what came and the likely slip.
+    """
+    try:
+        return model.model_validate(given)
+    except ValidationError as error:
+        first = first_error(error)
+        name = str(first["loc"][0]) if first["loc"] else None
+        raise InputError(sentence(first, model, name or ""), **where, column=name) from error
+
+
+def checked_rows(
+    given: Iterable[tuple[int, Mapping[str, Any]]], model: type[Row], file: Path | None = None
+) -> list[tuple[int, Row]]:
+    """Records of the rows of a table, each with its number.
+
+    **Arguments:**
+
+    - `given`: number of each row, and its values as `checked_row` takes them.
+    - `model`: class of the record.
+    - `file`: that holds the table.
+
+    **Raises:** `InputError` as `checked_row`, and for rows that share what must be `unique`.
+    """
+    rows: list[tuple[int, Row]] = []
+    first: dict[Any, int] = {}
+    rules = model if issubclass(model, Strict) else Strict
+    key = rules.unique
+    for number, cells in given:
+        row = checked_row(model, cells, file=file, row=number)
+        if key is not None and first.setdefault(value := getattr(row, key), number) != number:
+            raise InputError(
+                f"{value!r} is there twice, first in row {first[value]}. {rules.if_twice}".rstrip(),
+                file=file,
+                row=number,
+                column=key,
+            )
+        rows.append((number, row))
+    return rows
+
+
+def check_header(header: Sequence[str], model: type[BaseModel], **where: Any) -> None:
+    """Raise `InputError` for a column that is missing, unknown or there twice.
+
+    **Arguments:**
+
+    - `header`: names of a table's columns.
+    - `model`: the record of a row.
+    - `where`: file and row, as `InputError` takes them.
+    """
+    known = columns(model)
+    missing = [name for name, field in known.items() if field.is_required() and name not in header]
+    strange = [name for name in header if name not in known]
+    if missing:
+        near = did_you_mean(missing[0], strange)
+        near = near.replace("Did you mean", "Is it").replace("?", " in this table?")
+        raise InputError(
+            f"expected a column {missing[0]!r}, but the header has {listed(header)}.{near}",
+            **where,
+            column=missing[0],
+        )
+    if strange:
+        what = repr(strange[0]) if strange[0] else "a column without a name"
+        raise InputError(
+            f"unknown column {what}.{did_you_mean(strange[0], known)} Known: {', '.join(known)}.",
+            **where,
+            column=strange[0],
+        )
+    twice = [name for k, name in enumerate(header) if name in header[:k]]
+    if twice:
+        raise InputError("this column is there twice", **where, column=twice[0])

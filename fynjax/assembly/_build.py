@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Literal
 
@@ -21,19 +21,23 @@ from fynjax.assembly._ground import (
 from fynjax.assembly._memory import check_memory
 from fynjax.assembly._plants import read_plant
 from fynjax.canopy import MeshPlant, Organ
-from fynjax.io.plot import Plot, Species, read_sky, read_sky_pattern, with_parameter_table
+from fynjax.io.plot import Plot, read_sky, read_sky_pattern, with_parameter_table
 from fynjax.io.raster import read_probability_map
 from fynjax.io.spectra import reflectances
 from fynjax.leaf import fit_leaf
 from fynjax.scene import (
     LEAF_FIELDS,
+    LeafRow,
     LightParameters,
     PlantingRules,
     PlotParameters,
     Scene,
-    SceneSpecies,
+    Species,
+    SpeciesRow,
     Spectrum,
     build_scene,
+    leaf_parameters,
+    leaves_of,
     room_needed,
     species_parameters,
 )
@@ -70,19 +74,11 @@ def build_plot(
     fractions = None
     if plot.ground.map is not None and patches is not None:
         fractions = tuple(patches[1:].mean(axis=(1, 2)).tolist())
-    plants = [None if s.plant is None else read_plant(s.plant, s.growth_form) for s in plot.species]
-    parameters = plot_parameters(plot, fractions, plants)
-    species = [
-        SceneSpecies(
-            s.taxon,
-            s.growth_form,
-            branches=float(s.branches or 1),
-            rotation_spread=s.rotation_spread_deg or 0.0,
-            minimum_area=s.minimum_object_area_m2 or 0.0,
-            plant=None if plant is None else plant.plant,
-        )
-        for s, plant in zip(plot.species, plants, strict=True)
+    plants = [
+        None if row.plant is None else read_plant(row.plant, row.growth_form)
+        for row in plot.species
     ]
+    parameters = plot_parameters(plot, fractions, plants)
     # Places are held ready as for the tables, so that plants stay where a calibration had them.
     tables = parameters
     if plot.parameters is not None:
@@ -96,7 +92,7 @@ def build_plot(
     )
     plant = partial(
         build_scene,
-        species,
+        [Species.of(row) for row in plot.species],
         tables,
         extent=plot.size_m,
         voxel=plot.voxel_m,
@@ -108,6 +104,7 @@ def build_plot(
         terrain=ground_heights(plot),
         sky=_sky(plot),
         sky_pattern=None if plot.sky.pattern is None else read_sky_pattern(plot.sky.pattern),
+        plants=[None if plant is None else plant.plant for plant in plants],
         crowns=plot.known_crowns,
     )
     scene = plant(rules=rules)
@@ -162,30 +159,13 @@ def plot_parameters(
 
     **Raises:** `InputError` for a leaf spectrum that cannot be used.
     """
-    models = [None] * len(plot.species) if plants is None else plants
-
-    def column(name: str) -> list[float | None]:
-        values = []
-        for s, model in zip(plot.species, models, strict=True):
-            value = getattr(s, name)
-            if value is None and model is not None and name in AREA_INDICES:
-                crown = np.pi / 4.0 * model.modelled_diameter**2
-                value = float(model.organ_area[AREA_INDICES[name]]) / crown
-            values.append(value)
-        return values
-
-    given = (
-        *("cover", "packing", "fill", "leaf_area_index", "wood_area_index"),
-        *("shoot_clumping", "dead_fraction"),
-    )
-    stated = {name: column(name) for name in given}
-    stated |= {"diameter": column("diameter_m"), "height": column("height_m")}
-    species, leaf = species_parameters(
-        [s.growth_form for s in plot.species], stated, [_leaf(s) for s in plot.species]
-    )
+    rows: Sequence[SpeciesRow] = plot.species
+    if plants is not None:
+        rows = [_with_areas(*pair) for pair in zip(rows, plants, strict=True)]
+    fitted = cache(_fitted)  # one leaf may be that of many species
     return PlotParameters(
-        species,
-        leaf,
+        species_parameters(rows),
+        leaf_parameters([fitted(leaf) for leaf in leaves_of(rows, plot.leaves)]),
         ground_parameters(plot, fractions),
         LightParameters(
             sun_zenith=jnp.asarray(plot.sun.zenith),
@@ -195,14 +175,20 @@ def plot_parameters(
     )
 
 
-def _leaf(species: Species) -> dict[str, float] | None:
-    source = species.leaf
-    if source is None:
-        return None
-    if source.parameters is not None:
-        return source.parameters
-    assert source.spectrum is not None  # the plot's reader leaves exactly one of the two
-    spectra = reflectances(source.spectrum)
+def _with_areas(row: SpeciesRow, plant: MeshPlant | None) -> SpeciesRow:
+    """The species with the area indices of its plant where its table states none."""
+    if plant is None:
+        return row
+    crown = np.pi / 4.0 * plant.modelled_diameter**2
+    own = {name: float(plant.organ_area[organ]) / crown for name, organ in AREA_INDICES.items()}
+    return row.replace(**{n: v for n, v in own.items() if getattr(row, n) is None})
+
+
+def _fitted(leaf: LeafRow) -> LeafRow:
+    """The leaf itself, or with the PROSPECT parameters that its spectrum asks for."""
+    if leaf.spectrum is None:
+        return leaf
+    spectra = reflectances(leaf.spectrum)
     grid = np.arange(400.0, 2501.0)
     many = np.stack(
         [np.interp(grid, wave, values, left=np.nan, right=np.nan) for wave, values in spectra]
@@ -210,10 +196,11 @@ def _leaf(species: Species) -> dict[str, float] | None:
     if not np.isfinite(many).any():
         raise InputError(
             "a leaf spectrum must have reflectance within 400-2500 nm, but has none",
-            file=source.spectrum,
+            file=leaf.spectrum,
         )
     fit = fit_leaf(grid, many)
-    return {name: float(np.mean(getattr(fit.parameters, name))) for name in LEAF_FIELDS}
+    found = {name: float(np.mean(getattr(fit.parameters, name))) for name in LEAF_FIELDS}
+    return leaf.replace(**found)
 
 
 def _sky(plot: Plot) -> Spectrum | None:

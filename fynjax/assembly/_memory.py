@@ -71,12 +71,9 @@ def _held_ready(
     area, plants, elements, standing = float(np.prod(plot.size_m)), 0.0, 0.0, 0.0
     resolved = PlantingRules(structure=plot.structure_m).resolved(plot.voxel_m)
     for s, held_ready in zip(plot.species, np.broadcast_to(room, len(plot.species))):
-        crown = np.pi / 4.0 * s.diameter_m**2 * (1.0 - s.packing) * s.fill
-        each = max(crown, s.minimum_object_area_m2 or 0.0)
-        count = (s.branches or 1) * area * s.cover / each
+        crown = np.pi / 4.0 * s.diameter**2 * (1.0 - s.packing) * s.fill
+        count = s.branches * area * s.cover / max(crown, s.minimum_area)
         plants += held_ready * count
-        own = count * element_count(
-            s.diameter_m, s.height_m, resolved, structured=_structured(plot)
-        )
+        own = count * element_count(s.diameter, s.height, resolved, structured=_structured(plot))
         standing, elements = standing + own, elements + held_ready * own
     return plants, elements, standing

@@ -31,9 +31,10 @@ from fynjax.scene import (
     PlantingRules,
     PlotParameters,
     Scene,
-    SceneSpecies,
+    Species,
+    SpeciesParameters,
     build_scene,
-    species_parameters,
+    leaf_parameters,
     stand_realisation,
 )
 from fynjax.sensors import BandSet
@@ -219,17 +220,21 @@ def _planted(
     """The scene that all stands are realisations of: sites for as many plants as any may have."""
     forms = [FORMS[name] for name in names]
     diameter = np.array([form.diameter for form in forms])
-    values: dict[str, list[float | None]] = {
-        "cover": [_MOST_CROWNS * (1.0 - _PACKING)] * len(forms),
-        "diameter": list(diameter * np.exp(-_SIZE_SD)),
-        "height": [_TALLEST] * len(forms),
-        "packing": [_PACKING] * len(forms),
-        "fill": [1.0] * len(forms),
-    }
-    species, leaf = species_parameters(names, values, [None] * len(forms))
+    species = SpeciesParameters(
+        cover=jnp.full(len(forms), _MOST_CROWNS * (1.0 - _PACKING)),
+        diameter=diameter * np.exp(-_SIZE_SD),
+        height=jnp.full(len(forms), _TALLEST),
+        packing=jnp.full(len(forms), _PACKING),
+        fill=jnp.ones(len(forms)),
+        **{
+            name: jnp.asarray([getattr(form, name) for form in forms])
+            for name in ("wood_area_index", *BY_FORM)
+        },
+    )
+    leaf = leaf_parameters([USUAL_LEAF] * len(forms))
     parameters = PlotParameters(species, leaf, GroundParameters(), LightParameters())
     scene = build_scene(
-        [SceneSpecies(name, name) for name in names],
+        [Species(name, name) for name in names],
         parameters,
         extent=(settings.size_m, settings.size_m),
         voxel=settings.voxel_m,
@@ -341,15 +346,15 @@ def _draw(
     diameter, height = np.array([(form.diameter, form.height) for form in records]).T
     diameter = diameter * np.exp(np.clip(_SIZE_SD * stand.take(forms), -_SIZE_SD, None))
     height = height * np.exp(_SIZE_SD * stand.take(1))
-    values: dict[str, Any] = {
-        "cover": crowns * (1.0 - _PACKING),
-        "diameter": diameter,
-        "height": np.clip(height, 0.1, _TALLEST),
-        "packing": [_PACKING] * forms,
-        "fill": [1.0] * forms,
+    species = SpeciesParameters(
+        cover=crowns * (1.0 - _PACKING),
+        diameter=diameter,
+        height=np.clip(height, 0.1, _TALLEST),
+        packing=jnp.full(forms, _PACKING),
+        fill=jnp.ones(forms),
+        wood_area_index=jnp.asarray([form.wood_area_index for form in records]),
         **{kind: by_form(kind)[0] for kind in BY_FORM},
-    }
-    species, _ = species_parameters(names, values, [None] * forms)
+    )
     low, high = settings.sun_zenith
     light = LightParameters(
         sun_zenith=jnp.asarray(low + (high - low) * _uniform(stand.take(1)[0])),
@@ -362,11 +367,12 @@ def _draw(
     dry = np.minimum(leaf_mass / ratio / 1e4, PARAMETERS["dry_matter"].upper)
     pigment = around(1.0, _PIGMENT_SD)
     average = prior.values()["chlorophyll"]  # which the usual leaf is already times
-    leaf = {
+    usual_leaf = USUAL_LEAF.model_dump()
+    leaf: dict[str, Any] = {
         "structure": np.asarray(structure_from_dry_matter(dry)),
-        **{name: USUAL_LEAF[name] / average * pigment for name in ("chlorophyll", "carotenoids")},
+        **{name: usual_leaf[name] / average * pigment for name in ("chlorophyll", "carotenoids")},
         **{
-            name: np.full_like(dry, USUAL_LEAF[name]) for name in ("anthocyanins", "brown_pigments")
+            name: np.full_like(dry, usual_leaf[name]) for name in ("anthocyanins", "brown_pigments")
         },
         "water": np.minimum(dry * odds, _MOST_WATER),
         "dry_matter": dry,

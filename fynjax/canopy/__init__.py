@@ -11,7 +11,6 @@ from fynjax.canopy._angles import (
     projections,
 )
 from fynjax.canopy._counts import (
-    CrownPacking,
     crown_scale,
     hard_count,
     instance_area,
@@ -58,7 +57,6 @@ __all__ = [
     "FORMS",
     "AbstractLeafAngle",
     "Crown",
-    "CrownPacking",
     "EllipsoidalLeafAngle",
     "Foliage",
     "FormPrior",

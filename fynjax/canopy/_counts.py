@@ -11,7 +11,6 @@ the two equations contradict each other; turn such a mesh (`up="y"` in
 
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -21,24 +20,6 @@ from fynjax._core.errors import InputError
 # A count that is whole but for rounding must not be lifted to the next plant by the ceiling.
 _CEILING_SLACK = 1e-12
 _SINGLE_SLACK = 5e-7
-
-
-class CrownPacking(eqx.Module):
-    """How the crowns of one species are counted (the terms of eq. 5, 8, 9 and 10)."""
-
-    packing: Float[Array, ""] | float = 0.0
-    """PE / 100: part of a crown's disc shared with neighbours [-], 0 to below 1."""
-    fill: Float[Array, ""] | float = 1.0
-    """FF / 100: part of a crown's disc that the crown really covers [-], above 0."""
-    branches: Float[Array, ""] | float = 1.0
-    """Number of copies of the model that make one plant [-]; 1 for a full-plant model."""
-    rotation_spread: Float[Array, ""] | float = 0.0
-    """sigma_rot: standard deviation of the tilt of the copies [degrees], 0 to 90."""
-    minimum_object_area: Float[Array, ""] | float = 0.0
-    """Least projected area that one object may count for [m2]; 0 leaves eq. (9) as it is.
-
-    The paper names the term without giving its equation: here it is a lower bound on A.
-    """
 
 
 def modelled_diameter(width: Any, height: Any) -> Any:
@@ -94,7 +75,14 @@ def projected_area(
     return disc * (1.0 - packing) * fill
 
 
-def instance_area(diameter: Any, height: Any, packing: CrownPacking = CrownPacking()) -> Any:  # noqa: B008
+def instance_area(
+    diameter: Any,
+    height: Any,
+    rotation_spread: Any = 0.0,
+    packing: Any = 0.0,
+    fill: Any = 1.0,
+    minimum_area: Any = 0.0,
+) -> Any:
     """Ground area A of one instance of a plant of known size [m2].
 
     Equations (5)-(9) for a model whose proportions are already those of the plant (a parametric
@@ -104,22 +92,17 @@ def instance_area(diameter: Any, height: Any, packing: CrownPacking = CrownPacki
 
     - `diameter`: of the real crown [m], positive.
     - `height`: of the real plant [m], positive.
-    - `packing`: how crowns of the species are counted.
+    - `rotation_spread`, `packing`, `fill`: as `projected_area` has them.
+    - `minimum_area`: least area that one instance counts for [m2]. The paper names the term without
+      giving its equation: here it is a lower bound on A, and 0 leaves eq. (9) as it is.
 
-    **Returns:** the area, never less than the species' minimum object area. Arrays broadcast.
+    **Returns:** the area. Arrays broadcast.
 
-    Differentiable in every argument; where the minimum object area takes over, the slope in the
-    others is zero.
+    Differentiable in every argument; where the minimum area takes over, the slope in the others is
+    zero.
     """
-    area = projected_area(
-        1.0,
-        diameter,
-        height,
-        packing.rotation_spread,
-        packing.packing,
-        packing.fill,
-    )
-    return jnp.maximum(area, packing.minimum_object_area)
+    area = projected_area(1.0, diameter, height, rotation_spread, packing, fill)
+    return jnp.maximum(area, minimum_area)
 
 
 def target_area(scene_area: Any, cover: Any) -> Any:

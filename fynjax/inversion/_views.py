@@ -370,8 +370,8 @@ def _projections(scene: Scene) -> Float[Array, " class"]:
     """Area seen from above over area, of each optical class: leaves, then wood, then flowers."""
     found = []
     for i in leafy_species(scene.forms):
-        own = scene.leaf_angles[i]
-        angle = leaf_angle(FORMS[scene.forms[i]].leaf_angle) if own is None else own
+        own = scene.species[i]
+        angle = own.leaf_angle or leaf_angle(FORMS[own.form].leaf_angle)
         found.append(angle.projection(jnp.ones(())))
     return jnp.stack([*found, *(jnp.asarray(_EVEN),) * 2])
 

@@ -52,6 +52,8 @@ _ONLY_FOR = {
 class MaterialRow(Strict):
     """A material of a mesh."""
 
+    unique = "material"
+
     material: str = Field(description="name of the material in the mesh", min_length=1)
     organ: Literal["leaf", "wood", "flower"]
     optics: str = Field("", description="name of its optical class")
@@ -237,13 +239,13 @@ def _read_materials(
     # A taxon out of bloom has no flowers, but its table may.
     allowed = mesh.materials if made is None else _ORGANS
     for number, row in read_rows(path, MaterialRow, "a table of materials"):
-        if row.material not in allowed or row.material in known:
-            why = "is there twice" if row.material in known else "is not in the mesh, which has "
-            if row.material not in known:
-                why += ", ".join(map(repr, allowed)) + "."
-                why += did_you_mean(row.material, allowed)
+        if row.material not in allowed:
             raise InputError(
-                f"material {row.material!r} {why}", file=path, row=number, column="material"
+                f"material {row.material!r} is not in the mesh, which has "
+                f"{', '.join(map(repr, allowed))}.{did_you_mean(row.material, allowed)}",
+                file=path,
+                row=number,
+                column="material",
             )
         known[row.material] = PlantMaterial(row.organ, row.optics, row.solid)
     return known

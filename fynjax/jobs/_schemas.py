@@ -13,13 +13,11 @@ from pydantic import Field, TypeAdapter
 from fynjax.io.instruments import BandRow, CurveRow, LidarFile, NoiseRow, SensorFile
 from fynjax.io.plot import (
     CrownRow,
-    LeafRow,
     ParameterRow,
     PlotFile,
     PriorFile,
     SkyPatternRow,
     SkyRow,
-    SpeciesRow,
     StatisticRow,
     StructureRow,
 )
@@ -43,6 +41,7 @@ from fynjax.jobs import (
     TrainResult,
     ValidateResult,
 )
+from fynjax.scene import LeafRow, SpeciesRow
 
 Summary = Annotated[
     BuildResult

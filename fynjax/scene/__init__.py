@@ -38,7 +38,6 @@ from fynjax.scene._planting import (
     MOST_LISTED,
     Crowns,
     Planting,
-    draw_planting,
     element_count,
     individual_seeds,
     leafy_species,
@@ -47,12 +46,23 @@ from fynjax.scene._profile import height_profile
 from fynjax.scene._scene import (
     PlantingRules,
     Scene,
-    SceneSpecies,
     build_scene,
     ground_at,
     room_needed,
     slope_of_fading,
     stand_realisation,
+)
+from fynjax.scene._species import (
+    USUAL_LEAF,
+    LeafRow,
+    Species,
+    SpeciesRow,
+    check_species,
+    check_taxa,
+    leaf_parameters,
+    leaves_of,
+    species_parameters,
+    species_rows,
 )
 from fynjax.scene._spectra import (
     Spectrum,
@@ -61,7 +71,6 @@ from fynjax.scene._spectra import (
     mixed_surroundings,
 )
 from fynjax.scene._stand import StandArea, stand_area
-from fynjax.scene._table import USUAL_LEAF, species_parameters
 
 enable_double_precision()
 
@@ -78,6 +87,7 @@ __all__ = [
     "Ground",
     "GroundParameters",
     "Instances",
+    "LeafRow",
     "LidarObservation",
     "LightParameters",
     "Observation",
@@ -88,16 +98,18 @@ __all__ = [
     "PlotParameters",
     "ProjectedCover",
     "Scene",
-    "SceneSpecies",
+    "Species",
     "SpeciesParameters",
+    "SpeciesRow",
     "Spectrum",
     "StandArea",
     "aim",
     "background_spectrum",
     "band_wavelengths",
     "build_scene",
+    "check_species",
+    "check_taxa",
     "crown_centres",
-    "draw_planting",
     "element_count",
     "fitted_accuracy",
     "ground_at",
@@ -108,7 +120,9 @@ __all__ = [
     "height_profile",
     "individual_seeds",
     "is_large",
+    "leaf_parameters",
     "leafy_species",
+    "leaves_of",
     "mixed_surroundings",
     "named_values",
     "observe",
@@ -121,6 +135,7 @@ __all__ = [
     "room_needed",
     "slope_of_fading",
     "species_parameters",
+    "species_rows",
     "stand_area",
     "stand_realisation",
     "with_values",

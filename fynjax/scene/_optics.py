@@ -19,6 +19,7 @@ from fynjax.leaf import LeafParameters, prospect
 from fynjax.radiation import OpticalClasses
 from fynjax.scene._parameters import PlotParameters
 from fynjax.scene._planting import leafy_species
+from fynjax.scene._species import Species
 from fynjax.scene._spectra import background_spectrum
 
 # Petals as leaves without chlorophyll: an assumption, for want of measured fynbos petals.
@@ -30,22 +31,20 @@ _OTHER_DIAMETER = 0.005
 
 
 def optical_classes(
-    forms: Sequence[str],
+    species: Sequence[Species],
     parameters: PlotParameters,
     average: Float[Array, "band wavelength"],
     wavelength: Float[np.ndarray, " wavelength"],
-    leaf_angles: Sequence[AbstractLeafAngle | None],
     dead_tissue: Float[np.ndarray, " wavelength"],
     hot_spot: bool = False,
 ) -> OpticalClasses:
     """Reflectance, transmittance and inclination of each optical class of a plot.
 
-    `average` makes bands of spectra on `wavelength`; `leaf_angles` holds the inclinations of the
-    species that have their own, and None for those of their form; `dead_tissue` is the reflectance
-    of the dead part of live shoots, which is opaque; with `hot_spot` leaves have the diameters of
-    their forms. Differentiable in `parameters`.
+    `average` makes bands of spectra on `wavelength`; `dead_tissue` is the reflectance of the dead
+    part of live shoots, which is opaque; with `hot_spot` leaves have the diameters of their forms.
+    Differentiable in `parameters`.
     """
-    dtype = average.dtype
+    dtype, forms = average.dtype, [one.form for one in species]
     leafy = np.array(list(leafy_species(forms)), int)
     leaves = jax.tree.map(lambda x: x[leafy], parameters.leaf)
     petal = jax.tree.map(lambda x: jnp.asarray(x, dtype), _PETAL)
@@ -72,7 +71,7 @@ def optical_classes(
     transmittance = jnp.concatenate(
         [transmittance[:-1], jnp.zeros_like(bark)[None], transmittance[-1:]]
     )
-    angles = class_angles(forms, leaf_angles)
+    angles = class_angles(species)
     if not hot_spot:
         return OpticalClasses(reflectance, transmittance, *angles)
     leaf = [FORMS[forms[i]].leaf_diameter for i in leafy.tolist()]
@@ -89,15 +88,15 @@ def optical_classes(
 
 
 def class_angles(
-    forms: Sequence[str], leaf_angles: Sequence[AbstractLeafAngle | None]
+    species: Sequence[Species],
 ) -> tuple[tuple[AbstractLeafAngle, ...], tuple[int, ...]]:
     """The distinct inclinations of a plot, and for each optical class the place of its own."""
     keys: list[int | str] = []
-    for i in leafy_species(forms):
-        keys.append(FORMS[forms[i]].leaf_angle if leaf_angles[i] is None else i)
+    for i in leafy_species([one.form for one in species]):
+        keys.append(FORMS[species[i].form].leaf_angle if species[i].leaf_angle is None else i)
     keys += ["spherical", "spherical"]
     distinct = tuple(dict.fromkeys(keys))
-    own = [leaf_angles[key] if isinstance(key, int) else leaf_angle(key) for key in distinct]
+    own = [species[k].leaf_angle if isinstance(k, int) else leaf_angle(k) for k in distinct]
     return (
         tuple(angle for angle in own if angle is not None),
         tuple(distinct.index(key) for key in keys),

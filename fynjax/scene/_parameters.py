@@ -325,6 +325,7 @@ FIXED_PARAMETERS: dict[str, Parameter] = {
         lower=1.0,
         upper=1000.0,
         usual=(1.0, 30.0),
+        default=1.0,
         source="Article on the scene, species table. Bounds assumed.",
         description="Branch models that make up one plant, a whole number.",
     ),
@@ -335,6 +336,7 @@ FIXED_PARAMETERS: dict[str, Parameter] = {
         lower=0.0,
         upper=90.0,
         usual=(0.0, 30.0),
+        default=0.0,
         source="Article on the scene, equation (5). Bounds assumed.",
         description="Spread of the tilt of the branches, sigma_rot of equation (5).",
     ),
@@ -345,11 +347,12 @@ FIXED_PARAMETERS: dict[str, Parameter] = {
         lower=0.0,
         upper=100.0,
         usual=(0.0, 1.0),
+        default=0.0,
         source="Assumed.",
         description="Ground area that one plant counts for at least.",
     ),
 }
-"""What is fixed about a species of a scene, by its field of `SceneSpecies`: no fit changes it."""
+"""What is fixed about a species of a scene, by its field of `Species`: no fit changes it."""
 
 
 def parameter_kind(name: str) -> str:

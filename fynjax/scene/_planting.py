@@ -30,6 +30,7 @@ from fynjax.canopy import (
     thin_plant,
     unit_shapes,
 )
+from fynjax.scene._species import Species
 
 INDIVIDUALS = 8
 """Shapes of a growth form among the plants of a species: their outlines, lobes and shoots differ,
@@ -207,11 +208,9 @@ class Crowns:
 
 def known_planting(
     crowns: Crowns,
-    forms: Sequence[str],
+    species: Sequence[Species],
     diameter: Float[np.ndarray, " species"],
     height: Float[np.ndarray, " species"],
-    rotation_spread: Sequence[float],
-    branches: Sequence[float],
     models: Sequence[PlantModel | None],
     *,
     resolved: float,
@@ -224,7 +223,6 @@ def known_planting(
     **Arguments:**
 
     - `crowns`: the plants.
-    - `branches`: copies of its model that make a plant, of each species.
     - `seed`: of how plants are turned and lean and which individuals they are.
     - the others as `draw_planting` has them.
 
@@ -232,29 +230,27 @@ def known_planting(
     as they are, and others scale them.
     """
     individuals: list[dict[str, np.ndarray]] = []
-    for i, count in enumerate(branches):
-        mine = np.repeat(np.flatnonzero(crowns.species == i), round(count))
-        drawn = _individuals(crowns.foot[mine], i, rotation_spread[i], 0.0, seed)
+    for i, one in enumerate(species):
+        mine = np.repeat(np.flatnonzero(crowns.species == i), round(one.branches))
+        drawn = _individuals(crowns.foot[mine], i, one.rotation_spread, 0.0, seed)
         if len(mine):
             mean, greatest = crowns.sizes(i)
             drawn["size"] = crowns.diameter[mine] / mean
             drawn["stature"] = crowns.height[mine] / greatest
         individuals.append(drawn)
     planting = _of_individuals(
-        individuals, forms, diameter, height, models, resolved, structured, seed, dtype
+        individuals, species, diameter, height, models, resolved, structured, seed, dtype
     )
     return dataclasses.replace(planting, place=jnp.zeros_like(planting.place))
 
 
 def draw_planting(
-    forms: Sequence[str],
+    species: Sequence[Species],
     wanted: Float[np.ndarray, " species"],
     diameter: Float[np.ndarray, " species"],
     height: Float[np.ndarray, " species"],
-    rotation_spread: Sequence[float],
     models: Sequence[PlantModel | None],
     *,
-    taxa: Sequence[str],
     extent: tuple[float, float],
     resolved: float,
     structured: bool,
@@ -269,12 +265,10 @@ def draw_planting(
 
     **Arguments:**
 
-    - `forms`: growth form of each species, keys of `fynjax.canopy.FORMS`.
+    - `species`: what is fixed about each.
     - `wanted`: real number of plants of each [-], 0 or more.
     - `diameter`, `height`: mean crown diameter and greatest height of each [m].
-    - `rotation_spread`: standard deviation of the plants' lean, of each [degrees].
     - `models`: shape of the plants of each; None is up to `INDIVIDUALS` of the growth form.
-    - `taxa`: names of the species, for errors.
     - `extent`: (east-west, north-south) sides of the plot [m].
     - `resolved`, `structured`: as `element_count` has them.
     - `periodic`: whether the plot repeats itself.
@@ -286,9 +280,10 @@ def draw_planting(
 
     Not differentiable: the scene is, in the parameters.
     """
-    individuals: list[dict[str, np.ndarray]] = [{} for _ in forms]
+    individuals: list[dict[str, np.ndarray]] = [{} for _ in species]
+    taxa = [one.taxon for one in species]
     feet = np.empty((0, 2))
-    for times in _rooms(np.broadcast_to(np.asarray(room, float), len(forms))):
+    for times in _rooms(np.broadcast_to(np.asarray(room, float), len(species))):
         needed = np.ceil(times * wanted).astype(int) + np.where(wanted > 0, 4, 0)
         # A disk radius that leaves a tenth more points than plants; Bridson packs 0.6 / r2 of them.
         crowd = max(1.1 * float(needed.sum()), 1.0)
@@ -306,19 +301,19 @@ def draw_planting(
         for i, places in enumerate(sites):
             before = individuals[i]
             where = np.concatenate([before["foot"], places]) if before else places
-            drawn = _individuals(where, i, rotation_spread[i], size_variation, seed)
+            drawn = _individuals(where, i, species[i].rotation_spread, size_variation, seed)
             for name, values in before.items():  # who was there stays
                 drawn[name] = np.concatenate([values, drawn[name][len(values) :]])
             individuals[i] = drawn
         feet = np.concatenate(sites if not len(feet) else [feet, *sites])
     return _of_individuals(
-        individuals, forms, diameter, height, models, resolved, structured, seed, dtype
+        individuals, species, diameter, height, models, resolved, structured, seed, dtype
     )
 
 
 def _of_individuals(
     individuals: Sequence[dict[str, np.ndarray]],
-    forms: Sequence[str],
+    species: Sequence[Species],
     diameter: Float[np.ndarray, " species"],
     height: Float[np.ndarray, " species"],
     models: Sequence[PlantModel | None],
@@ -332,7 +327,7 @@ def _of_individuals(
     plants: list[dict[str, np.ndarray]] = []
     own: list[int] = []
     parts = 0
-    for i, (form, these) in enumerate(zip(forms, individuals)):
+    for i, (one, these) in enumerate(zip(species, individuals)):
         n = len(these["foot"])
         if n == 0:
             continue
@@ -340,7 +335,7 @@ def _of_individuals(
         model = models[i]
         if model is None:
             seeds = individual_seeds(seed, i)
-            several = [plant_model(form, number, seed=s) for s in seeds[:n]]
+            several = [plant_model(one.form, number, seed=s) for s in seeds[:n]]
         else:
             several = [thin_plant(model, number, seed=seed + i)]
         k = len(several[0].organ)
@@ -359,7 +354,8 @@ def _of_individuals(
     if not plants:
         return no_plants(dtype)
     whole, organs = _together(shapes, dtype)
-    classes = np.concatenate([np.array(_classes(forms)[i])[organ] for i, organ in zip(own, organs)])
+    of_organ = np.array(_classes([one.form for one in species]))
+    classes = np.concatenate([of_organ[i][organ] for i, organ in zip(own, organs)])
     none = jnp.zeros(0, jnp.int32)
     joined: dict[str, Any] = {
         name: jnp.asarray(np.concatenate([part[name] for part in plants])) for name in plants[0]

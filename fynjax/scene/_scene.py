@@ -22,8 +22,6 @@ from jaxtyping import Array, Bool, Float, Int
 from fynjax._core.errors import InputError
 from fynjax.canopy import (
     FORMS,
-    AbstractLeafAngle,
-    CrownPacking,
     PlantModel,
     VoxelGrid,
     deposit,
@@ -47,14 +45,15 @@ from fynjax.scene._planting import (
     leafy_species,
     no_plants,
 )
-from fynjax.scene._spectra import Spectrum, background_spectrum, band_wavelengths
-from fynjax.scene._table import (
-    check_leaves,
-    fixed_values,
+from fynjax.scene._species import (
+    Species,
+    leaf_parameters,
+    leaf_rows,
+    leaves_of,
     species_parameters,
-    table_rows,
-    table_values,
+    species_rows,
 )
+from fynjax.scene._spectra import Spectrum, background_spectrum, band_wavelengths
 from fynjax.sensors import BandSet
 from fynjax.sensors.air import clear_sky_diffuse_fraction
 
@@ -68,25 +67,6 @@ _COMPOSITION = 0.1
 on finer ones [m]."""
 _FINEST = 0.025
 """Edge of the finest voxels, unless others are asked for [m]."""
-
-
-@dataclass(frozen=True)
-class SceneSpecies:
-    """What is fixed about a species of a scene; the rest are its parameters."""
-
-    taxon: str
-    """Name."""
-    form: str
-    """Growth form, a key of `fynjax.canopy.FORMS`."""
-    branches: float = 1.0
-    """Copies of the plant model that make one plant [-]."""
-    rotation_spread: float = 0.0
-    """Standard deviation of the plants' lean [degrees]."""
-    minimum_area: float = 0.0
-    """Least ground area that a plant counts for [m2]."""
-    plant: PlantModel | None = None
-    """Shape of the plants, for instance of a mesh, whose leaves then are inclined as the shape's;
-    None: that of the growth form."""
 
 
 @dataclass(frozen=True)
@@ -175,16 +155,7 @@ class Scene(eqx.Module):
 
     planting: Planting
     grid: VoxelGrid
-    taxa: tuple[str, ...] = eqx.field(static=True)
-    forms: tuple[str, ...] = eqx.field(static=True)
-    branches: tuple[float, ...] = eqx.field(static=True)
-    """Copies of the plant model that make one plant [-]."""
-    rotation_spread: tuple[float, ...] = eqx.field(static=True)
-    """Standard deviation of the plants' lean [degrees]."""
-    minimum_area: tuple[float, ...] = eqx.field(static=True)
-    """Least ground area that a plant may count for [m2]."""
-    leaf_angles: tuple[AbstractLeafAngle | None, ...]
-    """How the leaves of each species are inclined; None: as its form has it."""
+    species: tuple[Species, ...]
     boundary: Literal["periodic", "open"] = eqx.field(static=True)
     rounding: Float[Array, " species"]
     """What the real number of plants of each species is lessened by before it is rounded up [-]: 0
@@ -248,7 +219,8 @@ class Scene(eqx.Module):
 
         - `table`: a pandas frame or records with `taxon`, `growth_form`, `mean_diameter_cm`,
           `cover_percent` and `height_max_m`, as of `fynjax.canopy.table1_2006`; and any of the
-          other columns of a plot's species table but `plant`.
+          other columns of a plot's species table but `plant`. A `growth_form` may be left out as
+          there.
         - `size_m`: side of the plot, or (east-west, north-south) [m].
         - `voxel_m`: edge of a voxel [m]; must divide the sides.
         - `structure_m`: edge of the voxels on which sun and sight follow the plants [m], or "even";
@@ -277,28 +249,27 @@ class Scene(eqx.Module):
         >>> len(scene.taxa), scene.grid.shape[:2]
         (16, (4, 4))
         """
-        rows, leaves = table_rows(table), {} if leaves is None else leaves
-        check_leaves(leaves, [row["taxon"] for row in rows])
-        forms = [row["growth_form"] for row in rows]
-        optics = [
-            None if form == "deadwood" else leaves.get(row["taxon"], leaves.get("*"))
-            for row, form in zip(rows, forms, strict=True)
-        ]
+        rows = species_rows(table)
+        stated = leaf_rows({} if leaves is None else leaves, [row.taxon for row in rows])
+        if any(row.plant is not None for row in rows):
+            raise InputError(
+                "expected growth forms, but got the mesh of a plant, which only a plot file can "
+                "name",
+                column="plant",
+            )
         if ground is None:
             ground = GroundParameters()
             if dead_tissue is not None:
                 ground = dataclasses.replace(ground, wood_brightness=jnp.asarray(1.0))
         parameters = PlotParameters(
-            *species_parameters(forms, table_values(rows), optics),
+            species_parameters(rows),
+            leaf_parameters(leaves_of(rows, stated)),
             ground,
             LightParameters() if light is None else light,
         )
-        species = [
-            SceneSpecies(row["taxon"], row["growth_form"], **fixed_values(row)) for row in rows
-        ]
         extent = size_m if isinstance(size_m, tuple) else (size_m, size_m)
         scene = build_scene(
-            species,
+            [Species.of(row) for row in rows],
             parameters,
             extent=extent,
             voxel=voxel_m,
@@ -310,6 +281,21 @@ class Scene(eqx.Module):
             dtype=dtype,
         )
         return scene, parameters
+
+    @property
+    def taxa(self) -> tuple[str, ...]:
+        """Names of the species."""
+        return tuple(one.taxon for one in self.species)
+
+    @property
+    def forms(self) -> tuple[str, ...]:
+        """Growth forms of the species, keys of `fynjax.canopy.FORMS`."""
+        return tuple(one.form for one in self.species)
+
+    @property
+    def branches(self) -> tuple[float, ...]:
+        """Copies of the plant model that make one plant of each species [-]."""
+        return tuple(one.branches for one in self.species)
 
     def faded(self, fading: bool = True) -> "Scene":
         """The same scene with plants that stand in part (`fading`), or with whole ones."""
@@ -328,14 +314,14 @@ class Scene(eqx.Module):
         if self.known_plants:
             return jnp.bincount(self.planting.species, length=len(self.taxa)).astype(float)
         species = parameters.species
-        packing = CrownPacking(
+        each = instance_area(
+            species.diameter,
+            species.height,
+            jnp.asarray([one.rotation_spread for one in self.species]),
             species.packing,
             species.fill,
-            jnp.asarray(self.branches),
-            jnp.asarray(self.rotation_spread),
-            jnp.asarray(self.minimum_area),
+            jnp.asarray([one.minimum_area for one in self.species]),
         )
-        each = instance_area(species.diameter, species.height, packing)
         target = target_area(self._ground_area, species.cover)
         return soft_count(target, each, np.asarray(self.branches))
 
@@ -409,7 +395,7 @@ class Scene(eqx.Module):
         return slope_of_fading(Scene._gap, apart=True)(self, parameters)
 
     def _gap(self, parameters: PlotParameters) -> Float[Array, ""]:
-        angles, angle_of_class = class_angles(self.forms, self.leaf_angles)
+        angles, angle_of_class = class_angles(self.species)
         down = jnp.stack([angle.projection(jnp.asarray(1.0)) for angle in angles])
         down = down.astype(self.dtype)[jnp.asarray(angle_of_class)]
         finest = self._finest()
@@ -527,7 +513,7 @@ class Scene(eqx.Module):
             self.dead_tissue.check(min(bands.centre), max(bands.centre))
             dead = self.dead_tissue.at(wavelength)
         classes = optical_classes(
-            self.forms, parameters, average, wavelength, self.leaf_angles, dead, self.hot_spot
+            self.species, parameters, average, wavelength, dead, self.hot_spot
         )
         light = parameters.light
         if self.sky is None:
@@ -634,7 +620,7 @@ def ground_at(scene: Scene, foot: Float[Array, "plant 2"]) -> Float[Array, " pla
 
 
 def build_scene(
-    species: Sequence[SceneSpecies],
+    species: Sequence[Species],
     parameters: PlotParameters,
     *,
     extent: tuple[float, float],
@@ -648,6 +634,7 @@ def build_scene(
     sky_pattern: Float[np.ndarray, "zenith azimuth"] | None = None,
     dead_tissue: Spectrum | None = None,
     hot_spot: bool = False,
+    plants: Sequence[PlantModel | None] | None = None,
     crowns: Crowns | None = None,
     dtype: str = "float32",
 ) -> Scene:
@@ -665,6 +652,8 @@ def build_scene(
       `Scene`; left out, even planting on level, shipped ground under a clear, even sky, dead tissue
       as bark.
     - `hot_spot`: whether leaves have the size of their form, see `Scene`.
+    - `plants`: shape of the plants of each species, for instance of a mesh, whose leaves then are
+      inclined as the shape's; None: that of the growth form.
     - `crowns`: plants that are known, in place of those that are drawn; `rules` on how many plants
       there are, where, and of which size then do not count.
     - `dtype`: floating type that the scene is computed in.
@@ -684,21 +673,18 @@ def build_scene(
     # Where the structure is followed, its cells need whole numbers of layers.
     even = _EVEN_LAYERS * max(1, int(_COMPOSITION / voxel + 1e-6)) if finer else _EVEN_LAYERS
     layers = -(-grid.shape[2] // even) * even
-    forms = tuple(one.form for one in species)
-    spread = tuple(one.rotation_spread for one in species)
     drawn = rules.rounding == "random" and crowns is None
-    plants = tuple(one.plant for one in species)
+    models = [None] * len(species) if plants is None else plants
+    species = [
+        one if model is None else dataclasses.replace(one, leaf_angle=inclination(model))
+        for one, model in zip(species, models, strict=True)
+    ]
     scene = Scene(
         planting=no_plants(dtype),
         grid=VoxelGrid((*grid.shape[:2], layers), voxel, voxel),
-        taxa=tuple(one.taxon for one in species),
-        forms=forms,
-        branches=tuple(one.branches for one in species),
-        rotation_spread=spread,
-        minimum_area=tuple(one.minimum_area for one in species),
-        leaf_angles=tuple(None if plant is None else inclination(plant) for plant in plants),
+        species=tuple(species),
         boundary=boundary,
-        rounding=_rounding(len(forms), [seed], dtype, drawn),
+        rounding=_rounding(len(species), [seed], dtype, drawn),
         softness=rules.softness if crowns is None else 0.0,
         softness_plants=rules.softness_plants if crowns is None else 0.0,
         flowering=rules.flowering,
@@ -727,12 +713,10 @@ def build_scene(
             )
         planting = known_planting(
             crowns,
-            forms,
+            species,
             np.asarray(size.diameter),
             np.asarray(size.height),
-            spread,
-            scene.branches,
-            plants,
+            models,
             resolved=rules.resolved(voxel),
             structured=finer > 0,
             seed=seed,
@@ -740,13 +724,11 @@ def build_scene(
         )
         return eqx.tree_at(lambda s: s.planting, scene, planting)
     planting = draw_planting(
-        forms,
+        species,
         np.asarray(scene.counts(parameters)),
         np.asarray(size.diameter),
         np.asarray(size.height),
-        spread,
-        plants,
-        taxa=scene.taxa,
+        models,
         extent=extent,
         resolved=rules.resolved(voxel),
         structured=finer > 0,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax.assembly import build_plot
+from fynjax.assembly import build_plot, plot_parameters
 from fynjax.assembly._plants import read_plant
 from fynjax.canopy import (
     Organ,
@@ -42,7 +42,7 @@ def test_area_and_angles_of_a_plot_are_those_of_the_plant(made, tmp_path, name):
     model, parameters = build_plot(read_plot(tmp_path / "plot.toml", allow_outside=True))
     index = float(whole.organ_area[Organ.LEAF]) / crown
     assert float(parameters.species.leaf_area_index[0]) == pytest.approx(index, rel=0.05)
-    angle = model.leaf_angles[0]
+    angle = model.species[0].leaf_angle
     leaf = np.asarray(whole.plant.organ) == Organ.LEAF
     want = TabulatedLeafAngle.from_normals(
         whole.plant.normal[leaf], whole.plant.area_fraction[leaf]
@@ -58,6 +58,22 @@ def test_area_and_angles_of_a_plot_are_those_of_the_plant(made, tmp_path, name):
     crowns = 4.0 * (1 - np.exp(-crowns / 4.0))
     seen = 1 - float(parameters.species.shoot_clumping[0])
     assert density[0].sum() * 1e-3 == pytest.approx(index * crowns * seen, rel=0.05)
+
+
+def test_an_area_that_the_table_states_is_not_that_of_the_plant(made, tmp_path):
+    path = made[0] / "elements.csv"
+    (tmp_path / "species.csv").write_text(
+        COLUMNS.replace("plant", "plant,leaf_area_index")
+        + f"Pterocelastrus tricuspidatus,60,40,1.2,broad_leaved,{path},1.5\n"
+    )
+    (tmp_path / "plot.toml").write_text(TOML)
+    plot = read_plot(tmp_path / "plot.toml", allow_outside=True)
+    model = read_plant(path, "broad_leaved")
+    species = plot_parameters(plot, None, [model]).species
+    crown = np.pi / 4 * model.modelled_diameter**2
+    assert float(species.leaf_area_index[0]) == 1.5
+    wood = float(model.organ_area[Organ.WOOD]) / crown
+    assert float(species.wood_area_index[0]) == pytest.approx(wood)
 
 
 def test_fewer_elements_keep_areas_places_and_angles(made):

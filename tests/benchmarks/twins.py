@@ -22,7 +22,6 @@ images left out: how much a diagnosis by these statistics may hope for.
 """
 
 import argparse
-import dataclasses
 import os
 import tempfile
 import time
@@ -91,7 +90,7 @@ def wrong_plot(plot, what):
     if what == "form":
         species = list(plot.species)
         i = next(i for i, one in enumerate(species) if one.taxon == "Erica irregularis")
-        species[i] = dataclasses.replace(species[i], growth_form="tussock")
+        species[i] = species[i].replace(growth_form="tussock")
         return plot.replace(species=tuple(species))
     if what == "soil":
         folder = Path(os.environ.get("FYNJAX_SHARED_DATA", "../shared/data"))

@@ -9,7 +9,6 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import (
-    CrownPacking,
     crown_scale,
     hard_count,
     instance_area,
@@ -57,12 +56,11 @@ def test_every_term_of_the_projected_area() -> None:
     )
 
 
-def test_packing_record_and_minimum_area() -> None:
-    packing = CrownPacking(packing=0.25, fill=0.8, rotation_spread=90.0)
-    assert float(instance_area(0.2, 0.3, packing)) == pytest.approx(math.pi * 0.4**2 * 0.6)
-    least = CrownPacking(minimum_object_area=0.5)
-    assert float(instance_area(0.2, 0.3, least)) == 0.5
-    assert float(instance_area(1.0, 0.3, least)) == pytest.approx(math.pi / 4)
+def test_packing_and_minimum_area() -> None:
+    area = instance_area(0.2, 0.3, rotation_spread=90.0, packing=0.25, fill=0.8)
+    assert float(area) == pytest.approx(math.pi * 0.4**2 * 0.6)
+    assert float(instance_area(0.2, 0.3, minimum_area=0.5)) == 0.5
+    assert float(instance_area(1.0, 0.3, minimum_area=0.5)) == pytest.approx(math.pi / 4)
 
 
 def test_no_cover_no_plants() -> None:

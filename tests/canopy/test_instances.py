@@ -7,7 +7,6 @@ import pytest
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import (
-    CrownPacking,
     Organ,
     PlantModel,
     VoxelGrid,
@@ -45,8 +44,7 @@ def test_azimuth_turns_clockwise_from_north_and_tilt_leans_there() -> None:
     at, *_ = instantiate(pointer(), site, 90.0 * one, one, 2.0, 3.0, 0.7, tilt=30.0 * one)
     np.testing.assert_allclose(at[1], [10 + 1.5, 20, 3 * np.sqrt(0.75)], atol=1e-12)
     # How far a tilt reaches sideways is what eq. (5) adds to the crown's radius.
-    packing = CrownPacking(rotation_spread=30.0)
-    reach = float(jnp.sqrt(instance_area(2.0, 3.0, packing) / jnp.pi)) - 1.0
+    reach = float(jnp.sqrt(instance_area(2.0, 3.0, rotation_spread=30.0) / jnp.pi)) - 1.0
     assert float(at[1, 0] - 10.0) == pytest.approx(reach)
 
 
@@ -134,13 +132,9 @@ def small_scene(parameters: dict[str, jax.Array], width: float = 1.0) -> jax.Arr
     density = []
     for s in range(3):
         diameter, height = parameters["diameter"][s], parameters["height"][s]
-        packing = CrownPacking(
-            packing=parameters["packing"], fill=parameters["fill"],
-            rotation_spread=parameters["spread"],
-        )  # fmt: skip
-        count = soft_count(
-            target_area(9.0, parameters["cover"][s]), instance_area(diameter, height, packing)
-        )
+        terms = (parameters[name] for name in ("spread", "packing", "fill"))
+        each = instance_area(diameter, height, *terms)
+        count = soft_count(target_area(9.0, parameters["cover"][s]), each)
         azimuth, unit_tilt = TURNS[s]
         at, area, _ = instantiate(
             MODELS[s], SITES[s], azimuth, soft_weights(count, 60, width=width), diameter, height,
@@ -176,8 +170,7 @@ def test_area_on_the_grid_follows_the_cover() -> None:
     p = parameters()
     total = small_scene(p).sum((1, 2, 3)) * GRID.voxel_volume
     for s in range(3):
-        packing = CrownPacking(p["packing"], p["fill"], 1.0, p["spread"])
-        one = instance_area(p["diameter"][s], p["height"][s], packing)
+        one = instance_area(p["diameter"][s], p["height"][s], p["spread"], p["packing"], p["fill"])
         count = 9.0 * p["cover"][s] / one
         wood, leaf = 0.3 * p["diameter"][s] ** 2, 2.1 * p["diameter"][s] ** 2
         per_plant = wood if FORMS[s] == "deadwood" else leaf + wood + 0.01

@@ -95,7 +95,7 @@ def test_the_files_of_a_build_agree(plot: Path, tmp_path: Path) -> None:
     assert stand.wood_area_index["all"] * 4.0 == pytest.approx(
         0.5 * seen + 0.8 * deadwood, abs=1e-3
     )
-    mass = 1e4 * USUAL_LEAF["dry_matter"]  # of g cm-2
+    mass = 1e4 * USUAL_LEAF.dry_matter  # of g cm-2
     assert stand.leaf_mass_g_m2["all"] == pytest.approx(mass * area * seen / 4.0, rel=1e-3)
     gap = summary["gap_fraction"]
     assert f"{100 * gap:.1f} %" in " ".join(summary["headline"])

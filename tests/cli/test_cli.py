@@ -403,10 +403,12 @@ def test_init_states_means_and_spreads_of_a_prior(capsys, tmp_path, burnt):
                 assert found == pytest.approx(spread, abs=0.006)
     assert plot.ground.wood_brightness == 0.4
     assert plot.calibration.relative_sd("ground.wood_brightness") == pytest.approx(0.16, abs=0.006)
-    leaf = {s.taxon: s.leaf for s in plot.species}["Restio eleocharis"].parameters
-    usual = read_plot(example_folder() / "plot.toml").species[7].leaf.parameters
+    leaf, usual = (
+        next(row for row in read.leaves if row.taxon == "Restio eleocharis")
+        for read in (plot, read_plot(example_folder() / "plot.toml"))
+    )
     changed = 0.4 / shipped.values()["chlorophyll"]
-    assert leaf["chlorophyll"] / usual["chlorophyll"] == pytest.approx(changed, rel=0.01)
+    assert leaf.chlorophyll / usual.chlorophyll == pytest.approx(changed, rel=0.01)
     # What is stated is no longer open to a prior.
     assert with_prior(plot, "fynbos_2023").species == plot.species
     assert "wide" in one_line(*call(capsys, "init", tmp_path / "b", "--prior", "wide"))

@@ -24,7 +24,7 @@ from fynjax.scene import (
     Placement,
     PlantingRules,
     PlotParameters,
-    SceneSpecies,
+    Species,
     SpeciesParameters,
     aim,
     build_scene,
@@ -79,7 +79,7 @@ def truth() -> PlotParameters:
 def twin():
     """Truth by name, and the calibration from a start (and prior) 30 % off, either way."""
     real = truth()
-    species = [SceneSpecies(taxon, form) for taxon, form in zip(TAXA, GROWN, strict=True)]
+    species = [Species(taxon, form) for taxon, form in zip(TAXA, GROWN, strict=True)]
     rules = PlantingRules(structure="even")
     scene = build_scene(species, real, extent=(6.0, 6.0), voxel=0.1, seed=11, rules=rules)
     camera = aim(scene, real, shipped_sensor("mavic_3m"), Placement(50.0, 0.05))

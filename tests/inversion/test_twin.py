@@ -20,7 +20,7 @@ from fynjax.scene import (
     Placement,
     PlantingRules,
     PlotParameters,
-    SceneSpecies,
+    Species,
     SpeciesParameters,
     aim,
     build_scene,
@@ -68,7 +68,7 @@ def parameters() -> PlotParameters:
 
 def planted(seed):
     """The plot of 3 m with the plants of a seed."""
-    species = [SceneSpecies(t, f) for t, f in zip(TAXA, ("rounded_shrub", "tussock"), strict=True)]
+    species = [Species(t, f) for t, f in zip(TAXA, ("rounded_shrub", "tussock"), strict=True)]
     return build_scene(
         species,
         parameters(),

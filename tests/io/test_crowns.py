@@ -27,9 +27,9 @@ def test_crowns_replace_covers_and_sizes_of_the_species_table(tmp_path):
     plot = read_plot(write(tmp_path, CROWNS.rsplit("Restio", 1)[0]))
     erica, restio = plot.species
     assert erica.cover == pytest.approx(np.pi / 4 * (0.4**2 + 0.3**2) / 4.0)
-    assert erica.diameter_m == pytest.approx(np.sqrt((0.4**2 + 0.3**2) / 2))
-    assert erica.height_m == 0.6
-    assert (restio.cover, restio.diameter_m) == (0.0, 0.3)
+    assert erica.diameter == pytest.approx(np.sqrt((0.4**2 + 0.3**2) / 2))
+    assert erica.height == 0.6
+    assert (restio.cover, restio.diameter) == (0.0, 0.3)
     assert plot.crowns_note is not None
     assert "by up to 25 percentage points, 12 and 0 %" in plot.crowns_note
     assert "without plants: Restio eleocharis" in plot.crowns_note

@@ -11,9 +11,8 @@ from fynjax._core.errors import InputError
 from fynjax.assembly import plot_parameters
 from fynjax.assembly._ground import plot_ground
 from fynjax.canopy import FORMS, table1_2006
-from fynjax.io.plot import SpeciesRow, example_folder, read_plot, read_sky, read_statistics
-from fynjax.io.plot._plot_file import shipped_growth_forms
-from fynjax.scene import LEAF_FIELDS
+from fynjax.io.plot import example_folder, read_plot, read_sky, read_statistics
+from fynjax.scene import USUAL_LEAF, SpeciesRow, leaves_of
 
 
 @pytest.fixture
@@ -44,16 +43,16 @@ def test_example_is_table_1_of_the_paper(folder, shared_data):
     np.testing.assert_allclose(plot.cover, [r["cover_percent"] / 100 for r in table])
     np.testing.assert_allclose(plot.height_m, [r["height_max_m"] for r in table])
     assert plot.size_m == (10.0, 10.0)
-    assert {s.taxon: s.growth_form for s in plot.species} == shipped_growth_forms()
 
 
-def test_example_is_the_table_that_the_canopy_ships():
+def test_example_is_the_table_that_the_canopy_ships(folder):
     shipped = table1_2006().set_index("taxon")["growth_form"].to_dict()
-    assert shipped_growth_forms() == shipped
+    read = read_plot(folder / "plot.toml").species
+    assert {row.taxon: row.growth_form for row in read} == shipped
 
 
 def test_a_species_table_takes_every_growth_form_that_the_canopy_has():
-    choice, _ = SpeciesRow.model_json_schema()["properties"]["growth_form"]["anyOf"]
+    choice = SpeciesRow.model_json_schema()["properties"]["growth_form"]
     assert choice["enum"] == list(FORMS)
 
 
@@ -74,12 +73,10 @@ def test_example_statistics_are_table_4_of_the_paper(folder, shared_data):
 
 def test_leaf_rows_fall_back_to_the_star_row(folder):
     plot = read_plot(folder / "plot.toml")
-    by_taxon = {s.taxon: s for s in plot.species}
-    assert by_taxon["Deadwood"].leaf is None
-    assert by_taxon["Restio eleocharis"].leaf.parameters["dry_matter"] == 0.0398
-    default = by_taxon["Erica irregularis"].leaf.parameters
-    assert tuple(default) == LEAF_FIELDS
-    assert default["chlorophyll"] == 54.3
+    leaf = dict(zip(plot.taxa, leaves_of(plot.species, plot.leaves), strict=True))
+    assert leaf["Deadwood"] == USUAL_LEAF
+    assert leaf["Restio eleocharis"].dry_matter == 0.0398
+    assert (leaf["Clutia alaternoides"].taxon, leaf["Clutia alaternoides"].water) == ("*", 0.0171)
 
 
 def test_paths_start_from_the_file_not_from_the_working_folder(folder, monkeypatch, tmp_path):
@@ -88,10 +85,10 @@ def test_paths_start_from_the_file_not_from_the_working_folder(folder, monkeypat
     (folder / "spectra" / "leaf.csv").write_text("wavelength_nm,reflectance\n400,0.1\n")
     monkeypatch.chdir(tmp_path)
     plot = read_plot("plot/plot.toml")
-    leaf = next(s.leaf for s in plot.species if s.taxon == "Chironia baccifera")
+    leaf = leaves_of(plot.species, plot.leaves)[plot.taxa.index("Chironia baccifera")]
     assert leaf.spectrum == (folder / "spectra" / "leaf.csv").resolve()
     assert leaf.spectrum in plot.inputs
-    assert leaf.parameters is None
+    assert leaf.chlorophyll is None
 
 
 def test_priors_of_the_user_win_over_defaults(folder):
@@ -106,7 +103,7 @@ def test_everything_but_plot_may_be_left_out(folder):
     (folder / "small.toml").write_text('[plot]\nsize_m = [5, 10]\nspecies_table = "species.csv"\n')
     plot = read_plot(folder / "small.toml")
     assert plot.size_m == (5.0, 10.0)
-    assert plot.species[0].leaf is None
+    assert plot.leaves == ()
     assert plot.sun.zenith == 30.0
 
 
@@ -177,7 +174,7 @@ def test_wrong_delimiter_is_named(folder):
 
 def test_missing_and_misspelt_columns_are_named_with_the_nearest(folder):
     edit(folder / "species.csv", "mean_diameter_cm", "diameter_cm")
-    with pytest.raises(InputError, match=r"'mean_diameter_cm'.*'diameter_cm' in this file"):
+    with pytest.raises(InputError, match=r"'mean_diameter_cm'.*'diameter_cm' in this table"):
         read_plot(folder / "plot.toml")
     edit(folder / "species.csv", "diameter_cm", "mean_diameter_cm")
     edit(folder / "species.csv", "growth_form,", "growthform,")
@@ -192,7 +189,7 @@ def test_absurd_total_cover_and_double_taxa_are_refused(folder):
     with pytest.raises(InputError, match="360 %"):
         read_plot(folder / "plot.toml")
     path.write_text(header + "A b,20,9,1,tussock\nA b,20,9,1,tussock\n")
-    with pytest.raises(InputError, match="row 2 already") as caught:
+    with pytest.raises(InputError, match=r"there twice, first in row 2\. Add the covers") as caught:
         read_plot(folder / "plot.toml")
     assert caught.value.row == 3
 
@@ -220,6 +217,14 @@ def test_unknown_taxon_in_the_leaf_table_names_the_nearest(folder):
         read_plot(folder / "plot.toml")
     assert caught.value.row == row_of(folder / "leaves.csv", "Restio")
     assert caught.value.column == "taxon"
+
+
+def test_two_rows_of_leaves_of_one_taxon_are_refused(folder):
+    path = folder / "leaves.csv"
+    twice = next(line for line in path.read_text().splitlines() if line.startswith("Restio"))
+    path.write_text(f"{path.read_text()}{twice}\n")
+    with pytest.raises(InputError, match=r"'Restio eleocharis' is there twice, first in row \d+\."):
+        read_plot(folder / "plot.toml")
 
 
 LEAF_SLIPS = [
@@ -352,7 +357,7 @@ def test_sky_table_rises_in_nm(folder):
         (b"statistic,value\nnir.mean,\xe9\n", "UTF-8"),
         (b"statistic,value\nnir.mean,22.6\n", "Percent\\? This is 0.226"),
         (b"statistic,value\nnir,0.226\n", "nir.mean"),
-        (b"statistic,value\nnir.mean,0.2\nnir.mean,0.2\n", "row 2 already"),
+        (b"statistic,value\nnir.mean,0.2\nnir.mean,0.2\n", "first in row 2"),
         (b"statistic,value,sd\nnir.mean,0.2,0\n", "above 0"),
         (b"statistic,value\nNDVI.std,-0.1\n", "at least 0"),
         (b"statistic,value\nNDVII.mean,0.7\n", "Did you mean 'NDVI'"),
@@ -403,8 +408,8 @@ def test_dead_tissue_hot_spot_and_structure_of_leaves(folder):
         None,
         False,
     )
-    heavy = plain.species[7].leaf.parameters  # Restio, 398 g m-2
-    assert heavy["structure"] == pytest.approx(398.0**0.275 * np.exp(-0.689))
+    heavy = leaves_of(plain.species, plain.leaves)[7]  # Restio, 398 g m-2
+    assert heavy.structure == pytest.approx(398.0**0.275 * np.exp(-0.689))
     (folder / "dead.csv").write_text("wavelength_nm,reflectance\n400,0.1\n2500,0.4\n")
     lines = 'leaf_table = "leaves.csv"\ndead_tissue = "dead.csv"\nhot_spot = true'
     edit(folder / "plot.toml", 'leaf_table = "leaves.csv"', lines)

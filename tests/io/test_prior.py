@@ -1,6 +1,5 @@
 """Prior files: what is written is read, and a plot can be left out."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -188,8 +187,8 @@ def test_the_defaults_are_those_of_the_shipped_prior() -> None:
         "dry_matter": dry * mean["leaf_mass_per_area"],
         "water": dry * 0.52 / 0.48 * mean["leaf_mass_per_area"] * mean["water_per_dry_matter"],
     }
-    assert {n: USUAL_LEAF[n] for n in leaf} == pytest.approx(leaf, rel=0.02)
-    assert USUAL_LEAF["structure"] == pytest.approx(
+    assert {n: getattr(USUAL_LEAF, n) for n in leaf} == pytest.approx(leaf, rel=0.02)
+    assert USUAL_LEAF.structure == pytest.approx(
         structure_from_dry_matter(dry) * mean["structure"], rel=0.02
     )
 
@@ -203,7 +202,7 @@ def test_a_plot_takes_what_its_files_leave_open(tmp_path: Path) -> None:
     write_prior(tmp_path / "prior.toml", prior_file())
     plot = read_plot(example_folder() / "plot.toml")
     first, *others = plot.species
-    stated = plot.replace(species=(replace(first, dead_fraction=0.1), *others))
+    stated = plot.replace(species=(first.replace(dead_fraction=0.1), *others))
     priors = {"species.*.leaf_area_index": 0.7}
     stated = stated.replace(calibration=plot.calibration.replace(priors=priors))
     taken = with_prior(stated, tmp_path / "prior.toml")

@@ -17,7 +17,7 @@ from fynjax.scene import (
     PlantingRules,
     PlotParameters,
     Scene,
-    SceneSpecies,
+    Species,
     SpeciesParameters,
     aim,
     build_scene,
@@ -66,7 +66,7 @@ def small_plot(**changes: Any) -> Scene:
     rules = {"structure": "even"} | {n: changes.pop(n) for n in fields & set(changes)}
     spread = changes.pop("rotation_spread", [0.0] * len(TAXA))
     species = [
-        SceneSpecies(taxon, form, rotation_spread=lean)
+        Species(taxon, form, rotation_spread=lean)
         for taxon, form, lean in zip(TAXA, FORMS, spread, strict=True)
     ]
     options: dict[str, Any] = {"extent": (1.6, 1.6), "voxel": 0.1, "seed": 3, "dtype": "float64"}

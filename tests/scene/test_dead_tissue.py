@@ -11,7 +11,7 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.leaf import prospect
 from fynjax.radiation import fluxes, solve_light
-from fynjax.scene import Spectrum, background_spectrum
+from fynjax.scene import Species, Spectrum, background_spectrum
 from fynjax.scene._optics import _shoot_optics, optical_classes
 from fynjax.sensors import mavic_3m
 from tests.helpers import assert_gradients
@@ -19,6 +19,7 @@ from tests.scene.plots import EXACT, FORMS, small_parameters, small_plot
 
 WAVE = np.array([450.0, 670.0, 860.0, 1650.0, 2200.0])
 BARK = background_spectrum("bark", WAVE)
+SPECIES = [Species(form, form) for form in FORMS]
 
 
 def with_dead(*fraction):
@@ -27,7 +28,7 @@ def with_dead(*fraction):
 
 
 def spectra(parameters, tissue=BARK):
-    classes = optical_classes(FORMS, parameters, jnp.eye(len(WAVE)), WAVE, [None] * 3, tissue)
+    classes = optical_classes(SPECIES, parameters, jnp.eye(len(WAVE)), WAVE, tissue)
     return np.asarray(classes.reflectance), np.asarray(classes.transmittance)
 
 
@@ -74,7 +75,7 @@ def test_optics_have_derivatives_in_the_dead_fraction():
         )
         ground = dataclasses.replace(parameters.ground, wood_brightness=values[5])
         plot = dataclasses.replace(parameters, species=species, ground=ground)
-        classes = optical_classes(FORMS, plot, average, WAVE, [None] * 3, BARK)
+        classes = optical_classes(SPECIES, plot, average, WAVE, BARK)
         return jnp.stack([classes.reflectance[:2], classes.transmittance[:2]])
 
     assert_gradients(optics, jnp.array([0.3, 0.45, 0.0, 0.4, 0.2, 0.9]), rtol=1e-5)

@@ -9,7 +9,7 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.assembly import aim_without_air, build_plot
 from fynjax.io.plot import plot_instrument, read_plot
-from fynjax.scene import Placement, Scene, Spectrum, observe
+from fynjax.scene import Placement, Scene, SpeciesRow, Spectrum, observe
 from fynjax.sensors import shipped_sensor
 from tests.small import write_plot
 
@@ -92,21 +92,26 @@ LEAF = {
         ({"height_max_m": None}, "row 1, column 'height_max_m'"),
         (
             {"cover_percent": 130},
-            "row 1, column 'cover_percent'.*'Erica irregularis' from 0 to 100 %, but got 130",
+            "row 1, column 'cover_percent'.*a number from 0 to 100 %, but got 130",
         ),
-        ({"branches": 0}, "column 'branches'.*branches of 'Erica irregularis' from 1 to 1000"),
+        ({"branches": 0}, "column 'branches'.*a whole number from 1 to 1000, but got 0"),
         ({"branches": 2.5}, "column 'branches'.*whole number.*but got 2.5"),
         ({"rotation_spread_deg": -3}, "'rotation_spread_deg'.*from 0 to 90 degree, but got -3"),
         ({"minimum_object_area_m2": 1e4}, "'minimum_object_area_m2'.*from 0 to 100 m2"),
-        ({"packing_percent": "much"}, "'packing_percent'.*as a number, but got 'much'"),
-        ({"mean_diameter_cm": "40"}, "row 1, column 'mean_diameter_cm'.*but got '40'"),
-        ({"leaf_area_index": True}, "'leaf_area_index'.*as a number, but got True"),
-        ({"leaf_area_index": [1, 2]}, "'leaf_area_index'.*as a number, but got"),
-        ({"height_max_m": pd.NA}, "'height_max_m'.*of 'Erica irregularis', but it is empty"),
-        ({"taxon": 7}, "row 1, column 'taxon'.*as text, but got 7"),
+        ({"packing_percent": "much"}, "'packing_percent'.*a number from 0 to 99 %, but got 'much'"),
+        ({"mean_diameter_cm": 0.4}, "row 1, column 'mean_diameter_cm'.*Metres. In cm this is 40"),
+        ({"leaf_area_index": True}, "'leaf_area_index'.*a number.*, but got 'True'"),
+        ({"leaf_area_index": [1, 2]}, "'leaf_area_index'.*a number.*, but got"),
+        ({"height_max_m": pd.NA}, "'height_max_m'.*0.01 to 20 m.*but it is missing"),
+        ({"taxon": 7}, "row 1, column 'taxon'.*name.*, but got 7"),
         ({"growth_form": "tussok"}, "Did you mean 'tussock'"),
-        ({"cover_percnt": 30}, "'cover_percnt': unknown column. Did you mean 'cover_percent'"),
-        ({"taxon": "Restio eleocharis"}, "row 2, column 'taxon'.*twice"),
+        ({"cover_percnt": 30}, "'cover_percnt'.*Did you mean 'cover_percent'"),
+        (
+            {"taxon": "Erica irregulars", "growth_form": None},
+            "row 1, column 'growth_form'.*'Erica irregulars'.*Did you mean 'Erica irregularis'",
+        ),
+        ({"plant": "shrub.obj"}, "'plant'.*only a plot file"),
+        ({"taxon": "Restio eleocharis"}, "row 2, column 'taxon'.*first in row 1. Add the covers"),
     ],
 )
 def test_a_row_that_cannot_serve_is_named(change, words):
@@ -114,16 +119,51 @@ def test_a_row_that_cannot_serve_is_named(change, words):
         Scene.from_table([TABLE[0] | change, TABLE[1]], size_m=2.0)
 
 
+def test_tables_in_python_are_checked_as_files_are():
+    many = [TABLE[0] | {"taxon": str(k), "cover_percent": 90} for k in range(4)]
+    with pytest.raises(InputError, match=r"sum to 360 %. Are these counts"):
+        Scene.from_table(many, size_m=2.0)
+    with pytest.raises(InputError, match=r"column 'cover_percent'.*Is it 'cover' in this table"):
+        Scene.from_table(pd.DataFrame(TABLE).rename(columns={"cover_percent": "cover"}), size_m=2.0)
+    fractions = [row | {"cover_percent": row["cover_percent"] / 100} for row in TABLE]
+    with pytest.warns(UserWarning, match="species table.*0.3 would be 30"):
+        Scene.from_table(fractions, size_m=2.0)
+
+
+def test_a_shipped_taxon_has_its_growth_form(built):
+    nameless = [{k: v for k, v in row.items() if k != "growth_form"} for row in TABLE]
+    scene, _ = Scene.from_table(nameless, size_m=2.0, structure_m="even", seed=3)
+    assert scene.forms == built[0].forms
+
+
+def test_a_row_is_in_the_units_of_the_package():
+    row = SpeciesRow.model_validate(TABLE[0] | {"fill_percent": "80", "rotation_spread_deg": 5})
+    assert (row.diameter, row.cover, row.height, row.fill) == (0.4, 0.3, 0.6, 0.8)
+    assert (row.packing, row.branches, row.rotation_spread, row.minimum_area) == (0, 1, 5, 0)
+    assert row.replace(cover=0.1).cover == 0.1
+    assert (row.dead_fraction, row.plant) == (None, None)
+
+
+def test_what_a_table_says_of_crowns_counts():
+    """Equation (10) by hand: of 0.5 m radius with its lean, and by the least area."""
+    lean = {"rotation_spread_deg": 30, "packing_percent": 20, "fill_percent": 50, "branches": 3}
+    table = [TABLE[0] | lean, TABLE[1] | {"minimum_object_area_m2": 0.5}]
+    scene, parameters = Scene.from_table(table, size_m=2.0, structure_m="even")
+    each = np.pi * 0.5**2 * 0.8 * 0.5
+    np.testing.assert_allclose(scene.counts(parameters), [3 * 1.2 / each, 0.6 / 0.5], rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("leaves", "words"),
     [
         ({"Erica irregulars": LEAF}, "'Erica irregulars'"),
         ({"*": {"water": 0.02}}, "chlorophyll"),
+        ({"*": {"spectrum": "leaf.csv"}}, "got a spectrum"),
         (
             {"*": LEAF | {"water": 200.0}},
-            r"column 'water': expected equivalent water thickness of '\*' from",
+            r"leaves of '\*': column 'water': .*from 0 to 0.2 cm, but got 200. g m-2",
         ),
-        ({"*": LEAF | {"water": None}}, r"as a number, but got None"),
+        ({"*": LEAF | {"water": None}}, "water is empty"),
     ],
 )
 def test_leaves_that_belong_to_no_plant_are_refused(leaves, words):

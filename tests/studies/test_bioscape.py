@@ -14,6 +14,7 @@ from fynjax._core.errors import InputError
 from fynjax.canopy import FORMS
 from fynjax.cli import main
 from fynjax.io.plot import read_plot
+from fynjax.scene import leaves_of
 from fynjax.studies.bioscape._plot_files import (
     DEAD,
     OTHER,
@@ -98,12 +99,12 @@ def test_covers_and_leaves_by_hand(tables: Path, tmp_path: Path) -> None:
     assert [s.growth_form for s in plot.species] == [
         "broad_leaved", "tussock", "rounded_shrub", "deadwood",
     ]  # fmt: skip
-    leaves = [s.leaf.parameters for s in plot.species if s.leaf and s.leaf.parameters]
+    leaves = plot.leaves
     # Flat leaf: 300 g/m2; half water. Culm: 700 g/m2 projected over pi/2; 50 % water.
-    np.testing.assert_allclose([leaves[0]["dry_matter"], leaves[0]["water"]], 0.03, rtol=1e-5)
+    np.testing.assert_allclose([leaves[0].dry_matter, leaves[0].water], 0.03, rtol=1e-5)
     culm = 0.07 / (math.pi / 2)
-    np.testing.assert_allclose([leaves[1]["dry_matter"], leaves[1]["water"]], culm, rtol=1e-5)
-    assert leaves[2]["dry_matter"] == pytest.approx(0.75 * 0.03 + 0.25 * culm, rel=1e-5)
+    np.testing.assert_allclose([leaves[1].dry_matter, leaves[1].water], culm, rtol=1e-5)
+    assert leaves[2].dry_matter == pytest.approx(0.75 * 0.03 + 0.25 * culm, rel=1e-5)
     sources = sources_of(tmp_path / "A1")
     assert sources["Protea repens", "dry_matter"]["source"] == "measured"
     assert sources["Restio capensis", "dry_matter"]["source"] == "genus mean"
@@ -125,7 +126,7 @@ def test_plants_of_a_form_that_the_prior_lacks_have_what_the_form_assumes(
     plot = read_plot(tmp_path / "out" / "A1" / "plot.toml")
     hoodia, restio = plot.species[:2]
     column = FORMS["column"]
-    assert (hoodia.growth_form, hoodia.diameter_m) == ("column", column.diameter)
+    assert (hoodia.growth_form, hoodia.diameter) == ("column", column.diameter)
     assert hoodia.leaf_area_index == column.prior.leaf_area_index[0]
     assert hoodia.dead_fraction == column.prior.dead_fraction[0]
     assert restio.leaf_area_index == pytest.approx(4.411, abs=1e-3)  # of the file
@@ -145,10 +146,7 @@ def test_dead_cover_under_live_cover_does_not_stand(tables: Path) -> None:
 def test_leaves_thicker_than_a_leaf_table_takes_are_cut(tables: Path, tmp_path: Path) -> None:
     b2 = read_bioscape(tables, ["B2"])[0]
     write_plot_files(b2, tmp_path / "B2")  # 0.09 * 9 / (pi / 2) = 0.52 cm of water
-    leaf = read_plot(tmp_path / "B2" / "plot.toml").species[1].leaf
-    assert leaf is not None
-    assert leaf.parameters is not None
-    assert leaf.parameters["water"] == 0.05
+    assert read_plot(tmp_path / "B2" / "plot.toml").leaves[1].water == 0.05
     assert "cut" in sources_of(tmp_path / "B2")["Carpobrotus edulis", "water"]["note"]
 
 
@@ -316,17 +314,17 @@ def test_every_real_plot_loads_and_its_mean_leaf_is_the_published_one(
         written = read_plot(tmp_path / plot.name / "plot.toml")
         sources = sources_of(tmp_path / plot.name)
         mass = total = 0.0
-        for species in written.species:
+        leaves = leaves_of(written.species, written.leaves)
+        for species, leaf in zip(written.species, leaves, strict=True):
             if species.taxon in (OTHER, DEAD):
                 continue
-            assert species.leaf is not None
-            assert species.leaf.parameters is not None
+            assert leaf.dry_matter is not None
             total += species.cover
             # The published means leave species without traits out of the sum, but not of the
             # cover that they divide by.
             if sources[species.taxon, "dry_matter"]["source"] == "measured":
                 ratio = float(sources[species.taxon, "leaf_area_ratio"]["value"])
-                mass += species.cover * species.leaf.parameters["dry_matter"] * 1e4 * ratio
+                mass += species.cover * leaf.dry_matter * 1e4 * ratio
         if plot.name in published:
             estimated.append(mass / total)
             expected.append(published[plot.name])

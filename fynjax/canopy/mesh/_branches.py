@@ -74,7 +74,7 @@ def plant_from_branches(
     **Returns:** the plant. All areas are `branches` times those of the branch. The bounding box is
     that of the copies (of the elements, which lie a little inside that of the triangles), so that
     `modelled_diameter` and `depth` suit eq. (5) to (9) with sigma_rot = 0. To instance the branch
-    itself in a scene instead, give `CrownPacking` its `branches` and `rotation_spread`. Not
+    itself in a scene instead, give its species `branches` and `rotation_spread`. Not
     differentiable.
 
     **Raises:** `InputError` for fewer than one branch, a spread out of range, or more than 5

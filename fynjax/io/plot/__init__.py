@@ -3,7 +3,7 @@
 from fynjax.io.plot._calibration import CalibrationTable
 from fynjax.io.plot._parameter_values import with_parameter_table
 from fynjax.io.plot._place import Place, plot_place
-from fynjax.io.plot._plot import LeafSource, Plot, Species
+from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._plot_file import as_plot, example_folder, read_plot
 from fynjax.io.plot._plot_tables import AtmosphereTable, PlotFile
 from fynjax.io.plot._prior import (
@@ -27,11 +27,9 @@ from fynjax.io.plot._prior import (
 )
 from fynjax.io.plot._rows import (
     CrownRow,
-    LeafRow,
     ParameterRow,
     SkyPatternRow,
     SkyRow,
-    SpeciesRow,
     StatisticRow,
     StructureRow,
 )
@@ -55,8 +53,6 @@ __all__ = [
     "AtmosphereTable",
     "CalibrationTable",
     "CrownRow",
-    "LeafRow",
-    "LeafSource",
     "LearnedPrior",
     "LeftOutPlot",
     "ModelError",
@@ -68,8 +64,6 @@ __all__ = [
     "PriorParameter",
     "SkyPatternRow",
     "SkyRow",
-    "Species",
-    "SpeciesRow",
     "StatisticRow",
     "StructureRow",
     "TargetStatistics",

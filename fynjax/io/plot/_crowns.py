@@ -1,22 +1,21 @@
 """Plants that are known: a table of crowns, or a GeoPackage."""
 
 import warnings
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
-from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.errors import InputError
 from fynjax._core.extras import require
+from fynjax._core.validation import checked_row
 from fynjax.io.plot._place import plot_place
 from fynjax.io.plot._plot import Plot
 from fynjax.io.plot._rows import CrownRow
 from fynjax.io.plot._sensor import sensor_place
 from fynjax.io.raster import check_metric, parse_crs
-from fynjax.io.text import existing_file, first_error, read_rows, sentence
-from fynjax.scene import Crowns
+from fynjax.io.text import existing_file, read_rows
+from fynjax.scene import Crowns, check_taxa
 
 _WHAT = "a table of crowns"
 
@@ -43,18 +42,11 @@ def with_crowns(plot: Plot, path: Path) -> Plot:
     path = existing_file(path, _WHAT)
     geopackage = path.suffix.lower() == ".gpkg"
     rows = _read_geopackage(path, plot) if geopackage else read_rows(path, CrownRow, _WHAT)
+    check_taxa(rows, plot.taxa, path)
     corner: tuple[float, float] | None = None
     altitude, _ = sensor_place(plot)
     places: dict[tuple[str, float, float], int] = {}
     for number, row in rows:
-        if row.taxon not in plot.taxa:
-            raise InputError(
-                f"unknown taxon {row.taxon!r}: it is not in the species table."
-                f"{did_you_mean(row.taxon, plot.taxa)}",
-                file=path,
-                row=number,
-                column="taxon",
-            )
         if row.x_m is None or row.y_m is None:
             corner = _corner(plot, path) if corner is None else corner
             assert row.easting_m is not None  # the record has one of the two places
@@ -110,16 +102,16 @@ def _with_sizes(plot: Plot, crowns: Crowns, path: Path) -> Plot:
         mine = crowns.species == i
         if not mine.any():
             bare.append(stated.taxon)
-            species[i] = replace(stated, cover=0.0)
+            species[i] = stated.replace(cover=0.0)
             continue
         mean, greatest = crowns.sizes(i)
         disc = np.pi / 4.0 * mean**2 * (1.0 - stated.packing) * stated.fill
         share = min(1.0, float(mine.sum() * disc / np.prod(plot.size_m)))
-        species[i] = replace(stated, cover=share, diameter_m=mean, height_m=greatest)
+        species[i] = stated.replace(cover=share, diameter=mean, height=greatest)
         change = (
             abs(share - stated.cover),
-            abs(mean / stated.diameter_m - 1.0),
-            abs(greatest / stated.height_m - 1.0),
+            abs(mean / stated.diameter - 1.0),
+            abs(greatest / stated.height - 1.0),
         )
         differ = np.maximum(differ, change)
     cover, diameter, height = (f"{100 * change:.0f}" for change in differ)
@@ -180,14 +172,7 @@ def _read_geopackage(path: Path, plot: Plot) -> list[tuple[int, CrownRow]]:
         middle = shape.centroid
         names = ("easting_m", "northing_m") if on_map else ("x_m", "y_m")
         given |= dict(zip(names, (middle.x, middle.y)))
-        try:
-            rows.append((int(number), CrownRow.model_validate(given)))
-        except ValidationError as error:
-            first = first_error(error)
-            name = str(first["loc"][0]) if first["loc"] else None
-            raise InputError(
-                sentence(first, CrownRow, name or ""), file=path, row=int(number), column=name
-            ) from error
+        rows.append((int(number), checked_row(CrownRow, given, file=path, row=int(number))))
     return rows
 
 

@@ -49,8 +49,6 @@ def with_parameter_table(
                 row=number,
                 column="name",
             )
-        if row.name in values:
-            raise InputError(f"{row.name!r} is there twice", file=path, row=number, column="name")
         kind = parameter_kind(row.name)
         record = PARAMETERS[kind]
         accepted = _accepted(record)

@@ -3,7 +3,7 @@
 import math
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -358,7 +358,7 @@ def with_prior(plot: Plot, name_or_path: str | Path) -> Plot:
             and (one.plant is None or kind != "leaf_area_index")
         ]
         found: dict[str, Any] = {kind: values[f"{kind}.{one.growth_form}"] for kind in open_kinds}
-        species.append(replace(one, **found))
+        species.append(one.replace(**found))
         for kind, value in found.items():
             # Patterns of the plot file come first.
             spread.setdefault(

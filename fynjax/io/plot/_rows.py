@@ -1,83 +1,20 @@
-"""Rows of the tables a user writes, as pydantic models: species, leaves, statistics, sky."""
+"""Rows of the tables a user writes, as pydantic models: crowns, statistics, sky; `fynjax.scene` has
+those of species and leaves."""
 
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from fynjax.canopy import FORMS
-from fynjax.io.text import Slip, Strict, number, optional_quantity, quantity
-from fynjax.scene import FIXED_PARAMETERS, PARAMETERS
-
-if TYPE_CHECKING:
-    FormName = str
-else:  # the names as a choice: in errors, and as an enumeration of the schema
-    FormName = Literal[tuple(FORMS)]
-
-_BRANCHES = FIXED_PARAMETERS["branches"]
-_OF_THE_FORM = "that of the growth form if left out"
-
-
-def _diameter_slip(value: float) -> str | None:
-    if 0 < value < 1:
-        return f"Metres? In cm this is {value * 100:g}."
-    return "Millimetres?" if value > 1000 else None
-
-
-class SpeciesRow(Strict):
-    """One row of the species table: what a field crew notes of one taxon in one plot."""
-
-    slips: ClassVar[dict[str, Slip]] = {
-        "mean_diameter_cm": _diameter_slip,
-        "height_max_m": lambda v: f"Centimetres? In m this is {v / 100:g}." if v > 20 else None,
-        "fill_percent": lambda v: "A crown must hold some plant." if v == 0 else None,
-    }
-
-    taxon: str = Field(description="Scientific name, or 'Deadwood'.", min_length=1)
-    mean_diameter_cm: float = quantity(PARAMETERS["diameter"])
-    cover_percent: float = quantity(PARAMETERS["cover"])
-    height_max_m: float = quantity(PARAMETERS["height"])
-    growth_form: FormName | None = Field(
-        default=None,
-        description="Shape of the plant. May be left out for a taxon of the shipped table.",
-    )
-    packing_percent: float | None = optional_quantity(PARAMETERS["packing"])
-    fill_percent: float | None = optional_quantity(PARAMETERS["fill"])
-    branches: int | None = Field(
-        default=None,
-        description=f"{_BRANCHES.name} [-]. {_BRANCHES.description}",
-        ge=int(_BRANCHES.lower),
-        le=int(_BRANCHES.upper),
-        json_schema_extra={"unit": "-"},
-    )
-    rotation_spread_deg: float | None = quantity(FIXED_PARAMETERS["rotation_spread"], default=None)
-    leaf_area_index: float | None = quantity(
-        PARAMETERS["leaf_area_index"], default=None, note=_OF_THE_FORM
-    )
-    minimum_object_area_m2: float | None = quantity(FIXED_PARAMETERS["minimum_area"], default=None)
-    wood_area_index: float | None = quantity(
-        PARAMETERS["wood_area_index"], default=None, note=_OF_THE_FORM
-    )
-    plant: str | None = Field(
-        default=None,
-        description="Mesh of one plant (OBJ, PLY, STL, GLB; metres), or the elements.csv that "
-        "`fynjax plant` writes; a path from the table's folder. Its areas over its crown are "
-        "the area indices where the table leaves these out, and count once where crowns overlap, "
-        "as these do. Left out: the growth form's shape.",
-    )
-    shoot_clumping: float | None = quantity(
-        PARAMETERS["shoot_clumping"], default=None, note=_OF_THE_FORM
-    )
-    dead_fraction: float | None = quantity(
-        PARAMETERS["dead_fraction"], default=None, note=_OF_THE_FORM
-    )
+from fynjax.io.text import Slip, Strict, number, quantity
+from fynjax.scene import PARAMETERS, SpeciesRow
 
 
 class CrownRow(Strict):
     """One row of the table of crowns: one plant whose place and size are known."""
 
     slips: ClassVar[dict[str, Slip]] = {
-        "diameter_cm": _diameter_slip,
-        "height_m": lambda v: f"Centimetres? In m this is {v / 100:g}." if v > 20 else None,
+        "diameter_cm": SpeciesRow.slips["mean_diameter_cm"],
+        "height_m": SpeciesRow.slips["height_max_m"],
     }
 
     taxon: str = Field(
@@ -107,69 +44,10 @@ class CrownRow(Strict):
         return self
 
 
-def _per_area_slip(value: float) -> str | None:
-    if value >= 5:
-        return f"g m-2? In g cm-2 (or cm of water) this is {value / 1e4:g}."
-    return f"mg cm-2 or mm? Here it would be {value / 1000:g}." if value > 0 else None
-
-
-PROSPECT_REQUIRED = ("chlorophyll", "carotenoids", "water", "dry_matter")
-"""PROSPECT columns that a row has all of, or a spectrum."""
-
-
-class LeafRow(Strict):
-    """One row of the leaf table: PROSPECT parameters of a taxon, or a spectrum to fit."""
-
-    model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        json_schema_extra={
-            "oneOf": [
-                {"required": ["spectrum"], "properties": {"spectrum": {"type": "string"}}},
-                {
-                    "required": list(PROSPECT_REQUIRED),
-                    "properties": {name: {"type": "number"} for name in PROSPECT_REQUIRED},
-                },
-            ]
-        },
-    )
-    slips: ClassVar[dict[str, Slip]] = {"water": _per_area_slip, "dry_matter": _per_area_slip}
-
-    taxon: str = Field(
-        description="Name as in the species table; '*' is every taxon without a row of its own.",
-        min_length=1,
-    )
-    structure: float | None = quantity(
-        PARAMETERS["structure"], default=None, note="computed from dry matter if left out"
-    )
-    chlorophyll: float | None = quantity(PARAMETERS["chlorophyll"], default=None)
-    carotenoids: float | None = quantity(PARAMETERS["carotenoids"], default=None)
-    anthocyanins: float | None = optional_quantity(PARAMETERS["anthocyanins"])
-    brown_pigments: float | None = optional_quantity(PARAMETERS["brown_pigments"])
-    water: float | None = quantity(PARAMETERS["water"], default=None)
-    dry_matter: float | None = quantity(PARAMETERS["dry_matter"], default=None)
-    spectrum: str | None = Field(
-        default=None, description="Measured reflectance to fit; a path from the table's folder."
-    )
-
-    @model_validator(mode="after")
-    def _one_source(self) -> "LeafRow":
-        given = [n for n in ("structure", *PROSPECT_REQUIRED) if getattr(self, n) is not None]
-        if self.spectrum is not None and given:
-            raise ValueError(
-                f"expected PROSPECT parameters or a spectrum, but got both ({given[0]!r} and "
-                "'spectrum'). Leave one empty."
-            )
-        if self.spectrum is None and (missing := [n for n in PROSPECT_REQUIRED if n not in given]):
-            raise ValueError(
-                f"expected {', '.join(PROSPECT_REQUIRED)}, or a spectrum, but "
-                f"{', '.join(missing)} is empty"
-            )
-        return self
-
-
 class StatisticRow(Strict):
     """One row of a target file: a statistic of a real image."""
+
+    unique = "statistic"
 
     statistic: str = Field(
         description="'<band or index>.<mean|std|qNN|stdNNcm>', such as 'nir.mean', 'NDVI.std', "
@@ -188,6 +66,8 @@ class StatisticRow(Strict):
 class ParameterRow(Strict):
     """One row of the parameters that `calibrate` and `posterior` write; name and estimate, and the
     unit of covers and lengths, are enough to be read as `scene.parameters`."""
+
+    unique = "name"
 
     name: str = Field(description="Such as 'species.Erica irregularis.cover'.", min_length=1)
     kind: str | None = Field(default=None, description="Last word of the name.")
@@ -215,6 +95,8 @@ class ParameterRow(Strict):
 
 class StructureRow(Strict):
     """One row of a target file: a structure metric of a real point cloud."""
+
+    unique = "metric"
 
     metric: Literal[
         "foliage_height_diversity",

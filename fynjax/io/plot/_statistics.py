@@ -43,17 +43,8 @@ def read_statistics(path: str | Path, known: Collection[str] | None = None) -> T
     """
     path = Path(path)
     rows = read_rows(path, StatisticRow, "a table of statistics")
-    row_of: dict[str, int] = {}
     for number, row in rows:
         subject, kind = row.statistic.rsplit(".", 1)
-        if row.statistic in row_of:
-            raise InputError(
-                f"{row.statistic!r} is in row {row_of[row.statistic]} already",
-                file=path,
-                row=number,
-                column="statistic",
-            )
-        row_of[row.statistic] = number
         if known is not None and subject not in known:
             raise InputError(
                 f"unknown band or index {subject!r}.{did_you_mean(subject, known)}",
@@ -117,11 +108,7 @@ def read_structure(path: str | Path) -> TargetStructure:
     path = Path(path)
     rows = read_rows(path, StructureRow, "a table of structure metrics")
     first = rows[0][1]
-    for k, (number, row) in enumerate(rows):
-        if any(row.metric == other.metric for _, other in rows[:k]):
-            raise InputError(
-                f"{row.metric!r} is there twice", file=path, row=number, column="metric"
-            )
+    for number, row in rows:
         for column in ("grain_m", "returns_m2"):
             value, known = getattr(row, column), getattr(first, column)
             if value != known:

@@ -3,17 +3,14 @@
 import csv
 import io
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
-from fynjax._core.errors import InputError, did_you_mean, listed
-from fynjax._core.validation import first_error, sentence
+from fynjax._core.errors import InputError
+from fynjax._core.validation import Row, check_header, checked_rows
 from fynjax.io.text._files import existing_file, read_bytes
-
-Row = TypeVar("Row", bound=BaseModel)
 
 _DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
@@ -126,35 +123,20 @@ def _check_header(header: Sequence[str], model: type[BaseModel], path: Path, row
                     file=path,
                     row=row,
                 )
-    known = list(model.model_fields)
-    required = [name for name, field in model.model_fields.items() if field.is_required()]
-    missing = [name for name in required if name not in header]
-    strange = [name for name in header if name not in known]
-    if missing:
-        near = did_you_mean(missing[0], strange)
-        near = near.replace("Did you mean", "Is it").replace("?", " in this file?")
-        raise InputError(
-            f"expected a column {missing[0]!r}, but the header has {listed(header)}.{near}",
-            file=path,
-            row=row,
-            column=missing[0],
-        )
-    if strange:
-        what = repr(strange[0]) if strange[0] else "a column without a name"
-        raise InputError(
-            f"unknown column {what}.{did_you_mean(strange[0], known)} Known: {', '.join(known)}.",
-            file=path,
-            row=row,
-            column=strange[0],
-        )
-    twice = [name for k, name in enumerate(header) if name in header[:k]]
-    if twice:
-        raise InputError("this column is there twice", file=path, row=row, column=twice[0])
+    check_header(header, model, file=path, row=row)
 
 
-def _check_cells(cells: Sequence[str], header: Sequence[str], path: Path, row: int) -> None:
-    if len(cells) == len(header):
-        return
+def _cells(
+    lines: Iterable[tuple[int, list[str]]], header: Sequence[str], path: Path
+) -> Iterator[tuple[int, dict[str, str]]]:
+    """Cells of each row by column, without empty ones."""
+    for number, cells in lines:
+        if len(cells) != len(header):
+            raise _uneven(cells, header, path, number)
+        yield number, {name: cell for name, cell in zip(header, cells, strict=True) if cell}
+
+
+def _uneven(cells: Sequence[str], header: Sequence[str], path: Path, row: int) -> InputError:
     hint = ""
     if len(cells) > len(header):
         pairs = itertools.pairwise(cells)
@@ -162,7 +144,7 @@ def _check_cells(cells: Sequence[str], header: Sequence[str], path: Path, row: i
             hint = " A decimal comma? Write numbers with a point."
         else:
             hint = " A comma inside a name? Put the name in double quotes."
-    raise InputError(
+    return InputError(
         f"expected {len(header)} cells as in the header, but this row has {len(cells)}.{hint}",
         file=path,
         row=row,
@@ -186,25 +168,12 @@ def read_rows(path: str | Path, model: type[Row], what: str) -> list[tuple[int, 
     **Raises:** `InputError` with file, row, column, value and what was expected.
     """
     path = existing_file(path, what)
-    header: list[str] | None = None
-    rows: list[tuple[int, Row]] = []
-    for number, cells in split_lines(path):
-        if header is None:
-            header = cells
-            _check_header(header, model, path, number)
-            continue
-        _check_cells(cells, header, path, number)
-        given = {name: cell for name, cell in zip(header, cells, strict=True) if cell}
-        try:
-            rows.append((number, model.model_validate(given)))
-        except ValidationError as error:
-            first = first_error(error)
-            name = str(first["loc"][0]) if first["loc"] else None
-            raise InputError(
-                sentence(first, model, name or ""), file=path, row=number, column=name
-            ) from error
+    lines = split_lines(path)
+    number, header = next(lines, (0, None))
     if header is None:
         raise InputError(f"expected {what}, but the file is empty", file=path)
+    _check_header(header, model, path, number)
+    rows = checked_rows(_cells(lines, header, path), model, path)
     if not rows:
         raise InputError(f"expected {what}, but there is only a header", file=path)
     return rows

@@ -16,16 +16,16 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax.assembly import plot_parameters
-from fynjax.canopy import FORMS, VoxelGrid
+from fynjax.canopy import VoxelGrid
 from fynjax.io.plot import Plot
 from fynjax.radiation import Accuracy, render, solve_light
 from fynjax.scene import (
-    USUAL_LEAF,
     AimedSensor,
     PlantingRules,
     PlotParameters,
     Scene,
-    SceneSpecies,
+    Species,
+    SpeciesRow,
     build_scene,
 )
 
@@ -124,7 +124,7 @@ def _build(
 ) -> tuple[Scene, PlotParameters]:
     parameters = slotted_parameters(plot, slots)
     scene = build_scene(
-        [SceneSpecies(f"slot {i}", form) for i, form in enumerate(slots)],
+        [Species(f"slot {i}", form) for i, form in enumerate(slots)],
         parameters,
         extent=(resolution.size_m, resolution.size_m),
         voxel=resolution.voxel_m,
@@ -141,27 +141,17 @@ def _build(
 
 def slotted_parameters(plot: Plot, slots: tuple[str, ...]) -> PlotParameters:
     """The parameters of a plot with its species in slots."""
-    read = plot_parameters(plot)
+    rows = [_nothing(form) for form in slots]
     free = {form: [i for i, f in enumerate(slots) if f == form] for form in set(slots)}
-    place = jnp.asarray([free[s.growth_form].pop(0) for s in plot.species])
+    for row in plot.species:
+        rows[free[row.growth_form].pop(0)] = row
+    return plot_parameters(plot.replace(species=tuple(rows)))
 
-    def fill(values: Array, empty: Sequence[float]) -> Array:
-        return jnp.asarray(empty, values.dtype).at[place].set(values)
 
-    count = len(slots)
-    nothing = {"cover": 0.0, "diameter": 1.0, "height": 0.1, "packing": 0.0, "fill": 1.0}
-    species, leaf = read.species, read.leaf
-    species = replace(
-        species,
-        **{name: fill(getattr(species, name), [value] * count) for name, value in nothing.items()},
-        **{
-            name: fill(getattr(species, name), [getattr(FORMS[f], name) for f in slots])
-            for name in ("leaf_area_index", "wood_area_index", "shoot_clumping", "dead_fraction")
-        },
-    )
-    usual = {name: fill(getattr(leaf, name), [v] * count) for name, v in USUAL_LEAF.items()}
-    leaf = eqx.tree_at(lambda l: [getattr(l, n) for n in usual], leaf, list(usual.values()))
-    return PlotParameters(species, leaf, read.ground, read.light)
+def _nothing(form: str) -> SpeciesRow:
+    """A species of a growth form that has no plants."""
+    size = {"mean_diameter_cm": 100.0, "cover_percent": 0.0, "height_max_m": 0.1}
+    return SpeciesRow.model_validate({"taxon": "nothing", "growth_form": form, **size})
 
 
 def _padded(scene: Scene, plants: int, elements: int, parts: int) -> Scene:

@@ -1,0 +1,387 @@
+"""Species of a plot as a table states them, what of them is fixed in a scene, and their parameters.
+
+A row is made by the table's columns, in the units of field crews (`SpeciesRow.model_validate`). Its
+fields are in the package's own units; `replace` changes them. The same rows and checks serve
+files, pandas frames and records.
+"""
+
+import functools
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
+
+from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.parameters import parameters_of
+from fynjax._core.records import Slip, Strict, quantity
+from fynjax._core.validation import check_header, checked_row, checked_rows
+from fynjax.canopy import FORMS, AbstractLeafAngle, table1_2006
+from fynjax.leaf import LeafParameters, structure_from_dry_matter
+from fynjax.scene._parameters import (
+    FIXED_PARAMETERS,
+    LEAF_FIELDS,
+    PARAMETERS,
+    SpeciesParameters,
+)
+
+if TYPE_CHECKING:
+    FormName = str
+else:  # the names as a choice: in errors, and as an enumeration of the schema
+    FormName = Literal[tuple(FORMS)]
+
+_RECORDS = PARAMETERS | FIXED_PARAMETERS
+_MOST_COVER = 300.0
+"""Sum of the covers of a plot, whose layers overlap, above which they are taken for counts [%]."""
+
+
+def _diameter_slip(value: float) -> str | None:
+    if 0 < value < 1:
+        return f"Metres? In cm this is {value * 100:g}."
+    return "Millimetres?" if value > 1000 else None
+
+
+def _per_area_slip(value: float) -> str | None:
+    if value >= 5:
+        return f"g m-2? In g cm-2 (or cm of water) this is {value / 1e4:g}."
+    return f"mg cm-2 or mm? Here it would be {value / 1000:g}." if value > 0 else None
+
+
+def _defaulted(name: str, column: str | None = None) -> Any:
+    """A field that has the default of its parameter where nothing is stated."""
+    record = _RECORDS[name]
+    assert record.default is not None
+    default = record.shown_factor * record.default
+    return quantity(record, default=default, note=f"{default:g} if left out", column=column)
+
+
+def _of_the_form(name: str) -> Any:
+    """A field that is None where nothing is stated: its growth form has a value."""
+    return quantity(
+        PARAMETERS[name], default=None, note="that of the growth form if left out", column=name
+    )
+
+
+@functools.cache
+def _shipped_growth_forms() -> dict[str, str]:
+    table = table1_2006()
+    return dict(zip(table["taxon"], table["growth_form"], strict=True))
+
+
+class SpeciesRow(Strict):
+    """One row of the species table: what a field crew notes of one taxon in one plot."""
+
+    slips: ClassVar[dict[str, Slip]] = {
+        "mean_diameter_cm": _diameter_slip,
+        "height_max_m": lambda v: f"Centimetres? In m this is {v / 100:g}." if v > 20 else None,
+        "fill_percent": lambda v: "A crown must hold some plant." if v == 0 else None,
+    }
+    unique = "taxon"
+    if_twice = "Add the covers up, or give the two layers different names."
+
+    taxon: str = Field(description="Scientific name, or 'Deadwood'.", min_length=1)
+    diameter: float = quantity(PARAMETERS["diameter"], column="mean_diameter_cm")
+    """Mean crown diameter [m]."""
+    cover: float = quantity(PARAMETERS["cover"], column="cover_percent")
+    """Share of the ground under the crowns [-]."""
+    height: float = quantity(PARAMETERS["height"], column="height_max_m")
+    """Greatest height in the plot [m]."""
+    growth_form: FormName = Field(
+        default=None,
+        validate_default=True,
+        description="Shape of the plant. May be left out for a taxon of the shipped table.",
+    )
+    packing: float = _defaulted("packing", "packing_percent")
+    """Share of a crown over its neighbours, PE of equation (8) [-]."""
+    fill: float = _defaulted("fill", "fill_percent")
+    """Share of the crown circle filled, FF of equation (9) [-]."""
+    branches: int = _defaulted("branches")
+    """Copies of the plant model that make one plant [-]."""
+    rotation_spread: float = _defaulted("rotation_spread", "rotation_spread_deg")
+    """Standard deviation of the plants' lean, sigma_rot of equation (5) [degree]."""
+    leaf_area_index: float | None = _of_the_form("leaf_area_index")
+    minimum_area: float = _defaulted("minimum_area", "minimum_object_area_m2")
+    """Least ground area that a plant counts for [m2]."""
+    wood_area_index: float | None = _of_the_form("wood_area_index")
+    plant: Path | None = Field(
+        default=None,
+        description="Mesh of one plant (OBJ, PLY, STL, GLB; metres), or the elements.csv that "
+        "`fynjax plant` writes; a path from the table's folder. Its areas over its crown are "
+        "the area indices where the table leaves these out, and count once where crowns overlap, "
+        "as these do. Left out: the growth form's shape.",
+    )
+    shoot_clumping: float | None = _of_the_form("shoot_clumping")
+    dead_fraction: float | None = _of_the_form("dead_fraction")
+
+    @field_validator("diameter", "cover", "packing", "fill")
+    @classmethod
+    def _in_own_unit(cls, value: float, info: ValidationInfo) -> float:
+        return value / PARAMETERS[str(info.field_name)].shown_factor
+
+    @field_validator("growth_form", mode="before")
+    @classmethod
+    def _of_the_shipped_table(cls, value: Any, info: ValidationInfo) -> Any:
+        taxon = info.data.get("taxon")
+        if value is not None or taxon is None:
+            return value
+        shipped = _shipped_growth_forms()
+        if taxon not in shipped:
+            raise ValueError(
+                f"expected a growth form for {taxon!r}, which is not in the shipped table."
+                f"{did_you_mean(taxon, shipped)} Add a column growth_form with one of "
+                f"{', '.join(FORMS)}."
+            )
+        return shipped[taxon]
+
+
+_PROSPECT_REQUIRED = ("chlorophyll", "carotenoids", "water", "dry_matter")
+
+
+class LeafRow(Strict):
+    """One row of the leaf table: PROSPECT parameters of a taxon, or a spectrum to fit."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        json_schema_extra={
+            "oneOf": [
+                {"required": ["spectrum"], "properties": {"spectrum": {"type": "string"}}},
+                {
+                    "required": list(_PROSPECT_REQUIRED),
+                    "properties": {name: {"type": "number"} for name in _PROSPECT_REQUIRED},
+                },
+            ]
+        },
+    )
+    slips: ClassVar[dict[str, Slip]] = {"water": _per_area_slip, "dry_matter": _per_area_slip}
+    unique = "taxon"
+
+    taxon: str = Field(
+        description="Name as in the species table; '*' is every taxon without a row of its own.",
+        min_length=1,
+    )
+    chlorophyll: float | None = quantity(PARAMETERS["chlorophyll"], default=None)
+    carotenoids: float | None = quantity(PARAMETERS["carotenoids"], default=None)
+    anthocyanins: float = _defaulted("anthocyanins")
+    brown_pigments: float = _defaulted("brown_pigments")
+    water: float | None = quantity(PARAMETERS["water"], default=None)
+    dry_matter: float | None = quantity(PARAMETERS["dry_matter"], default=None)
+    structure: float | None = quantity(
+        PARAMETERS["structure"], default=None, note="computed from dry matter if left out"
+    )
+    spectrum: Path | None = Field(
+        default=None, description="Measured reflectance to fit; a path from the table's folder."
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_source(cls, given: dict[str, Any]) -> dict[str, Any]:
+        stated = [n for n in ("structure", *_PROSPECT_REQUIRED) if given.get(n) is not None]
+        missing = [n for n in _PROSPECT_REQUIRED if n not in stated]
+        if given.get("spectrum") is None and missing:
+            raise ValueError(
+                f"expected {', '.join(_PROSPECT_REQUIRED)}, or a spectrum, but "
+                f"{', '.join(missing)} is empty"
+            )
+        if given.get("spectrum") is not None and stated:
+            raise ValueError(
+                f"expected PROSPECT parameters or a spectrum, but got both ({stated[0]!r} and "
+                "'spectrum'). Leave one empty."
+            )
+        return given
+
+    @field_validator("structure")
+    @classmethod
+    def _of_leaves_as_heavy(cls, value: float | None, info: ValidationInfo) -> float | None:
+        dry = info.data.get("dry_matter")
+        return float(structure_from_dry_matter(dry)) if value is None and dry is not None else value
+
+
+USUAL_LEAF = LeafRow(
+    taxon="*",
+    chlorophyll=54.3,
+    carotenoids=10.9,
+    anthocyanins=1.5,
+    brown_pigments=0.03,
+    water=0.0185,
+    dry_matter=0.0159,
+)
+"""Leaves of a species for which nothing is given: an evergreen, sclerophyllous leaf (200 g m-2,
+52 % water, 60 ug cm-2 of chlorophyll) times the factors of the shipped prior, with the structure
+that follows from dry matter. What is brown of its shoots is their dead tissue."""
+
+
+def check_species(rows: Sequence[tuple[int, SpeciesRow]], file: Path | None = None) -> None:
+    """Raise `InputError` for covers that cannot be those of one plot.
+
+    **Arguments:**
+
+    - `rows`: of a species table, each with its number.
+    - `file`: of the table, for errors.
+
+    Warns where covers look like fractions.
+    """
+    covers = [100.0 * row.cover for _, row in rows]
+    total, largest = sum(covers), max(covers)
+    if total > _MOST_COVER:
+        raise InputError(
+            f"expected covers that sum to at most {_MOST_COVER:g} % (layers may overlap), "
+            f"but they sum to {total:g} %. Are these counts?",
+            file=file,
+            column="cover_percent",
+        )
+    if 0 < largest <= 1 and total <= 1.5:
+        warnings.warn(
+            f"{file or 'species table'}: the largest cover is {largest:g} %. Are these fractions? "
+            f"Percent is expected: {largest:g} would be {largest * 100:g}.",
+            stacklevel=3,
+        )
+
+
+def check_taxa(
+    rows: Sequence[tuple[int | None, Any]], taxa: Sequence[str], file: Path | None = None
+) -> None:
+    """Raise `InputError` for a row of a taxon that is not in the species table.
+
+    **Arguments:**
+
+    - `rows`: of leaves or crowns, each with its number.
+    - `taxa`: that it may be of.
+    - `file`: of the rows, for errors.
+    """
+    for number, row in rows:
+        if row.taxon not in taxa:
+            raise InputError(
+                f"unknown taxon {row.taxon!r}: it is not in the species table."
+                f"{did_you_mean(row.taxon, taxa)}",
+                file=file,
+                row=number,
+                column="taxon",
+            )
+
+
+def species_rows(table: Any) -> tuple[SpeciesRow, ...]:
+    """The species of a table in Python.
+
+    **Arguments:**
+
+    - `table`: a pandas frame or records with the columns of a species table; empty cells are left
+      out, and rows are counted from 1.
+
+    **Raises:** `InputError` with row and column for what is no table and for a row or a table that
+    a file would not be taken with either. Warns as `check_species`.
+    """
+    import pandas as pd  # late: the command line need not wait for it
+
+    try:
+        frame = pd.DataFrame(table).astype(object)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"expected a species table, a pandas frame or records, but got {table!r:.60}"
+        ) from error
+    if frame.empty:
+        raise InputError("expected a species table with rows, but it has none")
+    check_header([str(name) for name in frame.columns], SpeciesRow)
+    records = frame.where(frame.notna(), None).to_dict("records")
+    given = (
+        {
+            str(name): str(value) if isinstance(value, bool | np.bool_) else value  # no number
+            for name, value in record.items()
+            if value is not None
+        }
+        for record in records
+    )
+    rows = checked_rows(enumerate(given, start=1), SpeciesRow)
+    check_species(rows)
+    return tuple(row for _, row in rows)
+
+
+def leaf_rows(leaves: Mapping[str, Mapping[str, float]], taxa: Sequence[str]) -> list[LeafRow]:
+    """Leaves stated by taxon, with "*" for any other, as rows of a leaf table.
+
+    **Raises:** `InputError` for leaves that a leaf table could not have, and for those of a taxon
+    that is not among `taxa`.
+    """
+    rows = []
+    for taxon, leaf in leaves.items():
+        try:
+            if "spectrum" in leaf:
+                raise InputError("expected PROSPECT parameters, but got a spectrum: fit it first")
+            rows.append(checked_row(LeafRow, {"taxon": taxon, **leaf}))
+        except InputError as error:
+            raise InputError(f"leaves of {taxon!r}: {error}") from error
+    check_taxa([(None, row) for row in rows], (*taxa, "*"))
+    return rows
+
+
+def leaves_of(species: Sequence[SpeciesRow], leaves: Sequence[LeafRow]) -> list[LeafRow]:
+    """The leaf of each species: its own row, else that of "*", else the usual leaf.
+
+    **Arguments:**
+
+    - `species`: of a plot; those without leaves have the usual one.
+    - `leaves`: rows of its leaf table, in any number.
+    """
+    by_taxon = {row.taxon: row for row in leaves}
+    return [
+        by_taxon.get(one.taxon, by_taxon.get("*", USUAL_LEAF))
+        if FORMS[one.growth_form].leafy
+        else USUAL_LEAF
+        for one in species
+    ]
+
+
+class Species(eqx.Module):
+    """What is fixed about a species of a scene; the rest are its parameters."""
+
+    taxon: str = eqx.field(static=True)
+    """Name."""
+    form: str = eqx.field(static=True)
+    """Growth form, a key of `fynjax.canopy.FORMS`."""
+    branches: float = eqx.field(static=True, default=1.0)
+    """Copies of the plant model that make one plant [-]."""
+    rotation_spread: float = eqx.field(static=True, default=0.0)
+    """Standard deviation of the plants' lean [degrees]."""
+    minimum_area: float = eqx.field(static=True, default=0.0)
+    """Least ground area that a plant counts for [m2]."""
+    leaf_angle: AbstractLeafAngle | None = None
+    """How the leaves are inclined; None: as the form has it."""
+
+    @classmethod
+    def of(cls, row: SpeciesRow) -> "Species":
+        """The species of a `row` of a species table."""
+        return cls(
+            row.taxon,
+            row.growth_form,
+            float(row.branches),
+            row.rotation_spread,
+            row.minimum_area,
+        )
+
+
+def species_parameters(rows: Sequence[SpeciesRow]) -> SpeciesParameters:
+    """Parameters of species, with those of the growth form where a row states none.
+
+    **Arguments:** `rows`, one a species.
+    """
+
+    def column(name: str) -> Any:
+        stated = [getattr(row, name) for row in rows]
+        usual = [getattr(FORMS[row.growth_form], name, None) for row in rows]
+        return jnp.asarray([u if s is None else s for s, u in zip(stated, usual, strict=True)])
+
+    return SpeciesParameters(**{name: column(name) for name in parameters_of(SpeciesParameters)})
+
+
+def leaf_parameters(rows: Sequence[LeafRow]) -> LeafParameters:
+    """PROSPECT parameters of leaves, vectors over them.
+
+    **Arguments:** `rows`, one a leaf, none of which states a spectrum.
+    """
+    return LeafParameters.many(
+        **{name: np.array([getattr(row, name) for row in rows]) for name in LEAF_FIELDS}
+    )
