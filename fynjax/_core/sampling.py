@@ -54,6 +54,11 @@ class Draws(NamedTuple):
     status: str
     """`converged`, or why the draws may not be the density's."""
 
+    @property
+    def converged(self) -> bool:
+        """Whether the draws count as the density's."""
+        return self.status == "converged"
+
 
 def ensemble(
     density: Callable[[np.ndarray], np.ndarray],
@@ -107,7 +112,7 @@ def ensemble(
         done = sampler.iteration
         if done >= steps or (done and done % _CHECK_EVERY == 0):
             judged = _judge(_without_burn_in(sampler.get_chain()), target)
-            if judged.status == "converged" or done >= steps:
+            if judged.converged or done >= steps:
                 break
         block = min(_CHECK_EVERY - done % _CHECK_EVERY, steps - done)
         for _ in sampler.sample(state, iterations=block, skip_initial_state_check=True):
@@ -350,7 +355,7 @@ def hamiltonian(
         done = len(rows) - warmup
         if done >= steps or (done > 0 and done % _CHECK_EVERY == 0):
             judged = _judge_hamiltonian(rows[warmup:], target)
-            if judged.status == "converged" or done >= steps:
+            if judged.converged or done >= steps:
                 break
         carry, (accepted, diverged) = _transitions(
             density, mass, jax.random.fold_in(key, len(rows)), carry, jnp.asarray(done < 0)

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -175,6 +176,7 @@ def calibrate_plot(
     views: Sequence[AbstractView],
     settings: CalibrationSettings | None = None,
     *,
+    solver: Any = None,
     start: Float[Array, " free"] | None = None,
     replant: Replant | None = None,
 ) -> Calibration:
@@ -204,6 +206,8 @@ def calibrate_plot(
     - `space`: the free parameters with their priors.
     - `views`: what each sensor yields of `scene`.
     - `settings`: of the search. Of known plants there is one planting.
+    - `solver`: of a round, of optimistix or jaxopt as of `fit`; `BroydenLM` by default, which takes
+      one Jacobian a round. Others take one at each step, or as many gradients.
     - `start`: whitened coordinates to start from; the prior's centre by default.
     - `replant`: makes the same plot with the plants of another chance, by a number, 0 for those of
       `scene`; and with sites for so many plants of each species, asked for where the plants of a
@@ -220,7 +224,9 @@ def calibrate_plot(
     **Raises:** `InputError` for views that do not yield the data's statistics, a start at which
     these are not finite, and where JAX is limited to 32 bits.
     """
-    search = plot_search(scene, parameters, data, space, views, settings, replant=replant)
+    search = plot_search(
+        scene, parameters, data, space, views, settings, solver=solver, replant=replant
+    )
     ends: list[SearchState] = []
     for u in search_starts(search, start):
         state = search.begin(u, ends[0] if ends else None)
@@ -238,13 +244,14 @@ def plot_search(
     views: Sequence[AbstractView],
     settings: CalibrationSettings | None = None,
     *,
+    solver: Any = None,
     replant: Replant | None = None,
 ) -> PlotSearch:
     """The search of `calibrate_plot`, to be gone through step by step.
 
     **Arguments:**
 
-    - `scene`, `parameters`, `data`, `space`, `views`, `settings`, `replant`: as of
+    - `scene`, `parameters`, `data`, `space`, `views`, `settings`, `solver`, `replant`: as of
       `calibrate_plot`.
 
     **Raises:** `InputError` for views that do not yield the data's statistics, and where JAX is
@@ -268,7 +275,7 @@ def plot_search(
         stride=settings.stride,
         accuracy=settings.accuracy,
     )
-    return PlotSearch(scene, parameters, data, space, views, form, replant, settings)
+    return PlotSearch(scene, parameters, data, space, views, form, replant, settings, solver)
 
 
 def search_starts(

@@ -61,13 +61,13 @@ class Expected(eqx.Module):
         """Statistics of each of the `stands` at `u` itself."""
         return np.stack([np.asarray(self.at(stand, u)) for stand in stands])
 
-    def members(self, u: Array, spread: np.ndarray) -> Float[np.ndarray, " statistic"]:
-        """Mean over the plantings, which fade, each at its own place about `u`."""
+    def members(self, u: Array, spread: Array | np.ndarray) -> Float[Array, " statistic"]:
+        """Mean over the plantings, which fade, each at its own place about `u`. Differentiable."""
         pairs = [self.draw(i) for i in range(len(self.stands))]
         every = [self.at(stand.faded(), u + jnp.asarray(spread @ n)) for stand, n in pairs]
-        return np.asarray(jnp.stack(every)).mean(axis=0)
+        return jnp.stack(every).mean(axis=0)
 
-    def slopes(self, u: Array, spread: np.ndarray) -> Float[np.ndarray, "member statistic free"]:
+    def slopes(self, u: Array, spread: Array | np.ndarray) -> Float[Array, "member statistic free"]:
         """Derivatives of the statistics by the whitened coordinates, of each planting about `u`.
 
         Their mean is the slope of the linear model that is best for all of `spread`, not only at
@@ -79,7 +79,7 @@ class Expected(eqx.Module):
             predicted_slopes(self.along, self.space, stand.faded(), u + jnp.asarray(spread @ n))
             for stand, n in pairs
         ]
-        return np.asarray(jnp.stack(every))
+        return jnp.stack(every)
 
     def residues(
         self, u: Array, spread: np.ndarray, slopes: Float[np.ndarray, "statistic free"]

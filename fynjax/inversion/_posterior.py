@@ -217,6 +217,6 @@ def _result(
         method=method,
         effective_size=found.effective_size,
         acceptance=found.acceptance,
-        converged=found.status.startswith("converged"),
+        converged=found.converged,
         status=status,
     )

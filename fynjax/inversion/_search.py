@@ -23,6 +23,7 @@ from fynjax.inversion._expected import (
     with_error,
 )
 from fynjax.inversion._fit_result import Data, FitStatus, number_of
+from fynjax.inversion._solvers import run_solver
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import (
     AbstractView,
@@ -166,6 +167,31 @@ class SearchState(eqx.Module):
     """1 where the search has ended."""
 
 
+class Expectation(eqx.Module):
+    """The density that a round of a search climbs, for a solver that goes through it by itself: as
+    a `LogPosterior`, of expected statistics."""
+
+    expected: Expected
+    spread: Float[Array, "free free"]
+    offset: Float[Array, " statistic"]
+    data: Data
+
+    def statistics(self, u: Float[Array, " free"]) -> Float[Array, " statistic"]:
+        """Expected statistics at whitened coordinates."""
+        return self.expected.members(u, self.spread) + self.offset
+
+    def jacobian(
+        self, u: Float[Array, " free"]
+    ) -> tuple[Float[Array, " statistic"], Float[Array, "statistic free"]]:
+        """Expected statistics and their mean slopes."""
+        return self.statistics(u), self.expected.slopes(u, self.spread).mean(axis=0)
+
+    def __call__(self, u: Float[Array, " free"]) -> Float[Array, ""]:
+        """Logarithm of the density, up to a constant."""
+        rest = self.data.whiten(self.statistics(u) - self.data.value)
+        return -0.5 * (rest @ rest + u @ u)
+
+
 class PlotSearch:
     """Search of a calibration from one start, step by step.
 
@@ -174,7 +200,8 @@ class PlotSearch:
     shared by all starts.
 
     **Arguments:** those of `calibrate_plot`; `form` makes of a scene its coarse form and the views
-    of it (`search_form`).
+    of it (`search_form`). A `solver` of optimistix or jaxopt goes through a whole round at once;
+    the default, `BroydenLM`, takes a step at a time.
     """
 
     state = SearchState
@@ -189,9 +216,12 @@ class PlotSearch:
         form: Callable[[Scene], tuple[Scene, tuple[AbstractView, ...]]],
         replant: Replant | None,
         settings: CalibrationSettings,
+        solver: Any = None,
     ) -> None:
         self.data, self.space, self.views, self.settings = data, space, tuple(views), settings
         self.signed = (scene, parameters, data, space, self.views, settings, replant is None)
+        self._own = BroydenLM(atol=settings.tolerance)
+        self._solver = solver
         """All that its steps follow from, besides where it starts."""
         self._scene, self._parameters, self._form, self._replant = scene, parameters, form, replant
         self._predict = PlotForward(parameters, space.names, form(scene)[1])
@@ -337,7 +367,7 @@ class PlotSearch:
         covariance = radiometric_covariance(self.views, images)
         if self.settings.stand_realisations:
             covariance = covariance + chance_covariance(rest, lack, len(expected.stands))
-        offset = statistics - expected.members(u, spread)
+        offset = statistics - np.asarray(expected.members(u, spread))
         array = jnp.asarray
         return Place(
             u, array(spread), array(statistics), array(covariance), array(offset), array(slopes),
@@ -366,10 +396,6 @@ class PlotSearch:
         return np.concatenate([misfit, np.asarray(u)])
 
     # -- the search -------------------------------------------------------------------------
-
-    @property
-    def _solver(self) -> BroydenLM:
-        return BroydenLM(atol=self.settings.tolerance)
 
     def begin(self, u: Float[Array, " free"], after: SearchState | None = None) -> SearchState:
         """The state at whitened coordinates `u`.
@@ -400,7 +426,7 @@ class PlotSearch:
             subspace = after.subspace
         expected = self._expected(wanted, subspace)
         spread = np.eye(free) if chance else none
-        slopes = expected.slopes(u, spread)
+        slopes = np.asarray(expected.slopes(u, spread))
         place = self._observe(expected, wanted, u, spread, slopes, origin)
         descent = self._descent(place, subspace)
         whole = lambda number: jnp.asarray(number, int)  # noqa: E731
@@ -418,7 +444,7 @@ class PlotSearch:
         jacobian = np.concatenate([weights @ place.slope, np.eye(place.u.size)])
         known = jnp.asarray(residual), jnp.asarray(jacobian)
         options = {"jacobian": lambda *_: known}
-        return self._solver.init(None, place.u, None, options, None, None, NO_TAGS)
+        return self._own.init(None, place.u, None, options, None, None, NO_TAGS)
 
     def step(self, state: SearchState) -> SearchState:
         """The next state: one step of the solver, or the end of a round and the full scenes there.
@@ -426,7 +452,7 @@ class PlotSearch:
         Each step corrects the slopes by what it changed: new ones cost as much as twenty renders of
         each draw.
         """
-        solver = self._solver
+        solver = self._own
         done, result = solver.terminate(None, state.u, None, None, state.descent, NO_TAGS)
         most = self.settings.max_steps
         most = most if state.turn == 0 else (most + 1) // 2
@@ -436,12 +462,20 @@ class PlotSearch:
         if done or state.step >= most:
             status = FitStatus.successful if done else FitStatus.max_steps
             return self._next_round(state, status)
+        if self._solver is not None:
+            weights = self.weights(state.place, state.subspace)
+            expectation = Expectation(
+                self.expected(state), state.place.spread, state.place.offset,
+                self.data.along(weights),
+            )  # fmt: skip
+            u, reason, _ = run_solver(self._solver, expectation, state.u, most)
+            return self._next_round(dataclasses.replace(state, u=u), reason)
         expected, place = self.expected(state), state.place
         weights = self.weights(place, state.subspace)
 
         def whitened(u: Array, _: Any) -> tuple[Array, None]:
-            reached = expected.members(u, np.asarray(place.spread)) + np.asarray(place.offset)
-            return jnp.asarray(self._whitened(weights, reached, u)), None
+            reached = expected.members(u, place.spread) + place.offset
+            return jnp.asarray(self._whitened(weights, np.asarray(reached), u)), None
 
         u, descent, _ = solver.step(whitened, state.u, None, None, state.descent, NO_TAGS)
         trace = state.trace
@@ -465,7 +499,7 @@ class PlotSearch:
         slopes = np.asarray(before.slopes)
         # The last round moves little: its end keeps the slopes of its start.
         if turn < turns or grown:
-            slopes = expected.slopes(u, spread)
+            slopes = np.asarray(expected.slopes(u, spread))
         place = self._observe(expected, wanted, u, spread, slopes)
         descent = self._descent(place, state.subspace)
         # The round kept its slopes, and the expectation is now over another spread.
@@ -474,7 +508,7 @@ class PlotSearch:
         if turn == turns and left > _SETTLED:
             if turns < settings.rounds + _FURTHER:
                 turns += 1
-                slopes = expected.slopes(u, spread)
+                slopes = np.asarray(expected.slopes(u, spread))
                 place = self._observe(expected, wanted, u, spread, slopes, place)
                 descent = self._descent(place, state.subspace)
             else:

@@ -13,18 +13,18 @@ from jaxtyping import Array, Float
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import BroydenLM
 from fynjax.inversion._fit_result import Data, FitStatus
-from fynjax.inversion._log_posterior import LogPosterior
 
 _REACH = 4.0
 """Bounds in prior standard deviations: beyond, the transform to a bounded parameter is flat."""
+
+Density = Any
+"""A `LogPosterior`, or what has its data, statistics, Jacobian and call."""
 
 Solved = tuple[Float[Array, " free"], Any, Array]
 """Whitened coordinates, a `FitStatus`, and the number of steps."""
 
 
-def run_solver(
-    solver: Any, density: LogPosterior, u: Float[Array, " free"], max_steps: int
-) -> Solved:
+def run_solver(solver: Any, density: Density, u: Float[Array, " free"], max_steps: int) -> Solved:
     """Where a solver ends that starts at `u`, and why.
 
     **Raises:** `InputError` for what is no solver of optimistix or jaxopt that runs in JAX.
@@ -47,18 +47,18 @@ def run_solver(
     )
 
 
-def _misfit(density: LogPosterior, value: Array, u: Array) -> Array:
+def _misfit(density: Density, value: Array, u: Array) -> Array:
     """Misfit of the statistics in units of their errors, then distance from the prior."""
     return jnp.concatenate([density.data.whiten(value - density.data.value), u])
 
 
-def _residual_and_jacobian(density: LogPosterior, u: Array) -> tuple[Array, Array]:
+def _residual_and_jacobian(density: Density, u: Array) -> tuple[Array, Array]:
     value, slopes = density.jacobian(u)
     rows = jnp.concatenate([density.data.whiten(slopes), jnp.eye(u.size)])
     return _misfit(density, value, u), rows
 
 
-def _with_jacobian(density: LogPosterior) -> Callable[[Array, Any], Array]:
+def _with_jacobian(density: Density) -> Callable[[Array, Any], Array]:
     """The residuals with their Jacobian attached, by the model's own way to it: whatever a solver
     differentiates is then a product with it."""
 
@@ -86,7 +86,7 @@ def _optimistix(
     return found.value, status, jnp.asarray(found.stats["num_steps"])
 
 
-def _jaxopt(solver: Any, density: LogPosterior, u: Array, max_steps: int) -> Solved:
+def _jaxopt(solver: Any, density: Density, u: Array, max_steps: int) -> Solved:
     # A fit has its own derivative.
     options: dict[str, Any] = {"implicit_diff": False, "maxiter": max_steps}
     if hasattr(solver, "residual_fun"):

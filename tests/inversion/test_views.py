@@ -850,3 +850,20 @@ def test_a_twin_of_three_sensors_is_reproduced():
     i = found.fit.names.index("species.Erica irregularis.height")
     assert float(found.fit.estimate[i]) == pytest.approx(0.67, abs=2 * float(found.fit.sd[i]))
     assert "species.Erica irregularis.height" in found.fit.well_constrained()
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [optx.Dogleg(1e-4, 1e-4), jaxopt.LBFGSB(fun=jnp.sum, tol=1e-3)],
+    ids=["Dogleg", "LBFGSB"],
+)
+def test_a_calibration_takes_any_solver(sums, whole, solver):
+    """To the same estimate, with errors and rounds of its own search."""
+    model, start, data, space = sums
+    settings = CalibrationSettings(stand_realisations=2, scatter_draws=3, max_steps=60)
+    found = calibrate_plot(model, start, data, space, (Sums(),), settings, solver=solver)
+    assert found.fit.converged
+    sd = np.sqrt(np.diagonal(whole.fit.covariance))
+    assert (
+        np.abs((np.asarray(found.fit.whitened) - np.asarray(whole.fit.whitened)) / sd).max() < 0.2
+    )
