@@ -33,6 +33,12 @@ from fynjax.inversion._fit import (
     whitened_residual,
 )
 from fynjax.inversion._fit_result import WELL_CONSTRAINED, Data, FitResult, FitStatus
+from fynjax.inversion._functionals import (
+    STAND_FUNCTIONALS,
+    Functional,
+    stand_sentence,
+    stand_table,
+)
 from fynjax.inversion._information import Information, fisher_information
 from fynjax.inversion._known_plants import (
     PIXEL_SD,
@@ -121,6 +127,7 @@ __all__ = [
     "OFF",
     "OFFSET",
     "PIXEL_SD",
+    "STAND_FUNCTIONALS",
     "WELL_CONSTRAINED",
     "WIDER",
     "AbstractView",
@@ -138,6 +145,7 @@ __all__ = [
     "FitResult",
     "FitStatus",
     "FittedSurrogate",
+    "Functional",
     "HeldOut",
     "Hyperprior",
     "ImageView",
@@ -202,6 +210,8 @@ __all__ = [
     "spectrum_likelihood",
     "spectrum_names",
     "spectrum_view",
+    "stand_sentence",
+    "stand_table",
     "statistics_and_jacobian",
     "structure_view",
     "sweep_sensors",

@@ -1,0 +1,152 @@
+"""Numbers of a whole stand, of which images say more than of any single species' parameter."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from jaxtyping import Array, Float
+
+from fynjax.inversion._fit_result import FitResult
+from fynjax.scene import PlotParameters, Scene, with_values
+
+
+class Functional(NamedTuple):
+    """A number that follows from a scene and its parameters."""
+
+    words: str
+    """What it is, for sentences."""
+    unit: str
+    value: Callable[[Scene, PlotParameters], Float[Array, ""]]
+    """Differentiable in the parameters; of a scene whose plants fade (`Scene.faded`) it is the
+    expectation over the number of plants."""
+
+
+def _shoots(scene: Scene, parameters: PlotParameters) -> Float[Array, " species"]:
+    """Area index of the live shoots of each species over the ground of the plot [m2 m-2]."""
+    crowns = scene.visible_crowns(parameters)
+    of_species = jax.ops.segment_sum(crowns, scene.planting.species, len(scene.taxa))
+    ground = float(np.prod(scene.grid.extent[:2]))
+    return of_species / ground * parameters.species.leaf_area_index
+
+
+def _green(scene: Scene, parameters: PlotParameters) -> Float[Array, " species"]:
+    return _shoots(scene, parameters) * (1.0 - parameters.species.dead_fraction)
+
+
+def _dead_share(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
+    shoots = _shoots(scene, parameters)
+    dead, every = jnp.sum(shoots * parameters.species.dead_fraction), jnp.sum(shoots)
+    return jnp.where(every > 0.0, dead / jnp.where(every > 0.0, every, 1.0), 0.0)
+
+
+def _chlorophyll(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
+    # ug cm-2 of leaf times m2 of leaf over m2 of ground: 1 ug cm-2 is 0.01 g m-2.
+    return 0.01 * jnp.sum(_green(scene, parameters) * parameters.leaf.chlorophyll)
+
+
+def _crowns(scene: Scene, parameters: PlotParameters) -> Float[Array, ""]:
+    ground = float(np.prod(scene.grid.extent[:2]))
+    return jnp.sum(scene.visible_crowns(parameters)) / ground
+
+
+STAND_FUNCTIONALS: Mapping[str, Functional] = {
+    "green_leaf_area": Functional(
+        "green leaf area", "m2 m-2", lambda scene, plot: jnp.sum(_green(scene, plot))
+    ),
+    "dead_share": Functional("dead share of the shoots", "1", _dead_share),
+    "canopy_chlorophyll": Functional("canopy chlorophyll", "g m-2", _chlorophyll),
+    "crown_cover": Functional("ground under crowns", "1", _crowns),
+}
+"""Of a stand, over its ground: one-sided area of green leaves; share of the area of live shoots
+that is dead or woody; chlorophyll of the green leaves; share of the ground under crowns as seen
+from above, dead plants included."""
+
+_DRAWS = 400
+"""Of the prior."""
+_NINETY = 1.6449
+"""Half of a normal's central 90 % [standard deviations]."""
+
+
+def _at(
+    scene: Scene, parameters: PlotParameters, space: Any, u: Float[Array, " free"]
+) -> Float[Array, " functional"]:
+    plot = with_values(parameters, scene.taxa, space.named(u))
+    return jnp.stack([f.value(scene.faded(), plot) for f in STAND_FUNCTIONALS.values()])
+
+
+@eqx.filter_jit
+def _draws(
+    scene: Scene, parameters: PlotParameters, space: Any, u: Float[Array, "draw free"]
+) -> Float[Array, "draw functional"]:
+    return jax.lax.map(lambda one: _at(scene, parameters, space, one), u)
+
+
+@eqx.filter_jit
+def _slopes(
+    scene: Scene, parameters: PlotParameters, space: Any, u: Float[Array, " free"]
+) -> tuple[Float[Array, " functional"], Float[Array, "functional free"]]:
+    function = lambda u: _at(scene, parameters, space, u)  # noqa: E731
+    return function(u), jax.jacrev(function)(u)
+
+
+def stand_table(
+    scene: Scene, parameters: PlotParameters, fit: FitResult, *, seed: int = 0
+) -> pd.DataFrame:
+    """What a fit says of the stand: each functional before and after the data.
+
+    The posterior is that of the functional's logarithm, linear about the estimate: draws of single
+    parameters, each of which data leave wide, would bend a sum that they know.
+
+    **Arguments:**
+
+    - `scene`: that was fitted.
+    - `parameters`: of the plot; those that are not free count.
+    - `fit`: the estimate with its covariance.
+    - `seed`: of the draws of the prior.
+
+    **Returns:** a row for each of `STAND_FUNCTIONALS`: name, unit, median and quantiles of 5 and
+    95 % of the prior (`prior`, `prior_q05`, `prior_q95`) and of the posterior (`estimate`, `q05`,
+    `q95`), and `constrained`, the share of the prior variance of the logarithm that the data
+    removed [-]. What is zero has no interval.
+    """
+    normal = np.random.default_rng([seed, 53]).normal(size=(_DRAWS, len(fit.names)))
+    drawn = _draws(scene, parameters, fit.space, jnp.asarray(normal.clip(-3.0, 3.0)))
+    prior = np.asarray(drawn, float)
+    value, slopes = (
+        np.asarray(x, float) for x in _slopes(scene, parameters, fit.space, fit.whitened)
+    )
+    tiny = np.finfo(float).tiny
+    relative = slopes / np.maximum(value, tiny)[:, None]
+    variance = np.einsum("fi,ij,fj->f", relative, np.asarray(fit.covariance, float), relative)
+    before = np.log(np.maximum(prior, tiny)).var(axis=0)
+    known = (value > 0.0) & (before > 0.0)
+    half = np.exp(_NINETY * np.sqrt(np.where(known, variance, 0.0)))
+    removed = 1.0 - variance / np.where(known, before, 1.0)
+    low, middle, high = np.quantile(prior, (0.05, 0.5, 0.95), axis=0)
+    return pd.DataFrame(
+        {
+            "name": list(STAND_FUNCTIONALS),
+            "unit": [one.unit for one in STAND_FUNCTIONALS.values()],
+            "prior": middle,
+            "prior_q05": low,
+            "prior_q95": high,
+            "estimate": value,
+            "q05": value / half,
+            "q95": value * half,
+            "constrained": np.where(known, np.maximum(removed, 0.0), 0.0),
+        }
+    )
+
+
+def stand_sentence(table: pd.DataFrame) -> str:
+    """The table of a stand in one sentence."""
+    parts = [
+        f"{STAND_FUNCTIONALS[row.name].words} {row.estimate:.3g} [{row.q05:.3g}, {row.q95:.3g}]"
+        f"{'' if row.unit == '1' else ' ' + row.unit}"
+        for row in table.set_index("name", drop=False).itertuples(index=False, name="Row")
+    ]
+    return f"The stand: {', '.join(parts)} (5 to 95 %)."

@@ -1,0 +1,81 @@
+"""Numbers of a whole stand: against areas by another way, differences, and a normal posterior."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fynjax.inversion import STAND_FUNCTIONALS, Data, fit, free_space, stand_sentence, stand_table
+from fynjax.scene import stand_area, with_values
+from tests.scene.plots import TAXA, small_parameters, small_plot
+
+
+@pytest.fixture(scope="module")
+def plot():
+    return small_plot(extent=(2.0, 2.0)), small_parameters()
+
+
+def test_they_are_those_of_the_areas_of_organs(plot):
+    """Counted by `stand_area` over the area elements instead of over crowns."""
+    scene, parameters = plot
+    areas = stand_area(scene, parameters)
+    found = {name: float(f.value(scene, parameters)) for name, f in STAND_FUNCTIONALS.items()}
+    assert found["green_leaf_area"] == pytest.approx(areas.leaf.sum(), rel=1e-4)
+    share = areas.dead.sum() / (areas.leaf + areas.dead).sum()
+    assert found["dead_share"] == pytest.approx(share, rel=1e-4)
+    chlorophyll = np.asarray(parameters.leaf.chlorophyll) @ areas.leaf  # ug cm-2 m2 m-2
+    assert found["canopy_chlorophyll"] == pytest.approx(1e-6 * 1e4 * chlorophyll, rel=1e-4)
+    crowns = float(scene.visible_crowns(parameters).sum()) / 4.0
+    assert found["crown_cover"] == pytest.approx(crowns, rel=1e-4)
+
+
+def test_their_slopes_are_those_of_the_expected_stand(plot):
+    """By cover, of plants that fade: the number of plants is as the cover."""
+    scene, parameters = plot
+    scene = dataclasses.replace(scene.faded(), dtype="float64")
+    name = f"species.{TAXA[0]}.cover"
+
+    def leaf_area(cover):
+        changed = with_values(parameters, TAXA, {name: cover})
+        return STAND_FUNCTIONALS["green_leaf_area"].value(scene, changed)
+
+    at = jnp.asarray(parameters.species.cover[0], float)
+    difference = (leaf_area(at * 1.02) - leaf_area(at * 0.98)) / (0.04 * at)
+    assert float(jax.grad(leaf_area)(at)) == pytest.approx(float(difference), rel=0.02)
+
+
+def test_an_unplanted_plot_has_none(plot):
+    scene, parameters = plot
+    bare = dataclasses.replace(
+        parameters,
+        species=dataclasses.replace(parameters.species, leaf_area_index=jnp.zeros(len(TAXA))),
+    )
+    for functional in STAND_FUNCTIONALS.values():
+        assert np.isfinite(float(functional.value(scene, bare)))
+    slope = jax.grad(lambda p: STAND_FUNCTIONALS["dead_share"].value(scene, p))(bare)
+    assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(slope))
+
+
+def test_what_data_say_of_the_stand_is_more_than_of_any_parameter(plot):
+    """Data of the leaf area alone: its posterior is the datum's, and no single parameter is known.
+    The interval is that of a normal of the datum's error."""
+    scene, parameters = plot
+    space = free_space(scene, parameters, ["*.leaf_area_index", "*.dead_fraction"], lambda _: 0.3)
+    functional = STAND_FUNCTIONALS["green_leaf_area"]
+
+    def predict(values, scene):
+        plot = with_values(parameters, TAXA, dict(zip(space.names, values, strict=True)))
+        return functional.value(scene, plot)[None]
+
+    usual = float(functional.value(scene.faded(), parameters))
+    data = Data(("leaf area",), jnp.array([1.2 * usual]), jnp.array([0.02 * usual]))
+    found = fit(predict, data, space, context=(scene.faded(),), max_steps=60)
+    table = stand_table(scene, parameters, found).set_index("name")
+    row = table.loc["green_leaf_area"]
+    assert row.estimate == pytest.approx(1.2 * usual, rel=0.02)
+    assert row.q95 - row.q05 == pytest.approx(2 * 1.645 * 0.02 * usual, rel=0.25)
+    assert row.constrained > 0.95
+    assert np.max(np.asarray(found.constrained)) < row.constrained - 0.2
+    assert f"green leaf area {row.estimate:.3g} [" in stand_sentence(table.reset_index())
