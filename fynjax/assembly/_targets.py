@@ -4,8 +4,9 @@ import io
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -182,13 +183,32 @@ def read_targets(
     return tuple(found[kind] for kind in KINDS if kind in found)
 
 
-def _used(plot: Plot, names: Sequence[str], what: str) -> list[int]:
-    keep = [i for i, name in enumerate(names) if plot.calibration.uses_target(name)]
-    if not keep:
-        raise InputError(
-            f"`calibration.targets` fits none of {what}, such as {names[0]!r}", file=plot.file
-        )
-    return keep
+class TargetRules(NamedTuple):
+    """Which statistics of a measurement count, and how far they are trusted."""
+
+    relative_sd: float = 0.01
+    """Standard deviation of a statistic over its value, where none is stated [-]."""
+    statistics: tuple[str, ...] = ("*",)
+    """Patterns of the names of those that count."""
+    gain_sd: float = 0.05
+    """What a band of a drone's camera may be off by, as a factor [-]."""
+    file: Path | None = None
+    """Where these are stated, for errors."""
+
+    def used(self, names: Sequence[str], what: str) -> list[int]:
+        """Places of the names that count. Raises `InputError` where none does."""
+        keep = [i for i, n in enumerate(names) if any(fnmatchcase(n, p) for p in self.statistics)]
+        if not keep:
+            raise InputError(
+                f"`calibration.targets` fits none of {what}, such as {names[0]!r}", file=self.file
+            )
+        return keep
+
+
+def _rules(plot: Plot) -> TargetRules:
+    settings = plot.calibration
+    targets = tuple(settings.targets)
+    return TargetRules(settings.target_sd, targets, settings.gain_sd, plot.file)
 
 
 def image_target(
@@ -198,27 +218,59 @@ def image_target(
     progress: Progress | None = None,
 ) -> Measured:
     """The statistics of a drone's image (GeoTIFF), with its `bands`, or of a table (CSV)."""
-    share = plot.calibration.target_sd
+    pixel = sensor_place(plot)[1]
+    data, extra, _ = image_data(
+        path, _rules(plot), pixel=pixel, side=min(plot.size_m), bands=bands, progress=progress
+    )
+    description = f"{path.name}: {len(data.names)} statistics of a drone's image."
+    return Measured("image", path, data, drone_view(plot, data.names), description, extra)
+
+
+def image_data(
+    path: Path,
+    rules: TargetRules,
+    *,
+    pixel: float | None = None,
+    side: float = np.inf,
+    bands: Sequence[str] | None = None,
+    progress: Progress | None = None,
+) -> tuple[Data, dict[str, Any], float | None]:
+    """Statistics of a drone's image, or of a table of them, as targets.
+
+    **Arguments:**
+
+    - `path`: GeoTIFF, or CSV with statistic, value and sd.
+    - `rules`: which statistics count.
+    - `pixel`: edge of a pixel on the ground where the image does not state it [m].
+    - `side`: of the plot [m]: means over squares wider than it are left out.
+    - `bands`: of the image, as `read_drone_image` has them.
+    - `progress`: where to report the reading; nowhere by default.
+
+    **Returns:** the targets, what the summary says of them, and the edge of a pixel [m].
+
+    **Raises:** `InputError` as the readers, for `bands` of a table, and where no pixel is known.
+    """
     extra: dict[str, Any] = {}
     if path.suffix.lower() in (".tif", ".tiff"):
         image = read_drone_image(path, bands=bands, most_pixels=None, progress=progress)
-        pixel = sensor_place(plot)[1] if image.pixel_m is None else image.pixel_m
-        side = min(*plot.size_m, pixel * min(image.mask.shape))
+        pixel = pixel if image.pixel_m is None else image.pixel_m
+        if pixel is None:
+            raise InputError("expected `pixel`: the image states none in metres", file=path)
+        side = min(side, pixel * min(image.mask.shape))
         every = fitting_statistics(IMAGE_STATISTICS, side, pixel)
-        names = [every[i] for i in _used(plot, every, "the statistics")]
+        names = [every[i] for i in rules.used(every, "the statistics")]
         clean = jnp.asarray(np.where(image.mask, image.values, 0.0))
         value = np.asarray(image_statistics(clean, names, jnp.asarray(image.mask), pixel=pixel))
         extra = {"target_valid_share": float(image.mask.mean())}
-        data = weigh_targets(names, value, share)
+        data = weigh_targets(names, value, rules.relative_sd)
     else:
         if bands is not None:
             raise InputError("expected `bands` with a drone image, but this is a table", file=path)
         read = read_statistics(path, {*BANDS, *VEGETATION_INDICES})
-        keep = _used(plot, read.names, "the target's rows")
+        keep = rules.used(read.names, "the target's rows")
         names = [read.names[i] for i in keep]
-        data = weigh_targets(names, read.value[keep], share, sd=read.sd[keep])
-    description = f"{path.name}: {len(data.names)} statistics of a drone's image."
-    return Measured("image", path, data, drone_view(plot, data.names), description, extra)
+        data = weigh_targets(names, read.value[keep], rules.relative_sd, sd=read.sd[keep])
+    return data, extra, pixel
 
 
 def drone_view(
@@ -242,6 +294,23 @@ def drone_view(
 
 def spectrum_target(plot: Plot, path: Path, progress: Progress | None = None) -> Measured:
     """The mean of a file's spectra or pixels, in some thirty bands outside the water windows."""
+    return spectrum_data(path, _rules(plot), plot.sun.zenith, progress)
+
+
+def spectrum_data(
+    path: Path, rules: TargetRules, sun_zenith: float, progress: Progress | None = None
+) -> Measured:
+    """The mean of a file's spectra or pixels, in some thirty bands outside the water windows.
+
+    **Arguments:**
+
+    - `path`: of spectra or of an image of many bands.
+    - `rules`: which bands count.
+    - `sun_zenith`: of the sun, for the sensor's noise in reflectance [degrees].
+    - `progress`: where to report the reading; nowhere by default.
+
+    **Raises:** `InputError` as the readers, and for spectra without usable bands.
+    """
     sample = read_spectra_sample([path], progress=progress)
     grid = sample.wavelength
     count, mean = len(sample.values), sample.values.mean(axis=0)
@@ -264,7 +333,7 @@ def spectrum_target(plot: Plot, path: Path, progress: Progress | None = None) ->
     )
     bands = bands.select(bands.covered(np.arange(400.0, 2501.0)))
     weights = weights[np.isin(centre, bands.centre)]
-    keep = _used(plot, spectrum_names(bands), "the bands of the spectrum")
+    keep = rules.used(spectrum_names(bands), "the bands of the spectrum")
     if len(keep) < len(bands):
         bands, weights = bands.select(keep), weights[keep]
     names = spectrum_names(bands)
@@ -272,8 +341,8 @@ def spectrum_target(plot: Plot, path: Path, progress: Progress | None = None) ->
     sampling = None
     if count > 1:
         sampling = np.atleast_2d(np.cov(sample.values @ weights.T, rowvar=False)) / count
-    noise = reflectance_noise(bands, value, plot.sun.zenith, averaged=count)
-    share = plot.calibration.target_sd
+    noise = reflectance_noise(bands, value, sun_zenith, averaged=count)
+    share = rules.relative_sd
     try:
         data = weigh_spectrum(names, value, share, noise=noise, sampling=sampling)
     except InputError as error:
@@ -326,14 +395,36 @@ def structure_target(
 ) -> Measured:
     """Structure metrics of a cloud, or of a table of them (CSV)."""
     settings, grains = structure_settings(plot)
+    return structure_data(path, _rules(plot), settings, grains, seed, progress)
+
+
+def structure_data(
+    path: Path,
+    rules: TargetRules,
+    settings: StructureSettings,
+    grains: tuple[float, ...],
+    seed: int,
+    progress: Progress | None = None,
+) -> Measured:
+    """Structure metrics of a point cloud, or of a table of them, as targets.
+
+    **Arguments:**
+
+    - `path`: LAS, LAZ, PLY or text, or CSV with metric, value and sd.
+    - `rules`: which metrics count.
+    - `settings`, `grains`: of structure that fits the scene's voxels (`structure_settings`).
+    - `seed`: of the resampling of cells.
+    - `progress`: where to report the reading; nowhere by default.
+
+    **Raises:** `InputError` as the readers, and for a table of another grain.
+    """
     extra: dict[str, Any]
     if path.suffix.lower() == ".csv":
         read = read_structure(path)
         if read.grain_m not in grains:
             raise InputError(
                 f"expected a grain of {', '.join(f'{g:g}' for g in grains)} m, whole cells of the "
-                f"canopy's surface in a plot of {min(plot.size_m):g} m with voxels of "
-                f"{plot.voxel_m:g} m, but got {read.grain_m:g} m",
+                f"canopy's surface of {settings.canopy_cell:g} m, but got {read.grain_m:g} m",
                 file=path,
                 column="grain_m",
             )
@@ -358,11 +449,11 @@ def structure_target(
         extra = {"returns": found.side.returns, "ground": found.side.ground}
     names = [name for name in STRUCTURE_METRICS if name in values]
     view = structure_view(names, settings, grain=grain, pulses=pulses)
-    keep = _used(plot, view.names, "the metrics of the cloud")
+    keep = rules.used(view.names, "the metrics of the cloud")
     names = [names[i] for i in keep]
     view = structure_view(names, settings, grain=grain, pulses=pulses)
     value, sd = (np.array([values[name][k] for name in names]) for k in (0, 1))
-    data = weigh_structure(view.names, value, plot.calibration.target_sd, sd=np.nan_to_num(sd))
+    data = weigh_structure(view.names, value, rules.relative_sd, sd=np.nan_to_num(sd))
     description = (
         f"{path.name}: {len(names)} structure metrics in cells of {grain:g} m, {pulses:.3g} "
         f"returns a square metre. Errors: of sampling by {how}, and what the smooth metrics of "
@@ -375,18 +466,29 @@ def structure_target(
 
 def structure_settings(plot: Plot) -> tuple[StructureSettings, tuple[float, ...]]:
     """Settings and grains [m] of structure that fit a plot's voxels."""
-    voxel = plot.voxel_m
+    try:
+        return fitting_structure(plot.voxel_m, min(plot.size_m))
+    except InputError as error:
+        raise InputError(str(error), file=plot.file) from error
+
+
+def fitting_structure(voxel: float, side: float) -> tuple[StructureSettings, tuple[float, ...]]:
+    """Settings and grains [m] of structure that fit voxels of an edge in a plot of a side [m].
+
+    **Arguments:** `voxel` edge and `side` of the plot [m].
+
+    **Raises:** `InputError` where cells of no grain are whole voxels.
+    """
     cell = max(1, round(_CANOPY_CELL / voxel)) * voxel
     grains = []
     for grain in _GRAINS:
         across = grain / max(1, round(grain / cell)) / voxel
-        if abs(across - round(across)) < 1e-6 <= across and grain <= min(plot.size_m) + 1e-9:
+        if abs(across - round(across)) < 1e-6 <= across and grain <= side + 1e-9:
             grains.append(grain)
     if not grains:
         raise InputError(
-            f"a plot of {min(plot.size_m):g} m with voxels of {voxel:g} m has no cells of whole "
+            f"a plot of {side:g} m with voxels of {voxel:g} m has no cells of whole "
             f"voxels among {', '.join(f'{g:g}' for g in _GRAINS)} m for a cloud's structure. "
-            "Voxels of 0.1 m have.",
-            file=plot.file,
+            "Voxels of 0.1 m have."
         )
     return StructureSettings(canopy_cell=cell), tuple(grains)

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ from fynjax._core.precision import require_double_precision
 from fynjax.canopy import VoxelGrid
 from fynjax.inversion._expected import Replant, mean_information, with_error
 from fynjax.inversion._fit_result import Data, FitResult, fit_result, status_of
+from fynjax.inversion._functionals import stand_sentence, stand_table
 from fynjax.inversion._search import COARSE, CalibrationSettings, PlotSearch, SearchState
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
 from fynjax.inversion._views import (
@@ -33,6 +34,9 @@ from fynjax.scene import (
     fitted_accuracy,
     named_values,
 )
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class Calibration(eqx.Module):
@@ -78,6 +82,26 @@ class Calibration(eqx.Module):
     """Those after, as a camera with these gains measures them."""
     ends: "Ends"
     """Where the search ended from each start."""
+
+    def __str__(self) -> str:
+        """What was found, in sentences: of the stand first."""
+        return "\n".join(
+            [
+                self.fit.explanation,
+                stand_sentence(self.stand()),
+                f"Chi-square {self.misfit:.1f} of {self.degrees} "
+                f"(probability {self.probability:.3g}).",
+                str(self.fit).partition("\n")[2],
+            ]
+        )
+
+    def stand(self) -> "pd.DataFrame":
+        """Numbers of the whole stand before and after the data (`stand_table`)."""
+        return stand_table(self.scene, self.before, self.fit)
+
+    def table(self) -> "pd.DataFrame":
+        """Every parameter before and after the data (`FitResult.table`)."""
+        return self.fit.table()
 
     @property
     def misfit(self) -> float:

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -15,6 +15,10 @@ from scipy.special import stdtrit
 
 from fynjax._core.errors import InputError
 from fynjax.inversion._space import ParameterSpace
+from fynjax.scene import PARAMETERS, parameter_kind
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 WELL_CONSTRAINED = 0.75
 """Share of its prior variance that data must remove for a parameter to be well constrained [-]."""
@@ -181,6 +185,56 @@ class FitResult(eqx.Module):
         good = (FitStatus.successful, FitStatus.at_bound, FitStatus.flat)
         return jnp.any(jnp.stack([self.status == status for status in good]), axis=0)
 
+    def __str__(self) -> str:
+        """What was found, in sentences."""
+        if self.whitened.ndim > 1:
+            return f"{len(self.whitened)} fits of {len(self.names)} parameters."
+        known = self.well_constrained()
+        lines = [self.explanation, _known_sentence(known, len(self.names))]
+        table = self.table().set_index("name").loc[list(known)[:_SHOWN]]
+        for name, row in table.iterrows():
+            unit = "" if row["unit"] == "-" else f" {row['unit']}"
+            lines.append(
+                f"  {name} {row['estimate']:.4g} [{row['q05']:.4g}, {row['q95']:.4g}]{unit}"
+            )
+        return "\n".join(lines)
+
+    def table(self) -> "pd.DataFrame":
+        """Every parameter, in the unit of field crews: name, unit, median and standard deviation of
+        the prior, estimate and standard deviation, quantiles of 5 and 95 %, and the share of the
+        prior variance that the data removed [-]."""
+        import pandas as pd  # late: the command line need not wait for it
+
+        records = [PARAMETERS.get(parameter_kind(name)) for name in self.names]
+        factor = np.array([1.0 if one is None else one.shown_factor for one in records])
+        low, high = np.asarray(self.quantiles(0.05, 0.95))
+        columns = {
+            "prior": self.space.prior,
+            "prior_sd": self.space.prior_sd,
+            "estimate": self.estimate,
+            "sd": self.sd,
+            "q05": low,
+            "q95": high,
+        }
+        return pd.DataFrame(
+            {
+                "name": list(self.names),
+                "unit": ["-" if one is None else one.shown_unit for one in records],
+                **{key: factor * np.asarray(value, float) for key, value in columns.items()},
+                "constrained": np.asarray(self.constrained, float),
+            }
+        )
+
+    def draws(self, number: int, *, seed: int = 0) -> Float[np.ndarray, "draw free"]:
+        """Draws from the Laplace approximation of the posterior, in the parameters' own units.
+
+        **Arguments:** `number` of draws, and the `seed` of these.
+        """
+        random = np.random.default_rng([seed, 29])
+        centre, covariance = np.asarray(self.whitened, float), np.asarray(self.covariance, float)
+        u = random.multivariate_normal(centre, covariance, number, method="eigh")
+        return np.asarray(jax.vmap(self.space.physical)(jnp.asarray(u)))
+
     @property
     def explanation(self) -> str:
         """Why the fit stopped, with the parameters and statistics concerned; of one fit."""
@@ -250,6 +304,17 @@ class FitResult(eqx.Module):
     def weakly_constrained_directions(self, count: int = 3) -> list[dict[str, float]]:
         """The combinations of parameters that the data say least about, main members only."""
         return main_members(self.names, np.asarray(self.modes)[::-1][:count])
+
+
+_SHOWN = 10
+"""Most parameters that a fit prints."""
+
+
+def _known_sentence(known: Sequence[str], free: int) -> str:
+    if not known:
+        return f"Of {free} free parameters none is known twice as well as before."
+    shown = "" if len(known) <= _SHOWN else f", of which {_SHOWN} are"
+    return f"Of {free} free parameters {len(known)} are known twice as well as before{shown}:"
 
 
 _SLIGHT = 0.05

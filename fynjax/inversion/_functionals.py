@@ -144,9 +144,10 @@ def stand_table(
 
 def stand_sentence(table: pd.DataFrame) -> str:
     """The table of a stand in one sentence."""
-    parts = [
-        f"{STAND_FUNCTIONALS[row.name].words} {row.estimate:.3g} [{row.q05:.3g}, {row.q95:.3g}]"
-        f"{'' if row.unit == '1' else ' ' + row.unit}"
-        for row in table.set_index("name", drop=False).itertuples(index=False, name="Row")
-    ]
+    parts = []
+    numbers = table[["estimate", "q05", "q95"]].to_numpy(float)
+    for name, (middle, low, high) in zip(table["name"], numbers, strict=True):
+        functional = STAND_FUNCTIONALS[str(name)]
+        unit = "" if functional.unit == "1" else f" {functional.unit}"
+        parts.append(f"{functional.words} {middle:.3g} [{low:.3g}, {high:.3g}]{unit}")
     return f"The stand: {', '.join(parts)} (5 to 95 %)."

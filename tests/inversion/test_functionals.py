@@ -79,3 +79,23 @@ def test_what_data_say_of_the_stand_is_more_than_of_any_parameter(plot):
     assert row.constrained > 0.95
     assert np.max(np.asarray(found.constrained)) < row.constrained - 0.2
     assert f"green leaf area {row.estimate:.3g} [" in stand_sentence(table.reset_index())
+
+
+def test_a_fit_prints_what_it_found(plot):
+    scene, parameters = plot
+    space = free_space(scene, parameters, ["*.cover"], lambda _: 0.3)
+    data = Data(("first cover",), jnp.array([0.35]), jnp.array([0.001]))
+    found = fit(lambda values: values[:1], data, space)
+    lines = str(found).splitlines()
+    assert lines[0].startswith("Converged after ")
+    assert lines[1] == f"Of {len(space.names)} free parameters 1 are known twice as well as before:"
+    assert lines[2].strip().startswith(f"{space.names[0]} 35 [34.8")
+    assert lines[2].endswith("] %")
+    table = found.table().set_index("name")
+    assert table.loc[space.names[0], "estimate"] == pytest.approx(35.0, rel=1e-3)
+    assert table.loc[space.names[0], "unit"] == "%"
+    drawn = found.draws(4000)
+    np.testing.assert_allclose(drawn[:, 0].std(), found.sd[0], rtol=0.05)
+    np.testing.assert_allclose(
+        np.quantile(drawn, 0.95, axis=0), found.quantiles(0.95)[0], rtol=0.05
+    )

@@ -1,0 +1,439 @@
+"""A scene fitted to what sensors measured of it, in a few lines and without a plot file."""
+
+from collections.abc import Callable, Mapping, Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from jaxtyping import Array, Float
+
+from fynjax._core.errors import InputError, did_you_mean
+from fynjax.assembly._targets import (
+    TargetRules,
+    fitting_structure,
+    image_data,
+    spectrum_data,
+    structure_data,
+)
+from fynjax.inversion import (
+    AbstractView,
+    BroydenLM,
+    Calibration,
+    CalibrationSettings,
+    Data,
+    FitResult,
+    ImageView,
+    ParameterSpace,
+    Posterior,
+    SamplingMethod,
+    calibrate_plot,
+    fit_surrogate,
+    free_space,
+    join_data,
+    sample_posterior,
+    search_form,
+    weigh_targets,
+)
+from fynjax.inversion import fit as fit_function
+from fynjax.io.instruments import load_instrument
+from fynjax.io.plot import BY_FORM, LearnedPrior, read_prior
+from fynjax.metrics import BANDS
+from fynjax.scene import Placement, PlotParameters, Scene, aim, named_values
+from fynjax.sensors import Lidar, Sensor
+
+View = Callable[[Scene, PlotParameters], AbstractView]
+"""Makes a sensor's view of a scene."""
+
+
+class PlotData(Data):
+    """What sensors measured of a plot, with the errors of that, and how each sensor sees a scene.
+
+    `from_image`, `from_table`, `from_spectrum` and `from_cloud` read one measurement each; their
+    sum is all of them together, whose errors are independent. Any statistics of one's own are
+    `Data(names, value, sd)`, for a fit of one's own function.
+    """
+
+    sensors: tuple[View, ...] = eqx.field(static=True, default=())
+    """How each sensor sees a scene, in the order of the statistics."""
+
+    @classmethod
+    def from_image(
+        cls,
+        path: str | Path,
+        camera: str | Path | Sensor = "mavic_3m",
+        *,
+        pixel: float | None = None,
+        altitude: float | None = None,
+        bands: Sequence[str] | None = None,
+        statistics: Sequence[str] = ("*",),
+        relative_sd: float = 0.01,
+        gain_sd: float = 0.05,
+    ) -> "PlotData":
+        """Statistics of a drone's image of the plot.
+
+        **Arguments:**
+
+        - `path`: GeoTIFF of reflectance.
+        - `camera`: that took it; a name, a sensor file or an object, with bands green, red, red
+          edge and near infrared.
+        - `pixel`: edge of a pixel [m], where the image states none.
+        - `altitude`: of the camera above the ground [m]; as its file has it by default.
+        - `bands`: names of the image's bands in their order, where the file does not name them.
+        - `statistics`: patterns of those that count, such as "*.mean".
+        - `relative_sd`: error of a mean or quantile as a share of it [-].
+        - `gain_sd`: what a band's calibration to reflectance may be off by, as a factor [-].
+
+        **Raises:** `InputError` for an image or camera that cannot be used.
+        """
+        rules = TargetRules(relative_sd, tuple(statistics), gain_sd)
+        data, _, found = image_data(Path(path), rules, pixel=pixel, bands=bands)
+        return cls._seen(data, _camera(camera), Placement(altitude, found), gain_sd)
+
+    @classmethod
+    def from_table(
+        cls,
+        table: Any,
+        camera: str | Path | Sensor = "mavic_3m",
+        *,
+        pixel: float | None = None,
+        altitude: float | None = None,
+        relative_sd: float = 0.01,
+        gain_sd: float = 0.05,
+    ) -> "PlotData":
+        """Statistics of a drone's image from a table.
+
+        **Arguments:**
+
+        - `table`: path of a CSV, a pandas frame, or a mapping of names to values; with columns
+          statistic, value and, where they are known, sd. Names such as `NDVI.mean`.
+        - `camera`, `pixel`, `altitude`, `relative_sd`, `gain_sd`: as of `from_image`.
+
+        **Raises:** `InputError` for a table or camera that cannot be used.
+        """
+        if isinstance(table, str | Path):
+            rules = TargetRules(relative_sd, ("*",), gain_sd)
+            data, _, _ = image_data(Path(table), rules)
+        else:
+            if isinstance(table, Mapping) and "statistic" not in table:
+                table = {"statistic": list(table), "value": list(table.values())}
+            frame = pd.DataFrame(table)
+            if missing := [name for name in ("statistic", "value") if name not in frame]:
+                raise InputError(
+                    f"expected columns statistic and value, but {missing[0]} is missing",
+                    column=missing[0],
+                )
+            sd = frame["sd"].to_numpy(float) if "sd" in frame else None
+            names = [str(name) for name in frame["statistic"]]
+            data = weigh_targets(names, frame["value"].to_numpy(float), relative_sd, sd=sd)
+        return cls._seen(data, _camera(camera), Placement(altitude, pixel), gain_sd)
+
+    @classmethod
+    def from_spectrum(
+        cls,
+        path: str | Path,
+        *,
+        sun_zenith: float = 30.0,
+        statistics: Sequence[str] = ("*",),
+        relative_sd: float = 0.01,
+    ) -> "PlotData":
+        """The mean spectrum of a plot from above, such as of pixels of AVIRIS-NG.
+
+        **Arguments:**
+
+        - `path`: of spectra, or of an image of many bands.
+        - `sun_zenith`: of the sun, for the noise [degrees].
+        - `statistics`: patterns of the bands that count, such as "spectrum.5*".
+        - `relative_sd`: error of a band for itself, as a share of it [-].
+
+        **Raises:** `InputError` for spectra that cannot be used.
+        """
+        found = spectrum_data(Path(path), TargetRules(relative_sd, tuple(statistics)), sun_zenith)
+        return cls._of(found.data, (found.view_of,))
+
+    @classmethod
+    def from_cloud(
+        cls,
+        path: str | Path,
+        scene: Scene,
+        *,
+        statistics: Sequence[str] = ("*",),
+        relative_sd: float = 0.01,
+        seed: int = 0,
+    ) -> "PlotData":
+        """Structure of a LiDAR's point cloud of the plot.
+
+        **Arguments:**
+
+        - `path`: LAS, LAZ, PLY or text; or a table of metrics.
+        - `scene`: whose voxels the metrics must fit.
+        - `statistics`: patterns of the metrics that count.
+        - `relative_sd`: error of the model as a share of a metric [-].
+        - `seed`: of the resampling of cells.
+
+        **Raises:** `InputError` for a cloud that cannot be used.
+        """
+        voxel, side = scene.grid.horizontal_size, min(scene.grid.extent[:2])
+        settings, grains = fitting_structure(voxel, side)
+        rules = TargetRules(relative_sd, tuple(statistics))
+        found = structure_data(Path(path), rules, settings, grains, seed)
+        return cls._of(found.data, (found.view_of,))
+
+    def __add__(self, other: "PlotData") -> "PlotData":
+        """Both measurements of the same plot."""
+        if not isinstance(other, PlotData):
+            return NotImplemented
+        twice = sorted(set(self.names) & set(other.names))
+        if twice:
+            raise InputError(f"expected each statistic once, but {twice[0]!r} is in both data")
+        return self._of(join_data([self, other]), (*self.sensors, *other.sensors))
+
+    @classmethod
+    def _of(cls, data: Data, sensors: tuple[View, ...]) -> "PlotData":
+        return cls(data.names, data.value, data.sd, data.whitener, sensors)
+
+    @classmethod
+    def _seen(cls, data: Data, camera: Sensor, placement: Placement, gain_sd: float) -> "PlotData":
+        def view(scene: Scene, parameters: PlotParameters) -> AbstractView:
+            aimed = aim(scene, parameters, camera, placement)
+            return ImageView(data.names, aimed, gain_sd)
+
+        return cls._of(data, (view,))
+
+
+def _camera(camera: str | Path | Sensor) -> Sensor:
+    """A camera's four bands."""
+    sensor = load_instrument(camera) if isinstance(camera, str | Path) else camera
+    if not isinstance(sensor, Sensor):
+        what = f"the LiDAR {sensor.name!r}" if isinstance(sensor, Lidar) else repr(sensor)
+        raise InputError(f"expected a camera, but got {what}")
+    names = sensor.bands.names
+    if missing := [name for name in BANDS if name not in names]:
+        raise InputError(
+            f"expected a camera with bands {', '.join(BANDS)}, but {sensor.name!r} has no "
+            f"{missing[0]}"
+        )
+    return sensor.select([names.index(name) for name in BANDS])
+
+
+def prior(name: str | Path = "fynbos_2023") -> LearnedPrior:
+    """What a population of plots says of leaf area, dead tissue and clumping of growth forms.
+
+    **Arguments:** `name` of a shipped prior, or the path of a prior file.
+
+    **Raises:** `InputError` for another name, and for a file that cannot be used.
+    """
+    found = read_prior(name)
+    if found is None:
+        raise InputError(f"expected the name of a prior or a prior file, but got {name!r}")
+    return found
+
+
+def free(
+    scene: Scene,
+    *patterns: str,
+    prior: LearnedPrior | Mapping[str, float] | None = None,
+) -> ParameterSpace:
+    """The parameters of a scene that a fit may change, with priors about their present values.
+
+    **Arguments:**
+
+    - `scene`: with its parameters. Those without effect are left out (`free_space`).
+    - `patterns`: of names, such as "species.*.cover" or "species.Erica*.leaf.chlorophyll".
+    - `prior`: relative standard deviations by pattern [-], or a learned population (`fx.prior`),
+      which says how leaf area, dead tissue and clumping vary; of all others that of the parameter's
+      record.
+
+    **Raises:** `InputError` for a pattern that fits no name, and a parameter that cannot be free.
+
+    >>> import fynjax as fx
+    >>> from fynjax.canopy import table1_2006
+    >>> scene = fx.Scene.from_table(table1_2006()[:2], size=1.0, voxel=0.5)
+    >>> fx.free(scene, "species.*.cover").names
+    ('species.Metalasia muricata.cover', 'species.Erica irregularis.cover')
+    """
+    if not patterns:
+        raise InputError('expected patterns of parameters, such as "species.*.cover"')
+    forms = dict(zip(scene.taxa, scene.forms, strict=True))
+    values = named_values(scene.parameters, scene.taxa)
+    known = list(values)
+    for pattern in patterns:
+        if not any(fnmatchcase(name, pattern) for name in known):
+            raise InputError(
+                f"{pattern!r} fits none of the scene's parameters.{did_you_mean(pattern, known)}"
+            )
+
+    def relative_sd(name: str) -> float | None:
+        if isinstance(prior, LearnedPrior):
+            kind = name.rsplit(".", 1)[-1]
+            if kind not in BY_FORM:
+                return None
+            form = forms[name.split(".", 1)[1].rsplit(".", 1)[0]]
+            return prior.sd(f"{kind}.{form}", elsewhere=True) / float(values[name])
+        stated = {} if prior is None else prior
+        return next((sd for pattern, sd in stated.items() if fnmatchcase(name, pattern)), None)
+
+    return free_space(scene, scene.parameters, patterns, relative_sd)
+
+
+def fit(
+    model: Scene | Callable[..., Float[Array, " statistic"]],
+    data: Data,
+    free: ParameterSpace,
+    *,
+    solver: Any = None,
+    max_steps: int = 30,
+    settings: CalibrationSettings | None = None,
+    **options: Any,
+) -> Any:
+    """The most probable parameters of a scene, or of any function, given what was measured.
+
+    **Arguments:**
+
+    - `model`: a scene, or a traceable function of the free parameters in their own units.
+    - `data`: of a scene with the sensors that measured it (`Data.from_image` and the like).
+    - `free`: the free parameters with their priors (`fx.free`, or a `ParameterSpace`).
+    - `solver`: `fx.BroydenLM()` by default; or a solver object of optimistix or jaxopt.
+    - `max_steps`: most steps of the solver, of a scene in the first round.
+    - `settings`: of a scene: plantings, rounds and light of the search, with its own `max_steps`.
+    - `options`: of a function as `fynjax.inversion.fit` takes them: `tolerance`, `start`, `offset`,
+      `context`; of a scene as `fynjax.inversion.calibrate_plot`: `start`, `replant`.
+
+    **Returns:** `Calibration` of a scene, `FitResult` of a function; both print what they found.
+
+    **Raises:** `InputError` for data of a scene without sensors, and as those functions.
+    """
+    if not isinstance(model, Scene):
+        if not callable(model):
+            raise InputError(f"expected a scene or a function, but got {model!r:.60}")
+        if settings is not None:
+            raise InputError("expected `settings` with a scene, not with a function")
+        return fit_function(model, data, free, solver=solver, max_steps=max_steps, **options)
+    sensors = data.sensors if isinstance(data, PlotData) else ()
+    if not sensors:
+        raise InputError(
+            "expected data with the sensors that measured them, such as of Data.from_image"
+        )
+    views = [view(model, model.parameters) for view in sensors]
+    settings = CalibrationSettings(max_steps=max_steps) if settings is None else settings
+    solver = None if isinstance(solver, BroydenLM) else solver
+    return calibrate_plot(
+        model, model.parameters, data, free, views, settings, solver=solver, **options
+    )
+
+
+def sample(
+    fitted: Calibration | FitResult,
+    method: SamplingMethod = "emcee",
+    *,
+    predict: Callable[..., Float[Array, " statistic"]] | None = None,
+    seed: int = 0,
+    **options: Any,
+) -> Posterior:
+    """Draws from the posterior about a fit.
+
+    **Arguments:**
+
+    - `fitted`: from `fx.fit`. Statistics of a scene are then those of a quadratic surrogate, fitted
+      to renders at draws of one and a half times the Laplace posterior.
+    - `method`: "emcee", "nuts" or "laplace".
+    - `predict`: the function that was fitted, where `fitted` is not of a scene.
+    - `seed`: of all random numbers.
+    - `options`: as of `fynjax.inversion.sample_posterior`, such as `target` and `max_steps`.
+
+    **Returns:** `Posterior`; its `inference_data()` is arviz'.
+
+    **Raises:** `InputError` as `sample_posterior`, and for a fit of a function without it.
+    """
+    if isinstance(fitted, FitResult):
+        if predict is None:
+            raise InputError("expected `predict`, the function that was fitted")
+        return sample_posterior(
+            predict, fitted.data, fitted.space, method=method, start=fitted, seed=seed, **options
+        )
+    if not isinstance(fitted, Calibration):
+        raise InputError(f"expected what `fx.fit` returns, but got {fitted!r:.60}")
+    parameters = fitted.before
+    _, coarse = search_form(fitted.scene, parameters, fitted.views)
+    surrogate = fit_surrogate(fitted, parameters, coarse, seed=seed).surrogate
+    start = fitted.fit
+    return sample_posterior(
+        surrogate, fitted.data, start.space, method=method, start=start, seed=seed, **options
+    )
+
+
+class Emulated(eqx.Module):
+    """A polynomial of second degree that stands in for a costly function; `emulate` makes one."""
+
+    centre: Float[np.ndarray, " free"]
+    scale: Float[np.ndarray, " free"]
+    coefficients: Float[np.ndarray, "term output"]
+    error: Float[np.ndarray, " output"]
+    """Root mean square error at points that were left out of its fit."""
+
+    def __call__(self, values: Float[Array, " free"]) -> Float[Array, " output"]:
+        """The function's value; differentiable, and compiled by `jit` in no time."""
+        unit = (jnp.asarray(values) - self.centre) / self.scale
+        return _terms(unit) @ jnp.asarray(self.coefficients)
+
+
+def _terms(unit: Float[Array, "*point free"]) -> Float[Array, "*point term"]:
+    first, second = np.triu_indices(unit.shape[-1])
+    one = jnp.ones((*unit.shape[:-1], 1))
+    return jnp.concatenate([one, unit, unit[..., first] * unit[..., second]], axis=-1)
+
+
+def emulate(
+    function: Callable[[Float[Array, " free"]], Float[Array, " output"]],
+    lower: Any,
+    upper: Any,
+    *,
+    points: int | None = None,
+    seed: int = 0,
+) -> Emulated:
+    """A polynomial of second degree in place of a costly function of a few numbers.
+
+    **Arguments:**
+
+    - `function`: of an array [free], such as of a cover and a leaf area; gives an array [output].
+    - `lower`, `upper`: ends of the range in which it is needed [free].
+    - `points`: where the function is evaluated, in a Sobol sequence; three times the terms of the
+      polynomial by default. A fifth of them are left out, to say its error.
+    - `seed`: of the sequence.
+
+    **Returns:** `Emulated`, differentiable. Outside the range it is a guess.
+
+    **Raises:** `InputError` for bounds that are no ranges, too few points, and values that are not
+    finite.
+
+    >>> import jax.numpy as jnp
+    >>> import fynjax as fx
+    >>> quick = fx.emulate(lambda x: jnp.array([x[0] * x[1]]), [0.0, 0.0], [1.0, 2.0])
+    >>> quick(jnp.array([0.5, 1.0])).round(3).tolist()
+    [0.5]
+    """
+    from scipy.stats import qmc  # late: it takes half of the package's import time
+
+    low, high = np.atleast_1d(np.asarray(lower, float)), np.atleast_1d(np.asarray(upper, float))
+    if low.shape != high.shape or low.ndim != 1 or not (high > low).all():
+        raise InputError(f"expected `lower` below `upper`, but got {lower} and {upper}")
+    terms = _terms(jnp.zeros(low.size)).size
+    count = 3 * terms if points is None else points
+    if count < 1.25 * terms + 2:
+        raise InputError(f"expected at least {int(np.ceil(1.25 * terms)) + 2} points, got {count}")
+    sequence = qmc.Sobol(low.size, rng=np.random.default_rng(seed))
+    unit = 2.0 * sequence.random(1 << (count - 1).bit_length())[:count] - 1.0
+    centre, scale = 0.5 * (low + high), 0.5 * (high - low)
+    found = np.stack([np.ravel(function(jnp.asarray(centre + scale * u))) for u in unit])
+    if not np.isfinite(found).all():
+        at = centre + scale * unit[int(np.argmin(np.isfinite(found).all(axis=1)))]
+        raise InputError(f"the function is not finite at {at.tolist()}")
+    rows = np.asarray(_terms(jnp.asarray(unit)))
+    kept = np.arange(count) % 5 != 0
+    partial = np.linalg.lstsq(rows[kept], found[kept])[0]
+    error = np.sqrt(np.mean((rows[~kept] @ partial - found[~kept]) ** 2, axis=0))
+    whole = np.linalg.lstsq(rows, found)[0]
+    return Emulated(centre, scale, whole, error)
