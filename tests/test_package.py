@@ -120,3 +120,29 @@ def test_a_compiler_that_sums_wrongly_is_refused(monkeypatch: pytest.MonkeyPatch
         refuse_wrong_sums()
     monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_experimental_ynn_fusion_type=-reduce")
     refuse_wrong_sums()
+
+
+def test_the_command_line_is_a_module_too() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "fynjax", "--version"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip().endswith(fynjax.__version__)
+
+
+def test_compiled_programs_are_kept_from_python_too(tmp_path: Path) -> None:
+    """In the user's cache; where the process or the environment says something else, there."""
+    show = "import jax, fynjax.scene; print(jax.config.jax_compilation_cache_dir)"
+    inherited = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
+    inherited["XDG_CACHE_HOME"] = str(tmp_path)
+
+    def kept(code: str, **environment: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True, text=True, check=True, env=inherited | environment,
+        )  # fmt: skip
+        return done.stdout.strip()
+
+    assert kept(show) == str(tmp_path / "fynjax" / "jax")
+    assert kept(show, JAX_COMPILATION_CACHE_DIR="elsewhere") == "elsewhere"
+    own = 'import jax; jax.config.update("jax_compilation_cache_dir", "own"); '
+    assert kept(own + show) == "own"

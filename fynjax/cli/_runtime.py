@@ -106,28 +106,13 @@ concern processors only, that takes a third less time of an image and a sixth of
 comes out is the same, and as fast."""
 
 
-def cache_folder() -> Path:
-    """Folder of JAX's compiled programs: `XDG_CACHE_HOME/fynjax`, or `~/.cache/fynjax`."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "fynjax"
-
-
 def prepare_jax() -> None:
-    """Compile quickly, unless `XLA_FLAGS` says how, and keep compiled programs for the next run,
-    where `JAX_COMPILATION_CACHE_DIR` says or, without it, in `cache_folder`. Before JAX is used."""
+    """Compile quickly, unless `XLA_FLAGS` says how, and keep compiled programs for the next run
+    (`keep_compiled`). Before JAX is used."""
     os.environ.setdefault("XLA_FLAGS", _COMPILER)
-    import jax
+    from fynjax._core.compiler import keep_compiled
 
-    if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        return
-    folder = cache_folder() / "jax"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return  # a home that cannot be written costs compilation time, nothing else
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    keep_compiled()
 
 
 def _message(warning: warnings.WarningMessage) -> str:
@@ -323,6 +308,8 @@ def _alone(output: Path) -> Iterator[None]:
 
     name = hashlib.sha256(os.path.normcase(output.resolve()).encode()).hexdigest()[:16]
     try:
+        from fynjax._core.compiler import cache_folder
+
         locks = cache_folder() / "locks"
         locks.mkdir(parents=True, exist_ok=True)
         lock = FileLock(locks / name)

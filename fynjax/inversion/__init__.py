@@ -74,6 +74,7 @@ from fynjax.inversion._regressed import (
     RegressedPosterior,
     TooFewSimulationsError,
     regress,
+    simulated_parts,
     simulation_posterior,
 )
 from fynjax.inversion._search import COARSE, CalibrationSettings, PlotSearch, SearchState
@@ -90,7 +91,13 @@ from fynjax.inversion._sensitivity import (
 )
 from fynjax.inversion._sensor_sweep import SensorSetting, even_bands, sweep_sensors
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
-from fynjax.inversion._surrogate import FittedSurrogate, Surrogate, fit_surrogate
+from fynjax.inversion._surrogate import (
+    RENDERS,
+    FittedSurrogate,
+    Surrogate,
+    fit_surrogate,
+    surrogate_renders,
+)
 from fynjax.inversion._targets import (
     GAIN,
     IMAGE_STATISTICS,
@@ -127,6 +134,7 @@ __all__ = [
     "OFF",
     "OFFSET",
     "PIXEL_SD",
+    "RENDERS",
     "STAND_FUNCTIONALS",
     "WELL_CONSTRAINED",
     "WIDER",
@@ -205,6 +213,7 @@ __all__ = [
     "sample_prior",
     "search_form",
     "search_starts",
+    "simulated_parts",
     "simulation_posterior",
     "sobol_indices",
     "spectrum_likelihood",
@@ -214,6 +223,7 @@ __all__ = [
     "stand_table",
     "statistics_and_jacobian",
     "structure_view",
+    "surrogate_renders",
     "sweep_sensors",
     "train_posterior",
     "weigh_spectrum",

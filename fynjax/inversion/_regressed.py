@@ -1,22 +1,21 @@
 """The posterior by a regression on simulations of the prior: no search, no slopes, no surrogate, so
 that it can say where these are wrong."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 from scipy.special import ndtri
 
-from fynjax._core.checkpoint import Keep, keep_nothing
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax._core.progress import NullProgress, Progress
 from fynjax.inversion._calibrate import Calibration
 from fynjax.inversion._expected import FARTHEST, plants_wanted, predicted
+from fynjax.inversion._fit_result import FitResult
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import AbstractView, PlotForward
 from fynjax.scene import PlotParameters, room_needed, stand_realisation
@@ -24,7 +23,7 @@ from fynjax.scene import PlotParameters, room_needed, stand_realisation
 _PENALTIES = np.logspace(-1.0, 5.0, 13)
 _PLANTINGS = 3000
 """Numbers of the plantings, none of which a search has."""
-_AT_ONCE = 25
+AT_ONCE = 25
 """Simulations that are kept together."""
 _ROWS = 4
 """Simulations for each statistic, at least: with fewer the regression knows less than the prior."""
@@ -111,8 +110,7 @@ def simulation_posterior(
     *,
     simulations: int = 300,
     seed: int = 0,
-    keep: Keep = keep_nothing,
-    progress: Progress | None = None,
+    rendered: Float[np.ndarray, "simulation statistic"] | None = None,
 ) -> RegressedPosterior:
     """The posterior of each parameter by a regression on simulations of the prior.
 
@@ -132,32 +130,18 @@ def simulation_posterior(
     - `views`: in the cheap form (`search_form`).
     - `simulations`: how many. More of them begin with those of fewer.
     - `seed`: of parameters, plantings and errors.
-    - `keep`: how the renders are done, such as by a `Journal` that is of this calibration and seed.
-    - `progress`: where to report the renders; nowhere by default.
+    - `rendered`: what `simulated_parts` of the same arguments gives, one after the other; done here
+      if left out.
 
     **Raises:** `TooFewSimulationsError` where too few have the plants they ask for and all
     statistics; `MissingExtraError` without scikit-learn.
     """
     fit, measured = calibration.fit, calibration.measured
-    progress = NullProgress() if progress is None else progress
-    forward = PlotForward(parameters, fit.names, tuple(views))
-    total = -(-simulations // _AT_ONCE) * _AT_ONCE  # parts are alike, whatever is asked for
-    draws = np.random.default_rng([seed, 97]).normal(size=(total, len(fit.names)))
-    draws = draws.clip(-FARTHEST, FARTHEST)
-    count = len(calibration.stands)
-
-    def rendered(some: range) -> tuple[Array, ...]:
-        found = []
-        for i in some:
-            stand = stand_realisation(calibration.stands[i % count], _PLANTINGS + i)
-            found.append(predicted(forward, fit.space, stand, jnp.asarray(draws[i])))
-            progress.advance()
-        return (jnp.stack(found),)
-
-    parts = [range(a, a + _AT_ONCE) for a in range(0, total, _AT_ONCE)]
-    with progress.stage("Simulate the prior", total):
-        cheap = np.concatenate([np.asarray(keep(partial(rendered, p))[0]) for p in parts])
-    cheap, draws = cheap[:simulations], draws[:simulations]
+    if rendered is None:
+        parts = simulated_parts(calibration, parameters, views, simulations=simulations, seed=seed)
+        rendered = np.concatenate([part() for part in parts])
+    draws = _draws(fit, simulations, seed)[:simulations]
+    cheap = rendered[:simulations]
     root = np.linalg.cholesky(np.asarray(measured.covariance))
     errors = np.random.default_rng([seed, 98]).normal(size=cheap.shape) @ root.T
     simulated = cheap + calibration.lack + errors
@@ -173,6 +157,40 @@ def simulation_posterior(
         )
     along = np.asarray(jax.vmap(fit.data.whiten)(jnp.asarray(apart)))[:, : calibration.degrees]
     return regress(along, np.asarray(jax.vmap(fit.space.together)(jnp.asarray(draws[whole]))))
+
+
+def simulated_parts(
+    calibration: Calibration,
+    parameters: PlotParameters,
+    views: Sequence[AbstractView],
+    *,
+    simulations: int,
+    seed: int = 0,
+) -> list[Callable[[], Float[np.ndarray, "simulation statistic"]]]:
+    """The coarse renders of draws of the prior, in parts of `AT_ONCE`, for who watches or keeps
+    them: functions that do a part each. The parts of fewer simulations are the first of more.
+
+    **Arguments:** `calibration`, `parameters`, `views`, `simulations`, `seed`: as of
+    `simulation_posterior`.
+    """
+    fit, count = calibration.fit, len(calibration.stands)
+    forward = PlotForward(parameters, fit.names, tuple(views))
+    draws = _draws(fit, simulations, seed)
+
+    def part(first: int) -> Float[np.ndarray, "simulation statistic"]:
+        found = []
+        for i in range(first, first + AT_ONCE):
+            stand = stand_realisation(calibration.stands[i % count], _PLANTINGS + i)
+            found.append(predicted(forward, fit.space, stand, jnp.asarray(draws[i])))
+        return np.asarray(jnp.stack(found))
+
+    return [partial(part, first) for first in range(0, len(draws), AT_ONCE)]
+
+
+def _draws(fit: FitResult, simulations: int, seed: int) -> Float[np.ndarray, "simulation free"]:
+    total = -(-simulations // AT_ONCE) * AT_ONCE  # parts are alike, whatever is asked for
+    draws = np.random.default_rng([seed, 97]).normal(size=(total, len(fit.names)))
+    return draws.clip(-FARTHEST, FARTHEST)
 
 
 def regress(

@@ -1,6 +1,6 @@
 """Statistics near an estimate without a render, for chains that ask for a hundred thousand."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -8,8 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fynjax._core.checkpoint import Keep, keep_nothing
-from fynjax._core.progress import NullProgress, Progress
 from fynjax.inversion._calibrate import Calibration
 from fynjax.inversion._expected import predicted
 from fynjax.inversion._fit_result import FitResult
@@ -18,7 +16,7 @@ from fynjax.scene import PlotParameters
 
 _CURVED = 6
 """Directions along which a surrogate bends: those that the data know most."""
-_RENDERS, _LEFT_OUT = 60, 12
+RENDERS, _LEFT_OUT = 60, 12
 """Cheap renders that it is fitted to, and those of them that tell its error."""
 _SPREAD = 1.5
 """Standard deviations of the posterior over which these lie."""
@@ -59,8 +57,7 @@ def fit_surrogate(
     views: Sequence[AbstractView],
     *,
     seed: int = 0,
-    keep: Keep = keep_nothing,
-    progress: Progress | None = None,
+    rendered: Float[np.ndarray, "draw statistic"] | None = None,
 ) -> FittedSurrogate:
     """A surrogate of the statistics about the estimate of a calibration.
 
@@ -73,27 +70,13 @@ def fit_surrogate(
     - `parameters`: of the plot; those that are not free count.
     - `views`: in the cheap form (`search_form`).
     - `seed`: of the draws.
-    - `keep`: how the renders are done, such as by a `Journal`.
-    - `progress`: where to report the renders; nowhere by default.
+    - `rendered`: what `surrogate_renders` of the same arguments gives; done here if left out.
     """
     fit = calibration.fit
-    progress = NullProgress() if progress is None else progress
-    forward = PlotForward(parameters, fit.names, tuple(views))
-    random = np.random.default_rng([seed, 71])
-    centre, covariance = np.asarray(fit.whitened), np.asarray(fit.covariance)
-    draws = random.multivariate_normal(centre, _SPREAD**2 * covariance, _RENDERS, method="eigh")
-    count = len(calibration.stands)
-
-    def step() -> tuple[Array, ...]:
-        found = []
-        for i, u in enumerate(draws):
-            stand = calibration.stands[i % count].faded()
-            found.append(predicted(forward, fit.space, stand, jnp.asarray(u)))
-            progress.advance()
-        return (jnp.stack(found),)
-
-    with progress.stage("Render at draws", len(draws)):
-        rendered = np.asarray(keep(step)[0])
+    if rendered is None:
+        renders = surrogate_renders(calibration, parameters, views, seed=seed)
+        rendered = np.stack(list(renders))
+    centre, draws, count = np.asarray(fit.whitened), _draws(fit, seed), len(calibration.stands)
     at_centre, slopes = calibration.stand_statistics, np.asarray(fit.jacobian)
     away = draws - centre
     bent = np.stack(
@@ -114,6 +97,30 @@ def fit_surrogate(
     error = np.sqrt(np.mean(rest**2, axis=0)) / np.asarray(fit.data.sd)
     surrogate = Surrogate(fit, directions, jnp.asarray(curvature), jnp.asarray(level))
     return FittedSurrogate(surrogate, error)
+
+
+def surrogate_renders(
+    calibration: Calibration,
+    parameters: PlotParameters,
+    views: Sequence[AbstractView],
+    *,
+    seed: int = 0,
+) -> Iterator[Float[np.ndarray, " statistic"]]:
+    """The coarse renders that a surrogate is fitted to, one by one, for who watches or keeps them.
+
+    **Arguments:** `calibration`, `parameters`, `views`, `seed`: as of `fit_surrogate`.
+    """
+    fit = calibration.fit
+    forward = PlotForward(parameters, fit.names, tuple(views))
+    for i, u in enumerate(_draws(fit, seed)):
+        stand = calibration.stands[i % len(calibration.stands)].faded()
+        yield np.asarray(predicted(forward, fit.space, stand, jnp.asarray(u)))
+
+
+def _draws(fit: FitResult, seed: int) -> Float[np.ndarray, "draw free"]:
+    random = np.random.default_rng([seed, 71])
+    centre, covariance = np.asarray(fit.whitened), np.asarray(fit.covariance)
+    return random.multivariate_normal(centre, _SPREAD**2 * covariance, RENDERS, method="eigh")
 
 
 def _terms(z: Float[Array, "*draw direction"]) -> Float[Array, "*draw term"]:

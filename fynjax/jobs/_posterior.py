@@ -1,6 +1,7 @@
 """The posterior of a plot's parameters: what `fynjax posterior` does."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,6 +24,7 @@ from fynjax.inversion import (
     KNOWN,
     NARROWER,
     OFF,
+    RENDERS,
     WIDER,
     Posterior,
     RegressedPosterior,
@@ -35,7 +37,9 @@ from fynjax.inversion import (
     sample_posterior,
     search_form,
     search_starts,
+    simulated_parts,
     simulation_posterior,
+    surrogate_renders,
 )
 from fynjax.io.plot import NO_PRIOR, Plot, as_plot, with_prior
 from fynjax.io.text import atomic_path
@@ -169,29 +173,31 @@ def posterior(
         )
         ends = follow(search, search_starts(search), run, checkpoint / "calibration")
         calibrated = calibration(search, ends)
-    with run.stage("Fit a surrogate"):
-        _, cheap = search_form(calibrated.scene, ready.parameters, views)
+    found = signature(calibrated.fit.whitened, run.seed)
+    _, cheap = search_form(calibrated.scene, ready.parameters, views)
+    plot_of = calibrated, ready.parameters, cheap
+    with run.stage("Fit a surrogate", total=RENDERS):
+        renders = surrogate_renders(*plot_of, seed=run.seed)
+
+        def render_all() -> tuple[Any, ...]:
+            return (np.stack([_counted(one, run) for one in renders]),)
+
+        (rendered,) = Journal(checkpoint / "surrogate", found)(render_all)
         surrogate, surrogate_error = fit_surrogate(
-            calibrated,
-            ready.parameters,
-            cheap,
-            seed=run.seed,
-            progress=run.progress,
-            keep=Journal(checkpoint / "surrogate", signature(calibrated.fit.whitened, run.seed)),
+            *plot_of, seed=run.seed, rendered=np.asarray(rendered)
         )
     regressed, unchecked = None, ""
     if simulations:
         try:
+            parts = simulated_parts(*plot_of, simulations=simulations, seed=run.seed)
+            keep = Journal(checkpoint / "simulations", found)
+            with run.stage("Simulate the prior", total=len(parts)):
+                done = [_counted(keep(partial(_alone, part))[0], run) for part in parts]
             regressed = simulation_posterior(
-                calibrated,
-                ready.parameters,
-                cheap,
+                *plot_of,
                 simulations=simulations,
                 seed=run.seed,
-                keep=Journal(
-                    checkpoint / "simulations", signature(calibrated.fit.whitened, run.seed)
-                ),
-                progress=run.progress,
+                rendered=np.concatenate([np.asarray(one) for one in done]),
             )
         except TooFewSimulationsError as error:  # what is left unchecked may be sound
             unchecked = f"Not checked by a regression: {error}."
@@ -227,8 +233,8 @@ def posterior(
     with run.stage("Write"):
         run.table("parameters.csv", table, "prior and posterior of every parameter")
         path = run.path("posterior.nc", "every draw, as arviz reads it (InferenceData)")
-        with atomic_path(path) as partial:
-            sampled.inference_data({k: str(v) for k, v in record.items()}).to_netcdf(str(partial))
+        with atomic_path(path) as work:
+            sampled.inference_data({k: str(v) for k, v in record.items()}).to_netcdf(str(work))
         run.page(_page(ready, sampled, table, headline, record, surrogate_error, regressed))
     return run.result(
         PosteriorResult,
@@ -238,6 +244,17 @@ def posterior(
         status="ok" if sampled.converged else sampled.status,
         posterior_status=sampled.status,
     )
+
+
+def _alone(part: Callable[[], Any]) -> tuple[Any, ...]:
+    """What a part gives, as a `Journal` keeps it."""
+    return (part(),)
+
+
+def _counted(done: Any, run: Run) -> Any:
+    """What was done, counted as a step of the stage."""
+    run.progress.advance()
+    return done
 
 
 def posterior_table(sampled: Posterior) -> pd.DataFrame:

@@ -4,6 +4,7 @@ Its light is computed in float32. Importing it lets JAX compute the rest in 64 b
 `JAX_ENABLE_X64=0` is in the environment.
 """
 
+from fynjax._core.compiler import keep_compiled
 from fynjax._core.precision import enable_double_precision
 from fynjax.scene._cover import ProjectedCover, crown_centres, projected_cover
 from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
@@ -73,6 +74,7 @@ from fynjax.scene._spectra import (
 from fynjax.scene._stand import StandArea, stand_area
 
 enable_double_precision()
+keep_compiled()
 
 __all__ = [
     "COVERS",

@@ -13,6 +13,7 @@ from fynjax.inversion import (
     ParameterSpace,
     TooFewSimulationsError,
     regress,
+    simulated_parts,
     simulation_posterior,
 )
 from fynjax.inversion import _regressed as module
@@ -175,7 +176,9 @@ def test_more_simulations_go_on_from_fewer(linear_plot, tmp_path, first, then):
     rendered.clear()
     for count in (first, then):
         keep = Journal(tmp_path, "mark")
-        found = simulation_posterior(calibration, None, (), simulations=count, keep=keep)
+        parts = simulated_parts(calibration, None, (), simulations=count)
+        kept = np.concatenate([keep(lambda part=part: (part(),))[0] for part in parts])
+        found = simulation_posterior(calibration, None, (), simulations=count, rendered=kept)
     assert len(rendered) == 25 * -(-max(first, then) // 25)
     assert found.simulations == then
     assert found.mean == pytest.approx(whole.mean)
