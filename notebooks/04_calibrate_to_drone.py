@@ -111,7 +111,6 @@ targets = weigh_targets(names, np.asarray(image_statistics(measured, names)), re
 # %%
 free = ("species.*.cover", "species.*.leaf.chlorophyll", "ground.litter_fraction")
 space = free_space(scene, table, (*free, "ground.brightness"), plot.calibration.relative_sd)
-history = []
 result = calibrate_plot(
     scene,
     table,
@@ -124,10 +123,9 @@ result = calibrate_plot(
         stand_realisations=3 if FAST else 6,
         max_steps=3 if FAST else 8,
     ),
-    report=lambda stage, loss, slope: history.append(loss),
 )
 print(f"{len(space.names)} free parameters, {len(names)} statistics: {result.fit.explanation}")
-print("misfit at each step:", ", ".join(f"{loss:.3g}" for loss in history))
+print("misfit at each step:", ", ".join(f"{loss:.3g}" for loss in result.fit.loss))
 
 # %% [markdown]
 # Each step is one render with its gradients: all the slopes of a statistic, with respect to all

@@ -37,7 +37,7 @@ def keep_compiled() -> None:
     JAX_COMPILATION_CACHE_DIR says where, or the process has said so already: in `cache_folder`."""
     import jax  # late: help and errors of the command line need none
 
-    kept = jax.config.jax_compilation_cache_dir
+    kept = getattr(jax.config, "jax_compilation_cache_dir", None)
     if kept or "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
     folder = cache_folder() / "jax"
