@@ -246,3 +246,13 @@ def test_a_path_of_one_machine_is_seen() -> None:
     assert MACHINE_PATH.search(f"cd {slash}tmp{slash}x")
     assert not MACHINE_PATH.search("ratio = work / home")
     assert not MACHINE_PATH.search(f"github.com{slash}work{slash}home")
+
+
+def test_no_two_public_classes_share_a_name() -> None:
+    """A class is one thing; a reader who meets its name need not ask which."""
+    places: dict[str, list[str]] = {}
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.parse(path.read_text("utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}

@@ -22,7 +22,7 @@ from fynjax.canopy._counts import (
     target_area,
 )
 from fynjax.canopy._elements import Crown, Foliage, Shoots
-from fynjax.canopy._form import FormPrior, GrowthForm, LeafShape, Taxa
+from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Taxa
 from fynjax.canopy._greenness import Greenness, band_roles, choose_greenness
 from fynjax.canopy._grid import VoxelGrid, deposit
 from fynjax.canopy._instances import instantiate, random_orientation, stack_plants, unit_shapes
@@ -63,7 +63,7 @@ __all__ = [
     "GeneratedPlant",
     "Greenness",
     "GrowthForm",
-    "LeafShape",
+    "LeafGeometry",
     "MeshPlant",
     "Organ",
     "PlantMaterial",

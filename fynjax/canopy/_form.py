@@ -14,7 +14,7 @@ from fynjax.canopy._elements import (
 
 
 @dataclass(frozen=True)
-class LeafShape:
+class LeafGeometry:
     """Shape and size of one leaf, which a mesh of the plant shows."""
 
     kind: str
@@ -117,7 +117,7 @@ class GrowthForm:
     """Where those of wood lie; twigs that a mesh has besides join leaves to them."""
     flower_elements: Elements = flowers_on_top
     """Where those of flowers lie."""
-    leaf: LeafShape
+    leaf: LeafGeometry
     """One leaf of a plant whose taxon has no row in `leaf_sizes`."""
 
     leaf_mass_per_area: float

@@ -24,7 +24,7 @@ class Version(StrEnum):
     PRO = "PRO"
 
 
-class LeafShape(StrEnum):
+class LeafShapeOption(StrEnum):
     """Shapes of leaves."""
 
     broad = "broad"
@@ -127,12 +127,12 @@ def fit_leaf(
         ),
     ] = None,
     leaf_shape: Annotated[
-        LeafShape,
+        LeafShapeOption,
         typer.Option(
             help="needle: single or apart; mat: needles side by side; culm: culms side by side. "
             "Gaps, and light between those side by side, are estimated where transmittance is."
         ),
-    ] = LeafShape.broad,
+    ] = LeafShapeOption.broad,
     area: Annotated[
         Area,
         typer.Option(help="Contents per projected area, or per half of the surface of the leaf."),

@@ -108,7 +108,7 @@ _FURTHER = 3
 """Rounds beyond those of the settings, at most."""
 
 
-class Place(eqx.Module):
+class SearchPlace(eqx.Module):
     """What full and coarse scenes say about one place, over plantings and what is unknown of the
     parameters."""
 
@@ -140,14 +140,14 @@ class Place(eqx.Module):
 class SearchState(eqx.Module):
     """Where a search stands: all that another process needs to go on from here."""
 
-    place: Place
+    place: SearchPlace
     """Where the round began; its errors and offset hold all through the round."""
     u: Float[Array, " free"]
     """Where the descent of the round has come to."""
     descent: BroydenState
-    origin: Place
+    origin: SearchPlace
     """Where the search began, without any spread."""
-    best: Place
+    best: SearchPlace
     """End of the last round; of known plants the best of the start and the rounds."""
     subspace: Directions
     """Informative subspace of the statistics."""
@@ -345,8 +345,8 @@ class PlotSearch:
         u: Array,
         spread: np.ndarray,
         slopes: Float[np.ndarray, "member statistic free"],
-        rendered: Place | None = None,
-    ) -> Place:
+        rendered: SearchPlace | None = None,
+    ) -> SearchPlace:
         """The full scene about `u`: expectation over plantings and `spread`, and the errors there.
 
         What the mean `slopes` do not explain of draws is their error and how statistics bend. It
@@ -369,24 +369,24 @@ class PlotSearch:
             covariance = covariance + chance_covariance(rest, lack, len(expected.stands))
         offset = statistics - np.asarray(expected.members(u, spread))
         array = jnp.asarray
-        return Place(
+        return SearchPlace(
             u, array(spread), array(statistics), array(covariance), array(offset), array(slopes),
             array(whole), array(lack), images,
         )  # fmt: skip
 
-    def data_at(self, place: Place) -> Data:
+    def data_at(self, place: SearchPlace) -> Data:
         """The targets with the errors at a place."""
         return with_error(self.data, np.asarray(place.covariance))
 
     def weights(
-        self, place: Place, subspace: Directions
+        self, place: SearchPlace, subspace: Directions
     ) -> Float[np.ndarray, "direction statistic"]:
         """Makes of misfits independent ones of unit size, along the directions of the subspace."""
         rows = np.asarray(subspace.rows)
         covariance = rows @ np.asarray(self.data_at(place).covariance) @ rows.T
         return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows))
 
-    def objective(self, place: Place, weights: np.ndarray) -> float:
+    def objective(self, place: SearchPlace, weights: np.ndarray) -> float:
         """Half the squared whitened misfit and distance from the prior at a place."""
         rest = self._whitened(weights, np.asarray(place.statistics), place.u)
         return 0.5 * float(rest @ rest)
@@ -437,7 +437,7 @@ class PlotSearch:
             turns=whole(self.settings.rounds), step=whole(0), ended=whole(0),
         )  # fmt: skip
 
-    def _descent(self, place: Place, subspace: Directions) -> BroydenState:
+    def _descent(self, place: SearchPlace, subspace: Directions) -> BroydenState:
         """State of the solver at the start of a round, with the slopes and errors there."""
         weights = self.weights(place, subspace)
         residual = self._whitened(weights, np.asarray(place.statistics), place.u)
@@ -526,8 +526,8 @@ class PlotSearch:
         )  # fmt: skip
 
     def _better(
-        self, state: SearchState, place: Place, status: Any, *, fresh: bool
-    ) -> tuple[Place, Array]:
+        self, state: SearchState, place: SearchPlace, status: Any, *, fresh: bool
+    ) -> tuple[SearchPlace, Array]:
         """The place that is kept, and the number of its status."""
         reason = number_of(status)
         finite = bool(np.isfinite(np.asarray(place.statistics)).all())

@@ -1,7 +1,7 @@
 """Shrubs and small trees with large leaves: Euclea, Pterocelastrus, Protea."""
 
 from fynjax.canopy._elements import Crown, Foliage, Shoots
-from fynjax.canopy._form import FormPrior, GrowthForm, LeafShape, Taxa
+from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Taxa
 
 FORM = GrowthForm(
     description="Ellipsoidal crown on a few stout stems, foliage in large clumps in its outer "
@@ -26,7 +26,7 @@ FORM = GrowthForm(
     crown=Crown(0.12, 0.60, 2.0, 2.0, height_power=0.3, shell_power=1.5),
     shoots=Shoots(8, 0.04, (0.10, 0.40), (0.60, 0.90), 1.5, 0.6),
     foliage=Foliage(24, 0.15, 0.24, outline=0.45, uneven=0.15, bare=0.05),
-    leaf=LeafShape("blade", "obovate", 0.025, 0.0115),
+    leaf=LeafGeometry("blade", "obovate", 0.025, 0.0115),
     leaf_mass_per_area=235.0,
     water_content=0.61,
     stand_share=0.6,

@@ -3,7 +3,7 @@
 import numpy as np
 
 from fynjax.canopy._elements import Foliage, Individual, normals
-from fynjax.canopy._form import FormPrior, GrowthForm, LeafShape, Taxa
+from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Taxa
 from fynjax.canopy._plant import Organ
 
 _SINKS, _THICK = 0.2, 0.15
@@ -76,7 +76,7 @@ FORM = GrowthForm(
     size_source="mean of 1 taxa of this form in the shipped table of a plot burnt in 2006",
     foliage=Foliage(20, 0.03, 0.0, outline=0.60, uneven=0.0, bare=0.0),
     leaf_elements=on_threads,
-    leaf=LeafShape("thread", width=0.0012),
+    leaf=LeafGeometry("thread", width=0.0012),
     leaf_mass_per_area=235.0,
     water_content=0.61,
     round_leaves=True,

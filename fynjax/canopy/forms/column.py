@@ -1,7 +1,7 @@
 """Columns: leafless stem succulents such as Hoodia, columnar Euphorbia and cacti."""
 
 from fynjax.canopy._elements import Foliage, Shoots, along_shoots
-from fynjax.canopy._form import FormPrior, GrowthForm, LeafShape, Taxa
+from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Taxa
 
 FORM = GrowthForm(
     description="A clump of thick green stems without leaves, nearly upright from feet side by "
@@ -26,7 +26,7 @@ FORM = GrowthForm(
     shoots=Shoots(14, 0.40, (0.05, 0.50), (0.45, 1.00), 1.0, 0.1),
     foliage=Foliage(14, 0.0, 0.0, outline=0.30, uneven=0.0, bare=0.0),
     leaf_elements=along_shoots(0.0, 1.0),
-    leaf=LeafShape("stem", width=0.038),
+    leaf=LeafGeometry("stem", width=0.038),
     leaf_mass_per_area=400.0,
     water_content=0.90,
     round_leaves=True,

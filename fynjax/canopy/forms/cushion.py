@@ -1,7 +1,7 @@
 """Cushions: low dense domes such as Azorella, and the mat-like shrubs of Muraltia and Erica."""
 
 from fynjax.canopy._elements import Crown, Foliage, Shoots
-from fynjax.canopy._form import FormPrior, GrowthForm, LeafShape, Taxa
+from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Taxa
 
 FORM = GrowthForm(
     description="Hemisphere resting on the ground, an even closed surface of many small leaf "
@@ -25,7 +25,7 @@ FORM = GrowthForm(
     crown=Crown(0.0, 0.1, 2.0, 2.0, height_power=0.0, shell_power=6.0),
     shoots=Shoots(24, 0.04, (0.05, 0.45), (0.40, 0.90), 1.0, 0.6),
     foliage=Foliage(200, 0.055, 0.12, outline=0.25, uneven=0.04, bare=0.02),
-    leaf=LeafShape("blade", "linear", 0.004, 0.0012),
+    leaf=LeafGeometry("blade", "linear", 0.004, 0.0012),
     leaf_mass_per_area=200.0,
     water_content=0.52,
     stand_share=0.05,

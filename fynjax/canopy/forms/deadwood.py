@@ -3,7 +3,7 @@
 import numpy as np
 
 from fynjax.canopy._elements import Foliage, Individual, Shoots, shoot_elements
-from fynjax.canopy._form import GrowthForm, LeafShape
+from fynjax.canopy._form import GrowthForm, LeafGeometry
 from fynjax.canopy._plant import Organ
 
 
@@ -47,7 +47,7 @@ FORM = GrowthForm(
     shoots=Shoots(12, 0.04, (0.05, 0.50), (0.25, 1.00), 1.0, 0.6, fewest=8, leaning=0.25),
     foliage=Foliage(12, 0.0, 0.0, outline=0.45, uneven=0.0, bare=0.0),
     wood_elements=forked_stems,
-    leaf=LeafShape("none"),
+    leaf=LeafGeometry("none"),
     leaf_mass_per_area=235.0,
     water_content=0.50,
 )

@@ -1,7 +1,7 @@
 """Rounded shrubs: Erica irregularis, Chironia, Indigofera, Hermannia, and most others."""
 
 from fynjax.canopy._elements import Crown, Foliage, Shoots
-from fynjax.canopy._form import FormPrior, GrowthForm, LeafShape, Taxa
+from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Taxa
 
 FORM = GrowthForm(
     description="Dome resting near the ground, foliage in many small tufts in its outer shell, "
@@ -26,7 +26,7 @@ FORM = GrowthForm(
     crown=Crown(0.0, 0.35, 2.5, 2.2, height_power=0.3, shell_power=1.5),
     shoots=Shoots(20, 0.03, (0.05, 0.42), (0.35, 0.90), 1.1, 0.7),
     foliage=Foliage(70, 0.085, 0.18, outline=0.30, uneven=0.12, bare=0.03),
-    leaf=LeafShape("blade", "linear", 0.004, 0.0008),
+    leaf=LeafGeometry("blade", "linear", 0.004, 0.0008),
     leaf_mass_per_area=100.0,
     water_content=0.74,
     stand_share=0.1,

@@ -1,7 +1,7 @@
 """Tussocks of green culms: Restio and other restioids, sedges and grasses."""
 
 from fynjax.canopy._elements import Foliage, Shoots, along_shoots
-from fynjax.canopy._form import FormPrior, GrowthForm, LeafShape, Taxa
+from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Taxa
 
 FORM = GrowthForm(
     description="Leafless green culms that fan out from a small base and arch over, some more "
@@ -29,7 +29,7 @@ FORM = GrowthForm(
     leaf_elements=along_shoots(0.0, 1.0),
     wood_elements=along_shoots(0.0, 0.3),
     flower_elements=along_shoots(0.85, 1.0),
-    leaf=LeafShape("culm", width=0.0012),
+    leaf=LeafGeometry("culm", width=0.0012),
     leaf_mass_per_area=395.0,
     water_content=0.52,
     round_leaves=True,

@@ -1,7 +1,7 @@
 """Upright shrubs with small leaves: Metalasia, Passerina, Anthospermum, many Erica."""
 
 from fynjax.canopy._elements import Crown, Foliage, Shoots
-from fynjax.canopy._form import FormPrior, GrowthForm, LeafShape, Taxa
+from fynjax.canopy._form import FormPrior, GrowthForm, LeafGeometry, Taxa
 
 FORM = GrowthForm(
     description="Broom-like: crown widens upwards to 70 % of the height, long ascending shoots of "
@@ -26,7 +26,7 @@ FORM = GrowthForm(
     crown=Crown(0.12, 0.70, 1.6, 2.5, height_power=2.0, shell_power=1.0),
     shoots=Shoots(12, 0.03, (0.05, 0.40), (0.75, 0.95), 1.4, 0.7),
     foliage=Foliage(34, 0.085, 0.45, outline=0.40, uneven=0.25, bare=0.08),
-    leaf=LeafShape("blade", "linear", 0.006, 0.0008),
+    leaf=LeafGeometry("blade", "linear", 0.006, 0.0008),
     leaf_mass_per_area=185.0,
     water_content=0.49,
     round_leaves=True,

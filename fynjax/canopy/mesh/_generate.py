@@ -16,7 +16,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax.canopy._counts import modelled_diameter
-from fynjax.canopy._form import LeafShape
+from fynjax.canopy._form import LeafGeometry
 from fynjax.canopy._plant import Organ
 from fynjax.canopy._table import table1_2006
 from fynjax.canopy.forms import FORMS
@@ -167,7 +167,7 @@ def generate_plant(
     return GeneratedPlant(mesh, taxon, name, float(wide), tallness, number, scale, radius)
 
 
-def _usual(taxon: str) -> tuple[str, tuple[float, float], LeafShape]:
+def _usual(taxon: str) -> tuple[str, tuple[float, float], LeafGeometry]:
     """Growth form, usual crown diameter and height [m] and leaf of a taxon of table 1, or of a
     growth form of this name."""
     if taxon in FORMS:
@@ -180,7 +180,7 @@ def _usual(taxon: str) -> tuple[str, tuple[float, float], LeafShape]:
         )
     row: dict[Any, Any] = table.loc[taxon].to_dict()
     size: dict[Any, Any] = leaf_sizes().set_index("taxon").loc[taxon].to_dict()
-    leaf = LeafShape(
+    leaf = LeafGeometry(
         size["organ_form"],
         size["outline"],
         float(size["length_mm"] or 0.0) / 1000.0,

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fynjax.canopy._elements import Elements, Individual, individual_of, quasi_random
-from fynjax.canopy._form import GrowthForm, LeafShape
+from fynjax.canopy._form import GrowthForm, LeafGeometry
 from fynjax.canopy._plant import Organ
 from fynjax.canopy.mesh._generate_parts import (
     OUTLINES,
@@ -38,7 +38,7 @@ _CROOKED = 0.006
 """Size of one of the waves that bend a stem or culm, in crown diameters at the plant's top."""
 _HANGING = 32
 """Of threads that lie on other plants, one in so many hangs to the ground."""
-_PETAL = LeafShape("blade", "petal", 0.004, 0.004)
+_PETAL = LeafGeometry("blade", "petal", 0.004, 0.004)
 _FLOWER_AREA, _TRIANGLES_PER_FLOWER = _PETAL.length * _PETAL.width, 80
 _SIZE_SPREAD = 0.15
 _TRIAL = 100
@@ -49,7 +49,7 @@ _LINES, _SIZES, _BENDS = 21, 22, 23  # streams of random numbers
 class Sheets:
     """Blades or petals."""
 
-    shape: LeafShape
+    shape: LeafGeometry
     """Their usual size."""
     base: np.ndarray
     """Where they sit on a twig [blade, 3] [m]."""
@@ -99,7 +99,7 @@ class Tubes:
 
 def lay_out(
     form: GrowthForm,
-    leaf: LeafShape,
+    leaf: LeafGeometry,
     size: np.ndarray,
     area: dict[Organ, float],
     max_triangles: int,
@@ -153,7 +153,7 @@ def lay_out(
     return made
 
 
-def leaf_area(leaf: LeafShape) -> float:
+def leaf_area(leaf: LeafGeometry) -> float:
     """Area of a flat blade [m2]."""
     return outline_area(OUTLINES[leaf.outline]) * leaf.length * leaf.width
 
@@ -216,7 +216,7 @@ def _stems(
 
 def _tubes(
     form: GrowthForm,
-    leaf: LeafShape,
+    leaf: LeafGeometry,
     plant: Individual,
     size: np.ndarray,
     area: float,
@@ -248,7 +248,7 @@ def _tubes(
 
 
 def _sheets(
-    shape: LeafShape, position: np.ndarray, normal: np.ndarray, size: np.ndarray, stems: Tubes
+    shape: LeafGeometry, position: np.ndarray, normal: np.ndarray, size: np.ndarray, stems: Tubes
 ) -> Sheets:
     """Blades that grow from the nearest place on a stem or twig towards their element."""
     from scipy.spatial import KDTree  # late: the parametric forms do without
