@@ -125,7 +125,7 @@ def test_every_layer_is_known_and_there() -> None:
     folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
     assert folders == set(LAYERS)
     names = [path.name for path in sorted(PACKAGE.glob("*.py"))]
-    assert names == ["__init__.py", "_cite.py", "_sensor.py", "errors.py"]
+    assert names == ["__init__.py", "__main__.py", "_cite.py", "_sensor.py", "errors.py"]
 
 
 @pytest.mark.parametrize(

@@ -143,7 +143,10 @@ def stand_table(
 
 
 def stand_sentence(table: pd.DataFrame) -> str:
-    """The table of a stand in one sentence."""
+    """The stand in one sentence.
+
+    **Arguments:** `table`, from `stand_table`.
+    """
     parts = []
     numbers = table[["estimate", "q05", "q95"]].to_numpy(float)
     for name, (middle, low, high) in zip(table["name"], numbers, strict=True):

@@ -131,6 +131,8 @@ def numbers_of(folder: Path) -> Numbers:
     """Every file below `folder`, by name, as numbers; nothing that differs from run to run."""
     found: Numbers = {}
     for path in sorted(folder.rglob("*")):
+        if any(part.endswith(".checkpoint") for part in path.parts):
+            continue  # what an unfinished run keeps is its own affair
         inside = path.relative_to(folder)
         store = path.suffix == ".zarr"
         if (path.is_dir() and not store) or any(p.suffix == ".zarr" for p in inside.parents):
