@@ -2,17 +2,18 @@
 
 `import fynjax as fx` is quick: what follows is imported when it is first used.
 
-- `fx.Scene.from_table`, `fx.observe`: a scene from a species table, and what a sensor measures.
+- `fx.Scene.from_table`, `fx.observe`, `fx.sensor`: a scene from a species table, and what a sensor
+  measures of it; `scene.parameters` are what gradients and fits are by.
+- `fx.free`, `fx.prior`, `fx.Data`, `fx.fit`, `fx.sample`: the arrow backwards, of a scene or of any
+  function, by `fx.BroydenLM` or any solver of optimistix and jaxopt; `fx.whitened_residual` for a
+  loop of one's own, `fx.emulate` for a polynomial in place of a costly function.
 - `fx.Leaf` (short for `fx.LeafParameters`), `fx.prospect`, `fx.fit_leaf`: leaf optics, forward and
   backward.
 - `fx.canopy_reflectance`, `fx.canopy_albedo`, `fx.fit_canopy`: a uniform canopy in one line, and
   backward.
-- `fx.read_plot`, `fx.sensor`: a plot, and a sensor or LiDAR, from files or by a shipped name.
-- `fx.calibrate`, `fx.posterior`: what the commands of these names do, from Python.
-- `fx.fit`, `fx.ParameterSpace`, `fx.Data`: any forward model fitted to any statistics, by
-  `fx.BroydenLM` or any solver of optimistix and jaxopt; `fx.whitened_residual` for one's own loop.
+- `fx.read_plot`: a plot from its files; `fx.jobs`: what the commands do, from Python.
 - `fx.cite`: BibTeX of the models used.
-- `fx.errors`: what a user's input can raise; `fx.jobs` and the other packages by their names.
+- `fx.errors`: what a user's input can raise; the other packages by their names.
 """
 
 import lazy_loader

@@ -97,7 +97,7 @@ print(f"{len(imager.bands)} channels, {imager_view.shape[0]} x {imager_view.shap
 
 # %%
 lidar = load_lidar("flash_lidar_paper")
-flight = observe(scene, table, lidar, noise=True)
+flight = observe(scene, lidar, parameters=table, noise=True)
 cloud = flight.returns
 print(f"{len(flight.beams)} pulses, {len(cloud)} returns")
 
@@ -222,7 +222,7 @@ def figures(scene, parameters):
     _, red, red_edge, nir = photo(drone_view, quick, parameters)
     spectrum = scan(imager_view, quick, parameters).reflectance.mean(axis=(1, 2))
     near, wet = spectrum[nearest(860)], spectrum[nearest(1650)]
-    cloud = observe(scene, parameters, lidar, noise=True).returns
+    cloud = observe(scene, lidar, parameters=parameters, noise=True).returns
     hit = cloud.classification == 3
     return {
         "camera: NDVI": float(jnp.mean((nir - red) / (nir + red))),

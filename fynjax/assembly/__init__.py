@@ -9,6 +9,8 @@ from fynjax.assembly._forward import (
     prepare,
     shown_unit,
 )
+from fynjax.assembly._front import Emulated, PlotData, emulate, fit, free, prior, sample
+from fynjax.assembly._front import PlotData as Data
 from fynjax.assembly._memory import check_memory, stand_size
 from fynjax.assembly._pixels import sample_pixel
 from fynjax.assembly._sensing import aim_at_plot, aim_without_air
@@ -26,7 +28,10 @@ from fynjax.assembly._targets import Measured, drone_view, read_targets
 
 __all__ = [
     "STAND_QUANTITIES",
+    "Data",
+    "Emulated",
     "Measured",
+    "PlotData",
     "Prepared",
     "StandQuantity",
     "StandSettings",
@@ -37,12 +42,17 @@ __all__ = [
     "build_plot",
     "check_memory",
     "drone_view",
+    "emulate",
+    "fit",
+    "free",
     "image_view",
     "make_stand",
     "parameter_columns",
     "plot_parameters",
     "prepare",
+    "prior",
     "read_targets",
+    "sample",
     "sample_pixel",
     "shown_unit",
     "simulate_stands",

@@ -118,7 +118,7 @@ def build_plot(
         room = np.maximum(needed, rules.room)
         check_memory(plot, room=room)
         scene = plant(rules=replace(rules, room=room))
-    return scene, parameters
+    return replace(scene, parameters=parameters), parameters
 
 
 def _check_grid(

@@ -253,7 +253,7 @@ def free(
     >>> from fynjax.canopy import table1_2006
     >>> scene = fx.Scene.from_table(table1_2006()[:2], size=1.0, voxel=0.5)
     >>> fx.free(scene, "species.*.cover").names
-    ('species.Metalasia muricata.cover', 'species.Erica irregularis.cover')
+    ('species.Metalasia muricata.cover', 'species.Passerina corymbosa.cover')
     """
     if not patterns:
         raise InputError('expected patterns of parameters, such as "species.*.cover"')

@@ -64,7 +64,7 @@ def simulate_lidar(
         scene, parameters = build_plot(plot, seed=run.seed)
         scene = hard_scene(scene, parameters)
     with run.stage("Send the pulses", "observe"):
-        observation = observe(scene, parameters, lidar, noise=noise, seed=run.seed)
+        observation = observe(scene, lidar, parameters=parameters, noise=noise, seed=run.seed)
     voxels, beams, returns = observation.voxels, observation.beams, observation.returns
     if len(returns) == 0:
         raise InputError(

@@ -11,10 +11,12 @@ its mean density.
 """
 
 import dataclasses
+import html
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, Literal, overload
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import equinox as eqx
 import jax
@@ -22,8 +24,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, did_you_mean, listed
 from fynjax._core.math import real_array
+from fynjax.metrics import BANDS, vegetation_indices
 from fynjax.radiation import (
     AbstractRays,
     Accuracy,
@@ -57,9 +60,17 @@ from fynjax.sensors import (
     lidar_waveforms,
     map_rays,
     received_electrons,
+    shipped_lidar,
+    shipped_lidars,
+    shipped_sensor,
+    shipped_sensors,
     surface_reflectance,
     tabulated_atmosphere,
 )
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
 
 DRONE = Accuracy(sublayers=1, levels=2, refine=False)
 """Accuracy of a drone's image, seen from close to nadir under a high sun: the default."""
@@ -120,7 +131,8 @@ class PlotAir(eqx.Module):
 
 
 class Observation(eqx.Module):
-    """What a sensor measures of a plot."""
+    """What a sensor measures of a plot: `image["nir"]` is a band, `image.index("NDVI")` an
+    index."""
 
     reflectance: Float[Array, "band y x"]
     """Reflectance factor of the pixels: without air that of the scene, else what calibration makes
@@ -134,6 +146,118 @@ class Observation(eqx.Module):
     """Standard deviation of a reflectance by panels, of line and noise; None without panels [-]."""
     residual: Float[Array, " band"]
     """Estimated error of light scattered more than once, see `fynjax.radiation.Light` [-]."""
+    sensor: str = eqx.field(static=True, default="")
+    """Name of the sensor."""
+    bands: tuple[str, ...] = eqx.field(static=True, default=())
+    """Names of the bands."""
+    wavelength: tuple[float, ...] = eqx.field(static=True, default=())
+    """Centre of each band [nm]."""
+    pixel: float = eqx.field(static=True, default=1.0)
+    """Edge of a pixel on the ground [m]."""
+    origin: tuple[float, float] = eqx.field(static=True, default=(0.0, 0.0))
+    """South-west corner of the image from that of the scene [m]; row 0 is the southernmost."""
+
+    def __getitem__(self, band: str) -> Float[Array, "y x"]:
+        """Reflectance factor of a band [-]. Raises `InputError` for a band that there is not."""
+        if band not in self.bands:
+            raise InputError(
+                f"expected a band of {self.sensor} ({listed(self.bands)}), but got {band!r}."
+                f"{did_you_mean(str(band), self.bands)}"
+            )
+        return self.reflectance[self.bands.index(band)]
+
+    def index(self, name: str) -> Float[Array, "y x"]:
+        """A vegetation index of each pixel [-], of `fynjax.metrics.VEGETATION_INDICES`; NaN where
+        it is undefined. Differentiable.
+
+        **Raises:** `InputError` for another name, and for a sensor without the bands green, red,
+        red edge and near infrared.
+        """
+        if missing := [band for band in BANDS if band not in self.bands]:
+            raise InputError(
+                f"expected the bands {listed(BANDS)} for an index, but {self.sensor} has no "
+                f"{missing[0]}"
+            )
+        image = jnp.stack([self[band] for band in BANDS])
+        return vegetation_indices(image, [name])[0]
+
+    def to_xarray(self) -> "xr.Dataset":
+        """The image as a dataset with CF names, units and coordinates from the scene's south-west
+        corner [m]."""
+        import xarray as xr  # late: the command line need not wait for it
+
+        rows, columns = self.reflectance.shape[1:]
+        metres = {"units": "m", "axis": "X", "long_name": "distance from the west edge"}
+        coordinates = {
+            "band": ("band", list(self.bands), {"long_name": "band"}),
+            "wavelength": (
+                "band",
+                np.array(self.wavelength),
+                {"units": "nm", "standard_name": "radiation_wavelength"},
+            ),
+            "y": (
+                "y",
+                self.origin[1] + (np.arange(rows) + 0.5) * self.pixel,
+                metres | {"axis": "Y", "long_name": "distance from the south edge"},
+            ),
+            "x": ("x", self.origin[0] + (np.arange(columns) + 0.5) * self.pixel, metres),
+        }
+        dims = ("band", "y", "x")
+        factor = {"units": "1", "long_name": "reflectance factor"}
+        light = {"units": "W m-2 sr-1 um-1", "long_name": "radiance at the sensor"}
+        deviation = {"units": "1", "long_name": "standard deviation of the reflectance factor"}
+        data = {"reflectance": (dims, np.asarray(self.reflectance), factor)}
+        if self.radiance is not None:
+            data["radiance"] = (dims, np.asarray(self.radiance), light)
+        if self.reflectance_sd is not None:
+            data["reflectance_sd"] = (dims, np.asarray(self.reflectance_sd), deviation)
+        attributes = {
+            "Conventions": "CF-1.11",
+            "title": f"{self.sensor} over a simulated plot",
+            "source": f"fynjax {version('fynjax')}",
+            "pixel_m": self.pixel,
+        }
+        return xr.Dataset(data, coordinates, attributes)
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """A row for each pixel: x and y of its middle [m], and a column for each band [-]."""
+        import pandas as pd  # late: the command line need not wait for it
+
+        rows, columns = self.reflectance.shape[1:]
+        y, x = np.mgrid[0:rows, 0:columns] + 0.5
+        places = {
+            "x": self.origin[0] + self.pixel * x.ravel(),
+            "y": self.origin[1] + self.pixel * y.ravel(),
+        }
+        values = np.asarray(self.reflectance).reshape(len(self.bands), -1)
+        return pd.DataFrame(places | dict(zip(self.bands, values, strict=True)))
+
+    def plot(self, bands: Sequence[str] | None = None, **options: Any) -> Any:
+        """Draw bands of the image side by side, by xarray.
+
+        **Arguments:** `bands`, all that a camera has by default, six of a spectrometer; `options`
+        of `xarray.plot.imshow`.
+        """
+        if bands is None:
+            every = -(-len(self.bands) // 6) if len(self.bands) > 6 else 1
+            bands = self.bands[::every]
+        chosen = self.to_xarray()["reflectance"].sel(band=list(bands))
+        draw: Any = chosen.plot.imshow
+        return draw(**({"col": "band", "col_wrap": min(len(bands), 4)} | options))
+
+    def __str__(self) -> str:
+        """What it is, and the mean of each band, in a sentence."""
+        shape = " x ".join(map(str, self.reflectance.shape[-2:]))
+        text = f"{self.sensor}: {shape} pixels of {self.pixel:g} m in {len(self.bands)} bands"
+        if isinstance(self.reflectance, jax.core.Tracer) or self.reflectance.ndim != 3:
+            return f"{text}."
+        mean = np.asarray(self.reflectance).mean(axis=(1, 2))
+        some = range(0, len(self.bands), -(-len(self.bands) // 8))
+        shown = ", ".join(f"{self.bands[i]} {mean[i]:.3f}" for i in some)
+        return f"{text}; mean reflectance {shown}."
+
+    def _repr_html_(self) -> str:
+        return f"<p>{html.escape(str(self))}</p>"
 
 
 class Placement(eqx.Module):
@@ -215,7 +339,7 @@ class AimedSensor(eqx.Module):
         if air is None:
             every = jnp.ones(len(self.sensor.bands), bool)
             image, _, residual = _seen(scene, parameters, self, None)
-            return Observation(image, None, every, None, residual)
+            return Observation(image, None, every, None, residual, **self._described)
         by_band = self._air_of_bands(air, parameters.light, scene.dtype)
         order, back = _sorting(self.sensor)
         if surroundings is not None and jnp.shape(surroundings) != order.shape:
@@ -257,7 +381,19 @@ class AimedSensor(eqx.Module):
             transparent,
             reflectance_sd,
             residual,
+            **self._described,
         )
+
+    @property
+    def _described(self) -> dict[str, Any]:
+        bands = self.sensor.bands
+        return {
+            "sensor": self.sensor.name,
+            "bands": bands.names,
+            "wavelength": tuple(map(float, bands.centre)),
+            "pixel": self.pixel,
+            "origin": self.origin,
+        }
 
     def check(self, parameters: PlotParameters) -> Atmosphere | None:
         """The air's curves under the sun and with the aerosol of `parameters`; None without air.
@@ -604,9 +740,9 @@ def _measure(
 @overload
 def observe(
     scene: Scene,
-    parameters: PlotParameters,
     sensor: Lidar,
     *,
+    parameters: PlotParameters | None = ...,
     noise: bool = ...,
     seed: int = ...,
 ) -> LidarObservation: ...
@@ -615,22 +751,30 @@ def observe(
 @overload
 def observe(
     scene: Scene,
-    parameters: PlotParameters,
     sensor: Sensor,
-    placement: Placement | None = ...,
     *,
+    parameters: PlotParameters | None = ...,
+    pixel: float | None = ...,
+    altitude: float | None = ...,
+    placement: Placement | None = ...,
     noise: bool = ...,
     seed: int = ...,
     **options: Any,
 ) -> Observation: ...
 
 
+@overload
+def observe(scene: Scene, sensor: str, **options: Any) -> Any: ...
+
+
 def observe(
     scene: Scene,
-    parameters: PlotParameters,
-    sensor: Sensor | Lidar,
-    placement: Placement | None = None,
+    sensor: str | Sensor | Lidar,
     *,
+    parameters: PlotParameters | None = None,
+    pixel: float | None = None,
+    altitude: float | None = None,
+    placement: Placement | None = None,
     noise: bool = False,
     seed: int = 0,
     **options: Any,
@@ -639,9 +783,12 @@ def observe(
 
     **Arguments:**
 
-    - `scene`, `parameters`: from `build_scene`, `Scene.from_table` or a plot file.
-    - `sensor`: from `fynjax.sensors.shipped_sensor` or a file.
-    - `placement`: where an imaging sensor is; a LiDAR's file says where it flies.
+    - `scene`: from `Scene.from_table`, `build_scene` or a plot file.
+    - `sensor`: name of a shipped one, or an object (`fx.sensor` reads files).
+    - `parameters`: instead of the scene's own; of the same species.
+    - `pixel`, `altitude`: edge of a pixel on the ground, and height of an imaging sensor above the
+      ground [m]; left out, as the sensor's file has them.
+    - `placement`: instead of these two, with tilt and heading. A LiDAR's file says where it flies.
     - `noise`: whether to draw noise; of an imaging sensor in air.
     - `seed`: of the noise, and of a LiDAR's pulses.
     - `options`: of an imaging sensor, as `aim` takes them: `air`, `panels`, `point_spread`,
@@ -651,15 +798,51 @@ def observe(
     differentiable in `parameters`, see `AimedSensor.observe`. A second call with the same shapes
     compiles nothing.
 
-    **Raises:** `InputError` as `aim`, `AimedSensor.observe` and `observe_lidar`, and for a
+    **Raises:** `InputError` for a name that no sensor has, with the nearest, and for what is no
+    scene, sensor or parameters; as `aim`, `AimedSensor.observe` and `observe_lidar`; and for a
     placement or options of a LiDAR.
+
+    >>> import fynjax as fx
+    >>> from fynjax.canopy import table1_2006
+    >>> scene = fx.Scene.from_table(table1_2006()[:2], size=1.0, voxel=0.25, structure="even")
+    >>> image = fx.observe(scene, "mavic_3m", pixel=0.25)
+    >>> image.bands, image["nir"].shape
+    (('green', 'red', 'red_edge', 'nir'), (4, 4))
     """
+    if not isinstance(scene, Scene):
+        raise InputError(f"expected a scene, but got {type(scene).__name__}")
+    sensor = _shipped(sensor) if isinstance(sensor, str) else sensor
+    if not isinstance(sensor, Sensor | Lidar):
+        raise InputError(f"expected a sensor or the name of one, but got {type(sensor).__name__}")
+    parameters = scene.parameters if parameters is None else parameters
+    if not isinstance(parameters, PlotParameters):
+        raise InputError(
+            f"expected `parameters` as `scene.parameters`, but got {type(parameters).__name__}"
+        )
     if isinstance(sensor, Lidar):
-        if placement is not None or options:
+        if placement is not None or pixel is not None or altitude is not None or options:
             raise InputError(f"expected no placement or options of the LiDAR {sensor.name!r}")
         return observe_lidar(scene, parameters, sensor, noise=noise, seed=seed)
-    aimed = aim(scene, parameters, sensor, placement, **options)
+    if placement is None:
+        placement = Placement(altitude, pixel)
+    elif pixel is not None or altitude is not None:
+        raise InputError("expected `placement`, or `pixel` and `altitude`, but got both")
+    known = scene.parameters  # of an open scene the sun must be known, which is traced in a slope
+    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(parameters))
+    aimed = aim(scene, known if traced else parameters, sensor, placement, **options)
     return _measure(aimed, scene, parameters, jax.random.key(seed) if noise else None)
+
+
+def _shipped(name: str) -> Sensor | Lidar:
+    if name in shipped_sensors():
+        return shipped_sensor(name)
+    if name in shipped_lidars():
+        return shipped_lidar(name)
+    every = (*shipped_sensors(), *shipped_lidars())
+    raise InputError(
+        f"expected a shipped sensor ({', '.join(every)}) or an object, but got {name!r}."
+        f"{did_you_mean(name, every)} `fx.sensor` reads a sensor file."
+    )
 
 
 def _aimed(

@@ -11,6 +11,7 @@ import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from typing import Any, Literal
 
 import equinox as eqx
@@ -19,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, did_you_mean
 from fynjax.canopy import (
     FORMS,
     PlantModel,
@@ -36,7 +37,15 @@ from fynjax.canopy import (
 from fynjax.radiation import Illumination, RahmanPintyVerstraete, VoxelScene
 from fynjax.scene._ground import COVERS, Ground, ground_shares
 from fynjax.scene._optics import class_angles, inclination, optical_classes
-from fynjax.scene._parameters import GroundParameters, LightParameters, PlotParameters
+from fynjax.scene._parameters import (
+    PARAMETERS,
+    GroundParameters,
+    LightParameters,
+    PlotParameters,
+    named_values,
+    parameter_kind,
+    with_values,
+)
 from fynjax.scene._planting import (
     Crowns,
     Planting,
@@ -147,14 +156,16 @@ class Window(eqx.Module):
 
 
 class Scene(eqx.Module):
-    """Plants, ground, light and terrain of a plot: the fixed part, without a sensor.
+    """Plants, ground, light and terrain of a plot, without a sensor.
 
-    The rest are its `PlotParameters`. `build_scene` and `Scene.from_table` make one; `observe`
-    gives what a sensor measures of it.
+    Its `parameters` are those that it was planted for. `build_scene` and `Scene.from_table` make
+    one; `observe` gives what a sensor measures of it, with these parameters or others.
     """
 
     planting: Planting
     grid: VoxelGrid
+    parameters: PlotParameters
+    """As stated; what observes the scene may be given others."""
     species: tuple[Species, ...]
     boundary: Literal["periodic", "open"] = eqx.field(static=True)
     rounding: Float[Array, " species"]
@@ -200,9 +211,9 @@ class Scene(eqx.Module):
         cls,
         table: Any,
         *,
-        size_m: float | tuple[float, float],
-        voxel_m: float = 0.1,
-        structure_m: float | Literal["even"] | None = None,
+        size: float | tuple[float, float],
+        voxel: float = 0.1,
+        structure: float | Literal["even"] | None = None,
         seed: int = 0,
         boundary: Literal["periodic", "open"] = "periodic",
         rounding: Literal["random", "up"] = "random",
@@ -212,8 +223,8 @@ class Scene(eqx.Module):
         dead_tissue: Spectrum | None = None,
         hot_spot: bool = False,
         dtype: str = "float32",
-    ) -> tuple["Scene", PlotParameters]:
-        """A scene and its parameters from a species table, without any file.
+    ) -> "Scene":
+        """A scene with its parameters from a species table, without any file.
 
         **Arguments:**
 
@@ -221,9 +232,9 @@ class Scene(eqx.Module):
           `cover_percent` and `height_max_m`, as of `fynjax.canopy.table1_2006`; and any of the
           other columns of a plot's species table but `plant`. A `growth_form` may be left out as
           there.
-        - `size_m`: side of the plot, or (east-west, north-south) [m].
-        - `voxel_m`: edge of a voxel [m]; must divide the sides.
-        - `structure_m`: edge of the voxels on which sun and sight follow the plants [m], or "even";
+        - `size`: side of the plot, or (east-west, north-south) [m].
+        - `voxel`: edge of a voxel [m]; must divide the sides.
+        - `structure`: edge of the voxels on which sun and sight follow the plants [m], or "even";
           left out, a quarter of a voxel, see `PlantingRules`.
         - `seed`: of everything random.
         - `boundary`: "periodic" repeats the plot for ever, "open" does not.
@@ -245,9 +256,12 @@ class Scene(eqx.Module):
 
         >>> from fynjax.canopy import table1_2006
         >>> from fynjax.scene import Scene
-        >>> scene, parameters = Scene.from_table(table1_2006(), size_m=2.0, voxel_m=0.5)
+        >>> scene = Scene.from_table(table1_2006(), size=2.0, voxel=0.5)
         >>> len(scene.taxa), scene.grid.shape[:2]
         (16, (4, 4))
+        >>> thin = scene.with_values({"species.*.cover": 0.02})
+        >>> thin.parameters.species.cover[:2].tolist()
+        [0.02, 0.02]
         """
         rows = species_rows(table)
         stated = leaf_rows({} if leaves is None else leaves, [row.taxon for row in rows])
@@ -267,20 +281,68 @@ class Scene(eqx.Module):
             ground,
             LightParameters() if light is None else light,
         )
-        extent = size_m if isinstance(size_m, tuple) else (size_m, size_m)
-        scene = build_scene(
+        extent = size if isinstance(size, tuple) else (size, size)
+        return build_scene(
             [Species.of(row) for row in rows],
             parameters,
             extent=extent,
-            voxel=voxel_m,
+            voxel=voxel,
             seed=seed,
             boundary=boundary,
-            rules=PlantingRules(structure=structure_m, rounding=rounding),
+            rules=PlantingRules(structure=structure, rounding=rounding),
             dead_tissue=dead_tissue,
             hot_spot=hot_spot,
             dtype=dtype,
         )
-        return scene, parameters
+
+    def with_values(self, values: Mapping[str, float | Array]) -> "Scene":
+        """The same plants with other parameters.
+
+        **Arguments:** `values` by name, or by a pattern such as "species.*.cover" for all that it
+        fits, each in the parameter's own unit (`named_values`; `parameter_reference`).
+
+        A cover beyond 2.5 times that of the table finds no more sites (`PlantingRules.room`).
+        Differentiable in the values.
+
+        **Raises:** `InputError` for a name that the scene does not have, and for a number out of
+        its parameter's bounds.
+        """
+        known = named_values(self.parameters, self.taxa)
+        changed: dict[str, Array] = {}
+        for pattern, value in values.items():
+            names = [name for name in known if fnmatchcase(name, pattern)]
+            if not names:
+                raise InputError(
+                    f"{pattern!r} fits none of the scene's parameters."
+                    f"{did_you_mean(pattern, known)}"
+                )
+            for name in names:
+                if not isinstance(value, jax.core.Tracer):
+                    PARAMETERS[parameter_kind(name)].check(float(value), name)
+                changed[name] = jnp.asarray(value, known[name].dtype)
+        return dataclasses.replace(
+            self, parameters=with_values(self.parameters, self.taxa, changed)
+        )
+
+    def __str__(self) -> str:
+        """What stands in it, in a few lines."""
+        species, (x, y, _) = self.parameters.species, self.grid.extent
+        lines = [
+            f"A plot of {x:g} m x {y:g} m in voxels of {self.grid.horizontal_size:g} m, "
+            f"{self.boundary}, with {len(self.taxa)} species:"
+        ]
+        try:
+            sizes = np.stack(
+                [np.asarray(v, float) for v in (species.cover, species.diameter, species.height)]
+            )
+        except jax.errors.TracerArrayConversionError:
+            return lines[0]
+        for one, (cover, diameter, height) in zip(self.species, sizes.T, strict=True):
+            lines.append(
+                f"  {one.taxon} ({one.form}): cover {100 * cover:.3g} %, crowns of "
+                f"{100 * diameter:.3g} cm, up to {height:.3g} m"
+            )
+        return "\n".join(lines)
 
     @property
     def taxa(self) -> tuple[str, ...]:
@@ -682,6 +744,7 @@ def build_scene(
     scene = Scene(
         planting=no_plants(dtype),
         grid=VoxelGrid((*grid.shape[:2], layers), voxel, voxel),
+        parameters=parameters,
         species=tuple(species),
         boundary=boundary,
         rounding=_rounding(len(species), [seed], dtype, drawn),

@@ -43,9 +43,8 @@ def main() -> None:
     parser.add_argument("--size", type=float, default=2.0, help="side of the plot [m]")
     parser.add_argument("--plantings", type=int, default=48)
     options = parser.parse_args()
-    scene, parameters = Scene.from_table(
-        table1_2006().iloc[:7], size_m=options.size, voxel_m=0.1, seed=1
-    )
+    scene = Scene.from_table(table1_2006().iloc[:7], size=options.size, seed=1)
+    parameters = scene.parameters
     camera = aim(scene, parameters, shipped_sensor("mavic_3m"), Placement(pixel=0.05))
     table = pd.DataFrame(slopes(scene, parameters, camera, options.plantings))
     print(f"{options.size:g} m, {options.plantings} plantings")

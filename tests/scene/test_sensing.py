@@ -373,7 +373,9 @@ def test_what_must_be_known_is_said_before_tracing(model, drone):
 
     def brightness(scene, parameters, camera=None):
         sensor = drone if camera is None else dataclasses.replace(drone, camera=camera)
-        return observe_scene(scene, parameters, sensor, Placement(50.0, 0.1)).reflectance.mean()
+        return observe_scene(
+            scene, sensor, parameters=parameters, placement=Placement(50.0, 0.1)
+        ).reflectance.mean()
 
     for scene, names in ((level, "the sun over an open scene"), (hill, "the terrain of a scene")):
         with pytest.raises(InputError, match=f"{names} must be known.*call `aim` before"):

@@ -9,8 +9,7 @@ import pytest
 from fynjax._core.errors import InputError
 from fynjax.assembly import aim_without_air, build_plot
 from fynjax.io.plot import plot_instrument, read_plot
-from fynjax.scene import Placement, Scene, SpeciesRow, Spectrum, observe
-from fynjax.sensors import shipped_sensor
+from fynjax.scene import Scene, SpeciesRow, Spectrum, observe
 from tests.small import write_plot
 
 TABLE = [
@@ -33,7 +32,8 @@ TABLE = [
 
 @pytest.fixture(scope="module")
 def built():
-    return Scene.from_table(TABLE, size_m=2.0, structure_m="even", seed=3)
+    scene = Scene.from_table(TABLE, size=2.0, structure="even", seed=3)
+    return scene, scene.parameters
 
 
 def test_a_table_gives_the_scene_and_the_image_of_its_plot_file(built, tmp_path):
@@ -42,7 +42,7 @@ def test_a_table_gives_the_scene_and_the_image_of_its_plot_file(built, tmp_path)
     same = jax.tree.map(np.array_equal, from_files, built)
     assert all(jax.tree.leaves(same))
     camera = aim_without_air(plot, *from_files, plot_instrument(plot))
-    image = observe(*built, shipped_sensor("mavic_3m"), Placement(50.0, 0.1)).reflectance
+    image = observe(built[0], "mavic_3m", pixel=0.1, altitude=50.0).reflectance
     assert image.shape == (4, 20, 20)
     of_file = eqx.filter_jit(lambda view, *plot: view.observe(*plot).reflectance)
     np.testing.assert_allclose(image, of_file(camera, *from_files), rtol=1e-5)
@@ -51,7 +51,8 @@ def test_a_table_gives_the_scene_and_the_image_of_its_plot_file(built, tmp_path)
 def test_a_table_takes_dead_tissue_and_sizes_of_leaves(built):
     grey = Spectrum.of(np.array([400.0, 1000.0]), np.array([0.3, 0.3]), "dead tissue")
     table = [TABLE[0] | {"dead_fraction": 0.7}, TABLE[1]]
-    scene, parameters = Scene.from_table(table, size_m=2.0, dead_tissue=grey, hot_spot=True)
+    scene = Scene.from_table(table, size=2.0, dead_tissue=grey, hot_spot=True)
+    parameters = scene.parameters
     np.testing.assert_allclose(parameters.species.dead_fraction, [0.7, 0.67])
     # What is learned of the shipped bark is not of this spectrum.
     assert (parameters.ground.wood_brightness, built[1].ground.wood_brightness) == (1.0, 1.3)
@@ -63,16 +64,15 @@ def test_a_table_takes_dead_tissue_and_sizes_of_leaves(built):
 def test_structure_that_is_left_out_is_that_of_leaves_as_heavy():
     leaf = {name: value for name, value in LEAF.items() if name != "structure"}
     leaves = {"*": leaf | {"dry_matter": 0.01}}
-    _, parameters = Scene.from_table(TABLE, size_m=2.0, leaves=leaves)
+    parameters = Scene.from_table(TABLE, size=2.0, leaves=leaves).parameters
     np.testing.assert_allclose(parameters.leaf.structure, np.exp(0.275 * np.log(100.0) - 0.689))
 
 
 def test_a_frame_is_as_good_as_records_and_leaves_are_by_taxon(built):
     leaf = {**LEAF, "chlorophyll": 60.0}
     frame = pd.DataFrame(TABLE).assign(packing_percent=[5.0, np.nan], branches=[pd.NA, 3])
-    scene, parameters = Scene.from_table(
-        frame, size_m=(2.0, 2.0), leaves={"Restio eleocharis": leaf}
-    )
+    scene = Scene.from_table(frame, size=(2.0, 2.0), leaves={"Restio eleocharis": leaf})
+    parameters = scene.parameters
     assert scene.taxa == built[0].taxa
     assert scene.branches == (1.0, 3.0)
     np.testing.assert_allclose(parameters.leaf.chlorophyll, [54.3, 60.0])
@@ -116,23 +116,23 @@ LEAF = {
 )
 def test_a_row_that_cannot_serve_is_named(change, words):
     with pytest.raises(InputError, match=words):
-        Scene.from_table([TABLE[0] | change, TABLE[1]], size_m=2.0)
+        Scene.from_table([TABLE[0] | change, TABLE[1]], size=2.0)
 
 
 def test_tables_in_python_are_checked_as_files_are():
     many = [TABLE[0] | {"taxon": str(k), "cover_percent": 90} for k in range(4)]
     with pytest.raises(InputError, match=r"sum to 360 %. Are these counts"):
-        Scene.from_table(many, size_m=2.0)
+        Scene.from_table(many, size=2.0)
     with pytest.raises(InputError, match=r"column 'cover_percent'.*Is it 'cover' in this table"):
-        Scene.from_table(pd.DataFrame(TABLE).rename(columns={"cover_percent": "cover"}), size_m=2.0)
+        Scene.from_table(pd.DataFrame(TABLE).rename(columns={"cover_percent": "cover"}), size=2.0)
     fractions = [row | {"cover_percent": row["cover_percent"] / 100} for row in TABLE]
     with pytest.warns(UserWarning, match="species table.*0.3 would be 30"):
-        Scene.from_table(fractions, size_m=2.0)
+        Scene.from_table(fractions, size=2.0)
 
 
 def test_a_shipped_taxon_has_its_growth_form(built):
     nameless = [{k: v for k, v in row.items() if k != "growth_form"} for row in TABLE]
-    scene, _ = Scene.from_table(nameless, size_m=2.0, structure_m="even", seed=3)
+    scene = Scene.from_table(nameless, size=2.0, structure="even", seed=3)
     assert scene.forms == built[0].forms
 
 
@@ -148,7 +148,8 @@ def test_what_a_table_says_of_crowns_counts():
     """Equation (10) by hand: of 0.5 m radius with its lean, and by the least area."""
     lean = {"rotation_spread_deg": 30, "packing_percent": 20, "fill_percent": 50, "branches": 3}
     table = [TABLE[0] | lean, TABLE[1] | {"minimum_object_area_m2": 0.5}]
-    scene, parameters = Scene.from_table(table, size_m=2.0, structure_m="even")
+    scene = Scene.from_table(table, size=2.0, structure="even")
+    parameters = scene.parameters
     each = np.pi * 0.5**2 * 0.8 * 0.5
     np.testing.assert_allclose(scene.counts(parameters), [3 * 1.2 / each, 0.6 / 0.5], rtol=1e-6)
 
@@ -168,10 +169,10 @@ def test_what_a_table_says_of_crowns_counts():
 )
 def test_leaves_that_belong_to_no_plant_are_refused(leaves, words):
     with pytest.raises(InputError, match=words):
-        Scene.from_table(TABLE, size_m=2.0, leaves=leaves)
+        Scene.from_table(TABLE, size=2.0, leaves=leaves)
 
 
 @pytest.mark.parametrize(("table", "words"), [("species.csv", "frame or records"), ([], "rows")])
 def test_what_is_no_table_is_refused(table, words):
     with pytest.raises(InputError, match=words):
-        Scene.from_table(table, size_m=2.0)
+        Scene.from_table(table, size=2.0)

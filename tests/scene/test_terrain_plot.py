@@ -73,7 +73,9 @@ def test_bare_ground_is_lit_as_its_slope_has_it(tmp_path):
     not make steps."""
     model, parameters = build_plot(plot(tmp_path, LINE, cover=0.0, cell=0.5))
     sensor = shipped_sensor("mavic_3m")
-    image = np.asarray(observe(model, parameters, sensor, Placement(50.0, 0.1)).reflectance)
+    image = np.asarray(
+        observe(model, sensor, parameters=parameters, placement=Placement(50.0, 0.1)).reflectance
+    )
     level = np.asarray(model.ground_map(parameters, sensor.bands))
     sun = np.array([-np.sin(np.deg2rad(40.0)), 0.0, np.cos(np.deg2rad(40.0))])
     up = np.array([-RISE, -NORTHWARD, 1.0])

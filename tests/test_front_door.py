@@ -1,0 +1,217 @@
+"""A scene, what a sensor sees of it, and the arrow backwards, in the lines that a user writes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+import rasterio
+
+import fynjax as fx
+from fynjax.errors import InputError
+from fynjax.inversion import CalibrationSettings
+from fynjax.sensors import shipped_lidars
+
+COLUMNS = "taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_max_m"
+TABLE = [
+    dict(zip(COLUMNS, row, strict=True))
+    for row in (("Erica", "rounded_shrub", 40, 30, 0.6), ("Restio", "tussock", 30, 15, 0.5))
+]
+QUICK = CalibrationSettings(
+    rounds=1, stand_realisations=2, scatter_draws=6, full_renders=1, max_steps=3
+)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return fx.Scene.from_table(TABLE, size=2.0, voxel=0.25, structure="even", seed=1)
+
+
+@pytest.fixture(scope="module")
+def image(scene):
+    return fx.observe(scene, "mavic_3m", pixel=0.25)
+
+
+def test_an_image_has_bands_indices_tables_and_a_picture(image, monkeypatch):
+    nir = image["nir"]
+    assert nir.shape == (8, 8)
+    ndvi = image.index("NDVI")
+    red = image["red"]
+    np.testing.assert_allclose(ndvi, (nir - red) / (nir + red), rtol=1e-6)
+    data = image.to_xarray()
+    assert data["reflectance"].dims == ("band", "y", "x")
+    assert data["reflectance"].attrs["units"] == "1"
+    np.testing.assert_allclose(data["x"], np.arange(8) * 0.25 + 0.125)
+    np.testing.assert_allclose(data["reflectance"].sel(band="nir"), nir)
+    assert data["wavelength"].sel(band="nir") == 860.0
+    frame = image.to_dataframe()
+    assert list(frame.columns) == ["x", "y", "green", "red", "red_edge", "nir"]
+    assert frame.loc[(frame.x == 0.375) & (frame.y == 0.125), "nir"].item() == float(nir[0, 1])
+    assert str(image).startswith("mavic_3m: 8 x 8 pixels of 0.25 m in 4 bands; mean reflectance")
+    assert "mavic_3m" in image._repr_html_()
+    grid = image.plot()
+    assert grid.axs.size == 4
+
+
+def test_gradients_have_the_shape_of_the_parameters(scene):
+    camera = fx.sensor("mavic_3m")
+
+    def ndvi(p):
+        return fx.observe(scene, camera, pixel=0.25, parameters=p).index("NDVI").mean()
+
+    p = scene.parameters
+    slope = jax.grad(ndvi)(p)
+    assert jax.tree.structure(slope) == jax.tree.structure(p)
+    by_cover = slope.species.cover
+    assert (by_cover > 0).all()
+    assert jax.jit(ndvi)(p) == pytest.approx(float(ndvi(p)), rel=1e-5)
+    twice = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), p)
+    np.testing.assert_allclose(jax.vmap(ndvi)(twice), float(ndvi(p)), rtol=1e-5)
+
+
+def test_values_are_set_by_name(scene, image):
+    thin = scene.with_values({"species.Erica.cover": 0.05, "species.*.leaf.chlorophyll": 20.0})
+    assert thin.parameters.species.cover.tolist() == pytest.approx([0.05, 0.15])
+    assert thin.parameters.leaf.chlorophyll.tolist() == [20.0, 20.0]
+    assert scene.parameters.species.cover[0] == pytest.approx(0.3)
+    pale = fx.observe(thin, "mavic_3m", pixel=0.25)
+    assert pale["red"].mean() > image["red"].mean()
+    other = fx.observe(scene, "mavic_3m", pixel=0.25, parameters=thin.parameters)
+    np.testing.assert_array_equal(pale.reflectance, other.reflectance)
+    with pytest.raises(
+        InputError, match=r"species.Eria.cover.* Did you mean .*species.Erica.cover"
+    ):
+        scene.with_values({"species.Eria.cover": 0.1})
+    with pytest.raises(InputError, match="0 to 1"):
+        scene.with_values({"species.Erica.cover": 30.0})
+    assert "Erica (rounded_shrub): cover 30 %, crowns of 40 cm, up to 0.6 m" in str(scene)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda s: fx.observe(s, "mavic_3"), "got 'mavic_3'. Did you mean 'mavic_3m'"),
+        (
+            lambda s: fx.observe(s.parameters, "mavic_3m"),
+            "a scene, but got PlotParameters",
+        ),
+        (lambda s: fx.observe(s, 3), "expected a sensor or the name of one, but got int"),
+        (lambda s: fx.observe(s, "mavic_3m", parameters=s), "`parameters` as `scene.parameters`"),
+        (lambda s: fx.fit(s, fx.Data(("a",), jnp.ones(1), jnp.ones(1)), None), "with the sensors"),
+        (lambda s: fx.fit(3, None, None), "expected a scene or a function"),
+        (lambda s: fx.free(s), "expected patterns"),
+        (lambda s: fx.free(s, "species.*.covr"), "fits none of the scene's parameters"),
+        (lambda s: fx.prior("none"), "expected the name of a prior"),
+        (lambda s: fx.sample(s), "expected what `fx.fit` returns"),
+    ],
+)
+def test_wrong_arguments_are_one_clear_error(scene, call, message):
+    with pytest.raises(InputError) as raised:
+        call(scene)
+    assert message in str(raised.value)
+
+
+def test_a_band_that_there_is_not_names_its_neighbours(image):
+    with pytest.raises(InputError, match=r"got 'nit'. Did you mean 'nir'"):
+        image["nit"]
+    with pytest.raises(InputError, match="NDVX"):
+        image.index("NDVX")
+
+
+def test_free_parameters_take_a_learned_prior(scene):
+    free = fx.free(scene, "species.*.cover", "species.*.dead_fraction", prior=fx.prior())
+    assert len(free.names) == 4
+    plain = fx.free(scene, "species.*.cover", "species.*.dead_fraction")
+    learned = dict(zip(free.names, np.asarray(free.prior_sd), strict=True))
+    usual = dict(zip(plain.names, np.asarray(plain.prior_sd), strict=True))
+    assert learned["species.Erica.cover"] == usual["species.Erica.cover"]
+    expected = fx.prior().sd("dead_fraction.rounded_shrub", elsewhere=True)
+    assert learned["species.Erica.dead_fraction"] == pytest.approx(expected, rel=0.05)
+    stated = fx.free(scene, "species.*.cover", prior={"species.Erica.*": 0.1})
+    assert float(stated.prior_sd[0]) == pytest.approx(0.1 * 0.3)
+
+
+@pytest.fixture(scope="module")
+def drone(scene, tmp_path_factory):
+    """The image of a denser plot, as a GeoTIFF."""
+    dense = scene.with_values({"species.Erica.cover": 0.45})
+    values = np.asarray(fx.observe(dense, "mavic_3m", pixel=0.25).reflectance)[:, ::-1]
+    path = tmp_path_factory.mktemp("drone") / "drone.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", width=8, height=8, count=4, dtype="float32",
+        crs="EPSG:32734", transform=rasterio.Affine(0.25, 0.0, 3e5, 0.0, -0.25, 6.2e6),
+    ) as file:  # fmt: skip
+        file.write(values.astype("float32"))
+        file.descriptions = ("green", "red", "red_edge", "nir")
+    return path
+
+
+def test_a_scene_is_fitted_to_an_image_and_sampled(scene, drone):
+    free = fx.free(scene, "species.*.cover", "species.*.leaf.chlorophyll")
+    data = fx.Data.from_image(drone, "mavic_3m", statistics=("*.mean",), gain_sd=0.01)
+    found = fx.fit(scene, data, free, solver=fx.BroydenLM(), settings=QUICK)
+    text = str(found)
+    assert "The stand: green leaf area " in text
+    assert f"Of {len(free.names)} free parameters" in text
+    stand = found.stand().set_index("name")
+    assert stand.loc["crown_cover", "estimate"] > stand.loc["crown_cover", "prior"]
+    assert len(found.table()) == len(free.names)
+    drawn = fx.sample(found, "laplace", target=50.0)
+    assert drawn.values.shape[-1] == len(free.names)
+
+
+def test_data_of_several_sensors_add(drone):
+    image = fx.Data.from_image(drone, statistics=("*.mean",))
+    table = fx.Data.from_table({"nir.std": 0.03})
+    framed = fx.Data.from_table(pd.DataFrame({"statistic": ["nir.std"], "value": [0.03]}))
+    np.testing.assert_array_equal(table.sd, framed.sd)
+    both = image + table
+    assert both.names == (*image.names, "nir.std")
+    assert len(both.sensors) == 2
+    with pytest.raises(InputError, match=r"'nir.std' is in both"):
+        both + table
+    with pytest.raises(InputError, match="value is missing"):
+        fx.Data.from_table(pd.DataFrame({"statistic": ["nir.std"]}))
+    with pytest.raises(InputError, match="expected a camera, but got the LiDAR"):
+        fx.Data.from_image(drone, shipped_lidars()[0])
+
+
+def test_any_function_is_fitted_and_sampled():
+    at = jnp.array([0.0, 1.0, 2.0])
+    data = fx.Data(("a", "b", "c"), jnp.array([1.0, 2.0, 3.0]), jnp.full(3, 0.1))
+    low, high, prior, sd = (jnp.full(2, v) for v in (-100.0, 100.0, 0.5, 10.0))
+    space = fx.ParameterSpace(("offset", "slope"), low, high, prior, sd)
+
+    def line(x):
+        return x[0] + x[1] * at
+
+    found = fx.fit(line, data, space)
+    assert found.estimate.tolist() == pytest.approx([1.0, 1.0], abs=1e-3)
+    assert "Of 2 free parameters 2 are known twice as well as before" in str(found)
+    drawn = fx.sample(found, "laplace", predict=line, target=200.0)
+    assert drawn.values.reshape(-1, 2).mean(axis=0) == pytest.approx([1.0, 1.0], abs=0.05)
+    with pytest.raises(InputError, match="expected `predict`"):
+        fx.sample(found)
+
+
+def test_a_polynomial_stands_in_for_a_function():
+    """Exact for one of second degree; of another its stated error is that at other points."""
+    exact = fx.emulate(lambda x: jnp.array([1.0 + x[0] * x[1] - x[1] ** 2]), [0, 0], [2, 3])
+    assert float(exact(jnp.array([0.3, 2.0]))[0]) == pytest.approx(1 + 0.6 - 4.0)
+    assert exact.error[0] < 1e-9
+
+    def bent(x):
+        return jnp.array([jnp.exp(x[0]), x[0]])
+
+    quick = fx.emulate(bent, [0.0], [1.0])
+    points = np.linspace(0.0, 1.0, 101)
+    off = np.array([quick(jnp.array([x])) - bent(jnp.array([x])) for x in points])
+    found = np.sqrt(np.mean(off[:, 0] ** 2))
+    assert 0.3 < quick.error[0] / found < 3.0
+    assert float(jax.grad(lambda x: quick(x)[0])(jnp.array([0.5]))[0]) == pytest.approx(
+        np.exp(0.5), rel=0.05
+    )
+    with pytest.raises(InputError, match="`lower` below `upper`"):
+        fx.emulate(bent, [1.0], [0.0])
+    with pytest.raises(InputError, match="not finite"):
+        fx.emulate(lambda x: jnp.array([jnp.log(x[0] - 2.0)]), [0.0], [1.0])
