@@ -15,7 +15,6 @@ from fynjax._core.checkpoint import Journal
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import NullProgress, Progress
-from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel, bin_centres
@@ -30,6 +29,19 @@ from fynjax.leaf._problem import (
     leaf_problems,
     make_setup,
     usable_bins,
+)
+from fynjax.leaf._residual import (
+    Optics,
+    Problem,
+    Solution,
+    batches,
+    cut,
+    factor_system,
+    inverse_triangular,
+    observed_and_slopes,
+    solve,
+    spectra_and_slopes,
+    to_physical,
 )
 
 NINETY_PERCENT = 1.6448536269514722
@@ -128,21 +140,8 @@ class LeafFit(eqx.Module):
         return tuple(sentences)
 
 
-def _inverse(lower: Array) -> Array:
-    """Inverse of a lower triangular matrix.
-
-    Not LAPACK: its threads spend ten times the CPU time on small systems.
-    """
-    unit = jnp.eye(len(lower), dtype=lower.dtype)
-
-    def row(i: Array, y: Array) -> Array:
-        return y.at[i].set((unit[i] - lower[i] @ y) / lower[i, i])
-
-    return jax.lax.fori_loop(0, len(lower), row, jnp.zeros_like(lower))
-
-
 @eqx.filter_jit
-def _describe_many(tree: tuple, factors: Any, noise: Any, optics: lm.Optics) -> dict[str, Array]:
+def _describe_many(tree: tuple, factors: Any, noise: Any, optics: Optics) -> dict[str, Array]:
     """Spectra at z and what the data say of them, of a batch of leaves.
 
     Products with the factors, which all leaves share, are taken of the whole batch at once: one
@@ -153,15 +152,15 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: lm.Optics) -> 
     number = factors.shape[0]
     flat, through = factors.reshape(number, -1), factors[:, 1]
 
-    def spectra(z: Array, problem: lm.Problem) -> tuple[Array, ...]:
-        x, unit = lm.to_physical(z, optics), jax.nn.sigmoid(z)
+    def spectra(z: Array, problem: Problem) -> tuple[Array, ...]:
+        x, unit = to_physical(z, optics), jax.nn.sigmoid(z)
         scale = (optics.upper - optics.lower) * unit * (1.0 - unit)
-        model, slopes = lm.spectra_and_slopes(x, optics)
-        recorded, by_recorded = lm.observed_and_slopes(x, optics)
+        model, slopes = spectra_and_slopes(x, optics)
+        recorded, by_recorded = observed_and_slopes(x, optics)
         weight = problem.precision.reshape(-1)
         residual = jnp.where(weight > 0, (problem.data - recorded).reshape(-1), 0.0)
         rows = jnp.concatenate([residual[None], by_recorded.reshape(size, -1) * scale[:, None]])
-        root = _inverse(lm.factor_system(factors, problem.precision))
+        root = inverse_triangular(factor_system(factors, problem.precision))
         return x, scale, model, recorded, slopes[:, 1] * scale[:, None], rows * weight, root
 
     x, scale, model, recorded, slopes, rows, root = jax.vmap(spectra)(z, problems)
@@ -188,26 +187,24 @@ def solve_leaves(
     data: np.ndarray,
     use: np.ndarray,
     prior: tuple[np.ndarray, np.ndarray],
-) -> tuple[lm.State, lm.Problem, np.ndarray]:
-    """Most probable z of each leaf, its problem, and its misfit without inflation.
+) -> tuple[Solution, Problem]:
+    """Most probable z of each leaf, and its problem.
 
     A leaf that fits worse than the leaves of the error model has its covariance scaled up, one step
     of a Student likelihood with 50 degrees of freedom, and is solved again. The same for the prior
     was tried with 4 degrees: it adds half to the error of water in sclerophylls and needles.
     """
     problems = leaf_problems(setup, data, use, prior, np.ones(len(data)))
-    state = lm.solve(prior[0], problems, setup.factors, setup.optics)
-    misfit = _misfit(state, problems)
-    inflation = np.maximum(1.0, (50.0 + 10.0 * misfit) / (50.0 + use.sum((1, 2))))
+    found = solve(prior[0], problems, setup.factors, setup.optics)
+    inflation = np.maximum(1.0, (50.0 + 10.0 * found.misfit) / (50.0 + use.sum((1, 2))))
     again = np.flatnonzero(inflation > 1.01)
     problems = problems._replace(inflation=np.where(inflation > 1.01, inflation, 1.0))
     if again.size:
-        part = lm.Problem(*(a[again] for a in problems))
-        moved = lm.solve(state.z[again], part, setup.factors, setup.optics)
-        for whole, new in zip(state, moved):
+        part = Problem(*(a[again] for a in problems))
+        moved = solve(found.z[again], part, setup.factors, setup.optics)
+        for whole, new in zip(found, moved):
             whole[again] = new
-        misfit[again] = _misfit(moved, part)
-    return state, problems, misfit
+    return found, problems
 
 
 def towards_reflectance(
@@ -226,7 +223,7 @@ def towards_reflectance(
     if setup.reflectance_share > 0.0 and both.size:
         at, seen = setup.names.index("dry_matter"), use[both]
         seen[:, 1] = False
-        alone, _, _ = solve_leaves(setup, data[both], seen, leaf_priors(setup, data[both], seen))
+        alone, _ = solve_leaves(setup, data[both], seen, leaf_priors(setup, data[both], seen))
         way = np.where(alone.converged, alone.z[:, at] - z[both, at], 0.0)
         change[both, at] = setup.reflectance_share * way
     return change
@@ -238,25 +235,13 @@ def rarity(setup: Setup, z: np.ndarray) -> Float[np.ndarray, " leaf"]:
     return np.einsum("np,pq,nq->n", offset, setup.prior_precision, offset)
 
 
-def _misfit(state: lm.State, problems: lm.Problem) -> Float[np.ndarray, " leaf"]:
-    """Squared misfit in units of the error model's covariance, without inflation."""
-    offset = state.z - problems.prior_mean
-    pull = np.einsum("np,npq,nq->n", offset, problems.prior_precision, offset)
-    return (2.0 * state.cost - pull) * problems.inflation
-
-
 def describe(
-    setup: Setup, problems: lm.Problem, z: np.ndarray, covariance: np.ndarray
+    setup: Setup, problems: Problem, z: np.ndarray, covariance: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Parameters and spectra at z, the errors the data show, and the spread of T."""
     parts = [
-        {
-            key: np.array(value)[: rows.size]
-            for key, value in _describe_many(
-                leaves, setup.factors, setup.noise, setup.optics
-            ).items()
-        }
-        for rows, leaves in lm.batches((z, problems, covariance), np.arange(len(z)))
+        cut(_describe_many(leaves, setup.factors, setup.noise, setup.optics), rows.size)
+        for rows, leaves in batches((z, problems, covariance), np.arange(len(z)))
     ]
     return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
 
@@ -399,25 +384,24 @@ def fit_chunk(
     prior: tuple[np.ndarray, np.ndarray],
 ) -> dict[str, np.ndarray]:
     """Everything `assemble` needs of some leaves."""
-    state, problems, misfit = solve_leaves(setup, data, use, prior)
-    covariance = np.linalg.inv(state.hessian)
-    change = towards_reflectance(setup, data, use, state.z)
-    return describe_chunk(setup, state, problems, misfit, covariance, use, change)
+    found, problems = solve_leaves(setup, data, use, prior)
+    covariance = np.linalg.inv(found.hessian)
+    change = towards_reflectance(setup, data, use, found.z)
+    return describe_chunk(setup, found, problems, covariance, use, change)
 
 
 def describe_chunk(
     setup: Setup,
-    state: lm.State,
-    problems: lm.Problem,
-    misfit: np.ndarray,
+    found: Solution,
+    problems: Problem,
     covariance: np.ndarray,
     use: np.ndarray,
     change: np.ndarray | float = 0.0,
 ) -> dict[str, np.ndarray]:
     """Everything `assemble` needs of leaves at z with that covariance, as the spectra give it, and
     of traits that `change` moves in z; spectra stay those before."""
-    description: dict[str, Any] = describe(setup, problems, state.z, covariance)
-    z, bounds = state.z + change, leaf_bounds(setup.names)
+    description: dict[str, Any] = describe(setup, problems, found.z, covariance)
+    z, bounds = found.z + change, leaf_bounds(setup.names)
     width, unit = bounds[:, 1] - bounds[:, 0], 1.0 / (1.0 + np.exp(-z))
     description |= {"x": bounds[:, 0] + width * unit, "scale": width * unit * (1.0 - unit)}
     inflation = np.asarray(problems.inflation)
@@ -425,10 +409,10 @@ def describe_chunk(
     share = np.einsum("npp->np", covariance) / population
     extra = trait_variance(setup, inflation, z)
     covariance = covariance + np.eye(len(setup.names)) * extra[:, None]
-    misfit = misfit / np.maximum(use.sum((1, 2)), 1)
+    misfit = found.misfit / np.maximum(use.sum((1, 2)), 1)
     return description | {
         "z": z, "covariance": covariance, "chi2": misfit, "inflation": inflation,
-        "converged": state.converged, "share": share, "rarity": rarity(setup, state.z),
+        "converged": found.converged, "share": share, "rarity": rarity(setup, found.z),
     }  # fmt: skip
 
 

@@ -28,9 +28,8 @@ from fynjax.leaf import (
     sample_leaf_posterior,
     transmittance_from_two_readings,
 )
-from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._error_model import bin_centres, to_bins
-from fynjax.leaf._fit import _misfit, solve_leaves
+from fynjax.leaf._fit import solve_leaves
 from fynjax.leaf._problem import (
     _REFLECTANCE_LINE,
     _TRANSMITTANCE_LINE,
@@ -39,6 +38,7 @@ from fynjax.leaf._problem import (
     leaf_problems,
     make_setup,
 )
+from fynjax.leaf._residual import observed, observed_and_slopes, solve
 from tools.estimate_error_model import estimate
 
 GRID = np.arange(400.0, 2501.0)
@@ -98,8 +98,8 @@ def test_slopes_of_the_fit_are_those_of_the_forward_model():
     """The two tangents that make the Jacobian, against differences through instrument and leaf."""
     setup = make_setup("D", LeafOverBackground(None, None, None), None, None, "needle")
     x = jnp.array([1.7, 35.0, 8.0, 1.0, 0.05, 0.012, 0.008, 0.1, 0.4, 0.3])
-    value, slopes = jax.jit(lambda x: lm.observed_and_slopes(x, setup.optics))(x)
-    read = jax.jit(lambda x: lm.observed(x, setup.optics))
+    value, slopes = jax.jit(lambda x: observed_and_slopes(x, setup.optics))(x)
+    read = jax.jit(lambda x: observed(x, setup.optics))
     np.testing.assert_allclose(value, read(x), rtol=1e-12)
     for i in range(x.size):
         step = jnp.zeros(x.size).at[i].set(1e-6 * x[i])
@@ -497,13 +497,13 @@ def test_a_bad_fit_is_weighted_as_under_a_student_likelihood(bands):
     setup = make_setup("D", None, None, None)
     prior = leaf_priors(setup, data, use)
     plain = leaf_problems(setup, data, use, prior, np.ones(3))
-    misfit = _misfit(lm.solve(prior[0], plain, setup.factors, setup.optics), plain)
+    misfit = solve(prior[0], plain, setup.factors, setup.optics).misfit
     density = multivariate_t(np.zeros(bands), np.eye(bands), df=50.0)
 
     def log_density(square):
         return density.logpdf(np.eye(bands)[0] * np.sqrt(square))
 
-    _, problems, _ = solve_leaves(setup, data, use, prior)
+    _, problems = solve_leaves(setup, data, use, prior)
     for found, square in zip(problems.inflation, 10.0 * misfit):
         step = 1e-3 * square
         slope = (log_density(square + step) - log_density(square - step)) / (2.0 * step)
