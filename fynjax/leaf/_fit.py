@@ -1,7 +1,7 @@
 """From spectra to leaf chemistry, transmittance and their uncertainty."""
 
 import enum
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -11,10 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.stats import chi2
 
-from fynjax._core.checkpoint import Journal
-from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import require_double_precision
-from fynjax._core.progress import NullProgress, Progress
 from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel, bin_centres
@@ -279,10 +276,6 @@ def fit_leaf(
     outdoor: bool | None = None,
     detector_changes: Sequence[float] = (),
     error_model: ErrorModel | None = None,
-    chunk: int = 1024,
-    journal: Journal | None = None,
-    workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> LeafFit:
     """Fit PROSPECT to measured reflectance, transmittance, or both, of any number of leaves.
 
@@ -318,14 +311,10 @@ def fit_leaf(
     - `detector_changes`: wavelengths where detectors change [nm]; jumps there are taken out, see
       `correct_detector_jumps`. Of an ASD 1000 and 1830, of LOPEX 860.
     - `error_model`: covariance of the model's error, `default_error_model()` by default.
-    - `chunk`: leaves that are solved together, 128 at a time until each has converged; memory is
-      some 100 MB and 30 kB for each of them.
-    - `journal`: keeps what each chunk gave, for a fit that is interrupted; nothing does by default.
-    - `workers`: where chunks are fitted; in this process by default.
-    - `progress`: where to report the number of leaves fitted; nowhere by default.
 
     **Returns:** `LeafFit`, on bins of 5 and 10 nm. A leaf with fewer than ten usable bins has NaN,
-    and its `status` says so.
+    and its `status` says so. Besides it memory takes some 200 MB, however many leaves there are. To
+    spread a long fit, keep what was done, or watch it, see `LeafChunks`.
 
     **Raises:** `InputError` for arrays that do not match, an unknown version, shape, domain or
     parameter, and where JAX is limited to 32 bits.
@@ -346,48 +335,83 @@ def fit_leaf(
     >>> round(float(fit.parameters.water[0]), 3)
     0.012
     """
-    require_double_precision("`fit_leaf`")
-    progress = NullProgress() if progress is None else progress
-    data = binned_data(wavelength, reflectance, transmittance, detector_changes)
-    use = usable_bins(data, domain, outdoor)
-    setup = make_setup(version, measurement, free, error_model, leaf_shape)
-    prior = leaf_priors(setup, data, use)
-    cut = [slice(at, at + chunk) for at in range(0, len(data), chunk)]
-    chunks = [(data[rows], use[rows], (prior[0][rows], prior[1][rows])) for rows in cut]
-    names = [f"leaves {rows.start + 1} to {min(rows.stop, len(data))}" for rows in cut]
-    sizes = [len(data[rows]) for rows in cut]
-    with progress.stage("fitting leaves", len(data)), at_work(workers) as pool:
-        parts = [
-            dict(zip(map(str, keys), arrays))
-            for keys, *arrays in pool.all(
-                _chunk_arrays, chunks, setup,
-                names=names, sizes=sizes, journal=journal, progress=progress,
-            )
-        ]  # fmt: skip
-    return assemble(setup, parts, data, use)
+    chunks = LeafChunks(
+        wavelength, reflectance, transmittance, version=version,
+        measurement=measurement, leaf_shape=leaf_shape, domain=domain, free=free, outdoor=outdoor,
+        detector_changes=detector_changes, error_model=error_model,
+    )  # fmt: skip
+    return chunks.join(chunks.fit(part, chunks.setup) for part in chunks.parts)
 
 
 Chunk = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]
 """Data of some leaves, which of them to use, and their priors."""
 
 
-def _chunk_arrays(leaves: Chunk, setup: Setup) -> tuple[np.ndarray, ...]:
-    """What `fit_chunk` gives, after the names of it."""
-    found = fit_chunk(setup, *leaves)
-    return np.array(list(found)), *found.values()
+class LeafChunks:
+    """The leaves of a fit in chunks, each of which can be fitted elsewhere, kept, or counted.
 
+    `fit_leaf` fits one after another. In place of `map` may stand that of processes, such as
+    `concurrent.futures.ProcessPoolExecutor().map`.
 
-def fit_chunk(
-    setup: Setup,
-    data: np.ndarray,
-    use: np.ndarray,
-    prior: tuple[np.ndarray, np.ndarray],
-) -> dict[str, np.ndarray]:
-    """Everything `assemble` needs of some leaves."""
-    found, problems = solve_leaves(setup, data, use, prior)
-    covariance = np.linalg.inv(found.hessian)
-    change = towards_reflectance(setup, data, use, found.z)
-    return describe_chunk(setup, found, problems, covariance, use, change)
+    >>> from itertools import repeat
+    >>> import numpy as np
+    >>> import fynjax as fx
+    >>> from fynjax.leaf import LeafChunks
+    >>> leaf = fx.prospect(fx.LeafParameters())
+    >>> spectra = np.tile(leaf.reflectance, (3, 1))
+    >>> chunks = LeafChunks(np.asarray(leaf.wavelength), spectra, size=2)
+    >>> fit = chunks.join(map(LeafChunks.fit, chunks.parts, repeat(chunks.setup)))
+    >>> len(fit.status)
+    3
+    """
+
+    rows: list[slice]
+    """Which leaves each chunk holds."""
+    parts: list[Chunk]
+    """The chunks."""
+    setup: Setup
+    """What all leaves share."""
+
+    def __init__(
+        self,
+        wavelength: Float[np.ndarray, " band"],
+        reflectance: Float[np.ndarray, "leaf band"] | None = None,
+        transmittance: Float[np.ndarray, "leaf band"] | None = None,
+        *,
+        size: int = 1024,
+        version: ProspectVersion = "D",
+        measurement: AbstractMeasurement | None = None,
+        leaf_shape: LeafShape = "broad",
+        domain: FitDomain = "full",
+        free: Sequence[str] | None = None,
+        outdoor: bool | None = None,
+        detector_changes: Sequence[float] = (),
+        error_model: ErrorModel | None = None,
+    ) -> None:
+        """Chunks of `size` leaves; other arguments and errors as `fit_leaf`."""
+        require_double_precision("`fit_leaf`")
+        self._data = binned_data(wavelength, reflectance, transmittance, detector_changes)
+        self._use = usable_bins(self._data, domain, outdoor)
+        self.setup = make_setup(version, measurement, free, error_model, leaf_shape)
+        mean, precision = leaf_priors(self.setup, self._data, self._use)
+        count = len(mean)
+        self.rows = [slice(at, min(at + size, count)) for at in range(0, count, size)]
+        self.parts = [(self._data[r], self._use[r], (mean[r], precision[r])) for r in self.rows]
+
+    @staticmethod
+    def fit(part: Chunk, setup: Setup) -> tuple[np.ndarray, ...]:
+        """Arrays that `join` takes, of a chunk; can be sent to another process."""
+        data, use, prior = part
+        found, problems = solve_leaves(setup, data, use, prior)
+        covariance = np.linalg.inv(found.hessian)
+        change = towards_reflectance(setup, data, use, found.z)
+        values = describe_chunk(setup, found, problems, covariance, use, change)
+        return np.array(list(values)), *values.values()
+
+    def join(self, fitted: Iterable[tuple[np.ndarray, ...]]) -> LeafFit:
+        """The result, from what `fit` gave of each chunk, in their order."""
+        parts = [dict(zip(map(str, names), arrays)) for names, *arrays in fitted]
+        return assemble(self.setup, parts, self._data, self._use)
 
 
 def describe_chunk(
