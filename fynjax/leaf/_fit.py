@@ -35,9 +35,9 @@ from fynjax.leaf._residual import (
     cut,
     factor_system,
     inverse_triangular,
-    observed_and_slopes,
+    observed,
     solve,
-    spectra_and_slopes,
+    spectra,
     to_physical,
 )
 
@@ -149,18 +149,19 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: Optics) -> dic
     number = factors.shape[0]
     flat, through = factors.reshape(number, -1), factors[:, 1]
 
-    def spectra(z: Array, problem: Problem) -> tuple[Array, ...]:
-        x, unit = to_physical(z, optics), jax.nn.sigmoid(z)
-        scale = (optics.upper - optics.lower) * unit * (1.0 - unit)
-        model, slopes = spectra_and_slopes(x, optics)
-        recorded, by_recorded = observed_and_slopes(x, optics)
-        weight = problem.precision.reshape(-1)
-        residual = jnp.where(weight > 0, (problem.data - recorded).reshape(-1), 0.0)
-        rows = jnp.concatenate([residual[None], by_recorded.reshape(size, -1) * scale[:, None]])
-        root = inverse_triangular(factor_system(factors, problem.precision))
-        return x, scale, model, recorded, slopes[:, 1] * scale[:, None], rows * weight, root
+    def one(z: Array, problem: Problem) -> tuple[Array, ...]:
+        def read(z: Array) -> tuple[Array, Array]:
+            x = to_physical(z, optics)
+            return spectra(x, optics), observed(x, optics)
 
-    x, scale, model, recorded, slopes, rows, root = jax.vmap(spectra)(z, problems)
+        (model, recorded), push = jax.linearize(read, z)
+        slopes, by_recorded = jax.vmap(push)(jnp.eye(size))
+        misfit = jnp.concatenate([(problem.data - recorded)[None], by_recorded])
+        rows = (misfit * problem.precision).reshape(size + 1, -1)
+        root = inverse_triangular(factor_system(factors, problem.precision))
+        return model, recorded, slopes[:, 1], rows, root
+
+    model, recorded, slopes, rows, root = jax.vmap(one)(z, problems)
     inverse = jnp.einsum("nij,nik->njk", root, root)
     loads = (rows.reshape(-1, flat.shape[1]) @ flat.T).reshape(leaves, size + 1, number)
     answers = jnp.einsum("nrj,njk->nrk", loads, inverse)
@@ -171,8 +172,6 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: Optics) -> dic
     remaining = inverse.reshape(leaves, -1) @ pairs + noise[1] ** 2
     known = jnp.einsum("npb,npb->nb", effective, jnp.einsum("npq,nqb->npb", covariance, effective))
     return {
-        "x": x,
-        "scale": scale,
         "recorded": recorded,
         "corrected": model + shown.reshape(model.shape),
         "variance": known + problems.inflation[:, None] * remaining,

@@ -1,5 +1,5 @@
-"""What PROSPECT departs from a leaf's spectra and prior by, in units of their errors: a residual,
-its derivatives, and where its square is least, for many leaves at once."""
+"""What PROSPECT departs from a leaf's spectra and prior by, in units of their errors, and where the
+square of that is least, for many leaves at once."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -13,14 +13,14 @@ from jaxtyping import Array, Bool, Float
 
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState
 from fynjax.leaf._measurement import AbstractMeasurement
-from fynjax.leaf._prospect import pile, pile_and_slopes
+from fynjax.leaf._prospect import pile
 
 # Steps of a parameter are at most 2 in its logit. A leaf has converged where a further step would
-# move it by a thousandth of the posterior's standard deviation, or where rounding is all there is.
-_SOLVER = BroydenLM(atol=1e-6, rtol=1e-9, renew=True, longest=2.0)
+# move it by less than 1/200 of the posterior's standard deviation, or where only rounding is left.
+_SOLVER = BroydenLM(atol=1e-5, rtol=1e-9, renew=True, longest=2.0)
 # Sizes of batch that are compiled; steps between two looks at who has converged; how many looks.
 _SIZES = (16, 128)
-_STEPS, _ROUNDS = 4, 20
+_STEPS, _ROUNDS = 2, 40
 # Leaves whose Jacobians are in memory at once, some 40 kB each.
 _BLOCK = 1024
 
@@ -96,37 +96,6 @@ def observed(x: Array, optics: Optics) -> Array:
     return jnp.stack(optics.measurement.observe(r, t, *_split(x, optics)[2]))
 
 
-def spectra_and_slopes(x: Array, optics: Optics) -> tuple[Array, Array]:
-    """R and T [2, bin], and their derivatives by the physical parameters [parameter, 2, bin].
-
-    By the measurement's parameters they are zero.
-    """
-    structure, contents, rest = _split(x, optics)
-    k = (contents @ optics.absorption) / structure
-    surface = (optics.first, optics.diffuse, optics.index)
-    value, by_k, by_n = (jnp.stack(pair) for pair in pile_and_slopes(k, structure, *surface))
-    by_contents = by_k[None] * (optics.absorption / structure)[:, None, :]
-    none = jnp.zeros((rest.size, *value.shape), value.dtype)
-    by_structure = (by_n - by_k * k / structure)[None]
-    return value, jnp.concatenate([by_structure, by_contents, none])
-
-
-def observed_and_slopes(x: Array, optics: Optics) -> tuple[Array, Array]:
-    """What the instrument reads [2, bin] and its derivatives [parameter, 2, bin]."""
-    value, jacobian = spectra_and_slopes(x, optics)
-    r, t = value
-    ones, zeros = jnp.ones_like(r), jnp.zeros_like(r)
-    rest = _split(x, optics)[2]
-    read = optics.measurement.observe
-    recorded, by_r = jax.jvp(lambda r, t: read(r, t, *rest), (r, t), (ones, zeros))
-    _, by_t = jax.jvp(lambda r, t: read(r, t, *rest), (r, t), (zeros, ones))
-    slopes = jnp.stack(by_r) * jacobian[:, :1] + jnp.stack(by_t) * jacobian[:, 1:]
-    if rest.size:
-        own = jax.jacfwd(lambda rest: jnp.stack(read(r, t, *rest)))(rest)
-        slopes = slopes.at[-rest.size :].set(jnp.moveaxis(own, -1, 0))
-    return jnp.stack(recorded), slopes
-
-
 def factor_system(factors: Array, precision: Array) -> Float[Array, "factor factor"]:
     """Cholesky factor of I + F D^-1 F^T.
 
@@ -165,13 +134,6 @@ def whitening(problem: Problem, factors: Array) -> Whitening:
     return Whitening(root, jnp.linalg.cholesky(problem.prior_precision).T)
 
 
-def _whiten(rows: Array, problem: Problem, root: Array, factors: Array) -> Array:
-    """Rows [row, 2 bin] times the root of the inverse of S = inflation (F^T F + D)."""
-    flat, weight = factors.reshape(len(factors), -1), problem.precision.reshape(-1)
-    shared = ((rows * weight) @ flat.T) @ root.T @ flat
-    return (rows - shared) * jnp.sqrt(weight / problem.inflation)
-
-
 Leaf = tuple[Problem, Whitening, Array, Optics]
 """A leaf's problem and whitening, and the factors [factor, 2, bin] and optics of all."""
 
@@ -179,30 +141,18 @@ Leaf = tuple[Problem, Whitening, Array, Optics]
 def residual(z: Array, leaf: Leaf) -> Float[Array, " number"]:
     """What z departs from the data by, then from the prior, each in units of its error: minus half
     its square is the logarithm of the posterior density, up to a constant. Bands without data have
-    0. Differentiable."""
+    0. Differentiable: two slopes of each band serve all parameters, see `pile`."""
     problem, roots, factors, optics = leaf
-    misfit = (observed(to_physical(z, optics), optics) - problem.data).reshape(1, -1)
-    white = _whiten(misfit, problem, roots.misfit, factors)[0]
+    flat, weight = factors.reshape(len(factors), -1), problem.precision.reshape(-1)
+    misfit = (observed(to_physical(z, optics), optics) - problem.data).reshape(-1)
+    shared = (roots.misfit @ (flat @ (weight * misfit))) @ flat
+    white = jnp.sqrt(weight / problem.inflation) * (misfit - shared)
     return jnp.concatenate([white, roots.prior @ (z - problem.prior_mean)])
 
 
-def residual_and_jacobian(z: Array, leaf: Leaf) -> tuple[Array, Array]:
-    """`residual`, and its derivatives [number, parameter].
-
-    PROSPECT depends on its chemistry only through the absorption of a layer, so that two slopes of
-    each band give the whole Jacobian.
-    """
-    problem, roots, factors, optics = leaf
-    unit = jax.nn.sigmoid(z)
-    slope = (optics.upper - optics.lower) * unit * (1.0 - unit)
-    value, slopes = observed_and_slopes(to_physical(z, optics), optics)
-    rows = jnp.concatenate([(value - problem.data)[None], slopes * slope[:, None, None]])
-    white = _whiten(rows.reshape(len(rows), -1), problem, roots.misfit, factors)
-    distance = roots.prior @ (z - problem.prior_mean)
-    return jnp.concatenate([white[0], distance]), jnp.concatenate([white[1:].T, roots.prior])
-
-
-_OPTIONS = {"jacobian": residual_and_jacobian}
+def _function(z: Array, leaf: Leaf) -> tuple[Array, None]:
+    """As a solver of optimistix calls it."""
+    return residual(z, leaf), None
 
 
 @eqx.filter_jit
@@ -212,7 +162,7 @@ def _begin(leaves: tuple, factors: Any, optics: Optics) -> tuple[BroydenState, W
     def begin(z: Array, problem: Problem) -> tuple[BroydenState, Whitening]:
         roots = whitening(problem, factors)
         leaf = problem, roots, factors, optics
-        return _SOLVER.init(residual, z, leaf, _OPTIONS, None, None, NO_TAGS), roots
+        return _SOLVER.init(_function, z, leaf, None, None, None, NO_TAGS), roots
 
     return jax.vmap(begin)(*leaves)
 
@@ -227,13 +177,13 @@ def _advance(leaves: tuple, factors: Any, optics: Optics) -> tuple[Array, Broyde
     def several(
         z: Array, state: BroydenState, problem: Problem, roots: Whitening
     ) -> tuple[Array, BroydenState, Array]:
-        how = (problem, roots, factors, optics), _OPTIONS
+        leaf = problem, roots, factors, optics
 
         def step(_: Any, now: tuple) -> tuple:
-            return _SOLVER.step(residual, now[0], *how, now[1], NO_TAGS)[:2]
+            return _SOLVER.step(_function, now[0], leaf, None, now[1], NO_TAGS)[:2]
 
         z, state = jax.lax.fori_loop(0, _STEPS, step, (z, state))
-        done, reason = _SOLVER.terminate(residual, z, *how, state, NO_TAGS)
+        done, reason = _SOLVER.terminate(_function, z, leaf, None, state, NO_TAGS)
         return z, state, done & (reason == optx.RESULTS.successful)
 
     return jax.vmap(several)(*leaves)
@@ -265,9 +215,8 @@ def _solve_block(start: np.ndarray, problems: Problem, factors: Any, optics: Opt
             moved = cut(_advance(leaves, factors, optics), rows.size)
             for whole, part in zip(jax.tree.leaves((z, state, converged)), jax.tree.leaves(moved)):
                 whole[rows] = part
-    white = state.residual[:, : -z.shape[1]]
-    hessian = np.einsum("nrp,nrq->npq", state.jacobian, state.jacobian, optimize=True)
-    misfit = np.einsum("nr,nr->n", white, white) * problems.inflation
+    hessian = state.jacobian.swapaxes(1, 2) @ state.jacobian
+    misfit = (state.residual[:, : -z.shape[1]] ** 2).sum(1) * problems.inflation
     return Solution(z, hessian, misfit, converged)
 
 
