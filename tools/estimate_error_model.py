@@ -43,7 +43,6 @@ import pandas as pd
 from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import t as student
 
-from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import CONSTITUENTS
 from fynjax.leaf._error_model import (
@@ -57,6 +56,7 @@ from fynjax.leaf._error_model import (
 from fynjax.leaf._fit import NINETY_PERCENT, fit_leaf, thickness
 from fynjax.leaf._measurement import AbstractMeasurement, usual_measurement
 from fynjax.leaf._problem import leaf_bounds, leaf_problems, make_setup
+from fynjax.leaf._residual import Problem, observed, solve, to_physical, to_unconstrained
 
 DATA = Path(__file__).resolve().parents[1] / "fynjax" / "leaf" / "data"
 CAMPAIGNS = ("angers", "lopex", "nasa_fft", "california_asd", "divittorio_needle")
@@ -144,18 +144,18 @@ def at_measured_chemistry(leaves: LeafSet) -> tuple[np.ndarray, np.ndarray]:
         have = np.isfinite(values)
         known[have, column], precision[have, column] = values[have], 1e6
     optics = setup.optics
-    z = np.asarray(lm.to_unconstrained(jnp.asarray(known), optics))
+    z = np.asarray(to_unconstrained(jnp.asarray(known), optics))
     inside = (bin_centres() >= 445) & (bin_centres() <= 2405)
     use = np.isfinite(leaves.spectra) & inside
     prior = (z, precision[:, :, None] * np.eye(len(setup.names)))
     problems = leaf_problems(setup, leaves.spectra, use, prior, np.ones(count))
     none = np.zeros_like(setup.factors)
     logits = np.concatenate([
-        lm.solve(z[at], lm.Problem(*(part[at] for part in problems)), none, optics).z
+        solve(z[at], Problem(*(part[at] for part in problems)), none, optics).z
         for at in (slice(i, i + 128) for i in range(0, count, 128))
     ])  # fmt: skip
-    fitted = jax.vmap(lambda z: lm.observed(lm.to_physical(z, optics), optics))(logits)
-    layers = np.asarray(lm.to_physical(jnp.asarray(logits), optics))[:, 0]
+    fitted = jax.vmap(lambda z: observed(to_physical(z, optics), optics))(logits)
+    layers = np.asarray(to_physical(jnp.asarray(logits), optics))[:, 0]
     seen = use[:, 1].any(1) & np.isfinite(leaves.measured("dry_matter"))
     traits = [leaves.measured(trait) for trait in POPULATION_TRAITS]
     traits[0] = np.where(seen, layers, np.nan)

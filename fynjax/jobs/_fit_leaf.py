@@ -9,10 +9,9 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from fynjax import leaf
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
-from fynjax._core.parts import Workers
+from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import Progress
 from fynjax.io.spectra import (
     MeasuredSpectrum,
@@ -43,6 +42,7 @@ from fynjax.leaf import (
     FitDomain,
     IntegratingSphere,
     LeafArea,
+    LeafChunks,
     LeafClip,
     LeafFit,
     LeafShape,
@@ -354,10 +354,17 @@ def fit_leaf(
         journal = None
         if checkpoint is not None and len(r) > _PART:
             journal = Journal(checkpoint, signature(r, t, options))
-        fit = leaf.fit_leaf(
-            _GRID, r, t,
-            chunk=_PART, journal=journal, workers=workers, progress=run.progress, **options,
-        )  # fmt: skip
+        chunks = LeafChunks(_GRID, r, t, size=_PART, **options)
+        with run.progress.stage("fitting leaves", len(r)), at_work(workers) as pool:
+            done = dict(
+                pool.each(
+                    LeafChunks.fit, chunks.parts, chunks.setup,
+                    names=[f"leaves {rows.start + 1} to {rows.stop}" for rows in chunks.rows],
+                    sizes=[rows.stop - rows.start for rows in chunks.rows],
+                    journal=journal, progress=run.progress,
+                )
+            )  # fmt: skip
+        fit = chunks.join(done.pop(i) for i in range(len(chunks.rows)))
     if regression:
         fit = regress_water(fit)
     settings = {

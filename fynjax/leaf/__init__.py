@@ -15,7 +15,7 @@ from fynjax.leaf._error_model import (
     independent_error_model,
     to_bins,
 )
-from fynjax.leaf._fit import LeafFit, LeafStatus, fit_leaf
+from fynjax.leaf._fit import LeafChunks, LeafFit, LeafStatus, fit_leaf
 from fynjax.leaf._groups import LeafGroups, fit_leaf_groups
 from fynjax.leaf._measurement import (
     MEASUREMENT_PARAMETERS,
@@ -60,6 +60,7 @@ __all__ = [
     "IntegratingSphere",
     "Leaf",
     "LeafArea",
+    "LeafChunks",
     "LeafClip",
     "LeafFit",
     "LeafGroups",

@@ -1,7 +1,7 @@
 """From spectra to leaf chemistry, transmittance and their uncertainty."""
 
 import enum
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -11,11 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.stats import chi2
 
-from fynjax._core.checkpoint import Journal
-from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import require_double_precision
-from fynjax._core.progress import NullProgress, Progress
-from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel, bin_centres
@@ -30,6 +26,19 @@ from fynjax.leaf._problem import (
     leaf_problems,
     make_setup,
     usable_bins,
+)
+from fynjax.leaf._residual import (
+    Optics,
+    Problem,
+    Solution,
+    batches,
+    cut,
+    factor_system,
+    inverse_triangular,
+    observed,
+    solve,
+    spectra,
+    to_physical,
 )
 
 NINETY_PERCENT = 1.6448536269514722
@@ -128,21 +137,8 @@ class LeafFit(eqx.Module):
         return tuple(sentences)
 
 
-def _inverse(lower: Array) -> Array:
-    """Inverse of a lower triangular matrix.
-
-    Not LAPACK: its threads spend ten times the CPU time on small systems.
-    """
-    unit = jnp.eye(len(lower), dtype=lower.dtype)
-
-    def row(i: Array, y: Array) -> Array:
-        return y.at[i].set((unit[i] - lower[i] @ y) / lower[i, i])
-
-    return jax.lax.fori_loop(0, len(lower), row, jnp.zeros_like(lower))
-
-
 @eqx.filter_jit
-def _describe_many(tree: tuple, factors: Any, noise: Any, optics: lm.Optics) -> dict[str, Array]:
+def _describe_many(tree: tuple, factors: Any, noise: Any, optics: Optics) -> dict[str, Array]:
     """Spectra at z and what the data say of them, of a batch of leaves.
 
     Products with the factors, which all leaves share, are taken of the whole batch at once: one
@@ -153,18 +149,19 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: lm.Optics) -> 
     number = factors.shape[0]
     flat, through = factors.reshape(number, -1), factors[:, 1]
 
-    def spectra(z: Array, problem: lm.Problem) -> tuple[Array, ...]:
-        x, unit = lm.to_physical(z, optics), jax.nn.sigmoid(z)
-        scale = (optics.upper - optics.lower) * unit * (1.0 - unit)
-        model, slopes = lm.spectra_and_slopes(x, optics)
-        recorded, by_recorded = lm.observed_and_slopes(x, optics)
-        weight = problem.precision.reshape(-1)
-        residual = jnp.where(weight > 0, (problem.data - recorded).reshape(-1), 0.0)
-        rows = jnp.concatenate([residual[None], by_recorded.reshape(size, -1) * scale[:, None]])
-        root = _inverse(lm.factor_system(factors, problem.precision))
-        return x, scale, model, recorded, slopes[:, 1] * scale[:, None], rows * weight, root
+    def one(z: Array, problem: Problem) -> tuple[Array, ...]:
+        def read(z: Array) -> tuple[Array, Array]:
+            x = to_physical(z, optics)
+            return spectra(x, optics), observed(x, optics)
 
-    x, scale, model, recorded, slopes, rows, root = jax.vmap(spectra)(z, problems)
+        (model, recorded), push = jax.linearize(read, z)
+        slopes, by_recorded = jax.vmap(push)(jnp.eye(size))
+        misfit = jnp.concatenate([(problem.data - recorded)[None], by_recorded])
+        rows = (misfit * problem.precision).reshape(size + 1, -1)
+        root = inverse_triangular(factor_system(factors, problem.precision))
+        return model, recorded, slopes[:, 1], rows, root
+
+    model, recorded, slopes, rows, root = jax.vmap(one)(z, problems)
     inverse = jnp.einsum("nij,nik->njk", root, root)
     loads = (rows.reshape(-1, flat.shape[1]) @ flat.T).reshape(leaves, size + 1, number)
     answers = jnp.einsum("nrj,njk->nrk", loads, inverse)
@@ -175,8 +172,6 @@ def _describe_many(tree: tuple, factors: Any, noise: Any, optics: lm.Optics) -> 
     remaining = inverse.reshape(leaves, -1) @ pairs + noise[1] ** 2
     known = jnp.einsum("npb,npb->nb", effective, jnp.einsum("npq,nqb->npb", covariance, effective))
     return {
-        "x": x,
-        "scale": scale,
         "recorded": recorded,
         "corrected": model + shown.reshape(model.shape),
         "variance": known + problems.inflation[:, None] * remaining,
@@ -188,26 +183,24 @@ def solve_leaves(
     data: np.ndarray,
     use: np.ndarray,
     prior: tuple[np.ndarray, np.ndarray],
-) -> tuple[lm.State, lm.Problem, np.ndarray]:
-    """Most probable z of each leaf, its problem, and its misfit without inflation.
+) -> tuple[Solution, Problem]:
+    """Most probable z of each leaf, and its problem.
 
     A leaf that fits worse than the leaves of the error model has its covariance scaled up, one step
     of a Student likelihood with 50 degrees of freedom, and is solved again. The same for the prior
     was tried with 4 degrees: it adds half to the error of water in sclerophylls and needles.
     """
     problems = leaf_problems(setup, data, use, prior, np.ones(len(data)))
-    state = lm.solve(prior[0], problems, setup.factors, setup.optics)
-    misfit = _misfit(state, problems)
-    inflation = np.maximum(1.0, (50.0 + 10.0 * misfit) / (50.0 + use.sum((1, 2))))
+    found = solve(prior[0], problems, setup.factors, setup.optics)
+    inflation = np.maximum(1.0, (50.0 + 10.0 * found.misfit) / (50.0 + use.sum((1, 2))))
     again = np.flatnonzero(inflation > 1.01)
     problems = problems._replace(inflation=np.where(inflation > 1.01, inflation, 1.0))
     if again.size:
-        part = lm.Problem(*(a[again] for a in problems))
-        moved = lm.solve(state.z[again], part, setup.factors, setup.optics)
-        for whole, new in zip(state, moved):
+        part = Problem(*(a[again] for a in problems))
+        moved = solve(found.z[again], part, setup.factors, setup.optics)
+        for whole, new in zip(found, moved):
             whole[again] = new
-        misfit[again] = _misfit(moved, part)
-    return state, problems, misfit
+    return found, problems
 
 
 def towards_reflectance(
@@ -226,7 +219,7 @@ def towards_reflectance(
     if setup.reflectance_share > 0.0 and both.size:
         at, seen = setup.names.index("dry_matter"), use[both]
         seen[:, 1] = False
-        alone, _, _ = solve_leaves(setup, data[both], seen, leaf_priors(setup, data[both], seen))
+        alone, _ = solve_leaves(setup, data[both], seen, leaf_priors(setup, data[both], seen))
         way = np.where(alone.converged, alone.z[:, at] - z[both, at], 0.0)
         change[both, at] = setup.reflectance_share * way
     return change
@@ -238,25 +231,13 @@ def rarity(setup: Setup, z: np.ndarray) -> Float[np.ndarray, " leaf"]:
     return np.einsum("np,pq,nq->n", offset, setup.prior_precision, offset)
 
 
-def _misfit(state: lm.State, problems: lm.Problem) -> Float[np.ndarray, " leaf"]:
-    """Squared misfit in units of the error model's covariance, without inflation."""
-    offset = state.z - problems.prior_mean
-    pull = np.einsum("np,npq,nq->n", offset, problems.prior_precision, offset)
-    return (2.0 * state.cost - pull) * problems.inflation
-
-
 def describe(
-    setup: Setup, problems: lm.Problem, z: np.ndarray, covariance: np.ndarray
+    setup: Setup, problems: Problem, z: np.ndarray, covariance: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Parameters and spectra at z, the errors the data show, and the spread of T."""
     parts = [
-        {
-            key: np.array(value)[: rows.size]
-            for key, value in _describe_many(
-                leaves, setup.factors, setup.noise, setup.optics
-            ).items()
-        }
-        for rows, leaves in lm.batches((z, problems, covariance), np.arange(len(z)))
+        cut(_describe_many(leaves, setup.factors, setup.noise, setup.optics), rows.size)
+        for rows, leaves in batches((z, problems, covariance), np.arange(len(z)))
     ]
     return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
 
@@ -294,10 +275,6 @@ def fit_leaf(
     outdoor: bool | None = None,
     detector_changes: Sequence[float] = (),
     error_model: ErrorModel | None = None,
-    chunk: int = 1024,
-    journal: Journal | None = None,
-    workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> LeafFit:
     """Fit PROSPECT to measured reflectance, transmittance, or both, of any number of leaves.
 
@@ -333,14 +310,10 @@ def fit_leaf(
     - `detector_changes`: wavelengths where detectors change [nm]; jumps there are taken out, see
       `correct_detector_jumps`. Of an ASD 1000 and 1830, of LOPEX 860.
     - `error_model`: covariance of the model's error, `default_error_model()` by default.
-    - `chunk`: leaves that are solved together, 128 at a time until each has converged; memory is
-      some 100 MB and 30 kB for each of them.
-    - `journal`: keeps what each chunk gave, for a fit that is interrupted; nothing does by default.
-    - `workers`: where chunks are fitted; in this process by default.
-    - `progress`: where to report the number of leaves fitted; nowhere by default.
 
     **Returns:** `LeafFit`, on bins of 5 and 10 nm. A leaf with fewer than ten usable bins has NaN,
-    and its `status` says so.
+    and its `status` says so. Besides it memory takes some 200 MB, however many leaves there are. To
+    spread a long fit, keep what was done, or watch it, see `LeafChunks`.
 
     **Raises:** `InputError` for arrays that do not match, an unknown version, shape, domain or
     parameter, and where JAX is limited to 32 bits.
@@ -361,63 +334,97 @@ def fit_leaf(
     >>> round(float(fit.parameters.water[0]), 3)
     0.012
     """
-    require_double_precision("`fit_leaf`")
-    progress = NullProgress() if progress is None else progress
-    data = binned_data(wavelength, reflectance, transmittance, detector_changes)
-    use = usable_bins(data, domain, outdoor)
-    setup = make_setup(version, measurement, free, error_model, leaf_shape)
-    prior = leaf_priors(setup, data, use)
-    cut = [slice(at, at + chunk) for at in range(0, len(data), chunk)]
-    chunks = [(data[rows], use[rows], (prior[0][rows], prior[1][rows])) for rows in cut]
-    names = [f"leaves {rows.start + 1} to {min(rows.stop, len(data))}" for rows in cut]
-    sizes = [len(data[rows]) for rows in cut]
-    with progress.stage("fitting leaves", len(data)), at_work(workers) as pool:
-        parts = [
-            dict(zip(map(str, keys), arrays))
-            for keys, *arrays in pool.all(
-                _chunk_arrays, chunks, setup,
-                names=names, sizes=sizes, journal=journal, progress=progress,
-            )
-        ]  # fmt: skip
-    return assemble(setup, parts, data, use)
+    chunks = LeafChunks(
+        wavelength, reflectance, transmittance, version=version,
+        measurement=measurement, leaf_shape=leaf_shape, domain=domain, free=free, outdoor=outdoor,
+        detector_changes=detector_changes, error_model=error_model,
+    )  # fmt: skip
+    return chunks.join(chunks.fit(part, chunks.setup) for part in chunks.parts)
 
 
 Chunk = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]
 """Data of some leaves, which of them to use, and their priors."""
 
 
-def _chunk_arrays(leaves: Chunk, setup: Setup) -> tuple[np.ndarray, ...]:
-    """What `fit_chunk` gives, after the names of it."""
-    found = fit_chunk(setup, *leaves)
-    return np.array(list(found)), *found.values()
+class LeafChunks:
+    """The leaves of a fit in chunks, each of which can be fitted elsewhere, kept, or counted.
 
+    `fit_leaf` fits one after another. In place of `map` may stand that of processes, such as
+    `concurrent.futures.ProcessPoolExecutor().map`.
 
-def fit_chunk(
-    setup: Setup,
-    data: np.ndarray,
-    use: np.ndarray,
-    prior: tuple[np.ndarray, np.ndarray],
-) -> dict[str, np.ndarray]:
-    """Everything `assemble` needs of some leaves."""
-    state, problems, misfit = solve_leaves(setup, data, use, prior)
-    covariance = np.linalg.inv(state.hessian)
-    change = towards_reflectance(setup, data, use, state.z)
-    return describe_chunk(setup, state, problems, misfit, covariance, use, change)
+    >>> from itertools import repeat
+    >>> import numpy as np
+    >>> import fynjax as fx
+    >>> from fynjax.leaf import LeafChunks
+    >>> leaf = fx.prospect(fx.LeafParameters())
+    >>> spectra = np.tile(leaf.reflectance, (3, 1))
+    >>> chunks = LeafChunks(np.asarray(leaf.wavelength), spectra, size=2)
+    >>> fit = chunks.join(map(LeafChunks.fit, chunks.parts, repeat(chunks.setup)))
+    >>> len(fit.status)
+    3
+    """
+
+    rows: list[slice]
+    """Which leaves each chunk holds."""
+    parts: list[Chunk]
+    """The chunks."""
+    setup: Setup
+    """What all leaves share."""
+
+    def __init__(
+        self,
+        wavelength: Float[np.ndarray, " band"],
+        reflectance: Float[np.ndarray, "leaf band"] | None = None,
+        transmittance: Float[np.ndarray, "leaf band"] | None = None,
+        *,
+        size: int = 1024,
+        version: ProspectVersion = "D",
+        measurement: AbstractMeasurement | None = None,
+        leaf_shape: LeafShape = "broad",
+        domain: FitDomain = "full",
+        free: Sequence[str] | None = None,
+        outdoor: bool | None = None,
+        detector_changes: Sequence[float] = (),
+        error_model: ErrorModel | None = None,
+    ) -> None:
+        """Chunks of `size` leaves; other arguments and errors as `fit_leaf`."""
+        require_double_precision("`fit_leaf`")
+        self._data = binned_data(wavelength, reflectance, transmittance, detector_changes)
+        self._use = usable_bins(self._data, domain, outdoor)
+        self.setup = make_setup(version, measurement, free, error_model, leaf_shape)
+        mean, precision = leaf_priors(self.setup, self._data, self._use)
+        count = len(mean)
+        self.rows = [slice(at, min(at + size, count)) for at in range(0, count, size)]
+        self.parts = [(self._data[r], self._use[r], (mean[r], precision[r])) for r in self.rows]
+
+    @staticmethod
+    def fit(part: Chunk, setup: Setup) -> tuple[np.ndarray, ...]:
+        """Arrays that `join` takes, of a chunk; can be sent to another process."""
+        data, use, prior = part
+        found, problems = solve_leaves(setup, data, use, prior)
+        covariance = np.linalg.inv(found.hessian)
+        change = towards_reflectance(setup, data, use, found.z)
+        values = describe_chunk(setup, found, problems, covariance, use, change)
+        return np.array(list(values)), *values.values()
+
+    def join(self, fitted: Iterable[tuple[np.ndarray, ...]]) -> LeafFit:
+        """The result, from what `fit` gave of each chunk, in their order."""
+        parts = [dict(zip(map(str, names), arrays)) for names, *arrays in fitted]
+        return assemble(self.setup, parts, self._data, self._use)
 
 
 def describe_chunk(
     setup: Setup,
-    state: lm.State,
-    problems: lm.Problem,
-    misfit: np.ndarray,
+    found: Solution,
+    problems: Problem,
     covariance: np.ndarray,
     use: np.ndarray,
     change: np.ndarray | float = 0.0,
 ) -> dict[str, np.ndarray]:
     """Everything `assemble` needs of leaves at z with that covariance, as the spectra give it, and
     of traits that `change` moves in z; spectra stay those before."""
-    description: dict[str, Any] = describe(setup, problems, state.z, covariance)
-    z, bounds = state.z + change, leaf_bounds(setup.names)
+    description: dict[str, Any] = describe(setup, problems, found.z, covariance)
+    z, bounds = found.z + change, leaf_bounds(setup.names)
     width, unit = bounds[:, 1] - bounds[:, 0], 1.0 / (1.0 + np.exp(-z))
     description |= {"x": bounds[:, 0] + width * unit, "scale": width * unit * (1.0 - unit)}
     inflation = np.asarray(problems.inflation)
@@ -425,10 +432,10 @@ def describe_chunk(
     share = np.einsum("npp->np", covariance) / population
     extra = trait_variance(setup, inflation, z)
     covariance = covariance + np.eye(len(setup.names)) * extra[:, None]
-    misfit = misfit / np.maximum(use.sum((1, 2)), 1)
+    misfit = found.misfit / np.maximum(use.sum((1, 2)), 1)
     return description | {
         "z": z, "covariance": covariance, "chi2": misfit, "inflation": inflation,
-        "converged": state.converged, "share": share, "rarity": rarity(setup, state.z),
+        "converged": found.converged, "share": share, "rarity": rarity(setup, found.z),
     }  # fmt: skip
 
 

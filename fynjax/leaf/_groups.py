@@ -146,11 +146,11 @@ def fit_leaf_groups(
     good = use.sum((1, 2)) >= 10
     rows = [np.flatnonzero((member == group) & good) for group in range(len(labels))]
     for _ in range(_ROUNDS):
-        state, problems, misfit = solve_leaves(setup, data, use, prior)
+        found, problems = solve_leaves(setup, data, use, prior)
         # What the spectrum says of its leaf, to first order: a Gaussian of this precision, and
         # that times its mean.
-        said = state.hessian - prior[1] + line
-        weighted = np.einsum("npq,nq->np", state.hessian, state.z) + pull
+        said = found.hessian - prior[1] + line
+        weighted = np.einsum("npq,nq->np", found.hessian, found.z) + pull
         weighted -= np.einsum("npq,nq->np", *prior[::-1])
         species = [_species(said[at], weighted[at], within, shared, setup) for at in rows]
         scatter = sum((s.scatter.sum(0) for s in species if len(s.scatter) > 1), 0.0 * guess)
@@ -161,12 +161,12 @@ def fit_leaf_groups(
         precision = inverse + line
         mean = np.linalg.solve(precision, ((means @ inverse)[member] + pull)[:, :, None])
         prior = (mean[:, :, 0], precision)
-    z, covariance = state.z.copy(), np.linalg.inv(state.hessian)
+    z, covariance = found.z.copy(), np.linalg.inv(found.hessian)
     for at, group in zip(rows, species):
         z[at], covariance[at] = group.leaves, group.covariance
-    state = state._replace(z=z)
-    leaves = assemble(setup, [describe_chunk(setup, state, problems, misfit, covariance, use)],
-                      data, use)  # fmt: skip
+    found = found._replace(z=z)
+    parts = [describe_chunk(setup, found, problems, covariance, use)]
+    leaves = assemble(setup, parts, data, use)
     return LeafGroups(labels, _parameters(means, setup.names), means, within, setup.names, leaves)
 
 

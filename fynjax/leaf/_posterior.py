@@ -15,7 +15,6 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import NullProgress, Progress
 from fynjax._core.sampling import ensemble, hamiltonian
-from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel
@@ -23,6 +22,7 @@ from fynjax.leaf._fit import describe, solve_leaves, towards_reflectance, trait_
 from fynjax.leaf._measurement import AbstractMeasurement
 from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._problem import FitDomain, Setup, binned_data, leaf_priors, make_setup, usable_bins
+from fynjax.leaf._residual import Leaf, Problem, residual, to_physical, whitening
 
 _WALKERS, _CHAINS = 32, 4
 
@@ -42,26 +42,18 @@ class LeafPosterior(eqx.Module):
     """Text [leaf]: `converged`, or why the draws may not be the posterior."""
 
 
-def _log_density(
-    z: Array, free: Array, problem: lm.Problem, system: Array, factors: Any, optics: lm.Optics
-) -> Array:
+def _log_density(z: Array, free: Array, leaf: Leaf) -> Array:
     """Log posterior density at z [free parameter]; fixed parameters keep their prior."""
-    whole = problem.prior_mean.at[free].set(z)
-    return -lm.cost(whole, problem, factors, system, optics)
+    white = residual(leaf[0].prior_mean.at[free].set(z), leaf)
+    return -0.5 * white @ white
 
 
-def leaf_density(setup: Setup, problem: lm.Problem) -> Callable[[Array], Array]:
+def leaf_density(setup: Setup, problem: Problem) -> Callable[[Array], Array]:
     """The log posterior density of a leaf over z [free parameter], as a pytree."""
-    problem = lm.Problem(*(jnp.asarray(part) for part in problem))
+    problem = Problem(*(jnp.asarray(part) for part in problem))
     factors = jnp.asarray(setup.factors)
-    return Partial(
-        _log_density,
-        free=jnp.asarray(free_columns(setup)),
-        problem=problem,
-        system=lm.factor_system(factors, problem.precision),
-        factors=factors,
-        optics=setup.optics,
-    )
+    leaf = problem, whitening(problem, factors), factors, setup.optics
+    return Partial(_log_density, free=jnp.asarray(free_columns(setup)), leaf=leaf)
 
 
 def free_columns(setup: Setup) -> np.ndarray:
@@ -129,8 +121,8 @@ def sample_leaf_posterior(
     random = np.random.default_rng(seed)
     with progress.stage("sampling leaves", len(data)):
         setup = make_setup(version, measurement, free, error_model, leaf_shape)
-        state, problems, _ = solve_leaves(setup, data, use, leaf_priors(setup, data, use))
-        moved = towards_reflectance(setup, data, use, state.z)
+        found, problems = solve_leaves(setup, data, use, leaf_priors(setup, data, use))
+        moved = towards_reflectance(setup, data, use, found.z)
         columns = free_columns(setup)
         samples = np.full((len(data), draws, columns.size), np.nan)
         spectra = np.full((len(data), draws, data.shape[2]), np.nan)
@@ -139,10 +131,10 @@ def sample_leaf_posterior(
             if use[i].sum() < 10:
                 status.append("failed: fewer than ten usable bands within 450-2400 nm")
                 continue
-            density = leaf_density(setup, lm.Problem(*(part[i] for part in problems)))
-            covariance = np.linalg.inv(state.hessian[i])[np.ix_(columns, columns)]
+            density = leaf_density(setup, Problem(*(part[i] for part in problems)))
+            covariance = np.linalg.inv(found.hessian[i])[np.ix_(columns, columns)]
             count = max(_WALKERS, 4 * columns.size) if sampler == "emcee" else _CHAINS
-            start = random.multivariate_normal(state.z[i, columns], covariance, count)
+            start = random.multivariate_normal(found.z[i, columns], covariance, count)
             limits: dict[str, Any] = {"target": target, "steps": max_steps, "seed": seed + i}
             if sampler == "emcee":
                 many: Any = partial(of_many, density)
@@ -164,7 +156,7 @@ def sample_leaf_posterior(
 
 def _finish(
     setup: Setup,
-    problems: lm.Problem,
+    problems: Problem,
     leaf: int,
     columns: np.ndarray,
     z: np.ndarray,
@@ -176,12 +168,12 @@ def _finish(
     count, parameters = len(z), len(setup.names)
     whole = np.tile(problems.prior_mean[leaf], (count, 1))
     whole[:, columns] = z
-    many = lm.Problem(*(np.repeat(part[leaf : leaf + 1], count, 0) for part in problems))
+    many = Problem(*(np.repeat(part[leaf : leaf + 1], count, 0) for part in problems))
     description = describe(setup, many, whole, np.zeros((count, parameters, parameters)))
     inflation = problems.inflation[leaf : leaf + 1]
     extra = np.sqrt(trait_variance(setup, inflation, whole))
     moved = whole + change + extra * random.normal(size=whole.shape)
-    x = np.asarray(lm.to_physical(jnp.asarray(moved), setup.optics))[:, columns]
+    x = np.asarray(to_physical(jnp.asarray(moved), setup.optics))[:, columns]
     # The same draw for all bands: the remaining error is nearly fully correlated over a detector,
     # and an interval needs only the distribution at its band.
     error = random.normal(size=(count, 1)) * np.sqrt(description["variance"])

@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.parameters import Parameter
-from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import (
     CONSTITUENTS,
@@ -34,6 +33,7 @@ from fynjax.leaf._measurement import (
 )
 from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._prospect import interface_transmissivity, surface_transmissivity
+from fynjax.leaf._residual import Optics, Problem, to_unconstrained
 
 FitDomain = Literal["full", "optimal"]
 """Wavelengths that a fit uses: all of 450-2400 nm, or the published sub-domains."""
@@ -89,7 +89,7 @@ class Setup(NamedTuple):
 
     names: tuple[str, ...]
     free: tuple[str, ...]
-    optics: lm.Optics
+    optics: Optics
     factors: Float[np.ndarray, "factor 2 bin"]
     """Factors of the error model, and last the instrument's offset, no property of the leaf."""
     discrepancy: Float[np.ndarray, "parameter 2"]
@@ -123,7 +123,7 @@ def make_setup(
     binned = to_bins(native_wavelength(), np.vstack([index, absorption]))
     bounds = leaf_bounds(names)
     known = {name: _population(name) for name in names}
-    optics = lm.Optics(
+    optics = Optics(
         jnp.asarray(binned[1:]),
         jnp.asarray(surface_transmissivity(shape, binned[0])),
         jnp.asarray(interface_transmissivity(90.0, binned[0])),
@@ -155,7 +155,7 @@ def make_setup(
         discrepancy,
         np.stack([model.reflectance_noise, model.transmittance_noise]),
         model.distrust,
-        np.asarray(lm.to_unconstrained(jnp.asarray(middle), optics)),
+        np.asarray(to_unconstrained(jnp.asarray(middle), optics)),
         np.linalg.inv(correlation * np.outer(spread, spread)),
         model.reflectance_share if "dry_matter" in free else 0.0,
     )
@@ -263,7 +263,7 @@ def leaf_problems(
     use: np.ndarray,
     prior: tuple[np.ndarray, np.ndarray],
     inflation: np.ndarray,
-) -> lm.Problem:
+) -> Problem:
     """The problems of leaves as NumPy arrays with the leaf as first axis."""
     precision = np.where(use, 1.0 / (setup.noise**2 + setup.distrust**2), 0.0)
-    return lm.Problem(np.where(use, data, 0.0), precision, inflation, *prior)
+    return Problem(np.where(use, data, 0.0), precision, inflation, *prior)

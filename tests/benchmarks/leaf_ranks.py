@@ -19,10 +19,10 @@ from scipy import stats
 
 from fynjax._core.progress import NullProgress, Progress
 from fynjax._core.sampling import ensemble, hamiltonian
-from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._error_model import bin_centres
 from fynjax.leaf._posterior import free_columns, leaf_density, of_many
 from fynjax.leaf._problem import Setup, leaf_problems, make_setup
+from fynjax.leaf._residual import Problem, observed, solve, to_physical
 
 DRAWS = 63
 BINS = 8
@@ -30,14 +30,14 @@ BINS = 8
 
 def simulate(
     setup: Setup, count: int, seed: int, reflectance_only: bool
-) -> tuple[np.ndarray, lm.Problem]:
+) -> tuple[np.ndarray, Problem]:
     """True z of the free parameters [leaf, free], and each leaf's problem."""
     random = np.random.default_rng(seed)
     columns = free_columns(setup)
     spread = np.diagonal(setup.prior_precision) ** -0.5
     z = np.tile(setup.prior_mean, (count, 1))
     z[:, columns] += spread[columns] * random.normal(size=(count, columns.size))
-    seen = jax.vmap(lambda one: lm.observed(lm.to_physical(one, setup.optics), setup.optics))(z)
+    seen = jax.vmap(lambda one: observed(to_physical(one, setup.optics), setup.optics))(z)
     shared = np.einsum(
         "lf,fsb->lsb", random.normal(size=(count, len(setup.factors))), setup.factors
     )
@@ -57,7 +57,7 @@ def simulate(
 def ranks(
     setup: Setup,
     truth: np.ndarray,
-    problems: lm.Problem,
+    problems: Problem,
     sampler: str,
     seed: int = 0,
     progress: Progress | None = None,
@@ -65,14 +65,12 @@ def ranks(
     """Rank of the truth among `DRAWS` draws [leaf, free], and how many chains fell short."""
     progress = NullProgress() if progress is None else progress
     columns = free_columns(setup)
-    state = lm.solve(
-        np.tile(setup.prior_mean, (len(truth), 1)), problems, setup.factors, setup.optics
-    )
+    state = solve(np.tile(setup.prior_mean, (len(truth), 1)), problems, setup.factors, setup.optics)
     random = np.random.default_rng([seed, 1])
     found, short = [], 0
     with progress.stage("Leaves", len(truth)):
         for i, true in enumerate(truth):
-            density = leaf_density(setup, lm.Problem(*(part[i] for part in problems)))
+            density = leaf_density(setup, Problem(*(part[i] for part in problems)))
             covariance = np.linalg.inv(state.hessian[i])[np.ix_(columns, columns)]
             options: dict[str, Any] = {"target": 4.0 * DRAWS, "steps": 20_000, "seed": seed + i}
             if sampler == "emcee":
@@ -97,12 +95,10 @@ def uniform(found: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return counts, stats.chisquare(counts, axis=0).pvalue
 
 
-def gaussian_scores(setup: Setup, truth: np.ndarray, problems: lm.Problem) -> np.ndarray:
+def gaussian_scores(setup: Setup, truth: np.ndarray, problems: Problem) -> np.ndarray:
     """Truth less estimate over standard deviation of the fit's Gaussian [leaf, free]."""
     columns = free_columns(setup)
-    state = lm.solve(
-        np.tile(setup.prior_mean, (len(truth), 1)), problems, setup.factors, setup.optics
-    )
+    state = solve(np.tile(setup.prior_mean, (len(truth), 1)), problems, setup.factors, setup.optics)
     deviation = np.sqrt(np.diagonal(np.linalg.inv(state.hessian), axis1=1, axis2=2))
     return (truth - state.z[:, columns]) / deviation[:, columns]
 

@@ -12,8 +12,7 @@ from fynjax._core import parts
 from fynjax.cli import main
 from fynjax.io.spectra import _leaf_results
 from fynjax.jobs import _fit_leaf as job
-from fynjax.leaf import LeafParameters, prospect
-from fynjax.leaf import _fit as fit
+from fynjax.leaf import LeafChunks, LeafParameters, prospect
 
 LEAVES, PART = 10, 4
 
@@ -72,7 +71,7 @@ def test_files_of_two_workers_are_those_of_one_process(table, tmp_path, monkeypa
 def test_an_interrupted_fit_goes_on_and_is_that_of_one_run(table, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("fynjax.cli._runtime.prepare_jax", lambda: None)
     jobs.fit_leaf([table], tmp_path / "whole")
-    sizes, real = [], fit._chunk_arrays
+    sizes, real = [], LeafChunks.fit
 
     def interrupted(leaves, setup):
         sizes.append(len(leaves[0]))
@@ -80,7 +79,7 @@ def test_an_interrupted_fit_goes_on_and_is_that_of_one_run(table, tmp_path, caps
             raise KeyboardInterrupt
         return real(leaves, setup)
 
-    monkeypatch.setattr(fit, "_chunk_arrays", interrupted)
+    monkeypatch.setattr(LeafChunks, "fit", staticmethod(interrupted))
     kept = tmp_path / "out.checkpoint"
 
     def command(*more):
@@ -108,7 +107,7 @@ def test_a_table_of_one_part_needs_no_checkpoint(table, tmp_path, monkeypatch):
     def interrupted(leaves, setup):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(fit, "_chunk_arrays", interrupted)
+    monkeypatch.setattr(LeafChunks, "fit", staticmethod(interrupted))
     with pytest.raises(KeyboardInterrupt):
         jobs.fit_leaf([table], tmp_path / "out", checkpoint=tmp_path / "kept")
     assert not (tmp_path / "kept").exists()

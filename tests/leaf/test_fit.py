@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from scipy.stats import multivariate_t
+from scipy.optimize import least_squares
+from scipy.stats import multivariate_normal, multivariate_t
 
 from fynjax import jobs
 from fynjax.io.spectra import prior_decides
@@ -28,9 +29,8 @@ from fynjax.leaf import (
     sample_leaf_posterior,
     transmittance_from_two_readings,
 )
-from fynjax.leaf import _levenberg as lm
 from fynjax.leaf._error_model import bin_centres, to_bins
-from fynjax.leaf._fit import _misfit, solve_leaves
+from fynjax.leaf._fit import solve_leaves
 from fynjax.leaf._problem import (
     _REFLECTANCE_LINE,
     _TRANSMITTANCE_LINE,
@@ -39,6 +39,7 @@ from fynjax.leaf._problem import (
     leaf_problems,
     make_setup,
 )
+from fynjax.leaf._residual import Problem, observed, residual, solve, to_physical, whitening
 from tools.estimate_error_model import estimate
 
 GRID = np.arange(400.0, 2501.0)
@@ -94,17 +95,85 @@ def test_intervals_cover_leaves_drawn_from_the_error_model():
     assert held.mean() < 0.6, "independent noise must give intervals that are too narrow"
 
 
-def test_slopes_of_the_fit_are_those_of_the_forward_model():
-    """The two tangents that make the Jacobian, against differences through instrument and leaf."""
+@pytest.fixture
+def leaf():
+    """Needles before an unknown background, with bands left out, errors grown by half, and a prior
+    whose parameters are correlated; and a z beside it."""
     setup = make_setup("D", LeafOverBackground(None, None, None), None, None, "needle")
-    x = jnp.array([1.7, 35.0, 8.0, 1.0, 0.05, 0.012, 0.008, 0.1, 0.4, 0.3])
-    value, slopes = jax.jit(lambda x: lm.observed_and_slopes(x, setup.optics))(x)
-    read = jax.jit(lambda x: lm.observed(x, setup.optics))
-    np.testing.assert_allclose(value, read(x), rtol=1e-12)
-    for i in range(x.size):
-        step = jnp.zeros(x.size).at[i].set(1e-6 * x[i])
-        difference = (read(x + step) - read(x - step)) / (2e-6 * x[i])
-        np.testing.assert_allclose(slopes[i], difference, rtol=1e-5, atol=1e-7 / x[i])
+    draw = np.random.default_rng(4)
+    z = setup.prior_mean + 0.1 * draw.normal(size=setup.prior_mean.size)
+    data = np.asarray(observed(to_physical(z, setup.optics), setup.optics))[None]
+    data = data + draw.normal(0.0, 0.01, data.shape)
+    use = draw.random(data.shape) < 0.8
+    root = np.linalg.cholesky(setup.prior_precision) + draw.normal(0.0, 0.3, 2 * (z.size,))
+    prior = setup.prior_mean[None], (root @ root.T)[None]
+    problem = jax.tree.map(lambda a: jnp.asarray(a)[0], leaf_problems(
+        setup, data, use, prior, np.full(1, 1.5)
+    ))  # fmt: skip
+    roots = whitening(problem, setup.factors)
+    return setup, use[0], z, (problem, roots, jnp.asarray(setup.factors), setup.optics)
+
+
+def test_the_residual_is_that_of_the_dense_normal_density(leaf):
+    """Minus half its square differs between two leaves as scipy's logarithms of the densities of
+    the data, under the whole covariance of the bands that were measured, and of the prior."""
+    setup, use, z, whole = leaf
+    problem = whole[0]
+    factors, noise = setup.factors[:, use], (setup.noise**2 + setup.distrust**2)[use]
+    covariance = 1.5 * (factors.T @ factors + np.diag(noise))
+    error = multivariate_normal(np.zeros(use.sum()), covariance)
+    prior = multivariate_normal(problem.prior_mean, np.linalg.inv(problem.prior_precision))
+
+    def log_densities(z):
+        misfit = np.asarray(observed(to_physical(z, setup.optics), setup.optics) - problem.data)
+        return np.array([error.logpdf(misfit[use]), prior.logpdf(z)])
+
+    def squares(z):
+        white = np.asarray(residual(z, whole))
+        assert np.all(white[: use.size][~use.ravel()] == 0.0)
+        return np.array([np.sum(white[: use.size] ** 2), np.sum(white[use.size :] ** 2)])
+
+    other = z + 0.2
+    want = log_densities(other) - log_densities(z)
+    np.testing.assert_allclose(-0.5 * (squares(other) - squares(z)), want, rtol=1e-8)
+
+
+def test_slopes_of_the_residual_are_differences_of_it(leaf):
+    """Through instrument and leaf, by the two tangents of each band."""
+    _, _, z, whole = leaf
+    call = jax.jit(lambda z: residual(z, whole))
+    slopes = jax.jit(jax.jacfwd(call))(z)
+    for i, step in enumerate(1e-5 * np.eye(z.size)):
+        difference = (call(z + step) - call(z - step)) / 2e-5
+        np.testing.assert_allclose(slopes[:, i], difference, rtol=1e-5, atol=1e-6)
+
+
+def test_no_leaf_near_the_estimate_is_more_probable():
+    """By scipy's minimiser and differences, from the estimate: it stays within a hundredth of the
+    posterior's standard deviation."""
+    _, r, t = leaves(3, seed=9)
+    draw = np.random.default_rng(1)
+    data = np.stack([to_bins(GRID, r), to_bins(GRID, t)], axis=1)
+    data *= 1.0 + 0.05 * draw.normal(size=data.shape)
+    use = np.broadcast_to((bin_centres() > 460.0) & (bin_centres() < 2390.0), data.shape)
+    setup = make_setup("D", None, None, None)
+    found, problems = solve_leaves(setup, data, use, leaf_priors(setup, data, use))
+    assert found.converged.all()
+    call = jax.jit(residual)
+    for i, z in enumerate(found.z):
+        problem = Problem(*(jnp.asarray(part[i]) for part in problems))
+        whole = problem, whitening(problem, setup.factors), setup.factors, setup.optics
+        tight = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-13)
+        best = least_squares(lambda z, *leaf: np.asarray(call(z, leaf)), z, args=whole, **tight)
+        offset = best.x - z
+        assert np.sqrt(offset @ found.hessian[i] @ offset) < 0.01
+        # The misfit is stated in units of the errors before they are grown.
+        factors, noise = setup.factors[:, use[i]], (setup.noise**2 + setup.distrust**2)[use[i]]
+        read = np.asarray(observed(to_physical(z, setup.optics), setup.optics))
+        misfit = (read - data[i])[use[i]]
+        square = misfit @ np.linalg.solve(factors.T @ factors + np.diag(noise), misfit)
+        assert problems.inflation[i] > 1.1
+        assert found.misfit[i] == pytest.approx(square)
 
 
 def test_bad_bands_are_left_out_and_empty_spectra_say_so():
@@ -497,13 +566,13 @@ def test_a_bad_fit_is_weighted_as_under_a_student_likelihood(bands):
     setup = make_setup("D", None, None, None)
     prior = leaf_priors(setup, data, use)
     plain = leaf_problems(setup, data, use, prior, np.ones(3))
-    misfit = _misfit(lm.solve(prior[0], plain, setup.factors, setup.optics), plain)
+    misfit = solve(prior[0], plain, setup.factors, setup.optics).misfit
     density = multivariate_t(np.zeros(bands), np.eye(bands), df=50.0)
 
     def log_density(square):
         return density.logpdf(np.eye(bands)[0] * np.sqrt(square))
 
-    _, problems, _ = solve_leaves(setup, data, use, prior)
+    _, problems = solve_leaves(setup, data, use, prior)
     for found, square in zip(problems.inflation, 10.0 * misfit):
         step = 1e-3 * square
         slope = (log_density(square + step) - log_density(square - step)) / (2.0 * step)
