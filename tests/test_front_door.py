@@ -215,3 +215,25 @@ def test_a_polynomial_stands_in_for_a_function():
         fx.emulate(bent, [1.0], [0.0])
     with pytest.raises(InputError, match="not finite"):
         fx.emulate(lambda x: jnp.array([jnp.log(x[0] - 2.0)]), [0.0], [1.0])
+
+
+def test_a_leaf_of_traits_unpacks_and_broadcasts():
+    r, t = fx.prospect(chlorophyll=40.0)
+    leaf = fx.prospect(fx.Leaf(chlorophyll=40.0))
+    np.testing.assert_array_equal(r, leaf.reflectance)
+    np.testing.assert_array_equal(t, leaf.transmittance)
+    many = fx.prospect(
+        chlorophyll=[20.0, 40.0, 80.0], water=np.array([[0.01], [0.03]]), wavelength=[550.0, 1450.0]
+    )
+    assert many.reflectance.shape == (2, 3, 2)
+    one = fx.prospect(fx.Leaf(chlorophyll=80.0, water=0.03), [550.0, 1450.0])
+    np.testing.assert_allclose(many.reflectance[1, 2], one.reflectance, rtol=1e-12)
+    assert str(leaf).startswith("Optics of a leaf in 2101 bands, 400 to 2500 nm: reflectance 0.")
+    slope = jax.grad(lambda c: fx.prospect(chlorophyll=c).reflectance.sum())(40.0)
+    assert float(slope) < 0.0
+    with pytest.raises(InputError, match=r"unknown trait 'chlorophyl'. Did you mean 'chlorophyll'"):
+        fx.prospect(chlorophyl=40.0)
+    with pytest.raises(InputError, match="shapes that broadcast"):
+        fx.prospect(chlorophyll=[1.0, 2.0], water=[0.1, 0.1, 0.1])
+    with pytest.raises(InputError, match="but got both"):
+        fx.prospect(fx.Leaf(), water=0.1)

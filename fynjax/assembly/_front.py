@@ -64,7 +64,7 @@ class PlotData(Data):
     def from_image(
         cls,
         path: str | Path,
-        camera: str | Path | Sensor = "mavic_3m",
+        camera: str | Path | Sensor | Lidar = "mavic_3m",
         *,
         pixel: float | None = None,
         altitude: float | None = None,
@@ -97,7 +97,7 @@ class PlotData(Data):
     def from_table(
         cls,
         table: Any,
-        camera: str | Path | Sensor = "mavic_3m",
+        camera: str | Path | Sensor | Lidar = "mavic_3m",
         *,
         pixel: float | None = None,
         altitude: float | None = None,
@@ -204,7 +204,7 @@ class PlotData(Data):
         return cls._of(data, (view,))
 
 
-def _camera(camera: str | Path | Sensor) -> Sensor:
+def _camera(camera: str | Path | Sensor | Lidar) -> Sensor:
     """A camera's four bands."""
     sensor = load_instrument(camera) if isinstance(camera, str | Path) else camera
     if not isinstance(sensor, Sensor):

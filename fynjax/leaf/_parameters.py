@@ -1,13 +1,13 @@
 """Structure and biochemistry of a leaf, in the terms and units of PROSPECT."""
 
 import dataclasses
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.math import real_array
@@ -36,6 +36,21 @@ class LeafParameters(eqx.Module):
     >>> fx.LeafParameters.many(chlorophyll=[30.0, 60.0]).water.shape
     (2,)
     """
+
+    if TYPE_CHECKING:  # fields are arrays, and numbers make them
+
+        def __init__(
+            self,
+            structure: ArrayLike = ...,
+            chlorophyll: ArrayLike = ...,
+            carotenoids: ArrayLike = ...,
+            anthocyanins: ArrayLike = ...,
+            brown_pigments: ArrayLike = ...,
+            water: ArrayLike = ...,
+            dry_matter: ArrayLike = ...,
+            proteins: ArrayLike = ...,
+            carbon_constituents: ArrayLike = ...,
+        ) -> None: ...
 
     structure: Float[Array, ""] = parameter_field(
         symbol="N",

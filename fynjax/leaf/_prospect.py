@@ -5,7 +5,7 @@ absorption tables of Féret et al. 2008, 2017 and 2021, rearranged so that no st
 divides by zero: see `_stack`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import Any
 
@@ -17,7 +17,7 @@ from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, did_you_mean
 from fynjax.leaf._area import LeafShape, check_shape
 from fynjax.leaf._coefficients import (
     CONSTITUENTS,
@@ -27,7 +27,7 @@ from fynjax.leaf._coefficients import (
     coefficients_at,
     native_wavelength,
 )
-from fynjax.leaf._parameters import LeafParameters
+from fynjax.leaf._parameters import LEAF_PARAMETERS, LeafParameters
 from fynjax.leaf._transmissivity import absorptance_slope, layer_absorptance
 
 # Leaves that are computed together where there are many.
@@ -43,6 +43,23 @@ class LeafOptics(eqx.Module):
     """Directional-hemispherical transmittance [-]."""
     wavelength: Float[Array, " band"]
     """Band centres [nm]."""
+
+    def __iter__(self) -> Iterator[Array]:
+        """Reflectance, then transmittance: `r, t = prospect(...)`."""
+        return iter((self.reflectance, self.transmittance))
+
+    def __str__(self) -> str:
+        """The range of both, in a sentence."""
+        shape = jnp.shape(self.reflectance)
+        leaves = "a leaf" if len(shape) == 1 else f"{' x '.join(map(str, shape[:-1]))} leaves"
+        if isinstance(self.reflectance, jax.core.Tracer):
+            return f"Optics of {leaves} in {shape[-1]} bands."
+        ends = [f"{float(f(v)):.3f}" for v in self for f in (jnp.min, jnp.max)]
+        return (
+            f"Optics of {leaves} in {shape[-1]} bands, {float(self.wavelength[..., 0].min()):g} to "
+            f"{float(self.wavelength[..., -1].max()):g} nm: reflectance {ends[0]} to {ends[1]}, "
+            f"transmittance {ends[2]} to {ends[3]}."
+        )
 
 
 def interface_transmissivity(
@@ -342,20 +359,20 @@ def _constants(
 
 
 def prospect(
-    parameters: LeafParameters,
-    wavelength: Float[Any, " band"] | None = None,
+    parameters: LeafParameters | None = None,
+    wavelength: Any = None,
     version: ProspectVersion = "D",
     incidence_half_angle: float | Float[Array, ""] = 40.0,
     leaf_shape: LeafShape = "broad",
+    **traits: Any,
 ) -> LeafOptics:
     """Reflectance and transmittance of a leaf, by PROSPECT-5, -D or -PRO.
 
     **Arguments:**
 
-    - `parameters`: the leaf. For many leaves map with `jax.vmap`; on a processor thousands are then
-      computed by the hundred, in memory of 1.5 times the output. That holds for one `vmap` of the
-      forward model; flatten two, and take gradients of thousands by
-      `jax.lax.map(..., batch_size=100)`.
+    - `parameters`: the leaf, or many (`LeafParameters.many`). On a processor thousands are computed
+      by the hundred, in memory of 1.5 times the output. That holds for one `vmap` of the forward
+      model; flatten two, and take gradients of thousands by `jax.lax.map(..., batch_size=100)`.
     - `wavelength`: band centres [nm], any grid inside 400-2500 nm, known outside `jit`; by default
       400 to 2500 in steps of 1 nm. The tables are interpolated linearly; bands below 400 nm, as a
       field spectrometer gives them from 350 nm on, are outside the model and refused, never
@@ -369,8 +386,11 @@ def prospect(
       (`cylinder_transmissivity`) at whatever `incidence_half_angle`. One of a "mat" or of culms,
       whose grazing light meets the next, counts as flat; light between them is added by
       `recollided`.
+    - `traits`: instead of `parameters`, its fields by name, such as `chlorophyll=40.0`; numbers or
+      arrays, which are broadcast against each other. The others have their defaults.
 
-    **Returns:** `LeafOptics` of the dtype of `parameters`.
+    **Returns:** `LeafOptics` of the dtype of `parameters`, [band] of a leaf and [*leaf, band] of
+    many. It unpacks: `r, t = prospect(chlorophyll=40.0)`.
 
     **Raises:** `InputError` for an unknown version or shape, wavelengths outside 400-2500 nm, or an
     angle outside (0, 90].
@@ -385,7 +405,27 @@ def prospect(
     >>> optics = fx.prospect(leaf, [550.0, 680.0, 860.0])
     >>> [round(float(value), 2) for value in optics.reflectance]
     [0.14, 0.04, 0.44]
+    >>> r, t = fx.prospect(chlorophyll=[20.0, 40.0, 80.0], water=[[0.01], [0.03]])
+    >>> r.shape
+    (2, 3, 2101)
     """
+    if traits:
+        if parameters is not None:
+            raise InputError(
+                f"expected `parameters` or traits, but got both ({next(iter(traits))})"
+            )
+        parameters = _leaves(traits)
+    parameters = LeafParameters() if parameters is None else parameters
+    shape = jnp.shape(parameters.structure)
+    if shape:
+        flat = jax.tree.map(lambda field: jnp.reshape(field, -1), parameters)
+        one = partial(
+            prospect, wavelength=wavelength, version=version,
+            incidence_half_angle=incidence_half_angle, leaf_shape=leaf_shape,
+        )  # fmt: skip
+        r, t = jax.vmap(lambda leaf: tuple(one(leaf)))(flat)
+        grid = native_wavelength() if wavelength is None else np.asarray(wavelength, np.float64)
+        return LeafOptics(r.reshape(*shape, -1), t.reshape(*shape, -1), jnp.asarray(grid, r.dtype))
     check_version(version)
     grid = native_wavelength() if wavelength is None else np.asarray(wavelength, np.float64)
     check_wavelength(grid)
@@ -405,3 +445,21 @@ def prospect(
     structure = jnp.asarray(parameters.structure, dtype)
     reflectance, transmittance = _kernel(structure, contents, absorption, first, diffuse, index)
     return LeafOptics(reflectance, transmittance, jnp.asarray(grid, dtype))
+
+
+def _leaves(traits: Mapping[str, Any]) -> LeafParameters:
+    """A leaf of the traits, or many, of the shape that they have together."""
+    known = tuple(LEAF_PARAMETERS)
+    for name in traits:
+        if name not in known:
+            raise InputError(f"unknown trait {name!r}.{did_you_mean(name, known)}")
+    try:
+        shape = np.broadcast_shapes(*(np.shape(value) for value in traits.values()))
+    except ValueError as error:
+        shapes = ", ".join(f"{name} {np.shape(value)}" for name, value in traits.items())
+        raise InputError(f"expected traits of shapes that broadcast, but got {shapes}") from error
+    if not shape:
+        return LeafParameters(**traits)
+    every = {n: jnp.broadcast_to(jnp.asarray(v), shape).reshape(-1) for n, v in traits.items()}
+    flat = LeafParameters.many(**every)
+    return jax.tree.map(lambda field: jnp.reshape(field, shape), flat)

@@ -764,7 +764,7 @@ def observe(
 
 
 @overload
-def observe(scene: Scene, sensor: str, **options: Any) -> Any: ...
+def observe(scene: Scene, sensor: str | Sensor | Lidar, **options: Any) -> Any: ...
 
 
 def observe(
