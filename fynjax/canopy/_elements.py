@@ -74,7 +74,10 @@ class Crown:
 
 @dataclass(frozen=True)
 class Shoots:
-    """Stems or culms that rise from the base and spread outwards."""
+    """Stems or culms that rise from the base and spread outwards.
+
+    In a crown stems end in its highest bunches, and `tip_radius` and `tip_height` do nothing.
+    """
 
     number: int
     base_radius: float
@@ -83,9 +86,10 @@ class Shoots:
     tip_height: tuple[float, float]
     """Height of the tips: of the outermost, of the innermost."""
     arch: float
-    """Distance from the axis grows with height to this power; 1 is a straight shoot."""
+    """Distance from the axis grows with height to this power: 1 is a straight shoot, more rises
+    first and then bends outwards, less leaves the axis first and then rises."""
     thinning: float
-    """Part of the base's thickness that is lost at the tip, 0 to 1."""
+    """Part of the base's thickness that is lost at the tip, 0 to 1, of a straight shoot."""
     fewest: int | None = None
     """Fewest shoots of an individual; None: all have `number`."""
     leaning: float = 0.0
@@ -120,7 +124,7 @@ class Foliage:
     """Length of a bunch of leaves along its shoot [plant heights]."""
     outline: float
     """Variation of the outline: standard deviation over mean of the square of its distance from the
-    axis, which keeps its area."""
+    axis, which keeps its area. A side that reaches less far has as many leaves, closer together."""
     uneven: float
     """Share of their height by which the lowest shoots stay below the others."""
     bare: float

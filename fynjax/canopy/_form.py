@@ -18,7 +18,8 @@ class LeafGeometry:
     """Shape and size of one leaf, which a mesh of the plant shows."""
 
     kind: str
-    """blade, culm, thread, stem (a thick one) or none."""
+    """blade, culm, thread, stem or none. A mesh has as many blades, culms and threads as their area
+    takes, and as many stems as the form has shoots, as thick as their area makes them."""
     outline: str = ""
     """Outline of a blade: linear, lanceolate, elliptic, obovate or wedge."""
     length: float = 0.0
@@ -89,7 +90,8 @@ class GrowthForm:
     """Share of the one-sided area of live shoots that is dead or woody [-]: old leaves and bracts,
     dead culms and sheaths on live ones, the twig that bears the leaves. Leaf area counts it."""
     leaf_angle: str
-    """Distribution of the leaf normals (`leaf_angle`)."""
+    """Distribution of the leaf normals (`leaf_angle`). Elements along shoots have the normals of
+    these; the name nearest to them is stated."""
     leaf_diameter: float
     """Four times the area of a leaf's outline over its perimeter [m]: the diameter of a round leaf,
     and of the disc whose overlap with itself falls as fast when it is shifted a little, so that it
@@ -108,7 +110,8 @@ class GrowthForm:
     crown: Crown | None = None
     """Envelope of the leaves; None of a form that is shoots or threads alone."""
     shoots: Shoots | None = None
-    """Stems or culms; None of a form without."""
+    """Stems or culms; None of a form without. A form with blades has them: in a mesh blades sit on
+    stems and twigs."""
     foliage: Foliage
     """How leaves stand together, and how uneven the plant is."""
     leaf_elements: Elements = leaves_in_bunches

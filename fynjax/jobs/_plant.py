@@ -286,11 +286,11 @@ def _result(
     warnings = []
     if made is not None:
         leaves = f"{made.n_leaves} leaves, culms or threads of {made.leaf_scale:.3g} times the "
-        leaves = f"{leaves}size in the table; " if made.n_leaves else ""
+        leaves = f"{leaves}usual size; " if made.n_leaves else ""
         headline.append(f"{made.form.replace('_', ' ')}; {leaves}{len(made.mesh.faces)} triangles")
         if made.leaf_scale > _LARGEST_LEAF_SCALE:
             warnings.append(
-                f"the leaves are {made.leaf_scale:.2f} times as large as in the table, and fewer: "
+                f"the leaves are {made.leaf_scale:.2f} times as large as usual, and fewer: "
                 "allow more `max_triangles`"
             )
     else:

@@ -484,9 +484,15 @@ def test_bad_normals_and_surfaces_inside_out(tmp_path: Path) -> None:
         ({"leaf_area_index": 0.0, "wood_area_index": 0.0}, "both area indices"),
         ({"flowering": 1.2}, "`flowering`"),
         ({"max_triangles": 10}, "`max_triangles`"),
-        ({"taxon": "Pterocelastrus tricuspidatus", "diameter": 0.05}, "no room for its leaf area"),
+        (
+            {"taxon": "Pterocelastrus tricuspidatus", "diameter": 0.05},
+            "no room for its leaf area: with .* m tall. Take a lower",
+        ),
         ({"taxon": "Deadwood", "diameter": 10.0}, "no room for its wood area.*m tall"),
-        ({"taxon": "Erica irregularis", "height": 0.01, "max_triangles": 3000}, "no room"),
+        (
+            {"taxon": "Erica irregularis", "height": 0.01, "max_triangles": 3000},
+            "no room .*leaves are [0-9.]+ times as large as usual, .*more `max_triangles`",
+        ),
     ],
 )
 def test_bad_input(options: dict[str, object], word: str) -> None:

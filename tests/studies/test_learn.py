@@ -107,7 +107,7 @@ def test_the_population_comes_back_and_a_stopped_run_goes_on(
     sd = np.array([p.mean_sd for p in learned]) / slope
     # Thirteen bands hold fewer means than there are: the rest keep their assumed spread.
     np.testing.assert_array_less(np.abs(mean - MU[: len(PER_PLOT)]), 3.5 * sd)
-    assert sd.min() < 0.4
+    assert sd.min() < 0.5
     spread = np.array([p.plot_sd for p in learned]) / slope
     assert np.median(spread[spread > 0]) == pytest.approx(EFFECT_SD, rel=0.35)
     assert spread[PER_PLOT.index("structure")] == 0.0

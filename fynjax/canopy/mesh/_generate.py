@@ -20,7 +20,7 @@ from fynjax.canopy._form import LeafGeometry
 from fynjax.canopy._plant import Organ
 from fynjax.canopy._table import table1_2006
 from fynjax.canopy.forms import FORMS
-from fynjax.canopy.mesh._generate_organs import Tubes, lay_out
+from fynjax.canopy.mesh._generate_organs import Sheets, Tubes, lay_out
 from fynjax.canopy.mesh._generate_parts import Surface, join
 from fynjax.canopy.mesh._plant_mesh import PlantMesh
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 _FIT_STEPS = 24
 _LARGEST_MISS = 1e-3
+_ENLARGED = 1.2
 
 
 class GeneratedPlant(eqx.Module):
@@ -143,7 +144,8 @@ def generate_plant(
         if np.abs(miss - 1.0).max() < 1e-4:
             break
         stretch = stretch * miss
-    _check_size(taxon, surfaces, wide, float(high[2] - low[2]), crown, tall, usual)
+    scale = made[Organ.LEAF][1] if isinstance(organs.get(Organ.LEAF), Sheets) else 1.0
+    _check_size(taxon, surfaces, wide, float(high[2] - low[2]), crown, tall, usual, scale)
     middle = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
     whole = join(list(surfaces.values()))
     counts = [len(surface.faces) for surface in surfaces.values()]
@@ -217,6 +219,7 @@ def _check_size(
     diameter: float,
     height: float,
     usual: tuple[float, float],
+    leaf_scale: float,
 ) -> None:
     """Raise `InputError` where the plant came out larger or smaller than it should."""
     if max(abs(wide / diameter - 1.0), abs(high / height - 1.0)) <= _LARGEST_MISS:
@@ -226,9 +229,15 @@ def _check_size(
         size = np.ptp(surface.vertices, axis=0)
         reach[organ] = max((size[0] + size[1]) / 2.0 / diameter, size[2] / height)
     organ_too_large = max(reach, key=lambda organ: reach[organ]).name.lower()
+    remedy = "Take"
+    if leaf_scale > _ENLARGED:
+        remedy = (
+            f"Its leaves are {leaf_scale:.2f} times as large as usual, and fewer: allow more "
+            "`max_triangles`, or take"
+        )
     raise InputError(
         f"a {taxon} {diameter:g} m wide and {height:g} m tall has no room for its "
         f"{organ_too_large} area: with it the plant is {wide:.3g} m wide and {high:.3g} m tall. "
-        "Take a lower `leaf_area_index` or `wood_area_index`, or a `diameter` and `height` nearer "
-        f"the usual ({usual[0]:g} m and {usual[1]:g} m)"
+        f"{remedy} a lower `leaf_area_index` or `wood_area_index`, or a `diameter` and `height` "
+        f"nearer the usual ({usual[0]:g} m and {usual[1]:g} m)"
     )
