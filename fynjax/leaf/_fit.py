@@ -312,7 +312,7 @@ def fit_leaf(
     - `error_model`: covariance of the model's error, `default_error_model()` by default.
 
     **Returns:** `LeafFit`, on bins of 5 and 10 nm. A leaf with fewer than ten usable bins has NaN,
-    and its `status` says so. Besides it memory takes some 200 MB, however many leaves there are. To
+    and its `status` says so. Besides it memory takes some 300 MB, however many leaves there are. To
     spread a long fit, keep what was done, or watch it, see `LeafChunks`.
 
     **Raises:** `InputError` for arrays that do not match, an unknown version, shape, domain or

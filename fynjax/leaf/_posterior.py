@@ -22,7 +22,7 @@ from fynjax.leaf._fit import describe, solve_leaves, towards_reflectance, trait_
 from fynjax.leaf._measurement import AbstractMeasurement
 from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._problem import FitDomain, Setup, binned_data, leaf_priors, make_setup, usable_bins
-from fynjax.leaf._residual import Leaf, Problem, residual, to_physical, whitening
+from fynjax.leaf._residual import Given, Problem, residual, to_physical, whitening
 
 _WALKERS, _CHAINS = 32, 4
 
@@ -42,9 +42,9 @@ class LeafPosterior(eqx.Module):
     """Text [leaf]: `converged`, or why the draws may not be the posterior."""
 
 
-def _log_density(z: Array, free: Array, leaf: Leaf) -> Array:
+def _log_density(z: Array, free: Array, given: Given) -> Array:
     """Log posterior density at z [free parameter]; fixed parameters keep their prior."""
-    white = residual(leaf[0].prior_mean.at[free].set(z), leaf)
+    white = residual(given[0].prior_mean.at[free].set(z), given)
     return -0.5 * white @ white
 
 
@@ -52,8 +52,8 @@ def leaf_density(setup: Setup, problem: Problem) -> Callable[[Array], Array]:
     """The log posterior density of a leaf over z [free parameter], as a pytree."""
     problem = Problem(*(jnp.asarray(part) for part in problem))
     factors = jnp.asarray(setup.factors)
-    leaf = problem, whitening(problem, factors), factors, setup.optics
-    return Partial(_log_density, free=jnp.asarray(free_columns(setup)), leaf=leaf)
+    given = problem, whitening(problem, factors), factors, setup.optics
+    return Partial(_log_density, free=jnp.asarray(free_columns(setup)), given=given)
 
 
 def free_columns(setup: Setup) -> np.ndarray:

@@ -134,15 +134,15 @@ def whitening(problem: Problem, factors: Array) -> Whitening:
     return Whitening(root, jnp.linalg.cholesky(problem.prior_precision).T)
 
 
-Leaf = tuple[Problem, Whitening, Array, Optics]
+Given = tuple[Problem, Whitening, Array, Optics]
 """A leaf's problem and whitening, and the factors [factor, 2, bin] and optics of all."""
 
 
-def residual(z: Array, leaf: Leaf) -> Float[Array, " number"]:
+def residual(z: Array, given: Given) -> Float[Array, " number"]:
     """What z departs from the data by, then from the prior, each in units of its error: minus half
     its square is the logarithm of the posterior density, up to a constant. Bands without data have
     0. Differentiable: two slopes of each band serve all parameters, see `pile`."""
-    problem, roots, factors, optics = leaf
+    problem, roots, factors, optics = given
     flat, weight = factors.reshape(len(factors), -1), problem.precision.reshape(-1)
     misfit = (observed(to_physical(z, optics), optics) - problem.data).reshape(-1)
     shared = (roots.misfit @ (flat @ (weight * misfit))) @ flat
@@ -150,9 +150,9 @@ def residual(z: Array, leaf: Leaf) -> Float[Array, " number"]:
     return jnp.concatenate([white, roots.prior @ (z - problem.prior_mean)])
 
 
-def _function(z: Array, leaf: Leaf) -> tuple[Array, None]:
+def _function(z: Array, given: Given) -> tuple[Array, None]:
     """As a solver of optimistix calls it."""
-    return residual(z, leaf), None
+    return residual(z, given), None
 
 
 @eqx.filter_jit
@@ -161,8 +161,8 @@ def _begin(leaves: tuple, factors: Any, optics: Optics) -> tuple[BroydenState, W
 
     def begin(z: Array, problem: Problem) -> tuple[BroydenState, Whitening]:
         roots = whitening(problem, factors)
-        leaf = problem, roots, factors, optics
-        return _SOLVER.init(_function, z, leaf, None, None, None, NO_TAGS), roots
+        given = problem, roots, factors, optics
+        return _SOLVER.init(_function, z, given, None, None, None, NO_TAGS), roots
 
     return jax.vmap(begin)(*leaves)
 
@@ -177,13 +177,13 @@ def _advance(leaves: tuple, factors: Any, optics: Optics) -> tuple[Array, Broyde
     def several(
         z: Array, state: BroydenState, problem: Problem, roots: Whitening
     ) -> tuple[Array, BroydenState, Array]:
-        leaf = problem, roots, factors, optics
+        given = problem, roots, factors, optics
 
         def step(_: Any, now: tuple) -> tuple:
-            return _SOLVER.step(_function, now[0], leaf, None, now[1], NO_TAGS)[:2]
+            return _SOLVER.step(_function, now[0], given, None, now[1], NO_TAGS)[:2]
 
         z, state = jax.lax.fori_loop(0, _STEPS, step, (z, state))
-        done, reason = _SOLVER.terminate(_function, z, leaf, None, state, NO_TAGS)
+        done, reason = _SOLVER.terminate(_function, z, given, None, state, NO_TAGS)
         return z, state, done & (reason == optx.RESULTS.successful)
 
     return jax.vmap(several)(*leaves)
