@@ -369,8 +369,11 @@ class Emulated(eqx.Module):
     """A polynomial of second degree that stands in for a costly function; `emulate` makes one."""
 
     centre: Float[np.ndarray, " free"]
+    """Middle of the range in which it stands in for the function."""
     scale: Float[np.ndarray, " free"]
+    """Half the width of that range."""
     coefficients: Float[np.ndarray, "term output"]
+    """Of the constant, the coordinates and their products, where the range is -1 to 1."""
     error: Float[np.ndarray, " output"]
     """Root mean square error at points that were left out of its fit."""
 

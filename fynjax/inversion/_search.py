@@ -115,7 +115,7 @@ class SearchPlace(eqx.Module):
     u: Float[Array, " free"]
     """Whitened coordinates of the parameters."""
     spread: Float[Array, "free free"]
-    """Root of the covariance of what is unknown of them."""
+    """Root of the covariance of what is unknown of the parameters, in whitened coordinates."""
     statistics: Float[Array, " statistic"]
     """Expected statistics of the full scene."""
     covariance: Float[Array, "statistic statistic"]
@@ -146,9 +146,9 @@ class SearchState(eqx.Module):
     """Where the descent of the round has come to."""
     descent: BroydenState
     origin: SearchPlace
-    """Where the search began, without any spread."""
+    """What full and coarse scenes say about the start itself, with no unknown of the parameters."""
     best: SearchPlace
-    """End of the last round; of known plants the best of the start and the rounds."""
+    """What is kept: the end of the last round; of known plants the best of start and rounds."""
     subspace: Directions
     """Informative subspace of the statistics."""
     wanted: Float[Array, " species"]
@@ -172,9 +172,13 @@ class Expectation(eqx.Module):
     a `LogPosterior`, of expected statistics."""
 
     expected: Expected
+    """Statistics of the coarse form over the plantings of the search."""
     spread: Float[Array, "free free"]
+    """Root of the covariance of what is unknown of the parameters, in whitened coordinates."""
     offset: Float[Array, " statistic"]
+    """What the coarse form lacks, added to its statistics."""
     data: Data
+    """The targets, with the errors at the start of the round."""
 
     def statistics(self, u: Float[Array, " free"]) -> Float[Array, " statistic"]:
         """Expected statistics at whitened coordinates."""
