@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
+from fynjax._core.errors import InputError
+
 NO_TAGS: frozenset[object] = frozenset()
 """A solver of optimistix may use tags of the structure of a problem; there are none."""
 
@@ -40,11 +42,13 @@ class BroydenLM(optx.AbstractLeastSquaresSolver):
     The descent has converged where a further Gauss-Newton step would lower half the squared
     residual by at most `atol + rtol` times that: with a prior, half a squared distance in posterior
     standard deviations. Where a residual or slope is not finite the result is
-    `optx.RESULTS.nonlinear_divergence`.
+    `optx.RESULTS.nonlinear_divergence`, as where a residual without a prior depends on some
+    coordinate not at all.
 
     Works in `optx.least_squares` and, step by step, in `descend`. `options["jacobian"]` may be a
     function (y, args) -> (residual, jacobian), where these are known more cheaply than by
-    differentiating `fn`. The state is a pytree of arrays; jit and vmap work.
+    differentiating `fn`. Points and residuals are arrays of one axis, without further outputs
+    (`has_aux`). The state is a pytree of arrays; jit and vmap work.
 
     **Example:**
 
@@ -72,6 +76,8 @@ class BroydenLM(optx.AbstractLeastSquaresSolver):
         self, fn: Any, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any
     ) -> BroydenState:
         """The state at `y`."""
+        if aux_struct is not None:
+            raise InputError("expected a function of residuals alone, without `has_aux`")
         residual, jacobian = _jacobian(fn, y, args, options)
         return _state(residual, jacobian, jnp.zeros((), residual.dtype), jnp.zeros((), int))
 
@@ -84,11 +90,10 @@ class BroydenLM(optx.AbstractLeastSquaresSolver):
         damped = hessian + state.damping * jnp.eye(y.size, dtype=hessian.dtype)
         move = -jnp.linalg.solve(damped, gradient)
         move = move / jnp.maximum(1.0, jnp.max(jnp.abs(move)) / self.longest)
-        aux = None
         if self.renew:
             reached, renewed = _jacobian(fn, y + move, args, options)
         else:
-            reached, aux = fn(y + move, args)
+            reached, _ = fn(y + move, args)
         expected = -gradient @ move - 0.5 * move @ hessian @ move
         fall = 0.5 * (residual @ residual - reached @ reached)
         finite = jnp.isfinite(fall)
@@ -97,12 +102,14 @@ class BroydenLM(optx.AbstractLeastSquaresSolver):
             jacobian = jnp.where(accepted, renewed, jacobian)
         else:  # a refused step corrects the Jacobian too
             change = jnp.where(finite, reached - residual - jacobian @ move, 0.0)
-            jacobian = jacobian + jnp.outer(change, move) / jnp.maximum(move @ move, 1e-300)
+            jacobian = jacobian + jnp.outer(change, move) / jnp.maximum(
+                move @ move, jnp.finfo(move.dtype).tiny
+            )
         eased = jnp.where(fall > 0.5 * expected, 0.25 * state.damping, state.damping)
         damping = jnp.where(accepted, eased, jnp.maximum(4.0 * state.damping, 1.0))
         residual = jnp.where(accepted, reached, residual)
         y = jnp.where(accepted, y + move, y)
-        return y, _state(residual, jacobian, damping, state.steps + 1), aux
+        return y, _state(residual, jacobian, damping, state.steps + 1), None
 
     def terminate(
         self, fn: Any, y: Any, args: Any, options: Any, state: BroydenState, tags: Any
@@ -127,8 +134,7 @@ def _jacobian(fn: Any, y: Any, args: Any, options: Any) -> tuple[Array, Array]:
         residual, jacobian = known(y, args)
         return jnp.asarray(residual), jnp.asarray(jacobian)
     residual, push = jax.linearize(lambda y: fn(y, args)[0], y)
-    basis = jnp.eye(jnp.size(y), dtype=y.dtype).reshape(-1, *y.shape)
-    return residual, jax.vmap(push, out_axes=-1)(basis)
+    return residual, jax.vmap(push, out_axes=-1)(jnp.eye(y.size, dtype=y.dtype))
 
 
 def _state(residual: Array, jacobian: Array, damping: Array, steps: Array) -> BroydenState:

@@ -21,7 +21,6 @@ from fynjax.assembly._targets import (
 )
 from fynjax.inversion import (
     AbstractView,
-    BroydenLM,
     Calibration,
     CalibrationSettings,
     Data,
@@ -243,9 +242,9 @@ def free(
 
     - `scene`: with its parameters. Those without effect are left out (`free_space`).
     - `patterns`: of names, such as "species.*.cover" or "species.Erica*.leaf.chlorophyll".
-    - `prior`: relative standard deviations by pattern [-], or a learned population (`fx.prior`),
-      which says how leaf area, dead tissue and clumping vary; of all others that of the parameter's
-      record.
+    - `prior`: relative standard deviations by pattern [-], the first that fits a name, or a learned
+      population (`fx.prior`), which says how leaf area, dead tissue and clumping vary; of all
+      others that of the parameter's record.
 
     **Raises:** `InputError` for a pattern that fits no name, and a parameter that cannot be free.
 
@@ -260,7 +259,8 @@ def free(
     forms = dict(zip(scene.taxa, scene.forms, strict=True))
     values = named_values(scene.parameters, scene.taxa)
     known = list(values)
-    for pattern in patterns:
+    stated = prior if isinstance(prior, Mapping) else {}
+    for pattern in (*patterns, *stated):
         if not any(fnmatchcase(name, pattern) for name in known):
             raise InputError(
                 f"{pattern!r} fits none of the scene's parameters.{did_you_mean(pattern, known)}"
@@ -273,7 +273,6 @@ def free(
                 return None
             form = forms[name.split(".", 1)[1].rsplit(".", 1)[0]]
             return prior.sd(f"{kind}.{form}", elsewhere=True) / float(values[name])
-        stated = {} if prior is None else prior
         return next((sd for pattern, sd in stated.items() if fnmatchcase(name, pattern)), None)
 
     return free_space(scene, scene.parameters, patterns, relative_sd)
@@ -319,7 +318,6 @@ def fit(
         )
     views = [view(model, model.parameters) for view in sensors]
     settings = CalibrationSettings(max_steps=max_steps) if settings is None else settings
-    solver = None if isinstance(solver, BroydenLM) else solver
     return calibrate_plot(
         model, model.parameters, data, free, views, settings, solver=solver, **options
     )
@@ -378,7 +376,7 @@ class Emulated(eqx.Module):
     """Root mean square error at points that were left out of its fit."""
 
     def __call__(self, values: Float[Array, " free"]) -> Float[Array, " output"]:
-        """The function's value; differentiable, and compiled by `jit` in no time."""
+        """The function's value; differentiable; jit and vmap work."""
         unit = (jnp.asarray(values) - self.centre) / self.scale
         return _terms(unit) @ jnp.asarray(self.coefficients)
 

@@ -45,9 +45,9 @@ class Calibration(eqx.Module):
     scene: Scene
     """The scene, with more sites held ready where the search needed them."""
     stands: tuple[Scene, ...]
-    """Plantings over which the search took expectations, in its cheap form."""
+    """Plantings over which the search took expectations, in its coarse form."""
     stand_statistics: Float[np.ndarray, "stand statistic"]
-    """Of each at the estimate, in the cheap form."""
+    """Of each at the estimate, in the coarse form."""
     fit: FitResult
     before: PlotParameters
     after: PlotParameters
@@ -68,7 +68,7 @@ class Calibration(eqx.Module):
     measured: Data
     """The targets with the errors of data, model and gains, but not of where plants stand."""
     lack: Float[np.ndarray, " statistic"]
-    """What the cheap form lacks at the estimate, on the same plants."""
+    """What the coarse form lacks at the estimate, on the same plants."""
     degrees: int = eqx.field(static=True)
     """Statistics, or directions of many, that the likelihood counts."""
     projector: Float[np.ndarray, "statistic statistic"]
@@ -231,7 +231,8 @@ def calibrate_plot(
     - `views`: what each sensor yields of `scene`.
     - `settings`: of the search. Of known plants there is one planting.
     - `solver`: of a round, of optimistix or jaxopt as of `fit`; `BroydenLM` by default, which takes
-      one Jacobian a round. Others take one at each step, or as many gradients.
+      one Jacobian a round. Others take one at each step, or as many gradients, and their steps are
+      not counted: `fit.steps` are then the rounds.
     - `start`: whitened coordinates to start from; the prior's centre by default.
     - `replant`: makes the same plot with the plants of another chance, by a number, 0 for those of
       `scene`; and with sites for so many plants of each species, asked for where the plants of a
@@ -327,7 +328,7 @@ def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
     - `ends`: its state at the end from each start, the first that of the prior's centre.
     """
     # By one likelihood: errors differ between the ends.
-    judge = search.weights(ends[0].best, ends[0].subspace)
+    judge = search.weights(ends[0].place, ends[0].subspace)
     number = int(np.argmin([search.objective(end.best, judge) for end in ends]))
     fits = [_fit_of(search, end) for end in ends]
     won, fit, origin = ends[number], fits[number], ends[0].origin

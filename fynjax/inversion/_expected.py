@@ -86,7 +86,8 @@ class Expected(eqx.Module):
     ) -> Float[np.ndarray, "draw statistic"]:
         """Statistics of every draw about `u`, with whole plants, less what the mean `slopes`
         explain of its place. Their mean is the expectation, and their covariance chance and how
-        statistics bend. A draw of which a statistic is undefined is left out."""
+        statistics bend. A draw with a statistic that is not finite is left out, unless it is one
+        of those that each step of a search is a mean over."""
         pairs = [self.draw(i) for i in range(self.number)]
         drawn = np.stack(
             [np.asarray(self.at(stand, u + jnp.asarray(spread @ n))) for stand, n in pairs]

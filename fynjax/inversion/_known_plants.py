@@ -118,9 +118,9 @@ def calibrate_known_plants(
 
     Every compared value, the mean of a block of pixels in one band, has an error of its own. The
     gains of the bands are estimated beside the parameters, with a normal prior of their logarithms.
-    The search is that of `calibrate_plot` (`BroydenLM`), on
-    the whole scene at the camera's own accuracy; slopes are computed anew, and errors renewed by
-    the simulated image, until these would lower the objective no more.
+    The search is that of `calibrate_plot` (`BroydenLM`), on the whole scene at the camera's own
+    accuracy; slopes are computed anew, and errors renewed by the simulated image, until these would
+    lower the objective no more.
 
     **Arguments:**
 
@@ -400,14 +400,17 @@ class PixelSearch:
     def _whitened(self, values: np.ndarray, u: Array | np.ndarray, sd: np.ndarray) -> Array:
         return jnp.asarray(np.concatenate([(values - self._target) / sd, np.asarray(u)]))
 
-    def _descent(self, u: Array) -> tuple[BroydenState, np.ndarray]:
-        """State of the solver with slopes and errors of this very place, and these errors."""
+    def _descent(
+        self, u: Array, sd: np.ndarray | None = None
+    ) -> tuple[BroydenState, Float[Array, " value"]]:
+        """State of the solver with slopes of this very place, and errors: by default its own."""
         values, slopes = self.linear(u)
-        sd = self._pixel_sd * np.maximum(values, _DARKEST)
+        if sd is None:
+            sd = self._pixel_sd * np.maximum(values, _DARKEST)
         rows = np.concatenate([slopes / sd[:, None], np.eye(len(u))])
         known = self._whitened(values, u, sd), jnp.asarray(rows)
         options = {"jacobian": lambda *_: known}
-        return self._solver.init(None, u, None, options, None, None, NO_TAGS), sd
+        return self._solver.init(None, u, None, options, None, None, NO_TAGS), jnp.asarray(sd)
 
     def begin(self, u: Float[Array, " free"] | None = None) -> PixelState:
         """The state at whitened coordinates of the parameters, by default the prior's centre."""
@@ -416,7 +419,7 @@ class PixelSearch:
         descent, sd = self._descent(place)
         whole = lambda number: jnp.asarray(number, int)  # noqa: E731
         return PixelState(
-            place, descent, jnp.asarray(sd), jnp.asarray(self.image(place)),
+            place, descent, sd, jnp.asarray(self.image(place)),
             figures_of(descent)[None], whole(0), whole(0),
             number_of(FitStatus.max_steps), whole(0),
         )  # fmt: skip
@@ -426,30 +429,24 @@ class PixelSearch:
         solver = self._solver
         done, result = solver.terminate(None, state.u, None, None, state.descent, NO_TAGS)
         finite = bool(result == optx.RESULTS.successful)
-        if not finite or done or state.step >= self._max_steps:
-            status = FitStatus.successful if done else FitStatus.max_steps
-            status = status if finite else FitStatus.not_finite
+        if not finite or (done and state.step == 0):
             # With slopes and errors of this very place no step is left: the end.
+            status = number_of(FitStatus.successful if finite else FitStatus.not_finite)
+            return dataclasses.replace(state, status=status, ended=state.ended + 1)
+        if done or state.step >= self._max_steps:
             last = int(state.turn) + 1 == _ROUNDS
-            ended = not finite or bool(done and state.step == 0)
-            changed = dataclasses.replace(state, status=number_of(status))
-            if ended:
-                return dataclasses.replace(changed, ended=state.ended + 1)
-            descent, sd = self._descent(state.u)
-            if last:
-                status = FitStatus.max_steps
+            descent, sd = self._descent(state.u, np.asarray(state.sd) if last else None)
+            trace = state.trace
+            if not last:
+                trace = jnp.concatenate([trace, figures_of(descent)[None]])
             return dataclasses.replace(
-                changed, descent=descent, sd=state.sd if last else jnp.asarray(sd),
-                trace=state.trace if last else jnp.concatenate(
-                    [state.trace, figures_of(descent)[None]]
-                ),
-                turn=state.turn + 1, step=jnp.asarray(0), status=number_of(status),
-                ended=state.ended + int(last),
+                state, descent=descent, sd=sd, trace=trace, turn=state.turn + 1,
+                step=jnp.asarray(0), ended=state.ended + int(last),
             )  # fmt: skip
-        sd = np.asarray(state.sd)
+        errors = np.asarray(state.sd)
 
         def whitened(u: Array, _: Any) -> tuple[Array, None]:
-            return self._whitened(self.image(u)[:, self._compared].ravel(), u, sd), None
+            return self._whitened(self.image(u)[:, self._compared].ravel(), u, errors), None
 
         u, descent, _ = solver.step(whitened, state.u, None, None, state.descent, NO_TAGS)
         trace = state.trace
@@ -460,7 +457,10 @@ class PixelSearch:
     def result(self, state: PixelState) -> KnownPlants:
         """What a search that has ended found."""
         model, free, sd, u = self.model, self._free, np.asarray(state.sd), np.asarray(state.u)
-        values, slopes = self.linear(state.u)
+        # At the end residuals and slopes are those of this very place.
+        rest, rows = np.asarray(state.descent.residual), np.asarray(state.descent.jacobian)
+        scaled = rows[: len(sd)]
+        values, slopes = self._target + sd * rest[: len(sd)], sd[:, None] * scaled
         places = np.argwhere(self._compared)
         bands = model.camera.sensor.bands.names
         names = tuple(f"{band} {y},{x}" for band in bands for y, x in places)
@@ -469,12 +469,10 @@ class PixelSearch:
             self.space, data, jnp.asarray(u[:free]), jnp.asarray(values),
             jnp.asarray(slopes[:, :free]), status_of(state.status), len(state.trace), state.trace,
         )  # fmt: skip
-        scaled = slopes / sd[:, None]
         covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(u)))
         # Of the parameters alone, the gains integrated over.
         information = np.linalg.inv(covariance[:free, :free]) - np.eye(free)
         gains = self._gain_root @ covariance[free:, free:] @ self._gain_root.T
-        rest = np.asarray(self._whitened(values, u, sd))
         centre = self.space.named(jnp.zeros(free))
         named = dict(zip(self.space.names, self._values(state.u)))
         return KnownPlants(

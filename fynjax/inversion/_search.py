@@ -223,10 +223,14 @@ class PlotSearch:
         solver: Any = None,
     ) -> None:
         self.data, self.space, self.views, self.settings = data, space, tuple(views), settings
-        self.signed = (scene, parameters, data, space, self.views, settings, replant is None)
-        self._own = BroydenLM(atol=settings.tolerance)
-        self._solver = solver
+        self.signed = (
+            scene, parameters, data, space, self.views, settings, replant is None, solver,
+        )  # fmt: skip
         """All that its steps follow from, besides where it starts."""
+        self._own, self._solver = BroydenLM(atol=settings.tolerance), solver
+        if isinstance(solver, BroydenLM) and not solver.renew:  # it needs no slopes at its steps
+            least = min(float(solver.atol), settings.tolerance)
+            self._own, self._solver = dataclasses.replace(solver, atol=least), None
         self._scene, self._parameters, self._form, self._replant = scene, parameters, form, replant
         self._predict = PlotForward(parameters, space.names, form(scene)[1])
         self._planted: tuple[bytes, tuple[Scene, ...], tuple[Scene, ...]] | None = None
@@ -290,11 +294,9 @@ class PlotSearch:
         most = counts.max(axis=0)
         more = np.where(short, np.maximum(_SPARE * counts[0], most), most)
         more = np.maximum(more, wanted)  # what has grown stays
-        before = self._planted
         try:
             self._stands(more)
         except InputError:  # no room on the plot, or in memory
-            self._planted = before
             return wanted
         return more
 
@@ -505,6 +507,8 @@ class PlotSearch:
         if turn < turns or grown:
             slopes = np.asarray(expected.slopes(u, spread))
         place = self._observe(expected, wanted, u, spread, slopes)
+        if not np.isfinite(np.asarray(place.statistics)).all():  # what was found before stays
+            return dataclasses.replace(state, u=before.u, ended=state.ended + 1)
         descent = self._descent(place, state.subspace)
         # The round kept its slopes, and the expectation is now over another spread.
         moved = np.asarray(u - before.u)
@@ -534,12 +538,9 @@ class PlotSearch:
     ) -> tuple[SearchPlace, Array]:
         """The place that is kept, and the number of its status."""
         reason = number_of(status)
-        finite = bool(np.isfinite(np.asarray(place.statistics)).all())
-        if fresh or (self.settings.stand_realisations and finite):
+        if fresh or self.settings.stand_realisations:
             # An expectation over a spread of its own compares with no other.
             return place, reason
-        if not finite:
-            return state.best, state.status
         weights = self.weights(place, state.subspace)
         if self.objective(place, weights) < self.objective(state.best, weights):
             return place, reason

@@ -1,11 +1,14 @@
 """The descent whose slopes each step corrects, on models that bend."""
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 import pytest
 from scipy.optimize import least_squares
 
+from fynjax.errors import InputError
 from fynjax.inversion import BroydenLM, descend
 
 ROOT = np.diag([1.0 / 0.03, 1.0 / 0.05, 1.0 / 0.04])
@@ -138,3 +141,57 @@ def test_what_is_left_to_gain_is_half_a_squared_distance_to_the_mean():
     _, state, _ = next(descend(linear, BroydenLM(), jnp.asarray(start), max_steps=5))
     want = 0.5 * (start - mean) @ precision @ (start - mean)
     assert float(state.gain) == pytest.approx(want)
+
+
+def test_a_descent_is_mapped_and_compiled_in_32_bits():
+    """Over starts, of which one is the minimum itself: no step there is a number over none."""
+    rows = jnp.asarray([[2.0, 0.5], [0.0, 1.0], [1.0, -1.0]], jnp.float32)
+
+    def linear(u, _):
+        return jnp.concatenate([rows @ u, u])
+
+    def ended(start):
+        solver = BroydenLM(atol=0.0)
+        found = optx.least_squares(linear, solver, start, max_steps=8, throw=False)
+        return found.value, found.stats["steps"]
+
+    starts = jnp.asarray([[0.0, 0.0], [1.0, -2.0], [3.0, 0.5]], jnp.float32)
+    ends, steps = jax.jit(jax.vmap(ended))(starts)
+    assert ends.dtype == jnp.float32
+    np.testing.assert_allclose(ends, 0.0, atol=1e-5)
+    assert steps[0] == 0
+    state = BroydenLM().init(lambda u, a: (linear(u, a), None), starts[0], None, {}, None, None, ())
+    _, state, _ = BroydenLM().step(
+        lambda u, a: (linear(u, a), None), starts[0], None, {}, state, ()
+    )
+    assert np.isfinite(state.jacobian).all()
+
+
+def test_further_outputs_of_a_function_are_refused():
+    with pytest.raises(InputError, match="residuals alone"):
+        optx.least_squares(lambda u, _: (u, 1.0), BroydenLM(), jnp.ones(2), has_aux=True)
+
+
+def test_a_step_is_eased_where_it_falls_as_expected_and_damped_where_it_does_not():
+    """After Levenberg and Marquardt: a refused step stays where it was, from damping 1; damping
+    falls to a quarter where more than half of what was expected is gained."""
+    options = {"jacobian": lambda u, _: jacobian(np.asarray(u))}
+    call = lambda u, _: (jnp.asarray(residual(np.asarray(u))), None)  # noqa: E731
+    solver, start = BroydenLM(), jnp.zeros(2)
+    state = solver.init(call, start, None, options, None, None, ())
+    worse = lambda u, _: (10.0 * state.residual, None)  # noqa: E731
+    u, refused, _ = solver.step(worse, start, None, options, state, ())
+    np.testing.assert_array_equal(u, start)
+    np.testing.assert_array_equal(refused.residual, state.residual)
+    assert not np.allclose(refused.jacobian, state.jacobian)  # it says how the model bends
+    assert float(refused.damping) == 1.0
+    _, again, _ = solver.step(worse, start, None, options, refused, ())
+    assert float(again.damping) == 4.0
+    damped = eqx.tree_at(lambda s: s.damping, state, jnp.asarray(8.0))
+    explained = lambda u, _: (state.residual + state.jacobian @ u, None)  # noqa: E731
+    _, eased, _ = solver.step(explained, start, None, options, damped, ())
+    assert float(eased.damping) == 2.0
+    hardly = lambda u, _: (state.residual * (1.0 - 1e-6), None)  # noqa: E731
+    u, kept, _ = solver.step(hardly, start, None, options, damped, ())
+    assert float(kept.damping) == 8.0
+    assert np.abs(u).max() > 0.0

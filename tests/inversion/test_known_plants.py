@@ -29,11 +29,11 @@ class Linear(SimpleNamespace):
         return BASE + np.tensordot(np.asarray(values) - np.array([0.3, 0.2]), SLOPES, axes=1)
 
     def slopes(self, values):
+        self.count = getattr(self, "count", 0) + 1
         return self.image(values), SLOPES
 
 
-@pytest.fixture(scope="module")
-def found():
+def searched(max_steps=30):
     camera = SimpleNamespace(sensor=SimpleNamespace(bands=SimpleNamespace(names=("red", "nir"))))
     model = Linear(
         camera=camera, block=1, parameters=small_parameters(), scene=SimpleNamespace(taxa=TAXA)
@@ -41,11 +41,35 @@ def found():
     measured = model.image([0.35, 0.1]) * np.array([1.2, 0.9])[:, None, None]
     compared = np.ones((2, 3), bool)
     compared[1, 2] = False
-    search = PixelSearch(model, SPACE, measured, compared, (PIXEL_SD, GAIN_SD), 30, 1e-4)
-    state = search.begin()
-    while not state.ended:
-        state = search.step(state)
-    return search.result(state), measured[:, compared].ravel(), compared
+    search = PixelSearch(model, SPACE, measured, compared, (PIXEL_SD, GAIN_SD), max_steps, 1e-4)
+    states = [search.begin()]
+    while not states[-1].ended:
+        states.append(search.step(states[-1]))
+    return search, states, measured[:, compared].ravel(), compared
+
+
+@pytest.fixture(scope="module")
+def found():
+    search, states, target, compared = searched()
+    return search.result(states[-1]), target, compared
+
+
+@pytest.mark.parametrize("max_steps", [30, 1])
+def test_slopes_are_computed_once_a_round_and_are_those_of_the_estimate(max_steps):
+    """Whether the search converged, or came to the end of its rounds."""
+    search, states, target, _ = searched(max_steps)
+    last = states[-1]
+    result = search.result(last)
+    assert search.model.count == int(last.turn) + 1
+    assert bool(result.fit.converged) == (max_steps == 30)
+    values, slopes = search.linear(last.u)
+    np.testing.assert_allclose(result.fit.predicted, values, rtol=1e-12)
+    np.testing.assert_allclose(result.fit.jacobian, slopes[:, :2], rtol=1e-9, atol=1e-12)
+    rest = (values - target) / np.asarray(last.sd)
+    u = np.asarray(last.u)
+    assert result.misfit == pytest.approx(rest @ rest + u @ u)
+    looks = len(states) - 1 if max_steps == 30 else 4  # before each step, and at the end
+    assert len(result.fit.loss) == looks
 
 
 def test_what_gains_may_be_is_an_error_of_the_parameters(found):

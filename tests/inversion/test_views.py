@@ -395,6 +395,57 @@ def test_views_must_be_those_of_the_data(sums, views):
         calibrated(sums, starts=0)
 
 
+class Beyond(Sums):
+    """Its full form is not a number where the search would go."""
+
+    def observe(self, model, parameters):
+        _, found = super().observe(model, parameters)
+        lost = (self.lack == 0.0) & (parameters.species.height[0] < 0.79)
+        return None, jnp.where(lost, jnp.nan, found)
+
+
+@pytest.mark.parametrize("stands", [0, 2])
+def test_a_search_that_loses_a_statistic_keeps_what_it_found_before(sums, stands):
+    """The start, with the errors there, the chance of plantings among them."""
+    found = calibrated(sums, Beyond(), stand_realisations=stands)
+    assert found.fit.status == FitStatus.no_gain
+    np.testing.assert_allclose(found.fit.whitened, 0.0)
+    assert np.isfinite(found.statistics_after).all()
+    assert found.misfit == pytest.approx(2.0 * found.ends.objective[0])
+    larger = np.asarray(found.data.sd) > 1.0001 * np.asarray(sums[2].sd)
+    assert larger.all() if stands else not larger.any()
+
+
+def test_what_a_broyden_solver_is_asked_for_counts_in_a_calibration(sums, monkeypatch):
+    """Steps that are cut, with new slopes once a round as without it; and its tolerance. Three
+    further rounds of three steps follow, as each still moved."""
+    count = []
+    real = _expected.predicted_slopes
+    monkeypatch.setattr(_expected, "predicted_slopes", lambda *a: (count.append(1), real(*a))[1])
+    cut = calibrated(sums, rounds=1, stand_realisations=0, solver=BroydenLM(longest=0.05))
+    assert np.abs(np.asarray(cut.fit.whitened)).max() == pytest.approx((6 + 3 * 3) * 0.05)
+    assert len(count) == 1 + 3
+    loose, exact = (
+        calibrated(sums, rounds=1, stand_realisations=0, max_steps=12, solver=BroydenLM(atol=atol))
+        for atol in (0.05, 1e-8)
+    )
+    assert int(exact.fit.steps) > int(loose.fit.steps)
+
+
+def test_a_checkpoint_knows_the_solver(sums):
+    settings = CalibrationSettings(stand_realisations=0)
+    signed = [
+        signature(plot_search(*sums, (Sums(),), settings, solver=solver).signed)
+        for solver in (
+            None,
+            optx.Dogleg(1e-4, 1e-4),
+            optx.Dogleg(1e-6, 1e-4),
+            BroydenLM(longest=1.0),
+        )
+    ]
+    assert len(set(signed)) == len(signed)
+
+
 class Broken(Sums):
     """Is not a number, or has such a slope, though only where a search looks."""
 
