@@ -94,12 +94,12 @@ def test_the_descent_ends_where_the_objective_is_least(start, renew):
 
 
 def test_a_share_of_the_objective_may_be_left():
-    """A descent ends at the first step where no more than half of the objective is to gain."""
+    """A descent ends at the first step where no more than five times the objective is to gain."""
     states, _ = descended(np.array([1.5, 0.5]))
-    (*_, last), _ = descended(np.array([1.5, 0.5]), rtol=0.5)
+    (*_, last), _ = descended(np.array([1.5, 0.5]), rtol=5.0)
     assert len(states) > int(last[1].steps) + 1
     objective = [0.5 * float(s.residual @ s.residual) for _, s, _ in states]
-    ended = [float(s.gain) <= 1e-4 + 0.5 * o for (_, s, _), o in zip(states, objective)]
+    ended = [float(s.gain) <= 1e-4 + 5.0 * o for (_, s, _), o in zip(states, objective)]
     assert int(last[1].steps) == ended.index(True)
 
 
