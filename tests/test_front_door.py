@@ -103,6 +103,7 @@ def test_values_are_set_by_name(scene, image):
         (lambda s: fx.free(s, "species.*.covr"), "fits none of the scene's parameters"),
         (lambda s: fx.prior("none"), "expected the name of a prior"),
         (lambda s: fx.sample(s), "expected what `fx.fit` returns"),
+        (lambda s: fx.free(s, "*.cover", prior={"*.covr": 0.1}), "'*.covr' fits none"),
     ],
 )
 def test_wrong_arguments_are_one_clear_error(scene, call, message):

@@ -143,6 +143,7 @@ def test_compiled_programs_are_kept_from_python_too(tmp_path: Path) -> None:
         return done.stdout.strip()
 
     assert kept(show) == str(tmp_path / "fynjax" / "jax")
-    assert kept(show, JAX_COMPILATION_CACHE_DIR="elsewhere") == "elsewhere"
-    own = 'import jax; jax.config.update("jax_compilation_cache_dir", "own"); '
-    assert kept(own + show) == "own"
+    elsewhere, own = str(tmp_path / "elsewhere"), str(tmp_path / "own")
+    assert kept(show, JAX_COMPILATION_CACHE_DIR=elsewhere) == elsewhere
+    first = f'import jax; jax.config.update("jax_compilation_cache_dir", {own!r}); '
+    assert kept(first + show) == own

@@ -34,7 +34,6 @@ from fynjax.inversion import (
     free_space,
     join_data,
     sample_posterior,
-    search_form,
     weigh_targets,
 )
 from fynjax.inversion import fit as fit_function
@@ -354,12 +353,10 @@ def sample(
         )
     if not isinstance(fitted, Calibration):
         raise InputError(f"expected what `fx.fit` returns, but got {fitted!r:.60}")
-    parameters = fitted.before
-    _, coarse = search_form(fitted.scene, parameters, fitted.views)
-    surrogate = fit_surrogate(fitted, parameters, coarse, seed=seed).surrogate
+    found = fit_surrogate(fitted, fitted.before, fitted.coarse_views, seed=seed)
     start = fitted.fit
     return sample_posterior(
-        surrogate, fitted.data, start.space, method=method, start=start, seed=seed, **options
+        found.surrogate, fitted.data, start.space, method=method, start=start, seed=seed, **options
     )
 
 

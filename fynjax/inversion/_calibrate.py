@@ -53,6 +53,8 @@ class Calibration(eqx.Module):
     after: PlotParameters
     views: tuple[AbstractView, ...]
     """What each sensor yields, in the order of the statistics."""
+    coarse_views: tuple[AbstractView, ...]
+    """The same of the `stands`, as the search had them."""
     image_before: Float[Array, "band y x"] | None
     """None where no sensor is a drone's camera."""
     image_after: Float[Array, "band y x"] | None
@@ -347,6 +349,7 @@ def calibration(search: PlotSearch, ends: Sequence[SearchState]) -> Calibration:
         before=search.plot(origin.u),
         after=search.plot(place.u),
         views=search.views,
+        coarse_views=search.coarse_views,
         image_before=origin.images[0] if with_image else None,
         image_after=image,
         statistics_before=origin.statistics,

@@ -269,6 +269,11 @@ class PlotSearch:
         """The plantings of the search, in the coarse form."""
         return self._stands(state.wanted)[1]
 
+    @property
+    def coarse_views(self) -> tuple[AbstractView, ...]:
+        """What each sensor yields of the plantings of the search."""
+        return self._predict.views
+
     def expected(self, state: SearchState) -> Expected:
         """Statistics over the plantings of a state."""
         return self._expected(state.wanted, state.subspace)

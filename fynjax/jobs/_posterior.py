@@ -35,7 +35,6 @@ from fynjax.inversion import (
     join_data,
     plot_search,
     sample_posterior,
-    search_form,
     search_starts,
     simulated_parts,
     simulation_posterior,
@@ -174,8 +173,7 @@ def posterior(
         ends = follow(search, search_starts(search), run, checkpoint / "calibration")
         calibrated = calibration(search, ends)
     found = signature(calibrated.fit.whitened, run.seed)
-    _, cheap = search_form(calibrated.scene, ready.parameters, views)
-    plot_of = calibrated, ready.parameters, cheap
+    plot_of = calibrated, ready.parameters, calibrated.coarse_views
     with run.stage("Fit a surrogate", total=RENDERS):
         renders = surrogate_renders(*plot_of, seed=run.seed)
 

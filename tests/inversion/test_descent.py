@@ -93,6 +93,16 @@ def test_the_descent_ends_where_the_objective_is_least(start, renew):
     assert 0.5 * float(state.residual @ state.residual) < best.cost + 0.01
 
 
+def test_a_share_of_the_objective_may_be_left():
+    """A descent ends at the first step where no more than five times the objective is to gain."""
+    states, _ = descended(np.array([1.5, 0.5]))
+    (*_, last), _ = descended(np.array([1.5, 0.5]), rtol=5.0)
+    assert len(states) > int(last[1].steps) + 1
+    objective = [0.5 * float(s.residual @ s.residual) for _, s, _ in states]
+    ended = [float(s.gain) <= 1e-4 + 5.0 * o for (_, s, _), o in zip(states, objective)]
+    assert int(last[1].steps) == ended.index(True)
+
+
 def test_new_slopes_are_those_of_the_point():
     states, _ = descended(np.zeros(2), renew=True)
     u, state, _ = states[-1]

@@ -7,7 +7,15 @@ import pytest
 
 from fynjax.assembly import build_plot, prepare
 from fynjax.canopy import site_weight
-from fynjax.inversion import CalibrationSettings, Data, calibrate_plot, coarser, free_space
+from fynjax.inversion import (
+    CalibrationSettings,
+    Data,
+    calibrate_plot,
+    coarser,
+    free_space,
+    plot_search,
+    search_starts,
+)
 from fynjax.inversion._views import AbstractView
 from fynjax.io.plot import read_plot
 from fynjax.scene import element_count, room_needed
@@ -155,3 +163,61 @@ def test_a_search_has_an_element_for_every_two_of_its_own_thick_boxes():
         zip(np.asarray(parameters.species.diameter), np.asarray(parameters.species.height))
     ):
         assert counts[owner == i].max() <= element_count(d, h, 0.1, layer=0.2)
+
+
+def grower(scene, parameters, asked):
+    """Makes plots with more sites, and keeps what it was asked for."""
+
+    def replant(number, counts=None):
+        asked.append(counts)
+        room = 2.5 if counts is None else np.maximum(2.5, room_needed(scene, parameters, counts))
+        return planted(room)[0]
+
+    return replant
+
+
+def test_a_round_follows_where_plants_got_more_sites(plot):
+    """Once, with slopes of the plants that there are now; for a half more than asked for."""
+    scene, parameters = plot
+    space = free_space(scene, parameters, ["*.cover"], lambda _: 1.0)
+    start = np.asarray(CrownCover().observe(scene, parameters)[1])
+    data = Data(("crown cover",), jnp.asarray(4.0 * start), jnp.array([0.01]))
+    settings, asked = CalibrationSettings(stand_realisations=0, rounds=1), []
+    replant = grower(scene, parameters, asked)
+    search = plot_search(scene, parameters, data, space, [CrownCover()], settings, replant=replant)
+    (u,) = search_starts(search)
+    state = search.begin(u)
+    assert not np.asarray(state.wanted).any()
+    while int(state.turn) == 0:
+        state = search.step(state)
+    wanted = np.asarray(state.wanted)
+    counts = np.asarray(scene.counts(search.plot(state.u)))
+    assert wanted.max() == pytest.approx(1.5 * counts[wanted.argmax()], rel=1e-5)
+    assert not state.ended
+    assert int(state.turns) == 2
+    slopes = search.expected(state).slopes(state.u, np.zeros((len(u), len(u))))
+    np.testing.assert_allclose(state.place.slopes, slopes, rtol=1e-9)
+    np.testing.assert_array_equal(state.best.u, state.u)  # nothing before compares with it
+    seen = len(asked)
+    search.begin(u, state)  # another start has the same sites, without asking
+    assert len(asked) == seen
+
+
+def test_sites_are_made_for_all_draws_of_the_prior_at_the_start(plot):
+    scene, parameters = plot
+    space = free_space(scene, parameters, ["*.cover"], lambda _: 1.0)
+    start = np.asarray(CrownCover().observe(scene, parameters)[1])
+    data = Data(("crown cover",), jnp.asarray(start), jnp.array([0.01]))
+    settings, asked = CalibrationSettings(stand_realisations=2, scatter_draws=6), []
+    replant = grower(scene, parameters, asked)
+    search = plot_search(scene, parameters, data, space, [CrownCover()], settings, replant=replant)
+    state = search.begin(jnp.zeros(len(space.names)))
+    expected = search.expected(state)
+    drawn = [scene.counts(search.plot(jnp.asarray(expected.draw(i)[1]))) for i in range(6)]
+    most = np.max(drawn, axis=0)
+    assert room_needed(scene, parameters, most).any()  # those of the table do not suffice
+    np.testing.assert_array_less(most * (1 - 1e-6), np.asarray(state.wanted))
+    grown = state.wanted
+    assert not room_needed(search.scene(state), parameters, np.asarray(most)).any()
+    assert len(asked) == 2  # the scene's own plants and one other planting
+    np.testing.assert_array_equal(search.step(state).wanted, grown)

@@ -720,11 +720,28 @@ def test_slopes_along_directions_are_those_of_central_differences(plot, views):
     assert np.abs(slopes).min(axis=1).max() > 0.0
 
 
+class Strided(Sums):
+    """Its coarse form is off by what pixels leave out."""
+
+    def for_search(self, scene, accuracy, stride):
+        return dataclasses.replace(self, lack=0.01 * stride)
+
+
+def test_coarse_views_are_those_of_the_search(sums):
+    """With its stride, so that a surrogate goes on with renders of the same form."""
+    found = calibrated(sums, Strided(), stride=3)
+    (coarse,) = found.coarse_views
+    assert coarse.lack == pytest.approx(0.03)
+    for stand, statistics in zip(found.stands, found.stand_statistics, strict=True):
+        again = coarse.predict(stand.faded(), found.after)
+        np.testing.assert_allclose(again, statistics, rtol=1e-6)
+
+
 def test_a_surrogate_bends_as_the_model_does(sums):
     """Quadratic statistics are met where linear ones are not."""
     model, start, _, space = sums
     whole = calibrated(sums, stand_realisations=8, scatter_draws=8)
-    _, cheap = search_form(model, start, [Sums()])
+    cheap = whole.coarse_views
     surrogate, error = fit_surrogate(whole, start, cheap)
     assert error.max() < 0.5
     fit = whole.fit
