@@ -49,22 +49,26 @@ class Calibration(eqx.Module):
     stand_statistics: Float[np.ndarray, "stand statistic"]
     """Of each at the estimate, in the coarse form."""
     fit: FitResult
+    """The estimate, with its uncertainty."""
     before: PlotParameters
+    """The plot's parameters where the search started, those that are not free among them."""
     after: PlotParameters
+    """The same at the estimate."""
     views: tuple[AbstractView, ...]
     """What each sensor yields, in the order of the statistics."""
     coarse_views: tuple[AbstractView, ...]
     """The same of the `stands`, as the search had them."""
     image_before: Float[Array, "band y x"] | None
-    """None where no sensor is a drone's camera."""
+    """The drone's image of the full scene where the search started; None without such a camera."""
     image_after: Float[Array, "band y x"] | None
+    """The same at the estimate, without `gain`."""
     statistics_before: Float[Array, " statistic"]
     """Of full scenes at full accuracy, expected over plantings."""
     statistics_after: Float[Array, " statistic"]
     """The same, expected also over what is unknown of the parameters."""
     spread: Float[np.ndarray, "free free"]
-    """Makes what is unknown of the parameters, over which statistics are expected, of unit normal
-    numbers."""
+    """Root of the covariance of what is unknown of the parameters, over which statistics are
+    expected, in whitened coordinates."""
     data: Data
     """The targets, their errors grown by what plantings and the camera's gains change."""
     measured: Data
@@ -74,7 +78,7 @@ class Calibration(eqx.Module):
     degrees: int = eqx.field(static=True)
     """Statistics, or directions of many, that the likelihood counts."""
     projector: Float[np.ndarray, "statistic statistic"]
-    """Keeps of statistics what lies along these directions."""
+    """Projects statistics onto the directions that the likelihood counts."""
     gain: Float[np.ndarray, " band"] | None
     """By what factor each band of the drone's camera is off, as the fit has it [-]: what simulated
     bands are to be multiplied by. None where no sensor is one."""
@@ -129,8 +133,9 @@ class Ends(eqx.Module):
     """Where a search ended from each of its starts, the first of which is the prior's centre."""
 
     objective: Float[np.ndarray, " start"]
-    """Of the full scene."""
+    """Half the squared whitened misfit and distance from the prior, of the full scene [-]."""
     whitened: Float[np.ndarray, "start free"]
+    """Whitened coordinates of the parameters."""
     apart: Float[np.ndarray, " start"]
     """Largest distance of a parameter from the best end [posterior sd]."""
     minima: int = eqx.field(static=True)

@@ -39,6 +39,7 @@ class Expected(eqx.Module):
     along: PlotForward
     """The same with slopes along the informative subspace of many statistics."""
     space: ParameterSpace
+    """The free parameters, of whose whitened coordinates u the statistics are functions."""
     stands: tuple[Scene, ...]
     """Plantings, in the coarse form."""
     seed: int = eqx.field(static=True)

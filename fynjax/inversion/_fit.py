@@ -47,7 +47,8 @@ def fit(
       gradient at each of many steps: for more statistics than a Jacobian should have rows. Those of
       jaxopt that take bounds stay within four prior standard deviations of the prior; where the
       data want more, they do not converge. By default a `BroydenLM` that renews its Jacobian.
-    - `max_steps`: most steps.
+    - `max_steps`: most steps; as many more where a solver that ends by a rule of its own starts
+      again, because more than the `tolerance` is left to gain.
     - `tolerance`: the fit has converged only where a Gauss-Newton step would lower the objective by
       no more than this, whatever tolerances the solver has of its own: 1e-3 is 0.045 posterior
       standard deviations.

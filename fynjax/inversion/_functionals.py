@@ -20,6 +20,7 @@ class Functional(NamedTuple):
     words: str
     """What it is, for sentences."""
     unit: str
+    """As `m2 m-2`; 1 for a share."""
     value: Callable[[Scene, PlotParameters], Float[Array, ""]]
     """Differentiable in the parameters; of a scene whose plants fade (`Scene.faded`) it is the
     expectation over the number of plants."""

@@ -60,18 +60,23 @@ class KnownPlants(eqx.Module):
     """A plot calibrated to an image, pixel by pixel."""
 
     scene: Scene
+    """The plot, with known plants."""
     camera: AimedSensor
+    """That took the image, of single pixels."""
     block: int = eqx.field(static=True)
     """Pixels along the edge of the blocks whose means are compared."""
     fit: FitResult
     """Its data are the compared values, band by band; its sd are those of pixels and model."""
     before: PlotParameters
+    """The plot's parameters with the free ones at the prior's centre."""
     after: PlotParameters
+    """The same at the estimate."""
     measured: Float[np.ndarray, "band y x"]
-    """Means of blocks; NaN where they are not compared."""
+    """Reflectance of the blocks [-]; NaN where they are not compared."""
     image_before: Float[np.ndarray, "band y x"]
+    """Simulated reflectance of the blocks with the parameters `before` [-]."""
     image_after: Float[np.ndarray, "band y x"]
-    """As the camera measures it with the estimated gains."""
+    """The same with those `after`, as the camera measures it with the estimated gains."""
     gain: Float[np.ndarray, " band"]
     """By what factor each band of the camera is off [-]: what simulated bands are multiplied by."""
     gain_sd: Float[np.ndarray, " band"]
@@ -213,10 +218,15 @@ class PixelModel(eqx.Module):
     """Blocks of pixels of a scene, from the values of free parameters in their own units."""
 
     scene: Scene
+    """The plot."""
     parameters: PlotParameters
+    """Of the plot; those that are not free keep these values."""
     free: tuple[str, ...] = eqx.field(static=True)
+    """Names of the free parameters."""
     camera: AimedSensor
+    """Without air."""
     block: int = eqx.field(static=True)
+    """Pixels along the edge of a block."""
 
     @eqx.filter_jit
     def image(self, values: Float[Array, " free"]) -> Float[Array, "band y x"]:
@@ -326,6 +336,7 @@ class PixelState(eqx.Module):
     u: Float[Array, " coordinate"]
     """Whitened coordinates: of the parameters, then of the gains."""
     descent: BroydenState
+    """State of the solver at `u`, with the errors of this round."""
     sd: Float[Array, " value"]
     """Errors of the compared values in this round [-]."""
     before: Float[Array, "band y x"]

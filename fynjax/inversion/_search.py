@@ -145,6 +145,7 @@ class SearchState(eqx.Module):
     u: Float[Array, " free"]
     """Where the descent of the round has come to."""
     descent: BroydenState
+    """State of the solver at `u`, with the errors of this round."""
     origin: SearchPlace
     """What full and coarse scenes say about the start itself, with no unknown of the parameters."""
     best: SearchPlace
