@@ -1,13 +1,16 @@
 """The fit to every pixel of known plants, with an image that is linear in the parameters."""
 
+import itertools
 from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fynjax._core.checkpoint import Journal, signature
 from fynjax.inversion import ParameterSpace, gain_covariance
-from fynjax.inversion._known_plants import PixelSearch
+from fynjax.inversion._known_plants import PixelSearch, PixelState
 from tests.scene.plots import TAXA, small_parameters
 
 NAMES = tuple(f"species.{taxon}.cover" for taxon in TAXA[:2])
@@ -106,3 +109,13 @@ def test_the_estimate_of_parameters_and_gains_is_where_the_posterior_is_densest(
     assert result.misfit == pytest.approx(least, rel=1e-6)
     for step in 0.02 * np.concatenate([np.eye(4), -np.eye(4)]):
         assert objective(u + step[:2], log_gain + step[2:]) > least
+
+
+def test_a_search_goes_on_from_any_state_that_was_kept(tmp_path):
+    search, states, *_ = searched()
+    kept = Journal(tmp_path, signature(search.signed))
+    for before, after in itertools.pairwise(states):
+        kept.put_state("start_1", before)
+        again = search.step(kept.kept_state("start_1", PixelState))
+        for one, other in zip(jax.tree.leaves(again), jax.tree.leaves(after), strict=True):
+            np.testing.assert_array_equal(one, other)

@@ -47,7 +47,7 @@ from fynjax.inversion import (
     whitened_residual,
 )
 from fynjax.inversion._calibrate import _gains
-from fynjax.inversion._fit_result import fit_result, scatter_covariance
+from fynjax.inversion._fit_result import fit_result, scatter_covariance, status_of
 from fynjax.inversion._views import (
     GAIN_SHARED,
     Directions,
@@ -309,6 +309,27 @@ def test_an_interrupted_run_ends_at_the_same_bits(sums, whole, tmp_path, count):
     assert not folder.exists()
 
 
+def test_a_search_from_several_starts_goes_on_within_any_of_them(sums, tmp_path):
+    """The second start shares sites and subspace with the first, which is read again."""
+    folder = tmp_path / "kept"
+    watch = Watch()
+    whole = followed(sums, tmp_path / "whole", watch, starts=2)
+    with pytest.raises(Stop):
+        followed(sums, folder, Watch(watch.count - 2), starts=2)
+    assert {path.name for path in folder.glob("*.npz")} == {
+        f"calibration.start_{number}.npz" for number in (1, 2)
+    }
+    (folder / "calibration.start_2.npz.work").write_bytes(b"cut while it was written")
+    found = followed(sums, folder, starts=2)
+    np.testing.assert_array_equal(found.ends.whitened, whole.ends.whitened)
+    np.testing.assert_array_equal(found.ends.objective, whole.ends.objective)
+    np.testing.assert_array_equal(found.fit.covariance, whole.fit.covariance)
+    with pytest.raises(InputError, match="checkpoint is of another run"):
+        followed(sums, folder, starts=3)
+    forget_journal(folder)
+    assert not folder.exists()
+
+
 def test_what_was_kept_is_not_done_again(sums, whole, tmp_path, monkeypatch):
     """A finished calibration is read, not computed: no step of the search may run."""
     folder = tmp_path / "kept"
@@ -502,6 +523,26 @@ def test_a_search_without_gain_ends_at_its_start(sums):
     np.testing.assert_allclose(found.fit.whitened, 0.0)
     np.testing.assert_allclose(found.fit.predicted, found.statistics_after)
     np.testing.assert_allclose(found.statistics_after, found.statistics_before)
+
+
+def test_of_known_plants_the_best_place_is_kept(sums):
+    """With the reason of the round that led there, or of one that ended there too."""
+    search = plot_search(*sums, (Sums(),), CalibrationSettings(stand_realisations=0))
+    (u,) = search_starts(search)
+    state = search.begin(u)
+    start = state.best
+    near, far = (dataclasses.replace(start, u=start.u + away) for away in (1e-3, 1.0))
+    better = dataclasses.replace(far, statistics=sums[2].value)
+    good, stopped, none = FitStatus.successful, FitStatus.max_steps, FitStatus.no_gain
+    for place, reason, kept, status in (
+        (better, stopped, better, stopped),
+        (far, good, start, none),
+        (near, stopped, start, none),
+        (near, good, start, good),
+    ):
+        best, number = search._better(state, place, reason, fresh=False)
+        assert best is kept
+        assert status_of(number) == status
 
 
 def test_slopes_are_computed_few_times(sums, monkeypatch):
