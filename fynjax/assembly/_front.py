@@ -12,6 +12,7 @@ import pandas as pd
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.precision import double_precision
 from fynjax.assembly._targets import (
     TargetRules,
     fitting_structure,
@@ -59,6 +60,7 @@ class PlotData(Data):
     """How each sensor sees a scene, in the order of the statistics."""
 
     @classmethod
+    @double_precision
     def from_image(
         cls,
         path: str | Path,
@@ -92,6 +94,7 @@ class PlotData(Data):
         return cls._seen(data, _camera(camera), Placement(altitude, found), gain_sd)
 
     @classmethod
+    @double_precision
     def from_table(
         cls,
         table: Any,
@@ -130,6 +133,7 @@ class PlotData(Data):
         return cls._seen(data, _camera(camera), Placement(altitude, pixel), gain_sd)
 
     @classmethod
+    @double_precision
     def from_spectrum(
         cls,
         path: str | Path,
@@ -153,6 +157,7 @@ class PlotData(Data):
         return cls._of(found.data, (found.view_of,))
 
     @classmethod
+    @double_precision
     def from_cloud(
         cls,
         path: str | Path,
@@ -180,6 +185,7 @@ class PlotData(Data):
         found = structure_data(Path(path), rules, settings, grains, seed)
         return cls._of(found.data, (found.view_of,))
 
+    @double_precision
     def __add__(self, other: "PlotData") -> "PlotData":
         """Both measurements of the same plot."""
         if not isinstance(other, PlotData):
@@ -277,6 +283,7 @@ def free(
     return free_space(scene, scene.parameters, patterns, relative_sd)
 
 
+@double_precision
 def fit(
     model: Scene | Callable[..., Float[Array, " statistic"]],
     data: Data,
@@ -322,6 +329,7 @@ def fit(
     )
 
 
+@double_precision
 def sample(
     fitted: Calibration | FitResult,
     method: SamplingMethod = "emcee",
@@ -384,6 +392,7 @@ def _terms(unit: Float[Array, "*point free"]) -> Float[Array, "*point term"]:
     return jnp.concatenate([one, unit, unit[..., first] * unit[..., second]], axis=-1)
 
 
+@double_precision
 def emulate(
     function: Callable[[Float[Array, " free"]], Float[Array, " output"]],
     lower: Any,

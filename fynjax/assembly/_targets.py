@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.assembly._forward import image_view
 from fynjax.compare import read_drone_image, read_spectra_sample
@@ -140,6 +141,7 @@ def _is_number(text: str) -> bool:
         return False
 
 
+@double_precision
 def read_targets(
     plot: Plot,
     paths: Sequence[Path],

@@ -72,7 +72,8 @@ class AbstractLeafAngle(eqx.Module):
 
     def _weights(self) -> Float[Array, " node"]:
         """Share of the leaf area at each node of the inclination."""
-        weight = self.inclination_density(jnp.asarray(_INCLINATION)) * _INCLINATION_WEIGHT
+        nodes, share = (jnp.asarray(a, float) for a in (_INCLINATION, _INCLINATION_WEIGHT))
+        weight = self.inclination_density(nodes) * share
         return weight / jnp.sum(weight)
 
     def normals(self) -> tuple[Float[Array, "normal 3"], Float[Array, " normal"]]:
@@ -80,7 +81,7 @@ class AbstractLeafAngle(eqx.Module):
 
         The weights sum to one.
         """
-        return jnp.asarray(_NORMALS), jnp.repeat(self._weights() / _AZIMUTHS, _AZIMUTHS)
+        return jnp.asarray(_NORMALS, float), jnp.repeat(self._weights() / _AZIMUTHS, _AZIMUTHS)
 
 
 def projections(

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
 
+from fynjax._core.precision import double_precision
 from fynjax.inversion._fit_result import FitResult
 from fynjax.scene import PlotParameters, Scene, with_values
 
@@ -94,6 +95,7 @@ def _slopes(
     return function(u), jax.jacrev(function)(u)
 
 
+@double_precision
 def stand_table(
     scene: Scene, parameters: PlotParameters, fit: FitResult, *, seed: int = 0
 ) -> pd.DataFrame:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax._core.precision import require_double_precision
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import NullProgress, Progress
 from fynjax._core.sampling import Draws, ensemble, hamiltonian
 from fynjax.inversion._fit import fit
@@ -32,6 +32,7 @@ _NAMED = 3
 """Most flat directions that are named one by one."""
 
 
+@double_precision
 def sample_posterior(
     predict: Predict,
     data: Data,
@@ -81,7 +82,6 @@ def sample_posterior(
     **Raises:** `InputError` for wrong arguments, or a checkpoint of another problem;
     `MissingExtraError` without the packages of the method.
     """
-    require_double_precision("`sample_posterior`")
     if method not in ("emcee", "nuts", "laplace"):
         raise InputError(f"`method` must be 'emcee', 'nuts' or 'laplace', but is {method!r}")
     if max_steps < 1 or warmup < 1 or predictive < 1 or not target > 0:

@@ -13,6 +13,7 @@ from scipy.special import ndtri
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
+from fynjax._core.precision import double_precision
 from fynjax.inversion._calibrate import Calibration
 from fynjax.inversion._expected import FARTHEST, plants_wanted, predicted
 from fynjax.inversion._fit_result import FitResult
@@ -75,6 +76,7 @@ class RegressedPosterior(NamedTuple):
         """Whether at most one in a hundred simulations, or none, lies so far out."""
         return self.farther < max(0.01, 1.5 / (self.simulations + 1))
 
+    @double_precision
     def quantiles(self, space: ParameterSpace, *shares: float) -> Float[np.ndarray, "share free"]:
         """Of each parameter of `space`, in its own unit."""
         return np.stack(
@@ -103,6 +105,7 @@ class RegressedPosterior(NamedTuple):
         )  # fmt: skip
 
 
+@double_precision
 def simulation_posterior(
     calibration: Calibration,
     parameters: PlotParameters,
@@ -159,6 +162,7 @@ def simulation_posterior(
     return regress(along, np.asarray(jax.vmap(fit.space.together)(jnp.asarray(draws[whole]))))
 
 
+@double_precision
 def simulated_parts(
     calibration: Calibration,
     parameters: PlotParameters,
@@ -193,6 +197,7 @@ def _draws(fit: FitResult, simulations: int, seed: int) -> Float[np.ndarray, "si
     return draws.clip(-FARTHEST, FARTHEST)
 
 
+@double_precision
 def regress(
     misfit: Float[np.ndarray, "simulation direction"], values: Float[np.ndarray, "simulation free"]
 ) -> RegressedPosterior:

@@ -16,6 +16,7 @@ from fynjax._core.checkpoint import Journal, keep_nothing
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers, at_work
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import NullProgress, Progress
 from fynjax.inversion._fit import Predict
 from fynjax.inversion._space import ParameterSpace
@@ -46,6 +47,7 @@ class LocalSensitivity(eqx.Module):
     metric is zero."""
 
 
+@double_precision
 def local_sensitivity(
     predict: Predict,
     names: Sequence[str],
@@ -138,6 +140,7 @@ class ExpectedSensitivity(eqx.Module):
         return np.take_along_axis(relative, first, axis=1).max(axis=1)
 
 
+@double_precision
 def expected_sensitivity(
     predict: Predict,
     names: Sequence[str],
@@ -288,6 +291,7 @@ class SobolIndices(eqx.Module):
     total_error: Float[np.ndarray, "metric free"]
 
 
+@double_precision
 def sobol_indices(
     predict: Predict,
     space: ParameterSpace,
@@ -362,6 +366,7 @@ class DerivativeMeasures(eqx.Module):
     """No total Sobol index is larger [-]."""
 
 
+@double_precision
 def derivative_measures(
     predict: Predict,
     space: ParameterSpace,

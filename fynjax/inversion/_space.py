@@ -34,6 +34,7 @@ from scipy.optimize import brentq
 
 from fynjax._core.errors import InputError
 from fynjax._core.parameters import Distribution, Parameter
+from fynjax._core.precision import in_double
 from fynjax.scene import PARAMETERS, parameter_kind
 
 _NEAR, _FAR = 5.0, 37.0
@@ -123,11 +124,11 @@ class ParameterSpace(eqx.Module):
             wide = one.width_of(float(sd)) if width is None else float(sd)
             fitted.append((wide, *one.at(wide), one.sd(wide) if width is not None else sd))
         table = np.array(fitted).reshape(count, 5).T
-        self.lower, self.upper, self.prior = (jnp.asarray(a) for a in arrays[:3])
-        self.width, self.location, self.prior_sd = (jnp.asarray(table[i]) for i in (0, 1, 4))
-        self.cut = jnp.asarray(table[2:4])
+        self.lower, self.upper, self.prior = (in_double(a) for a in arrays[:3])
+        self.width, self.location, self.prior_sd = (in_double(table[i]) for i in (0, 1, 4))
+        self.cut = in_double(table[2:4])
         self.distribution = kinds
-        self.mixing = None if correlation is None else jnp.asarray(_root(correlation, count))
+        self.mixing = None if correlation is None else in_double(_root(correlation, count))
 
     def together(self, u: Float[Array, " free"]) -> Float[Array, " free"]:
         """The normal coordinate v of each parameter's own prior, from whitened coordinates."""
@@ -213,9 +214,10 @@ class ParameterSpace(eqx.Module):
         """Standard deviation, in their own units, of parameters whose normal coordinates are normal
         about those of `u` with `sd`. Differentiable."""
         v = self.together(u)
-        values = jax.vmap(self.alone)(v + _NODES[:, None] * sd) - self.alone(v)
-        mean = _NODE_WEIGHT @ values
-        return jnp.sqrt(_NODE_WEIGHT @ (values - mean) ** 2)
+        nodes, weight = (jnp.asarray(a, float) for a in (_NODES, _NODE_WEIGHT))
+        values = jax.vmap(self.alone)(v + nodes[:, None] * sd) - self.alone(v)
+        mean = weight @ values
+        return jnp.sqrt(weight @ (values - mean) ** 2)
 
     def at_bound(self, values: Float[Array, " free"]) -> Bool[Array, " free"]:
         """Whether values lie at a bound: nearer than a thousandth of the range, and than a

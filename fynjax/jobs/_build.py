@@ -13,6 +13,7 @@ import xarray as xr
 from pydantic import Field
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.assembly import build_plot, check_memory
 from fynjax.canopy import PlantModel
@@ -81,6 +82,7 @@ class BuildResult(JobResult):
     triangles: int | None = None
 
 
+@double_precision
 def build(
     plot: Plot | str | Path,
     output: Path,

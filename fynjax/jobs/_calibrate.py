@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.assembly import Measured, prepare, read_targets
 from fynjax.inversion import Calibration, calibration, join_data, plot_search, search_starts
@@ -67,6 +68,7 @@ class CalibrateResult(JobResult):
     starts: StartSummary
 
 
+@double_precision
 def calibrate(
     plot: Plot | str | Path,
     targets: Path | Sequence[Path],
@@ -157,6 +159,7 @@ def _calibrate_known(
     )
 
 
+@double_precision
 def calibrate_to(
     plot: Plot,
     measured: Sequence[Measured],

@@ -15,6 +15,7 @@ import numpy as np
 
 from fynjax._core.errors import InputError
 from fynjax._core.memory import free_memory
+from fynjax._core.precision import double_precision
 from fynjax.assembly import stand_size
 from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import Plot, visible_sensor
@@ -124,6 +125,7 @@ class _Cost:
     memory: float | None
 
 
+@double_precision
 def estimate(
     command: str,
     output: str | Path,

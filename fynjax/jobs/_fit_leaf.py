@@ -12,6 +12,7 @@ from jaxtyping import Float
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.io.spectra import (
     MeasuredSpectrum,
@@ -249,6 +250,7 @@ def _read(
     return [(file, _without_jumps(s, detector_changes)) for file, s in spectra], refused
 
 
+@double_precision
 def fit_leaf(
     paths: Sequence[str | Path],
     output: str | Path,

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.assembly import prepare, shown_unit
 from fynjax.inversion import Information, SensorSetting, even_bands, sweep_sensors
@@ -29,6 +30,7 @@ class InformationResult(JobResult):
     """Combinations of parameters that the first sensor does not resolve, with their weights."""
 
 
+@double_precision
 def information(
     plot: Plot | str | Path,
     output: Path,

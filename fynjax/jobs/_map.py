@@ -15,6 +15,7 @@ from pydantic import Field
 from fynjax._core.checkpoint import forget_journal, signature
 from fynjax._core.errors import InputError, listed
 from fynjax._core.parts import Workers, at_work
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.assembly import STAND_QUANTITIES
 from fynjax.inversion import estimate_pixels
@@ -71,6 +72,7 @@ class MapResult(JobResult):
     posteriors: list[PixelPosterior] = Field([], description="Of the pixels asked for.")
 
 
+@double_precision
 def map_cube(
     cube: str | Path,
     training: str | Path,

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.canopy import (
     Greenness,
@@ -75,6 +76,7 @@ class PatternResult(JobResult):
     alignment: list[AlignmentSummary] | None
 
 
+@double_precision
 def pattern(
     paths: Sequence[str | Path],
     output: str | Path,

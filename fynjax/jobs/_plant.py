@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.canopy import (
     FORMS,
@@ -97,6 +98,7 @@ class PlantResult(JobResult):
     materials: list[MaterialSummary]
 
 
+@double_precision
 def plant(
     source: str,
     output: str | Path,

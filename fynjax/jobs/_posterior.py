@@ -12,6 +12,7 @@ from pydantic import Field
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.assembly import (
     Prepared,
@@ -88,6 +89,7 @@ _NAMED, _COMPARED = 5, 16
 """Parameters that are named where methods differ, and that are drawn side by side."""
 
 
+@double_precision
 def posterior(
     plot: Plot | str | Path,
     targets: Path | Sequence[Path],

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.io.micasense import (
     AlignedCapture,
@@ -55,6 +56,7 @@ class ReflectanceResult(JobResult):
     captures: dict[str, CaptureSummary]
 
 
+@double_precision
 def reflectance(
     images: Sequence[str | Path],
     output: str | Path,

@@ -12,6 +12,7 @@ from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.assembly import Prepared, batch_for_device, image_view, prepare, shown_unit
 from fynjax.inversion import (
@@ -53,6 +54,7 @@ class SensitivityResult(JobResult):
     """Rows of variance.csv; none where no samples were asked for."""
 
 
+@double_precision
 def sensitivity(
     plot: Plot | str | Path,
     output: Path,

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.assembly import aim_at_plot, build_plot
 from fynjax.io.instruments import load_instrument
@@ -49,6 +50,7 @@ class SimulateResult(JobResult):
     noise: bool
 
 
+@double_precision
 def simulate(
     plot: Plot | str | Path,
     output: Path,

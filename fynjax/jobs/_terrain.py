@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.io.raster import write_geotiff
 from fynjax.jobs._result import JobResult, Record
@@ -80,6 +81,7 @@ class TerrainResult(JobResult):
     terrain: TerrainSummary
 
 
+@double_precision
 def terrain(
     path: str | Path,
     output: str | Path,

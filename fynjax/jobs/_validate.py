@@ -10,6 +10,7 @@ import xarray as xr
 from pydantic import Field
 
 from fynjax._core.errors import InputError
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.compare import (
     DroneComparison,
@@ -144,6 +145,7 @@ class ValidateResult(JobResult):
     structure: StructureSummary | None
 
 
+@double_precision
 def validate(
     data: ValidationData,
     output: str | Path,

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.stats import chi2
 
-from fynjax._core.precision import require_double_precision
+from fynjax._core.precision import double_precision
 from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel, bin_centres
@@ -262,6 +262,7 @@ def thickness(dry_matter: np.ndarray) -> np.ndarray:
     return np.clip(np.log(dry_matter / USUAL_DRY_MATTER), -_THICKEST, _THICKEST)
 
 
+@double_precision
 def fit_leaf(
     wavelength: Float[np.ndarray, " band"],
     reflectance: Float[np.ndarray, "leaf band"] | None = None,
@@ -315,8 +316,8 @@ def fit_leaf(
     and its `status` says so. Besides it memory takes some 300 MB, however many leaves there are. To
     spread a long fit, keep what was done, or watch it, see `LeafChunks`.
 
-    **Raises:** `InputError` for arrays that do not match, an unknown version, shape, domain or
-    parameter, and where JAX is limited to 32 bits.
+    **Raises:** `InputError` for arrays that do not match, and an unknown version, shape, domain or
+    parameter.
 
     NumPy in and out, in float64; not differentiable. For gradients see `prospect`.
 
@@ -371,6 +372,7 @@ class LeafChunks:
     setup: Setup
     """What all leaves share."""
 
+    @double_precision
     def __init__(
         self,
         wavelength: Float[np.ndarray, " band"],
@@ -388,7 +390,6 @@ class LeafChunks:
         error_model: ErrorModel | None = None,
     ) -> None:
         """Chunks of `size` leaves; other arguments and errors as `fit_leaf`."""
-        require_double_precision("`fit_leaf`")
         self._data = binned_data(wavelength, reflectance, transmittance, detector_changes)
         self._use = usable_bins(self._data, domain, outdoor)
         self.setup = make_setup(version, measurement, free, error_model, leaf_shape)
@@ -398,6 +399,7 @@ class LeafChunks:
         self.parts = [(self._data[r], self._use[r], (mean[r], precision[r])) for r in self.rows]
 
     @staticmethod
+    @double_precision
     def fit(part: Chunk, setup: Setup) -> tuple[np.ndarray, ...]:
         """Arrays that `join` takes, of a chunk; can be sent to another process."""
         data, use, prior = part
@@ -407,6 +409,7 @@ class LeafChunks:
         values = describe_chunk(setup, found, problems, covariance, use, change)
         return np.array(list(values)), *values.values()
 
+    @double_precision
     def join(self, fitted: Iterable[tuple[np.ndarray, ...]]) -> LeafFit:
         """The result, from what `fit` gave of each chunk, in their order."""
         parts = [dict(zip(map(str, names), arrays)) for names, *arrays in fitted]

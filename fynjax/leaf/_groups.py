@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax._core.precision import require_double_precision
+from fynjax._core.precision import double_precision
 from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel, default_error_model
@@ -49,6 +49,7 @@ class LeafGroups(eqx.Module):
     leaves: LeafFit
     """Every leaf, fitted with its species as the prior."""
 
+    @double_precision
     def variants(self, count: int, seed: int = 0) -> LeafParameters:
         """Leaves drawn from each species: `count` materials for each, fields [group, variant].
 
@@ -70,6 +71,7 @@ def _parameters(z: np.ndarray, names: Sequence[str]) -> LeafParameters:
     return make(*(jnp.asarray(filled[name]) for name in LEAF_PARAMETERS))
 
 
+@double_precision
 def fit_leaf_groups(
     wavelength: Float[np.ndarray, " band"],
     reflectance: Float[np.ndarray, "leaf band"] | None = None,
@@ -127,7 +129,6 @@ def fit_leaf_groups(
     >>> bool(species.mean.chlorophyll[0] < 45.0 < species.mean.chlorophyll[1])
     True
     """
-    require_double_precision("`fit_leaf_groups`")
     data = binned_data(wavelength, reflectance, transmittance, detector_changes)
     if len(groups) != len(data):
         raise InputError(f"`groups` must name {len(data)} leaves, but has {len(groups)} names")

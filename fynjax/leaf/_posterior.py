@@ -12,7 +12,7 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
-from fynjax._core.precision import require_double_precision
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import NullProgress, Progress
 from fynjax._core.sampling import ensemble, hamiltonian
 from fynjax.leaf._area import LeafShape
@@ -66,6 +66,7 @@ def of_many(density: Callable[[Array], Array], z: Array) -> Array:
     return jax.vmap(density)(z)
 
 
+@double_precision
 def sample_leaf_posterior(
     wavelength: Float[np.ndarray, " band"],
     reflectance: Float[np.ndarray, "leaf band"] | None = None,
@@ -114,7 +115,6 @@ def sample_leaf_posterior(
     """
     if sampler not in ("emcee", "nuts"):
         raise InputError(f'`sampler` must be "emcee" or "nuts", but is {sampler!r}')
-    require_double_precision("`sample_leaf_posterior`")
     progress = NullProgress() if progress is None else progress
     data = binned_data(wavelength, reflectance, transmittance, detector_changes)
     use = usable_bins(data, domain, outdoor)

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.precision import drawn_in_double
 from fynjax.canopy import (
     FORMS,
     PlantModel,
@@ -207,6 +208,7 @@ class Scene(eqx.Module):
     have it, instead of whole plants: the stand whose slopes are taken (`slope_of_fading`)."""
 
     @classmethod
+    @drawn_in_double
     def from_table(
         cls,
         table: Any,
@@ -375,7 +377,7 @@ class Scene(eqx.Module):
             return self.number
         if self.known_plants:
             return jnp.bincount(self.planting.species, length=len(self.taxa)).astype(float)
-        species = parameters.species
+        species = jax.tree.map(jnp.asarray, parameters.species)
         each = instance_area(
             species.diameter,
             species.height,
@@ -421,7 +423,7 @@ class Scene(eqx.Module):
     def _whole_crowns(self, parameters: PlotParameters) -> Float[Array, " plant"]:
         """Ground area of the crown of every plant, if it stands [m2]."""
         owner = self.planting.species
-        diameter = parameters.species.diameter.astype(self.dtype)[owner] * self.planting.size
+        diameter = jnp.asarray(parameters.species.diameter, self.dtype)[owner] * self.planting.size
         crown = jnp.pi / 4.0 * diameter**2
         return crown / jnp.asarray(self.branches, self.dtype)[owner]
 
@@ -681,6 +683,7 @@ def ground_at(scene: Scene, foot: Float[Array, "plant 2"]) -> Float[Array, " pla
     return heights[jnp.clip(at[:, 1], 0, ny - 1), jnp.clip(at[:, 0], 0, nx - 1)]
 
 
+@drawn_in_double
 def build_scene(
     species: Sequence[Species],
     parameters: PlotParameters,

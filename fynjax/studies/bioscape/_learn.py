@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.inversion import (
     LinearPlots,
@@ -64,6 +65,7 @@ _FARTHEST = 2.0
 _FEWEST = 4
 
 
+@double_precision
 def learn(
     folders: Sequence[str | Path],
     output: str | Path,

@@ -10,6 +10,7 @@ import pandas as pd
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.compare import PlotSpectraPair
 from fynjax.inversion import nadir_imager
@@ -39,6 +40,7 @@ _MODEL_NM = (400.0, 2500.0)
 """Wavelengths that leaf and ground spectra cover [nm]."""
 
 
+@double_precision
 def validate_plots(
     folder: str | Path,
     output: str | Path,

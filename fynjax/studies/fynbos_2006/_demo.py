@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fynjax._core.precision import double_precision
 from fynjax._core.progress import Progress
 from fynjax.assembly import Measured, drone_view
 from fynjax.compare import bands_2006, consistent_targets, table4_2006
@@ -22,6 +23,7 @@ DEMO_TARGETS = (
 reported beside, as a check."""
 
 
+@double_precision
 def demo(output: Path, *, seed: int, progress: Progress | None = None) -> CalibrateResult:
     """Calibrate the shipped 2006 plot to the published statistics of its real drone image.
 
@@ -54,6 +56,7 @@ def demo(output: Path, *, seed: int, progress: Progress | None = None) -> Calibr
     )
 
 
+@double_precision
 def paper_simulation() -> tuple[dict[str, float], dict[str, float]]:
     """Published DIRSIG simulation of the 2006 plot.
 
