@@ -19,10 +19,11 @@ A function that enters 64 bits may be called inside `jax.jit`, `jax.vmap` and `j
 bits; its traced results then are float64. Not inside `jax.grad`: what reverse mode leaves until
 later would be computed in 32 bits. `with jax.enable_x64(True):` around the gradient serves.
 
-JAX (0.10) keeps what it made of a NumPy array in 32 bits as long as a compiled function holds it,
-and takes it for the same array in 64: its digits are then those of float32, or nothing compiles. So
-constants of modules enter JAX by `jnp.asarray(constant, dtype)`, which makes an array of its own,
-and records that come from outside are copied (`_afresh`).
+JAX (0.10) keeps what it made of a NumPy array in one precision as long as a compiled function holds
+it, and takes it for the same array in the other: it then has the digits of float32, or nothing
+compiles. So constants of modules enter JAX by `jnp.asarray(constant, dtype)`, which makes an array
+of its own; arrays of records that come from a process of 32 bits are copied; and a function that
+its user hands over, such as the model of a fit, computes in 32 bits as it does outside.
 """
 
 import copy
@@ -108,7 +109,28 @@ _WIDE = (np.float64, np.int64, np.uint64)
 
 
 def _afresh(argument: Any) -> Any:
-    """A record, or several, with copies of its NumPy arrays: see the module's last words."""
+    """What comes from a process of 32 bits, for one of 64: see the module's last words."""
+    own = hasattr(argument, "__wrapped__") or not isinstance(argument, type | eqx.Module)
+    if callable(argument) and own:
+        return _InOwnPrecision(argument)
     if not isinstance(argument, eqx.Module | tuple | list):
         return argument
     return jax.tree.map(lambda a: a.copy() if isinstance(a, np.ndarray) else a, argument)
+
+
+@dataclasses.dataclass(frozen=True)
+class _InOwnPrecision:
+    """A function of the user's, which computes in 32 bits here as it does there."""
+
+    function: Callable[..., Any]
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        with jax.enable_x64(False):
+            args, kwargs = jax.tree.map(_narrowed, (args, kwargs))
+            return self.function(*args, **kwargs)
+
+
+def _narrowed(value: Any) -> Any:
+    if isinstance(value, jax.Array) and value.dtype in _WIDE:
+        return value.astype(jax.dtypes.canonicalize_dtype(value.dtype))
+    return value

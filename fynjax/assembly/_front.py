@@ -309,11 +309,13 @@ def fit(
 
     **Returns:** `Calibration` of a scene, `FitResult` of a function; both print what they found.
 
-    **Raises:** `InputError` for data of a scene without sensors, and as those functions.
+    **Raises:** `InputError` for an argument of another type, for data of a scene without sensors,
+    and as those functions.
     """
     if not isinstance(model, Scene):
         if not callable(model):
             raise InputError(f"expected a scene or a function, but got {model!r:.60}")
+        _check_problem(data, free)
         if settings is not None:
             raise InputError("expected `settings` with a scene, not with a function")
         return fit_function(model, data, free, solver=solver, max_steps=max_steps, **options)
@@ -322,11 +324,21 @@ def fit(
         raise InputError(
             "expected data with the sensors that measured them, such as of Data.from_image"
         )
+    _check_problem(data, free)
     views = [view(model, model.parameters) for view in sensors]
     settings = CalibrationSettings(max_steps=max_steps) if settings is None else settings
     return calibrate_plot(
         model, model.parameters, data, free, views, settings, solver=solver, **options
     )
+
+
+def _check_problem(data: Any, free: Any) -> None:
+    if not isinstance(data, Data):
+        raise InputError(f"expected `data` as `fx.Data`, but got {data!r:.60}")
+    if not isinstance(free, ParameterSpace):
+        raise InputError(
+            f"expected `free` as of `fx.free` or `fx.ParameterSpace`, but got {free!r:.60}"
+        )
 
 
 @double_precision

@@ -175,7 +175,7 @@ class VerhoefLeafAngle(AbstractLeafAngle):
     >>> from fynjax.canopy import VerhoefLeafAngle
     >>> import jax.numpy as jnp
     >>> VerhoefLeafAngle(-1.0, 0.0).projection(jnp.array([1.0, 0.5])).round(3)  # G at 0, 60 degrees
-    Array([0.141, 0.541], dtype=float64)
+    Array([0.141, 0.541], dtype=float32)
     """
 
     first: Float[Array, ""] = eqx.field(converter=jnp.asarray)
@@ -321,7 +321,7 @@ def leaf_angle(name: str) -> AbstractLeafAngle:
     >>> from fynjax.canopy import leaf_angle
     >>> flat = leaf_angle("planophile")
     >>> flat.projection(jnp.array([1.0, 0.5])).round(3)  # G at zenith angles 0 and 60 degrees
-    Array([0.849, 0.473], dtype=float64)
+    Array([0.849, 0.473], dtype=float32)
     """
     if name == "spherical":
         return SphericalLeafAngle()
