@@ -248,7 +248,7 @@ shares = qmc.Sobol(3, rng=0).random(count + 24)  # a power of two in all
 design = jnp.asarray(ndtri(np.clip(shares, 0.01, 0.99)))  # in units of the prior
 runs = np.log([measure(space.physical(u), scene) for u in design])
 basis = np.asarray(jax.vmap(powers)(design))
-coefficients = jnp.asarray(np.linalg.lstsq(basis[:count], runs[:count])[0])
+coefficients = np.linalg.lstsq(basis[:count], runs[:count])[0]
 wrong = (runs - basis @ coefficients)[count:].std(axis=0)
 print("error of the stand-in:", ", ".join(f"{n} {w:.1%}" for n, w in zip(statistics, wrong)))
 
