@@ -18,7 +18,7 @@ import pytest
 import fynjax as fx
 from fynjax.canopy import leaf_angle
 from fynjax.errors import InputError
-from fynjax.inversion import CalibrationSettings
+from fynjax.inversion import CalibrationSettings, LogPosterior
 
 COLUMNS = "taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_max_m"
 TABLE = [dict(zip(COLUMNS, ("Erica", "rounded_shrub", 40, 30, 0.6), strict=True))]
@@ -119,9 +119,11 @@ def fits(lines: Lines) -> None:
     bounds = (np.full(2, value) for value in (-100.0, 100.0, 0.1, 10.0))
     space = lines("space", lambda: fx.ParameterSpace(("offset", "slope"), *bounds), "width")
     u = jnp.array([0.1, 0.2])
-    compiled = jax.jit(straight), jax.jit(lambda u: space.physical(u))
+    measured = data(1.0 + 1.1 * AT)
+    density = LogPosterior(straight, space, measured, jnp.zeros(3))
+    compiled = [jax.jit(f) for f in (straight, lambda u: space.physical(u), lambda u: density(u))]
     lines("compiled before", lambda: [function(u) for function in compiled])
-    found = lines("fit", lambda: fx.fit(straight, data(1.0 + 1.1 * AT), space), "estimate", "sd")
+    found = lines("fit", lambda: fx.fit(straight, measured, space), "estimate", "sd")
     of_space = lambda x: jnp.concatenate([space.whitened(x), x[INDEX]])  # noqa: E731
     lines("fit of the space", lambda: fx.fit(of_space, data(1.0 + 1.1 * AT), space), "estimate")
     lines("compiled after", lambda: [jax.jit(of_space)(u), jax.jit(straight)(u), u[INDEX]])
