@@ -5,7 +5,7 @@ import pickle
 import pkgutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +16,10 @@ import optimistix as optx
 import pytest
 
 import fynjax as fx
-from fynjax.canopy import leaf_angle
+from fynjax.canopy import leaf_angle, table1_2006
 from fynjax.errors import InputError
 from fynjax.inversion import CalibrationSettings, LogPosterior
+from fynjax.scene import hard_counts
 
 COLUMNS = "taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_max_m"
 TABLE = [dict(zip(COLUMNS, ("Erica", "rounded_shrub", 40, 30, 0.6), strict=True))]
@@ -69,7 +70,7 @@ def in_both(lines: Callable[[Lines], None], folder: Path) -> tuple[dict[str, Any
     return in_32_bits(lines, folder), here.found
 
 
-def same(name: str, both: tuple[dict[str, Any], dict[str, Any]], rtol: float, atol: float) -> None:
+def same(name: str, both: Sequence[dict[str, Any]], rtol: float, atol: float) -> None:
     """Compare what a line found, array by array."""
     for narrow, wide in zip(*(jax.tree.leaves(found[name]) for found in both), strict=True):
         np.testing.assert_allclose(narrow, wide, rtol, atol, err_msg=name)
@@ -91,6 +92,9 @@ def light(lines: Lines) -> None:
     def ndvi(p: Any) -> jax.Array:
         return fx.observe(plot, camera, pixel=0.25, parameters=p).index("NDVI").mean()
 
+    every = lines("stand", lambda: fx.Scene.from_table(
+        table1_2006(), size=3.0, voxel=0.5, structure="even"), "planting")  # fmt: skip
+    lines("counts", lambda: hard_counts(every, every.parameters).astype(np.int32))
     lines("observe", lambda: fx.observe(plot, camera, pixel=0.25), "reflectance")
     lines("grad", lambda: jax.grad(ndvi)(plot.parameters).species.cover)
     thin = lines("thin", lambda: plot.with_values({"species.*.cover": 0.1}), "parameters")
@@ -168,8 +172,9 @@ def test_no_import_sets_the_bits_of_the_process(tmp_path):
 
 def test_light_is_computed_in_32_bits(tmp_path):
     narrow, wide = both = in_both(light, tmp_path)
-    for one, other in zip(*(jax.tree.leaves(f["planting"]["planting"]) for f in both), strict=True):
-        np.testing.assert_array_equal(one, other)
+    same("planting", [{"planting": found["planting"]["planting"]} for found in both], 0.0, 0.0)
+    same("stand", both, rtol=0.0, atol=0.0)
+    same("counts", both, rtol=0.0, atol=0.0)
     for name, arrays in narrow.items():
         assert not any(np.asarray(a).dtype.itemsize > 4 for a in jax.tree.leaves(arrays)), name
         same(name, both, rtol=1e-4 if name == "grad" else 2e-5, atol=1e-6)
