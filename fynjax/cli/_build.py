@@ -1,8 +1,7 @@
 """`fynjax build`."""
 
-from collections.abc import Mapping
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -16,11 +15,7 @@ class SceneView(StrEnum):
     meshes = "meshes"
 
 
-def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    return {key: given[key] for key in ("plot", "size")}
-
-
-@command("build", work=_work)
+@command("build")
 def build(
     plot: PlotPath,
     seed: OwnSeed = None,

@@ -1,8 +1,7 @@
 """`fynjax calibrate`."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -30,12 +29,7 @@ Bands = Annotated[
 ]
 
 
-def work(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What tells the cost of an inversion."""
-    return {"plot": given["plot"], "files": given["target"]}
-
-
-@command("calibrate", forget=True, work=work)
+@command("calibrate", forget=True)
 def calibrate(
     plot: PlotPath,
     target: Targets,

@@ -1,20 +1,15 @@
 """`fynjax calibrate-plots`."""
 
-from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from fynjax.cli._bioscape import SHIPPED, OnlyPlots, PriorFile, TraitLibrary
 from fynjax.cli._runtime import Checkpoint, Job, SchedulerAddress, Seed, WorkerCount, command
-from fynjax.cli._validate_plots import Size, Tables, Voxel, check_voxel, field_tables
+from fynjax.cli._validate_plots import Size, Tables, Voxel, check_voxel
 
 
-def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    return field_tables([given["folder"]], given)
-
-
-@command("calibrate-plots", forget=True, work=_work)
+@command("calibrate-plots", forget=True)
 def calibrate_plots(
     folder: Tables,
     plot: OnlyPlots = None,

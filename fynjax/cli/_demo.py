@@ -1,18 +1,9 @@
 """`fynjax demo`."""
 
-from collections.abc import Mapping
-from typing import Any
-
 from fynjax.cli._runtime import Job, Seed, command
 
 
-def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    from fynjax.io.plot import example_folder, read_plot
-
-    return {"plot": read_plot(example_folder() / "plot.toml")}
-
-
-@command("demo", work=_work)
+@command("demo")
 def demo(
     seed: Seed = 0,
 ) -> Job:

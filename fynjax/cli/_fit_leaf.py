@@ -1,6 +1,5 @@
 """`fynjax fit-leaf`."""
 
-from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -98,11 +97,7 @@ def existing_spectra(paths: list[Path]) -> None:
             existing_file(path, "a file of spectra")
 
 
-def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    return {"files": given["spectra"], "posterior": given["posterior"].value}
-
-
-@command("fit-leaf", forget=True, work=_work)
+@command("fit-leaf", forget=True)
 def fit_leaf(
     spectra: Spectra,
     version: Annotated[Version, typer.Option(help="PROSPECT version.")] = Version.D,

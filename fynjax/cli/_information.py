@@ -1,7 +1,6 @@
 """`fynjax information`."""
 
-from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -10,12 +9,7 @@ from fynjax.cli._posterior import Free
 from fynjax.cli._runtime import Job, OwnSeed, PlotPath, command
 
 
-def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    suns = (given["sun"] or "plot").split(",")
-    return {"plot": given["plot"], "sun_zenith": suns, "realisations": given["realisations"]}
-
-
-@command("information", work=_work)
+@command("information")
 def information(
     plot: PlotPath,
     gsd: Annotated[

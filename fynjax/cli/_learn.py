@@ -1,21 +1,16 @@
 """`fynjax learn`."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from fynjax.cli._bioscape import OnlyPlots, TraitLibrary
 from fynjax.cli._runtime import Checkpoint, Job, SchedulerAddress, Seed, WorkerCount, command
-from fynjax.cli._validate_plots import Size, Voxel, check_voxel, field_tables
+from fynjax.cli._validate_plots import Size, Voxel, check_voxel
 
 
-def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    return field_tables(given["folders"], given)
-
-
-@command("learn", forget=True, work=_work)
+@command("learn", forget=True)
 def learn(
     folders: Annotated[
         list[Path],

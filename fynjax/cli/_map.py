@@ -1,25 +1,12 @@
 """`fynjax map`."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from fynjax._core.errors import InputError
 from fynjax.cli._runtime import Checkpoint, Job, SchedulerAddress, Seed, WorkerCount, command
-
-
-def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What tells the cost of maps: the size of the cube."""
-    from fynjax.io.raster import open_blocks
-
-    with open_blocks(given["cube"]) as source:
-        rows, columns = source.shape[:2]
-        bands = len(source.wavelength)
-    files = [given["cube"], given["training"]]
-    pixels = {"pixels": rows * columns, "bands": bands}
-    return {"files": files, **pixels, "steps": len(given["pixel"] or ()) * given["pixel_steps"]}
 
 
 def _place(text: str) -> tuple[int, int]:
@@ -33,7 +20,7 @@ def _place(text: str) -> tuple[int, int]:
     return row, column
 
 
-@command("map", work=_work)
+@command("map")
 def map_command(
     cube: Annotated[
         Path,

@@ -17,7 +17,7 @@ Images = Annotated[
 ]
 
 
-@command("pattern", work=lambda given: {"files": given["images"]})
+@command("pattern")
 def pattern(
     images: Images,
     clusters: Annotated[int, typer.Option(min=2, max=255, help="Number of clusters.")] = 3,

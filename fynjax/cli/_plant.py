@@ -1,7 +1,7 @@
 """`fynjax plant`."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -36,12 +36,7 @@ _SAME = (
 )
 
 
-def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    is_file = Path(given["source"]).is_file()
-    return {"elements": given["elements"], "files": [given["source"]] if is_file else []}
-
-
-@command("plant", work=_work)
+@command("plant")
 def plant(
     source: Source,
     elements: Annotated[

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import typer
 
 from fynjax.cli._bioscape import PriorFile
-from fynjax.cli._calibrate import Bands, Targets, work
+from fynjax.cli._calibrate import Bands, Targets
 from fynjax.cli._runtime import Checkpoint, Job, OwnSeed, PlotPath, command
 
 Free = Annotated[
@@ -18,7 +18,7 @@ Free = Annotated[
 ]
 
 
-@command("posterior", work=work)
+@command("posterior")
 def posterior(
     plot: PlotPath,
     target: Targets,

@@ -3,7 +3,7 @@
 from fynjax.cli._runtime import Checkpoint, Job, OwnSeed, PlotPath, command
 
 
-@command("render", forget=True, work=lambda given: {"plot": given["plot"]})
+@command("render", forget=True)
 def render(
     plot: PlotPath,
     checkpoint: Checkpoint = None,

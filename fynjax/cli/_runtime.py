@@ -9,15 +9,16 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fynjax._core.dry_run import DryRunEnd, dry_run
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import Progress
 
 if TYPE_CHECKING:
     from fynjax.jobs import JobResult
@@ -83,8 +84,8 @@ DryRun = Annotated[
     bool,
     typer.Option(
         "--dry-run",
-        help="Say what would be read and written, and about how long and how much memory it "
-        "takes; compute and write nothing.",
+        help="Read and check every input as the run would, and say what would be written; compute "
+        "and write nothing.",
     ),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars and no text.")]
@@ -115,8 +116,8 @@ def prepare_jax() -> None:
     keep_compiled()
 
 
-def _message(warning: warnings.WarningMessage) -> str:
-    return " ".join(str(warning.message).split())
+def _messages(caught: Sequence[warnings.WarningMessage]) -> list[str]:
+    return list(dict.fromkeys(" ".join(str(warning.message).split()) for warning in caught))
 
 
 def checkpoint_beside(output: Path, checkpoint: Path | None) -> Path:
@@ -124,24 +125,18 @@ def checkpoint_beside(output: Path, checkpoint: Path | None) -> Path:
     return output.with_name(f"{output.name}.checkpoint") if checkpoint is None else checkpoint
 
 
-Work = Callable[[Mapping[str, Any]], Mapping[str, Any]]
-"""What of a command's options tells its cost, as arguments of `fynjax.jobs.estimate`."""
-
-
 def command(
     name: str,
     *,
     forget: bool = False,
     further: Mapping[str, Any] | None = None,
-    work: Work | None = None,
 ) -> Callable[[Callable[..., Job]], Callable[..., None]]:
     """Make a command of a function that takes options and returns a job.
 
-    Adds the options that every command has: --output, --json, --quiet, --strict; and
+    Adds the options that every command has: --output, --json, --quiet, --strict, --dry-run; and
     --allow-outside to one that takes a plot file. A function with the option `checkpoint` is given
     the folder of the unfinished run; with `forget` its journal goes when the run has succeeded.
-    `further`, annotations of options that the function takes as `**options`. With `work`, a command
-    that may take long gets --dry-run, and says beforehand how long it takes.
+    `further`, annotations of options that the function takes as `**options`.
     """
     shared: dict[str, tuple[Any, Any]] = {
         **{key: (annotation, None) for key, annotation in (further or {}).items()},
@@ -149,6 +144,7 @@ def command(
         "json": (Json, False),
         "quiet": (Quiet, False),
         "strict": (Strict, False),
+        "dry_run": (DryRun, False),
     }
 
     def decorate(function: Callable[..., Job]) -> Callable[..., None]:
@@ -159,8 +155,6 @@ def command(
         )
         if has_plot:
             options_of_all["allow_outside"] = (AllowOutside, False)
-        if work is not None:
-            options_of_all["dry_run"] = (DryRun, False)
 
         @functools.wraps(function)
         def run(
@@ -169,22 +163,30 @@ def command(
             json: bool,
             quiet: bool,
             strict: bool,
+            dry_run: bool,
             allow_outside: bool = False,
-            dry_run: bool = False,
             **options: Any,
         ) -> None:
             checkpoint = None
             if "checkpoint" in options:
                 checkpoint = checkpoint_beside(output, options["checkpoint"])
                 options["checkpoint"] = checkpoint
-            ready = functools.partial(_ready, function, options, has_plot, allow_outside)
-            if dry_run and work is not None:
-                _show_estimate(name, output, ready, work, as_json=json)
+
+            def job(folder: Path, progress: Progress) -> "JobResult":
+                if has_plot:
+                    from fynjax.io.plot import read_plot
+
+                    options["plot"] = read_plot(options["plot"], allow_outside=allow_outside)
+                return function(**options)(folder, progress)
+
+            start = functools.partial(
+                run_job, name, job, output, as_json=json, quiet=quiet,
+                checkpoint=checkpoint, forget=forget,
+            )  # fmt: skip
+            if dry_run:
+                _show_dry_run(start, output, as_json=json, quiet=quiet)
                 return
-            job = _announced(name, output, ready, work)
-            result = run_job(
-                name, job, output, as_json=json, quiet=quiet, checkpoint=checkpoint, forget=forget
-            )
+            result = start()
             if strict and result.status != "ok":
                 sys.exit(DOUBTFUL)
 
@@ -207,75 +209,23 @@ def command(
     return decorate
 
 
-def _ready(
-    function: Callable[..., Job], options: Mapping[str, Any], has_plot: bool, allow_outside: bool
-) -> tuple[Job, Mapping[str, Any]]:
-    """The job of a command and its options, of which the plot file is read.
-
-    With `allow_outside` it may name files outside its folder.
-    """
-    if has_plot:
-        from fynjax.io.plot import read_plot
-
-        plot = read_plot(options["plot"], allow_outside=allow_outside)
-        options = {**options, "plot": plot}
-    return function(**options), options
-
-
-def _announced(
-    name: str,
-    output: Path,
-    ready: Callable[[], tuple[Job, Mapping[str, Any]]],
-    work: Work | None,
-) -> Job:
-    """A job that says beforehand how long it takes, where that is long and progress is shown."""
-
-    def job(folder: Path, progress: Progress) -> "JobResult":
-        task, options = ready()
-        if work is not None and not isinstance(progress, NullProgress):
-            from fynjax.jobs import estimate
-
-            expected = estimate(name, output, **work(options))
-            if expected.is_long():
-                print(f"fynjax: {expected.sentence()}", file=sys.stderr)
-        return task(folder, progress)
-
-    return job
-
-
-def _show_estimate(
-    name: str,
-    output: Path,
-    ready: Callable[[], tuple[Job, Mapping[str, Any]]],
-    work: Work,
-    *,
-    as_json: bool,
+def _show_dry_run(
+    start: Callable[[], "JobResult"], output: Path, *, as_json: bool, quiet: bool
 ) -> None:
-    """What a command would do, on stdout."""
-    prepare_jax()
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("ignore")
-        warnings.simplefilter("always", UserWarning)
-        _, options = ready()
-        from fynjax.jobs import estimate
-
-        expected = estimate(name, output, **work(options))
-    for line in dict.fromkeys(map(_message, caught)):
-        print(f"fynjax: warning: {line}", file=sys.stderr)
-    if as_json:
-        print(expected.model_dump_json(indent=2))
-        return
-    rows = [("reads", path) for path in expected.reads]
-    rows += [("writes", f"{expected.writes}, whose {name} results would be replaced"
-              if _listed_files(output, name) else expected.writes)]  # fmt: skip
-    rows += list(expected.counts.items())
-    for what, text in rows:
-        print(f"{what:<7} {text}")
-    print(expected.sentence())
-    right = (
-        "" if expected.seconds is None else " Such estimates are right within a factor of 2 to 3."
-    )
-    print(f"Nothing was computed or written.{right}")
+    """What a command would write, on stdout, once its inputs are read and checked."""
+    try:
+        with dry_run():
+            start()
+    except DryRunEnd as end:
+        for line in end.warnings:
+            print(f"fynjax: warning: {line}", file=sys.stderr)
+        if as_json:
+            record = {"output": str(output), "files": end.files, "warnings": end.warnings}
+            print(json.dumps(record, indent=2))
+        elif not quiet:
+            print("Every input was read and checked; nothing was computed or written.")
+            print(f"The run would write to {output}, among others")
+            show_files(end.files)
 
 
 def _listed_files(output: Path, command: str) -> list[str]:
@@ -399,7 +349,10 @@ def run_job(
                     file=sys.stderr,
                 )
                 sys.exit(130)
-            messages = list(dict.fromkeys(map(_message, caught)))
+            except DryRunEnd as end:
+                end.warnings = _messages(caught)
+                raise
+            messages = _messages(caught)
             result = result.model_copy(
                 update={"output": str(output), "warnings": [*result.warnings, *messages]}
             )
@@ -427,7 +380,12 @@ def show(result: "JobResult") -> None:
         print(f"Status: {result.status}")
     for line in result.headline:
         print(line)
-    width = max((len(name) for name in result.files), default=0)
     print(f"Written to {result.output}")
-    for name, what in result.files.items():
-        print(f"  {name:<{width}}  {what}")
+    show_files(result.files)
+
+
+def show_files(files: Mapping[str, str]) -> None:
+    """Files and what they are, a line each, on stdout."""
+    width = max(map(len, files), default=0)
+    for name, what in files.items():
+        print(f"  {name:<{width}}  {what}".rstrip())

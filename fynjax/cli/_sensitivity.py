@@ -1,7 +1,6 @@
 """`fynjax sensitivity`."""
 
-from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -17,17 +16,7 @@ from fynjax.cli._runtime import (
 )
 
 
-def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    return {
-        "plot": given["plot"],
-        "metrics": given["metrics"].split(","),
-        "plantings": given["plantings"],
-        "derivative_samples": given["derivatives"],
-        "sobol_samples": given["sobol"],
-    }
-
-
-@command("sensitivity", forget=True, work=_work)
+@command("sensitivity", forget=True)
 def sensitivity(
     plot: PlotPath,
     metrics: Annotated[

@@ -1,8 +1,7 @@
 """`fynjax simulate`."""
 
-from collections.abc import Mapping
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -17,11 +16,7 @@ class Product(StrEnum):
     radiance = "radiance"
 
 
-def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    return {key: given[key] for key in ("plot", "sensor", "altitude", "pixel")}
-
-
-@command("simulate", work=_work)
+@command("simulate")
 def simulate(
     plot: PlotPath,
     sensor: Annotated[

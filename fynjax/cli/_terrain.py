@@ -54,7 +54,7 @@ InputPath = Annotated[
 ]
 
 
-@command("terrain", work=lambda given: {"files": [given["file"]]})
+@command("terrain")
 def terrain(
     file: InputPath,
     cell: Annotated[

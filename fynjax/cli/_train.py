@@ -1,8 +1,7 @@
 """`fynjax train`."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -10,13 +9,7 @@ from fynjax._core.errors import InputError
 from fynjax.cli._runtime import Checkpoint, Job, SchedulerAddress, Seed, WorkerCount, command
 
 
-def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What tells the cost of a training."""
-    files = [given["like"]] if given["like"] is not None else []
-    return {"files": files, "simulations": given["simulations"]}
-
-
-@command("train", forget=True, work=_work)
+@command("train", forget=True)
 def train(
     sensor: Annotated[
         str | None,

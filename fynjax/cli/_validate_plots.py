@@ -1,8 +1,7 @@
 """`fynjax validate-plots`."""
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -31,22 +30,7 @@ def check_voxel(size: float, voxel: float) -> None:
         raise InputError(f"`--voxel` must divide `--size`, but {voxel:g} does not divide {size:g}")
 
 
-def field_tables(folders: Sequence[Path], given: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What tells the cost of work on the plots of field tables."""
-    from fynjax.studies.bioscape import Resolution, read_bioscape
-
-    chosen = given["plot"] or None
-    plots = sum(len(read_bioscape(f, chosen, traits=given["traits"])) for f in folders)
-    files = [path for folder in folders for path in sorted(folder.glob("*.csv"))]
-    resolution = Resolution(given["size"], given["voxel"])
-    return {"files": files, "plots": plots, "resolution": resolution}
-
-
-def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    return field_tables([given["folder"]], given)
-
-
-@command("validate-plots", forget=True, work=_work)
+@command("validate-plots", forget=True)
 def validate_plots(
     folder: Tables,
     plot: OnlyPlots = None,

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.canopy import (
@@ -190,6 +191,7 @@ def plant(
             model = plant_model_from_mesh(
                 mesh, n_elements, known, seed, solid_materials="closed", maximum_extent=limit
             )
+    begin_work({"elements.csv": f"{len(model.area)} area elements"})
     with run.stage("Write"):
         if mesh is not None and (made is not None or branches > 1):
             obj, mtl = mesh.obj("plant.mtl")

@@ -1,7 +1,7 @@
 """From raw pictures of a multispectral camera to reflectance: what `fynjax reflectance` does."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.io.micasense import (
@@ -118,11 +119,17 @@ def reflectance(
     headline, warnings = panel_sentences(read, known, light), []
     converted: dict[str, CaptureSummary] = {}
     inputs = [path for panel in read for path in panel.capture.paths]
-    with run.stage("Convert", total=len(wanted)):
+
+    def read_all() -> Iterator[tuple[Capture, EmpiricalLine, NDArray[np.float64] | None]]:
         for name, paths in wanted.items():
             capture = read_capture(name, paths)
+            yield capture, *_line_of(capture, line, read, light, light_sd)
+
+    begin_work({f"{name}_reflectance.tif": "" for name in wanted}, read_all())
+    with run.stage("Convert", total=len(wanted)):
+        for capture, relit, change in read_all():
+            name, paths = capture.name, wanted[capture.name]
             inputs += paths
-            relit, change = _line_of(capture, line, read, light, light_sd)
             aligned = aligned_radiance(capture, align=align, progress=run.progress)
             side = _pixel(capture, height, pixel)
             cube, doubt = _cubes(capture, aligned, relit, side or 1.0)

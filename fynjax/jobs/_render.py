@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 import fynjax
 from fynjax._core.checkpoint import Journal, Keep, keep_nothing, signature
+from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.assembly import aim_without_air, build_plot
@@ -94,6 +95,8 @@ def render(
     with run.stage("Build the plot", "build"):
         scene, parameters = build_plot(read, seed=run.seed)
         camera = aim_without_air(read, scene, parameters, instrument)
+    size = image_size(camera.shape, len(camera.sensor.bands))
+    begin_work({"image.tif": size, "run.nc": size, "report.html": ""})
     with run.stage("Render", "render"):
         if is_large(camera, scene):
             keep: Keep = keep_nothing

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from pydantic import Field
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.progress import Progress
 from fynjax.compare import (
@@ -214,6 +215,8 @@ def validate(
             method=matching,
             windows=windows,
         )
+    files = {"report.html": ""}
+    files |= {} if drone is None and spectra is None else {"validation.nc": ""}
     structure: StructureComparison | None = None
     if data.real_cloud and data.simulated_cloud:
         structure = compare_clouds(
@@ -222,7 +225,9 @@ def validate(
             settings=cloud_settings(structure_preset, cloud_options or {}),
             seed=seed,
             progress=run.progress,
+            checked=lambda: begin_work(files | {"structure.nc": ""}),
         )
+    begin_work(files)
     headline: list[str] = []
     keys: dict[str, str] = {}
     sections: list[Section] = []

@@ -6,7 +6,6 @@ The jobs themselves are stood in for: what is tested is the door, not the house.
 import io
 import json
 import os
-import re
 import subprocess
 import sys
 import time
@@ -118,13 +117,6 @@ def test_demo_writes_moves_and_prints(capsys, calls, tmp_path):
     assert "demo is done." in out
     assert str(output) in out
     assert "image.tif  the image" in out
-
-
-def test_long_work_is_announced_where_progress_is_shown(capsys, calls, tmp_path, monkeypatch):
-    monkeypatch.setattr("rich.console.Console.is_terminal", True)
-    _, _, err = call(capsys, "demo", "--output", tmp_path / "o")
-    assert re.search(r"fynjax: Roughly \d+ min of one core.* GiB of memory \(.* are free\)", err)
-    assert "Roughly" not in call(capsys, "demo", "--quiet", "--output", tmp_path / "o")[2]
 
 
 def test_json_is_all_that_stdout_has(capsys, calls, tmp_path):

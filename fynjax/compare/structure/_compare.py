@@ -1,7 +1,7 @@
 """Two clouds in, their structure compared at one density of returns."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,6 +41,7 @@ def compare_clouds(
     settings: ComparisonSettings | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    checked: Callable[[], None] = lambda: None,
 ) -> StructureComparison:
     """Compare the structure of a real and a simulated cloud as the paper does in figure 13.
 
@@ -58,6 +59,8 @@ def compare_clouds(
     - `settings`: of reading, cells, thinning and bootstrap; those of the paper if not given.
     - `seed`: of thinnings and bootstrap.
     - `progress`: is advanced as cells and thinnings are worked through.
+    - `checked`: called when both clouds are read and have a ground and a grain, before the denser
+      is thinned.
 
     **Returns:** a `StructureComparison`.
 
@@ -88,6 +91,7 @@ def compare_clouds(
     with progress.stage("Choose the grain"):
         grid, grains = choose_cells(heights[sparser], bounds, slack, settings)
         binned = [binned_returns(part, grid, settings.structure) for part in heights]
+    checked()
     target = min(len(part) for part in binned)
     denser = int(len(binned[1]) > len(binned[0]))
     thinned = "neither" if len(binned[0]) == len(binned[1]) else ("real", "simulated")[denser]

@@ -5,7 +5,6 @@ estimate; the linear mixed model of all plots gives the next (`fit_population`).
 of coarser voxels than values: the estimate ends where the values of the fine ones are explained.
 """
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import Progress
@@ -25,7 +25,7 @@ from fynjax.inversion import (
     fit_population,
     spectrum_view,
 )
-from fynjax.io.plot import NO_PRIOR, Plot, read_plot
+from fynjax.io.plot import Plot, read_plot
 from fynjax.io.raster import file_hash
 from fynjax.jobs import Run
 from fynjax.scene import PlotParameters, Scene
@@ -38,7 +38,7 @@ from fynjax.studies.bioscape._learn_files import (
     Lesson,
     write_lesson,
 )
-from fynjax.studies.bioscape._plot_files import run_bioscape
+from fynjax.studies.bioscape._plot_files import check_names, write_plots
 from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
 from fynjax.studies.bioscape._population import (
     PER_PLOT,
@@ -106,6 +106,7 @@ def learn(
     run = Run(output, seed=seed, progress=progress)
     resolution = Resolution() if resolution is None else resolution
     read, bands, measured, files, remarks = _read(folders, run, plots, traits)
+    begin_work({"prior.toml": f"learned from {len(read)} plots", "report.html": ""})
     with run.stage("Plant the plots"):
         # Each plot rounds its numbers of plants by a chance of its own.
         seeds = [seed + i for i in range(len(files))]
@@ -236,15 +237,8 @@ def _read(
             raise InputError("expected the bands of the first folder, but got others", file=folder)
         read += known
         spectra += [flown[p.name] for p in known]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # they were given once, above
-            written = run_bioscape(
-                folder,
-                run.folder / "plots",
-                plots=[p.name for p in known],
-                traits=traits,
-                prior=NO_PRIOR,
-            )
+        check_names(known, folder)
+        written = write_plots(Run(run.folder / "plots"), folder, known, None)
         remarks += written.warnings
     if len(read) < _FEWEST:
         raise InputError(
