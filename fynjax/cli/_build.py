@@ -44,7 +44,7 @@ def build(
     """
     from fynjax import jobs
 
-    return lambda folder, progress: jobs.build(
+    return lambda folder: jobs.build(
         plot,
         folder,
         seed=seed,
@@ -53,5 +53,4 @@ def build(
         mesh=mesh,
         max_triangles=triangles,
         view=view.value,
-        progress=progress,
     )

@@ -85,7 +85,7 @@ def map_command(
 
     assert checkpoint is not None
     pixels = [_place(text) for text in pixel or ()]
-    return lambda folder, progress: jobs.map_cube(
+    return lambda folder: jobs.map_cube(
         cube,
         training,
         folder,
@@ -99,5 +99,4 @@ def map_command(
         seed=seed,
         checkpoint=checkpoint,
         workers=jobs.Workers(workers, scheduler),
-        progress=progress,
     )

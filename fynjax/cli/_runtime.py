@@ -18,7 +18,6 @@ import typer
 
 from fynjax._core.dry_run import DryRunEnd, dry_run
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
 
 if TYPE_CHECKING:
     from fynjax.jobs import JobResult
@@ -90,8 +89,8 @@ DryRun = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars and no text.")]
 
-Job = Callable[[Path, Progress], "JobResult"]
-"""What a command runs: writes into a folder, reports its progress, returns its result."""
+Job = Callable[[Path], "JobResult"]
+"""What a command runs: writes into a folder, returns its result."""
 
 DOUBTFUL = 3
 """Exit status with `--strict` where a result is to be doubted."""
@@ -172,12 +171,12 @@ def command(
                 checkpoint = checkpoint_beside(output, options["checkpoint"])
                 options["checkpoint"] = checkpoint
 
-            def job(folder: Path, progress: Progress) -> "JobResult":
+            def job(folder: Path) -> "JobResult":
                 if has_plot:
                     from fynjax.io.plot import read_plot
 
                     options["plot"] = read_plot(options["plot"], allow_outside=allow_outside)
-                return function(**options)(folder, progress)
+                return function(**options)(folder)
 
             start = functools.partial(
                 run_job, name, job, output, as_json=json, quiet=quiet,
@@ -315,7 +314,7 @@ def run_job(
     checkpoint: Path | None = None,
     forget: bool = False,
 ) -> "JobResult":
-    """Run `job(folder, progress)`, print its result and return it.
+    """Run `job(folder)`, print its result and return it.
 
     Where an interrupted job leaves a `checkpoint`, a line names it; with `forget` its journal goes
     in the end. The job writes into a
@@ -324,9 +323,13 @@ def run_job(
     would stand beside results that they do not belong to. Warnings wait until then: if the job
     fails, its error is the only line.
     """
-    from fynjax.cli._progress import make_progress
+    from rich.console import Console
+
+    from fynjax._core.progress import progress
     from fynjax.io.text import remove_replaced, staged_folder, write_text
 
+    console = Console(stderr=True)
+    bars = progress(console) if console.is_terminal and not quiet and not as_json else nullcontext()
     with (
         _alone(output),
         nullcontext() if checkpoint is None else _alone(checkpoint),
@@ -339,7 +342,8 @@ def run_job(
         with staged_folder(output) as folder:
             prepare_jax()
             try:
-                result = job(folder, make_progress(quiet=quiet or as_json))
+                with bars:
+                    result = job(folder)
             except KeyboardInterrupt:
                 if checkpoint is None or not checkpoint.is_dir():
                     raise
