@@ -2,9 +2,11 @@
 
 import functools
 import hashlib
+import importlib
 import inspect
 import json
 import os
+import re
 import signal
 import sys
 import threading
@@ -60,6 +62,22 @@ OwnSeed = Annotated[
 PlotPath = Annotated[
     Path, typer.Argument(metavar="PLOT.toml", help="Plot file; `fynjax init` writes one.")
 ]
+PriorFile = Annotated[
+    str,
+    typer.Option(
+        metavar="FILE",
+        help="Population that the plots are of: a shipped one, a file that `fynjax bioscape learn` "
+        "wrote, or none.",
+    ),
+]
+SHIPPED = "fynbos_2023"
+BANDS = (
+    "where the file does not say: green, red, red_edge, nir, and any other name for bands that are "
+    "not used."
+)
+Align = Annotated[
+    bool, typer.Option("--align/--no-align", help="Align the bands of a capture's files.")
+]
 Output = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
 Json = Annotated[
     bool, typer.Option("--json", help="Print a summary as JSON on stdout, and nothing else.")
@@ -89,9 +107,6 @@ DryRun = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars and no text.")]
 
-Job = Callable[[Path], "JobResult"]
-"""What a command runs: writes into a folder, returns its result."""
-
 DOUBTFUL = 3
 """Exit status with `--strict` where a result is to be doubted."""
 _TERMINATED = 143
@@ -119,41 +134,63 @@ def _messages(caught: Sequence[warnings.WarningMessage]) -> list[str]:
     return list(dict.fromkeys(" ".join(str(warning.message).split()) for warning in caught))
 
 
-def checkpoint_beside(output: Path, checkpoint: Path | None) -> Path:
-    """The folder of an unfinished run, the user's or one beside the output."""
-    return output.with_name(f"{output.name}.checkpoint") if checkpoint is None else checkpoint
+def listed(kind: Callable[[str], Any], form: str, metavar: str, help: str, *flags: str) -> Any:
+    """An option of values with commas between.
+
+    **Arguments:** `kind`, what makes a value of its text; `form`, what is expected, in words;
+    `metavar`, `help` and `flags` as of any option.
+    """
+
+    def read(text: str | None, param: typer.CallbackParam) -> list[Any] | None:
+        try:
+            return None if text is None else [kind(part.strip()) for part in text.split(",")]
+        except ValueError:
+            raise InputError(f"`{param.opts[0]}` must be {form}, but is {text!r}") from None
+
+    return typer.Option(*flags, metavar=metavar, help=help, callback=read)
 
 
 def command(
     name: str,
+    job: str,
     *,
     forget: bool = False,
     further: Mapping[str, Any] | None = None,
-) -> Callable[[Callable[..., Job]], Callable[..., None]]:
-    """Make a command of a function that takes options and returns a job.
+    records: Mapping[str, tuple[str, Sequence[str]]] | None = None,
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Make a command of a job: a signature has the options, a docstring the help.
 
-    Adds the options that every command has: --output, --json, --quiet, --strict, --dry-run; and
-    --allow-outside to one that takes a plot file. A function with the option `checkpoint` is given
-    the folder of the unfinished run; with `forget` its journal goes when the run has succeeded.
-    `further`, annotations of options that the function takes as `**options`.
+    The job is given the options by their names, and the folder of the results as `output`; an
+    option that is left out has the job's default. Errors and warnings that name arguments of the
+    job name the options instead. All commands have --output, --json, --quiet, --strict, --dry-run,
+    those that take a plot file --allow-outside.
+
+    **Arguments:**
+
+    - `name`: of the command, for results and the folder.
+    - `job`: module and function, such as "fynjax.jobs:render"; imported when the command runs.
+    - `forget`: remove the unfinished run, which `checkpoint` names, when the run has succeeded.
+    - `further`: annotations of options that stand in no signature, by name.
+    - `records`: arguments of the job that are made of several options, by name: module and class,
+      and the options, named as its fields.
     """
     shared: dict[str, tuple[Any, Any]] = {
         **{key: (annotation, None) for key, annotation in (further or {}).items()},
-        "output": (Output, Path("output") / name),
+        "output": (Output, Path("output") / name.replace(" ", "-")),
         "json": (Json, False),
         "quiet": (Quiet, False),
         "strict": (Strict, False),
         "dry_run": (DryRun, False),
     }
 
-    def decorate(function: Callable[..., Job]) -> Callable[..., None]:
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
         signature = inspect.signature(function)
-        options_of_all = dict(shared)
-        has_plot = "plot" in signature.parameters and (
-            signature.parameters["plot"].annotation is PlotPath
-        )
-        if has_plot:
+        options_of_all, packed = dict(shared), dict(records or {})
+        plot = signature.parameters.get("plot")
+        if plot is not None and plot.annotation is PlotPath:
             options_of_all["allow_outside"] = (AllowOutside, False)
+        if "scheduler" in signature.parameters:
+            packed["workers"] = "fynjax.jobs:Workers", ("count", "scheduler")
 
         @functools.wraps(function)
         def run(
@@ -163,23 +200,33 @@ def command(
             quiet: bool,
             strict: bool,
             dry_run: bool,
-            allow_outside: bool = False,
+            allow_outside: bool | None = None,
             **options: Any,
         ) -> None:
             checkpoint = None
             if "checkpoint" in options:
-                checkpoint = checkpoint_beside(output, options["checkpoint"])
-                options["checkpoint"] = checkpoint
+                beside = output.with_name(f"{output.name}.checkpoint")
+                checkpoint = options["checkpoint"] = options["checkpoint"] or beside
 
-            def job(folder: Path) -> "JobResult":
-                if has_plot:
+            def work(folder: Path) -> "JobResult":
+                given = {key: value for key, value in options.items() if value not in (None, [])}
+                if allow_outside is not None:
                     from fynjax.io.plot import read_plot
 
-                    options["plot"] = read_plot(options["plot"], allow_outside=allow_outside)
-                return function(**options)(folder)
+                    given["plot"] = read_plot(given["plot"], allow_outside=allow_outside)
+                for key, (kind, fields) in packed.items():
+                    parts = {field: given.pop(field) for field in fields if field in given}
+                    given[key] = _imported(kind)(**parts)
+                try:
+                    result: JobResult = _imported(job)(output=folder, **given)
+                except InputError as error:
+                    error.args = (_naming_options(str(error), flags),)
+                    raise
+                named = [_naming_options(text, flags) for text in result.warnings]
+                return result.model_copy(update={"warnings": named})
 
             start = functools.partial(
-                run_job, name, job, output, as_json=json, quiet=quiet,
+                run_job, name, work, output, as_json=json, quiet=quiet,
                 checkpoint=checkpoint, forget=forget,
             )  # fmt: skip
             if dry_run:
@@ -190,15 +237,12 @@ def command(
                 sys.exit(DOUBTFUL)
 
         keyword = inspect.Parameter.KEYWORD_ONLY
-        parameters = [
-            p.replace(kind=keyword)
-            for p in signature.parameters.values()
-            if p.kind is not inspect.Parameter.VAR_KEYWORD
-        ]
+        parameters = [p.replace(kind=keyword) for p in signature.parameters.values()]
         parameters += [
             inspect.Parameter(key, keyword, default=default, annotation=kind)
             for key, (kind, default) in options_of_all.items()
         ]
+        flags = {p.name: flag for p in parameters if (flag := _flag(p))}
         run.__signature__ = signature.replace(  # type: ignore[attr-defined]
             parameters=parameters, return_annotation=None
         )
@@ -206,6 +250,26 @@ def command(
         return run
 
     return decorate
+
+
+def _imported(name: str) -> Callable[..., Any]:
+    module, _, attribute = name.partition(":")
+    found: Callable[..., Any] = getattr(importlib.import_module(module), attribute)
+    return found
+
+
+def _flag(parameter: inspect.Parameter) -> str | None:
+    """How an option is typed, such as --largest-gap; None for an argument."""
+    (described,) = parameter.annotation.__metadata__
+    if isinstance(described, typer.models.ArgumentInfo):
+        return None
+    stated = described.param_decls or (f"--{parameter.name.replace('_', '-')}",)
+    return str(stated[0]).partition("/")[0]
+
+
+def _naming_options(text: str, flags: Mapping[str, str]) -> str:
+    """A message that names options instead of a job's arguments."""
+    return re.sub(r"`(\w+)`", lambda m: f"`{flags.get(m[1], m[1])}`", text)
 
 
 def _show_dry_run(
@@ -306,7 +370,7 @@ def _ended_by_kill() -> Iterator[Callable[[], None]]:
 
 def run_job(
     command: str,
-    job: Job,
+    job: Callable[[Path], "JobResult"],
     output: Path,
     *,
     as_json: bool,

@@ -1,8 +1,8 @@
 """What a second worker gains: `python -m tests.benchmarks.bench_workers [PLOTS] [VOXEL]`.
 
-Plots of the shared field tables are inferred as `fynjax calibrate-plots` does, by one worker and by
-two, after a first round in which both compile. Printed are wall and CPU time of each worker, and,
-apart from them, what dask takes: to start, and for a part that does nothing. The ratio of wall
+Plots of the shared field tables are inferred as `fynjax bioscape calibrate` does, by one worker and
+by two, after a first round in which both compile. Printed are wall and CPU time of each worker,
+and, apart from them, what dask takes: to start, and for a part that does nothing. The ratio of wall
 times means something where nothing else runs; that of the CPU times always: the work of one worker
 over that of the busier of two.
 """

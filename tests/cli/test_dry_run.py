@@ -55,27 +55,27 @@ DAMAGED = {
     "simulate": "camera/plot.toml",
     "build": "species.csv",
     "calibrate": "target.csv",
-    "calibrate-plots": "tables/*waves.csv",
+    "bioscape-calibrate": "tables/*waves.csv",
     "posterior": "target.csv",
     "sensitivity": "species.csv",
     "information": "plot.toml",
     "fit-leaf": "leaves.csv",
     "convert": "leaves.csv",
-    "learn": "tables/*VegCenters.csv",
+    "bioscape-learn": "tables/*VegCenters.csv",
     "map": "out/train/training.nc",
     "terrain": "plot.csv",
     "reflectance": "flight/IMG_0001_3.tif",  # the last file of the last capture
-    "bioscape": "tables/*CoverData.csv",
+    "bioscape-plots": "tables/*CoverData.csv",
     "pattern": "a.tif",
     "validate": "simulated.las",
-    "validate-plots": "tables/*waves.csv",
+    "bioscape-validate": "tables/*waves.csv",
 }
 WRONG = {
     "plant": ["--diameter", "40"],
     "train": ["--simulations", "2"],
     "sensitivity": ["--sobol", "3"],
     "information": ["--bands", "3,8"],
-    "learn": ["--plot", "none_of_these"],
+    "bioscape-learn": ["--plot", "none_of_these"],
     "fit-leaf": ["--background", "0.5"],
 }
 

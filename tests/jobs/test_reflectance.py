@@ -11,7 +11,7 @@ import typer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.cli._reflectance import reflectance
+from fynjax.cli._sensors import reflectance
 from fynjax.io.raster import read_cube
 from tests.helpers import assert_valid_summary
 from tests.io.rededge_files import BANDS, IRRADIANCE, lit, panel_scene, write_rededge

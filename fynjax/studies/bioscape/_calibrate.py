@@ -1,4 +1,4 @@
-"""`fynjax calibrate-plots`: field tables and spectra in, covers, stand and leaf traits out."""
+"""`fynjax bioscape calibrate`: field tables and spectra in, covers, stand and leaf traits out."""
 
 import tempfile
 from collections.abc import Sequence

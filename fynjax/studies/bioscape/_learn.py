@@ -1,4 +1,4 @@
-"""`fynjax learn`: tables and spectra of many plots in, what the plots share out.
+"""`fynjax bioscape learn`: tables and spectra of many plots in, what the plots share out.
 
 Each plot has a forward model in the parameters of `PER_PLOT`, linearised about its current
 estimate; the linear mixed model of all plots gives the next (`fit_population`). Derivatives may be
@@ -102,13 +102,13 @@ def learn(
     """
     run = Run(output, seed=seed)
     resolution = Resolution() if resolution is None else resolution
+    wide = Resolution(resolution.size_m, max(slope_voxel_m, resolution.voxel_m))
     read, bands, measured, files, remarks = _read(folders, run, plots, traits)
     begin_work({"prior.toml": f"learned from {len(read)} plots", "report.html": ""})
     with run.stage("Plant the plots"):
         # Each plot rounds its numbers of plants by a chance of its own.
         seeds = [seed + i for i in range(len(files))]
         fine = build_scenes(files, resolution, seeds)
-        wide = Resolution(resolution.size_m, max(slope_voxel_m, resolution.voxel_m))
         coarse = fine if wide == resolution else build_scenes(files, wide, seeds)
     inputs = sorted(p for folder in folders for p in Path(folder).glob("*.csv"))
     inputs += [] if traits is None else [Path(traits)]

@@ -1,4 +1,4 @@
-"""Plot files from the field tables of BioSCape: what `fynjax bioscape` writes."""
+"""Plot files from the field tables of BioSCape: what `fynjax bioscape plots` writes."""
 
 import csv
 import io
@@ -504,7 +504,7 @@ def _median_ratio(counts: Sequence[tuple[Any, ...]]) -> float | None:
 class BioscapeResult(JobResult):
     """Result of `bioscape`: the plots that were written."""
 
-    command: Literal["bioscape"] = "bioscape"
+    command: Literal["bioscape plots"] = "bioscape plots"
     plots: list[str]
     counted_over_from_cover: float | None = None
     """Plants counted over those that cover and diameter ask for, eq. (10): median of the species

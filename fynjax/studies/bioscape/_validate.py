@@ -1,4 +1,4 @@
-"""`fynjax validate-plots`: field tables in, simulated against measured spectra out."""
+"""`fynjax bioscape validate`: field tables in, simulated against measured spectra out."""
 
 from collections.abc import Sequence
 from pathlib import Path
