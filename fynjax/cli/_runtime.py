@@ -263,8 +263,10 @@ def _flag(parameter: inspect.Parameter) -> str | None:
     (described,) = parameter.annotation.__metadata__
     if isinstance(described, typer.models.ArgumentInfo):
         return None
-    stated = described.param_decls or (f"--{parameter.name.replace('_', '-')}",)
-    return str(stated[0]).partition("/")[0]
+    own = (described.default, *(described.param_decls or ()))  # typer has the first as a default
+    stated = [flag for flag in own if isinstance(flag, str) and flag.startswith("-")]
+    flag = stated[0] if stated else f"--{parameter.name.replace('_', '-')}"
+    return flag.partition("/")[0]
 
 
 def _naming_options(text: str, flags: Mapping[str, str]) -> str:
