@@ -6,6 +6,7 @@ from typing import Literal
 
 import pandas as pd
 
+from fynjax._core.dry_run import begin_work
 from fynjax.io.spectra import (
     measured_dataset,
     measured_table,
@@ -60,6 +61,8 @@ def convert(
     run = Run(output)
     with run.stage("Read", "read"):
         spectra, refused = usable_spectra(paths, panel)
+    size = f"{len(spectra)} spectra"
+    begin_work({"spectra.csv": size, "spectra.nc": size, "sources.csv": ""})
     dataset = measured_dataset(spectra, run.record([*(file for file, _ in spectra), panel]))
     what = "reflectance and transmittance over wavelength, one column a spectrum"
     with run.stage("Write", "write"):

@@ -10,6 +10,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import stage
@@ -341,12 +342,19 @@ def fit_leaf(
         r = np.where(np.isfinite(behind), r, np.nan)
     files, names = [f for f, _ in spectra], [s.name for _, s in spectra]
     run = Run(output, seed=seed)
+    species = None if groups is None else _read_groups(groups, names)
+    size = f"{len(spectra)} spectra"
+    begin_work(
+        {"traits.csv": f"{size}, {len(refused)} refused", "spectra.nc": size}
+        | ({} if species is None else {"species.csv": f"{len(set(species))} species"})
+        | ({} if posterior == "none" else {"posterior.nc": size})
+    )
     options: dict[str, Any] = {
         "version": version, "measurement": instrument, "leaf_shape": leaf_shape, "domain": domain
     }  # fmt: skip
     together = None
-    if groups is not None:
-        together = fit_leaf_groups(_GRID, r, t, groups=_read_groups(groups, names), **options)
+    if species is not None:
+        together = fit_leaf_groups(_GRID, r, t, groups=species, **options)
         fit = together.leaves
     else:
         journal = None

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from fynjax._core.errors import InputError
 from fynjax.io.spectra import MeasuredSpectrum, read_curve, read_spectra_files, with_panel
+from fynjax.io.text import existing_file
 from fynjax.jobs._result import Record
 
 _NAMED_REFUSALS = 5
@@ -48,8 +49,12 @@ def usable_spectra(
 
     **Returns:** as `read_spectra_files`.
 
-    **Raises:** `InputError` where no spectrum can be used, with the first reason.
+    **Raises:** `InputError` where no spectrum can be used, with the first reason, and for a path
+    that is neither a file nor a folder.
     """
+    for path in paths:
+        if not Path(path).is_dir():
+            existing_file(path, "a file of spectra")
     read, refused = read_spectra_files(paths)
     if panel is None:
         return read, refused
