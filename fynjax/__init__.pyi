@@ -28,6 +28,7 @@ from .inversion import ParameterSpace as ParameterSpace
 from .inversion import fit_canopy as fit_canopy
 from .inversion import whitened_residual as whitened_residual
 from .io.plot import read_plot as read_plot
+from .io.spectra import read_spectra as read_spectra
 from .jobs import calibrate as calibrate
 from .jobs import posterior as posterior
 from .leaf import Leaf as Leaf

@@ -10,6 +10,8 @@ from fynjax._core.progress import Progress
 from fynjax.io.spectra import (
     measured_dataset,
     measured_table,
+    usable_spectra,
+    warnings_of_reading,
     write_spectra_netcdf,
 )
 from fynjax.jobs._result import JobResult
@@ -19,8 +21,6 @@ from fynjax.jobs._spectra import (
     SpectrumRepair,
     refused_spectra,
     repairs,
-    usable_spectra,
-    warnings_of_reading,
 )
 
 
@@ -47,7 +47,7 @@ def convert(
 
     **Arguments:**
 
-    - `paths`: files of any format that `read_spectra` takes, and folders of them.
+    - `paths`: files of any format that `fynjax.read_spectra` takes, and folders of them.
     - `output`: folder, made if missing.
     - `panel`: table of the white panel's own reflectance, as of `fit_leaf`.
     - `progress`: advances by stage.
@@ -62,7 +62,7 @@ def convert(
     """
     run = Run(output, progress=progress)
     with run.stage("reading", "read"):
-        spectra, refused = usable_spectra(paths, panel)
+        spectra, refused = usable_spectra(paths, panel, detector_changes=())
     dataset = measured_dataset(spectra, run.record([*(file for file, _ in spectra), panel]))
     what = "reflectance and transmittance over wavelength, one column a spectrum"
     with run.stage("writing", "write"):
@@ -94,5 +94,5 @@ def convert(
         spectra=len(spectra),
         bands=bands,
         refused=refused_spectra(refused),
-        repairs=repairs(spectra),
+        repairs=repairs(dataset),
     )
