@@ -13,7 +13,7 @@ from jaxtyping import Float
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
-from fynjax._core.progress import Progress
+from fynjax._core.progress import stage
 from fynjax.io.spectra import (
     measured_dataset,
     read_curve,
@@ -222,7 +222,6 @@ def fit_leaf(
     seed: int = 0,
     checkpoint: str | Path | None = None,
     workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> FitLeafResult:
     """Fit PROSPECT to every leaf spectrum of every file.
 
@@ -264,7 +263,6 @@ def fit_leaf(
       posteriors, are not kept.
     - `workers`: where chunks of 1024 leaves are fitted; in this process by default. Leaves that
       are fitted together (`groups`), and posteriors, stay there.
-    - `progress`: advances with every chunk of leaves.
 
     **Returns:** `FitLeafResult`. Writes `traits.csv`, `spectra.nc` and a figure into `output`, and
     where asked for `species.csv` and `posterior.nc`.
@@ -297,7 +295,7 @@ def fit_leaf(
         spectra = _in_nanometres(spectra)
         spectra["reflectance"] = spectra["reflectance"].where(np.isfinite(behind))
     names = spectra["spectrum"].values.tolist()
-    run = Run(output, seed=seed, progress=progress)
+    run = Run(output, seed=seed)
     options: dict[str, Any] = {
         "version": version, "measurement": instrument, "leaf_shape": leaf_shape, "domain": domain
     }  # fmt: skip
@@ -310,13 +308,13 @@ def fit_leaf(
         chunks = LeafChunks(spectra, size=_PART, **options)
         if checkpoint is not None and len(names) > _PART:
             journal = Journal(checkpoint, signature(chunks.parts, options))
-        with run.progress.stage("fitting leaves", len(names)), at_work(workers) as pool:
+        with stage("Fit leaves", len(names)), at_work(workers) as pool:
             done = dict(
                 pool.each(
                     LeafChunks.fit, chunks.parts, chunks.setup,
                     names=[f"leaves {rows.start + 1} to {rows.stop}" for rows in chunks.rows],
                     sizes=[rows.stop - rows.start for rows in chunks.rows],
-                    journal=journal, progress=run.progress,
+                    journal=journal,
                 )
             )  # fmt: skip
         fit = chunks.join(done.pop(i) for i in range(len(chunks.rows)))
@@ -345,9 +343,7 @@ def fit_leaf(
         what = "mean leaf and material variants of each species"
         run.table("species.csv", together.table(seed, area), what)
     if posterior != "none":
-        draws = sample_leaf_posterior(
-            spectra, sampler=posterior, seed=seed, progress=run.progress, **options
-        )
+        draws = sample_leaf_posterior(spectra, sampler=posterior, seed=seed, **options)
         what = "draws of the parameters and of T from the posterior"
         dataset = draws.to_xarray(area).assign_attrs(settings)
         write_spectra_netcdf(dataset, run.path("posterior.nc", what))
