@@ -289,8 +289,8 @@ def fit_leaf(
         second, bad = usable_spectra(over_background, panel, detector_changes)
         if bad:
             raise bad[0][2]
-        pair = (_in_nanometres(part) for part in (spectra, measured_dataset(second, {})))
-        spectra = _with_transmittance(*pair, behind)
+        others = _in_nanometres(measured_dataset(second, {}))
+        spectra = _with_transmittance(_in_nanometres(spectra), others, behind)
     elif behind is not None:
         spectra = _in_nanometres(spectra)
         spectra["reflectance"] = spectra["reflectance"].where(np.isfinite(behind))

@@ -12,6 +12,7 @@ from fynjax._core.parameters import Parameter
 from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import (
     CONSTITUENTS,
+    ProspectVersion,
     check_version,
     coefficients_at,
     native_wavelength,
@@ -89,7 +90,7 @@ def _model_rows(names: Sequence[str]) -> list[int]:
 class Setup(NamedTuple):
     """What all leaves of a fit share."""
 
-    version: str
+    version: ProspectVersion
     shape: LeafShape
     names: tuple[str, ...]
     free: tuple[str, ...]
@@ -107,7 +108,7 @@ class Setup(NamedTuple):
 
 
 def make_setup(
-    version: str,
+    version: ProspectVersion,
     measurement: AbstractMeasurement | None,
     free: Sequence[str] | None,
     model: ErrorModel | None,
