@@ -229,10 +229,10 @@ def fit_leaf(
     **Raises:** `InputError` for spectra or options that it does not take.
 
     >>> import fynjax as fx
-    >>> r, t = fx.prospect(chlorophyll=[30.0, 45.0])
+    >>> r, t = fx.prospect(water=[0.008, 0.015])
     >>> fit = fx.fit_leaf(range(400, 2501), r, t)
-    >>> fit.table()["chlorophyll"].round(0).tolist()
-    [30.0, 45.0]
+    >>> fit.table()["water"].round(3).tolist()
+    [0.008, 0.015]
     """
     chunks = LeafChunks(
         wavelength, reflectance, transmittance, version=version,
