@@ -1,59 +1,12 @@
 """`fynjax fit-leaf`."""
 
 from collections.abc import Mapping
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
-from fynjax.cli._runtime import (
-    Checkpoint,
-    Job,
-    SchedulerAddress,
-    Seed,
-    WorkerCount,
-    command,
-)
-
-
-class Version(StrEnum):
-    """PROSPECT versions."""
-
-    D = "D"
-    PRO = "PRO"
-
-
-class LeafShapeOption(StrEnum):
-    """Shapes of leaves."""
-
-    broad = "broad"
-    needle = "needle"
-    mat = "mat"
-    culm = "culm"
-
-
-class Area(StrEnum):
-    """Areas that contents are stated per."""
-
-    projected = "projected"
-    half_total = "half_total"
-
-
-class Domain(StrEnum):
-    """Wavelengths that enter the fit."""
-
-    full = "full"
-    optimal = "optimal"
-
-
-class Sampler(StrEnum):
-    """How the posterior is sampled."""
-
-    none = "none"
-    emcee = "emcee"
-    nuts = "nuts"
-
+from fynjax.cli._runtime import Checkpoint, Job, SchedulerAddress, Seed, WorkerCount, command
 
 Spectra = Annotated[
     list[Path],
@@ -99,13 +52,13 @@ def existing_spectra(paths: list[Path]) -> None:
 
 
 def _work(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    return {"files": given["spectra"], "posterior": given["posterior"].value}
+    return {"files": given["spectra"], "posterior": given["posterior"]}
 
 
 @command("fit-leaf", forget=True, work=_work)
 def fit_leaf(
     spectra: Spectra,
-    version: Annotated[Version, typer.Option(help="PROSPECT version.")] = Version.D,
+    version: Annotated[Literal["D", "PRO"], typer.Option(help="PROSPECT version.")] = "D",
     measurement: Annotated[
         str,
         typer.Option(
@@ -127,19 +80,20 @@ def fit_leaf(
         ),
     ] = None,
     leaf_shape: Annotated[
-        LeafShapeOption,
+        Literal["broad", "needle", "mat", "culm"],
         typer.Option(
             help="needle: single or apart; mat: needles side by side; culm: culms side by side. "
             "Gaps, and light between those side by side, are estimated where transmittance is."
         ),
-    ] = LeafShapeOption.broad,
+    ] = "broad",
     area: Annotated[
-        Area,
+        Literal["projected", "half_total"],
         typer.Option(help="Contents per projected area, or per half of the surface of the leaf."),
-    ] = Area.projected,
+    ] = "projected",
     domain: Annotated[
-        Domain, typer.Option(help="Wavelengths to fit: all, or the published sub-domains.")
-    ] = Domain.full,
+        Literal["full", "optimal"],
+        typer.Option(help="Wavelengths to fit: all, or the published sub-domains."),
+    ] = "full",
     panel: PanelTable = None,
     detector_changes: Annotated[
         str | None,
@@ -160,8 +114,9 @@ def fit_leaf(
         ),
     ] = False,
     posterior: Annotated[
-        Sampler, typer.Option(help="Sample the posterior of each leaf as well.")
-    ] = Sampler.none,
+        Literal["none", "emcee", "nuts"],
+        typer.Option(help="Sample the posterior of each leaf as well."),
+    ] = "none",
     checkpoint: Checkpoint = None,
     workers: WorkerCount = None,
     scheduler: SchedulerAddress = None,
@@ -178,37 +133,30 @@ def fit_leaf(
     from fynjax.io.text import existing_file
 
     existing_spectra(spectra)
-    further: dict[str, Any] = {}
     existing_panel(panel)
-    if background is not None:
-        further["background"] = background
-    if over_background:
-        further["over_background"] = [
-            existing_file(path, "a reading over the background") for path in over_background
-        ]
-    if area is not Area.projected:
-        further["area"] = area.value
-    if detector_changes is not None:
-        further["detector_changes"] = _wavelengths(detector_changes)
+    for path in over_background or []:
+        existing_file(path, "a reading over the background")
     if groups is not None:
         existing_file(groups, "a table of species")
-        further["groups"] = groups
-    if regression:
-        further["regression"] = True
-    if posterior is not Sampler.none:
-        further["posterior"] = posterior.value
+    changes = None if detector_changes is None else _wavelengths(detector_changes)
     from fynjax import jobs
 
     return lambda folder: jobs.fit_leaf(
         spectra,
         folder,
-        version=version.value,
+        version=version,
         measurement=measurement,
-        leaf_shape=leaf_shape.value,
-        domain=domain.value,
+        background=background,
+        over_background=over_background or (),
+        leaf_shape=leaf_shape,
+        area=area,
+        domain=domain,
         panel=panel,
+        detector_changes=changes,
+        groups=groups,
+        regression=regression,
+        posterior=posterior,
         seed=seed,
         checkpoint=checkpoint,
         workers=jobs.Workers(workers, scheduler),
-        **further,
     )
