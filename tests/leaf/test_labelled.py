@@ -272,6 +272,9 @@ def test_bins_of_sparse_bands_are_nearer_by_lines_between_them(spectra):
         for bins in (to_bins(*to_nanometres(grid, whole[::5])), to_bins(grid, whole[::5]))
     ]
     assert error[0] < 0.8 * error[1]
+    measured = fx.fit_leaf(grid, whole[::5]).measured[0, 0]
+    have = np.isfinite(measured)
+    assert np.abs(measured - truth)[have].max() < 0.8 * error[1]
     far, values = np.array([500.0, 560.4, 1000.0]), np.array([0.1, 0.2, 0.4])
     at, found = to_nanometres(far, values)
     np.testing.assert_array_equal(at[np.isfinite(found)], [500.0, 560.0, 1000.0])
