@@ -10,6 +10,8 @@ from fynjax._core.dry_run import begin_work
 from fynjax.io.spectra import (
     measured_dataset,
     measured_table,
+    usable_spectra,
+    warnings_of_reading,
     write_spectra_netcdf,
 )
 from fynjax.jobs._result import JobResult
@@ -19,8 +21,6 @@ from fynjax.jobs._spectra import (
     SpectrumRepair,
     refused_spectra,
     repairs,
-    usable_spectra,
-    warnings_of_reading,
 )
 
 
@@ -46,7 +46,7 @@ def convert(
 
     **Arguments:**
 
-    - `paths`: files of any format that `read_spectra` takes, and folders of them.
+    - `paths`: files of any format that `fynjax.read_spectra` takes, and folders of them.
     - `output`: folder, made if missing.
     - `panel`: table of the white panel's own reflectance, as of `fit_leaf`.
 
@@ -60,7 +60,7 @@ def convert(
     """
     run = Run(output)
     with run.stage("Read", "read"):
-        spectra, refused = usable_spectra(paths, panel)
+        spectra, refused = usable_spectra(paths, panel, detector_changes=())
     size = f"{len(spectra)} spectra"
     begin_work({"spectra.csv": size, "spectra.nc": size, "sources.csv": ""})
     dataset = measured_dataset(spectra, run.record([*(file for file, _ in spectra), panel]))
@@ -94,5 +94,5 @@ def convert(
         spectra=len(spectra),
         bands=bands,
         refused=refused_spectra(refused),
-        repairs=repairs(spectra),
+        repairs=repairs(dataset),
     )
