@@ -31,7 +31,7 @@ def calibrate_plots(
         ),
     ] = 3,
     checkpoint: Checkpoint = None,
-    workers: WorkerCount = None,
+    workers: WorkerCount = 0,
     scheduler: SchedulerAddress = None,
     seed: Seed = 0,
 ) -> Job:

@@ -163,7 +163,7 @@ def fit_leaf(
         Sampler, typer.Option(help="Sample the posterior of each leaf as well.")
     ] = Sampler.none,
     checkpoint: Checkpoint = None,
-    workers: WorkerCount = None,
+    workers: WorkerCount = 0,
     scheduler: SchedulerAddress = None,
     seed: Seed = 0,
 ) -> Job:

@@ -39,7 +39,7 @@ def learn(
         list[str] | None, typer.Option(help="Where the data are from; may be given again.")
     ] = None,
     checkpoint: Checkpoint = None,
-    workers: WorkerCount = None,
+    workers: WorkerCount = 0,
     scheduler: SchedulerAddress = None,
     seed: Seed = 0,
 ) -> Job:

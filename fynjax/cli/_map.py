@@ -82,7 +82,7 @@ def map_command(
     ] = None,
     seed: Seed = 0,
     checkpoint: Checkpoint = None,
-    workers: WorkerCount = None,
+    workers: WorkerCount = 0,
     scheduler: SchedulerAddress = None,
 ) -> Job:
     """Map covers, leaf area and leaf traits of a cube, each with its uncertainty.

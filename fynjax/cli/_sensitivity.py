@@ -60,7 +60,7 @@ def sensitivity(
         ),
     ] = 0,
     checkpoint: Checkpoint = None,
-    workers: WorkerCount = None,
+    workers: WorkerCount = 0,
     scheduler: SchedulerAddress = None,
     seed: OwnSeed = None,
 ) -> Job:

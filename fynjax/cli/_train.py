@@ -42,7 +42,7 @@ def train(
     ] = 20000,
     seed: Seed = 0,
     checkpoint: Checkpoint = None,
-    workers: WorkerCount = None,
+    workers: WorkerCount = 0,
     scheduler: SchedulerAddress = None,
 ) -> Job:
     """Train a regression from spectra of a sensor to covers and leaves, for `fynjax map`.

@@ -55,7 +55,7 @@ def validate_plots(
     size: Size = 5.0,
     voxel: Voxel = 0.1,
     checkpoint: Checkpoint = None,
-    workers: WorkerCount = None,
+    workers: WorkerCount = 0,
     scheduler: SchedulerAddress = None,
     seed: Seed = 0,
 ) -> Job:
