@@ -391,6 +391,14 @@ def _open(path: Path) -> Any:
 
 
 @contextmanager
+def wherever() -> Iterator[None]:
+    """Without rasterio's warning of rasters that have no place: whoever needs one asks for it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        yield
+
+
+@contextmanager
 def _without_words() -> Iterator[None]:
     """Without the tracebacks that Python prints where rasterio fails to log words of GDAL that
     are no text, such as a damaged file's tags in them. Errors themselves are raised."""
@@ -428,8 +436,7 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
     if path.suffix.lower() == ".hdr" or (not tiff and any(p.is_file() for p in beside)):
         header, header_path, path = open_envi(path, ENVI_DATA, "image")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with wherever():
             warnings.simplefilter("ignore", RuntimeWarning)  # no-data values beyond the data's type
             _check_beside(path)
             dataset = _open(path)
