@@ -24,6 +24,7 @@ from fynjax._core import parts
 from fynjax._core.checkpoint import Journal, forget_journal
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Pool, Workers, at_work
+from tests.heard import hearing
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 """dask leaves pipes and sockets of processes that died to the garbage collection."""
@@ -90,31 +91,17 @@ def slow(number: int, folder: Path) -> tuple[np.ndarray, ...]:
     return (np.array(number),)
 
 
-class Heard:
-    """Progress that counts."""
-
-    def __init__(self) -> None:
-        self.steps, self.names = 0, set()
-
-    def stage(self, name, total=None):
-        return contextlib.nullcontext()
-
-    def advance(self, n=1, **info):
-        self.steps += n
-        self.names.add(info.get("part"))
-
-
 def test_two_processes_give_what_one_does(two) -> None:
-    heard = Heard()
     names = [f"plot {i}" for i in range(7)]
-    with pytest.warns(UserWarning, match="five is odd"):
-        there = two.all(scaled, range(7), 0.1, names=names, progress=heard)
+    with hearing() as heard, pytest.warns(UserWarning, match="five is odd"):
+        there = two.all(scaled, range(7), 0.1, names=names)
     with pytest.warns(UserWarning, match="five is odd"), at_work(Workers(0)) as pool:
         here = pool.all(scaled, range(7), 0.1)
     assert [a[0].tobytes() for a in there] == [a[0].tobytes() for a in here]
     assert os.getpid() not in {int(pid) for _, pid in there}
     assert {int(pid) for _, pid in here} == {os.getpid()}
-    assert (heard.steps, heard.names) == (7, set(names))
+    assert heard.count == 7
+    assert {info["part"] for info in heard.shown} == set(names)
 
 
 def test_none_one_and_two_processes_give_the_same_bits(two) -> None:

@@ -2,8 +2,8 @@
 
 A part is a function of what can be sent to another process, and gives arrays. dask sends it there,
 tries it again where a process died, and brings the arrays back. What is done here is the same
-wherever a part is computed: each result is kept as it comes, progress is shown over all parts, and
-a part that fails leaves the others alone.
+wherever a part is computed: each result is kept as it comes, progress is shown over all parts and
+not within them, and a part that fails leaves the others alone.
 
 All processes compute with the settings of the one that asked (precision, compiler, versions), so
 that numbers are the same to the bit on processors of one kind.
@@ -35,7 +35,7 @@ from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.memory import free_memory
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import advance, listening
 
 Arrays = tuple[np.ndarray, ...]
 """What a part gives."""
@@ -115,7 +115,6 @@ class Pool:
         names: Sequence[str] | None = None,
         sizes: Sequence[int] | None = None,
         journal: Journal | None = None,
-        progress: Progress | None = None,
     ) -> Iterator[tuple[int, Arrays]]:
         """The number and the arrays of each part, in the order in which they are done.
 
@@ -128,14 +127,12 @@ class Pool:
         - `sizes`: steps of progress that each part is; one by default.
         - `journal`: keeps the arrays of each part; those of an earlier run are given at once. The
           next `len(parts)` of its steps are these.
-        - `progress`: advanced by the size of each part, in the stage that is open.
 
         **Raises:** after all others are done, `InputError` that says which parts failed and why;
         and where the scheduler is lost or results cannot be kept. Warnings of parts are given here.
         """
         names = [f"{i + 1}" for i in range(len(parts))] if names is None else names
         sizes = [1] * len(parts) if sizes is None else sizes
-        progress = NullProgress() if progress is None else progress
         first = 0 if journal is None else journal.reserve(len(parts))
         missing = []
         for i in range(len(parts)):
@@ -143,7 +140,7 @@ class Pool:
             if kept is None:
                 missing.append(i)
                 continue
-            progress.advance(sizes[i], part=names[i])
+            advance(sizes[i], part=names[i])
             yield i, kept
         failed, report = [], None
         answers = self._answers(function, {i: parts[i] for i in missing}, shared)
@@ -161,7 +158,7 @@ class Pool:
                     if journal is not None:
                         journal.put(first + i, arrays)
                     yield i, arrays
-                progress.advance(sizes[i], part=names[i])
+                advance(sizes[i], part=names[i])
         if failed and len(parts) == 1:
             raise InputError(failed[0])
         if failed:
@@ -375,7 +372,7 @@ def _there(
 
 
 def _done(part: Any, function: PartFunction, shared: tuple[Any, ...]) -> _Answer:
-    with warnings.catch_warnings(record=True) as caught:
+    with listening(None), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
         try:
