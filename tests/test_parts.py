@@ -81,6 +81,10 @@ def numbered(number: int, folder: Path, faulty: str) -> tuple[np.ndarray, ...]:
     return (np.array(number**2),)
 
 
+def length(part: np.ndarray, shared: np.ndarray) -> tuple[np.ndarray, ...]:
+    return (np.array(part.size + shared.size),)
+
+
 def place(number: int) -> tuple[np.ndarray, ...]:
     return (np.array(sorted(os.sched_getaffinity(0))),)
 
@@ -111,6 +115,12 @@ def test_none_one_and_two_processes_give_the_same_bits(two) -> None:
     for parts_of in zip(*found, strict=True):
         first, *others = ([(x.dtype, x.tobytes()) for x in arrays] for arrays in parts_of)
         assert all(other == first for other in others)
+
+
+def test_large_parts_are_sent_without_a_warning(two) -> None:
+    million = np.zeros(1_000_000)
+    found = two.all(length, [million, million], np.zeros(2_000_000))
+    assert [int(a) for (a,) in found] == [3_000_000] * 2
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="cores are not chosen here")

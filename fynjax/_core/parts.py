@@ -52,6 +52,8 @@ _LARGEST_SHARE = 0.9
 _LEAST_MEMORY = 2 * 2**30
 """Of a worker: compiling alone takes about half of it [bytes]."""
 _SHOWN = 3
+_LARGE_PARTS = {"distributed.admin.large-graph-warning-threshold": "1 TiB"}
+"""dask warns from 10 MB on, of what a user could load elsewhere; here nobody can."""
 _NUMBERS = (
     "jax_platforms",
     "jax_enable_x64",
@@ -240,6 +242,7 @@ def at_work(workers: Workers | None = None) -> Iterator[Pool]:
         log = logging.getLogger("distributed")  # of workers that come and go: the errors say it
         stack.callback(log.setLevel, log.level)
         log.setLevel(logging.CRITICAL + 1)
+        stack.enter_context(require("dask", "cluster").config.set(_LARGE_PARTS))
         if workers.scheduler is None:
             where = "here"
             address = stack.enter_context(_cluster(workers.count, settings))
