@@ -1,5 +1,6 @@
 """Tables as text, as people, instruments and their programs write them: one reader for all."""
 
+import codecs
 import csv
 import io
 import itertools
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError, listed
 from fynjax._core.extras import require
@@ -27,12 +29,17 @@ _MARKS = "\t;|,"
 """Separators, the likelier first; where none of them serves, blanks separate."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _WITH_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?", re.ASCII)
+_NUMBERS = re.compile(rf"(?:{_NUMBER.pattern}\n)*+", re.ASCII)
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([.,]\d{3})+")
 _COMMENT = re.compile(r"\s*(#|//)\s*")
+_SHEET_ERROR = re.compile(r"#(N/A|DIV/0!|REF!|NAME\?|VALUE!|NUM!|NULL!)")
 _NO_TEXT = re.compile(rb"[\0-\x08\x0e-\x19\x1b-\x1f\x7f]")
 _SEPARATOR_LINE = re.compile(r"sep=(.)\s*", re.IGNORECASE)
-_ENCODINGS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb": "utf-8-sig"}
 _SAMPLE_LINES, _SAMPLE_SIZE = 200, 1 << 20
+_BATCH = 1 << 14
+"""Cells that are looked at together."""
+_LEAST = -900.0
+"""A number below it may stand for none, such as -999."""
 
 
 @dataclass
@@ -91,7 +98,9 @@ class TextTable:
                 line += 1
                 if between:
                     plain = text.lstrip()
-                    if not plain or plain[0] == "#" or (line == 1 and _SEPARATOR_LINE.match(text)):
+                    if not plain or (plain[0] == "#" and not _SHEET_ERROR.match(plain)):
+                        continue
+                    if line == 1 and _SEPARATOR_LINE.fullmatch(plain):
                         continue
                     start, between = line, False
                 if self.separator == " ":
@@ -128,13 +137,16 @@ class TextTable:
         return ((row, self._fitted(row, cells)) for row, cells in self.rows())
 
     def _fitted(self, row: int, cells: list[str]) -> list[str]:
-        count = len(cells) if len(cells) <= self.width else len(trimmed(cells))
+        if len(cells) == self.width:
+            return cells
+        beyond = itertools.takewhile(lambda cell: cell[:1] != "#", cells[self.width :])
+        count = min(len(cells), self.width) + len(trimmed(list(beyond)))
         if count == self.width:
             return cells[: self.width]
-        if count < self.width:
-            hint = " Is the file cut short, or a separator missing?"
-        elif self.separator == " ":
+        if self.separator == " ":
             hint = " A blank inside a name? Put the name in double quotes."
+        elif count < self.width:
+            hint = " Is the file cut short, or a separator missing?"
         elif self.separator == "," and any(
             a.lstrip("+-").isdigit() and b.isdigit() for a, b in itertools.pairwise(cells)
         ):
@@ -213,18 +225,39 @@ class TextTable:
             for place in words:
                 frame[place] = frame[place].str.strip()
             return frame[[*numbers, *words]]
-        values, texts = [], []
-        for row, cells in self.rows():
-            if len(cells) > self.width:  # a remark behind the numbers
-                cells = list(itertools.takewhile(lambda cell: not cell.startswith("#"), cells))
-            cells = self._fitted(row, cells)
-            row_values = [self.number(cells[k], row, self.names[k], missing) for k in numbers]
-            values.append(np.array(row_values))
-            texts.append([cells[k] for k in words])
+        values, texts, rows = [], [], self.records()
+        while batch := list(itertools.islice(rows, max(_BATCH // max(len(numbers), 1), 1))):
+            values.append(self._numbers(batch, numbers, missing))
+            texts += [[cells[k] for k in words] for _, cells in batch]
         if not values:
             raise InputError("expected rows of numbers, but there is only a header", file=self.path)
-        table = pd.DataFrame(np.stack(values), columns=list(numbers))
+        table = pd.DataFrame(np.concatenate(values), columns=list(numbers))
         return table.join(pd.DataFrame(texts, columns=list(words), index=table.index))
+
+    def _numbers(
+        self,
+        rows: Sequence[tuple[int, list[str]]],
+        places: Sequence[int],
+        missing: Collection[str],
+    ) -> NDArray[np.float64]:
+        """Numbers of some rows, all at once where nothing is odd about any of them."""
+        text = "".join(f"{cells[k]}\n" for _, cells in rows for k in places)
+        marks = {mark for mark in ",." if mark in text}
+        marks |= {"."} if self.separator == "," else {self._first[0]} if self._first else set()
+        if len(marks) < 2 and _NUMBERS.fullmatch(plain := text.replace(",", ".")):
+            values = np.array(plain.split(), np.float64).reshape(len(rows), len(places))
+            if np.isfinite(values).all() and not (missing and (values < _LEAST).any()):
+                if marks and not self._first:
+                    (mark,) = marks
+                    marked = ((mark, c[k], row) for row, c in rows for k in places if mark in c[k])
+                    self._first = next(marked, None)
+                return values
+        return np.array(
+            [
+                [self.number(cells[k], row, self.names[k], missing) for k in places]
+                for row, cells in rows
+            ]
+        )
 
     def _clean_columns(self, numbers: Sequence[int], gaps: bool) -> "pd.DataFrame | None":
         """All columns, where pandas finds nothing but finite numbers and full rows; else `None`."""
@@ -251,10 +284,14 @@ class TextTable:
         except (ValueError, Warning):  # the first are pandas' own errors too
             return None
         values, last = frame[list(numbers)].to_numpy(), frame[self.width - 1]
-        # A number such as -999 may stand for none, and a short row ends in an empty cell.
-        whole = len(values) and np.isfinite(values).all() and not (gaps and (values < -900).any())
+        # A short row ends in an empty cell.
+        whole = len(values) and np.isfinite(values).all() and not (gaps and (values < _LEAST).any())
         whole = whole and (self.width - 1 in chosen or not (last.str.strip() == "").any())
         return frame if whole else None
+
+    def line(self, row: int) -> str:
+        """A line of the file, from 1, as it is written."""
+        return next(self._file(row - 1), "").strip()
 
     def row_of(self, index: int) -> int:
         """Line in the file, from 1, of the row at `index`, from 0."""
@@ -420,28 +457,38 @@ def trimmed(cells: Sequence[str]) -> list[str]:
 def as_utf8(data: bytes, path: Path) -> bytes:
     """Text in UTF-8, UTF-16 or Windows-1252 as UTF-8 without byte-order mark.
 
-    **Raises:** `InputError` for other encodings and binary files.
+    **Raises:** `InputError` for other encodings and binary files. Warns where letters of
+    Windows-1252 look like those of another encoding.
     """
-    encoding, head = _ENCODINGS.get(data[:2], "utf-8"), data[:4096]
-    if encoding == "utf-8":  # of UTF-16 without a mark every second byte is zero
-        for offset, name in enumerate(("utf-16-be", "utf-16-le")):
-            if 2 * head[offset::2].count(0) > len(head) // 2 and 0 not in head[1 - offset :: 2]:
-                encoding = name
-    if encoding != "utf-8" or not data.isascii():
-        try:
+    encoding, head = "utf-8", data[:4096]
+    if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        encoding = "utf-16"
+    for offset, name in enumerate(("utf-16-be", "utf-16-le")):  # every second byte is zero
+        if 2 * head[offset::2].count(0) > len(head) // 2 and 0 not in head[1 - offset :: 2]:
+            encoding = encoding if encoding == "utf-16" else name
+    try:
+        if encoding != "utf-8" or not data.isascii():
             data = data.decode(encoding).encode()
-        except UnicodeError as error:
-            at = getattr(error, "start", 0)
-            # A letter of two bytes shows that it is UTF-8, but damaged.
-            foreign = encoding == "utf-8" and not re.search(rb"[\xc3-\xdf][\x80-\xbf]", data)
-            if not foreign or re.search(rb"[\x81\x8d\x8f\x90\x9d]", data):
-                raise InputError(
-                    f"expected text, but byte 0x{data[at]:02x} is none in {encoding.upper()}. Save "
-                    "the file again as UTF-8; Excel calls it CSV UTF-8. Or is it a binary file?",
-                    file=path,
-                    row=data[:at].count(b"\n") + 1,
-                ) from error
-            data = data.decode("cp1252").encode()
+    except UnicodeError as error:
+        at = getattr(error, "start", 0)
+        # A letter of two bytes shows that it is UTF-8, but damaged.
+        damaged = encoding != "utf-8" or re.search(rb"[\xc3-\xdf][\x80-\xbf]", data)
+        if damaged or re.search(rb"[\x81\x8d\x8f\x90\x9d]", data):
+            raise InputError(
+                f"expected text, but byte 0x{data[at]:02x} is none in {encoding.upper()}. Save "
+                "the file again as UTF-8; Excel calls it CSV UTF-8. Or is it a binary file?",
+                file=path,
+                row=data[:at].count(b"\n") + 1,
+            ) from error
+        if rare := re.search(rb"[\x82-\x84\x86-\x8e\x98\x9a-\x9f]\w*", data):
+            warnings.warn(
+                f"{path}: the text is no UTF-8 and read as Windows-1252, with "
+                f"{rare[0].decode('cp1252')!r} in it. If that is wrong, save it again as UTF-8.",
+                UserWarning,
+                stacklevel=4,
+            )
+        data = data.decode("cp1252").encode()
+    data = data.removeprefix(codecs.BOM_UTF8).rstrip(b"\x1a")  # which ended files on DOS
     if _NO_TEXT.search(data):
         raise InputError("expected text, but this is a binary file", file=path)
     return data
@@ -483,11 +530,12 @@ def _open(
 
 def _separator(lines: Sequence[str]) -> str:
     """What separates the cells of most lines, into the same number of them."""
-    best, most = " ", min(len(lines), 2) - 1
+    best, most = " ", 0
     for mark in _MARKS:
         widths = Counter(len(split_line(line, mark)) for line in lines)
         widths.pop(1, None)
-        if widths and (alike := max(widths.values())) > most:
+        alike = max(widths.values(), default=0)
+        if alike > most and (alike > 1 or 2 * widths.total() > len(lines)):
             best, most = mark, alike
     in_blanks = 2 * sum(len(line.split()) > 1 for line in lines) > len(lines)
     if best == "," and in_blanks and _numbers(lines, " ") > _numbers(lines, ","):

@@ -89,6 +89,7 @@ _SLIPS = tuple(
             r"n[./]?[ad]\.?|nan|none|null|-+|\?+|",
             "Not measured? Leave the cell empty.",
         ),
+        (r"[\[(]?([cmnµu]?m|%|°|deg|m2|g)[\])]?", "A row of units? Leave it out."),
         (r"[−–—][\d.,]+", "Write the minus as a hyphen."),
         (r"[\d.,]*[OlI][\d.,OlI]*", "A letter for a digit?"),
     )

@@ -242,7 +242,6 @@ def _ply_columns(file: str) -> dict[str, np.ndarray]:
 
 def _text_columns(file: str) -> dict[str, np.ndarray]:
     table = open_points(file, "a scanned plant", _COLUMNS[:3])
-    where = {"file": file, "row": table.row}
     if not table.headed:
         if table.width > len(_COLUMNS) + 1:
             raise InputError(
@@ -251,14 +250,15 @@ def _text_columns(file: str) -> dict[str, np.ndarray]:
                 file=file,
             )
         table.names = (*_COLUMNS, "organ")[: table.width]
-    places = places_of(table.names, _ALIASES, **where)
+    places = places_of(table.names, _ALIASES, file=file, row=table.row)
     for axis in set(_COLUMNS[:3]) & set(places):
         name = table.names[places[axis]]
         unit = name_and_unit(name)[1]
         if unit not in ("", "m", "metre", "metres", "meter", "meters"):
             raise InputError(
                 f"expected metres, but the header says {unit!r}. Convert the coordinates.",
-                **where,
+                file=file,
+                row=table.row,
                 column=name,
             )
     organ = places.pop("organ", None)

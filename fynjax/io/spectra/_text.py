@@ -180,20 +180,27 @@ def read_text_spectra(data: bytes, file: Path) -> list[MeasuredSpectrum]:
             units = {m[2] for m in named.values() if m and m[2]} if not starts else set()
             return _by_row(table, bands, " ".join(sorted(units)))
 
-    above: list[list[str]] = []
-    for start, cells in table.rows(0):
+    start = None
+    above: list[tuple[int, list[str]]] = []
+    for row, cells in table.rows(0):
         if len(cells) > 1 and is_number(cells[0]):
+            start = row
+            table.names = tuple(trimmed(cells))
             break
-        above.append(cells)
-    else:
+        above.append((row, cells))
+    if start is None:
         raise InputError(
             "unknown format: neither a column of wavelengths nor wavelengths as column names",
             file=file,
         )
     table.skip, table.headed = start - 1, False
-    table.names = tuple(str(i + 1) for i in range(len(trimmed(cells))))
-    lines = (table.separator.join(cells).partition(":") for cells in above[:60])
+    lines = (table.line(row).partition(":") for row, _ in above[:60])
     keys = {key.strip().lower(): value.strip() for key, mark, value in lines if mark}
     if "first column" in keys or "x units" in keys:
         return [_library(table, keys)]
-    return _by_column(table, above)
+    titles = [cells for _, cells in above]
+    if table.separator == " ":  # names may hold single ones
+        for k, (row, cells) in enumerate(above):
+            if len(cells) > table.width:
+                titles[k] = re.split(r"\t+ *| {2,}", table.line(row))
+    return _by_column(table, titles)
