@@ -1,7 +1,7 @@
 """What sensors of other pixels, bands and noise could know about a plot."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import track
 from fynjax.inversion._calibrate import COARSE, coarser
 from fynjax.inversion._fit_result import scatter_covariance
 from fynjax.inversion._information import (
@@ -98,7 +98,7 @@ def sweep_sensors(
     draws: int = 4,
     coarse: Accuracy = COARSE,
     seed: int = 0,
-    progress: Progress | None = None,
+    checked: Callable[[], None] = lambda: None,
 ) -> list[tuple[SensorSetting, Information]]:
     """Bounds on the parameters of a plot, for each combination of sensor properties.
 
@@ -137,7 +137,7 @@ def sweep_sensors(
     - `draws`: realisations of the noise.
     - `coarse`: accuracy of the light.
     - `seed`: of the noise.
-    - `progress`: where to report the stages; nowhere by default.
+    - `checked`: called when all settings are checked, before anything is rendered.
 
     **Returns:** each setting with its bounds, by sun, then pixel, number of bands and noise.
 
@@ -145,7 +145,6 @@ def sweep_sensors(
     """
     fine = min(gsd)
     steps = _check(scene, len(sensor.bands), gsd, bands, noise, stand_realisations)
-    progress = NullProgress() if progress is None else progress
     quick = coarser(scene, parameters)
     placement = dataclasses.replace(placement or Placement(), pixel=fine)
     plantings = [
@@ -155,21 +154,24 @@ def sweep_sensors(
     centre = np.asarray(parameters.light.sun_zenith, float)
     suns = [float(centre)] if sun_zenith is None else [float(s) for s in sun_zenith]
     at = space.physical(jnp.zeros(len(space.names)))
+    lights = [
+        eqx.tree_at(lambda p: p.light.sun_zenith, parameters, jnp.asarray(sun)) for sun in suns
+    ]
+    cameras = [
+        aim(quick, lit, sensor, placement, accuracy=coarse, point_spread=False) for lit in lights
+    ]
+    checked()
     bounds = []
-    for sun in suns:
-        lit = eqx.tree_at(lambda p: p.light.sun_zenith, parameters, jnp.asarray(sun))
+    for sun, lit, camera in zip(suns, lights, cameras):
         # A free zenith starts from this sun too, not from its prior's.
         free = "light.sun_zenith" in space.names
         here = at.at[space.names.index("light.sun_zenith")].set(sun) if free else at
-        camera = aim(quick, lit, sensor, placement, accuracy=coarse, point_spread=False)
         camera = camera.sampled(1)  # one ray a pixel, or a voxel
         measured = []
-        with progress.stage(f"Render, sun at {sun:g} degrees", len(plantings)):
-            for planted in plantings:
-                rendered = _image_and_slopes(camera, planted, lit, space.names, here)
-                image, slopes = jax.device_get(rendered)
-                measured.append(_measure(image, slopes, steps, bands, noise, draws, seed))
-                progress.advance()
+        for planted in track(plantings, f"Render, sun at {sun:g} degrees"):
+            rendered = _image_and_slopes(camera, planted, lit, space.names, here)
+            image, slopes = jax.device_get(rendered)
+            measured.append(_measure(image, slopes, steps, bands, noise, draws, seed))
         together = {
             level: _Sweep.of([every[level] for every in measured], space, error) for level in noise
         }

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax.assembly import aim_without_air, prepare
 from fynjax.compare import read_drone_image
@@ -42,7 +43,7 @@ def known_plants(
 
     - `plot`: with `Plot.known_crowns`.
     - `path`: the image, GeoTIFF; it covers the plot and nothing else, its rows from the north.
-    - `run`: the folder and the progress of the job.
+    - `run`: the job at work.
     - `bands`: of the image, as `read_drone_image` has them.
     - `inputs`: files for the provenance.
     - `checkpoint`: folder that keeps every step; None keeps none.
@@ -53,7 +54,7 @@ def known_plants(
     """
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
-    image = read_drone_image(path, bands=bands, most_pixels=None, progress=run.progress)
+    image = read_drone_image(path, bands=bands, most_pixels=None)
     pixel = sensor_place(plot)[1] if image.pixel_m is None else image.pixel_m
     camera = aim_without_air(plot, ready.scene, ready.parameters, drone_sensor(plot), pixel=pixel)
     if camera.shape != image.mask.shape:
@@ -66,6 +67,11 @@ def known_plants(
     order = [BANDS.index(name) for name in camera.sensor.bands.names]
     settings = plot.calibration
     block = _block(plot, len(order), camera.shape, pixel)
+    begin_work(
+        {"parameters.csv": f"{len(ready.space.names)} parameters", "statistics.csv": ""}
+        | dict.fromkeys(["image_before.tif", "image_after.tif"], "")
+        | {"report.html": f"after at most {settings.max_iterations} steps of the search"}
+    )
     with run.stage("Calibrate", "calibrate", total=settings.max_iterations):
         search = known_plants_search(
             ready.scene,

@@ -6,11 +6,13 @@ from typing import Literal
 
 import pandas as pd
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.precision import double_precision
-from fynjax._core.progress import Progress
 from fynjax.io.spectra import (
     measured_dataset,
     measured_table,
+    usable_spectra,
+    warnings_of_reading,
     write_spectra_netcdf,
 )
 from fynjax.jobs._result import JobResult
@@ -20,8 +22,6 @@ from fynjax.jobs._spectra import (
     SpectrumRepair,
     refused_spectra,
     repairs,
-    usable_spectra,
-    warnings_of_reading,
 )
 
 
@@ -41,7 +41,6 @@ def convert(
     output: str | Path,
     *,
     panel: str | Path | None = None,
-    progress: Progress | None = None,
 ) -> ConvertResult:
     """Write the spectra of files of any format as one CSV and one NetCDF.
 
@@ -49,10 +48,9 @@ def convert(
 
     **Arguments:**
 
-    - `paths`: files of any format that `read_spectra` takes, and folders of them.
+    - `paths`: files of any format that `fynjax.read_spectra` takes, and folders of them.
     - `output`: folder, made if missing.
     - `panel`: table of the white panel's own reflectance, as of `fit_leaf`.
-    - `progress`: advances by stage.
 
     **Returns:** `ConvertResult`. Writes `spectra.csv` (wavelengths in nm, a column a spectrum,
     fractions), `spectra.nc` (CF conventions, with file, format and header of each spectrum) and
@@ -62,12 +60,14 @@ def convert(
 
     Example: `jobs.convert(["campaign"], "spectra")`.
     """
-    run = Run(output, progress=progress)
-    with run.stage("reading", "read"):
-        spectra, refused = usable_spectra(paths, panel)
+    run = Run(output)
+    with run.stage("Read", "read"):
+        spectra, refused = usable_spectra(paths, panel, detector_changes=())
+    size = f"{len(spectra)} spectra"
+    begin_work({"spectra.csv": size, "spectra.nc": size, "sources.csv": ""})
     dataset = measured_dataset(spectra, run.record([*(file for file, _ in spectra), panel]))
     what = "reflectance and transmittance over wavelength, one column a spectrum"
-    with run.stage("writing", "write"):
+    with run.stage("Write", "write"):
         run.table("spectra.csv", measured_table(dataset), what, "%.7g")
         what = "the same with units, file, format and header of each spectrum"
         write_spectra_netcdf(dataset, run.path("spectra.nc", what))
@@ -96,5 +96,5 @@ def convert(
         spectra=len(spectra),
         bands=bands,
         refused=refused_spectra(refused),
-        repairs=repairs(spectra),
+        repairs=repairs(dataset),
     )

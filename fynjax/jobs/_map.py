@@ -13,10 +13,10 @@ from jaxtyping import Float
 from pydantic import Field
 
 from fynjax._core.checkpoint import forget_journal, signature
+from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError, listed
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
-from fynjax._core.progress import Progress
 from fynjax.assembly import STAND_QUANTITIES
 from fynjax.inversion import estimate_pixels
 from fynjax.io.plot import DEFAULT_PRIOR
@@ -88,7 +88,6 @@ def map_cube(
     seed: int = 0,
     checkpoint: str | Path,
     workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> MapResult:
     """Map covers, leaf area and leaf traits of a cube of reflectance, each with its uncertainty.
 
@@ -108,7 +107,6 @@ def map_cube(
     - `seed`: of the sampling.
     - `checkpoint`: folder of the unfinished maps, from which an interrupted run goes on.
     - `workers`: where blocks are read and estimated; in this process by default.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `MapResult`. Writes `maps.tif` (cloud-optimised: of each quantity mean, standard
     deviation and 5 and 95 % quantile, and how unlike the simulations pixels are), a picture and a
@@ -120,7 +118,7 @@ def map_cube(
     **Raises:** `InputError` for a cube or training that cannot be read or do not go together, and
     for a damaged lookup table.
     """
-    run = Run(output, seed=seed, progress=progress)
+    run = Run(output, seed=seed)
     if not 0.5 <= likely < 0.9995:
         raise InputError(f"expected a share of the simulations from 0.5 to 0.999, but got {likely}")
     if pixel_steps < _FEWEST_STEPS:
@@ -134,6 +132,12 @@ def map_cube(
         pixels = list(dict.fromkeys(pixels))
         learned = prior_of(trained, prior) if pixels else None
         channels = pick_pixels(source, weights, scale, pixels)
+        size = image_size(source.shape, 4 * len(STAND_QUANTITIES) + 1)
+        begin_work(
+            {"maps.tif": size, "report.html": ""}
+            | ({"maps.zarr": size} if zarr else {})
+            | ({"pixels.csv": f"{len(pixels)} pixels", "pixels.nc": ""} if pixels else {})
+        )
         kept = Path(checkpoint) / "pixels"
         asked: dict[str, Any] = {"steps": pixel_steps, "seed": seed}
         journal = None
@@ -163,7 +167,7 @@ def map_cube(
         with run.stage("Map", "maps", total=len(parts)), at_work(workers) as pool:
             done = pool.each(
                 _mapped, parts, *shared,
-                names=[f"rows {a + 1} to {a + n}" for a, n in parts], progress=run.progress,
+                names=[f"rows {a + 1} to {a + n}" for a, n in parts],
             )  # fmt: skip
             for i, (maps, unreadable) in done:
                 start, _ = parts[i]

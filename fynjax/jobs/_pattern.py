@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
-from fynjax._core.progress import Progress
 from fynjax.canopy import (
     Greenness,
     VegetationPattern,
@@ -89,7 +89,6 @@ def pattern(
     pixel: float | None = None,
     align: bool = True,
     seed: int = 0,
-    progress: Progress | None = None,
 ) -> PatternResult:
     """Make a map of where plants may stand from the vegetation pattern of an image.
 
@@ -105,7 +104,6 @@ def pattern(
     - `pixel`: side of a pixel on the ground [m], for an image without a coordinate system.
     - `align`: whether to align the bands of separate files.
     - `seed`: seed of the clustering.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `PatternResult`. Writes `map.tif` and `pattern.png` into `output`.
 
@@ -113,11 +111,9 @@ def pattern(
 
     Example: `jobs.pattern(["drone.tif"], "results", clusters=4)`.
     """
-    run = Run(output, seed=seed, progress=progress)
+    run = Run(output, seed=seed)
     with run.stage("Read the image"):
-        stack = read_band_stack(
-            paths, bands=bands, pixel_m=pixel, align=align, progress=run.progress
-        )
+        stack = read_band_stack(paths, bands=bands, pixel_m=pixel, align=align)
     try:
         green = choose_greenness(stack.names, stack.wavelengths, index=greenness)
         with run.stage("Cluster the pixels"):
@@ -132,6 +128,8 @@ def pattern(
             )
     except InputError as error:
         raise InputError(str(error), file=paths[0]) from error
+    rows, columns = stack.mask.shape
+    begin_work({"map.tif": f"{rows} rows and {columns} columns of pixels"})
     masked = int((~stack.mask).sum())
     with run.stage("Write"):
         write_probability_map(

@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
-from fynjax._core.progress import Progress
+from fynjax._core.progress import track
 from fynjax.io.micasense import (
     AlignedCapture,
     Capture,
@@ -70,7 +71,6 @@ def reflectance(
     height: float | None = None,
     pixel: float | None = None,
     align: bool = True,
-    progress: Progress | None = None,
 ) -> ReflectanceResult:
     """Convert the raw captures of a multispectral camera to reflectance.
 
@@ -91,7 +91,6 @@ def reflectance(
     - `height` of flight above the ground [m], or `pixel` on the ground [m]; with neither,
       coordinates are in pixels.
     - `align`: whether to align the bands of a capture.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `ReflectanceResult`. Writes for each capture its reflectance and the standard
     deviation (GeoTIFF), `calibration.csv`, `provenance.json` and figures into `output`.
@@ -100,7 +99,7 @@ def reflectance(
 
     Example: `jobs.reflectance(["flight"], "results", reflectances=["0.5"], height=40.0)`.
     """
-    run = Run(output, progress=progress)
+    run = Run(output)
     _check(panels, reflectances, areas, light, panel_sd, light_sd, height, pixel)
     captures = find_captures(images)
     with run.stage("Read the panels"):
@@ -120,20 +119,23 @@ def reflectance(
     headline, warnings = panel_sentences(read, known, light), []
     converted: dict[str, CaptureSummary] = {}
     inputs = [path for panel in read for path in panel.capture.paths]
-    with run.stage("Convert", total=len(wanted)):
-        for name, paths in wanted.items():
-            capture = read_capture(name, paths)
-            inputs += paths
-            relit, change = _line_of(capture, line, read, light, light_sd)
-            aligned = aligned_radiance(capture, align=align, progress=run.progress)
-            side = _pixel(capture, height, pixel)
-            cube, doubt = _cubes(capture, aligned, relit, side or 1.0)
-            _write_capture(run, name, cube, doubt, paths, light, in_pixels=side is None)
-            summary = capture_summary(capture, aligned, relit, change, cube, side)
-            converted[name] = summary
-            headline.append(capture_sentence(name, summary))
-            warnings += capture_warnings(name, summary, light)
-            run.progress.advance()
+
+    def read_one(name: str) -> tuple[Capture, EmpiricalLine, NDArray[np.float64] | None]:
+        capture = read_capture(name, wanted[name])
+        return capture, *_line_of(capture, line, read, light, light_sd)
+
+    begin_work({f"{name}_reflectance.tif": "" for name in wanted}, map(read_one, wanted))
+    for name, paths in track([*wanted.items()], "Convert"):
+        capture, relit, change = read_one(name)
+        inputs += paths
+        aligned = aligned_radiance(capture, align=align)
+        side = _pixel(capture, height, pixel)
+        cube, doubt = _cubes(capture, aligned, relit, side or 1.0)
+        _write_capture(run, name, cube, doubt, paths, light, in_pixels=side is None)
+        summary = capture_summary(capture, aligned, relit, change, cube, side)
+        converted[name] = summary
+        headline.append(capture_sentence(name, summary))
+        warnings += capture_warnings(name, summary, light)
     if read:
         what = "picture: the panels in every band, and the area that was read"
         run.picture(Picture("panels.png", panel_figure(read, known), what))

@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 
 from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers
 from fynjax._core.precision import double_precision
-from fynjax._core.progress import Progress
 from fynjax.assembly import Prepared, batch_for_device, image_view, prepare, shown_unit
 from fynjax.inversion import (
     LEADING_ELASTICITIES,
@@ -21,6 +21,7 @@ from fynjax.inversion import (
     ExpectedSensitivity,
     PlotForward,
     SobolIndices,
+    check_samples,
     coarser,
     derivative_measures,
     expected_sensitivity,
@@ -67,7 +68,6 @@ def sensitivity(
     seed: int | None = None,
     checkpoint: str | Path | None = None,
     workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> SensitivityResult:
     """Slopes and elasticities of a plot's metrics; over the priors too, if samples are asked for.
 
@@ -90,7 +90,6 @@ def sensitivity(
     - `checkpoint`: folder that keeps what plantings and samples gave, from which an interrupted
       run goes on; none by default.
     - `workers`: where plantings and samples are computed; in this process by default.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `SensitivityResult`, whose `status` says where errors stayed above 10 %. Writes
     `slopes.csv`, with samples `variance.csv`, figures and a page into `output`.
@@ -107,8 +106,10 @@ def sensitivity(
     check_statistics(names)
     if sobol_samples:
         require("SALib", "sensitivity")
+    for samples in filter(None, (derivative_samples, sobol_samples)):
+        check_samples(samples)
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
+    run = Run(output, seed=read.seed if seed is None else seed)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
     space = ready.space
@@ -116,6 +117,9 @@ def sensitivity(
     quick, cheap = search_form(ready.scene, ready.parameters, views)
     predict = PlotForward(ready.parameters, space.names, cheap)
     at = np.asarray(space.prior)
+    size = f"{len(names)} metrics by {len(space.names)} parameters"
+    tables = ["slopes.csv", *(["variance.csv"] if derivative_samples or sobol_samples else [])]
+    begin_work(dict.fromkeys(tables, size) | {"report.html": ""})
     journal = None
     if checkpoint is not None:
         hashes = [file_hash(path) for path in read.inputs]
@@ -131,7 +135,6 @@ def sensitivity(
         most=2 if ready.scene.known_plants else plantings,  # which are the same in each
         journal=journal,
         workers=workers,
-        progress=run.progress,
     )
     common: dict[str, Any] = {
         "context": (quick,),
@@ -139,7 +142,6 @@ def sensitivity(
         "batch": batch_for_device(),
         "journal": journal,
         "workers": workers,
-        "progress": run.progress,
     }
     measures = indices = None
     if derivative_samples:

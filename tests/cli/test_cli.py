@@ -3,10 +3,8 @@
 The jobs themselves are stood in for: what is tested is the door, not the house.
 """
 
-import io
 import json
 import os
-import re
 import subprocess
 import sys
 import time
@@ -19,7 +17,6 @@ from typer.testing import CliRunner
 import fynjax
 from fynjax import jobs
 from fynjax._core.errors import InputError, MissingExtraError
-from fynjax._core.progress import NullProgress, Progress
 from fynjax.cli import app, main
 from fynjax.cli._runtime import _COMPILER, _alone
 from fynjax.io.plot import as_plot, read_plot
@@ -50,12 +47,10 @@ def calls(monkeypatch):
     made = []
 
     def job(name):
-        def run(*positional, progress=None, **keywords):
-            made.append((name, positional, keywords))
+        def run(*, output, **keywords):
+            made.append((name, keywords))
             if name in ("render", "calibrate"):  # a job reads its plot before anything else
-                as_plot(positional[0])
-            assert isinstance(progress, Progress)
-            output = next(p for p in reversed(positional) if hasattr(p, "is_dir") and p.is_dir())
+                as_plot(keywords["plot"])
             (output / "image.tif").write_text(name)
             return Fake(
                 output=str(output),
@@ -112,19 +107,12 @@ def test_demo_writes_moves_and_prints(capsys, calls, tmp_path):
     output = tmp_path / "a" / "b"
     status, out, err = call(capsys, "demo", "--output", output, "--seed", 5)
     assert (status, err) == (0, "")
-    assert calls[0][2] == {"seed": 5}
+    assert calls[0][1] == {"seed": 5}
     assert sorted(p.name for p in output.iterdir()) == ["image.tif", "summary.json"]
     assert [p.name for p in output.parent.iterdir()] == ["b"]
     assert "demo is done." in out
     assert str(output) in out
     assert "image.tif  the image" in out
-
-
-def test_long_work_is_announced_where_progress_is_shown(capsys, calls, tmp_path, monkeypatch):
-    monkeypatch.setattr("rich.console.Console.is_terminal", True)
-    _, _, err = call(capsys, "demo", "--output", tmp_path / "o")
-    assert re.search(r"fynjax: Roughly \d+ min of one core.* GiB of memory \(.* are free\)", err)
-    assert "Roughly" not in call(capsys, "demo", "--quiet", "--output", tmp_path / "o")[2]
 
 
 def test_json_is_all_that_stdout_has(capsys, calls, tmp_path):
@@ -175,20 +163,23 @@ def test_calibrate_and_fit_leaf_pass_their_files(capsys, calls, plot, tmp_path):
     done = call(capsys, "calibrate", plot, "--target", target, "--output", tmp_path / "o")
     assert done[0] == 0
     assert calls[0][0] == "calibrate"
-    assert (calls[0][1][0].file, calls[0][1][1]) == (plot, [target])
+    given = calls[0][1]
+    assert (given["plot"].file, given["targets"]) == (plot, [target])
     spectra = [tmp_path / "a.csv", tmp_path / "b.asd"]
     for path in spectra:
         path.write_text("x")
     arguments = ["fit-leaf", *spectra, "--output", tmp_path / "t", "--version", "PRO"]
     assert call(capsys, *arguments)[0] == 0
-    assert calls[1][1][0] == spectra
-    assert calls[1][2] == {
+    assert calls[1][1] == {
+        "paths": spectra,
         "version": "PRO",
         "workers": jobs.Workers(),
         "measurement": "sphere",
         "leaf_shape": "broad",
+        "area": "projected",
         "domain": "full",
-        "panel": None,
+        "regression": False,
+        "posterior": "none",
         "seed": 0,
         "checkpoint": tmp_path / "t.checkpoint",
     }
@@ -213,7 +204,6 @@ def one_line(status, out, err):
         (["demo", "--seed", "-1"], "--seed"),
         (["demo", "--frob"], "--frob"),
         (["fit-leaf"], "SPECTRUM"),
-        (["fit-leaf", "nothing.asd"], "nothing.asd"),
         (["calibrate", "plot.toml"], "--target"),
     ],
 )
@@ -247,7 +237,7 @@ def test_a_bad_table_is_one_line_and_no_output(capsys, plot, tmp_path):
     ],
 )
 def test_a_failing_job_leaves_nothing(capsys, calls, monkeypatch, tmp_path, error, status, words):
-    def demo(output, *, seed, progress):
+    def demo(output, *, seed):
         (output / "half.tif").write_text("half")
         warnings.warn("lost with the run", stacklevel=1)
         raise error
@@ -261,7 +251,7 @@ def test_a_failing_job_leaves_nothing(capsys, calls, monkeypatch, tmp_path, erro
 
 
 def test_debug_shows_the_traceback(calls, monkeypatch, tmp_path):
-    def demo(output, *, seed, progress):
+    def demo(output, *, seed):
         raise InputError("bad")
 
     monkeypatch.setattr(fynbos_2006, "demo", demo)
@@ -271,7 +261,7 @@ def test_debug_shows_the_traceback(calls, monkeypatch, tmp_path):
 
 
 def test_ctrl_c_is_130_and_leaves_nothing(capsys, calls, monkeypatch, tmp_path):
-    def demo(output, *, seed, progress):
+    def demo(output, *, seed):
         (output / "half.tif").write_text("half")
         raise KeyboardInterrupt
 
@@ -283,7 +273,7 @@ def test_ctrl_c_is_130_and_leaves_nothing(capsys, calls, monkeypatch, tmp_path):
 
 
 def test_warnings_of_a_run_are_printed_once_and_kept(capsys, calls, monkeypatch, tmp_path):
-    def demo(output, *, seed, progress):
+    def demo(output, *, seed):
         for _ in range(2):
             warnings.warn("3 of 600 pixels are masked", stacklevel=1)
         warnings.warn("not for users", DeprecationWarning, stacklevel=1)
@@ -324,7 +314,7 @@ def test_what_a_killed_run_left_long_ago_is_cleared_away(capsys, calls, tmp_path
 def test_a_doubtful_result_says_so_first_and_fails_only_if_asked(
     capsys, calls, monkeypatch, tmp_path
 ):
-    def doubtful(output, progress=None, **_):
+    def doubtful(output, **_):
         return Fake(output="", seed=0, command="demo", status="not converged: limit of steps",
                     headline=["Done."], array=[])  # fmt: skip
 
@@ -457,33 +447,6 @@ def test_compiled_programs_that_are_kept_are_read_without_a_word(tmp_path):
         )  # fmt: skip
         assert done.stderr == ""
     assert list(tmp_path.glob("*cache"))
-
-
-def test_bars_show_stages_counts_and_what_the_job_tells():
-    from rich.console import Console
-
-    from fynjax.cli._progress import TerminalProgress
-
-    console = Console(force_terminal=True, width=120, record=True, file=io.StringIO())
-    progress = TerminalProgress(console)
-    progress.advance()  # outside a stage: nothing to move
-    with progress.stage("Calibrate", total=10):
-        progress.advance(4, loss=0.5)
-        with progress.stage("Render"):
-            progress.advance()
-        progress.advance(1, loss=0.25)
-    text = console.export_text()
-    assert "Calibrate" in text
-    assert "Render" in text
-    assert "loss 0.25" in text
-    assert "10/10" in text
-
-
-def test_null_progress_is_a_progress():
-    progress = NullProgress()
-    assert isinstance(progress, Progress)
-    with progress.stage("anything", total=3):
-        progress.advance(2, loss=0.1)
 
 
 def test_view_opens_the_page_of_a_run_or_prints_its_path(capsys, tmp_path, monkeypatch):

@@ -1,7 +1,6 @@
-"""`fynjax calibrate-plots`: field tables and spectra in, covers, stand and leaf traits out."""
+"""`fynjax bioscape calibrate`: field tables and spectra in, covers, stand and leaf traits out."""
 
 import tempfile
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
-from fynjax._core.progress import Progress
 from fynjax.inversion import Data, spectrum_view
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
 from fynjax.io.raster import file_hash
@@ -50,7 +49,7 @@ from fynjax.studies.bioscape._inversion_compare import (
     simple_table,
 )
 from fynjax.studies.bioscape._inversion_files import CalibratePlotsResult, Findings, write_findings
-from fynjax.studies.bioscape._plot_files import run_bioscape, write_plot_files
+from fynjax.studies.bioscape._plot_files import check_names, write_plot_files, write_plots
 from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
 from fynjax.studies.bioscape._plsr import read_leaf_mass_model
 from fynjax.studies.bioscape._scenes import (
@@ -98,7 +97,6 @@ def calibrate_plots(
     seed: int = 0,
     checkpoint: str | Path,
     workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> CalibratePlotsResult:
     """Infer covers, leaf area, dead tissue, gap and leaf traits of plots from their spectra.
 
@@ -115,14 +113,13 @@ def calibrate_plots(
     - `seed`: seed of the positions of the plants.
     - `checkpoint`: folder that keeps the fit of each plot, from which an interrupted run goes on.
     - `workers`: where the plots are inferred; in this process by default.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `CalibratePlotsResult`. Writes tables, figures and a page into `output`.
 
     **Raises:** `InputError` for tables that are missing or cannot be read, plots without spectra,
     a checkpoint of another run, plots whose fit failed, and workers as `Workers` has it.
     """
-    run = Run(output, seed=seed, progress=progress)
+    run = Run(output, seed=seed)
     resolution = Resolution() if resolution is None else resolution
     folder = Path(folder)
     if realisations < 3:
@@ -134,11 +131,9 @@ def calibrate_plots(
     if not read:
         raise InputError("none of the plots has a measured spectrum to learn from", file=folder)
     bands, flights = chosen_bands(spectrometer, [measured[p.name] for p in read], folder)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they were given once, above
-        written = run_bioscape(
-            folder, run.folder / "plots", plots=[p.name for p in read], traits=traits, prior=prior
-        )
+    check_names(read, folder)
+    begin_work({"estimates.csv": f"{len(read)} plots", "report.html": ""})
+    written = write_plots(Run(run.folder / "plots"), folder, read, learned)
     files = [read_plot(run.folder / "plots" / p.name / "plot.toml") for p in read]
     field = field_values(read)
     slots = slots_of(files)
@@ -178,9 +173,7 @@ def calibrate_plots(
 
         def infer(cases: list[PlotCase], of: Sequence[Prior]) -> None:
             names = [f"plot {plot.name}, {prior.name}" for prior in of for plot in prior.plots]
-            found = pool.all(
-                infer_plot, cases, predict, names=names, journal=journal, progress=run.progress
-            )
+            found = pool.all(infer_plot, cases, predict, names=names, journal=journal)
             fits = [PlotEstimate.of(case.space, arrays) for case, arrays in zip(cases, found)]
             for k, prior in enumerate(of):
                 estimates[prior.name] = fits[k * len(read) : (k + 1) * len(read)]

@@ -1,6 +1,5 @@
-"""`fynjax validate-plots`: field tables in, simulated against measured spectra out."""
+"""`fynjax bioscape validate`: field tables in, simulated against measured spectra out."""
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,10 +7,10 @@ import numpy as np
 import pandas as pd
 
 from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.precision import double_precision
-from fynjax._core.progress import Progress
 from fynjax.compare import PlotSpectraPair
 from fynjax.inversion import nadir_imager
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
@@ -19,7 +18,7 @@ from fynjax.io.raster import file_hash
 from fynjax.jobs import Run
 from fynjax.metrics import spectral_mask
 from fynjax.sensors import BandSet
-from fynjax.studies.bioscape._plot_files import flights, run_bioscape
+from fynjax.studies.bioscape._plot_files import check_names, flights, write_plots
 from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
 from fynjax.studies.bioscape._scenes import (
     ACCURACY,
@@ -52,7 +51,6 @@ def validate_plots(
     seed: int = 0,
     checkpoint: str | Path | None = None,
     workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> ValidatePlotsResult:
     """Simulate the spectra of a folder's plots from its tables and compare them with the measured.
 
@@ -68,14 +66,13 @@ def validate_plots(
     - `checkpoint`: folder that keeps each plot's spectrum, from which an interrupted run goes on;
       none by default.
     - `workers`: where the plots are simulated; in this process by default.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `ValidatePlotsResult`. Writes tables, figures and a page into `output`.
 
     **Raises:** `InputError` for tables that are missing or cannot be read, a checkpoint of another
     run, plots that failed, and workers as `Workers` has it.
     """
-    run = Run(output, seed=seed, progress=progress)
+    run = Run(output, seed=seed)
     resolution = Resolution() if resolution is None else resolution
     folder = Path(folder)
     learned = read_prior(prior)
@@ -87,11 +84,9 @@ def validate_plots(
         tuple(spectrometer.centre[keep]),
         tuple(spectrometer.fwhm[keep]),
     )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they were given once, above
-        written = run_bioscape(
-            folder, run.folder / "plots", plots=[p.name for p in read], traits=traits, prior=prior
-        )
+    check_names(read, folder)
+    begin_work({"plots.csv": f"{len(read)} plots", "report.html": ""})
+    written = write_plots(Run(run.folder / "plots"), folder, read, learned)
     files = [read_plot(run.folder / "plots" / p.name / "plot.toml") for p in read]
     with run.stage("Plant the plots"):
         scenes = build_scenes(files, resolution, [seed + i for i in range(len(files))])
@@ -104,9 +99,7 @@ def validate_plots(
     imager = nadir_imager(bands, *scenes[0], ACCURACY)
     with run.stage("Simulate", total=len(read)), at_work(workers) as pool:
         names = [f"plot {p.name}" for p in read]
-        found = pool.all(
-            simulate_plot, scenes, imager, names=names, journal=journal, progress=run.progress
-        )
+        found = pool.all(simulate_plot, scenes, imager, names=names, journal=journal)
     spectra = [PlotSpectrum(*arrays) for arrays in found]  # type: ignore[arg-type]
     _check_finite(spectra, read)
     pair = PlotSpectraPair(
