@@ -12,6 +12,8 @@
 - `fx.canopy_reflectance`, `fx.canopy_albedo`, `fx.fit_canopy`: a uniform canopy in one line, and
   backward.
 - `fx.read_plot`: a plot from its files; `fx.jobs`: what the commands do, from Python.
+- `fx.progress`: bars of how far long work is, `with fx.progress(): ...`; the logger `fynjax` has
+  its stages too.
 - `fx.cite`: BibTeX of the models used.
 - `fx.errors`: what a user's input can raise; the other packages by their names.
 """

@@ -12,7 +12,7 @@ from pydantic import Field
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax._core.progress import Progress
+from fynjax._core.progress import track
 from fynjax.assembly import (
     Prepared,
     parameter_columns,
@@ -102,7 +102,6 @@ def posterior(
     checkpoint: Path,
     bands: Sequence[str] | None = None,
     seed: int | None = None,
-    progress: Progress | None = None,
 ) -> PosteriorResult:
     """Sample the posterior of a plot's parameters given the measurements of one or several sensors.
 
@@ -129,7 +128,6 @@ def posterior(
     - `bands`: what each band of a drone's image is, as `read_drone_image` has it; known by name or
       wavelength by default.
     - `seed`: seed of every random number; that of the plot file by default.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `PosteriorResult`. Writes `posterior.nc`, `parameters.csv`, figures and a page into
     `output`.
@@ -151,9 +149,9 @@ def posterior(
     if method == "nuts":
         require("blackjax", "nuts")
     read = with_prior(as_plot(plot), prior)
-    run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
+    run = Run(output, seed=read.seed if seed is None else seed)
     paths = [targets] if isinstance(targets, Path) else list(targets)
-    measured = read_targets(read, paths, bands=bands, seed=run.seed, progress=run.progress)
+    measured = read_targets(read, paths, bands=bands, seed=run.seed)
     data = join_data([m.data for m in measured])
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
@@ -174,23 +172,21 @@ def posterior(
         calibrated = calibration(search, ends)
     found = signature(calibrated.fit.whitened, run.seed)
     plot_of = calibrated, ready.parameters, calibrated.coarse_views
-    with run.stage("Fit a surrogate", total=RENDERS):
-        renders = surrogate_renders(*plot_of, seed=run.seed)
+    renders = surrogate_renders(*plot_of, seed=run.seed)
 
-        def render_all() -> tuple[Any, ...]:
-            return (np.stack([_counted(one, run) for one in renders]),)
+    def render_all() -> tuple[Any, ...]:
+        return (np.stack([*track(renders, "Fit a surrogate", RENDERS)]),)
 
-        (rendered,) = Journal(checkpoint / "surrogate", found)(render_all)
-        surrogate, surrogate_error = fit_surrogate(
-            *plot_of, seed=run.seed, rendered=np.asarray(rendered)
-        )
+    (rendered,) = Journal(checkpoint / "surrogate", found)(render_all)
+    surrogate, surrogate_error = fit_surrogate(
+        *plot_of, seed=run.seed, rendered=np.asarray(rendered)
+    )
     regressed, unchecked = None, ""
     if simulations:
         try:
             parts = simulated_parts(*plot_of, simulations=simulations, seed=run.seed)
             keep = Journal(checkpoint / "simulations", found)
-            with run.stage("Simulate the prior", total=len(parts)):
-                done = [_counted(keep(partial(_alone, part))[0], run) for part in parts]
+            done = [keep(partial(_alone, part))[0] for part in track(parts, "Simulate the prior")]
             regressed = simulation_posterior(
                 *plot_of,
                 simulations=simulations,
@@ -209,7 +205,6 @@ def posterior(
         max_steps=max_steps,
         seed=run.seed,
         checkpoint=None if method == "laplace" else checkpoint / f"{method}.chain",
-        progress=run.progress,
     )
     if not sampled.whitened.size:
         raise InputError(f"no posterior: {sampled.status}", file=read.file)
@@ -247,12 +242,6 @@ def posterior(
 def _alone(part: Callable[[], Any]) -> tuple[Any, ...]:
     """What a part gives, as a `Journal` keeps it."""
     return (part(),)
-
-
-def _counted(done: Any, run: Run) -> Any:
-    """What was done, counted as a step of the stage."""
-    run.progress.advance()
-    return done
 
 
 def posterior_table(sampled: Posterior) -> pd.DataFrame:

@@ -9,7 +9,6 @@ import pytest
 import xarray as xr
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress
 from fynjax.assembly import build_plot, image_view, prepare
 from fynjax.inversion import PlotForward, local_sensitivity, search_form
 from fynjax.io.plot import read_plot
@@ -24,6 +23,7 @@ from fynjax.report.figures._posterior import (
     predictive_plot,
     tornado_plot,
 )
+from tests.heard import hearing
 from tests.small import write_plot
 
 MORE = """
@@ -125,29 +125,15 @@ def test_slopes_are_those_of_the_expectation_over_plantings(plot, tmp_path):
     assert "After 8 plantings" in result.status
 
 
-class Interrupting(NullProgress):
-    """Is interrupted from the keyboard at its second step."""
-
-    def __init__(self):
-        self.steps = 0
-
-    def advance(self, n=1, **info):
-        self.steps += n
-        if self.steps >= 2:
-            raise KeyboardInterrupt
-
-
 def test_slopes_are_the_same_for_a_seed_also_after_an_interruption(plot, tmp_path):
     kept = tmp_path / "kept"
 
-    def run(seed, checkpoint=None, progress=None):
-        options = {"checkpoint": checkpoint, "progress": progress}
-        return sensitivity(
-            plot, tmp_path, metrics=["nir.mean"], plantings=3, seed=seed, **options
-        ).slopes
+    def run(seed, checkpoint=None):
+        options = {"plantings": 3, "seed": seed, "checkpoint": checkpoint}
+        return sensitivity(plot, tmp_path, metrics=["nir.mean"], **options).slopes
 
-    with pytest.raises(KeyboardInterrupt):
-        run(0, kept, Interrupting())
+    with pytest.raises(KeyboardInterrupt), hearing(2):
+        run(0, kept)
     with pytest.raises(InputError, match="of another run"):
         run(1, kept)
     whole = run(0)
