@@ -3,6 +3,7 @@
 import argparse
 import os
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ import jax
 
 from fynjax._core.memory import peak_memory
 from fynjax.io.plot import Plot, example_folder, read_plot
+from fynjax.studies.bioscape import BioscapePlot, read_bioscape
+from fynjax.studies.bioscape._spectra import PlotSpectra, read_plot_spectra
 
 
 def options(text: str | None) -> argparse.ArgumentParser:
@@ -27,6 +30,16 @@ def data_folder() -> Path:
     """Folder of the reference data: `FYNJAX_SHARED_DATA`, or `../shared/data`."""
     beside = Path(__file__).parents[3] / "shared" / "data"
     return Path(os.environ.get("FYNJAX_SHARED_DATA", beside))
+
+
+def bioscape_plots() -> tuple[Path, list[BioscapePlot], dict[str, PlotSpectra]]:
+    """Folder of BioSCape's tables, its plots that have spectra, and the spectra of each."""
+    folder = data_folder() / "eco" / "bioscape"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a species with two families
+        plots = read_bioscape(folder)
+    spectra = read_plot_spectra(folder)
+    return folder, [p for p in plots if p.name in spectra and spectra[p.name].times], spectra
 
 
 def example_plot(size: float, tiny: bool = False, **changes: Any) -> Plot:

@@ -2,10 +2,9 @@
 
 Prints, for the plot that burnt in 2006 (10 m x 10 m, 13 taxa, 400 x 400 pixels, four bands): one
 render; one value and gradient of a calibration's objective by all free parameters, its ratio to the
-value alone and to that by a few parameters, and its slope beside a central difference; one step of
-the search (gradients of all statistics), in CPU time; and the whole `fynjax demo` as a process of
-its own, with an empty compilation cache and again with the filled one, in wall time. `--quick`
-leaves the last two out.
+value alone and to that by a few parameters; one step of the search (gradients of all statistics),
+in CPU time; and the whole `fynjax demo` as a process of its own, with an empty compilation cache
+and again with the filled one, in wall time. `--quick` leaves the last two out.
 """
 
 import os
@@ -69,7 +68,7 @@ def plot_in_this_process(tiny: bool) -> None:
     data = weigh_targets(STATISTICS, 1.1 * np.asarray(statistics), 0.01)
     density = LogPosterior(predict, space, data, none, (quick,))
     name = f"value and gradient by {len(space.names)} parameters"
-    (_, gradient), every = row(name, lambda: objective_and_gradient(density, u))
+    every = row(name, lambda: objective_and_gradient(density, u))[1]
     print(f"{'  over the value alone':<58}{every / value:>9.2f}")
     if not tiny:
         few = free_space(scene, parameters, (f"species.{scene.taxa[0]}.*",), lambda name: 0.2)
@@ -78,12 +77,6 @@ def plot_in_this_process(tiny: bool) -> None:
         name = f"value and gradient by {len(few.names)} parameters"
         small = row(name, lambda: objective_and_gradient(short, v))[1]
         print(f"{'  all parameters over these few':<58}{every / small:>9.2f}")
-    along = np.random.default_rng(0).normal(size=u.size) / np.sqrt(u.size)
-    step = 0.02
-    ends = [float(objective_and_gradient(density, u + k * step * along)[0]) for k in (-2, -1, 1, 2)]
-    difference = (ends[0] - 8.0 * ends[1] + 8.0 * ends[2] - ends[3]) / (12.0 * step)
-    slope = float(gradient @ along)
-    print(f"{'  slope along a direction over its difference':<58}{slope / difference:>9.5f}")
     name = f"value and gradients of {len(STATISTICS)} statistics"
     row(name, lambda: statistics_and_jacobian(density, u), 1)
 

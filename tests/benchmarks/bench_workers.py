@@ -20,7 +20,6 @@ import numpy as np
 from fynjax._core.parts import Workers, at_work
 from fynjax.inversion import spectrum_view
 from fynjax.io.plot import DEFAULT_PRIOR, read_plot, read_prior
-from fynjax.studies.bioscape import read_bioscape
 from fynjax.studies.bioscape._calibrate import chosen_bands
 from fynjax.studies.bioscape._inversion import (
     ROOM,
@@ -33,8 +32,8 @@ from fynjax.studies.bioscape._inversion import (
 )
 from fynjax.studies.bioscape._plot_files import run_bioscape
 from fynjax.studies.bioscape._scenes import ACCURACY, Resolution, build_scenes, slots_of
-from fynjax.studies.bioscape._spectra import read_plot_spectra, read_spectrometer
-from tests.benchmarks._measure import data_folder, options
+from fynjax.studies.bioscape._spectra import read_spectrometer
+from tests.benchmarks._measure import bioscape_plots, options
 
 EMPTY = 100
 """Parts that do nothing."""
@@ -42,9 +41,8 @@ EMPTY = 100
 
 def cases(count: int, size: float, voxel: float) -> tuple[list[PlotCase], PlotSpectrumForward]:
     """Plots to infer, of `size` in voxels of `voxel` [m]."""
-    tables = data_folder() / "eco" / "bioscape"
-    spectra = read_plot_spectra(tables)
-    read = [p for p in read_bioscape(tables) if p.name in spectra and spectra[p.name].times][:count]
+    tables, read, spectra = bioscape_plots()
+    read = read[:count]
     learned = read_prior(DEFAULT_PRIOR)
     with tempfile.TemporaryDirectory() as work:
         run_bioscape(tables, Path(work), plots=[p.name for p in read])

@@ -7,7 +7,6 @@ their flights; the mean of the other plots is what knows nothing of the spectrum
 """
 
 import tempfile
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,10 +17,9 @@ from fynjax.assembly import STAND_QUANTITIES
 from fynjax.inversion import estimate_pixels
 from fynjax.io.raster import Cube, write_cube_envi
 from fynjax.jobs import read_training, train
-from fynjax.studies.bioscape import read_bioscape
 from fynjax.studies.bioscape._inversion_compare import field_values
-from fynjax.studies.bioscape._spectra import read_plot_spectra, read_spectrometer
-from tests.benchmarks._measure import data_folder, options
+from fynjax.studies.bioscape._spectra import read_spectrometer
+from tests.benchmarks._measure import bioscape_plots, data_folder, options
 
 TABLES = data_folder() / "eco" / "bioscape"
 PERCENT = ("live_cover", "dead_cover", "bare_cover")
@@ -64,11 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--simulations", type=int, default=20000)
     parser.add_argument("--keep", type=Path)
     given = parser.parse_args(arguments)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        plots = read_bioscape(TABLES)
-    measured = read_plot_spectra(TABLES)
-    plots = [p for p in plots if p.name in measured and measured[p.name].times]
+    _, plots, measured = bioscape_plots()
     spectra = np.stack([measured[p.name].reflectance.mean(axis=0) for p in plots])
     good = np.isfinite(spectra).all(axis=0)
     with tempfile.TemporaryDirectory() as work:

@@ -10,7 +10,6 @@ by chance. And the other way round: partial least squares from spectra to covers
 `fynjax calibrate-plots`.
 """
 
-import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,11 +18,10 @@ from sklearn.ensemble import RandomForestRegressor
 from sklearn.linear_model import RidgeCV
 
 from fynjax.compare import PlotSpectraPair, agreement_table, mean_agreement
-from fynjax.studies.bioscape import read_bioscape
 from fynjax.studies.bioscape._inversion_compare import field_values
-from fynjax.studies.bioscape._spectra import read_plot_spectra, read_spectrometer
+from fynjax.studies.bioscape._spectra import read_spectrometer
 from fynjax.studies.bioscape._validate import used_bands
-from tests.benchmarks._measure import data_folder, options
+from tests.benchmarks._measure import bioscape_plots, options
 
 COVERS = ("live_cover", "dead_cover", "bare_cover")
 LEAVES = ("leaf_mass_per_area", "water_content")
@@ -39,12 +37,8 @@ SHOWN_NM = (860.0, 1650.0)
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
     tiny = options(__doc__).parse_args(arguments).tiny
-    folder = data_folder() / "eco" / "bioscape"
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        plots = read_bioscape(folder)
-    measured, spectrometer = read_plot_spectra(folder), read_spectrometer(folder)
-    plots = [p for p in plots if p.name in measured and measured[p.name].times]
+    folder, plots, measured = bioscape_plots()
+    spectrometer = read_spectrometer(folder)
     keep = used_bands(spectrometer)
     wavelength = np.asarray(spectrometer.centre)[keep]
     flights = tuple(measured[p.name].reflectance[:, keep] for p in plots)

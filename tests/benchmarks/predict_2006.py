@@ -81,9 +81,8 @@ def main(arguments=None) -> None:
         image, statistics, gap = simulate(view, scene, moved)
         return np.asarray(image), np.append(np.asarray(statistics), float(gap))
 
-    names = list(mean)
-    drawn = prior.draws(count)
-    draws = np.stack([drawn[name] for name in names], axis=1)
+    drawn = prior.draws(count)  # of forms in no plot that it was learned from there are no errors
+    names, draws = list(drawn), np.stack(list(drawn.values()), axis=1)
     image, base = at(mean)
     step = draws.std(axis=0)
     slope = []
@@ -108,7 +107,7 @@ def main(arguments=None) -> None:
         row = {"statistic": name, "real": real[name], "mean": base[j]}
         for what, values in columns.items():
             low, high = np.quantile(values[:, j], (0.05, 0.95))
-            row[f"{what}: 5 %"], row["95 %"] = low, high
+            row[f"{what}: 5 %"], row[f"{what}: 95 %"] = low, high
             row[f"width {what}"] = (high - low) / abs(real[name])
         low, high = np.quantile(values[:, j], (0.05, 0.95))
         row["inside"] = bool(low <= real[name] <= high) if name in STATISTICS else ""

@@ -67,41 +67,48 @@ def main(arguments: Sequence[str] | None = None) -> None:
             calibration.mkdir()
             demo(calibration, seed=SEED)
         columns = {}
-        for name, values in (("uncalibrated", None), ("calibrated", calibration)):
+        lidars = LIDARS[:1] if tiny else LIDARS
+        for name, values in (("uncalibrated", None), ("calibrated", calibration))[: 2 - tiny]:
             folder = output / name
-            plot = _plot(folder / "plot", values, tiny)
-            _simulate(plot, folder)
+            _simulate(_plot(folder / "plot", values, tiny), folder, lidars)
             columns[name] = pd.concat(
-                [_drone(folder), _spectrometer(folder), *(_lidar(folder, l, tiny) for l in LIDARS)]
+                [_drone(folder), _spectrometer(folder), *(_lidar(folder, l, tiny) for l in lidars)]
             )
-        table = columns["uncalibrated"].rename(columns={"simulated": "uncalibrated"})
-        table["calibrated"] = columns["calibrated"]["simulated"]
-        for name in ("dirsig", "uncalibrated", "calibrated"):
+        table = columns["uncalibrated"].drop(columns="simulated")
+        for name, column in columns.items():
+            table[name] = column["simulated"]
+        for name in ("dirsig", *columns):
             error = 100.0 * (table[name] - table["real"]) / table["real"].abs()
             table[f"{name}_error_percent"] = error
         table.to_csv(output / "table.csv", index=False, float_format="%.5g")
     print(table.to_string(index=False, float_format=lambda v: f"{v:.4g}", na_rep=""))
     drone = table[table["sensor"] == "drone"].dropna(subset=["dirsig_abs_error_percent"])
-    for name in ("uncalibrated", "calibrated"):
+    for name in columns:
         renamed = drone.assign(simulated_error_percent=drone[f"{name}_error_percent"])
         nearer, of = wins(renamed)
         print(f"drone, {name}: nearer to the real image than DIRSIG in {nearer} of {of} numbers")
 
 
 def _plot(folder: Path, calibration: Path | None, tiny: bool) -> Path:
-    """The shipped plot file, with the estimates of a calibration; of 2 m where `tiny`."""
+    """The shipped plot file, with the estimates of a calibration; where `tiny`, of 2 m and two
+    species."""
     shutil.copytree(example_folder(), folder)
     path = folder / "plot.toml"
     text = path.read_text("utf-8")
     if calibration is not None:
         shutil.copy(calibration / "parameters.csv", folder)
         text = text.replace("[scene]\n", '[scene]\nparameters = "parameters.csv"\n')
-    path.write_text(text.replace("size_m = 10.0", "size_m = 2.0") if tiny else text)
+    if tiny:
+        text = text.replace("size_m = 10.0", "size_m = 2.0")
+        lines = (folder / "species.csv").read_text("utf-8").splitlines()
+        head = sum(line.startswith("#") for line in lines)
+        (folder / "species.csv").write_text("\n".join(lines[: head + 3]))
+    path.write_text(text)
     return path
 
 
-def _simulate(plot: Path, folder: Path) -> None:
-    for name in ("drone", "aviris_ng", *LIDARS):
+def _simulate(plot: Path, folder: Path, lidars: Sequence[str]) -> None:
+    for name in ("drone", "aviris_ng", *lidars):
         (folder / name).mkdir()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the paper's pixel against the optics
@@ -109,7 +116,7 @@ def _simulate(plot: Path, folder: Path) -> None:
         simulate(
             plot, folder / "aviris_ng", sensor="aviris_ng", pixel=3.0, products=["reflectance"]
         )
-    for name in LIDARS:
+    for name in lidars:
         simulate(plot, folder / name, sensor=name, seed=SEED)
 
 

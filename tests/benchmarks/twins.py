@@ -282,7 +282,7 @@ def main(arguments=None):
     parser.add_argument("--wrong", choices=("form", "soil"))
     chosen = parser.parse_args(arguments)
     if chosen.tiny:
-        chosen.line, chosen.seeds, chosen.size, chosen.train = True, 2, 1.0, 10
+        chosen.line, chosen.seeds, chosen.size, chosen.train = True, 2, 2.0, 10
     if (chosen.line or chosen.apart) and tuple(chosen.sensors) != ("image",):
         parser.error("--line and --apart are of the image alone")
     chosen.keep.mkdir(parents=True, exist_ok=True)
