@@ -178,16 +178,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # PLSR of more parts than there are
         for campaign in CAMPAIGNS[:1] if tiny else CAMPAIGNS:
-            names = [name for name in CAMPAIGNS if name != campaign][: 1 if tiny else None]
+            names = [name for name in CAMPAIGNS if name != campaign][: 2 if tiny else None]
             judge(folder, campaign, names, tiny)
     print(f"{time.process_time() - start:.0f} CPU s")
 
 
 def judge(folder: Path, campaign: str, names: Sequence[str], tiny: bool) -> None:
-    """Print a campaign's figures by what the campaigns `names` say; of 20 leaves of each, with the
+    """Print a campaign's figures by what the campaigns `names` say; of 30 leaves of each, with the
     shipped error model, where `tiny`."""
     model = default_error_model() if tiny else estimate(folder, names)
-    most = 20 if tiny else None
+    most = 30 if tiny else None
     others = [some(leaves, most) for name in names for leaves in read(folder, name)]
     for leaves in (some(leaves, most) for leaves in read(folder, campaign)):
         both = np.isfinite(leaves.spectra[:, 1]).any()

@@ -65,6 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     _, plots, measured = bioscape_plots()
     spectra = np.stack([measured[p.name].reflectance.mean(axis=0) for p in plots])
     good = np.isfinite(spectra).all(axis=0)
+    if given.tiny:
+        good &= np.arange(good.size) % 12 == 0
     with tempfile.TemporaryDirectory() as work:
         folder = given.keep or Path(work)
         folder.mkdir(parents=True, exist_ok=True)
@@ -73,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             write_plots(folder / "plots.hdr", spectra, good)
             made = train(
                 folder, like=folder / "plots.hdr", checkpoint=folder / "checkpoint",
-                simulations=120 if given.tiny else given.simulations,
+                simulations=200 if given.tiny else given.simulations,
                 steps=10 if given.tiny else 6000,
             )  # fmt: skip
             print("\n".join(made.headline), made.timings_s)
