@@ -12,7 +12,7 @@ from tests import benchmarks
 
 FOLDER = Path(benchmarks.__file__).parent
 NAMES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem[0] != "_")
-SLOW: set[str] = set()
+SLOW = {"bench_workers", "known_plants", "map_plots", "table_2006", "twins"}
 """More than 20 s."""
 FIGURES = {
     "bench_bands": (r"worst mean (\S+) %", 0.0, 0.1),
@@ -22,6 +22,7 @@ FIGURES = {
 """A number that a benchmark prints, and within what bounds it lies however small it is run."""
 
 
+@pytest.mark.filterwarnings("ignore::UserWarning")  # of what the data themselves lack
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in NAMES]
 )

@@ -3,7 +3,6 @@
 import argparse
 import os
 import time
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -35,11 +34,9 @@ def data_folder() -> Path:
 def bioscape_plots() -> tuple[Path, list[BioscapePlot], dict[str, PlotSpectra]]:
     """Folder of BioSCape's tables, its plots that have spectra, and the spectra of each."""
     folder = data_folder() / "eco" / "bioscape"
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a species with two families
-        plots = read_bioscape(folder)
     spectra = read_plot_spectra(folder)
-    return folder, [p for p in plots if p.name in spectra and spectra[p.name].times], spectra
+    plots = [p for p in read_bioscape(folder) if p.name in spectra and spectra[p.name].times]
+    return folder, plots, spectra
 
 
 def example_plot(size: float, tiny: bool = False, **changes: Any) -> Plot:

@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _plot(folder: Path, calibration: Path | None, tiny: bool) -> Path:
     """The shipped plot file, with the estimates of a calibration; where `tiny`, of 2 m and two
-    species."""
+    species with usual leaves."""
     shutil.copytree(example_folder(), folder)
     path = folder / "plot.toml"
     text = path.read_text("utf-8")
@@ -99,7 +99,9 @@ def _plot(folder: Path, calibration: Path | None, tiny: bool) -> Path:
         shutil.copy(calibration / "parameters.csv", folder)
         text = text.replace("[scene]\n", '[scene]\nparameters = "parameters.csv"\n')
     if tiny:
-        text = text.replace("size_m = 10.0", "size_m = 2.0")
+        text = text.replace("size_m = 10.0", "size_m = 2.0").replace(
+            "leaf_table =", "# leaf_table ="
+        )
         lines = (folder / "species.csv").read_text("utf-8").splitlines()
         head = sum(line.startswith("#") for line in lines)
         (folder / "species.csv").write_text("\n".join(lines[: head + 3]))

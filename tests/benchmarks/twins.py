@@ -160,7 +160,8 @@ def simulations(ready, view, count, random, first=0):
     quick, (cheap,) = search_form(ready.scene, ready.parameters, [view])
     stands = [quick]
     stands += [
-        search_form(ready.replant(first + i), ready.parameters, [view])[0] for i in range(1, 8)
+        search_form(ready.replant(first + i), ready.parameters, [view])[0]
+        for i in range(1, min(8, count // 4))
     ]
     none = jnp.zeros(len(view.names))
     forward = PlotForward(ready.parameters, ready.space.names, (cheap,))
@@ -177,7 +178,8 @@ def simulations(ready, view, count, random, first=0):
 def line(chosen, ready, truths, view):
     """Estimates by the line over the prior that a search starts from."""
     space, free = ready.space, len(ready.space.names)
-    settings = CalibrationSettings(stand_realisations=16, scatter_draws=200)
+    realisations, scatter = (2, 8) if chosen.tiny else (16, 200)
+    settings = CalibrationSettings(stand_realisations=realisations, scatter_draws=scatter)
     centre = np.asarray(look((view,), ready.scene, ready.parameters)[0])
     data = weigh_targets(view.names, centre, ready.plot.calibration.target_sd)
     search = plot_search(
@@ -282,7 +284,7 @@ def main(arguments=None):
     parser.add_argument("--wrong", choices=("form", "soil"))
     chosen = parser.parse_args(arguments)
     if chosen.tiny:
-        chosen.line, chosen.seeds, chosen.size, chosen.train = True, 2, 2.0, 10
+        chosen.line, chosen.seeds, chosen.size, chosen.train = True, 2, 2.0, 6
     if (chosen.line or chosen.apart) and tuple(chosen.sensors) != ("image",):
         parser.error("--line and --apart are of the image alone")
     chosen.keep.mkdir(parents=True, exist_ok=True)
