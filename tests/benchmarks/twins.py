@@ -278,7 +278,7 @@ def main(arguments=None):
     parser.add_argument("--train", type=int, default=400)
     parser.add_argument("--keep", type=Path, default=Path("twins"))
     parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=("image",))
-    parser.add_argument("--workers", type=int)
+    parser.add_argument("--workers", type=int, default=0)
     parser.add_argument("--line", action="store_true")
     parser.add_argument("--apart", type=int)
     parser.add_argument("--wrong", choices=("form", "soil"))
