@@ -126,6 +126,11 @@ def test_excel_workbooks(tmp_path, monkeypatch):
         with pytest.raises(InputError, match=words):
             read_rows(workbook(tmp_path / "bad.xlsx", *sheets), NamedRow, "a table")
     book = openpyxl.load_workbook(path)
+    book["sheet 1"]["XFD9999"] = 1
+    book.save(tmp_path / "wide.xlsx")
+    with pytest.raises(InputError, match="'sheet 1' reaches to A1:XFD9999"):
+        read_rows(tmp_path / "wide.xlsx", NamedRow, "a table")
+    del book["sheet 1"]._cells[9999, 16384]
     book["sheet 1"]["B3"].number_format = "0.00%"
     book.save(tmp_path / "percent.xlsx")
     with pytest.raises(InputError, match=r"row 3, column 'a_m': .*Leave out the unit"):
