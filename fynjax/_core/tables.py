@@ -506,8 +506,8 @@ def _open(
         data = _workbook(data, path, what)
     elif data[:4] == b"\xd0\xcf\x11\xe0":
         raise InputError(
-            f"expected {what}, but this is a workbook of Excel before 2007, or one with a password. "
-            "Save it as .xlsx or as CSV.",
+            f"expected {what}, but this is a workbook of Excel before 2007, or one with a "
+            "password. Save it as .xlsx or as CSV.",
             file=path,
         )
     table, lines, size = TextTable(path, as_utf8(data, path), ","), [], 0
