@@ -19,7 +19,7 @@ from pydantic import Field
 from fynjax._core.errors import InputError, MissingExtraError
 from fynjax._core.tables import open_points, open_table
 from fynjax.io.plot import read_statistics
-from fynjax.io.spectra import read_spectra
+from fynjax.io.spectra import read_spectra_file as read_file
 from fynjax.io.text import Strict, number, read_rows
 from fynjax.terrain import read_cloud
 
@@ -87,11 +87,11 @@ def test_spectra_with_decimal_commas(tmp_path, separator):
     wide = pd.DataFrame(values, columns=[f"{w:.0f}" for w in 10 * np.arange(40, 109)])
     wide.insert(0, "sample", ["oak", "elm"])
     wide.to_csv(tmp_path / "rows.csv", sep=separator, decimal=",", index=False)
-    oak, elm = read_spectra(tmp_path / "columns.csv")
+    oak, elm = read_file(tmp_path / "columns.csv")
     np.testing.assert_array_equal(oak.wavelength, waves)
     np.testing.assert_array_equal(oak.reflectance, values[0])
     np.testing.assert_array_equal(elm.reflectance, frame["elm"])
-    for spectrum, expected in zip(read_spectra(tmp_path / "rows.csv"), values, strict=True):
+    for spectrum, expected in zip(read_file(tmp_path / "rows.csv"), values, strict=True):
         np.testing.assert_array_equal(spectrum.reflectance, expected)
 
 
@@ -115,7 +115,7 @@ def test_excel_workbooks(tmp_path, monkeypatch):
     np.testing.assert_array_equal([row.b_m for _, row in read], frame["b_m"])
     assert [row.taxon for _, row in read] == NAMES
     waves = [[400 + 10.0 * k, round(0.1 + 0.01 * k, 2)] for k in range(20)]
-    (spectrum,) = read_spectra(workbook(tmp_path / "oak.xlsx", [["wavelength_nm", "oak"], *waves]))
+    (spectrum,) = read_file(workbook(tmp_path / "oak.xlsx", [["wavelength_nm", "oak"], *waves]))
     np.testing.assert_array_equal(spectrum.reflectance, [row[1] for row in waves])
     for sheets, words in (
         ([rows, rows], "expected one sheet, but sheet 0, sheet 1 have cells"),
@@ -214,11 +214,19 @@ def cloud(text: str) -> Callable[[Path], Any]:
     ("text", "read", "words"),
     [
         ("1,5,2,5,3,5\n" * 9, read_cloud, "'1,5,2,5,3,5' can be read with commas between"),
-        ("400,0,1\n410,0,2\n420,0,3\n", read_spectra, "'400,0,1' can be read with commas"),
-        ("wavelength,leaf\n400,0,1\n410,0,2\n", read_spectra, "expected 2 cells .*decimal comma"),
-        ("wavelength,leaf,elm\n400,0.1\n410,0.2\n", read_spectra, "expected 3 cells .* has 2"),
-        ("leaf,elm\n400,0.1,0.1\n410,0.2,0.2\n", read_spectra, "expected 2 cells .* has 3"),
-        ("wavelength;leaf\n999;0,1\n1.000;0,2\n", read_spectra, "one decimal mark .*'1.000' here"),
+        ("400,0,1\n410,0,2\n420,0,3\n", read_file, "'400,0,1' can be read with commas"),
+        (
+            "wavelength,leaf\n400,0,1\n410,0,2\n",
+            read_file,
+            "expected 2 cells .*decimal comma",
+        ),
+        ("wavelength,leaf,elm\n400,0.1\n410,0.2\n", read_file, "expected 3 cells .* has 2"),
+        ("leaf,elm\n400,0.1,0.1\n410,0.2,0.2\n", read_file, "expected 2 cells .* has 3"),
+        (
+            "wavelength;leaf\n999;0,1\n1.000;0,2\n",
+            read_file,
+            "one decimal mark .*'1.000' here",
+        ),
     ],
 )
 def test_what_can_be_read_in_two_ways_is_refused(tmp_path, text, read, words):
