@@ -285,7 +285,7 @@ def test_cells_at_the_end_may_be_empty_in_all_rows(tmp_path):
 def test_numbers_that_are_none(tmp_path, remark):
     path = tmp_path / "table.csv"
     path.write_text("wavelength;leaf\n400;0,1\n410;-999\n420;0,2\n" + remark)
-    (spectrum,) = read_spectra(path)
+    (spectrum,) = read_file(path)
     np.testing.assert_array_equal(spectrum.reflectance, [0.1, np.nan, 0.2])
     for cell in ("inf", "1e999", "-nan"):
         path.write_text(f"x,y,z\n1,2,3\n1,2,{cell}\n{remark}")
