@@ -77,7 +77,13 @@ from fynjax.inversion._regressed import (
     simulated_parts,
     simulation_posterior,
 )
-from fynjax.inversion._search import COARSE, CalibrationSettings, PlotSearch, SearchState
+from fynjax.inversion._search import (
+    COARSE,
+    CalibrationSettings,
+    PlotSearch,
+    SearchState,
+    search_states,
+)
 from fynjax.inversion._sensitivity import (
     LEADING_ELASTICITIES,
     DerivativeMeasures,
@@ -92,7 +98,6 @@ from fynjax.inversion._sensitivity import (
 from fynjax.inversion._sensor_sweep import SensorSetting, even_bands, sweep_sensors
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
 from fynjax.inversion._surrogate import (
-    RENDERS,
     FittedSurrogate,
     Surrogate,
     fit_surrogate,
@@ -134,7 +139,6 @@ __all__ = [
     "OFF",
     "OFFSET",
     "PIXEL_SD",
-    "RENDERS",
     "STAND_FUNCTIONALS",
     "WELL_CONSTRAINED",
     "WIDER",
@@ -213,6 +217,7 @@ __all__ = [
     "sample_prior",
     "search_form",
     "search_starts",
+    "search_states",
     "simulated_parts",
     "simulation_posterior",
     "sobol_indices",

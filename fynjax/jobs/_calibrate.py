@@ -183,9 +183,7 @@ def calibrate_to(
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
-    steps = ready.settings.max_steps
-    evaluations = ready.settings.starts * (steps + (steps + 1) // 2)
-    with run.stage("Calibrate", "calibrate", total=evaluations):
+    with run.stage("Calibrate", "calibrate", total=ready.settings.evaluations):
         search = plot_search(
             ready.scene,
             ready.parameters,

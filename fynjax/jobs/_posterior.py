@@ -24,7 +24,6 @@ from fynjax.inversion import (
     KNOWN,
     NARROWER,
     OFF,
-    RENDERS,
     WIDER,
     Posterior,
     RegressedPosterior,
@@ -157,8 +156,7 @@ def posterior(
         ready = prepare(read, free, seed=run.seed)
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
     inputs = (*(p for p in ready.plot.inputs if p is not None), *paths)
-    steps = ready.settings.max_steps
-    with run.stage("Calibrate", total=steps + (steps + 1) // 2):
+    with run.stage("Calibrate", total=ready.settings.evaluations):
         search = plot_search(
             ready.scene,
             ready.parameters,
@@ -175,7 +173,7 @@ def posterior(
     renders = surrogate_renders(*plot_of, seed=run.seed)
 
     def render_all() -> tuple[Any, ...]:
-        return (np.stack([*track(renders, "Fit a surrogate", RENDERS)]),)
+        return (np.stack(list(renders)),)
 
     (rendered,) = Journal(checkpoint / "surrogate", found)(render_all)
     surrogate, surrogate_error = fit_surrogate(
