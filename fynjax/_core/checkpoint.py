@@ -7,6 +7,7 @@ what its steps returned, and a run that starts again is given those instead of c
 import dataclasses
 import hashlib
 import os
+import time
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -122,6 +123,26 @@ class Journal:
                 "no checkpoint, or a damaged one; remove its folder to start again", file=path
             ) from error
 
+    def states(
+        self, name: str, kind: type[State], go_on: Callable[[State | None], Iterator[State]]
+    ) -> Iterator[State]:
+        """The states that `go_on` gives, from the one that an earlier run kept, or else from None.
+
+        They are kept, every few seconds and the last at the end or an interruption, as `put_state`
+        does.
+        """
+        last, written = None, -np.inf
+        try:
+            for state in go_on(self.kept_state(name, kind)):
+                last = state
+                if time.monotonic() - written > _KEEP_SECONDS:
+                    last, written = None, time.monotonic()
+                    self.put_state(name, state)
+                yield state
+        finally:
+            if last is not None:
+                self.put_state(name, last)
+
     def _cannot_keep(self, error: OSError) -> InputError:
         return InputError(
             f"cannot keep what was done: {error.strerror}. What was kept before stays, and the "
@@ -139,6 +160,8 @@ class Journal:
         return path
 
 
+_KEEP_SECONDS = 5.0
+"""A kill loses at most so much work of a solver, and the step under way."""
 _MARK = "calibration.mark"
 _STEP = "calibration.{:04d}.npz"
 _STATE = "calibration.{}.npz"

@@ -57,7 +57,7 @@ from fynjax.inversion._population import (
     fit_population,
     log_marginal,
 )
-from fynjax.inversion._posterior import SamplingMethod, sample_posterior
+from fynjax.inversion._posterior import PosteriorSampler, SamplingMethod, sample_posterior
 from fynjax.inversion._posterior_result import Posterior
 from fynjax.inversion._prior_sampler import (
     PriorChain,
@@ -174,6 +174,7 @@ __all__ = [
     "PlotSearch",
     "Population",
     "Posterior",
+    "PosteriorSampler",
     "PriorChain",
     "RegressedPosterior",
     "SamplingMethod",

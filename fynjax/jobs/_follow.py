@@ -1,7 +1,8 @@
 """Go through a search step by step: keep its state, go on from a kept one."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,18 +35,20 @@ def follow(
     began, before, steps = time.perf_counter(), 0.0, []
     for number, u in enumerate(starts, start=1):
         name = f"start {number}, " if len(starts) > 1 else ""
-        first = None if kept is None else kept.kept_state(f"start_{number}", search.state)
-        if first is None:
-            first = search.begin(u, *ends[:1])
+        states = partial(_states, search, u, ends[:1], name)
         turn = -1
-        for state in search_states(search, first, name):
+        for state in (
+            states(None) if kept is None else kept.states(f"start_{number}", search.state, states)
+        ):
             if int(state.turn) == turn:
                 steps.append(time.perf_counter() - before)
-            if kept is not None:
-                kept.put_state(f"start_{number}", state)
             turn, before = int(state.turn), time.perf_counter()
         ends.append(state)
     if steps:
         run.seconds["search_step"] = float(np.median(steps))
     run.seconds["search"] = time.perf_counter() - began
     return ends
+
+
+def _states(search: Any, u: Any, after: Sequence[Any], name: str, kept: Any) -> Iterator[Any]:
+    return search_states(search, search.begin(u, *after) if kept is None else kept, name)

@@ -1,5 +1,6 @@
 """The posterior of a plot's parameters: what `fynjax posterior` does."""
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,6 +14,7 @@ from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.progress import track
+from fynjax._core.sampling import ChainState
 from fynjax.assembly import (
     Prepared,
     parameter_columns,
@@ -26,6 +28,7 @@ from fynjax.inversion import (
     OFF,
     WIDER,
     Posterior,
+    PosteriorSampler,
     RegressedPosterior,
     SamplingMethod,
     TooFewSimulationsError,
@@ -33,7 +36,6 @@ from fynjax.inversion import (
     fit_surrogate,
     join_data,
     plot_search,
-    sample_posterior,
     search_starts,
     simulated_parts,
     simulation_posterior,
@@ -137,8 +139,7 @@ def posterior(
     Example: `jobs.posterior("plot.toml", Path("drone.tif"), Path("results"),
     checkpoint=Path("chain"))`.
     """
-    for package in ("arviz", "h5py") if method == "emcee" else ("arviz",):
-        require(package, "posterior")
+    require("arviz", "posterior")
     if 0 < simulations < _FEWEST or simulations < 0:
         raise InputError(
             f"expected {_FEWEST} simulations or more, or 0 for none, but got {simulations}"
@@ -193,7 +194,7 @@ def posterior(
             )
         except TooFewSimulationsError as error:  # what is left unchecked may be sound
             unchecked = f"Not checked by a regression: {error}."
-    sampled = sample_posterior(
+    sampler = PosteriorSampler(
         surrogate,
         calibrated.data,
         ready.space,
@@ -202,8 +203,12 @@ def posterior(
         target=target_size,
         max_steps=max_steps,
         seed=run.seed,
-        checkpoint=None if method == "laplace" else checkpoint / f"{method}.chain",
     )
+    end = None
+    if method != "laplace":
+        journal = Journal(checkpoint / method, signature(sampler.signed))
+        (end,) = deque(journal.states("chain", ChainState, sampler.states), maxlen=1)
+    sampled = sampler.posterior(end)
     if not sampled.whitened.size:
         raise InputError(f"no posterior: {sampled.status}", file=read.file)
     table = posterior_table(sampled)
