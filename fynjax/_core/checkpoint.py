@@ -24,14 +24,6 @@ from fynjax._core.errors import InputError
 
 State = TypeVar("State")
 
-Keep = Callable[[Callable[[], tuple[Array, ...]]], tuple[Array, ...]]
-"""Does a step, or gives back what it returned in an earlier run."""
-
-
-def keep_nothing(step: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
-    """Do a step."""
-    return step()
-
 
 class Journal:
     """Keeps the arrays that each step returns in a file of its own, by the step's number."""
@@ -44,8 +36,6 @@ class Journal:
         """
         self._folder = Path(folder)
         self._count = 0
-        self.repeating = False
-        """Whether the last step was one of an earlier run."""
         mark = self._folder / _MARK
         if mark.is_file():
             if mark.read_text("utf-8").strip() != signature:
@@ -61,16 +51,15 @@ class Journal:
         except OSError as error:
             raise InputError(f"cannot write here: {error.strerror}", file=self._folder) from error
 
-    def __call__(self, step: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
-        """Do a step and keep what it returns; or, if an earlier run did it, give that back."""
+    def __call__(self, step: Callable[..., Array | np.ndarray], *of: Any) -> np.ndarray:
+        """Do a step and keep the array that it returns; or, if an earlier run did it, give that
+        back. `of` are the arguments of the step."""
         number = self.reserve(1)
         kept = self.kept(number)
-        self.repeating = kept is not None
-        if kept is not None:
-            return tuple(jnp.asarray(array) for array in kept)
-        arrays = step()
-        self.put(number, arrays)
-        return arrays
+        if kept is None:
+            kept = (np.asarray(step(*of)),)
+            self.put(number, kept)
+        return kept[0]
 
     def reserve(self, count: int) -> int:
         """The number of the next of `count` steps, which may be done in any order."""

@@ -1,8 +1,7 @@
 """The posterior of a plot's parameters: what `fynjax posterior` does."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -172,25 +171,19 @@ def posterior(
     found = signature(calibrated.fit.whitened, run.seed)
     plot_of = calibrated, ready.parameters, calibrated.coarse_views
     renders = surrogate_renders(*plot_of, seed=run.seed)
-
-    def render_all() -> tuple[Any, ...]:
-        return (np.stack(list(renders)),)
-
-    (rendered,) = Journal(checkpoint / "surrogate", found)(render_all)
-    surrogate, surrogate_error = fit_surrogate(
-        *plot_of, seed=run.seed, rendered=np.asarray(rendered)
-    )
+    rendered = Journal(checkpoint / "surrogate", found)(lambda: np.stack([*renders]))
+    surrogate, surrogate_error = fit_surrogate(*plot_of, seed=run.seed, rendered=rendered)
     regressed, unchecked = None, ""
     if simulations:
         try:
             parts = simulated_parts(*plot_of, simulations=simulations, seed=run.seed)
             keep = Journal(checkpoint / "simulations", found)
-            done = [keep(partial(_alone, part))[0] for part in track(parts, "Simulate the prior")]
+            done = [keep(part) for part in track(parts, "Simulate the prior")]
             regressed = simulation_posterior(
                 *plot_of,
                 simulations=simulations,
                 seed=run.seed,
-                rendered=np.concatenate([np.asarray(one) for one in done]),
+                rendered=np.concatenate(done),
             )
         except TooFewSimulationsError as error:  # what is left unchecked may be sound
             unchecked = f"Not checked by a regression: {error}."
@@ -240,11 +233,6 @@ def posterior(
         status="ok" if sampled.converged else sampled.status,
         posterior_status=sampled.status,
     )
-
-
-def _alone(part: Callable[[], Any]) -> tuple[Any, ...]:
-    """What a part gives, as a `Journal` keeps it."""
-    return (part(),)
 
 
 def posterior_table(sampled: Posterior) -> pd.DataFrame:
