@@ -71,15 +71,7 @@ class ChainState(eqx.Module):
 
 
 class _Sampler:
-    """Goes from state to state until a chain is long enough.
-
-    **Arguments:**
-
-    - `start`: positions of the chains.
-    - `target`: effective draws to reach, on a chain of 50 autocorrelation times or more.
-    - `steps`: most steps, without warm-up.
-    - `warmup`: steps that tune the sampler and are left out of the draws.
-    """
+    """Goes from state to state until a chain is long enough; arguments as of `Hamiltonian`."""
 
     def __init__(
         self,
@@ -118,8 +110,9 @@ class _Sampler:
         """What the chain of a state holds, and whether that is enough."""
         chain = np.asarray(state.chain)[self._warmup :]
         if not len(chain):
-            why = "not converged: no steps" if state.ahead else f"failed: {self._unusable}"
-            return Draws(chain, chain[..., 0], 0.0, np.inf, 0.0, why)
+            failed = "failed: the log density or its slope is not finite at the starting points"
+            status = "not converged: no steps" if state.ahead else failed
+            return Draws(chain, chain[..., 0], 0.0, np.inf, 0.0, status)
         kept = self._settled(chain)
         return self._doubted(
             _judge(kept, self._target)._replace(
@@ -135,8 +128,6 @@ class _Sampler:
         empty, none = np.zeros((0, *start.shape)), np.zeros(len(start))
         later = tuple(map(jnp.asarray, ahead))
         return ChainState(empty, empty[..., 0], none, np.asarray(0), np.asarray(np.nan), later)
-
-    _unusable: str
 
     def _first(self) -> ChainState:
         raise NotImplementedError
@@ -163,8 +154,6 @@ class Ensemble(_Sampler):
     - `steps`: most steps.
     - `seed`: of the random numbers.
     """
-
-    _unusable = "the log density is finite at none of the starting points"
 
     def __init__(
         self,
@@ -327,8 +316,6 @@ class Hamiltonian(_Sampler):
     - `covariance`: about that of the density; its inverse is the mass. Only the step size is
       tuned, by dual averaging (Nesterov 2009) in `warmup` steps, which are left out of the chain.
     """
-
-    _unusable = "the log density or its gradient is not finite at a starting point"
 
     def __init__(
         self,

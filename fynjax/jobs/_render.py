@@ -123,10 +123,9 @@ def render(
 
 def _in_tiles(picture: TiledPicture, journal: Journal | None) -> Array:
     """The picture, of tiles that a journal keeps."""
-    tiles = track(picture.tiles, "Tiles")
     if journal is None:
-        return picture.image(map(picture.render, tiles))
-    return picture.image(journal(picture.render, tile) for tile in tiles)
+        return picture.image()
+    return picture.image(journal(picture.render, tile) for tile in track(picture.tiles, "Tiles"))
 
 
 @eqx.filter_jit

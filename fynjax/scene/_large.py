@@ -64,29 +64,12 @@ def is_large(aimed: AimedSensor, scene: Scene) -> bool:
     return few and isinstance(rays, RayLattice) and many
 
 
-def observe_in_tiles(
-    aimed: AimedSensor, scene: Scene, parameters: PlotParameters, *, tile: int = _TILE
-) -> Float[Array, "band y x"]:
-    """Reflectance factor of the pixels of a large picture, without air and noise [-].
-
-    It is that of `AimedSensor.observe`. To watch, keep or stop it go through the tiles of a
-    `TiledPicture`, as this function does.
-
-    **Arguments:** `aimed`, `scene`, `parameters`, `tile`: those of `TiledPicture`.
-
-    **Raises:** as `TiledPicture`.
-
-    Not differentiable: see `fynjax.radiation.render_tiles`.
-    """
-    picture = TiledPicture(aimed, scene, parameters, tile=tile)
-    return picture.image(map(picture.render, track(picture.tiles, "Tiles")))
-
-
 class TiledPicture:
-    """A picture that is rendered tile by tile, with light that is solved once for the whole scene.
+    """A large picture, rendered tile by tile with light that is solved once for the whole scene.
 
-    On level ground the voxels of a large scene, and its plants' area elements, are made window by
-    window: memory is that of the diffuse light on its coarse cells.
+    It is that of `AimedSensor.observe`, without air and noise. On level ground the voxels of a
+    large scene, and its plants' area elements, are made window by window: memory is that of the
+    diffuse light on its coarse cells. Who watches, keeps or stops it does so between the `tiles`.
 
     **Arguments:**
 
@@ -95,6 +78,8 @@ class TiledPicture:
 
     **Raises:** `InputError` where the light does not fit in memory, for rays that cannot be cut and
     for more bands than are solved for.
+
+    Not differentiable: see `fynjax.radiation.render_tiles`.
     """
 
     tiles: list[tuple[int, int]]
@@ -134,9 +119,12 @@ class TiledPicture:
         return self._draw(*map(jnp.asarray, tile))
 
     def image(
-        self, rendered: Iterable[Float[ArrayLike, "band row column"]]
+        self, rendered: Iterable[Float[ArrayLike, "band row column"]] | None = None
     ) -> Float[Array, "band y x"]:
-        """Reflectance factor of the pixels, from what was rendered of all `tiles`, in order."""
+        """Reflectance factor of the pixels [-], from what was rendered of all `tiles`, in order;
+        rendered here if left out."""
+        if rendered is None:
+            rendered = map(self.render, track(self.tiles, "Tiles"))
         for tile, part in zip(self.tiles, rendered, strict=True):
             self._factor[:, *self._tiling.pixels(*tile)] = part
         return self._aimed.averages(jnp.asarray(self._factor), self._whole)[0]

@@ -12,7 +12,7 @@ from fynjax._core.checkpoint import Journal
 from fynjax.errors import InputError
 from fynjax.radiation import Accuracy, Tiling
 from fynjax.radiation._tiles import _Axis
-from fynjax.scene import TiledPicture, hard_scene, is_large, observe_in_tiles
+from fynjax.scene import TiledPicture, hard_scene, is_large
 from fynjax.scene._large import _Windows
 from tests.scene.plots import drone, reflectance, small_parameters, small_plot
 
@@ -53,7 +53,7 @@ def test_a_light_that_does_not_fit_is_refused_before_plants_are_placed(monkeypat
     monkeypatch.setattr("fynjax.radiation._check._memory", lambda: 2**16)
     monkeypatch.setattr("fynjax.scene._large._voxels", None)
     with pytest.raises(InputError, match="GiB"):
-        observe_in_tiles(aimed, scene, small_parameters())
+        TiledPicture(aimed, scene, small_parameters())
 
 
 def test_elements_placed_part_by_part_make_the_same_voxels(monkeypatch):
@@ -100,7 +100,7 @@ def test_windows_make_the_picture_of_the_whole(monkeypatch, boundary):
         "fynjax.scene._large._Windows._window",
         lambda self, *at, make=_Windows._window: held.append(make(self, *at)) or held[-1],
     )
-    image = observe_in_tiles(aimed, scene, parameters, tile=20)
+    image = TiledPicture(aimed, scene, parameters, tile=20).image()
     assert len(held) > 20
     assert max(len(window.planting.plant) for window in held) < 0.8 * whole.planting.plant.size
     np.testing.assert_allclose(image, expected, rtol=1e-9)

@@ -19,7 +19,7 @@ from fynjax.radiation import (
     reflectance_factor,
     solve_light,
 )
-from fynjax.scene import observe_in_tiles
+from fynjax.scene import TiledPicture
 from fynjax.sensors import shipped_sensor
 from tests.benchmarks import bench_radiation
 from tests.benchmarks.radiation.head_to_head import IMAGE
@@ -178,7 +178,7 @@ def hectare(setting: Setting) -> Iterator[Row]:
         plot, scene, parameters, shipped_sensor("mavic_3m"),
         pixel=0.1, altitude=200.0, air=AtmosphereTable(model="none"), quiet=True,
     )  # fmt: skip
-    observe_in_tiles(aimed, scene, parameters)
+    TiledPicture(aimed, scene, parameters).image()
     test, what = "100 m x 100 m, 4 bands", "and compilation"
     seconds = time.process_time() - start
     yield Row(test, "CPU s, two cores in 3 min", seconds, 360.0, unit="s", note=what)
