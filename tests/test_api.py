@@ -22,13 +22,15 @@ def test_the_import_is_light():
 
 def test_every_name_is_there_and_described():
     assert {
-        *("read_plot", "fit", "calibrate", "posterior", "Leaf", "LeafParameters", "prospect"),
+        *("read_plot", "fit", "sample", "Leaf", "LeafParameters", "prospect"),
         *("fit_leaf", "sensor", "errors", "cite", "canopy_reflectance"),
         *("canopy_albedo", "fit_canopy"),
     } <= set(fx.__all__)
     for name in fx.__all__:
         assert inspect.getdoc(getattr(fx, name)), name
     assert fx.Leaf is fx.LeafParameters
+    # Commands, which write folders, are in `fx.jobs`.
+    assert not {"calibrate", "posterior"} & set(fx.__all__)
     with pytest.raises(AttributeError):
         _ = fx.nothing
 

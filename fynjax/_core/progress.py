@@ -56,11 +56,6 @@ def listening(listener: Listener | None) -> Iterator[None]:
         _listener.reset(before)
 
 
-def is_heard() -> bool:
-    """Whether somebody listens."""
-    return _listener.get() is not None
-
-
 @contextmanager
 def stage(name: str, total: int | None = None) -> Iterator[None]:
     """A stage of long work, of `total` steps (`None`: unknown), that is open until the block
@@ -98,7 +93,7 @@ def progress(console: Console | None = None) -> Iterator[None]:
 
     **Arguments:** `console`, of rich; standard error if left out.
 
-    Example: `with fx.progress(): fx.calibrate("plot.toml", "drone.tif", Path("results"))`.
+    Example: `with fx.progress(): fx.jobs.calibrate("plot.toml", "drone.tif", Path("results"))`.
     """
     if console is None:  # rich shows nothing in a notebook without ipywidgets
         console = Console(stderr=True, force_jupyter=None if find_spec("ipywidgets") else False)

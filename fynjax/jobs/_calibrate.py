@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax.assembly import Measured, prepare, read_targets
 from fynjax.inversion import Calibration, calibration, join_data, plot_search, search_starts
@@ -183,7 +184,14 @@ def calibrate_to(
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
-    with run.stage("Calibrate", "calibrate", total=ready.settings.evaluations):
+    evaluations = ready.settings.evaluations
+    images = any(sensor.kind == "image" for sensor in measured)
+    begin_work(
+        {"parameters.csv": f"{len(ready.space.names)} parameters", "statistics.csv": ""}
+        | (dict.fromkeys(["image_before.tif", "image_after.tif"], "") if images else {})
+        | {"run.nc": f"after at most {evaluations} steps of the search", "report.html": ""}
+    )
+    with run.stage("Calibrate", "calibrate", total=evaluations):
         search = plot_search(
             ready.scene,
             ready.parameters,

@@ -11,8 +11,8 @@ import pandas as pd
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax.leaf._fit import LeafFit
 from fynjax.leaf._problem import leaf_bounds
+from fynjax.leaf._result import LeafFit
 
 WINDOW = {
     "chlorophyll": (500.0, 780.0),

@@ -1,8 +1,8 @@
 """What a second worker gains: `python -m tests.benchmarks.bench_workers [PLOTS] [VOXEL]`.
 
-Plots of the shared field tables are inferred as `fynjax calibrate-plots` does, by one worker and by
-two, after a first round in which both compile. Printed are wall and CPU time of each worker, and,
-apart from them, what dask takes: to start, and for a part that does nothing. The ratio of wall
+Plots of the shared field tables are inferred as `fynjax bioscape calibrate` does, by one worker and
+by two, after a first round in which both compile. Printed are wall and CPU time of each worker,
+and, apart from them, what dask takes: to start, and for a part that does nothing. The ratio of wall
 times means something where nothing else runs; that of the CPU times always: the work of one worker
 over that of the busier of two.
 """
@@ -21,7 +21,7 @@ import numpy as np
 from fynjax._core.parts import Workers, at_work
 from fynjax.inversion import spectrum_view
 from fynjax.io.plot import DEFAULT_PRIOR, read_plot, read_prior
-from fynjax.studies.bioscape import read_bioscape
+from fynjax.studies.bioscape import read_bioscape, run_bioscape
 from fynjax.studies.bioscape._calibrate import chosen_bands
 from fynjax.studies.bioscape._inversion import (
     ROOM,
@@ -32,7 +32,6 @@ from fynjax.studies.bioscape._inversion import (
     plot_data,
     prior_space,
 )
-from fynjax.studies.bioscape._plot_files import run_bioscape
 from fynjax.studies.bioscape._scenes import ACCURACY, Resolution, build_scenes, slots_of
 from fynjax.studies.bioscape._spectra import read_plot_spectra, read_spectrometer
 

@@ -3,11 +3,11 @@
     python -m tests.benchmarks.plots_regression
 
 Regressions from the tables of the BioSCape plots to the logarithm of their spectra, each plot left
-out, beside the scores of `fynjax validate-plots`: what a model that is as good as these could reach
-from the same tables. Ridge regression with its penalty by leaving out, one PLS component, a random
-forest; from covers, growth forms, leaf mass and water, and all of them. The best of many is better
-by chance. And the other way round: partial least squares from spectra to covers, beside
-`fynjax calibrate-plots`.
+out, beside the scores of `fynjax bioscape validate`: what a model that is as good as these could
+reach from the same tables. Ridge regression with its penalty by leaving out, one PLS component, a
+random forest; from covers, growth forms, leaf mass and water, and all of them. The best of many is
+better by chance. And the other way round: partial least squares from spectra to covers, beside
+`fynjax bioscape calibrate`.
 """
 
 import os
