@@ -99,7 +99,7 @@ def learn(
         typer.Option("--source", help="Where the data are from; may be given again."),
     ] = None,
     checkpoint: Checkpoint = None,
-    count: WorkerCount = None,
+    count: WorkerCount = 0,
     scheduler: SchedulerAddress = None,
     seed: Seed = 0,
 ) -> None:
@@ -123,7 +123,7 @@ def validate_plots(
     size_m: Size = 5.0,
     voxel_m: Voxel = 0.1,
     checkpoint: Checkpoint = None,
-    count: WorkerCount = None,
+    count: WorkerCount = 0,
     scheduler: SchedulerAddress = None,
     seed: Seed = 0,
 ) -> None:
@@ -158,7 +158,7 @@ def calibrate_plots(
         ),
     ] = 3,
     checkpoint: Checkpoint = None,
-    count: WorkerCount = None,
+    count: WorkerCount = 0,
     scheduler: SchedulerAddress = None,
     seed: Seed = 0,
 ) -> None:

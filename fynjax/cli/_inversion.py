@@ -136,7 +136,7 @@ def sensitivity(
         ),
     ] = 0,
     checkpoint: Checkpoint = None,
-    count: WorkerCount = None,
+    count: WorkerCount = 0,
     scheduler: SchedulerAddress = None,
     seed: OwnSeed = None,
 ) -> None:

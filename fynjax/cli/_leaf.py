@@ -99,7 +99,7 @@ def fit_leaf(
         typer.Option(help="Sample the posterior of each leaf as well."),
     ] = "none",
     checkpoint: Checkpoint = None,
-    count: WorkerCount = None,
+    count: WorkerCount = 0,
     scheduler: SchedulerAddress = None,
     seed: Seed = 0,
 ) -> None:

@@ -64,7 +64,7 @@ def train(
     ] = 20000,
     seed: Seed = 0,
     checkpoint: Checkpoint = None,
-    count: WorkerCount = None,
+    count: WorkerCount = 0,
     scheduler: SchedulerAddress = None,
 ) -> None:
     """Train a regression from spectra of a sensor to covers and leaves, for `fynjax map`.
@@ -127,7 +127,7 @@ def map_command(
     ] = None,
     seed: Seed = 0,
     checkpoint: Checkpoint = None,
-    count: WorkerCount = None,
+    count: WorkerCount = 0,
     scheduler: SchedulerAddress = None,
 ) -> None:
     """Map covers, leaf area and leaf traits of a cube, each with its uncertainty.

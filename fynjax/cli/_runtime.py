@@ -36,13 +36,13 @@ Checkpoint = Annotated[
     ),
 ]
 WorkerCount = Annotated[
-    int | None,
+    int,
     typer.Option(
         "--workers",
         metavar="N",
-        min=1,
+        min=0,
         help="Do the parts in N processes of this machine, one core each; same results. Needs the "
-        "extra `cluster`.",
+        "extra `cluster`. 0 does them in this process.",
     ),
 ]
 SchedulerAddress = Annotated[

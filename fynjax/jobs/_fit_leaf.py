@@ -1,14 +1,14 @@
 """What `fynjax fit-leaf` does: files of spectra in, traits and spectra out."""
 
-import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 from jaxtyping import Float
+from pydantic import ConfigDict, Field
 
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.dry_run import begin_work
@@ -22,7 +22,7 @@ from fynjax.io.spectra import (
     warnings_of_reading,
     write_spectra_netcdf,
 )
-from fynjax.io.text import existing_file, read_text
+from fynjax.io.text import Strict, read_rows
 from fynjax.jobs._result import JobResult
 from fynjax.jobs._run import Run
 from fynjax.jobs._spectra import (
@@ -172,29 +172,21 @@ def _with_transmittance(
     )
 
 
+class GroupRow(Strict):
+    """The species of a spectrum; the table may have further columns."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+    unique: ClassVar[str] = "name"
+
+    name: str = Field(description="Name of the spectrum, as in traits.csv.", min_length=1)
+    species: str = Field(description="Its species.", min_length=1)
+
+
 def _read_groups(path: str | Path, names: Sequence[str]) -> list[str]:
     """The species of each spectrum from a table with the columns `name` and `species`."""
-    file = existing_file(path, "a table of names and species")
-    try:
-        table = pd.read_csv(io.StringIO(read_text(file)), dtype=str, keep_default_na=False)
-    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
-        raise InputError(f"expected a table of names and species: {error}", file=path) from error
-    for column in ("name", "species"):
-        if column not in table:
-            raise InputError(
-                f"expected the columns name and species, but found {', '.join(table.columns)}",
-                file=path,
-            )
-    twice = table["name"][table["name"].duplicated()]
-    if len(twice):
-        raise InputError(
-            f"the spectrum {twice.iloc[0]!r} is named twice",
-            file=path,
-            row=int(twice.index[0]) + 2,
-            column="name",
-        )
-    species = dict(zip(table["name"], table["species"]))
-    missing = [name for name in names if not species.get(name)]
+    rows = read_rows(path, GroupRow, "a table of names and species")
+    species = {row.name: row.species for _, row in rows}
+    missing = [name for name in names if name not in species]
     if missing:
         raise InputError(
             f"no species for {len(missing)} spectra, the first is {missing[0]!r}; "

@@ -36,7 +36,7 @@ from fynjax.terrain import (
     write_terrain,
 )
 
-_RASTERS = (".tif", ".tiff", ".img", ".vrt", ".asc")
+_RASTERS = (".tif", ".tiff", ".img", ".asc", ".vrt")  # of the last, that it names others
 # Points all through a layer as thick as the tolerance scatter by 0.29 of it about their mean.
 _ROUGH = 0.27
 _LARGEST_GAP = 10.0
@@ -102,7 +102,7 @@ def terrain(
 
     **Arguments:**
 
-    - `path`: a raster (.tif, .tiff, .img, .vrt, .asc), or a cloud as `read_cloud` takes it.
+    - `path`: a raster (.tif, .tiff, .img, .asc), or a cloud as `read_cloud` takes it.
     - `output`: folder of the results, made if missing.
     - `cell`: side of a cell [m]; by default 0.25 for a cloud and the cell of a raster.
     - `bounds`: west, south, east, north of the plot in the file's coordinates [m].

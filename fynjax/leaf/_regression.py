@@ -98,7 +98,7 @@ def regress_water(fit: LeafFit) -> LeafFit:
 
     **Raises:** `InputError` if water was not fitted.
 
-    NumPy; not differentiable. Measured: `python -m tests.benchmarks.leaf_hybrid`.
+    NumPy; not differentiable.
     """
     if "water" not in fit.names:
         raise InputError(f"a correction of water needs fitted water, but fitted: {fit.names}")

@@ -399,8 +399,8 @@ def test_water_of_one_campaign_is_corrected(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("name,kind\na,x\n", "columns name and species"),
-        ("name,species\na,x\na,y\n", "named twice"),
+        ("name,kind\na,x\n", "expected a column 'species'"),
+        ("name,species\na,x\na,y\n", "'a' is there twice"),
         ("name,species\nother,x\n", "no species for 1 spectra"),
         ("", "table of names and species"),
     ],
@@ -612,7 +612,7 @@ def test_spectral_evolution_gives_its_reflectance(tmp_path):
     with pytest.raises(InputError, match="no column of reflectance"):
         read_spectra_file(tmp_path / "leaf.sed")
     (tmp_path / "short.sig").write_text(SIG.replace("  43.00", ""))
-    with pytest.raises(InputError, match=r"short\.sig, row 11: expected 4 columns"):
+    with pytest.raises(InputError, match=r"short\.sig, row 11: expected 4 cells"):
         read_spectra_file(tmp_path / "short.sig")
 
 

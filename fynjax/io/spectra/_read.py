@@ -1,7 +1,6 @@
 """Spectra from a file: `read_spectra_file` recognises the format by the content."""
 
 import codecs
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from fynjax.io.spectra._envi import read_envi_library
 from fynjax.io.spectra._field import read_field_spectrum
 from fynjax.io.spectra._record import MeasuredSpectrum, check_spectrum
 from fynjax.io.spectra._text import read_text_spectra
-from fynjax.io.text import broken_row, existing_file, read_bytes
+from fynjax.io.text import existing_file, read_bytes
 
 
 def read_spectra_file(path: str | Path) -> list[MeasuredSpectrum]:
@@ -20,9 +19,10 @@ def read_spectra_file(path: str | Path) -> list[MeasuredSpectrum]:
 
     Recognised by content, not by name: ASD binary (versions 6, 7, 8); ASD's ASCII export;
     reflectance of SVC (`.sig`) and Spectral Evolution (`.sed`); ECOSTRESS and older ASTER library
-    text; CSV and TSV with a wavelength column and one column a spectrum, or wide with one row a
-    spectrum and wavelengths as column names (EcoSIS, SPECCHIO); ENVI spectral libraries (give the
-    `.sli` or its `.hdr`). A `.gz` ending is unpacked.
+    text; tables as `open_table` takes them (CSV, TSV, Excel) with a wavelength column and one
+    column a spectrum, or wide with one row a spectrum and wavelengths as column names (EcoSIS,
+    SPECCHIO);
+    ENVI spectral libraries (give the `.sli` or its `.hdr`). A `.gz` ending is unpacked.
 
     **Arguments:**
 
@@ -83,14 +83,9 @@ def read_usable_spectra(
         )
     elif suffixes[-1:] in ([".hdr"], [".sli"], [".slb"]):
         spectra = read_envi_library(path)
-    elif _is_text(data):
-        wide = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-        text = data.decode("utf-16" if wide else "utf-8-sig", errors="replace")
-        try:
-            field = read_field_spectrum(text, path)
-            spectra = read_text_spectra(text, path) if field is None else [field]
-        except csv.Error as error:
-            raise broken_row(path) from error
+    elif _is_text(data) or data[:4] == b"PK\3\4":  # an Excel workbook
+        field = read_field_spectrum(data, path)
+        spectra = read_text_spectra(data, path) if field is None else [field]
     else:
         raise InputError(
             "unknown format: neither ASD binary (as6, as7, as8), ENVI spectral library, nor text",

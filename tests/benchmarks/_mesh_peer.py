@@ -1,6 +1,6 @@
 """Leaf discs as a mesh, rendered by Mitsuba 3: run by an interpreter that has it.
 
-`python mesh_peer.py SCENE.npz IMAGES.npz [--samples N]`; a file of its own, without fynjax.
+`python _mesh_peer.py SCENE.npz IMAGES.npz [--samples N]`; a file of its own, without fynjax.
 Leaves reflect and transmit by Lambert's law, which no material of Mitsuba does, so one is made.
 The scene has `centre` and `normal` [disc, 3], `diameter` [disc] or one, `rho` and `tau` [band] or
 [disc, band], `ground` [band], `side` [m], `copies` of it on each side (0 stands alone), `pixels`
