@@ -151,6 +151,7 @@ class _Bars:
             self._bars.stop_task(task)
             self._open.pop()
             if not self._open:
+                self._bars.refresh()  # in a notebook `stop` does not
                 self._bars.stop()
 
     def advance(self, n: int, **info: float | str) -> None:
