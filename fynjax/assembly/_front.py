@@ -12,6 +12,7 @@ import pandas as pd
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.progress import stage, track
 from fynjax.assembly._targets import (
     TargetRules,
     fitting_structure,
@@ -309,7 +310,8 @@ def fit(
             raise InputError(f"expected a scene or a function, but got {model!r:.60}")
         if settings is not None:
             raise InputError("expected `settings` with a scene, not with a function")
-        return fit_function(model, data, free, solver=solver, max_steps=max_steps, **options)
+        with stage("Fit"):
+            return fit_function(model, data, free, solver=solver, max_steps=max_steps, **options)
     sensors = data.sensors if isinstance(data, PlotData) else ()
     if not sensors:
         raise InputError(
@@ -425,7 +427,9 @@ def emulate(
     sequence = qmc.Sobol(low.size, rng=np.random.default_rng(seed))
     unit = 2.0 * sequence.random(1 << (count - 1).bit_length())[:count] - 1.0
     centre, scale = 0.5 * (low + high), 0.5 * (high - low)
-    found = np.stack([np.ravel(function(jnp.asarray(centre + scale * u))) for u in unit])
+    found = np.stack(
+        [np.ravel(function(jnp.asarray(centre + scale * u))) for u in track(unit, "Emulate")]
+    )
     if not np.isfinite(found).all():
         at = centre + scale * unit[int(np.argmin(np.isfinite(found).all(axis=1)))]
         raise InputError(f"the function is not finite at {at.tolist()}")

@@ -57,7 +57,7 @@ from fynjax.inversion._population import (
     fit_population,
     log_marginal,
 )
-from fynjax.inversion._posterior import SamplingMethod, sample_posterior
+from fynjax.inversion._posterior import PosteriorSampler, SamplingMethod, sample_posterior
 from fynjax.inversion._posterior_result import Posterior
 from fynjax.inversion._prior_sampler import (
     PriorChain,
@@ -77,7 +77,13 @@ from fynjax.inversion._regressed import (
     simulated_parts,
     simulation_posterior,
 )
-from fynjax.inversion._search import COARSE, CalibrationSettings, PlotSearch, SearchState
+from fynjax.inversion._search import (
+    COARSE,
+    CalibrationSettings,
+    PlotSearch,
+    SearchState,
+    search_states,
+)
 from fynjax.inversion._sensitivity import (
     LEADING_ELASTICITIES,
     DerivativeMeasures,
@@ -93,7 +99,6 @@ from fynjax.inversion._sensitivity import (
 from fynjax.inversion._sensor_sweep import SensorSetting, even_bands, sweep_sensors
 from fynjax.inversion._space import ParameterSpace, make_space, match_names
 from fynjax.inversion._surrogate import (
-    RENDERS,
     FittedSurrogate,
     Surrogate,
     fit_surrogate,
@@ -135,7 +140,6 @@ __all__ = [
     "OFF",
     "OFFSET",
     "PIXEL_SD",
-    "RENDERS",
     "STAND_FUNCTIONALS",
     "WELL_CONSTRAINED",
     "WIDER",
@@ -171,6 +175,7 @@ __all__ = [
     "PlotSearch",
     "Population",
     "Posterior",
+    "PosteriorSampler",
     "PriorChain",
     "RegressedPosterior",
     "SamplingMethod",
@@ -215,6 +220,7 @@ __all__ = [
     "sample_prior",
     "search_form",
     "search_starts",
+    "search_states",
     "simulated_parts",
     "simulation_posterior",
     "sobol_indices",

@@ -8,6 +8,7 @@ parameter that acts through optics alone.
 """
 
 import dataclasses
+from collections import deque
 from typing import Any
 
 import equinox as eqx
@@ -21,6 +22,7 @@ from scipy.stats import chi2
 from fynjax._core.errors import InputError
 from fynjax._core.least_squares import NO_TAGS, BroydenLM, BroydenState, figures_of
 from fynjax._core.precision import require_double_precision
+from fynjax._core.progress import stage
 from fynjax.inversion._calibrate import Ends
 from fynjax.inversion._fit_result import (
     Data,
@@ -30,6 +32,7 @@ from fynjax.inversion._fit_result import (
     number_of,
     status_of,
 )
+from fynjax.inversion._search import search_states
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import gain_covariance
 from fynjax.radiation import VoxelScene
@@ -160,10 +163,9 @@ def calibrate_known_plants(
         scene, parameters, image, space, camera, block=block, pixel_sd=pixel_sd, gain_sd=gain_sd,
         max_steps=max_steps, tolerance=tolerance,
     )  # fmt: skip
-    state = search.begin()
-    while not state.ended:
-        state = search.step(state)
-    return search.result(state)
+    with stage("Calibrate", max_steps):
+        (end,) = deque(search_states(search, search.begin()), maxlen=1)
+    return search.result(end)
 
 
 def known_plants_search(

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fynjax._core.progress import track
 from fynjax.inversion._calibrate import Calibration
 from fynjax.inversion._expected import predicted
 from fynjax.inversion._fit_result import FitResult
@@ -16,7 +17,7 @@ from fynjax.scene import PlotParameters
 
 _CURVED = 6
 """Directions along which a surrogate bends: those that the data know most."""
-RENDERS, _LEFT_OUT = 60, 12
+_RENDERS, _LEFT_OUT = 60, 12
 """Cheap renders that it is fitted to, and those of them that tell its error."""
 _SPREAD = 1.5
 """Standard deviations of the posterior over which these lie."""
@@ -112,7 +113,7 @@ def surrogate_renders(
     """
     fit = calibration.fit
     forward = PlotForward(parameters, fit.names, tuple(views))
-    for i, u in enumerate(_draws(fit, seed)):
+    for i, u in enumerate(track(_draws(fit, seed), "Fit a surrogate")):
         stand = calibration.stands[i % len(calibration.stands)].faded()
         yield np.asarray(predicted(forward, fit.space, stand, jnp.asarray(u)))
 
@@ -120,7 +121,7 @@ def surrogate_renders(
 def _draws(fit: FitResult, seed: int) -> Float[np.ndarray, "draw free"]:
     random = np.random.default_rng([seed, 71])
     centre, covariance = np.asarray(fit.whitened), np.asarray(fit.covariance)
-    return random.multivariate_normal(centre, _SPREAD**2 * covariance, RENDERS, method="eigh")
+    return random.multivariate_normal(centre, _SPREAD**2 * covariance, _RENDERS, method="eigh")
 
 
 def _terms(z: Float[Array, "*draw direction"]) -> Float[Array, "*draw term"]:

@@ -184,8 +184,7 @@ def calibrate_to(
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
-    steps = ready.settings.max_steps
-    evaluations = ready.settings.starts * (steps + (steps + 1) // 2)
+    evaluations = ready.settings.evaluations
     images = any(sensor.kind == "image" for sensor in measured)
     begin_work(
         {"parameters.csv": f"{len(ready.space.names)} parameters", "statistics.csv": ""}

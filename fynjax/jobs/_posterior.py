@@ -1,7 +1,7 @@
 """The posterior of a plot's parameters: what `fynjax posterior` does."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,6 +14,7 @@ from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.progress import track
+from fynjax._core.sampling import ChainState
 from fynjax.assembly import (
     Prepared,
     parameter_columns,
@@ -25,9 +26,9 @@ from fynjax.inversion import (
     KNOWN,
     NARROWER,
     OFF,
-    RENDERS,
     WIDER,
     Posterior,
+    PosteriorSampler,
     RegressedPosterior,
     SamplingMethod,
     TooFewSimulationsError,
@@ -35,7 +36,6 @@ from fynjax.inversion import (
     fit_surrogate,
     join_data,
     plot_search,
-    sample_posterior,
     search_starts,
     simulated_parts,
     simulation_posterior,
@@ -139,8 +139,7 @@ def posterior(
     Example: `jobs.posterior("plot.toml", Path("drone.tif"), Path("results"),
     checkpoint=Path("chain"))`.
     """
-    for package in ("arviz", "h5py") if method == "emcee" else ("arviz",):
-        require(package, "posterior")
+    require("arviz", "posterior")
     if 0 < simulations < _FEWEST or simulations < 0:
         raise InputError(
             f"expected {_FEWEST} simulations or more, or 0 for none, but got {simulations}"
@@ -158,11 +157,10 @@ def posterior(
         ready = prepare(read, free, seed=run.seed)
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
     inputs = (*(p for p in ready.plot.inputs if p is not None), *paths)
-    steps = ready.settings.max_steps
     parameters = f"{len(ready.space.names)} parameters"
     draws = f"{parameters}, {max_steps} steps of the sampler at most"
     begin_work({"posterior.nc": draws, "parameters.csv": parameters, "report.html": ""})
-    with run.stage("Calibrate", total=steps + (steps + 1) // 2):
+    with run.stage("Calibrate", total=ready.settings.evaluations):
         search = plot_search(
             ready.scene,
             ready.parameters,
@@ -177,29 +175,23 @@ def posterior(
     found = signature(calibrated.fit.whitened, run.seed)
     plot_of = calibrated, ready.parameters, calibrated.coarse_views
     renders = surrogate_renders(*plot_of, seed=run.seed)
-
-    def render_all() -> tuple[Any, ...]:
-        return (np.stack([*track(renders, "Fit a surrogate", RENDERS)]),)
-
-    (rendered,) = Journal(checkpoint / "surrogate", found)(render_all)
-    surrogate, surrogate_error = fit_surrogate(
-        *plot_of, seed=run.seed, rendered=np.asarray(rendered)
-    )
+    rendered = Journal(checkpoint / "surrogate", found)(lambda: np.stack([*renders]))
+    surrogate, surrogate_error = fit_surrogate(*plot_of, seed=run.seed, rendered=rendered)
     regressed, unchecked = None, ""
     if simulations:
         try:
             parts = simulated_parts(*plot_of, simulations=simulations, seed=run.seed)
             keep = Journal(checkpoint / "simulations", found)
-            done = [keep(partial(_alone, part))[0] for part in track(parts, "Simulate the prior")]
+            done = [keep(part) for part in track(parts, "Simulate the prior")]
             regressed = simulation_posterior(
                 *plot_of,
                 simulations=simulations,
                 seed=run.seed,
-                rendered=np.concatenate([np.asarray(one) for one in done]),
+                rendered=np.concatenate(done),
             )
         except TooFewSimulationsError as error:  # what is left unchecked may be sound
             unchecked = f"Not checked by a regression: {error}."
-    sampled = sample_posterior(
+    sampler = PosteriorSampler(
         surrogate,
         calibrated.data,
         ready.space,
@@ -208,8 +200,12 @@ def posterior(
         target=target_size,
         max_steps=max_steps,
         seed=run.seed,
-        checkpoint=None if method == "laplace" else checkpoint / f"{method}.chain",
     )
+    end = None
+    if method != "laplace":
+        journal = Journal(checkpoint / method, signature(sampler.signed))
+        (end,) = deque(journal.states("chain", ChainState, sampler.states), maxlen=1)
+    sampled = sampler.posterior(end)
     if not sampled.whitened.size:
         raise InputError(f"no posterior: {sampled.status}", file=read.file)
     table = posterior_table(sampled)
@@ -241,11 +237,6 @@ def posterior(
         status="ok" if sampled.converged else sampled.status,
         posterior_status=sampled.status,
     )
-
-
-def _alone(part: Callable[[], Any]) -> tuple[Any, ...]:
-    """What a part gives, as a `Journal` keeps it."""
-    return (part(),)
 
 
 def posterior_table(sampled: Posterior) -> pd.DataFrame:

@@ -9,7 +9,7 @@ from fynjax._core.precision import enable_double_precision
 from fynjax.scene._cover import ProjectedCover, crown_centres, projected_cover
 from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
 from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
-from fynjax.scene._large import is_large, observe_in_tiles
+from fynjax.scene._large import TiledPicture, is_large
 from fynjax.scene._observe import (
     DRONE,
     AimedSensor,
@@ -105,6 +105,7 @@ __all__ = [
     "SpeciesRow",
     "Spectrum",
     "StandArea",
+    "TiledPicture",
     "aim",
     "background_spectrum",
     "band_wavelengths",
@@ -128,7 +129,6 @@ __all__ = [
     "mixed_surroundings",
     "named_values",
     "observe",
-    "observe_in_tiles",
     "observe_lidar",
     "parameter_kind",
     "parameter_reference",

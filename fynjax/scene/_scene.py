@@ -491,7 +491,7 @@ class Scene(eqx.Module):
         if not planting.listed:
             raise InputError(
                 f"the area elements of {len(planting.first)} plants are too many to be in memory "
-                "at once: render the plot in tiles (`observe_in_tiles`, `fynjax render`), or take "
+                "at once: render the plot in tiles (`TiledPicture`, `fynjax render`), or take "
                 "a smaller plot or larger voxels"
             )
         count, fits = planting.plant.shape[0], self.finer and _holds(grid, self.tuft)

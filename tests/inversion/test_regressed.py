@@ -177,7 +177,7 @@ def test_more_simulations_go_on_from_fewer(linear_plot, tmp_path, first, then):
     for count in (first, then):
         keep = Journal(tmp_path, "mark")
         parts = simulated_parts(calibration, None, (), simulations=count)
-        kept = np.concatenate([keep(lambda part=part: (part(),))[0] for part in parts])
+        kept = np.concatenate([keep(part) for part in parts])
         found = simulation_posterior(calibration, None, (), simulations=count, rendered=kept)
     assert len(rendered) == 25 * -(-max(first, then) // 25)
     assert found.simulations == then

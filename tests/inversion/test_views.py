@@ -317,6 +317,18 @@ def test_a_search_from_several_starts_goes_on_within_any_of_them(sums, tmp_path)
     assert not folder.exists()
 
 
+def test_a_calibration_tells_of_each_evaluation(sums):
+    with hearing() as heard:
+        found = calibrated(sums, max_steps=2)
+    assert heard.stages == [("Calibrate", 3)]
+    assert heard.count == len(found.fit.loss)
+    assert heard.shown[0] == {
+        "stage": "round 1",
+        "loss": f"{found.fit.loss[0]:.1f}",
+        "gradient": f"{found.fit.gradient_norm[0]:.1f}",
+    }
+
+
 def test_what_was_kept_is_not_done_again(sums, whole, tmp_path, monkeypatch):
     """A finished calibration is read, not computed: no step of the search may run."""
     folder = tmp_path / "kept"

@@ -176,7 +176,7 @@ def test_a_plot_tells_what_moves_its_metrics(plot, tmp_path):
 
 @pytest.mark.study
 def test_the_posterior_of_a_plot_goes_on_from_its_checkpoint(plot, tmp_path):
-    pytest.importorskip("h5py", reason="the extra `posterior` is not installed")
+    pytest.importorskip("arviz", reason="the extra `posterior` is not installed")
     keep = tmp_path / "checkpoint"
     target = plot.with_name("target.csv")
     options = {"checkpoint": keep, "target_size": 50.0, "seed": 0, "simulations": 100}
