@@ -22,7 +22,7 @@ def test_the_import_is_light():
 
 def test_every_name_is_there_and_described():
     assert {
-        *("read_plot", "fit", "calibrate", "posterior", "Leaf", "LeafParameters", "prospect"),
+        *("read_scene", "fit", "calibrate", "posterior", "Leaf", "LeafParameters", "prospect"),
         *("fit_leaf", "sensor", "errors", "cite", "canopy_reflectance"),
         *("canopy_albedo", "fit_canopy"),
     } <= set(fx.__all__)

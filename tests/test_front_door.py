@@ -1,5 +1,7 @@
 """A scene, what a sensor sees of it, and the arrow backwards, in the lines that a user writes."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -51,6 +53,109 @@ def test_an_image_has_bands_indices_tables_and_a_picture(image, monkeypatch):
     assert "mavic_3m" in image._repr_html_()
     grid = image.plot()
     assert grid.axs.size == 4
+
+
+def test_a_spectrometer_has_indices_of_its_wavelengths(scene):
+    """Those of the camera, whose bands its means are over; and a gradient."""
+    spectra = fx.observe(scene, "aviris_ng", pixel=1.0)
+    ndvi = spectra.index("NDVI")
+    wide = fx.observe(scene, "mavic_3m", pixel=1.0)
+    np.testing.assert_allclose(ndvi, wide.index("NDVI"), atol=0.01)
+    slope = jax.grad(lambda r: dataclasses.replace(spectra, reflectance=r).index("NDVI").sum())(
+        spectra.reflectance
+    )
+    by_band = dict(zip(spectra.wavelength, np.asarray(slope.sum(axis=(1, 2))), strict=True))
+    assert by_band[852.68] > 0.0 > by_band[652.34]
+    frame = spectra.to_dataframe()
+    assert len(frame) == 4
+    assert frame.shape[1] == 2 + len(spectra.bands)
+    with pytest.raises(InputError, match=r"an index that the 416 bands .* got 'NDVX'"):
+        spectra.index("NDVX")
+
+
+@pytest.fixture(scope="module")
+def cloud(scene):
+    return fx.observe(scene, "flash_lidar_paper", seed=3)
+
+
+def test_a_cloud_has_metrics_tables_and_a_picture(scene, cloud):
+    frame = cloud.to_dataframe()
+    assert len(frame) == len(cloud.returns)
+    assert {"x", "y", "z", "reflectance", "classification"} <= set(frame.columns)
+    np.testing.assert_array_equal(frame["z"], cloud.returns.position[:, 2])
+    waves = cloud.to_xarray()
+    assert waves["waveform"].dims == ("pulse", "sample")
+    assert waves.sizes["pulse"] == len(cloud.beams)
+    assert str(cloud).startswith(f"flash_lidar_paper: {len(cloud.beams)} pulses, ")
+    assert f"{len(cloud.returns)} returns" in str(cloud)
+    assert "flash_lidar_paper" in cloud._repr_html_()
+    assert cloud.plot().get_ylabel() == "z"
+    first = frame[frame["number"] == 1]
+    for percent in (75, 95):  # of first hits; the peak of an echo lies within a pulse below
+        below = float(cloud.metric(f"height_p{percent}")) - np.percentile(first["z"], percent)
+        assert 0.0 < below < 0.3
+    gap = float(cloud.metric("gap_fraction"))
+    assert gap == pytest.approx(float(np.mean(first["z"] < 0.1)), abs=0.16)
+    with pytest.raises(InputError, match=r"got 'gap_fractio'. Did you mean 'gap_fraction'"):
+        cloud.metric("gap_fractio")
+    with pytest.raises(InputError, match="a percentile of height such as"):
+        cloud.metric("height_p101")
+
+
+def test_metrics_of_a_cloud_have_gradients(scene):
+    lidar = fx.sensor("flash_lidar_paper")
+
+    @jax.jit
+    def top(p):
+        return fx.observe(scene, lidar, parameters=p).metric("height_p95")
+
+    slope = jax.grad(top)(scene.parameters)
+    assert jax.tree.structure(slope) == jax.tree.structure(scene.parameters)
+    assert (slope.species.height > 0).all()  # metres of the percentile for each of a plant
+    assert (slope.species.cover > 0).all()
+    higher, lower = (
+        scene.with_values({"species.Erica.height": height}).parameters for height in (0.61, 0.59)
+    )
+    quotient = (top(higher) - top(lower)) / 0.02
+    assert float(slope.species.height[0]) == pytest.approx(float(quotient), rel=0.1)
+
+
+def test_scenes_and_parameters_print_a_line_for_each_species(scene):
+    lines = str(scene.parameters).splitlines()
+    assert len(lines) == 1 + 2 + 2
+    assert lines[1].startswith("  1: cover 0.3, diameter 0.4 m, height 0.6 m, leaf_area_index ")
+    assert "leaf.chlorophyll 54.3 ug cm-2" in lines[2]
+    assert lines[-1] == "  light: sun_zenith 30 degree, sun_azimuth 0 degree, aerosol 0.1"
+    assert "Restio (tussock)" in scene._repr_html_()
+    assert "sun_zenith" in scene.parameters._repr_html_()
+    seen = []
+    jax.vmap(lambda p: seen.append(str(p)) or p.species.cover)(
+        jax.tree.map(lambda leaf: leaf[None], scene.parameters)
+    )
+    assert seen == ["Parameters of 2 species, shape (2,)"]
+
+
+def test_a_scene_is_read_from_a_plot_file_its_folder_or_a_table(scene, tmp_path):
+    from fynjax.io.plot import example_folder
+
+    options = {"size_m": (2.0, 2.0), "structure_m": "even"}
+    of_file = fx.read_scene(example_folder() / "plot.toml", **options)
+    of_folder = fx.read_scene(example_folder(), **options, seed=5)
+    assert of_file.taxa == of_folder.taxa
+    assert of_file.grid.extent[:2] == (2.0, 2.0)
+    assert of_folder.planting.foot.tolist() != of_file.planting.foot.tolist()
+    pd.DataFrame(TABLE).to_csv(tmp_path / "species.csv", index=False)
+    same = {"size": 2.0, "voxel": 0.25, "structure": "even"}
+    of_table = fx.read_scene(tmp_path / "species.csv", **same, seed=1)
+    np.testing.assert_array_equal(of_table.planting.foot, scene.planting.foot)
+    np.testing.assert_array_equal(of_table.parameters.species.cover, scene.parameters.species.cover)
+    with pytest.raises(InputError, match="expected the `size`"):
+        fx.read_scene(tmp_path / "species.csv")
+    with pytest.raises(InputError, match=r"`fx.read_scene` reads files"):
+        fx.Scene.from_table(str(tmp_path / "species.csv"), size=2.0)
+    (tmp_path / "species.csv").write_text("taxon,cover_percent\nErica,x\n")
+    with pytest.raises(InputError, match=r"species\.csv"):
+        fx.read_scene(tmp_path / "species.csv", size=2.0)
 
 
 def test_gradients_have_the_shape_of_the_parameters(scene):

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,9 +12,9 @@ import pandas as pd
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError, did_you_mean
+from fynjax.assembly._build import build_plot
 from fynjax.assembly._targets import (
     TargetRules,
-    fitting_structure,
     image_data,
     spectrum_data,
     structure_data,
@@ -38,13 +38,59 @@ from fynjax.inversion import (
 )
 from fynjax.inversion import fit as fit_function
 from fynjax.io.instruments import load_instrument
-from fynjax.io.plot import BY_FORM, LearnedPrior, read_prior
+from fynjax.io.plot import BY_FORM, LearnedPrior, read_plot, read_prior
+from fynjax.io.text import read_rows
 from fynjax.metrics import BANDS
-from fynjax.scene import Placement, PlotParameters, Scene, aim, named_values
+from fynjax.scene import (
+    Placement,
+    PlotParameters,
+    Scene,
+    SpeciesRow,
+    aim,
+    fitting_structure,
+    named_values,
+)
 from fynjax.sensors import Lidar, Sensor
 
 View = Callable[[Scene, PlotParameters], AbstractView]
 """Makes a sensor's view of a scene."""
+
+
+def read_scene(
+    path: str | Path,
+    *,
+    seed: int | None = None,
+    rounding: Literal["random", "up"] = "random",
+    **options: Any,
+) -> Scene:
+    """A scene with its parameters from a file: of a plot file, or of a species table.
+
+    **Arguments:**
+
+    - `path`: a plot file, the folder of one (`plot.toml`), or a species table (CSV).
+    - `seed`: of everything random; that of the plot file by default, of a table 0.
+    - `rounding`: of the numbers of plants, see `PlantingRules`; the commands `render`, `build` and
+      `simulate` round "up".
+    - `options`: of a table those of `Scene.from_table`, of which `size` is needed; of a plot file
+      values in place of its own, as the fields of `fynjax.io.plot.Plot` (`size_m=(5.0, 5.0)`).
+
+    **Raises:** `InputError` as `fynjax.io.plot.read_plot`, `build_plot` and `Scene.from_table`, and
+    for a table without `size`; `TypeError` for an option that there is not.
+
+    >>> import fynjax as fx
+    >>> from fynjax.io.plot import example_folder
+    >>> scene = fx.read_scene(example_folder(), size_m=(2.0, 2.0), structure_m="even")
+    >>> len(scene.taxa), scene.grid.shape[:2]
+    (13, (20, 20))
+    """
+    path = Path(path)
+    if path.is_dir() or path.suffix.lower() == ".toml":
+        plot = read_plot(path / "plot.toml" if path.is_dir() else path).replace(**options)
+        return build_plot(plot, seed=seed, rounding=rounding)[0]
+    if "size" not in options:
+        raise InputError("expected the `size` of the plot [m] with a species table", file=path)
+    rows = [row for _, row in read_rows(path, SpeciesRow, "a species table")]
+    return Scene.from_table(rows, seed=0 if seed is None else seed, rounding=rounding, **options)
 
 
 class PlotData(Data):

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from scipy.stats import chi2
 
 from fynjax._core.errors import InputError
+from fynjax._core.html import as_html
 from fynjax._core.precision import require_double_precision
 from fynjax.canopy import VoxelGrid
 from fynjax.inversion._expected import Replant, mean_information, with_error
@@ -100,6 +101,8 @@ class Calibration(eqx.Module):
                 str(self.fit).partition("\n")[2],
             ]
         )
+
+    _repr_html_ = as_html
 
     def stand(self) -> "pd.DataFrame":
         """Numbers of the whole stand before and after the data (`stand_table`)."""

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.special import stdtrit
 
 from fynjax._core.errors import InputError
+from fynjax._core.html import as_html
 from fynjax.inversion._space import ParameterSpace
 from fynjax.scene import PARAMETERS, parameter_kind
 
@@ -198,6 +199,8 @@ class FitResult(eqx.Module):
                 f"  {name} {row['estimate']:.4g} [{row['q05']:.4g}, {row['q95']:.4g}]{unit}"
             )
         return "\n".join(lines)
+
+    _repr_html_ = as_html
 
     def table(self) -> "pd.DataFrame":
         """Every parameter, in the unit of field crews: name, unit, median and standard deviation of

@@ -17,11 +17,12 @@ from fynjax._core.errors import InputError
 from fynjax._core.memory import free_memory
 from fynjax.assembly import stand_size
 from fynjax.io.instruments import load_instrument
-from fynjax.io.plot import Plot, visible_sensor
+from fynjax.io.plot import Plot
 from fynjax.io.raster import open_raster
 from fynjax.io.text import existing_file
 from fynjax.jobs._build import resized
 from fynjax.jobs._result import Record
+from fynjax.scene import visible_sensor
 from fynjax.sensors import FlashGeometry, Lidar, Sensor
 
 _START_S = 20.0

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.html import as_html
 from fynjax.canopy import (
     FORMS,
     PlantModel,
@@ -343,6 +344,8 @@ class Scene(eqx.Module):
                 f"{100 * diameter:.3g} cm, up to {height:.3g} m"
             )
         return "\n".join(lines)
+
+    _repr_html_ = as_html
 
     @property
     def taxa(self) -> tuple[str, ...]:

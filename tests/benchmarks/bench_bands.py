@@ -15,8 +15,8 @@ import numpy as np
 
 from fynjax.assembly import aim_at_plot, build_plot
 from fynjax.io.instruments import load_sensor
-from fynjax.io.plot import AtmosphereTable, example_folder, read_plot, visible_sensor
-from fynjax.scene import AimedSensor, PlotParameters, Scene
+from fynjax.io.plot import AtmosphereTable, example_folder, read_plot
+from fynjax.scene import AimedSensor, PlotParameters, Scene, visible_sensor
 
 ONE_BAND = 860.0
 """Centre of the band that the time of all is compared with [nm]."""
