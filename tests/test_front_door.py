@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +12,7 @@ import rasterio
 
 import fynjax as fx
 from fynjax.errors import InputError
-from fynjax.inversion import CalibrationSettings
+from fynjax.inversion import AbstractView, CalibrationSettings
 from fynjax.sensors import shipped_lidars
 
 COLUMNS = "taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_max_m"
@@ -252,6 +253,70 @@ def drone(scene, tmp_path_factory):
     return path
 
 
+class Numbers(AbstractView):
+    """Numbers of a plot that need no light, so that nothing takes long."""
+
+    names: tuple[str, ...] = eqx.field(static=True, default=("a", "b"))
+
+    def observe(self, scene, parameters):
+        cover, height = parameters.species.cover, parameters.species.height
+        return None, jnp.stack([cover @ height, cover[0] - cover[1]])
+
+    def for_search(self, scene, accuracy, stride):
+        return self
+
+
+@pytest.fixture(scope="module")
+def numbers(scene):
+    """Numbers of a denser plot."""
+    dense = scene.with_values({"species.Erica.cover": 0.45})
+    value = Numbers().predict(dense, dense.parameters)
+    data = fx.inversion.Data(Numbers().names, value, jnp.full(2, 0.01))
+    return fx.Data._of(data, (lambda *_: Numbers(),))
+
+
+def test_a_fit_of_a_scene_leads_with_the_stand_and_is_gone_on_with(scene, numbers):
+    free = fx.free(scene, "species.*.cover")
+    found = fx.fit(scene, numbers, free, settings=QUICK)
+    lines = str(found).splitlines()
+    assert lines[1].startswith("The stand: green leaf area ")
+    assert "The stand: " in found._repr_html_()
+    assert set(found.stand()["unit"]) <= {"m2 m-2", "g m-2", "1"}
+    own, other = (np.asarray(stand.planting.foot) for stand in found.stands)
+    assert not np.isin(own, other).any()  # sites are drawn again
+    at = float(found.after.species.cover[0])
+    assert at == pytest.approx(0.45, abs=0.03)
+    wider = fx.free(scene, "species.*.cover", "species.Restio.height")
+    again = fx.fit(scene, numbers, wider, settings=QUICK, start=found)
+    assert float(again.before.species.cover[0]) == pytest.approx(at, rel=1e-6)
+    assert float(again.before.species.height[1]) == pytest.approx(0.5)
+    drawn = fx.sample(found, "laplace", target=50.0)
+    assert drawn.values.shape[-1] == 2
+
+
+def test_plants_of_another_chance_stand_elsewhere(scene):
+    """The same number finds the same plants; more of them join those that there were."""
+    again = scene.replanted(0)
+    for one, other in zip(
+        jax.tree.leaves(scene.planting), jax.tree.leaves(again.planting), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+    other = scene.replanted(3)
+    assert len(other.planting.foot) == len(scene.planting.foot)
+    assert not np.isin(other.planting.foot, scene.planting.foot).any()
+    np.testing.assert_array_equal(other.planting.foot, scene.replanted(3).planting.foot)
+    counts = 4.0 * np.asarray(scene.counts(scene.parameters))
+    more = scene.replanted(0, counts)
+    assert (np.bincount(more.planting.species) >= counts).all()
+    there = {tuple(foot) for foot in more.planting.foot.tolist()}
+    assert {tuple(foot) for foot in scene.planting.foot.tolist()} < there
+    known = dataclasses.replace(scene, known_plants=True)
+    assert known.replanted(2) is known
+    with pytest.raises(InputError, match="given shapes cannot be drawn again"):
+        dataclasses.replace(scene, shaped=True).replanted(1)
+
+
+@pytest.mark.slow
 def test_a_scene_is_fitted_to_an_image_and_sampled(scene, drone):
     free = fx.free(scene, "species.*.cover", "species.*.leaf.chlorophyll")
     data = fx.Data.from_image(drone, "mavic_3m", statistics=("*.mean",), gain_sd=0.01)

@@ -331,6 +331,7 @@ def fit(
     solver: Any = None,
     max_steps: int = 30,
     settings: CalibrationSettings | None = None,
+    start: Calibration | FitResult | Float[Array, " free"] | None = None,
     **options: Any,
 ) -> Any:
     """The most probable parameters of a scene, or of any function, given what was measured.
@@ -343,8 +344,11 @@ def fit(
     - `solver`: `fx.BroydenLM()` by default; or a solver object of optimistix or jaxopt.
     - `max_steps`: most steps of the solver, of a scene in the first round.
     - `settings`: of a scene: plantings, rounds and light of the search, with its own `max_steps`.
-    - `options`: of a function as `fynjax.inversion.fit` takes them: `tolerance`, `start`, `offset`,
-      `context`; of a scene as `fynjax.inversion.calibrate_plot`: `start`, `replant`.
+    - `start`: what an earlier fit found, to go on from there: parameters that it did not have start
+      at their priors. Or whitened coordinates. By default the prior's centre.
+    - `options`: of a function as `fynjax.inversion.fit` takes them: `tolerance`, `offset`,
+      `context`; of a scene as `fynjax.inversion.calibrate_plot`: `replant`, by default the scene's
+      own (`Scene.replanted`).
 
     **Returns:** `Calibration` of a scene, `FitResult` of a function; both print what they found.
 
@@ -355,7 +359,10 @@ def fit(
             raise InputError(f"expected a scene or a function, but got {model!r:.60}")
         if settings is not None:
             raise InputError("expected `settings` with a scene, not with a function")
-        return fit_function(model, data, free, solver=solver, max_steps=max_steps, **options)
+        return fit_function(
+            model, data, free, solver=solver, max_steps=max_steps,
+            start=_place(start, free), **options,
+        )  # fmt: skip
     sensors = data.sensors if isinstance(data, PlotData) else ()
     if not sensors:
         raise InputError(
@@ -363,9 +370,27 @@ def fit(
         )
     views = [view(model, model.parameters) for view in sensors]
     settings = CalibrationSettings(max_steps=max_steps) if settings is None else settings
+    options = {"replant": model.replanted} | options
     return calibrate_plot(
-        model, model.parameters, data, free, views, settings, solver=solver, **options
-    )
+        model, model.parameters, data, free, views, settings,
+        solver=solver, start=_place(start, free), **options,
+    )  # fmt: skip
+
+
+_FARTHEST = 4.0
+"""Of a start from the prior [standard deviations]: beyond, a parameter at its bound is flat."""
+
+
+def _place(start: Any, space: ParameterSpace) -> Float[Array, " free"] | None:
+    """Whitened coordinates of an earlier fit's estimate, or as they were given."""
+    found = start.fit if isinstance(start, Calibration) else start
+    if not isinstance(found, FitResult):
+        return found
+    if bool(eqx.tree_equal(found.space, space)):
+        return found.whitened
+    known = dict(zip(found.names, found.estimate))
+    values = [known.get(name, prior) for name, prior in zip(space.names, space.prior)]
+    return jnp.clip(space.whitened(jnp.stack(values)), -_FARTHEST, _FARTHEST)
 
 
 def sample(

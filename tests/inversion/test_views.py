@@ -51,7 +51,6 @@ from fynjax.inversion._fit_result import fit_result, scatter_covariance, status_
 from fynjax.inversion._views import (
     GAIN_SHARED,
     Directions,
-    _projections,
     informative_directions,
     radiometric_covariance,
 )
@@ -60,6 +59,7 @@ from fynjax.jobs._run import Run
 from fynjax.metrics import STRUCTURE_METRICS, voxel_structure
 from fynjax.radiation import parallel_rays, reflectance_factor, solve_light
 from fynjax.scene import stand_realisation, with_values
+from fynjax.scene._structure import _projections
 from fynjax.sensors import BandSet
 from tests.scene.plots import TAXA, densities, drone, small_parameters, small_plot
 
@@ -961,16 +961,31 @@ def test_a_twin_of_three_sensors_is_reproduced():
     assert "species.Erica irregularis.height" in found.fit.well_constrained()
 
 
+TRACES = []
+
+
+class Traced(Sums):
+    """Notes each time that a program is made of it."""
+
+    def observe(self, model, parameters):
+        TRACES.append(self.lack)
+        return super().observe(model, parameters)
+
+
 @pytest.mark.parametrize(
     "solver",
-    [optx.Dogleg(1e-4, 1e-4), jaxopt.LBFGSB(fun=jnp.sum, tol=1e-3)],
+    [
+        optx.Dogleg(1e-4, 1e-4),
+        pytest.param(jaxopt.LBFGSB(fun=jnp.sum, tol=1e-3), marks=pytest.mark.slow),
+    ],
     ids=["Dogleg", "LBFGSB"],
 )
 def test_a_calibration_takes_any_solver(sums, whole, solver):
-    """To the same estimate, with errors and rounds of its own search."""
-    model, start, data, space = sums
-    settings = CalibrationSettings(stand_realisations=2, scatter_draws=3, max_steps=60)
-    found = calibrate_plot(model, start, data, space, (Sums(),), settings, solver=solver)
+    """To the same estimate, with errors and rounds of its own search; compiled once for all."""
+    calibrated(sums, Traced(), rounds=1, max_steps=60, solver=solver)
+    compiled = len(TRACES)
+    found = calibrated(sums, Traced(), max_steps=60, solver=solver)
+    assert len(TRACES) == compiled
     assert found.fit.converged
     sd = np.sqrt(np.diagonal(whole.fit.covariance))
     assert (
