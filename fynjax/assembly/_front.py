@@ -424,7 +424,7 @@ def sample(
         )
     if not isinstance(fitted, Calibration):
         raise InputError(f"expected what `fx.fit` returns, but got {fitted!r:.60}")
-    found = fit_surrogate(fitted, fitted.before, fitted.coarse_views, seed=seed)
+    found = fit_surrogate(fitted, seed=seed)
     start = fitted.fit
     return sample_posterior(
         found.surrogate, fitted.data, start.space, method=method, start=start, seed=seed, **options

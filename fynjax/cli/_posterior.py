@@ -32,13 +32,6 @@ def posterior(
     free: Free = None,
     draws: Annotated[int, typer.Option(min=1, help="Effective draws to reach.")] = 400,
     steps: Annotated[int, typer.Option(min=1, help="Most steps of the chain.")] = 5000,
-    simulations: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            help="Simulations of the prior, for a regression that checks the posterior; 0: none.",
-        ),
-    ] = 300,
     prior: PriorFile = "none",
     checkpoint: Checkpoint = None,
     seed: OwnSeed = None,
@@ -67,7 +60,6 @@ def posterior(
         free=free,
         target_size=draws,
         max_steps=steps,
-        simulations=simulations,
         prior=prior,
         checkpoint=checkpoint,
         seed=seed,

@@ -447,7 +447,7 @@ def search_form(
     stride: int | None = None,
     accuracy: Accuracy = COARSE,
 ) -> tuple[Scene, tuple[AbstractView, ...]]:
-    """What a fit searches with: the scene in thick layers, and cheaper forms of its views.
+    """What a fit searches with: the scene in thick layers, and coarse forms of its views.
 
     **Arguments:**
 

@@ -51,7 +51,7 @@ class AbstractView(eqx.Module):
 
     @abc.abstractmethod
     def for_search(self, scene: Scene, accuracy: Accuracy, stride: int | None) -> Self:
-        """A cheaper form of the view, for a `scene` of thicker layers (`search_form`): light of
+        """The coarse form of the view, for a `scene` of thicker layers (`search_form`): light of
         `accuracy`, and of a drone's image every `stride`-th pixel along each axis, or those a voxel
         apart. `scene` is that of the full form."""
 

@@ -111,8 +111,8 @@ def sensitivity(
         ready = prepare(read, free, seed=run.seed)
     space = ready.space
     views = [image_view(read, ready.scene, ready.parameters, names)]
-    quick, cheap = search_form(ready.scene, ready.parameters, views)
-    predict = PlotForward(ready.parameters, space.names, cheap)
+    stand, coarse_views = search_form(ready.scene, ready.parameters, views)
+    predict = PlotForward(ready.parameters, space.names, coarse_views)
     at = np.asarray(space.prior)
     journal = None
     if checkpoint is not None:
@@ -132,7 +132,7 @@ def sensitivity(
         progress=run.progress,
     )
     common: dict[str, Any] = {
-        "context": (quick,),
+        "context": (stand,),
         "seed": run.seed,
         "batch": batch_for_device(),
         "journal": journal,
@@ -167,7 +167,7 @@ def sensitivity(
 
 
 def _planting(ready: Prepared, number: int) -> tuple[Scene]:
-    """The plot with other plants, in the cheap form: sites of another chance, in another order."""
+    """The plot with other plants, in the coarse form: sites of another chance, in another order."""
     try:
         scene = ready.replant(number)
     except InputError:  # another chance finds no room: the same sites in another order

@@ -207,7 +207,7 @@ class Scene(eqx.Module):
     fading: Bool[Array, ""] = eqx.field(converter=jnp.asarray, default=False)
     """Whether the last plants of each species stand in part, as `site_weight` and `element_weight`
     have it, instead of whole plants: the stand whose slopes are taken (`slope_of_fading`)."""
-    seed: Int[np.ndarray, ""] = eqx.field(converter=np.asarray, default=0)
+    seed: Int[np.ndarray | Array, ""] = eqx.field(default_factory=lambda: np.zeros((), int))
     """Of what was drawn; no part of what is observed."""
     probability: Float[np.ndarray, "y x"] | None = None
     """Where plants were likely to stand, as of `PlantingRules`."""
