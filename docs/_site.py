@@ -114,15 +114,6 @@ def usage(name: str) -> str:
     return f"{words.strip()}\n\n```sh\n{example.strip()}\n```"
 
 
-def command_list() -> str:
-    """Every command with the first sentence of its help."""
-    rows = [
-        (f"[`{name}`]({name}.md)", command.help.split("\n\n")[0])
-        for name, command in commands().items()
-    ]
-    return table(("command", "what it does"), rows)
-
-
 # Files.
 
 
@@ -272,7 +263,7 @@ def citations() -> str:
 
 _OWNERS: dict[str, Callable[..., str]] = {
     function.__name__: function
-    for function in (*(options, usage, command_list, keys, parameters, forms, sensors, citations),)
+    for function in (*(options, usage, keys, parameters, forms, sensors, citations),)
 }
 _LINE = re.compile(r"^\{\{ (\w+)(?: ([\w -]+?))? \}\}$", re.MULTILINE)
 

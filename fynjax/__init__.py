@@ -13,11 +13,13 @@
 - `fx.canopy_reflectance`, `fx.canopy_albedo`, `fx.fit_canopy`: a uniform canopy in one line, and
   backward.
 - `fx.jobs`: what the commands do, from Python.
+- `fx.progress`: bars of how far long work is, `with fx.progress(): ...`; the logger `fynjax` has
+  its stages too.
 - `fx.cite`: BibTeX of the models used.
 - `fx.errors`: what a user's input can raise; the other packages by their names.
 """
 
 import lazy_loader
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -14,6 +14,7 @@ from . import sensors as sensors
 from . import studies as studies
 from . import terrain as terrain
 from ._cite import cite as cite
+from ._core.progress import progress as progress
 from ._sensor import sensor as sensor
 from .assembly import Data as Data
 from .assembly import emulate as emulate

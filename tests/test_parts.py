@@ -24,6 +24,7 @@ from fynjax._core import parts
 from fynjax._core.checkpoint import Journal, forget_journal
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Pool, Workers, at_work
+from tests.heard import hearing
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 """dask leaves pipes and sockets of processes that died to the garbage collection."""
@@ -80,30 +81,16 @@ def slow(number: int, folder: Path) -> tuple[np.ndarray, ...]:
     return (np.array(number),)
 
 
-class Heard:
-    """Progress that counts."""
-
-    def __init__(self) -> None:
-        self.steps, self.names = 0, set()
-
-    def stage(self, name, total=None):
-        return contextlib.nullcontext()
-
-    def advance(self, n=1, **info):
-        self.steps += n
-        self.names.add(info.get("part"))
-
-
 def test_two_processes_give_what_one_does(two) -> None:
-    heard = Heard()
     names = [f"plot {i}" for i in range(7)]
-    with pytest.warns(UserWarning, match="five is odd"):
-        there = two.all(scaled, range(7), 0.1, names=names, progress=heard)
+    with hearing() as heard, pytest.warns(UserWarning, match="five is odd"):
+        there = two.all(scaled, range(7), 0.1, names=names)
     with pytest.warns(UserWarning, match="five is odd"):
         here = Pool().all(scaled, range(7), 0.1)
     assert [a[0].tobytes() for a in there] == [a[0].tobytes() for a in here]
     assert os.getpid() not in {int(pid) for _, pid in there}
-    assert (heard.steps, heard.names) == (7, set(names))
+    assert heard.count == 7
+    assert {info["part"] for info in heard.shown} == set(names)
     matrix = np.random.default_rng(1).normal(size=(300, 300))
     for a, b in zip(two.all(light, range(4), matrix), Pool().all(light, range(4), matrix)):
         assert [x.dtype for x in a] == [x.dtype for x in b]
@@ -152,7 +139,7 @@ def test_a_result_whose_worker_dies_before_it_is_fetched_is_waited_for(monkeypat
         cancel=lambda *_, **__: None,
     )  # fmt: skip
     pool = parts._DaskPool(client, None)
-    found = list(pool._answers(numbered, [0, 1], [0, 1], (), Heard()))
+    found = list(pool._answers(numbered, [0, 1], [0, 1], ()))
     assert found == [(0, 0), (1, 1)]
 
 

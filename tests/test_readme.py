@@ -14,32 +14,49 @@ from fynjax.cli import app
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
+COMMANDS = (ROOT / "docs/commands/index.md").read_text("utf-8")
+PYTHON = (ROOT / "docs/python.md").read_text("utf-8")
 
 
-def blocks(language: str) -> list[str]:
-    """Code blocks of the README in one language."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+def blocks(language: str, page: str = README) -> list[str]:
+    """Code blocks of a page in one language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
 
 
-def run_example(number: int, folder: Path) -> dict[str, Any]:
-    """Names that one of the README's Python examples leaves."""
+def run(source: str, folder: Path) -> dict[str, Any]:
+    """Names that a script leaves."""
     script = folder / "example.py"
-    script.write_text(blocks("python")[number], "utf-8")
+    script.write_text(source, "utf-8")
     return runpy.run_path(str(script))
 
 
+def test_a_screen_is_enough() -> None:
+    assert len(README.splitlines()) < 80
+    assert README.count("![") == 1
+    assert len(blocks("sh")) == 2
+    assert len(blocks("python")) == 1
+
+
 def test_a_scene_from_a_table_is_seen_by_a_drone(tmp_path: Path) -> None:
-    source = blocks("python")[0]
+    (source,) = blocks("python")
     assert sum(bool(line.strip()) for line in source.splitlines()) < 10
-    image = run_example(0, tmp_path)["image"].reflectance
+    image = run(source, tmp_path)["image"].reflectance
     assert image.shape == (4, 20, 20)
     green, red, red_edge, nir = np.asarray(image.mean(axis=(1, 2)))
     assert 0 < green < red < red_edge < nir < 0.6  # much soil between few plants
 
 
 @pytest.mark.slow
+def test_gradients_and_leaves_of_the_page_on_python(tmp_path: Path) -> None:
+    names = run("".join(blocks("python", PYTHON)[:3]), tmp_path)
+    assert names["slope"].species.cover.shape == (2,)
+    assert bool((names["slope"].species.cover > 0).all())  # more plants, greener
+    assert 0 < float(names["canopy"].min()) < float(names["canopy"].max()) < 0.7
+
+
+@pytest.mark.slow
 def test_radiation_example_closes_the_energy(tmp_path: Path) -> None:
-    names = run_example(1, tmp_path)
+    names = run(blocks("python", PYTHON)[-1], tmp_path)
     nadir, share, gradient = names["nadir"], names["share"], names["gradient"]
     closed = share.albedo + share.absorbed.sum(axis=1) + share.ground_absorbed
     np.testing.assert_allclose(closed, 1.0, atol=1e-4)
@@ -53,7 +70,7 @@ def test_radiation_example_closes_the_energy(tmp_path: Path) -> None:
 
 def test_commands_and_their_options_exist() -> None:
     shown = CliRunner().invoke(app, ["--help"]).output
-    named = set(re.findall(r"^\| `([a-z-]+)` \|", README, re.MULTILINE))
+    named = set(re.findall(r"^\| \[`([a-z-]+)`\]", COMMANDS, re.MULTILINE))
     commands = {c.name or c.callback.__name__ for c in app.registered_commands if c.callback}
     assert named == commands >= {"demo", "render", "calibrate"}
     assert all(name in shown for name in named)
@@ -66,28 +83,19 @@ def test_commands_and_their_options_exist() -> None:
                 assert option in text, f"{name} {option}"
     used = {
         line.split()[1]
-        for text in blocks("sh")
+        for text in blocks("sh", COMMANDS)
         for line in text.splitlines()
         if line[:6] == "fynjax"
     }
     assert used <= named
 
 
-def test_layers_named_are_those_of_the_package() -> None:
-    named = set(re.findall(r"`fynjax\.(\w+)`", README))
-    assert named == {p.parent.name for p in (ROOT / "fynjax").glob("*/__init__.py")} - {"_core"}
-
-
 def test_files_and_modules_named_are_there() -> None:
-    for path in re.findall(r"`((?:notebooks|\.ci|data_schemas)/[\w./]*)`", README):
+    for path in re.findall(r"\]\(([\w./-]+)\)", README):
         assert (ROOT / path).exists(), path
     for path in ("constraints.txt", "LICENSE"):
         assert path in README
         assert (ROOT / path).is_file()
-    modules = re.findall(r"python -m ([\w.]+)", README)
-    for module in modules:
-        if module != "venv":
-            assert (ROOT / module.replace(".", "/")).with_suffix(".py").is_file(), module
 
 
 def test_constraints_are_plain_and_cover_the_dependencies() -> None:

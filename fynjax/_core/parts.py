@@ -3,7 +3,7 @@
 A part is a function of what can be sent to another process, and gives arrays. dask sends it there,
 tries it again where a process died, and brings the arrays back; nothing of that is done here. What
 is done here is the same wherever a part is computed: each result is kept as it comes, progress is
-shown over all parts, and a part that fails leaves the others alone.
+shown over all parts and not within them, and a part that fails leaves the others alone.
 
 All processes compute with the settings of the one that asked (precision, compiler, versions), so
 that numbers are the same to the bit on processors of one kind.
@@ -36,7 +36,7 @@ from fynjax._core.checkpoint import Journal
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.memory import free_memory
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import advance, listening
 
 Arrays = tuple[np.ndarray, ...]
 """What a part gives."""
@@ -124,7 +124,6 @@ class Pool:
         names: Sequence[str] | None = None,
         sizes: Sequence[int] | None = None,
         journal: Journal | None = None,
-        progress: Progress | None = None,
     ) -> Iterator[tuple[int, Arrays]]:
         """The number and the arrays of each part, in the order in which they are done.
 
@@ -137,13 +136,11 @@ class Pool:
         - `sizes`: steps of progress that each part is; one by default.
         - `journal`: keeps the arrays of each part; those of an earlier run are given at once. The
           next `len(parts)` of its steps are these.
-        - `progress`: advanced by the size of each part, in the stage that is open.
 
         **Raises:** after all others are done, `InputError` that says which parts failed and why;
         and where the scheduler is lost or results cannot be kept. Warnings of parts are given here.
         """
         names = [f"{i + 1}" for i in range(len(parts))] if names is None else names
-        progress = NullProgress() if progress is None else progress
         first = 0 if journal is None else journal.reserve(len(parts))
         open_parts = []
         for i in range(len(parts)):
@@ -151,10 +148,10 @@ class Pool:
             if kept is None:
                 open_parts.append(i)
                 continue
-            progress.advance(1 if sizes is None else sizes[i], part=names[i])
+            advance(1 if sizes is None else sizes[i], part=names[i])
             yield i, kept
         failures = _Failures()
-        answers = self._answers(function, parts, open_parts, shared, progress)
+        answers = self._answers(function, parts, open_parts, shared)
         with contextlib.closing(answers):
             for i, answer in answers:
                 for text in answer.warnings:
@@ -168,7 +165,7 @@ class Pool:
                     if journal is not None:
                         journal.put(first + i, answer.arrays)
                     yield i, answer.arrays
-                progress.advance(1 if sizes is None else sizes[i], part=names[i])
+                advance(1 if sizes is None else sizes[i], part=names[i])
         if failures.lines:
             raise InputError(_sentence(failures, len(parts), journal is not None))
 
@@ -185,7 +182,6 @@ class Pool:
         parts: Sequence[Any],
         open_parts: Sequence[int],
         shared: tuple[Any, ...],
-        progress: Progress,
     ) -> Generator[tuple[int, _Answer], None, None]:
         for i in open_parts:
             yield i, _here(function, parts[i], shared)
@@ -203,7 +199,6 @@ class _DaskPool(Pool):
         parts: Sequence[Any],
         open_parts: Sequence[int],
         shared: tuple[Any, ...],
-        progress: Progress,
     ) -> Generator[tuple[int, _Answer], None, None]:
         distributed = require("distributed", "cluster")
         client = self._client
@@ -226,7 +221,7 @@ class _DaskPool(Pool):
                             list(doing), timeout=_POLL_SECONDS, return_when="FIRST_COMPLETED"
                         ).done
                 except TimeoutError:
-                    progress.advance(0, workers=len(client.nthreads()))
+                    advance(0, workers=len(client.nthreads()))
                     continue
                 for future in sorted(done, key=doing.__getitem__):
                     if future.status in ("lost", "pending"):
@@ -444,7 +439,7 @@ def _there(
 
 
 def _done(function: PartFunction, part: Any, shared: tuple[Any, ...]) -> _Answer:
-    with warnings.catch_warnings(record=True) as caught:
+    with listening(None), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
         try:

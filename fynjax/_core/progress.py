@@ -1,28 +1,166 @@
-"""How a long job reports its progress to its caller. The job knows nothing of terminals."""
+"""How far long work is: work tells of its stages and steps, and whoever listens shows them.
 
-from contextlib import AbstractContextManager, nullcontext
-from typing import Protocol, runtime_checkable
+Long work says `with stage("Read"):` and `advance()`, or `for item in track(items, "Plantings"):`.
+Who listens is a context variable: `progress` shows bars, and where nobody listens nothing is shown.
+The beginning and the time of each stage also go to the logger `fynjax`, at the level INFO.
+"""
+
+import logging
+import time
+from collections.abc import Iterable, Iterator, Sized
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextvars import ContextVar
+from importlib.util import find_spec
+from typing import Protocol, TypeVar
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
+Item = TypeVar("Item")
+_log = logging.getLogger("fynjax")
 
 
-@runtime_checkable
-class Progress(Protocol):
-    """What a job may call. Stages may nest; `advance` moves the innermost open stage."""
+class Listener(Protocol):
+    """What is told of stages, which may nest, and of the steps of the innermost open one."""
 
-    def stage(self, name: str, total: int | None = None) -> AbstractContextManager[None]:
-        """Open a stage called `name` of `total` steps (`None`: unknown), until the block ends."""
+    def stage(self, name: str, total: int | None) -> AbstractContextManager[None]:
+        """A stage of `total` steps (`None`: unknown) that is open until the block ends."""
         ...
 
-    def advance(self, n: int = 1, **info: float | str) -> None:
-        """Count `n` steps of the open stage; `info` is shown beside it, such as `loss=0.3`."""
+    def advance(self, n: int, **info: float | str) -> None:
+        """`n` steps of the innermost open stage are done; `info` is shown beside its bar."""
         ...
 
 
-class NullProgress:
-    """Reports nothing: the default of every job."""
+_listener: ContextVar[Listener | None] = ContextVar("fynjax.progress", default=None)
 
-    def stage(self, name: str, total: int | None = None) -> AbstractContextManager[None]:
-        """Open a stage that is not reported."""
-        return nullcontext()
 
-    def advance(self, n: int = 1, **info: float | str) -> None:
-        """Do nothing."""
+@contextmanager
+def listening(listener: Listener | None) -> Iterator[None]:
+    """`listener` is told of what the block does, and nobody else; `None`: nobody is."""
+    before = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(before)
+
+
+def is_heard() -> bool:
+    """Whether somebody listens."""
+    return _listener.get() is not None
+
+
+@contextmanager
+def stage(name: str, total: int | None = None) -> Iterator[None]:
+    """A stage of long work, of `total` steps (`None`: unknown), that is open until the block
+    ends."""
+    listener, began = _listener.get(), time.perf_counter()
+    _log.info("%s: begins", name)
+    with nullcontext() if listener is None else listener.stage(name, total):
+        yield
+    _log.info("%s: took %.1f s", name, time.perf_counter() - began)
+
+
+def advance(n: int = 1, **info: float | str) -> None:
+    """Count `n` steps of the innermost open stage; `info`, such as `loss=0.3`, is shown beside."""
+    listener = _listener.get()
+    if listener is not None:
+        listener.advance(n, **info)
+
+
+def track(items: Iterable[Item], name: str, total: int | None = None) -> Iterator[Item]:
+    """The items, one after another, as the steps of a stage; `total` of them, if they cannot say
+    how many they are."""
+    with stage(name, len(items) if isinstance(items, Sized) else total):
+        for item in items:
+            yield item
+            advance()
+
+
+@contextmanager
+def progress(console: Console | None = None) -> Iterator[None]:
+    """Show how far long work is while the block runs, a bar for each of its stages.
+
+    Works in a terminal, and in a notebook that has ipywidgets; elsewhere the bars are printed once
+    when they are full. The logger `fynjax` has the beginning and the time of each stage whether
+    bars are shown or not.
+
+    **Arguments:** `console`, of rich; standard error if left out.
+
+    Example: `with fx.progress(): fx.calibrate("plot.toml", "drone.tif", Path("results"))`.
+    """
+    if console is None:  # rich shows nothing in a notebook without ipywidgets
+        console = Console(stderr=True, force_jupyter=None if find_spec("ipywidgets") else False)
+    with listening(_Bars(console)):
+        yield
+
+
+class _Count(ProgressColumn):
+    """'3/10' where the total is known, nothing where it is not."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._known = MofNCompleteColumn()
+
+    def render(self, task: Task) -> Text:
+        return self._known.render(task) if task.total is not None else Text("")
+
+
+def _shown(info: dict[str, float | str]) -> str:
+    return "  ".join(
+        f"{name} {value if isinstance(value, str) else f'{value:.4g}'}"
+        for name, value in info.items()
+    )
+
+
+class _Bars:
+    """One bar for each stage: name, bar, count, time used, time left, and what the work tells."""
+
+    def __init__(self, console: Console) -> None:
+        self._bars = Progress(
+            SpinnerColumn(finished_text="✓"),
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            _Count(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(elapsed_when_finished=False),
+            TextColumn("{task.fields[info]}"),
+            console=console,
+        )
+        self._open: list[tuple[int, int | None]] = []
+
+    @contextmanager
+    def stage(self, name: str, total: int | None) -> Iterator[None]:
+        label = "  " * len(self._open) + name
+        if not self._open:
+            self._bars.start()
+        task = self._bars.add_task(label, total=total, info="")
+        self._open.append((task, total))
+        try:
+            yield
+            # Work may end early (converged) or not count at all: the bar is full all the same.
+            done = total if total is not None else 1
+            self._bars.update(task, total=done, completed=done)
+        finally:
+            self._bars.stop_task(task)
+            self._open.pop()
+            if not self._open:
+                self._bars.stop()
+
+    def advance(self, n: int, **info: float | str) -> None:
+        if self._open:
+            task = self._open[-1][0]
+            self._bars.update(task, advance=n)  # type: ignore[arg-type]
+            if info:
+                self._bars.update(task, info=_shown(info))  # type: ignore[arg-type]

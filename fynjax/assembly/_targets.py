@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
 from fynjax.assembly._forward import image_view
 from fynjax.compare import read_drone_image, read_spectra_sample
 from fynjax.compare.structure import ComparisonSettings, cloud_structure
@@ -144,7 +143,6 @@ def read_targets(
     *,
     bands: Sequence[str] | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
 ) -> tuple[Measured, ...]:
     """Read what a plot is to be calibrated to: one measurement of each kind at most.
 
@@ -154,7 +152,6 @@ def read_targets(
     - `paths`: files of images, spectra, point clouds, or tables of their statistics.
     - `bands`: of a drone's image, as `read_drone_image` has them.
     - `seed`: of the resampling of a cloud's cells.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** what was measured: image, spectrum, structure, those that there are.
 
@@ -171,11 +168,11 @@ def read_targets(
                 file=path,
             )
         if kind == "image":
-            found[kind] = image_target(plot, path, bands, progress)
+            found[kind] = image_target(plot, path, bands)
         elif kind == "spectrum":
-            found[kind] = spectrum_target(plot, path, progress)
+            found[kind] = spectrum_target(plot, path)
         else:
-            found[kind] = structure_target(plot, path, seed, progress)
+            found[kind] = structure_target(plot, path, seed)
     if bands is not None and "image" not in found:
         raise InputError("expected `bands` with a drone image, but no target is one")
     return tuple(found[kind] for kind in KINDS if kind in found)
@@ -213,13 +210,10 @@ def image_target(
     plot: Plot,
     path: Path,
     bands: Sequence[str] | None = None,
-    progress: Progress | None = None,
 ) -> Measured:
     """The statistics of a drone's image (GeoTIFF), with its `bands`, or of a table (CSV)."""
     pixel = sensor_place(plot)[1]
-    data, extra, _ = image_data(
-        path, _rules(plot), pixel=pixel, side=min(plot.size_m), bands=bands, progress=progress
-    )
+    data, extra, _ = image_data(path, _rules(plot), pixel=pixel, side=min(plot.size_m), bands=bands)
     description = f"{path.name}: {len(data.names)} statistics of a drone's image."
     return Measured("image", path, data, drone_view(plot, data.names), description, extra)
 
@@ -231,7 +225,6 @@ def image_data(
     pixel: float | None = None,
     side: float = np.inf,
     bands: Sequence[str] | None = None,
-    progress: Progress | None = None,
 ) -> tuple[Data, dict[str, Any], float | None]:
     """Statistics of a drone's image, or of a table of them, as targets.
 
@@ -242,7 +235,6 @@ def image_data(
     - `pixel`: edge of a pixel on the ground where the image does not state it [m].
     - `side`: of the plot [m]: means over squares wider than it are left out.
     - `bands`: of the image, as `read_drone_image` has them.
-    - `progress`: where to report the reading; nowhere by default.
 
     **Returns:** the targets, what the summary says of them, and the edge of a pixel [m].
 
@@ -250,7 +242,7 @@ def image_data(
     """
     extra: dict[str, Any] = {}
     if path.suffix.lower() in (".tif", ".tiff"):
-        image = read_drone_image(path, bands=bands, most_pixels=None, progress=progress)
+        image = read_drone_image(path, bands=bands, most_pixels=None)
         pixel = pixel if image.pixel_m is None else image.pixel_m
         if pixel is None:
             raise InputError("expected `pixel`: the image states none in metres", file=path)
@@ -290,14 +282,12 @@ def drone_view(
 # -- spectra ----------------------------------------------------------------------------------
 
 
-def spectrum_target(plot: Plot, path: Path, progress: Progress | None = None) -> Measured:
+def spectrum_target(plot: Plot, path: Path) -> Measured:
     """The mean of a file's spectra or pixels, in some thirty bands outside the water windows."""
-    return spectrum_data(path, _rules(plot), plot.sun.zenith, progress)
+    return spectrum_data(path, _rules(plot), plot.sun.zenith)
 
 
-def spectrum_data(
-    path: Path, rules: TargetRules, sun_zenith: float, progress: Progress | None = None
-) -> Measured:
+def spectrum_data(path: Path, rules: TargetRules, sun_zenith: float) -> Measured:
     """The mean of a file's spectra or pixels, in some thirty bands outside the water windows.
 
     **Arguments:**
@@ -305,11 +295,10 @@ def spectrum_data(
     - `path`: of spectra or of an image of many bands.
     - `rules`: which bands count.
     - `sun_zenith`: of the sun, for the sensor's noise in reflectance [degrees].
-    - `progress`: where to report the reading; nowhere by default.
 
     **Raises:** `InputError` as the readers, and for spectra without usable bands.
     """
-    sample = read_spectra_sample([path], progress=progress)
+    sample = read_spectra_sample([path])
     grid = sample.wavelength
     count, mean = len(sample.values), sample.values.mean(axis=0)
     try:
@@ -388,12 +377,10 @@ def reflectance_noise(
 # -- clouds -----------------------------------------------------------------------------------
 
 
-def structure_target(
-    plot: Plot, path: Path, seed: int, progress: Progress | None = None
-) -> Measured:
+def structure_target(plot: Plot, path: Path, seed: int) -> Measured:
     """Structure metrics of a cloud, or of a table of them (CSV)."""
     settings, grains = structure_settings(plot)
-    return structure_data(path, _rules(plot), settings, grains, seed, progress)
+    return structure_data(path, _rules(plot), settings, grains, seed)
 
 
 def structure_data(
@@ -402,7 +389,6 @@ def structure_data(
     settings: StructureSettings,
     grains: tuple[float, ...],
     seed: int,
-    progress: Progress | None = None,
 ) -> Measured:
     """Structure metrics of a point cloud, or of a table of them, as targets.
 
@@ -412,7 +398,6 @@ def structure_data(
     - `rules`: which metrics count.
     - `settings`, `grains`: of structure that fits the scene's voxels (`structure_settings`).
     - `seed`: of the resampling of cells.
-    - `progress`: where to report the reading; nowhere by default.
 
     **Raises:** `InputError` as the readers, and for a table of another grain.
     """
@@ -435,7 +420,6 @@ def structure_data(
             path,
             ComparisonSettings(structure=settings, grains=grains),
             seed=seed,
-            progress=progress,
         )
         values = {}
         for name, one in found.metrics.items():

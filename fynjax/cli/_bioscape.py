@@ -50,6 +50,6 @@ def bioscape(
     """
     from fynjax.studies.bioscape import run_bioscape
 
-    return lambda target, progress: run_bioscape(
-        folder, target, plots=plot or None, traits=traits, prior=prior, progress=progress
+    return lambda target: run_bioscape(
+        folder, target, plots=plot or None, traits=traits, prior=prior
     )

@@ -49,7 +49,7 @@ def build(
     """
     from fynjax import jobs
 
-    return lambda folder, progress: jobs.build(
+    return lambda folder: jobs.build(
         plot,
         folder,
         seed=seed,
@@ -58,5 +58,4 @@ def build(
         mesh=mesh,
         max_triangles=triangles,
         view=view.value,
-        progress=progress,
     )

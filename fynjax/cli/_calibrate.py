@@ -58,7 +58,7 @@ def calibrate(
         existing_file(path, "an image, a spectrum, a point cloud or a table of their statistics")
     from fynjax import jobs
 
-    return lambda folder, progress: jobs.calibrate(
+    return lambda folder: jobs.calibrate(
         plot,
         target,
         folder,
@@ -66,5 +66,4 @@ def calibrate(
         prior=prior,
         seed=seed,
         checkpoint=checkpoint,
-        progress=progress,
     )

@@ -50,7 +50,7 @@ def calibrate_plots(
     from fynjax.studies.bioscape import Resolution
     from fynjax.studies.bioscape import calibrate_plots as run_calibrate_plots
 
-    return lambda target, progress: run_calibrate_plots(
+    return lambda target: run_calibrate_plots(
         folder,
         target,
         plots=plot or None,
@@ -61,5 +61,4 @@ def calibrate_plots(
         seed=seed,
         checkpoint=checkpoint,
         workers=Workers(workers, scheduler),
-        progress=progress,
     )

@@ -18,4 +18,4 @@ def convert(spectra: Spectra, panel: PanelTable = None) -> Job:
     existing_panel(panel)
     from fynjax import jobs
 
-    return lambda folder, progress: jobs.convert(spectra, folder, panel=panel, progress=progress)
+    return lambda folder: jobs.convert(spectra, folder, panel=panel)

@@ -26,4 +26,4 @@ def demo(
     """
     from fynjax.studies import fynbos_2006
 
-    return lambda folder, progress: fynbos_2006.demo(folder, seed=seed, progress=progress)
+    return lambda folder: fynbos_2006.demo(folder, seed=seed)

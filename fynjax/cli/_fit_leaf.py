@@ -199,7 +199,7 @@ def fit_leaf(
         further["posterior"] = posterior.value
     from fynjax import jobs
 
-    return lambda folder, progress: jobs.fit_leaf(
+    return lambda folder: jobs.fit_leaf(
         spectra,
         folder,
         version=version.value,
@@ -210,6 +210,5 @@ def fit_leaf(
         seed=seed,
         checkpoint=checkpoint,
         workers=jobs.Workers(workers, scheduler),
-        progress=progress,
         **further,
     )

@@ -58,7 +58,7 @@ def information(
     suns = None if sun is None else _numbers(sun, "--sun")
     from fynjax import jobs
 
-    return lambda folder, progress: jobs.information(
+    return lambda folder: jobs.information(
         plot,
         folder,
         free=free,
@@ -69,7 +69,6 @@ def information(
         sun_zenith=suns,
         realisations=realisations,
         seed=seed,
-        progress=progress,
     )
 
 

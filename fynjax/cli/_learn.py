@@ -59,7 +59,7 @@ def learn(
     from fynjax.studies.bioscape import Resolution
     from fynjax.studies.bioscape import learn as run_learn
 
-    return lambda target, progress: run_learn(
+    return lambda target: run_learn(
         folders,
         target,
         plots=plot or None,
@@ -72,5 +72,4 @@ def learn(
         seed=seed,
         checkpoint=checkpoint,
         workers=Workers(workers, scheduler),
-        progress=progress,
     )

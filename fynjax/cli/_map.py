@@ -98,7 +98,7 @@ def map_command(
 
     assert checkpoint is not None
     pixels = [_place(text) for text in pixel or ()]
-    return lambda folder, progress: jobs.map_cube(
+    return lambda folder: jobs.map_cube(
         cube,
         training,
         folder,
@@ -112,5 +112,4 @@ def map_command(
         seed=seed,
         checkpoint=checkpoint,
         workers=jobs.Workers(workers, scheduler),
-        progress=progress,
     )

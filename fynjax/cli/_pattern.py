@@ -66,7 +66,7 @@ def pattern(
     from fynjax import jobs
 
     greys = None if levels is None else [_grey(text) for text in levels.split(",")]
-    return lambda folder, progress: jobs.pattern(
+    return lambda folder: jobs.pattern(
         images,
         folder,
         clusters=clusters,
@@ -77,7 +77,6 @@ def pattern(
         pixel=pixel,
         align=align,
         seed=seed,
-        progress=progress,
     )
 
 

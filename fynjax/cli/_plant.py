@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
 from fynjax.cli._runtime import Job, Seed, command
 
 if TYPE_CHECKING:
@@ -113,9 +112,9 @@ def plant(
         "max_triangles": max_triangles,
     }
 
-    def job(folder: Path, progress: Progress) -> "PlantResult":
+    def job(folder: Path) -> "PlantResult":
         with _naming_options(source):
-            result = jobs.plant(source, folder, progress=progress, seed=seed, **options)
+            result = jobs.plant(source, folder, seed=seed, **options)
         warnings = [_as_options(text) for text in result.warnings]
         return result.model_copy(update={"warnings": warnings})
 

@@ -51,7 +51,7 @@ def posterior(
         existing_file(path, "an image, a spectrum, a point cloud or a table of their statistics")
     from fynjax import jobs
 
-    return lambda folder, progress: jobs.posterior(
+    return lambda folder: jobs.posterior(
         plot,
         target,
         folder,
@@ -63,5 +63,4 @@ def posterior(
         prior=prior,
         checkpoint=checkpoint,
         seed=seed,
-        progress=progress,
     )

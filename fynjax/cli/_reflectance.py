@@ -76,7 +76,7 @@ def reflectance(
     """
     from fynjax import jobs
 
-    return lambda folder, progress: jobs.reflectance(
+    return lambda folder: jobs.reflectance(
         images,
         folder,
         panels=panel or (),
@@ -88,5 +88,4 @@ def reflectance(
         height=height,
         pixel=pixel,
         align=align,
-        progress=progress,
     )

@@ -18,6 +18,4 @@ def render(
     """
     from fynjax import jobs
 
-    return lambda folder, progress: jobs.render(
-        plot, folder, seed=seed, checkpoint=checkpoint, progress=progress
-    )
+    return lambda folder: jobs.render(plot, folder, seed=seed, checkpoint=checkpoint)

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
 
 if TYPE_CHECKING:
     from fynjax.jobs import JobResult
@@ -89,8 +88,8 @@ DryRun = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars and no text.")]
 
-Job = Callable[[Path, Progress], "JobResult"]
-"""What a command runs: writes into a folder, reports its progress, returns its result."""
+Job = Callable[[Path], "JobResult"]
+"""What a command runs: writes into a folder, returns its result."""
 
 DOUBTFUL = 3
 """Exit status with `--strict` where a result is to be doubted."""
@@ -230,15 +229,17 @@ def _announced(
 ) -> Job:
     """A job that says beforehand how long it takes, where that is long and progress is shown."""
 
-    def job(folder: Path, progress: Progress) -> "JobResult":
+    def job(folder: Path) -> "JobResult":
         task, options = ready()
-        if work is not None and not isinstance(progress, NullProgress):
+        from fynjax._core.progress import is_heard
+
+        if work is not None and is_heard():
             from fynjax.jobs import estimate
 
             expected = estimate(name, output, **work(options))
             if expected.is_long():
                 print(f"fynjax: {expected.sentence()}", file=sys.stderr)
-        return task(folder, progress)
+        return task(folder)
 
     return job
 
@@ -365,7 +366,7 @@ def run_job(
     checkpoint: Path | None = None,
     forget: bool = False,
 ) -> "JobResult":
-    """Run `job(folder, progress)`, print its result and return it.
+    """Run `job(folder)`, print its result and return it.
 
     Where an interrupted job leaves a `checkpoint`, a line names it; with `forget` its journal goes
     in the end. The job writes into a
@@ -374,9 +375,13 @@ def run_job(
     would stand beside results that they do not belong to. Warnings wait until then: if the job
     fails, its error is the only line.
     """
-    from fynjax.cli._progress import make_progress
+    from rich.console import Console
+
+    from fynjax._core.progress import progress
     from fynjax.io.text import remove_replaced, staged_folder, write_text
 
+    console = Console(stderr=True)
+    bars = progress(console) if console.is_terminal and not quiet and not as_json else nullcontext()
     with (
         _alone(output),
         nullcontext() if checkpoint is None else _alone(checkpoint),
@@ -389,7 +394,8 @@ def run_job(
         with staged_folder(output) as folder:
             prepare_jax()
             try:
-                result = job(folder, make_progress(quiet=quiet or as_json))
+                with bars:
+                    result = job(folder)
             except KeyboardInterrupt:
                 if checkpoint is None or not checkpoint.is_dir():
                     raise

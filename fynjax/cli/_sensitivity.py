@@ -73,7 +73,7 @@ def sensitivity(
     """
     from fynjax import jobs
 
-    return lambda folder, progress: jobs.sensitivity(
+    return lambda folder: jobs.sensitivity(
         plot,
         folder,
         metrics=[name.strip() for name in metrics.split(",")],
@@ -84,5 +84,4 @@ def sensitivity(
         seed=seed,
         checkpoint=checkpoint,
         workers=jobs.Workers(workers, scheduler),
-        progress=progress,
     )

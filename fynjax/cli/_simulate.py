@@ -62,7 +62,7 @@ def simulate(
     """
     from fynjax import jobs
 
-    return lambda folder, progress: jobs.simulate(
+    return lambda folder: jobs.simulate(
         plot,
         folder,
         sensor=sensor,
@@ -72,5 +72,4 @@ def simulate(
         noise=noise,
         products=jobs.PRODUCTS if product == Product.both else (product.value,),
         seed=seed,
-        progress=progress,
     )

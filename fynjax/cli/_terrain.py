@@ -121,7 +121,7 @@ def terrain(
     """
     from fynjax import jobs
 
-    return lambda folder, progress: _naming_options(
+    return lambda folder: _naming_options(
         jobs.terrain,
         file,
         folder,
@@ -138,5 +138,4 @@ def terrain(
         crs=crs,
         fill_gaps=fill_gaps,
         band=band,
-        progress=progress,
     )

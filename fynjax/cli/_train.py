@@ -56,7 +56,7 @@ def train(
     from fynjax.io.plot import DEFAULT_PRIOR
 
     assert checkpoint is not None
-    return lambda folder, progress: jobs.train(
+    return lambda folder: jobs.train(
         folder,
         sensor=sensor,
         like=like,
@@ -66,7 +66,6 @@ def train(
         seed=seed,
         checkpoint=checkpoint,
         workers=jobs.Workers(workers, scheduler),
-        progress=progress,
     )
 
 

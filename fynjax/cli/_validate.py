@@ -221,7 +221,7 @@ def validate(
     ):
         cloud_options[name] = _numbers(name, cloud_options[name], counts, form)
     windows = (*WATER_WINDOWS, *map(_window, exclude or ()))
-    return lambda folder, progress: jobs.validate(
+    return lambda folder: jobs.validate(
         data,
         folder,
         real_bands=None if real_bands is None else real_bands.split(","),
@@ -233,7 +233,6 @@ def validate(
         structure_preset=structure_preset,
         cloud_options=cloud_options,
         seed=seed,
-        progress=progress,
     )
 
 

@@ -71,7 +71,7 @@ def validate_plots(
     from fynjax.studies.bioscape import Resolution
     from fynjax.studies.bioscape import validate_plots as run_validate_plots
 
-    return lambda target, progress: run_validate_plots(
+    return lambda target: run_validate_plots(
         folder,
         target,
         plots=plot or None,
@@ -81,5 +81,4 @@ def validate_plots(
         seed=seed,
         checkpoint=checkpoint,
         workers=Workers(workers, scheduler),
-        progress=progress,
     )

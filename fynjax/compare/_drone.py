@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
 
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import advance, stage
 from fynjax.compare._images import FEW_PIXELS, DroneImage
 from fynjax.compare._published_tables import bands_2006, table4_2006
 from fynjax.metrics import (
@@ -56,9 +56,7 @@ class DroneComparison:
     """What a reader must know to judge the numbers."""
 
 
-def compare_drone_images(
-    real: DroneImage, simulated: DroneImage, *, progress: Progress | None = None
-) -> DroneComparison:
+def compare_drone_images(real: DroneImage, simulated: DroneImage) -> DroneComparison:
     """Compare bands and vegetation indices of two images by the distributions of their pixels.
 
     A pixel where an index is undefined (a black band, the root of a negative NDVI) is left out of
@@ -68,16 +66,14 @@ def compare_drone_images(
 
     - `real`, `simulated`: reflectance [band, y, x] in four bands [-], as of `read_drone_image`;
       they may differ in size and place.
-    - `progress`: is advanced once for each index; nothing is reported by default.
 
     **Returns:** a `DroneComparison`: means, standard deviations, histogram intersections and
     Kolmogorov-Smirnov distances beside those of the paper, and notes.
     """
-    progress = NullProgress() if progress is None else progress
     samples = (real.pixels, simulated.pixels)
     published = table4_2006()
     rows, full, shown = [], [], []
-    with progress.stage("Compare the drone images", len(VEGETATION_INDICES)):
+    with stage("Compare the drone images", len(VEGETATION_INDICES)):
         bands = _band_table(*samples)
         for name, index in VEGETATION_INDICES.items():
             x, y = (np.asarray(_index(s, name)) for s in samples)
@@ -104,7 +100,7 @@ def compare_drone_images(
             rows.append(row)
             full.append(_histograms(x, y, BINS, 0.0))
             shown.append(_histograms(x, y, _SHOWN_BINS, _CENTRAL[0]))
-            progress.advance()
+            advance()
     return DroneComparison(
         real=real,
         simulated=simulated,

@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
 from fynjax.io.raster import RasterFile, open_raster
 from fynjax.metrics import BANDS
 from fynjax.sensors import mavic_3m
@@ -93,7 +92,6 @@ def read_drone_image(
     bands: Sequence[str] | None = None,
     saturation: float | None = None,
     most_pixels: int | None = 1_000_000,
-    progress: Progress | None = None,
 ) -> DroneImage:
     """Read green, red, red edge and near infrared of an image, in blocks of rows.
 
@@ -109,7 +107,6 @@ def read_drone_image(
       of integers the largest value of their type always is, unless it is their no-data value.
     - `most_pixels`: of a larger image every k-th row and column is read, with the smallest k that
       gives no more; `None` reads all.
-    - `progress`: is advanced once for each block; nothing is reported by default.
 
     **Returns:** a `DroneImage`: reflectance [-] of the pixels that are compared.
 
@@ -139,7 +136,7 @@ def read_drone_image(
         data = file.dataset.indexes if file.dataset.count == len(BANDS) else file.bands
         numbers, taken, how = _find_bands(file, data, bands)
         step = 1 if most_pixels is None else thinning(*file.shape, most_pixels)
-        image = file.read(numbers, step=step, zero_is_data=False, progress=progress)
+        image = file.read(numbers, step=step, zero_is_data=False)
         t = file.dataset.transform
         pixel = None
         if not t.is_identity and not (file.crs is not None and file.crs.is_geographic):

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import stage
 from fynjax._core.spectral import check_wavelength
 from fynjax.compare._images import thinning
 from fynjax.io.raster import check_netcdf, open_raster
@@ -61,7 +61,6 @@ def read_spectra_sample(
     paths: Sequence[str | Path],
     *,
     most_spectra: int = 20_000,
-    progress: Progress | None = None,
 ) -> SpectraSample:
     """Read the spectra of one or several files, all on one grid of wavelengths.
 
@@ -78,16 +77,14 @@ def read_spectra_sample(
 
     - `paths`: the files.
     - `most_spectra`: of a cube with more pixels every k-th row and column is read.
-    - `progress`: is advanced once for each block of rows; nothing is reported by default.
 
     **Returns:** a `SpectraSample`: wavelengths [nm] and reflectance [spectrum, wavelength] [-].
 
     **Raises:** `InputError` for files that are missing or cut short, have no wavelengths, differ in
     their grids, are no fractions, or leave nothing to compare.
     """
-    progress = NullProgress() if progress is None else progress
     files = tuple(Path(path) for path in paths)
-    parts = [_read(path, most_spectra, progress) for path in files]
+    parts = [_read(path, most_spectra) for path in files]
     grid, _, fwhm, step = parts[0]
     for path, (other, *_) in zip(files[1:], parts[1:], strict=True):
         _check_grid(grid, other, path, files[0].name)
@@ -121,17 +118,17 @@ _Part = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | No
 """Wavelengths, spectra, widths, and the step of rows and columns."""
 
 
-def _read(path: Path, most: int, progress: Progress) -> _Part:
+def _read(path: Path, most: int) -> _Part:
     existing_file(path, "spectra")
     suffix = path.suffix.lower()
     if suffix in _NETCDF:
         return _read_netcdf(path, most)
     header = _header_of(path)
     if header is not None and "librar" not in str(read_header(header).get("file type", "")).lower():
-        return _read_cube(path, most, progress)
+        return _read_cube(path, most)
     if header is None and suffix in _RASTERS:
-        return _read_cube(path, most, progress)
-    with progress.stage(f"Read {path.name}"):
+        return _read_cube(path, most)
+    with stage(f"Read {path.name}"):
         spectra, refused = read_usable_spectra(path)
     if refused and not spectra:
         raise refused[0][1]
@@ -197,7 +194,7 @@ def _check_fractions(grid: NDArray[np.float64], values: NDArray[np.float64], pat
 # -- cubes ----------------------------------------------------------------------------------
 
 
-def _read_cube(path: Path, most: int, progress: Progress) -> _Part:
+def _read_cube(path: Path, most: int) -> _Part:
     with open_raster(path, "an image cube") as file:
         grid, fwhm, good = file.wavelengths, file.fwhm, file.good
         known = int(np.isfinite(grid).sum())
@@ -209,7 +206,7 @@ def _read_cube(path: Path, most: int, progress: Progress) -> _Part:
                 file=path,
             )
         step = thinning(*file.shape, most)
-        cube = file.read(step=step, zero_is_data=False, progress=progress)
+        cube = file.read(step=step, zero_is_data=False)
     values = np.where(good, cube.values[:, ::-1].reshape(grid.size, -1).T, np.nan)
     order = np.argsort(grid, kind="stable")
     grid = check_wavelength(grid[order], f"{path}: the wavelengths")

@@ -14,7 +14,6 @@ Mudholkar 1979, doi:10.1080/00401706.1979.10489779): in a sum of both, the long 
 would hide it.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -27,6 +26,7 @@ import scipy.stats
 from jaxtyping import Array, Float
 
 from fynjax._core.extras import require
+from fynjax._core.progress import track
 
 DARKEST = 0.005
 """Reflectance below which its logarithm says nothing [-]."""
@@ -180,7 +180,6 @@ def train_posterior(
     steps: int = 6000,
     batch: int = 1024,
     seed: int = 0,
-    done: Callable[[int], None] = lambda _: None,
 ) -> tuple[AmortisedPosterior, HeldOut]:
     """Train a regression from spectra to what made them.
 
@@ -197,7 +196,6 @@ def train_posterior(
     - `width`: of its two hidden layers.
     - `steps`, `batch`: of the optimisation; errors are drawn anew in each step.
     - `seed`: of the errors and the start.
-    - `done`: hears of each hundredth of the steps.
 
     **Returns:** the posterior, and how it does on the simulations held out.
 
@@ -238,7 +236,7 @@ def train_posterior(
         single(values), single(np.quantile(apart, _PROBABILITY, axis=0).T),
     )  # fmt: skip
     data = single(reflectance[:train]), single(target[:train])
-    posterior = _optimised(optax, posterior, data, single(root), steps, batch, seed, done)
+    posterior = _optimised(optax, posterior, data, single(root), steps, batch, seed)
     test = logs[train:]
     return posterior, _held_out(posterior, np.exp(test), quantities[train:])
 
@@ -313,7 +311,6 @@ def _optimised(
     steps: int,
     batch: int,
     seed: int,
-    done: Callable[[int], None],
 ) -> AmortisedPosterior:
     schedule = optax.cosine_decay_schedule(3e-3, steps)
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule))
@@ -342,9 +339,8 @@ def _optimised(
 
     state = posterior.layers, optimiser.init(posterior.layers)
     parts = min(100, steps)
-    for number, keys in enumerate(_parts(seed, steps, parts)):
+    for keys in track(_parts(seed, steps, parts), "Train"):
         state = some(state, keys)
-        done(number)
     return eqx.tree_at(lambda p: p.layers, posterior, state[0])
 
 

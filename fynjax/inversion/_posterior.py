@@ -14,14 +14,14 @@ from jaxtyping import Array, Float
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.precision import require_double_precision
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import advance, stage
 from fynjax._core.sampling import Draws, ensemble, hamiltonian
 from fynjax.inversion._fit import fit
 from fynjax.inversion._fit_result import Data, FitResult
 from fynjax.inversion._log_posterior import LogPosterior, Predict
 from fynjax.inversion._posterior_result import Posterior
 from fynjax.inversion._space import ParameterSpace
-from fynjax.inversion._vectorised import evaluate_many, memory_batch
+from fynjax.inversion._vectorised import evaluate_batches, evaluate_many, memory_batch
 
 SamplingMethod = Literal["emcee", "nuts", "laplace"]
 """How draws from a posterior are made."""
@@ -50,7 +50,6 @@ def sample_posterior(
     batch: int | None = None,
     predictive: int = 100,
     checkpoint: str | Path | None = None,
-    progress: Progress | None = None,
 ) -> Posterior:
     """Sample the posterior of the free parameters.
 
@@ -73,7 +72,6 @@ def sample_posterior(
     - `predictive`: draws whose statistics are computed.
     - `checkpoint`: file that keeps the chain (HDF5 for "emcee", extra `posterior`). A run that was
       interrupted or killed goes on from it, and ends as if it had not been.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `Posterior`. Its `status` says whether the chain converged, and names directions
     that the data say nothing about. A posterior that is not finite gives no draws and the reason.
@@ -90,11 +88,10 @@ def sample_posterior(
         raise InputError("the Gaussian about the fit is that of the space's prior: no `log_prior`")
     if method == "nuts":
         require("blackjax", "nuts")
-    progress = NullProgress() if progress is None else progress
     shift = jnp.zeros_like(data.value) if offset is None else jnp.asarray(offset)
     density = LogPosterior(predict, space, data, shift, context, log_prior)
     if start is None:
-        with progress.stage("Fit"):
+        with stage("Fit"):
             start = fit(predict, data, space, offset=shift, context=context)
     centre, covariance = np.asarray(start.whitened, float), np.asarray(start.covariance, float)
     parts = (centre, covariance, start.predicted, start.jacobian)
@@ -116,8 +113,8 @@ def sample_posterior(
             "signature": mark,
         }  # fmt: skip
         total = max_steps + (warmup if method == "nuts" else 0)
-        with progress.stage(f"Sample by {method}", total):
-            limits["report"] = _reporter(progress)
+        with stage(f"Sample by {method}", total):
+            limits["report"] = _reporter()
             if method == "emcee":
                 found = ensemble(lambda u: evaluate_many(density, u, batch=batch), begin, **limits)
             else:
@@ -126,23 +123,24 @@ def sample_posterior(
         return _result(density, method, start, found)
     flat = found.chain.reshape(-1, centre.size)
     picked = flat[random.integers(0, len(flat), predictive)]
-    with progress.stage("Predict", predictive):
-        statistics = evaluate_many(
-            eqx.Partial(_statistics, density), picked, batch=batch, advance=progress.advance
-        )
-    return _result(density, method, start, found, statistics)
+    with stage("Predict", predictive):
+        predicted = []
+        for some in evaluate_batches(eqx.Partial(_statistics, density), picked, batch=batch):
+            predicted.append(some)
+            advance(len(some))
+    return _result(density, method, start, found, np.concatenate(predicted))
 
 
 def _statistics(density: LogPosterior, u: Array) -> Array:
     return density.statistics(u)
 
 
-def _reporter(progress: Progress) -> Callable[[int, dict[str, float]], None]:
+def _reporter() -> Callable[[int, dict[str, float]], None]:
     done = 0
 
     def report(steps: int, figures: dict[str, float]) -> None:
         nonlocal done
-        progress.advance(steps - done, **figures)  # after a resumption, all that was done before
+        advance(steps - done, **figures)  # after a resumption, all that was done before
         done = steps
 
     return report

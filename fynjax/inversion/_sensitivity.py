@@ -16,7 +16,7 @@ from fynjax._core.checkpoint import Journal, keep_nothing
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers, at_work
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import stage
 from fynjax.inversion._fit import Predict
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._vectorised import evaluate_many, memory_batch, value_and_jacobian
@@ -150,7 +150,6 @@ def expected_sensitivity(
     mode: str = "auto",
     journal: Journal | None = None,
     workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> ExpectedSensitivity:
     """Slopes and elasticities of the expectation of `predict` over plantings, with their errors.
 
@@ -168,7 +167,6 @@ def expected_sensitivity(
     - `most`: plantings, at most; at least 2.
     - `journal`: keeps what plantings gave, for a run that is interrupted; nothing does by default.
     - `workers`: where plantings are computed; in this process by default.
-    - `progress`: where to report the plantings; nowhere by default.
 
     **Returns:** `ExpectedSensitivity`, whose `leading_error` says how near the errors came.
 
@@ -177,17 +175,15 @@ def expected_sensitivity(
     """
     if most < 2:
         raise InputError(f"an error needs at least 2 plantings, but {most} are allowed")
-    progress = NullProgress() if progress is None else progress
     done: list[tuple[np.ndarray, ...]] = []
     with at_work(workers) as pool:
         while True:
             next_ones = range(len(done), min(len(done) + _PLANTINGS, most))
-            stage = f"Slopes of plantings {next_ones[0] + 1} to {next_ones[-1] + 1}"
-            with progress.stage(stage, len(next_ones)):
+            name = f"Slopes of plantings {next_ones[0] + 1} to {next_ones[-1] + 1}"
+            with stage(name, len(next_ones)):
                 done += pool.all(
                     _slopes_of_planting, next_ones, planting, predict, names, metrics, at, mode,
                     names=[f"planting {i + 1}" for i in next_ones], journal=journal,
-                    progress=progress,
                 )  # fmt: skip
             values, slopes = (np.stack(part) for part in zip(*done, strict=True))
             found = _expected(tuple(names), tuple(metrics), np.asarray(at, float), values, slopes)
@@ -300,7 +296,6 @@ def sobol_indices(
     batch: int | None = None,
     journal: Journal | None = None,
     workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> SobolIndices:
     """First-order and total Sobol indices, by SALib (extra `sensitivity`).
 
@@ -316,7 +311,6 @@ def sobol_indices(
     - `batch`: runs computed at once; what the memory holds by default.
     - `journal`: keeps what batches gave, for a run that is interrupted; nothing does by default.
     - `workers`: where batches are computed; in this process by default.
-    - `progress`: where to report the runs; nowhere by default.
 
     **Returns:** `SobolIndices`.
 
@@ -331,7 +325,7 @@ def sobol_indices(
     size = len(space.names)
     problem = {"num_vars": size, "names": list(space.names), "bounds": [[0.0, 1.0]] * size}
     shares = design.sample(problem, samples, calc_second_order=False, seed=seed)
-    values = _run(model, model, shares, metrics, batch, journal, workers, progress)
+    values = _run(model, model, shares, metrics, batch, journal, workers)
     found: dict[str, list[np.ndarray]] = {key: [] for key in ("S1", "S1_conf", "ST", "ST_conf")}
     for column in values.T:
         if np.ptp(column) == 0.0:  # nothing to share out
@@ -374,7 +368,6 @@ def derivative_measures(
     batch: int | None = None,
     journal: Journal | None = None,
     workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> DerivativeMeasures:
     """Derivative-based global sensitivity measures (DGSM), with slopes by autodiff.
 
@@ -383,7 +376,7 @@ def derivative_measures(
     range, 1 for a unit normal one (Sobol and Kucherenko 2009; Lamboni et al. 2013).
 
     **Arguments:** `predict`, `space`, `metrics`, `over`, `samples`, `context`, `seed`, `batch`,
-    `journal`, `workers` and `progress` as `sobol_indices` has them. Takes `samples` runs with their
+    `journal` and `workers` as `sobol_indices` has them. Takes `samples` runs with their
     Jacobians.
 
     **Returns:** `DerivativeMeasures`.
@@ -394,7 +387,7 @@ def derivative_measures(
     _check(over, samples)
     model = _OverUnits(predict, space, context, over)
     shares = qmc.Sobol(len(space.names), rng=seed).random(samples)
-    both = _run(_Slopes(model), model, shares, metrics, batch, journal, workers, progress)
+    both = _run(_Slopes(model), model, shares, metrics, batch, journal, workers)
     squared = both[..., 1:] ** 2
     variance = both[..., 0].var(axis=0)
     measure = squared.mean(axis=0)
@@ -425,10 +418,8 @@ def _run(
     batch: int | None,
     journal: Journal | None,
     workers: Workers | None,
-    progress: Progress | None,
 ) -> np.ndarray:
     """`function` at all points, finite, its first axis after that of the points the metrics."""
-    progress = NullProgress() if progress is None else progress
     points = model.coordinates(shares)
     count = jax.eval_shape(model, jnp.asarray(points[0])).size
     if count != len(metrics):
@@ -439,10 +430,10 @@ def _run(
     some = _BATCHES * batch
     cut = [points[first : first + some] for first in range(0, len(points), some)]
     names = [f"runs {i * some + 1} to {i * some + len(p)}" for i, p in enumerate(cut)]
-    with progress.stage("Run the model", len(points)), at_work(workers) as pool:
+    with stage("Run the model", len(points)), at_work(workers) as pool:
         found = pool.all(
             _values, cut, function, batch,
-            names=names, sizes=[*map(len, cut)], journal=journal, progress=progress,
+            names=names, sizes=[*map(len, cut)], journal=journal,
         )  # fmt: skip
     values = np.concatenate([values for (values,) in found]).astype(float)
     bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))

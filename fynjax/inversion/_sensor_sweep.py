@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import track
 from fynjax.inversion._calibrate import COARSE, coarser
 from fynjax.inversion._fit_result import scatter_covariance
 from fynjax.inversion._information import (
@@ -96,7 +96,6 @@ def sweep_sensors(
     draws: int = 4,
     coarse: Accuracy = COARSE,
     seed: int = 0,
-    progress: Progress | None = None,
 ) -> list[tuple[SensorSetting, Information]]:
     """Bounds on the parameters of a plot, for each combination of sensor properties.
 
@@ -135,7 +134,6 @@ def sweep_sensors(
     - `draws`: realisations of the noise.
     - `coarse`: accuracy of the light.
     - `seed`: of the noise.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** each setting with its bounds, by sun, then pixel, number of bands and noise.
 
@@ -143,7 +141,6 @@ def sweep_sensors(
     """
     fine = min(gsd)
     steps = _check(scene, len(sensor.bands), gsd, bands, noise, stand_realisations)
-    progress = NullProgress() if progress is None else progress
     quick = coarser(scene, parameters)
     placement = dataclasses.replace(placement or Placement(), pixel=fine)
     plantings = [
@@ -162,12 +159,10 @@ def sweep_sensors(
         camera = aim(quick, lit, sensor, placement, accuracy=coarse, point_spread=False)
         camera = camera.sampled(1)  # one ray a pixel, or a voxel
         measured = []
-        with progress.stage(f"Render, sun at {sun:g} degrees", len(plantings)):
-            for planted in plantings:
-                rendered = _image_and_slopes(camera, planted, lit, space.names, here)
-                image, slopes = jax.device_get(rendered)
-                measured.append(_measure(image, slopes, steps, bands, noise, draws, seed))
-                progress.advance()
+        for planted in track(plantings, f"Render, sun at {sun:g} degrees"):
+            rendered = _image_and_slopes(camera, planted, lit, space.names, here)
+            image, slopes = jax.device_get(rendered)
+            measured.append(_measure(image, slopes, steps, bands, noise, draws, seed))
         together = {
             level: _Sweep.of([every[level] for every in measured], space, error) for level in noise
         }

@@ -1,6 +1,6 @@
 """One function at many points, as many at once as the memory holds; and its Jacobian."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import equinox as eqx
@@ -11,9 +11,6 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.memory import free_memory
-
-Advance = Callable[[int], None]
-"""Called with the number of points done since the last call."""
 
 _MOST = 1024
 _SHARE = 0.3
@@ -32,27 +29,32 @@ def evaluate_many(
     points: Float[np.ndarray, "point free"],
     *,
     batch: int | None = None,
-    advance: Advance | None = None,
 ) -> Float[np.ndarray, " point *value"]:
     """`function` at each of `points`, `batch` of them at once; by default what the memory holds.
 
     A function that is a pytree (an equinox module, `jax.tree_util.Partial`) hands its arrays on as
     arguments and compiles once for all of its structure.
     """
+    return np.concatenate([*evaluate_batches(function, points, batch=batch)])
+
+
+def evaluate_batches(
+    function: Callable[[Array], Array],
+    points: Float[np.ndarray, "point free"],
+    *,
+    batch: int | None = None,
+) -> Iterator[Float[np.ndarray, " point *value"]]:
+    """What `evaluate_many` gives, batch after batch."""
     points = np.asarray(points)
     batch = memory_batch(function, points[0]) if batch is None else batch
     if batch < 1:
         raise InputError(f"`batch` must be at least 1, but is {batch}")
     batch = min(batch, len(points))
-    found = []
     for first in range(0, len(points), batch):
         chunk = points[first : first + batch]
         # The last one is filled up, so that nothing compiles again.
         full = np.concatenate([chunk, np.repeat(chunk[-1:], batch - len(chunk), axis=0)])
-        found.append(np.asarray(_block(function, jnp.asarray(full)))[: len(chunk)])
-        if advance is not None:
-            advance(len(chunk))
-    return np.concatenate(found)
+        yield np.asarray(_block(function, jnp.asarray(full)))[: len(chunk)]
 
 
 def memory_batch(function: Callable[[Array], Array], point: Float[np.ndarray, " free"]) -> int:

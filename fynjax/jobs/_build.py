@@ -13,7 +13,6 @@ import xarray as xr
 from pydantic import Field
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
 from fynjax.assembly import build_plot, check_memory
 from fynjax.canopy import PlantModel
 from fynjax.io.instruments import scene_meshes, write_scene_mesh
@@ -91,7 +90,6 @@ def build(
     mesh: bool = False,
     max_triangles: int = 5_000_000,
     view: Literal["points", "meshes"] = "points",
-    progress: Progress | None = None,
 ) -> BuildResult:
     """Build the scene of a plot with every plant, without rendering it.
 
@@ -105,7 +103,6 @@ def build(
     - `mesh`, `max_triangles`: write the scene as OBJ, of at most so many triangles.
     - `view`: what the oblique picture shows: clouds of area elements, or the generated meshes of
       the taxa (needs PyVista, the extra `view`).
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `BuildResult`. Writes tables of the plants and of the cover of each species, the
     area density in voxels (`voxels.nc`), areas, leaf mass and gap of the stand (`stand.csv`),
@@ -122,7 +119,7 @@ def build(
     read = as_plot(plot)
     read = read if size is None else resized(read, size)
     chosen = read.seed if seed is None else seed
-    run = Run(output, seed=chosen, progress=progress)
+    run = Run(output, seed=chosen)
     check_memory(read, listed=True)
     with run.stage("Plant the plot", "plants"):
         scene, parameters = build_plot(read, seed=chosen)

@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
 from fynjax.assembly import Measured, prepare, read_targets
 from fynjax.inversion import (
     Calibration,
@@ -83,7 +82,6 @@ def calibrate(
     bands: Sequence[str] | None = None,
     seed: int | None = None,
     checkpoint: Path | None = None,
-    progress: Progress | None = None,
 ) -> CalibrateResult:
     """Calibrate a plot to the measurements of one or several sensors.
 
@@ -102,7 +100,6 @@ def calibrate(
     - `seed`: seed of every random number; that of the plot file by default.
     - `checkpoint`: folder that keeps every step, from which an interrupted run goes on; none by
       default.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `CalibrateResult`. Writes `parameters.csv`, `statistics.csv`, the images before and
     after (GeoTIFF) of a drone's camera, `run.nc`, figures and a page into `output`.
@@ -114,10 +111,10 @@ def calibrate(
     """
     read = with_prior(as_plot(plot), prior)
     paths = [targets] if isinstance(targets, Path) else list(targets)
-    run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
+    run = Run(output, seed=read.seed if seed is None else seed)
     if read.known_crowns is not None and paths[0].suffix.lower() in (".tif", ".tiff"):
         return _calibrate_known(read, paths, run, bands, checkpoint)
-    measured = read_targets(read, paths, bands=bands, seed=run.seed, progress=run.progress)
+    measured = read_targets(read, paths, bands=bands, seed=run.seed)
     return calibrate_to(read, measured, run, inputs=(*read.inputs, *paths), checkpoint=checkpoint)
 
 
@@ -180,7 +177,7 @@ def calibrate_to(
 
     - `plot`: the plot.
     - `measured`: the statistics of each sensor with their errors.
-    - `run`: the folder, the seed and the progress of the job.
+    - `run`: the job at work.
     - `inputs`: the files that the plot and the measurements are from, for the provenance.
     - `reference`: published statistics of the real image, to compare with; none by default.
     - `checkpoint`: as for `calibrate`.

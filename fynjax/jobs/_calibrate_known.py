@@ -42,7 +42,7 @@ def known_plants(
 
     - `plot`: with `Plot.known_crowns`.
     - `path`: the image, GeoTIFF; it covers the plot and nothing else, its rows from the north.
-    - `run`: the folder and the progress of the job.
+    - `run`: the job at work.
     - `bands`: of the image, as `read_drone_image` has them.
     - `inputs`: files for the provenance.
     - `checkpoint`: folder that keeps every step; None keeps none.
@@ -53,7 +53,7 @@ def known_plants(
     """
     with run.stage("Build the plot", "build"):
         ready = prepare(plot, None, seed=run.seed)
-    image = read_drone_image(path, bands=bands, most_pixels=None, progress=run.progress)
+    image = read_drone_image(path, bands=bands, most_pixels=None)
     pixel = sensor_place(plot)[1] if image.pixel_m is None else image.pixel_m
     camera = aim_without_air(plot, ready.scene, ready.parameters, drone_sensor(plot), pixel=pixel)
     if camera.shape != image.mask.shape:

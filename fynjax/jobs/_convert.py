@@ -6,7 +6,6 @@ from typing import Literal
 
 import pandas as pd
 
-from fynjax._core.progress import Progress
 from fynjax.io.spectra import (
     measured_dataset,
     measured_table,
@@ -39,7 +38,6 @@ def convert(
     output: str | Path,
     *,
     panel: str | Path | None = None,
-    progress: Progress | None = None,
 ) -> ConvertResult:
     """Write the spectra of files of any format as one CSV and one NetCDF.
 
@@ -50,7 +48,6 @@ def convert(
     - `paths`: files of any format that `read_spectra` takes, and folders of them.
     - `output`: folder, made if missing.
     - `panel`: table of the white panel's own reflectance, as of `fit_leaf`.
-    - `progress`: advances by stage.
 
     **Returns:** `ConvertResult`. Writes `spectra.csv` (wavelengths in nm, a column a spectrum,
     fractions), `spectra.nc` (CF conventions, with file, format and header of each spectrum) and
@@ -60,12 +57,12 @@ def convert(
 
     Example: `jobs.convert(["campaign"], "spectra")`.
     """
-    run = Run(output, progress=progress)
-    with run.stage("reading", "read"):
+    run = Run(output)
+    with run.stage("Read", "read"):
         spectra, refused = usable_spectra(paths, panel)
     dataset = measured_dataset(spectra, run.record([*(file for file, _ in spectra), panel]))
     what = "reflectance and transmittance over wavelength, one column a spectrum"
-    with run.stage("writing", "write"):
+    with run.stage("Write", "write"):
         run.table("spectra.csv", measured_table(dataset), what, "%.7g")
         what = "the same with units, file, format and header of each spectrum"
         write_spectra_netcdf(dataset, run.path("spectra.nc", what))

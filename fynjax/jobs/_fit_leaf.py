@@ -12,7 +12,7 @@ from jaxtyping import Float
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
-from fynjax._core.progress import Progress
+from fynjax._core.progress import stage
 from fynjax.io.spectra import (
     MeasuredSpectrum,
     note,
@@ -268,7 +268,6 @@ def fit_leaf(
     seed: int = 0,
     checkpoint: str | Path | None = None,
     workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> FitLeafResult:
     """Fit PROSPECT to every leaf spectrum of every file.
 
@@ -310,7 +309,6 @@ def fit_leaf(
       posteriors, are not kept.
     - `workers`: where chunks of 1024 leaves are fitted; in this process by default. Leaves that
       are fitted together (`groups`), and posteriors, stay there.
-    - `progress`: advances with every chunk of leaves.
 
     **Returns:** `FitLeafResult`. Writes `traits.csv`, `spectra.nc` and a figure into `output`, and
     where asked for `species.csv` and `posterior.nc`.
@@ -342,7 +340,7 @@ def fit_leaf(
     elif behind is not None:
         r = np.where(np.isfinite(behind), r, np.nan)
     files, names = [f for f, _ in spectra], [s.name for _, s in spectra]
-    run = Run(output, seed=seed, progress=progress)
+    run = Run(output, seed=seed)
     options: dict[str, Any] = {
         "version": version, "measurement": instrument, "leaf_shape": leaf_shape, "domain": domain
     }  # fmt: skip
@@ -355,13 +353,13 @@ def fit_leaf(
         if checkpoint is not None and len(r) > _PART:
             journal = Journal(checkpoint, signature(r, t, options))
         chunks = LeafChunks(_GRID, r, t, size=_PART, **options)
-        with run.progress.stage("fitting leaves", len(r)), at_work(workers) as pool:
+        with stage("Fit leaves", len(r)), at_work(workers) as pool:
             done = dict(
                 pool.each(
                     LeafChunks.fit, chunks.parts, chunks.setup,
                     names=[f"leaves {rows.start + 1} to {rows.stop}" for rows in chunks.rows],
                     sizes=[rows.stop - rows.start for rows in chunks.rows],
-                    journal=journal, progress=run.progress,
+                    journal=journal,
                 )
             )  # fmt: skip
         fit = chunks.join(done.pop(i) for i in range(len(chunks.rows)))
@@ -392,9 +390,7 @@ def fit_leaf(
         leaves = species_table(together, seed, area, factors)
         write_traits_csv(leaves, run.path("species.csv", what))
     if posterior != "none":
-        draws = sample_leaf_posterior(
-            _GRID, r, t, sampler=posterior, seed=seed, progress=run.progress, **options
-        )
+        draws = sample_leaf_posterior(_GRID, r, t, sampler=posterior, seed=seed, **options)
         what = "draws of the parameters and of T from the posterior"
         dataset = posterior_dataset(draws, fit, files, names, settings, factors)
         write_spectra_netcdf(dataset, run.path("posterior.nc", what))

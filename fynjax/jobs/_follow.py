@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.progress import advance
 from fynjax.jobs._run import Run
 
 
@@ -23,7 +24,7 @@ def follow(
 
     - `search`: of a calibration, a `PlotSearch` or a `PixelSearch`.
     - `starts`: whitened coordinates; None is the prior's centre.
-    - `run`: where progress is shown, and the times of a step and of the search are kept.
+    - `run`: keeps the times of a step and of the search.
     - `checkpoint`: folder of the states; the same search goes on from them. None: nothing is kept.
 
     **Raises:** `InputError` for a checkpoint of another search, or one that cannot be written.
@@ -39,7 +40,7 @@ def follow(
         shown = 0
         while True:
             for loss, norm in np.asarray(state.trace)[shown:]:
-                run.progress.advance(
+                advance(
                     1,
                     stage=f"{name}round {int(state.turn) + 1}",
                     loss=f"{loss:.1f}",

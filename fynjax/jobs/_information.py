@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from fynjax._core.progress import Progress
 from fynjax.assembly import prepare, shown_unit
 from fynjax.inversion import Information, SensorSetting, even_bands, sweep_sensors
 from fynjax.io.plot import Plot, as_plot, plot_instrument, sensor_place
@@ -42,7 +41,6 @@ def information(
     error: float = 0.01,
     realisations: int = 15,
     seed: int | None = None,
-    progress: Progress | None = None,
 ) -> InformationResult:
     """Bounds on a plot's parameters for sensors of every pixel, number of bands, noise and sun.
 
@@ -60,7 +58,6 @@ def information(
     - `realisations`: number of stand realisations from which their sampling variance, and the
       slopes that they share, are estimated.
     - `seed`: seed of every random number; that of the plot file by default.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `InformationResult`. Writes `bounds.csv` (conditional, joint and Bayesian
     Cramér-Rao bounds), `limits.csv`, figures and a page into `output`.
@@ -70,7 +67,7 @@ def information(
     Example: `jobs.information("plot.toml", Path("results"), gsd=(0.5, 1.0), bands=(4,))`.
     """
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
+    run = Run(output, seed=read.seed if seed is None else seed)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
     altitude, _ = sensor_place(read)
@@ -88,7 +85,6 @@ def information(
         error=error,
         stand_realisations=realisations,
         seed=run.seed,
-        progress=run.progress,
     )
     table = bound_table(sweep, np.asarray(ready.space.prior))
     first, best = sweep[0]

@@ -15,7 +15,6 @@ from pydantic import Field
 from fynjax._core.checkpoint import forget_journal, signature
 from fynjax._core.errors import InputError, listed
 from fynjax._core.parts import Workers, at_work
-from fynjax._core.progress import Progress
 from fynjax.assembly import STAND_QUANTITIES
 from fynjax.inversion import estimate_pixels
 from fynjax.io.plot import DEFAULT_PRIOR
@@ -86,7 +85,6 @@ def map_cube(
     seed: int = 0,
     checkpoint: str | Path,
     workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> MapResult:
     """Map covers, leaf area and leaf traits of a cube of reflectance, each with its uncertainty.
 
@@ -106,7 +104,6 @@ def map_cube(
     - `seed`: of the sampling.
     - `checkpoint`: folder of the unfinished maps, from which an interrupted run goes on.
     - `workers`: where blocks are read and estimated; in this process by default.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `MapResult`. Writes `maps.tif` (cloud-optimised: of each quantity mean, standard
     deviation and 5 and 95 % quantile, and how unlike the simulations pixels are), a picture and a
@@ -118,7 +115,7 @@ def map_cube(
     **Raises:** `InputError` for a cube or training that cannot be read or do not go together, and
     for a damaged lookup table.
     """
-    run = Run(output, seed=seed, progress=progress)
+    run = Run(output, seed=seed)
     if not 0.5 <= likely < 0.9995:
         raise InputError(f"expected a share of the simulations from 0.5 to 0.999, but got {likely}")
     if pixel_steps < _FEWEST_STEPS:
@@ -161,7 +158,7 @@ def map_cube(
         with run.stage("Map", "maps", total=len(parts)), at_work(workers) as pool:
             done = pool.each(
                 _mapped, parts, *shared,
-                names=[f"rows {a + 1} to {a + n}" for a, n in parts], progress=run.progress,
+                names=[f"rows {a + 1} to {a + n}" for a, n in parts],
             )  # fmt: skip
             for i, (maps, unreadable) in done:
                 start, _ = parts[i]

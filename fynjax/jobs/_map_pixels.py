@@ -156,7 +156,7 @@ def pixel_posteriors(
     with run.stage("Sample pixels by emcee", "pixels", total=len(parts)):
         made = pool.all(
             _sampled, parts, channels, trained.responses, prior, trained.settings, steps, seed,
-            names=names, journal=journal, progress=run.progress,
+            names=names, journal=journal,
         )  # fmt: skip
     first = round(_BURN_IN * steps)
     chains, accepted = [], []

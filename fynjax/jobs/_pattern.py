@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Literal
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
 from fynjax.canopy import (
     Greenness,
     VegetationPattern,
@@ -87,7 +86,6 @@ def pattern(
     pixel: float | None = None,
     align: bool = True,
     seed: int = 0,
-    progress: Progress | None = None,
 ) -> PatternResult:
     """Make a map of where plants may stand from the vegetation pattern of an image.
 
@@ -103,7 +101,6 @@ def pattern(
     - `pixel`: side of a pixel on the ground [m], for an image without a coordinate system.
     - `align`: whether to align the bands of separate files.
     - `seed`: seed of the clustering.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `PatternResult`. Writes `map.tif` and `pattern.png` into `output`.
 
@@ -111,11 +108,9 @@ def pattern(
 
     Example: `jobs.pattern(["drone.tif"], "results", clusters=4)`.
     """
-    run = Run(output, seed=seed, progress=progress)
+    run = Run(output, seed=seed)
     with run.stage("Read the image"):
-        stack = read_band_stack(
-            paths, bands=bands, pixel_m=pixel, align=align, progress=run.progress
-        )
+        stack = read_band_stack(paths, bands=bands, pixel_m=pixel, align=align)
     try:
         green = choose_greenness(stack.names, stack.wavelengths, index=greenness)
         with run.stage("Cluster the pixels"):

@@ -9,7 +9,6 @@ import numpy as np
 from pydantic import Field
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
 from fynjax.canopy import (
     FORMS,
     GeneratedPlant,
@@ -112,7 +111,6 @@ def plant(
     flowering: float | None = None,
     max_triangles: int | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
 ) -> PlantResult:
     """Make a plant model from a mesh, from a scan, or by growing a known taxon.
 
@@ -126,7 +124,6 @@ def plant(
     - `branches`, `rotation_spread`: as in `plant_from_branches`.
     - `diameter`, `height`, `flowering`, `max_triangles`: as in `generate_plant`.
     - `seed`: seed of the random numbers.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `PlantResult`. Writes `elements.csv` and `plant.png` into `output`, and for a taxon
     or a mesh made of branches also `plant.obj` and `plant.mtl`.
@@ -135,7 +132,7 @@ def plant(
 
     Example: `jobs.plant("shrub.obj", "results", n_elements=5000)`.
     """
-    run = Run(output, seed=seed, progress=progress)
+    run = Run(output, seed=seed)
     kind = _kind(source)
     given = {
         "materials": materials,

@@ -11,7 +11,7 @@ from pydantic import Field
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax._core.progress import Progress
+from fynjax._core.progress import track
 from fynjax.assembly import (
     Prepared,
     parameter_columns,
@@ -90,7 +90,6 @@ def posterior(
     checkpoint: Path,
     bands: Sequence[str] | None = None,
     seed: int | None = None,
-    progress: Progress | None = None,
 ) -> PosteriorResult:
     """Sample the posterior of a plot's parameters given the measurements of one or several sensors.
 
@@ -116,7 +115,6 @@ def posterior(
     - `bands`: what each band of a drone's image is, as `read_drone_image` has it; known by name or
       wavelength by default.
     - `seed`: seed of every random number; that of the plot file by default.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `PosteriorResult`. Writes `posterior.nc`, `parameters.csv`, figures and a page into
     `output`.
@@ -132,9 +130,9 @@ def posterior(
     if method == "nuts":
         require("blackjax", "nuts")
     read = with_prior(as_plot(plot), prior)
-    run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
+    run = Run(output, seed=read.seed if seed is None else seed)
     paths = [targets] if isinstance(targets, Path) else list(targets)
-    measured = read_targets(read, paths, bands=bands, seed=run.seed, progress=run.progress)
+    measured = read_targets(read, paths, bands=bands, seed=run.seed)
     data = join_data([m.data for m in measured])
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
@@ -154,16 +152,15 @@ def posterior(
         ends = follow(search, search_starts(search), run, checkpoint / "calibration")
         calibrated = calibration(search, ends)
     found = signature(calibrated.fit.whitened, run.seed)
-    with run.stage("Fit a surrogate", total=RENDERS):
-        renders = surrogate_renders(calibrated, seed=run.seed)
+    renders = surrogate_renders(calibrated, seed=run.seed)
 
-        def render_all() -> tuple[Any, ...]:
-            return (np.stack([_counted(one, run) for one in renders]),)
+    def render_all() -> tuple[Any, ...]:
+        return (np.stack([*track(renders, "Fit a surrogate", RENDERS)]),)
 
-        (rendered,) = Journal(checkpoint / "surrogate", found)(render_all)
-        surrogate, surrogate_error = fit_surrogate(
-            calibrated, seed=run.seed, rendered=np.asarray(rendered)
-        )
+    (rendered,) = Journal(checkpoint / "surrogate", found)(render_all)
+    surrogate, surrogate_error = fit_surrogate(
+        calibrated, seed=run.seed, rendered=np.asarray(rendered)
+    )
     sampled = sample_posterior(
         surrogate,
         calibrated.data,
@@ -174,7 +171,6 @@ def posterior(
         max_steps=max_steps,
         seed=run.seed,
         checkpoint=None if method == "laplace" else checkpoint / f"{method}.chain",
-        progress=run.progress,
     )
     if not sampled.whitened.size:
         raise InputError(f"no posterior: {sampled.status}", file=read.file)
@@ -213,12 +209,6 @@ def posterior(
         status="ok" if sampled.converged else sampled.status,
         posterior_status=sampled.status,
     )
-
-
-def _counted(done: Any, run: Run) -> Any:
-    """What was done, counted as a step of the stage."""
-    run.progress.advance()
-    return done
 
 
 def posterior_table(sampled: Posterior) -> pd.DataFrame:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
+from fynjax._core.progress import track
 from fynjax.io.micasense import (
     AlignedCapture,
     Capture,
@@ -68,7 +68,6 @@ def reflectance(
     height: float | None = None,
     pixel: float | None = None,
     align: bool = True,
-    progress: Progress | None = None,
 ) -> ReflectanceResult:
     """Convert the raw captures of a multispectral camera to reflectance.
 
@@ -89,7 +88,6 @@ def reflectance(
     - `height` of flight above the ground [m], or `pixel` on the ground [m]; with neither,
       coordinates are in pixels.
     - `align`: whether to align the bands of a capture.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `ReflectanceResult`. Writes for each capture its reflectance and the standard
     deviation (GeoTIFF), `calibration.csv`, `provenance.json` and figures into `output`.
@@ -98,7 +96,7 @@ def reflectance(
 
     Example: `jobs.reflectance(["flight"], "results", reflectances=["0.5"], height=40.0)`.
     """
-    run = Run(output, progress=progress)
+    run = Run(output)
     _check(panels, reflectances, areas, light, panel_sd, light_sd, height, pixel)
     captures = find_captures(images)
     with run.stage("Read the panels"):
@@ -118,20 +116,18 @@ def reflectance(
     headline, warnings = panel_sentences(read, known, light), []
     converted: dict[str, CaptureSummary] = {}
     inputs = [path for panel in read for path in panel.capture.paths]
-    with run.stage("Convert", total=len(wanted)):
-        for name, paths in wanted.items():
-            capture = read_capture(name, paths)
-            inputs += paths
-            relit, change = _line_of(capture, line, read, light, light_sd)
-            aligned = aligned_radiance(capture, align=align, progress=run.progress)
-            side = _pixel(capture, height, pixel)
-            cube, doubt = _cubes(capture, aligned, relit, side or 1.0)
-            _write_capture(run, name, cube, doubt, paths, light, in_pixels=side is None)
-            summary = capture_summary(capture, aligned, relit, change, cube, side)
-            converted[name] = summary
-            headline.append(capture_sentence(name, summary))
-            warnings += capture_warnings(name, summary, light)
-            run.progress.advance()
+    for name, paths in track([*wanted.items()], "Convert"):
+        capture = read_capture(name, paths)
+        inputs += paths
+        relit, change = _line_of(capture, line, read, light, light_sd)
+        aligned = aligned_radiance(capture, align=align)
+        side = _pixel(capture, height, pixel)
+        cube, doubt = _cubes(capture, aligned, relit, side or 1.0)
+        _write_capture(run, name, cube, doubt, paths, light, in_pixels=side is None)
+        summary = capture_summary(capture, aligned, relit, change, cube, side)
+        converted[name] = summary
+        headline.append(capture_sentence(name, summary))
+        warnings += capture_warnings(name, summary, light)
     if read:
         what = "picture: the panels in every band, and the area that was read"
         run.picture(Picture("panels.png", panel_figure(read, known), what))

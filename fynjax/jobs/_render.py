@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 import fynjax
 from fynjax._core.checkpoint import Journal, Keep, keep_nothing, signature
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
 from fynjax.assembly import aim_without_air, build_plot
 from fynjax.io.plot import Plot, as_plot, plot_instrument, plot_place
 from fynjax.io.raster import Cube, file_hash, image_array, write_geotiff, write_run
@@ -65,7 +64,6 @@ def render(
     *,
     seed: int | None = None,
     checkpoint: Path | None = None,
-    progress: Progress | None = None,
 ) -> RenderResult:
     """Render the reflectance image of a plot.
 
@@ -78,7 +76,6 @@ def render(
     - `seed`: seed of every random number; that of the plot file by default.
     - `checkpoint`: folder that keeps the tiles of a large image, from which an interrupted run goes
       on; none by default.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `RenderResult`. Writes `image.tif` and `run.nc` (reflectance factor [-]), figures
     and a page into `output`.
@@ -89,7 +86,7 @@ def render(
     Example: `jobs.render("plot.toml", Path("results")).headline`.
     """
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
+    run = Run(output, seed=read.seed if seed is None else seed)
     instrument = plot_instrument(read)
     with run.stage("Build the plot", "build"):
         scene, parameters = build_plot(read, seed=run.seed)
@@ -101,7 +98,7 @@ def render(
                 hashes = [file_hash(path) for path in read.inputs]
                 signed = signature(read, hashes, run.seed, fynjax.__version__)
                 keep = Journal(checkpoint, signed)
-            image = observe_in_tiles(camera, scene, parameters, keep=keep, progress=run.progress)
+            image = observe_in_tiles(camera, scene, parameters, keep=keep)
         else:
             # Plants that do not stand take time and memory only.
             stand = hard_scene(scene, parameters)

@@ -11,7 +11,7 @@ import pandas as pd
 from fynjax._core.memory import peak_memory
 from fynjax._core.parts import Workers as Workers
 from fynjax._core.precision import enable_double_precision
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import stage
 from fynjax.io.raster import provenance, write_qgis_style
 from fynjax.io.text import write_text
 from fynjax.jobs._result import JobResult
@@ -30,10 +30,9 @@ def peak_memory_mib() -> float:
 class Run:
     """Where a job writes, what it has written, and how long its stages took."""
 
-    def __init__(self, folder: str | Path, *, seed: int = 0, progress: Progress | None = None):
+    def __init__(self, folder: str | Path, *, seed: int = 0):
         self.folder = Path(folder)
         self.seed = seed
-        self.progress = NullProgress() if progress is None else progress
         self.files: dict[str, str] = {}
         """What each file is, by its name."""
         self.seconds: dict[str, float] = {}
@@ -43,7 +42,7 @@ class Run:
     @contextmanager
     def stage(self, name: str, timed_as: str = "", total: int | None = None) -> Iterator[None]:
         """A stage of `total` steps; its time is kept as `timed_as`, if that is given."""
-        with self.progress.stage(name, total), self.timed(timed_as):
+        with stage(name, total), self.timed(timed_as):
             yield
 
     @contextmanager

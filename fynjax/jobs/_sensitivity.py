@@ -12,7 +12,6 @@ from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers
-from fynjax._core.progress import Progress
 from fynjax.assembly import Prepared, batch_for_device, image_view, prepare, shown_unit
 from fynjax.inversion import (
     LEADING_ELASTICITIES,
@@ -65,7 +64,6 @@ def sensitivity(
     seed: int | None = None,
     checkpoint: str | Path | None = None,
     workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> SensitivityResult:
     """Slopes and elasticities of a plot's metrics; over the priors too, if samples are asked for.
 
@@ -88,7 +86,6 @@ def sensitivity(
     - `checkpoint`: folder that keeps what plantings and samples gave, from which an interrupted
       run goes on; none by default.
     - `workers`: where plantings and samples are computed; in this process by default.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `SensitivityResult`, whose `status` says where errors stayed above 10 %. Writes
     `slopes.csv`, with samples `variance.csv`, figures and a page into `output`.
@@ -106,7 +103,7 @@ def sensitivity(
     if sobol_samples:
         require("SALib", "sensitivity")
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
+    run = Run(output, seed=read.seed if seed is None else seed)
     with run.stage("Build the plot"):
         ready = prepare(read, free, seed=run.seed)
     space = ready.space
@@ -129,7 +126,6 @@ def sensitivity(
         most=2 if ready.scene.known_plants else plantings,  # which are the same in each
         journal=journal,
         workers=workers,
-        progress=run.progress,
     )
     common: dict[str, Any] = {
         "context": (stand,),
@@ -137,7 +133,6 @@ def sensitivity(
         "batch": batch_for_device(),
         "journal": journal,
         "workers": workers,
-        "progress": run.progress,
     }
     measures = indices = None
     if derivative_samples:

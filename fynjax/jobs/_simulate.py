@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
 from fynjax.assembly import aim_at_plot, build_plot
 from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import AtmosphereTable, Place, Plot, as_plot, plot_place
@@ -60,7 +59,6 @@ def simulate(
     noise: bool | None = None,
     products: Sequence[str] = PRODUCTS,
     seed: int | None = None,
-    progress: Progress | None = None,
 ) -> SimulateResult | SimulateLidarResult:
     """Simulate the measurement of a plot by a camera, a spectrometer or a LiDAR.
 
@@ -78,7 +76,6 @@ def simulate(
       model of it.
     - `products`: any of `PRODUCTS`.
     - `seed`: of plants and noise; the plot file's if left out.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `SimulateResult` for an imaging sensor, with radiance and reflectance (GeoTIFF,
     ENVI, NetCDF); `SimulateLidarResult` for a LiDAR. Writes the products, `run.json`, figures and a
@@ -92,7 +89,7 @@ def simulate(
     Example: `jobs.simulate("plot.toml", Path("results"), sensor="mavic_3m")`.
     """
     read = as_plot(plot)
-    run = Run(output, seed=read.seed if seed is None else seed, progress=progress)
+    run = Run(output, seed=read.seed if seed is None else seed)
     name = sensor or read.sensor.path or read.sensor.name
     instrument = name if isinstance(name, (Sensor, Lidar)) else load_instrument(name)
     files = [] if isinstance(name, (Sensor, Lidar)) or not Path(name).is_file() else [Path(name)]

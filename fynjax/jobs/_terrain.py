@@ -7,7 +7,6 @@ from typing import Any, Literal
 import numpy as np
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
 from fynjax.io.raster import write_geotiff
 from fynjax.jobs._result import JobResult, Record
 from fynjax.jobs._run import Run
@@ -97,7 +96,6 @@ def terrain(
     crs: str | None = None,
     fill_gaps: bool = False,
     band: int | None = None,
-    progress: Progress | None = None,
 ) -> TerrainResult:
     """Write the terrain of a plot from a point cloud or a height raster.
 
@@ -115,7 +113,6 @@ def terrain(
     - `largest_gap`: see `terrain_from_points` and `read_terrain`; 10 unless given.
     - `unit`, `height_unit`, `crs`: see `read_cloud`; `fill_gaps`, `band`: see `read_terrain`.
 
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `TerrainResult`. Writes `terrain.tif` [m], `terrain.obj`, `terrain.png` and, from a
     cloud, `canopy_height.tif` [m] into `output`. Warns where the ground is so rough that it may be
@@ -127,7 +124,7 @@ def terrain(
 
     Example: `jobs.terrain("flight.laz", "results", size=40.0)`.
     """
-    run = Run(output, progress=progress)
+    run = Run(output)
     path = Path(path)
     is_raster = path.suffix.lower() in _RASTERS
     if bounds is not None:

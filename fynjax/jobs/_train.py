@@ -16,7 +16,6 @@ from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers, at_work
-from fynjax._core.progress import Progress
 from fynjax.assembly import STAND_QUANTITIES, StandSettings, simulate_stands, stand_forms
 from fynjax.inversion import (
     INTERVALS,
@@ -93,7 +92,6 @@ def train(
     seed: int = 0,
     checkpoint: str | Path,
     workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> TrainResult:
     """Simulate stands and their spectra, and train a regression from spectra to stands.
 
@@ -109,14 +107,13 @@ def train(
     - `seed`: of everything random.
     - `checkpoint`: folder that keeps the simulations, from which an interrupted run goes on.
     - `workers`: where stands are simulated; in this process by default.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `TrainResult`. Writes `training.nc` and `scores.csv` into `output`.
 
     **Raises:** `InputError` for a prior of "none", neither or both of `sensor` and `like`, angles
     out of order, and too few simulations; `MissingExtraError` without optax.
     """
-    run = Run(output, seed=seed, progress=progress)
+    run = Run(output, seed=seed)
     require("optax", "map")
     if (sensor is None) == (like is None):
         raise InputError("expected either a sensor or a cube whose bands to train for (--like)")
@@ -144,11 +141,11 @@ def train(
         made = pool.all(
             _simulated, parts, joined, learned, settings, seed,
             names=[f"stands {part[0]} to {part[-1]}" for part in parts],
-            journal=journal, progress=run.progress,
+            journal=journal,
         )  # fmt: skip
     quantities, spectra, left = zip(*made, strict=True)
     residual = max(float(one) for one in left)
-    with run.stage("Train", "training", total=100):
+    with run.timed("training"):
         posterior, held_out = train_posterior(
             np.concatenate(spectra),
             np.concatenate(quantities),
@@ -156,7 +153,6 @@ def train(
             together=settings.together,
             steps=steps,
             seed=seed,
-            done=lambda _: run.progress.advance(1),
         )
     count = stands * settings.together
     record = {

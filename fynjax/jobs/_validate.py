@@ -10,7 +10,6 @@ import xarray as xr
 from pydantic import Field
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
 from fynjax.compare import (
     DroneComparison,
     PublishedComparison,
@@ -157,7 +156,6 @@ def validate(
     structure_preset: str | None = None,
     cloud_options: Mapping[str, Any] | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
 ) -> ValidateResult:
     """Compare real with simulated drone images, spectra and point clouds.
 
@@ -174,7 +172,6 @@ def validate(
     - `structure_preset`: a name in `fynjax.metrics.STRUCTURE_PRESETS`.
     - `cloud_options`: settings that override the preset, as for `cloud_settings`.
     - `seed`: seed of the random numbers in the comparison of clouds.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `ValidateResult`. Writes tables (CSV), `validation.nc` and `structure.nc`, figures
     and a page into `output`.
@@ -184,7 +181,7 @@ def validate(
     Example: `jobs.validate(jobs.ValidationData(real_drone="real.tif",
     simulated_drone="image.tif"), "results")`.
     """
-    run = Run(output, seed=seed, progress=progress)
+    run = Run(output, seed=seed)
     inputs = data.files()
     drone: Drone | None = None
     if data.simulated_drone:
@@ -193,7 +190,6 @@ def validate(
             bands=simulated_bands,
             saturation=saturation,
             most_pixels=most_pixels,
-            progress=run.progress,
         )
         if str(data.real_drone) == PUBLISHED:
             drone = compare_with_published(simulated)
@@ -203,14 +199,13 @@ def validate(
                 bands=real_bands,
                 saturation=saturation,
                 most_pixels=most_pixels,
-                progress=run.progress,
             )
-            drone = compare_drone_images(real, simulated, progress=run.progress)
+            drone = compare_drone_images(real, simulated)
     spectra: SpectralComparison | None = None
     if data.simulated_spectra:
         spectra = compare_spectra(
-            read_spectra_sample(data.real_spectra, progress=run.progress),
-            read_spectra_sample(data.simulated_spectra, progress=run.progress),
+            read_spectra_sample(data.real_spectra),
+            read_spectra_sample(data.simulated_spectra),
             method=matching,
             windows=windows,
         )
@@ -221,7 +216,6 @@ def validate(
             data.simulated_cloud,
             settings=cloud_settings(structure_preset, cloud_options or {}),
             seed=seed,
-            progress=run.progress,
         )
     headline: list[str] = []
     keys: dict[str, str] = {}

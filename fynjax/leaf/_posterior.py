@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.precision import require_double_precision
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import track
 from fynjax._core.sampling import ensemble, hamiltonian
 from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import ProspectVersion
@@ -84,7 +84,6 @@ def sample_leaf_posterior(
     target: float = 400.0,
     max_steps: int = 10_000,
     seed: int = 0,
-    progress: Progress | None = None,
 ) -> LeafPosterior:
     """Sample the posterior that `fit_leaf` approximates by a Gaussian.
 
@@ -103,7 +102,6 @@ def sample_leaf_posterior(
     - `draws`: how many draws to return for each leaf.
     - `target`: effective draws to reach; `max_steps`: most steps of the ensemble.
     - `seed`: seed of the random numbers.
-    - `progress`: where to report the number of leaves sampled; nowhere by default.
 
     **Returns:** `LeafPosterior`. A leaf with fewer than ten usable bins has NaN.
 
@@ -115,40 +113,37 @@ def sample_leaf_posterior(
     if sampler not in ("emcee", "nuts"):
         raise InputError(f'`sampler` must be "emcee" or "nuts", but is {sampler!r}')
     require_double_precision("`sample_leaf_posterior`")
-    progress = NullProgress() if progress is None else progress
     data = binned_data(wavelength, reflectance, transmittance, detector_changes)
     use = usable_bins(data, domain, outdoor)
     random = np.random.default_rng(seed)
-    with progress.stage("sampling leaves", len(data)):
-        setup = make_setup(version, measurement, free, error_model, leaf_shape)
-        found, problems = solve_leaves(setup, data, use, leaf_priors(setup, data, use))
-        moved = towards_reflectance(setup, data, use, found.z)
-        columns = free_columns(setup)
-        samples = np.full((len(data), draws, columns.size), np.nan)
-        spectra = np.full((len(data), draws, data.shape[2]), np.nan)
-        sizes, status = np.zeros(len(data)), []
-        for i in range(len(data)):
-            if use[i].sum() < 10:
-                status.append("failed: fewer than ten usable bands within 450-2400 nm")
-                continue
-            density = leaf_density(setup, Problem(*(part[i] for part in problems)))
-            covariance = np.linalg.inv(found.hessian[i])[np.ix_(columns, columns)]
-            count = max(_WALKERS, 4 * columns.size) if sampler == "emcee" else _CHAINS
-            start = random.multivariate_normal(found.z[i, columns], covariance, count)
-            limits: dict[str, Any] = {"target": target, "steps": max_steps, "seed": seed + i}
-            if sampler == "emcee":
-                many: Any = partial(of_many, density)
-                chains = ensemble(many, start, **limits)
-            else:
-                chains = hamiltonian(density, start, covariance, **limits)
-            sizes[i] = chains.effective_size
-            status.append(chains.status)
-            if not len(chains.chain):
-                continue
-            flat = chains.chain.reshape(-1, columns.size)
-            picked = flat[random.integers(0, len(flat), draws)]
-            samples[i], spectra[i] = _finish(setup, problems, i, columns, picked, moved[i], random)
-            progress.advance(1)
+    setup = make_setup(version, measurement, free, error_model, leaf_shape)
+    found, problems = solve_leaves(setup, data, use, leaf_priors(setup, data, use))
+    moved = towards_reflectance(setup, data, use, found.z)
+    columns = free_columns(setup)
+    samples = np.full((len(data), draws, columns.size), np.nan)
+    spectra = np.full((len(data), draws, data.shape[2]), np.nan)
+    sizes, status = np.zeros(len(data)), []
+    for i in track(range(len(data)), "Sample leaves"):
+        if use[i].sum() < 10:
+            status.append("failed: fewer than ten usable bands within 450-2400 nm")
+            continue
+        density = leaf_density(setup, Problem(*(part[i] for part in problems)))
+        covariance = np.linalg.inv(found.hessian[i])[np.ix_(columns, columns)]
+        count = max(_WALKERS, 4 * columns.size) if sampler == "emcee" else _CHAINS
+        start = random.multivariate_normal(found.z[i, columns], covariance, count)
+        limits: dict[str, Any] = {"target": target, "steps": max_steps, "seed": seed + i}
+        if sampler == "emcee":
+            many: Any = partial(of_many, density)
+            chains = ensemble(many, start, **limits)
+        else:
+            chains = hamiltonian(density, start, covariance, **limits)
+        sizes[i] = chains.effective_size
+        status.append(chains.status)
+        if not len(chains.chain):
+            continue
+        flat = chains.chain.reshape(-1, columns.size)
+        picked = flat[random.integers(0, len(flat), draws)]
+        samples[i], spectra[i] = _finish(setup, problems, i, columns, picked, moved[i], random)
     leaf = [i for i, name in enumerate(setup.free) if name in LEAF_PARAMETERS]
     names = tuple(setup.free[i] for i in leaf)
     return LeafPosterior(names, samples[:, :, leaf], spectra, sizes, np.array(status))

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from fynjax._core.checkpoint import Keep, keep_nothing
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import stage, track
 from fynjax.radiation import (
     Accuracy,
     Cells,
@@ -72,7 +72,6 @@ def observe_in_tiles(
     *,
     tile: int = _TILE,
     keep: Keep = keep_nothing,
-    progress: Progress | None = None,
 ) -> Float[Array, "band y x"]:
     """Reflectance factor of the pixels of a large picture, without air and noise [-].
 
@@ -85,14 +84,12 @@ def observe_in_tiles(
     - `aimed`, `scene`, `parameters`: the sensor, without air, and what it is aimed at.
     - `tile`: edge of a tile [rays], at most.
     - `keep`: how a tile is done, such as by a `Journal`, which keeps those of an interrupted run.
-    - `progress`: where to report the stages and the tiles; nowhere by default.
 
     **Raises:** `InputError` where the light does not fit in memory, for rays that cannot be cut and
     for more bands than are solved for.
 
     Not differentiable: see `fynjax.radiation.render_tiles`.
     """
-    report = NullProgress() if progress is None else progress
     scene = scene.faded(False)
     accuracy, bands, rays = aimed.accuracy, aimed.sensor.bands, aimed.rays
     assert isinstance(rays, RayLattice)  # else `tile_picture` refuses them
@@ -103,24 +100,22 @@ def observe_in_tiles(
     draw: Callable[..., tuple[Array]]
     if scene.terrain is None and math.prod(whole.shape) > held:
         windows = _Windows(aimed, scene, parameters, whole, held)
-        light_in_windows = windows.light(report)
+        light_in_windows = windows.light()
         tiling = windows.tiling(light_in_windows, rays, tile)
         tiling = tiling._replace(steepest=aimed.steepest)  # layers cut as those of the whole are
         draw = partial(windows.tile, light_in_windows, rays, tiling, windows.room(tiling))
     else:
         check_light(whole, accuracy)
-        with report.stage("Light"):
+        with stage("Light"):
             # Plants that do not stand take memory only.
             voxels = _voxels(hard_scene(scene, parameters), parameters, bands)
             light = _light(voxels, accuracy)
         tiling = tile_picture(light, rays, tile)._replace(steepest=aimed.steepest)
         draw = partial(_tile, light, rays, tiling)
     factor = np.empty((len(bands), *rays.shape), scene.dtype)
-    with report.stage("Tiles", math.prod(tiling.shape)):
-        for row, column in np.ndindex(tiling.shape):
-            (part,) = keep(partial(draw, jnp.asarray(row), jnp.asarray(column)))
-            factor[:, *tiling.pixels(row, column)] = part
-            report.advance()
+    for row, column in track(np.ndindex(tiling.shape), "Tiles", math.prod(tiling.shape)):
+        (part,) = keep(partial(draw, jnp.asarray(row), jnp.asarray(column)))
+        factor[:, *tiling.pixels(row, column)] = part
     image, _ = aimed.averages(jnp.asarray(factor), whole)
     return image
 
@@ -158,25 +153,23 @@ class _Windows:
         bare = eqx.tree_at(lambda s: s.planting, scene, no_plants(scene.dtype))
         self._make = bare, parameters, aimed.sensor.bands
 
-    def light(self, report: Progress) -> LightInWindows:
+    def light(self) -> LightInWindows:
         """The light of the scene."""
         whole, accuracy = self._whole, self._accuracy
         cut = cut_cells(whole, accuracy, self._held)
         room, fields = self.room(cut), None
-        with report.stage("Light", math.prod(cut.shape)):
-            for place in np.ndindex(cut.shape):
-                window, at = self._window(cut, room, *place), map(jnp.asarray, place)
-                part = _cells(whole, *self._make, window, accuracy, cut, *at)
-                if fields is None:
-                    sides = [axis.starts[-1] + axis.pixels for axis in (cut.y, cut.x)]
-                    fields = [np.empty((*f.shape[:-2], *sides), f.dtype) for f in part]
-                for field, tile in zip(fields, part, strict=True):
-                    field[..., *cut.pixels(*place)] = tile
-                report.advance()
-            assert fields is not None
-            cells = Cells(*map(jnp.asarray, fields))
-            fields.clear()
-            return _solve(whole, cells, accuracy)
+        for place in track(np.ndindex(cut.shape), "Light", math.prod(cut.shape)):
+            window, at = self._window(cut, room, *place), map(jnp.asarray, place)
+            part = _cells(whole, *self._make, window, accuracy, cut, *at)
+            if fields is None:
+                sides = [axis.starts[-1] + axis.pixels for axis in (cut.y, cut.x)]
+                fields = [np.empty((*f.shape[:-2], *sides), f.dtype) for f in part]
+            for field, tile in zip(fields, part, strict=True):
+                field[..., *cut.pixels(*place)] = tile
+        assert fields is not None
+        cells = Cells(*map(jnp.asarray, fields))
+        fields.clear()
+        return _solve(whole, cells, accuracy)
 
     def tiling(self, light: LightInWindows, rays: RayLattice, tile: int) -> Tiling:
         """A picture in tiles of `tile` rays at most, of windows that can be held."""

@@ -17,7 +17,7 @@ import jax
 import numpy as np
 from scipy import stats
 
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import progress, track
 from fynjax._core.sampling import ensemble, hamiltonian
 from fynjax.leaf._error_model import bin_centres
 from fynjax.leaf._posterior import free_columns, leaf_density, of_many
@@ -60,30 +60,26 @@ def ranks(
     problems: Problem,
     sampler: str,
     seed: int = 0,
-    progress: Progress | None = None,
 ) -> tuple[np.ndarray, int]:
     """Rank of the truth among `DRAWS` draws [leaf, free], and how many chains fell short."""
-    progress = NullProgress() if progress is None else progress
     columns = free_columns(setup)
     state = solve(np.tile(setup.prior_mean, (len(truth), 1)), problems, setup.factors, setup.optics)
     random = np.random.default_rng([seed, 1])
     found, short = [], 0
-    with progress.stage("Leaves", len(truth)):
-        for i, true in enumerate(truth):
-            density = leaf_density(setup, Problem(*(part[i] for part in problems)))
-            covariance = np.linalg.inv(state.hessian[i])[np.ix_(columns, columns)]
-            options: dict[str, Any] = {"target": 4.0 * DRAWS, "steps": 20_000, "seed": seed + i}
-            if sampler == "emcee":
-                start = random.multivariate_normal(state.z[i, columns], covariance, 32)
-                drawn = ensemble(partial(of_many, density), start, **options)
-            else:
-                start = random.multivariate_normal(state.z[i, columns], covariance, 4)
-                drawn = hamiltonian(density, start, covariance, **options)
-            short += drawn.status != "converged"
-            flat = drawn.chain.reshape(-1, columns.size)
-            picked = flat[random.choice(len(flat), DRAWS, replace=False)]
-            found.append((picked < true).sum(axis=0))
-            progress.advance(1)
+    for i, true in enumerate(track(truth, "Leaves")):
+        density = leaf_density(setup, Problem(*(part[i] for part in problems)))
+        covariance = np.linalg.inv(state.hessian[i])[np.ix_(columns, columns)]
+        options: dict[str, Any] = {"target": 4.0 * DRAWS, "steps": 20_000, "seed": seed + i}
+        if sampler == "emcee":
+            start = random.multivariate_normal(state.z[i, columns], covariance, 32)
+            drawn = ensemble(partial(of_many, density), start, **options)
+        else:
+            start = random.multivariate_normal(state.z[i, columns], covariance, 4)
+            drawn = hamiltonian(density, start, covariance, **options)
+        short += drawn.status != "converged"
+        flat = drawn.chain.reshape(-1, columns.size)
+        picked = flat[random.choice(len(flat), DRAWS, replace=False)]
+        found.append((picked < true).sum(axis=0))
     return np.array(found), short
 
 
@@ -123,8 +119,6 @@ def draw(counts: np.ndarray, names: Sequence[str], path: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    from fynjax.cli._progress import make_progress
-
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
     parser.add_argument("--leaves", type=int, default=200)
     parser.add_argument("--sampler", choices=("emcee", "nuts"), default="emcee")
@@ -134,9 +128,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     setup = make_setup("D", None, None, None)
     truth, problems = simulate(setup, options.leaves, options.seed, options.reflectance_only)
-    found, short = ranks(
-        setup, truth, problems, options.sampler, options.seed, make_progress(quiet=False)
-    )
+    with progress():
+        found, short = ranks(setup, truth, problems, options.sampler, options.seed)
     counts, chance = uniform(found)
     inside = [np.abs(found / DRAWS - 0.5) <= level / 2 for level in (0.68, 0.95)]
     score = gaussian_scores(setup, truth, problems)

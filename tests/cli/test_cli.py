@@ -3,7 +3,6 @@
 The jobs themselves are stood in for: what is tested is the door, not the house.
 """
 
-import io
 import json
 import os
 import re
@@ -19,7 +18,6 @@ from typer.testing import CliRunner
 import fynjax
 from fynjax import jobs
 from fynjax._core.errors import InputError, MissingExtraError
-from fynjax._core.progress import NullProgress, Progress
 from fynjax.cli import app, main
 from fynjax.cli._runtime import _COMPILER, _alone
 from fynjax.io.plot import as_plot, read_plot
@@ -50,11 +48,10 @@ def calls(monkeypatch):
     made = []
 
     def job(name):
-        def run(*positional, progress=None, **keywords):
+        def run(*positional, **keywords):
             made.append((name, positional, keywords))
             if name in ("render", "calibrate"):  # a job reads its plot before anything else
                 as_plot(positional[0])
-            assert isinstance(progress, Progress)
             output = next(p for p in reversed(positional) if hasattr(p, "is_dir") and p.is_dir())
             (output / "image.tif").write_text(name)
             return Fake(
@@ -247,7 +244,7 @@ def test_a_bad_table_is_one_line_and_no_output(capsys, plot, tmp_path):
     ],
 )
 def test_a_failing_job_leaves_nothing(capsys, calls, monkeypatch, tmp_path, error, status, words):
-    def demo(output, *, seed, progress):
+    def demo(output, *, seed):
         (output / "half.tif").write_text("half")
         warnings.warn("lost with the run", stacklevel=1)
         raise error
@@ -261,7 +258,7 @@ def test_a_failing_job_leaves_nothing(capsys, calls, monkeypatch, tmp_path, erro
 
 
 def test_debug_shows_the_traceback(calls, monkeypatch, tmp_path):
-    def demo(output, *, seed, progress):
+    def demo(output, *, seed):
         raise InputError("bad")
 
     monkeypatch.setattr(fynbos_2006, "demo", demo)
@@ -271,7 +268,7 @@ def test_debug_shows_the_traceback(calls, monkeypatch, tmp_path):
 
 
 def test_ctrl_c_is_130_and_leaves_nothing(capsys, calls, monkeypatch, tmp_path):
-    def demo(output, *, seed, progress):
+    def demo(output, *, seed):
         (output / "half.tif").write_text("half")
         raise KeyboardInterrupt
 
@@ -283,7 +280,7 @@ def test_ctrl_c_is_130_and_leaves_nothing(capsys, calls, monkeypatch, tmp_path):
 
 
 def test_warnings_of_a_run_are_printed_once_and_kept(capsys, calls, monkeypatch, tmp_path):
-    def demo(output, *, seed, progress):
+    def demo(output, *, seed):
         for _ in range(2):
             warnings.warn("3 of 600 pixels are masked", stacklevel=1)
         warnings.warn("not for users", DeprecationWarning, stacklevel=1)
@@ -324,7 +321,7 @@ def test_what_a_killed_run_left_long_ago_is_cleared_away(capsys, calls, tmp_path
 def test_a_doubtful_result_says_so_first_and_fails_only_if_asked(
     capsys, calls, monkeypatch, tmp_path
 ):
-    def doubtful(output, progress=None, **_):
+    def doubtful(output, **_):
         return Fake(output="", seed=0, command="demo", status="not converged: limit of steps",
                     headline=["Done."], array=[])  # fmt: skip
 
@@ -457,33 +454,6 @@ def test_compiled_programs_that_are_kept_are_read_without_a_word(tmp_path):
         )  # fmt: skip
         assert done.stderr == ""
     assert list(tmp_path.glob("*cache"))
-
-
-def test_bars_show_stages_counts_and_what_the_job_tells():
-    from rich.console import Console
-
-    from fynjax.cli._progress import TerminalProgress
-
-    console = Console(force_terminal=True, width=120, record=True, file=io.StringIO())
-    progress = TerminalProgress(console)
-    progress.advance()  # outside a stage: nothing to move
-    with progress.stage("Calibrate", total=10):
-        progress.advance(4, loss=0.5)
-        with progress.stage("Render"):
-            progress.advance()
-        progress.advance(1, loss=0.25)
-    text = console.export_text()
-    assert "Calibrate" in text
-    assert "Render" in text
-    assert "loss 0.25" in text
-    assert "10/10" in text
-
-
-def test_null_progress_is_a_progress():
-    progress = NullProgress()
-    assert isinstance(progress, Progress)
-    with progress.stage("anything", total=3):
-        progress.advance(2, loss=0.1)
 
 
 def test_view_opens_the_page_of_a_run_or_prints_its_path(capsys, tmp_path, monkeypatch):

@@ -109,7 +109,7 @@ def test_every_option_of_clouds_reaches_the_comparison(tmp_path: Path) -> None:
 def job(command: str, *names: str, status: int | None = None):  # type: ignore[no-untyped-def]
     """A job that writes these files, and ends with a status."""
 
-    def write(folder: Path, _progress: object) -> JobResult:
+    def write(folder: Path) -> JobResult:
         for name in names:
             (folder / name).parent.mkdir(exist_ok=True)
             (folder / name).write_text("new")
@@ -169,7 +169,7 @@ def test_kill_leaves_nothing_beside_the_output(tmp_path: Path) -> None:
     """Even if a library swallows the exit, as JAX's callbacks do."""
     before = signal.getsignal(signal.SIGTERM)
 
-    def killed(folder: Path, _progress: object) -> JobResult:
+    def killed(folder: Path) -> JobResult:
         with contextlib.suppress(SystemExit):
             os.kill(os.getpid(), signal.SIGTERM)
         return JobResult(output=str(folder), command="validate", seed=0)

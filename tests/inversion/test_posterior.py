@@ -4,7 +4,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-from contextlib import nullcontext
 from functools import cache
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from fynjax._core.sampling import ensemble
 from fynjax.inversion import Data, LogPosterior, ParameterSpace, fit, sample_posterior
 from fynjax.inversion._posterior import _flatness
 from fynjax.inversion._posterior_result import _arviz
+from tests.heard import hearing
 from tests.inversion.linear import DATA, SPACE, posterior, predict
 
 SAMPLERS = ["emcee", "nuts", "laplace"]
@@ -226,21 +226,18 @@ import fynjax._core.sampling as sampling
 sampling._SAVE_SECONDS = 0.0
 from fynjax.inversion import sample_posterior
 from fynjax.inversion._posterior_result import _arviz
+from tests.heard import Heard, listening
 from tests.inversion.linear import DATA, SPACE, predict
 
-class Slow:
-    def stage(self, name, total=None):
-        from contextlib import nullcontext
-        return nullcontext()
-    def advance(self, n=1, **info):
-        global steps
-        steps += n
-        if steps > 60:
+class Slow(Heard):
+    def advance(self, n, **info):
+        super().advance(n)
+        if self.count > 60:
             print("far", flush=True)
             import time; time.sleep(60)
-steps = 0
-sample_posterior(predict, DATA, SPACE, method=sys.argv[1], target=300.0, max_steps=1500,
-                 checkpoint=sys.argv[2], progress=Slow())
+with listening(Slow()):
+    sample_posterior(predict, DATA, SPACE, method=sys.argv[1], target=300.0, max_steps=1500,
+                     checkpoint=sys.argv[2])
 """
 
 
@@ -262,18 +259,10 @@ def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path, method, end):
     assert run.wait(timeout=120) != 0
     for pipe in (run.stdout, run.stderr):
         pipe.close()
-    told = []
-
-    class Watch:
-        def stage(self, name, total=None):
-            return nullcontext()
-
-        def advance(self, n=1, **info):
-            told.append(n)
-
     assert path.exists()
-    rest = sample_posterior(predict, DATA, SPACE, checkpoint=path, progress=Watch(), **limits)
-    assert told[0] > 50  # what was done before the end counts at once
+    with hearing() as heard:
+        rest = sample_posterior(predict, DATA, SPACE, checkpoint=path, **limits)
+    assert heard.steps[0] > 50  # what was done before the end counts at once
     np.testing.assert_array_equal(rest.whitened, whole.whitened)
     np.testing.assert_array_equal(rest.predicted, whole.predicted)
     again = sample_posterior(predict, DATA, SPACE, checkpoint=path, **limits)

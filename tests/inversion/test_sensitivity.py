@@ -15,6 +15,7 @@ from fynjax.inversion import (
     sobol_indices,
 )
 from fynjax.inversion import _sensitivity as module
+from tests.heard import hearing
 
 A, B = 7.0, 0.1
 CUBE = ParameterSpace(
@@ -185,9 +186,7 @@ def test_there_are_as_many_plantings_as_the_leading_elasticities_need():
 
 
 def test_plantings_are_kept_and_counted(tmp_path):
-    from contextlib import nullcontext
-
-    asked, done, stages = [], [], []
+    asked = []
 
     def planting(number):
         if len(asked) == 10:
@@ -196,21 +195,14 @@ def test_plantings_are_kept_and_counted(tmp_path):
         asked.append(number)
         return lines(0.8)(number)
 
-    class Count:
-        def stage(self, name, total=None):
-            stages.append((name, total))
-            return nullcontext()
-
-        def advance(self, n=1, **info):
-            done.append(n)
-
     options = {"accuracy": 0.0, "most": 20}
     with pytest.raises(KeyboardInterrupt):
         expected(planting, journal=Journal(tmp_path, "s"), **options)
-    again = expected(planting, journal=Journal(tmp_path, "s"), progress=Count(), **options)
+    with hearing() as heard:
+        again = expected(planting, journal=Journal(tmp_path, "s"), **options)
     assert asked == [*range(10), None, *range(10, 20)]
-    assert sum(done) == sum(total for _, total in stages) == 20
-    assert stages[-1] == ("Slopes of plantings 17 to 20", 4)
+    assert heard.count == sum(total for _, total in heard.stages) == 20
+    assert heard.stages[-1] == ("Slopes of plantings 17 to 20", 4)
     for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(expected(lines(0.8), **options))):
         np.testing.assert_array_equal(a, b)
     with pytest.raises(InputError, match="planting 2: a metric or its slope is not finite"):
@@ -218,21 +210,10 @@ def test_plantings_are_kept_and_counted(tmp_path):
 
 
 def test_progress_counts_every_run():
-    from contextlib import nullcontext
-
-    class Count:
-        done = 0
-
-        def stage(self, name, total=None):
-            self.total = total
-            return nullcontext()
-
-        def advance(self, n=1, **info):
-            self.done += n
-
-    count = Count()
-    derivative_measures(ishigami, CUBE, METRICS, samples=64, batch=24, progress=count)
-    assert count.done == count.total == 64
+    with hearing() as heard:
+        derivative_measures(ishigami, CUBE, METRICS, samples=64, batch=24)
+    assert heard.stages == [("Run the model", 64)]
+    assert heard.count == 64
 
 
 def test_wrong_arguments_and_values_are_refused(monkeypatch):

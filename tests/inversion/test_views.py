@@ -13,7 +13,6 @@ import scipy.optimize
 
 from fynjax._core.checkpoint import forget_journal, signature
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress
 from fynjax.inversion import (
     COARSE,
     AbstractView,
@@ -61,6 +60,7 @@ from fynjax.radiation import parallel_rays, reflectance_factor, solve_light
 from fynjax.scene import stand_realisation, with_values
 from fynjax.scene._structure import _projections
 from fynjax.sensors import BandSet
+from tests.heard import hearing
 from tests.scene.plots import TAXA, densities, drone, small_parameters, small_plot
 
 BAND_MEANS = ("green.mean", "red.mean", "red_edge.mean", "nir.mean")
@@ -268,24 +268,11 @@ class Stop(Exception):
     """What interrupts a run."""
 
 
-class Watch(NullProgress):
-    """Counts what is reported, and interrupts at the report of a number."""
-
-    def __init__(self, last=0):
-        self.last, self.count = last, 0
-
-    def advance(self, n=1, **info):
-        self.count += n
-        if self.count == self.last:
-            raise Stop
-
-
-def followed(sums, folder, progress=None, **options):
+def followed(sums, folder, **options):
     """The same calibration, its states kept in `folder`."""
     settings = {"stand_realisations": 2, "scatter_draws": 3, "max_steps": 6} | options
     search = plot_search(*sums, (Sums(),), CalibrationSettings(**settings))
-    run = Run(folder, progress=progress)
-    return calibration(search, follow(search, search_starts(search), run, folder))
+    return calibration(search, follow(search, search_starts(search), Run(folder), folder))
 
 
 @pytest.fixture(scope="module")
@@ -296,11 +283,11 @@ def whole(sums):
 @pytest.mark.parametrize("count", [1, 3, 5])
 def test_an_interrupted_run_ends_at_the_same_bits(sums, whole, tmp_path, count):
     folder = tmp_path / "kept"
-    with pytest.raises(Stop):
-        followed(sums, folder, Watch(count + 1))
-    watch = Watch()
-    found = followed(sums, folder, watch)
-    assert watch.count == len(whole.fit.loss)
+    with pytest.raises(Stop), hearing(count + 1, Stop):
+        followed(sums, folder)
+    with hearing() as heard:
+        found = followed(sums, folder)
+    assert heard.count == len(whole.fit.loss)
     for name in ("estimate", "sd", "loss", "predicted", "covariance"):
         np.testing.assert_array_equal(getattr(found.fit, name), getattr(whole.fit, name))
     np.testing.assert_array_equal(found.statistics_after, whole.statistics_after)
@@ -312,10 +299,10 @@ def test_an_interrupted_run_ends_at_the_same_bits(sums, whole, tmp_path, count):
 def test_a_search_from_several_starts_goes_on_within_any_of_them(sums, tmp_path):
     """The second start shares sites and subspace with the first, which is read again."""
     folder = tmp_path / "kept"
-    watch = Watch()
-    whole = followed(sums, tmp_path / "whole", watch, starts=2)
-    with pytest.raises(Stop):
-        followed(sums, folder, Watch(watch.count - 2), starts=2)
+    with hearing() as heard:
+        whole = followed(sums, tmp_path / "whole", starts=2)
+    with pytest.raises(Stop), hearing(heard.count - 2, Stop):
+        followed(sums, folder, starts=2)
     assert {path.name for path in folder.glob("*.npz")} == {
         f"calibration.start_{number}.npz" for number in (1, 2)
     }
@@ -347,8 +334,8 @@ def test_what_was_kept_is_not_done_again(sums, whole, tmp_path, monkeypatch):
 def test_a_checkpoint_of_another_calibration_is_refused(sums, tmp_path):
     model, start, data, space = sums
     folder = tmp_path / "kept"
-    with pytest.raises(Stop):
-        followed(sums, folder, Watch(2))
+    with pytest.raises(Stop), hearing(2, Stop):
+        followed(sums, folder)
     other = Data(data.names, data.value.at[0].mul(1.001), data.sd)
     for changed, options in (
         ((model, start, other, space), {}),

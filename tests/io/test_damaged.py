@@ -238,8 +238,8 @@ def test_a_plot_file_may_not_choose_files_elsewhere(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"'leaves.csv': expected .* folder or below"):
         read_plot(path)
     assert len(read_plot(path, allow_outside=True).species) == 13
-    job, _ = _ready(lambda plot: lambda folder, progress: plot, {"plot": path}, True, True)
-    assert len(job(tmp_path, None).species) == 13  # what --allow-outside hands on
+    job, _ = _ready(lambda plot: lambda folder: plot, {"plot": path}, True, True)
+    assert len(job(tmp_path).species) == 13  # what --allow-outside hands on
 
 
 def test_a_sensor_file_may_not_choose_files_elsewhere(tmp_path: Path) -> None:

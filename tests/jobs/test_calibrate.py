@@ -9,7 +9,6 @@ import jsonschema
 import pytest
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress
 from fynjax.inversion import PlotSearch
 from fynjax.io.plot import example_folder, read_plot
 from fynjax.jobs import calibrate, render
@@ -17,6 +16,7 @@ from fynjax.jobs._calibrate import _short_of_sites
 from fynjax.jobs._calibration_page import doubt_first, status_of
 from fynjax.jobs._render import check_finite
 from fynjax.jobs._schemas import json_schema
+from tests.heard import hearing
 from tests.scene.plots import small_parameters, small_plot
 from tests.small import write_plot
 
@@ -96,18 +96,6 @@ def test_plants_without_a_site_are_a_warning():
     assert first.startswith("Erica irregularis: the estimate asks for")
 
 
-class Interrupting(NullProgress):
-    """Is interrupted from the keyboard at its third step."""
-
-    def __init__(self):
-        self.steps = 0
-
-    def advance(self, n=1, **info):
-        self.steps += n
-        if self.steps == 3:
-            raise KeyboardInterrupt
-
-
 @pytest.mark.slow
 def test_a_spectrum_and_a_cloud_together_after_an_interruption(tmp_path, monkeypatch):
     """Two sensors, neither a drone: the page tells of each, and the run goes on where it was."""
@@ -122,8 +110,8 @@ def test_a_spectrum_and_a_cloud_together_after_an_interruption(tmp_path, monkeyp
     for folder in (first, second):
         folder.mkdir()
     arguments = (tmp_path / "plot.toml", [cloud, spectrum])
-    with pytest.raises(KeyboardInterrupt):
-        calibrate(*arguments, first, seed=0, checkpoint=kept, progress=Interrupting())
+    with pytest.raises(KeyboardInterrupt), hearing(3):
+        calibrate(*arguments, first, seed=0, checkpoint=kept)
     assert not list(first.iterdir())
     assert sorted(p.name for p in kept.iterdir()) == ["calibration.mark", "calibration.start_1.npz"]
 

@@ -37,7 +37,7 @@ def test_an_interrupted_large_image_goes_on(tmp_path, monkeypatch):
     """Tiles that the checkpoint keeps are not made again; it is of one plot and seed."""
     plot, made = test_simulate.write_plot(tmp_path), []
 
-    def tiles(camera, scene, parameters, *, keep, progress):
+    def tiles(camera, scene, parameters, *, keep):
         def step():
             made.append(len(made))
             return (np.full((len(camera.sensor.bands), *camera.shape), 0.2),)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import advance, stage
 from fynjax.compare.structure._cloud import HeightCloud, common_plot, height_cloud, open_cloud
 from fynjax.compare.structure._grain import binned_returns, choose_cells
 from fynjax.compare.structure._notes import comparison_notes, nearly_highest
@@ -40,7 +40,6 @@ def compare_clouds(
     *,
     settings: ComparisonSettings | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
 ) -> StructureComparison:
     """Compare the structure of a real and a simulated cloud as the paper does in figure 13.
 
@@ -57,7 +56,6 @@ def compare_clouds(
       filtered, and returns far below its ground are left out as noise and counted.
     - `settings`: of reading, cells, thinning and bootstrap; those of the paper if not given.
     - `seed`: of thinnings and bootstrap.
-    - `progress`: is advanced as cells and thinnings are worked through.
 
     **Returns:** a `StructureComparison`.
 
@@ -65,9 +63,8 @@ def compare_clouds(
     reference systems, no ground, no grain that fits.
     """
     settings = ComparisonSettings() if settings is None else settings
-    progress = NullProgress() if progress is None else progress
     paths = Path(real_path), Path(simulated_path)
-    with progress.stage("Read the clouds"):
+    with stage("Read the clouds"):
         real = open_cloud(paths[0], settings.real)
         simulated = open_cloud(paths[1], settings.simulated)
     stated = settings.simulated_shift
@@ -79,13 +76,13 @@ def compare_clouds(
         simulated, x=simulated.x + shift[0], y=simulated.y + shift[1], z=simulated.z + up
     )
     slack = 0.0 if settings.bounds else max(_spacing(c) for c in (real, simulated))
-    with progress.stage("Find the ground", total=2):
+    with stage("Find the ground", total=2):
         heights = []
         for cloud, path, how in zip((real, simulated), paths, (settings.real, settings.simulated)):
             heights.append(height_cloud(cloud, path, how, bounds, slack))
-            progress.advance()
+            advance()
     sparser = int(len(heights[1]) < len(heights[0]))
-    with progress.stage("Choose the grain"):
+    with stage("Choose the grain"):
         grid, grains = choose_cells(heights[sparser], bounds, slack, settings)
         binned = [binned_returns(part, grid, settings.structure) for part in heights]
     target = min(len(part) for part in binned)
@@ -100,13 +97,13 @@ def compare_clouds(
     bins = _bins(binned, settings)
     shares = height_shares(other, settings.histogram_bin, bins)
     draws = settings.repetitions if thinned != "neither" else 1
-    with progress.stage("Thin the denser cloud", total=draws):
+    with stage("Thin the denser cloud", total=draws):
         for index in thinnings(len(binned[denser]), target, draws, rng):
             part = binned[denser].take(index)
             repeated.append(cell_structure(part))
             rounds.append(_agreement(part.height, percentiles, shares, bins, settings))
-            progress.advance()
-    with progress.stage("Resample the cells"):
+            advance()
+    with stage("Resample the cells"):
         sides, estimates = [], []
         for i, (above, structure) in enumerate(zip(heights, full)):
             parts = repeated if i == denser and thinned != "neither" else None
@@ -158,7 +155,6 @@ def cloud_structure(
     settings: ComparisonSettings | None = None,
     *,
     seed: int = 0,
-    progress: Progress | None = None,
 ) -> CloudStructure:
     """The structure of one cloud: its ground, grain, metrics in each cell and their means.
 
@@ -168,22 +164,20 @@ def cloud_structure(
     - `settings`: those of thinning and of the simulated cloud are not used; `real` is how the cloud
       is read.
     - `seed`: of the bootstrap.
-    - `progress`: is advanced while cells are worked through.
 
     **Returns:** a `CloudStructure`.
 
     **Raises:** `InputError` as `compare_clouds`.
     """
     settings = ComparisonSettings() if settings is None else settings
-    progress = NullProgress() if progress is None else progress
     path = Path(path)
-    with progress.stage("Read the cloud"):
+    with stage("Read the cloud"):
         cloud = open_cloud(path, settings.real)
     bounds = cloud.bounds if settings.bounds is None else settings.bounds
     slack = 0.0 if settings.bounds else _spacing(cloud)
-    with progress.stage("Find the ground"):
+    with stage("Find the ground"):
         heights = height_cloud(cloud, path, settings.real, bounds, slack)
-    with progress.stage("Choose the grain"):
+    with stage("Choose the grain"):
         grid, grains = choose_cells(heights, bounds, slack, settings)
     binned = binned_returns(heights, grid, settings.structure)
     structure = cell_structure(binned)

@@ -11,7 +11,6 @@ from jaxtyping import Bool, Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.precision import require_double_precision
-from fynjax._core.progress import NullProgress, Progress
 from fynjax.io.micasense._metadata import RedEdgeBand, read_rededge_band
 from fynjax.io.raster import Alignment, align_bands
 from fynjax.io.text import did_you_mean, existing_file
@@ -178,16 +177,13 @@ def read_capture(name: str, paths: Sequence[Path]) -> Capture:
     return Capture(name, bands)
 
 
-def aligned_radiance(
-    capture: Capture, *, align: bool = True, progress: Progress | None = None
-) -> AlignedCapture:
+def aligned_radiance(capture: Capture, *, align: bool = True) -> AlignedCapture:
     """Radiance of a capture, its bands laid on the first (`fynjax.io.raster.align_bands`).
 
     **Arguments:**
 
     - `capture`: all bands of one moment.
     - `align`: false leaves every band on its own pixels.
-    - `progress`: is advanced once for each band.
 
     **Returns:** an `AlignedCapture`: radiance [W m-2 sr-1 um-1], full pixels, and how bands were
     moved.
@@ -197,12 +193,10 @@ def aligned_radiance(
     radiance, full = capture.radiance()[:, ::-1], capture.full_radiance()[:, ::-1]
     if not align or len(capture.bands) == 1:
         return AlignedCapture(radiance, radiance >= full * (1.0 - 1e-6), None)
-    progress = NullProgress() if progress is None else progress
-    with progress.stage(f"Align the bands of {capture.name}", len(capture.bands) - 1):
-        try:
-            values, cut, alignments = align_bands(radiance, progress=progress)
-        except InputError as error:
-            raise InputError(str(error), file=capture.bands[0].path) from error
+    try:
+        values, cut, alignments = align_bands(radiance)
+    except InputError as error:
+        raise InputError(str(error), file=capture.bands[0].path) from error
     near = np.empty(values.shape, bool)
     for k, band in enumerate(alignments):
         # Where the first band's pixels lie in this one: the rest of the map moves it too little.

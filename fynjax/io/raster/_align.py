@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import advance, track
 
 _SMOOTH = 1.5
 """Standard deviation of the smoothing before edges are taken [pixel]."""
@@ -32,7 +32,7 @@ class Alignment:
 
 
 def align_bands(
-    image: Float[np.ndarray, "band y x"], *, progress: Progress | None = None
+    image: Float[np.ndarray, "band y x"],
 ) -> tuple[Float[np.ndarray, "band y x"], tuple[slice, slice], list[Alignment]]:
     """Lay every band on the first, whose frame is kept.
 
@@ -47,7 +47,6 @@ def align_bands(
 
     - `image`: [band, y, x] in any unit, finite, at least 80 x 80 pixels; row 0 at the southern
       edge.
-    - `progress`: is advanced once for each band.
 
     **Returns:** the aligned bands, cut to the part that all of them cover; that cut as slices (y,
     x) of the first band; an `Alignment` for each band.
@@ -55,7 +54,6 @@ def align_bands(
     **Raises:** `InputError` where a band does not fit the first; `MissingExtraError` without
     scikit-image.
     """
-    progress = NullProgress() if progress is None else progress
     filters = require("skimage.filters", "pattern", "scikit-image")
     transform = require("skimage.transform", "pattern", "scikit-image")
     bands, rows, columns = image.shape
@@ -76,7 +74,7 @@ def align_bands(
     aligned = [image[0]]
     alignments = [Alignment((0.0, 0.0), 0.0, 1.0)]
     middle = np.array([[(columns - 1) / 2.0, (rows - 1) / 2.0]])
-    for number in range(1, bands):
+    for number in track(range(1, bands), "Align the bands"):
         other = edges(image[number])
         shift = _shift(first, other)
         onto = transform.AffineTransform(translation=-shift)
@@ -96,7 +94,7 @@ def align_bands(
         alignments.append(Alignment((float(east), float(north)), missed, match))
         warped = transform.warp(image[number], onto, order=1, preserve_range=True)
         aligned.append(warped.astype(image.dtype))
-        progress.advance(match=match)
+        advance(0, match=match)
     y, x = _common(outlines)
     return np.stack([band[y, x] for band in aligned]), (y, x), alignments
 

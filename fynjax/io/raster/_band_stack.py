@@ -12,7 +12,6 @@ from rasterio import Affine
 from rasterio.enums import ColorInterp
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import NullProgress, Progress
 from fynjax.io.raster._align import Alignment, align_bands
 from fynjax.io.raster._reader import open_raster
 
@@ -60,7 +59,6 @@ def read_band_stack(
     bands: Sequence[str] | None = None,
     pixel_m: float | None = None,
     align: bool = True,
-    progress: Progress | None = None,
 ) -> BandStack:
     """Read an image of any number of bands, in whatever unit.
 
@@ -78,7 +76,6 @@ def read_band_stack(
     - `pixel_m`: side of a pixel on the ground [m]. Needed for an image without a coordinate
       reference system, which is then put into the plot's local frame, its south-west corner at
       (0, 0) and the top of the picture north.
-    - `progress`: is advanced as bands are aligned.
 
     **Returns:** a `BandStack` of the bands that have data, in the file's unit.
 
@@ -142,12 +139,10 @@ def read_band_stack(
                     f"{mask.size} are not. Align them first, and leave it out here (--no-align).",
                     file=files[0],
                 )
-            progress = NullProgress() if progress is None else progress
-            with progress.stage("Align the bands", len(values) - 1):
-                try:
-                    values, cut, alignments = align_bands(values, progress=progress)
-                except InputError as error:
-                    raise InputError(str(error), file=files[0]) from error
+            try:
+                values, cut, alignments = align_bands(values)
+            except InputError as error:
+                raise InputError(str(error), file=files[0]) from error
             mask, alignment = mask[cut], tuple(alignments)
         transform = Affine(pixel_m, 0.0, 0.0, 0.0, -pixel_m, mask.shape[0] * pixel_m)
         crs = None

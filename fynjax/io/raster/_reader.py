@@ -28,7 +28,7 @@ from rasterio.windows import Window
 
 from fynjax._core.errors import LARGEST, InputError
 from fynjax._core.memory import total_memory
-from fynjax._core.progress import NullProgress, Progress
+from fynjax._core.progress import track
 from fynjax.io.raster._crs import check_metric, is_local
 from fynjax.io.spectra import header_numbers, in_nanometres, open_envi
 from fynjax.io.text import check_stated_size, existing_file, read_bytes
@@ -233,7 +233,6 @@ class RasterFile:
         step: int = 1,
         zero_is_data: bool = True,
         dtype: DTypeLike = np.float64,
-        progress: Progress | None = None,
     ) -> Raster:
         """Read bands, all of them unless given, by blocks of rows.
 
@@ -248,7 +247,7 @@ class RasterFile:
         **Raises:** `InputError` for values that are no real numbers, and for more of them than
         this machine has memory for.
         """
-        file, progress = self.dataset, NullProgress() if progress is None else progress
+        file = self.dataset
         bands = list(file.indexes if bands is None else bands)
         top, left, height, width = (
             (0, 0, *self.shape)
@@ -270,21 +269,18 @@ class RasterFile:
         valid = np.empty(shape, bool)
         full = np.zeros(shape[1:], bool)
         block = max(_BLOCK // max(len(bands) * width, 1) // step, 1) * step
-        starts = range(0, height, block)
-        with progress.stage(f"Read {self.path.name}", len(starts)):
-            for start in starts:
-                part = Window(left, top + start, width, min(block, height - start))
-                raw = file.read(bands, window=part)[:, ::step, ::step]
-                data = file.read_masks(bands, window=part)[:, ::step, ::step] > 0
-                rows = slice(start // step, start // step + raw.shape[1])
-                with np.errstate(all="ignore"):  # what is no number is warned of below
-                    values[:, rows] = raw
-                if not zero_is_data:
-                    data &= ~(raw == 0).all(axis=0)
-                valid[:, rows] = data
-                if raw.dtype.kind in "iu":
-                    full[rows] = (raw == np.iinfo(raw.dtype).max).any(axis=0)
-                progress.advance()
+        for start in track(range(0, height, block), f"Read {self.path.name}"):
+            part = Window(left, top + start, width, min(block, height - start))
+            raw = file.read(bands, window=part)[:, ::step, ::step]
+            data = file.read_masks(bands, window=part)[:, ::step, ::step] > 0
+            rows = slice(start // step, start // step + raw.shape[1])
+            with np.errstate(all="ignore"):  # what is no number is warned of below
+                values[:, rows] = raw
+            if not zero_is_data:
+                data &= ~(raw == 0).all(axis=0)
+            valid[:, rows] = data
+            if raw.dtype.kind in "iu":
+                full[rows] = (raw == np.iinfo(raw.dtype).max).any(axis=0)
         if (scale != 1.0).any() or (offset != 0.0).any():
             with np.errstate(all="ignore"):
                 values *= scale

@@ -12,7 +12,6 @@ from jaxtyping import Float
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
-from fynjax._core.progress import Progress
 from fynjax.inversion import Data, spectrum_view
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
 from fynjax.io.raster import file_hash
@@ -96,7 +95,6 @@ def calibrate_plots(
     seed: int = 0,
     checkpoint: str | Path,
     workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> CalibratePlotsResult:
     """Infer covers, leaf area, dead tissue, gap and leaf traits of plots from their spectra.
 
@@ -113,14 +111,13 @@ def calibrate_plots(
     - `seed`: seed of the positions of the plants.
     - `checkpoint`: folder that keeps the fit of each plot, from which an interrupted run goes on.
     - `workers`: where the plots are inferred; in this process by default.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `CalibratePlotsResult`. Writes tables, figures and a page into `output`.
 
     **Raises:** `InputError` for tables that are missing or cannot be read, plots without spectra,
     a checkpoint of another run, plots whose fit failed, and workers as `Workers` has it.
     """
-    run = Run(output, seed=seed, progress=progress)
+    run = Run(output, seed=seed)
     resolution = Resolution() if resolution is None else resolution
     folder = Path(folder)
     if realisations < 3:
@@ -176,9 +173,7 @@ def calibrate_plots(
 
         def infer(cases: list[PlotCase], of: Sequence[Prior]) -> None:
             names = [f"plot {plot.name}, {prior.name}" for prior in of for plot in prior.plots]
-            found = pool.all(
-                infer_plot, cases, predict, names=names, journal=journal, progress=run.progress
-            )
+            found = pool.all(infer_plot, cases, predict, names=names, journal=journal)
             fits = [PlotEstimate.of(case.space, arrays) for case, arrays in zip(cases, found)]
             for k, prior in enumerate(of):
                 estimates[prior.name] = fits[k * len(read) : (k + 1) * len(read)]

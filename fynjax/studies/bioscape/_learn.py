@@ -17,7 +17,6 @@ from jaxtyping import Array, Float
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
-from fynjax._core.progress import Progress
 from fynjax.inversion import (
     LinearPlots,
     ParameterSpace,
@@ -78,7 +77,6 @@ def learn(
     seed: int = 0,
     checkpoint: str | Path,
     workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> LearnResult:
     """Learn what plots share, and how they vary, from the tables and spectra of all at once.
 
@@ -95,7 +93,6 @@ def learn(
     - `seed`: seed of the positions of the plants.
     - `checkpoint`: folder that keeps the linearisations, from which an interrupted run goes on.
     - `workers`: where the plots are simulated; in this process by default.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `LearnResult`. Writes `prior.toml`, tables, figures and a page into `output`.
 
@@ -103,7 +100,7 @@ def learn(
     with a spectrum, plots of one name, other bands, a checkpoint of another run, plots
     that failed, and workers as `Workers` has it.
     """
-    run = Run(output, seed=seed, progress=progress)
+    run = Run(output, seed=seed)
     resolution = Resolution() if resolution is None else resolution
     read, bands, measured, files, remarks = _read(folders, run, plots, traits)
     with run.stage("Plant the plots"):
@@ -140,7 +137,7 @@ def learn(
                 found = pool.all(
                     differentiate if differentiated else simulate,
                     list(zip(scenes, at)), models[differentiated], space,
-                    names=names, journal=journal, progress=run.progress,
+                    names=names, journal=journal,
                 )  # fmt: skip
             for plot, (result,) in zip(read, found):
                 if not np.isfinite(result).all():

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fynjax._core.errors import InputError
-from fynjax._core.progress import Progress
 from fynjax.canopy import instance_area, soft_count, target_area
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, leaf_factors, read_prior
 from fynjax.io.text import write_text
@@ -522,7 +521,6 @@ def run_bioscape(
     plots: Sequence[str] | None = None,
     traits: str | Path | None = None,
     prior: str | Path = DEFAULT_PRIOR,
-    progress: Progress | None = None,
 ) -> BioscapeResult:
     """Write a folder of plot files for each plot of BioSCape's tables, and `plots.csv`.
 
@@ -535,14 +533,13 @@ def run_bioscape(
     - `folder`, `plots`, `traits`: as for `read_bioscape`.
     - `output`: folder of the results, made if missing.
     - `prior`: learned population (`read_prior`), or "none": what is assumed before one is learned.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `BioscapeResult`, with the plots that were written.
 
     **Raises:** as `read_bioscape`, and `InputError` for a plot whose name cannot be that of a
     folder.
     """
-    run = Run(output, progress=progress)
+    run = Run(output)
     learned = read_prior(prior)
     with run.stage("Read the tables"):
         read = read_bioscape(folder, plots, traits=traits)

@@ -10,7 +10,6 @@ import pandas as pd
 from fynjax._core.checkpoint import Journal, signature
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
-from fynjax._core.progress import Progress
 from fynjax.compare import PlotSpectraPair
 from fynjax.inversion import nadir_imager
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, Plot, read_plot, read_prior
@@ -50,7 +49,6 @@ def validate_plots(
     seed: int = 0,
     checkpoint: str | Path | None = None,
     workers: Workers | None = None,
-    progress: Progress | None = None,
 ) -> ValidatePlotsResult:
     """Simulate the spectra of a folder's plots from its tables and compare them with the measured.
 
@@ -66,14 +64,13 @@ def validate_plots(
     - `checkpoint`: folder that keeps each plot's spectrum, from which an interrupted run goes on;
       none by default.
     - `workers`: where the plots are simulated; in this process by default.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `ValidatePlotsResult`. Writes tables, figures and a page into `output`.
 
     **Raises:** `InputError` for tables that are missing or cannot be read, a checkpoint of another
     run, plots that failed, and workers as `Workers` has it.
     """
-    run = Run(output, seed=seed, progress=progress)
+    run = Run(output, seed=seed)
     resolution = Resolution() if resolution is None else resolution
     folder = Path(folder)
     learned = read_prior(prior)
@@ -102,9 +99,7 @@ def validate_plots(
     imager = nadir_imager(bands, *scenes[0], ACCURACY)
     with run.stage("Simulate", total=len(read)), at_work(workers) as pool:
         names = [f"plot {p.name}" for p in read]
-        found = pool.all(
-            simulate_plot, scenes, imager, names=names, journal=journal, progress=run.progress
-        )
+        found = pool.all(simulate_plot, scenes, imager, names=names, journal=journal)
     spectra = [PlotSpectrum(*arrays) for arrays in found]  # type: ignore[arg-type]
     _check_finite(spectra, read)
     pair = PlotSpectraPair(

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 
-from fynjax._core.progress import Progress
 from fynjax.assembly import Measured, drone_view
 from fynjax.compare import bands_2006, consistent_targets, table4_2006
 from fynjax.inversion import weigh_targets
@@ -22,14 +21,13 @@ DEMO_TARGETS = (
 reported beside, as a check."""
 
 
-def demo(output: Path, *, seed: int, progress: Progress | None = None) -> CalibrateResult:
+def demo(output: Path, *, seed: int) -> CalibrateResult:
     """Calibrate the shipped 2006 plot to the published statistics of its real drone image.
 
     **Arguments:**
 
     - `output`: folder of the results, made if missing.
     - `seed`: seed of every random number.
-    - `progress`: where to report the stages; nowhere by default.
 
     **Returns:** `CalibrateResult`. Writes the files of `jobs.calibrate` into `output`.
     """
@@ -45,7 +43,7 @@ def demo(output: Path, *, seed: int, progress: Progress | None = None) -> Calibr
     return calibrate_to(
         plot,
         (Measured("image", plot.file, data, drone_view(plot, names), description),),
-        Run(output, seed=seed, progress=progress),
+        Run(output, seed=seed),
         inputs=plot.inputs,
         reference=ReferenceImage(
             known, *paper_simulation(), goals={"mean of a band": 3.0, "mean of an index": 5.0}
