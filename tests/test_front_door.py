@@ -361,6 +361,13 @@ def test_any_function_is_fitted_and_sampled():
     assert "Of 2 free parameters 2 are known twice as well as before" in str(found)
     drawn = fx.sample(found, "laplace", predict=line, target=200.0)
     assert drawn.values.reshape(-1, 2).mean(axis=0) == pytest.approx([1.0, 1.0], abs=0.05)
+    lines = str(drawn).splitlines()
+    assert lines[0].startswith("200 effective draws by laplace: ")
+    assert lines[1] == "Of 2 free parameters 2 are known twice as well as before:"
+    assert lines[2].startswith("  offset ")
+    low, high = lines[3].partition("[")[2].rstrip("]").split(", ")
+    assert float(low) < 1.0 < float(high)
+    assert "draws by laplace" in drawn._repr_html_()
     with pytest.raises(InputError, match="expected `predict`"):
         fx.sample(found)
 
