@@ -46,7 +46,8 @@ class Posterior(eqx.Module):
 
     def __str__(self) -> str:
         """What was drawn, and what is known, in sentences."""
-        text = f"{self.effective_size:.0f} effective draws by {self.method}: {self.status.rstrip('.')}."
+        status = self.status.rstrip(".")
+        text = f"{self.effective_size:.0f} effective draws by {self.method}: {status}."
         interval = self.quantiles(0.5, 0.05, 0.95)
         return f"{text}\n{known_lines(self.names, self.well_constrained(), interval)}"
 
