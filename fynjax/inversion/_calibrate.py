@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from scipy.stats import chi2
 
 from fynjax._core.errors import InputError
+from fynjax._core.html import as_html
 from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import stage
 from fynjax.canopy import VoxelGrid
@@ -108,6 +109,8 @@ class Calibration(eqx.Module):
                 str(self.fit).partition("\n")[2],
             ]
         )
+
+    _repr_html_ = as_html
 
     def stand(self) -> "pd.DataFrame":
         """Numbers of the whole stand before and after the data (`stand_table`)."""
@@ -450,7 +453,7 @@ def search_form(
     stride: int | None = None,
     accuracy: Accuracy = COARSE,
 ) -> tuple[Scene, tuple[AbstractView, ...]]:
-    """What a fit searches with: the scene in thick layers, and cheaper forms of its views.
+    """What a fit searches with: the scene in thick layers, and coarse forms of its views.
 
     **Arguments:**
 

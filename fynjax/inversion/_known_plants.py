@@ -9,7 +9,7 @@ parameter that acts through optics alone.
 
 import dataclasses
 from collections import deque
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -32,11 +32,15 @@ from fynjax.inversion._fit_result import (
     number_of,
     status_of,
 )
+from fynjax.inversion._functionals import stand_table
 from fynjax.inversion._search import search_states
 from fynjax.inversion._space import ParameterSpace
 from fynjax.inversion._views import gain_covariance
 from fynjax.radiation import VoxelScene
 from fynjax.scene import AimedSensor, PlotParameters, Scene, with_values
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 PIXEL_SD = 0.05
 """What the model's pixel is off by, as a share of it [-]: against a path tracer 1 to 2 % where both
@@ -88,6 +92,10 @@ class KnownPlants(eqx.Module):
     misfit: float
     """Squared whitened misfit and distance from the prior, at the estimate: of data that the model
     and the prior explain a chi-square of `degrees`."""
+
+    def stand(self) -> "pd.DataFrame":
+        """Numbers of the whole stand before and after the data (`stand_table`)."""
+        return stand_table(self.scene, self.before, self.fit)
 
     @property
     def data(self) -> Data:

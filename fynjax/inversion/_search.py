@@ -72,7 +72,8 @@ class CalibrationSettings:
     full_renders: int = 2
     """Plantings on which what the coarse form lacks is measured, at most `stand_realisations`."""
     max_steps: int = 30
-    """Most steps of the first round; those after have half as many."""
+    """Most steps of the first round; those after have half as many. Of a `solver` that goes through
+    a round by itself, those of each round."""
     tolerance: float = 0.05
     """A round ends where another step would lower the objective by less than this, which is half a
     squared distance in posterior standard deviations."""
@@ -201,6 +202,9 @@ class Expectation(eqx.Module):
         """Logarithm of the density, up to a constant."""
         rest = self.data.whiten(self.statistics(u) - self.data.value)
         return -0.5 * (rest @ rest + u @ u)
+
+
+_run_compiled = eqx.filter_jit(run_solver)
 
 
 def search_states(search: Any, state: Any, name: str = "") -> Iterator[Any]:
@@ -509,7 +513,8 @@ class PlotSearch:
                 self.expected(state), state.place.spread, state.place.offset,
                 self.data.along(weights),
             )  # fmt: skip
-            u, reason, _ = run_solver(self._solver, expectation, state.u, most)
+            most = self.settings.max_steps  # the same program in every round
+            u, reason, _ = _run_compiled(self._solver, expectation, state.u, most)
             return self._next_round(dataclasses.replace(state, u=u), reason)
         expected, place = self.expected(state), state.place
         weights = self.weights(place, state.subspace)

@@ -112,8 +112,8 @@ def sensitivity(
         ready = prepare(read, free, seed=run.seed)
     space = ready.space
     views = [image_view(read, ready.scene, ready.parameters, names)]
-    quick, cheap = search_form(ready.scene, ready.parameters, views)
-    predict = PlotForward(ready.parameters, space.names, cheap)
+    stand, coarse_views = search_form(ready.scene, ready.parameters, views)
+    predict = PlotForward(ready.parameters, space.names, coarse_views)
     at = np.asarray(space.prior)
     size = f"{len(names)} metrics by {len(space.names)} parameters"
     tables = ["slopes.csv", *(["variance.csv"] if derivative_samples or sobol_samples else [])]
@@ -137,7 +137,7 @@ def sensitivity(
             do=do,
         )
         over: dict[str, Any] = {
-            "context": (quick,), "seed": run.seed, "batch": batch_for_device(), "do": do
+            "context": (stand,), "seed": run.seed, "batch": batch_for_device(), "do": do
         }  # fmt: skip
         if derivative_samples:
             measures = derivative_measures(
@@ -168,7 +168,7 @@ def sensitivity(
 
 
 def _planting(ready: Prepared, number: int) -> tuple[Scene]:
-    """The plot with other plants, in the cheap form: sites of another chance, in another order."""
+    """The plot with other plants, in the coarse form: sites of another chance, in another order."""
     try:
         scene = ready.replant(number)
     except InputError:  # another chance finds no room: the same sites in another order

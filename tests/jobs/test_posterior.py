@@ -31,7 +31,7 @@ def runs(tmp_path_factory):
         (folder / name).mkdir()
         result = posterior(
             path, target, folder / name, method="emcee", target_size=400.0, max_steps=steps,
-            simulations=0, checkpoint=folder / "kept", seed=0,
+            checkpoint=folder / "kept", seed=0,
         )  # fmt: skip
         found.append((result, pd.read_csv(folder / name / "parameters.csv")))
     return found
