@@ -26,11 +26,13 @@ of its own; arrays of records that come from a process of 32 bits are copied; an
 its user hands over, such as the model of a fit, computes in 32 bits as it does outside.
 """
 
+import contextlib
 import copy
 import dataclasses
 import functools
-from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+import inspect
+from collections.abc import Callable, Generator, Iterator
+from typing import Any, ParamSpec, TypeVar, cast
 
 import equinox as eqx
 import jax
@@ -46,7 +48,8 @@ R = TypeVar("R")
 
 def double_precision(function: Callable[P, R]) -> Callable[P, R]:
     """Let a function compute in 64 bits; where the process has 32, its arrays of 64 bits come back
-    as NumPy arrays."""
+    as NumPy arrays. A generator computes each of its items so; between them the caller has the
+    precision of the process."""
 
     @functools.wraps(function)
     def in_64_bits(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -56,7 +59,17 @@ def double_precision(function: Callable[P, R]) -> Callable[P, R]:
             found = function(*map(_afresh, args), **{k: _afresh(v) for k, v in kwargs.items()})
         return _each(np.asarray, found)
 
-    return in_64_bits
+    if not inspect.isgeneratorfunction(function):
+        return in_64_bits
+
+    @functools.wraps(function)
+    def item_by_item(*args: P.args, **kwargs: P.kwargs) -> Iterator[Any]:
+        made = cast(Generator[Any, None, None], in_64_bits(*args, **kwargs))
+        with contextlib.closing(made) as items:
+            while (item := _following(items)) is not _END:
+                yield item
+
+    return cast(Callable[P, R], item_by_item)
 
 
 def drawn_in_double(function: Callable[P, R]) -> Callable[P, R]:
@@ -80,6 +93,15 @@ def drawn_in_double(function: Callable[P, R]) -> Callable[P, R]:
         return _each(lambda array: jnp.asarray(np.asarray(array)), found)
 
     return in_64_bits
+
+
+_END = object()
+
+
+@double_precision
+def _following(items: Iterator[Any]) -> Any:
+    """The next item, or `_END`."""
+    return next(items, _END)
 
 
 def in_double(values: ArrayLike) -> Any:

@@ -7,18 +7,17 @@ from fynjax._core.compiler import keep_compiled
 from fynjax.scene._cover import ProjectedCover, crown_centres, projected_cover
 from fynjax.scene._ground import COVERS, Ground, ground_shares, random_patches
 from fynjax.scene._instances import Instances, hard_counts, hard_instances, hard_scene
-from fynjax.scene._large import is_large, observe_in_tiles
+from fynjax.scene._large import TiledPicture, is_large
+from fynjax.scene._lidar import LidarObservation, observe_lidar
 from fynjax.scene._observe import (
     DRONE,
     AimedSensor,
-    LidarObservation,
     Observation,
     Placement,
     PlotAir,
     aim,
     fitted_accuracy,
     observe,
-    observe_lidar,
 )
 from fynjax.scene._parameters import (
     FIXED_PARAMETERS,
@@ -68,8 +67,10 @@ from fynjax.scene._spectra import (
     background_spectrum,
     band_wavelengths,
     mixed_surroundings,
+    visible_sensor,
 )
 from fynjax.scene._stand import StandArea, stand_area
+from fynjax.scene._structure import fitting_structure, scene_structure
 
 keep_compiled()
 
@@ -102,6 +103,7 @@ __all__ = [
     "SpeciesRow",
     "Spectrum",
     "StandArea",
+    "TiledPicture",
     "aim",
     "background_spectrum",
     "band_wavelengths",
@@ -111,6 +113,7 @@ __all__ = [
     "crown_centres",
     "element_count",
     "fitted_accuracy",
+    "fitting_structure",
     "ground_at",
     "ground_shares",
     "hard_counts",
@@ -125,17 +128,18 @@ __all__ = [
     "mixed_surroundings",
     "named_values",
     "observe",
-    "observe_in_tiles",
     "observe_lidar",
     "parameter_kind",
     "parameter_reference",
     "projected_cover",
     "random_patches",
     "room_needed",
+    "scene_structure",
     "slope_of_fading",
     "species_parameters",
     "species_rows",
     "stand_area",
     "stand_realisation",
+    "visible_sensor",
     "with_values",
 ]
