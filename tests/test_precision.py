@@ -18,7 +18,7 @@ import pytest
 import fynjax as fx
 from fynjax.canopy import leaf_angle, table1_2006
 from fynjax.errors import InputError
-from fynjax.inversion import CalibrationSettings, LogPosterior
+from fynjax.inversion import CalibrationSettings, LogPosterior, PosteriorSampler
 from fynjax.scene import hard_counts
 
 COLUMNS = "taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_max_m"
@@ -98,6 +98,7 @@ def light(lines: Lines) -> None:
     lines("observe", lambda: fx.observe(plot, camera, pixel=0.25), "reflectance")
     lines("grad", lambda: jax.grad(ndvi)(plot.parameters).species.cover)
     thin = lines("thin", lambda: plot.with_values({"species.*.cover": 0.1}), "parameters")
+    lines("replanted", lambda: plot.replanted(1), "planting")
     lines("observe thin", lambda: fx.observe(thin, camera, pixel=0.25), "reflectance")
     lines("prospect", lambda: tuple(fx.prospect(chlorophyll=40.0, wavelength=BANDS)))
     vector = jnp.array([20.0, 40.0])
@@ -133,6 +134,8 @@ def fits(lines: Lines) -> None:
     lines("compiled after", lambda: [jax.jit(of_space)(u), jax.jit(straight)(u), u[INDEX]])
     lines("table", lambda: dict(found.table().select_dtypes(float)))
     lines("sample", lambda: fx.sample(found, "laplace", predict=straight, target=50.0), "values")
+    states = PosteriorSampler(straight, measured, space, start=found).states()
+    lines("states", lambda: next(states), "ahead")  # suspended, the process is the caller's
     lines("emulate", lambda: fx.emulate(lambda x: x**3, [0.1], [2.0]), "coefficients", "error")
     exact = jnp.array([1.0, 2.0, 3.5])  # also in float32
     traced = lambda value: fx.fit(straight, data(value), space).estimate  # noqa: E731
