@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,9 +17,15 @@ import optimistix as optx
 import pytest
 
 import fynjax as fx
+from fynjax._core.parts import Pool
 from fynjax.canopy import leaf_angle, table1_2006
 from fynjax.errors import InputError
-from fynjax.inversion import CalibrationSettings, LogPosterior, PosteriorSampler
+from fynjax.inversion import (
+    CalibrationSettings,
+    LogPosterior,
+    PosteriorSampler,
+    derivative_measures,
+)
 from fynjax.scene import hard_counts
 
 COLUMNS = "taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_max_m"
@@ -110,6 +117,13 @@ def straight(x: jax.Array) -> jax.Array:
     return x[0] + x[1] * AT
 
 
+class Curve(eqx.Module):
+    """A model that computes in the precision of its arrays."""
+
+    def __call__(self, x: jax.Array) -> jax.Array:
+        return jnp.exp(0.1 * x[0] + x[1] * jnp.array([0.0, 0.1, 0.2]))
+
+
 def data(value: Any) -> fx.Data:
     return fx.Data(("a", "b", "c"), value, np.full(3, 0.1))
 
@@ -136,6 +150,8 @@ def fits(lines: Lines) -> None:
     lines("sample", lambda: fx.sample(found, "laplace", predict=straight, target=50.0), "values")
     states = PosteriorSampler(straight, measured, space, start=found).states()
     lines("states", lambda: next(states), "ahead")  # suspended, the process is the caller's
+    measures = lambda: derivative_measures(Curve(), space, "abc", samples=16, do=Pool().all)  # noqa: E731
+    lines("measures", measures, "measure", "variance")
     lines("emulate", lambda: fx.emulate(lambda x: x**3, [0.1], [2.0]), "coefficients", "error")
     exact = jnp.array([1.0, 2.0, 3.5])  # also in float32
     traced = lambda value: fx.fit(straight, data(value), space).estimate  # noqa: E731
@@ -188,7 +204,7 @@ def test_fits_are_computed_in_64_bits(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     narrow, wide = both = in_both(fits, tmp_path)
     for name in narrow.keys() - {"traits.csv"}:
-        whole = name in ("leaf", "traits", "space", "job")
+        whole = name in ("leaf", "traits", "space", "job", "measures")
         same(name, both, rtol=1e-9 if whole else 2e-5, atol=1e-12 if whole else 1e-6)
     assert narrow["traits"]["chlorophyll"].dtype == narrow["fit"]["estimate"].dtype == np.float64
     assert narrow["traits.csv"] == wide["traits.csv"]
