@@ -57,7 +57,7 @@ def double_precision(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **kwargs)
         with jax.enable_x64(True):
             found = function(*map(_afresh, args), **{k: _afresh(v) for k, v in kwargs.items()})
-        return _each(np.asarray, found)
+        return found if inspect.isgenerator(found) else _each(np.asarray, found)
 
     if not inspect.isgeneratorfunction(function):
         return in_64_bits
