@@ -120,7 +120,7 @@ def _shown(info: dict[str, float | str]) -> str:
 
 
 class _Bars:
-    """One bar for each stage: name, bar, count, time used, time left, and the figures of the step."""
+    """One bar for each stage: name, bar, count, time used, time left, figures of the step."""
 
     def __init__(self, console: Console) -> None:
         self._bars = Progress(
