@@ -1,3 +1,3 @@
-from fynjax._core.compiler import refuse_wrong_sums
+from fynjax._core.compiler import set_flags
 
-refuse_wrong_sums()
+set_flags()
