@@ -759,7 +759,9 @@ def observe(
     """
     if not isinstance(scene, Scene):
         raise InputError(f"expected a scene, but got {type(scene).__name__}")
-    sensor = _shipped(sensor) if isinstance(sensor, str) else sensor
+    if isinstance(sensor, str):
+        with jax.ensure_compile_time_eval():  # known inside transformations too, as `aim` needs it
+            sensor = _shipped(sensor)
     if not isinstance(sensor, Sensor | Lidar):
         raise InputError(f"expected a sensor or the name of one, but got {type(sensor).__name__}")
     parameters = scene.parameters if parameters is None else parameters
