@@ -152,6 +152,23 @@ def test_a_compiler_that_sums_wrongly_and_is_in_use_is_refused(
     compiler.set_flags()
 
 
+@pytest.mark.parametrize("first", ["jax", "fynjax._core"])
+def test_a_graphics_card_multiplies_in_full_unless_its_user_says_otherwise(first: str) -> None:
+    """JAX's default there keeps 10 bits of a float32, which no processor shows."""
+    code = (
+        f"import {first}, fynjax._core, jax\n"
+        "import jax.numpy as jnp\n"
+        "print(jax.make_jaxpr(lambda a: a @ a)(jnp.ones((2, 2), 'float32')))"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "JAX_DEFAULT_MATMUL_PRECISION"}
+    for stated, found in (({}, 1), ({"JAX_DEFAULT_MATMUL_PRECISION": "bfloat16"}, 0)):
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True, text=True, check=True, env=environment | stated,
+        )  # fmt: skip
+        assert done.stdout.count("Precision.HIGHEST") // 2 == found
+
+
 def test_the_command_line_is_a_module_too() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "fynjax", "--version"], capture_output=True, text=True, check=True

@@ -1,3 +1,4 @@
-from fynjax._core.compiler import set_flags
+from fynjax._core.compiler import multiply_in_full, set_flags
 
 set_flags()
+multiply_in_full()

@@ -28,6 +28,18 @@ def known_flags() -> list[str]:
     return [flag for flag, until in QUICK.items() if found < until]
 
 
+def multiply_in_full() -> None:
+    """Let products of float32 matrices keep their digits on a graphics card, unless the user has
+    said how JAX is to multiply. Its default there cuts factors to the 10 bits of TensorFloat-32:
+    images came out 6e-4 off, and 416 bands up to 24 % (measured on an H100). On a processor and in
+    float64 nothing changes."""
+    jax = sys.modules.get("jax")
+    if jax is None:
+        os.environ.setdefault("JAX_DEFAULT_MATMUL_PRECISION", "highest")
+    elif jax.config.jax_default_matmul_precision is None:
+        jax.config.update("jax_default_matmul_precision", "highest")
+
+
 def set_flags() -> None:
     """Compile rightly and quickly, from the next program on. `XLA_FLAGS` of the environment is left
     as the user has set it, but for `OWN_SUMS` where the version needs it. A process whose JAX is
