@@ -18,7 +18,9 @@ from fynjax.sensors import BandSet
 
 PLOTS = 26.0
 """Plots that the shipped spectra count as: 21 of fynbos, and a tile of dry shrubland as five."""
-UNLIKE = 0.01
+DIRECTIONS = 8
+"""Principal components of the bands that are judged apart from the others."""
+UNLIKE = 0.003
 """Chance below which an image counts as none of shrubland."""
 
 
@@ -40,7 +42,7 @@ class VegetationCheck:
     @property
     def unlike(self) -> bool:
         """Whether the image is so far from measured shrubland that its calibration is in doubt."""
-        return self.probability < UNLIKE
+        return bool(self.probability < UNLIKE)
 
     def __str__(self) -> str:
         if not self.unlike:
@@ -70,7 +72,8 @@ def check_vegetation(
     The logarithms of the bands are compared with their mean and covariance over AVIRIS-NG spectra
     of fynbos plots and an EMIT tile of dry shrubland (`fynjax/compare/data/README.md`), averaged
     over the sensor's bands; errors of its calibration are added. The chance follows from an F
-    distribution, since the covariance is an estimate of few plots.
+    distribution, since the covariance is an estimate of few plots; of more than eight bands the
+    leading principal components are judged apart, and the lesser of both chances counts twice.
 
     **Arguments:**
 
@@ -90,7 +93,7 @@ def check_vegetation(
     >>> check_vegetation([0.05, 0.045, 0.15, 0.22], bands).unlike
     False
     >>> print(check_vegetation([0.05, 0.045, 0.08, 0.22], bands))
-    These bands are not such as shrubland has (chance 5e-05): red_edge / nir is 0.36; ...
+    These bands are not such as shrubland has (chance less than 1e-6): red_edge / nir is 0.36; ...
     """
     if isinstance(reflectance, Mapping):
         unknown = [name for name in reflectance if name not in bands.names]
@@ -122,14 +125,18 @@ def check_vegetation(
     covariance = loadings @ loadings.T + (slopes * rest**2) @ slopes.T + gains
     values = given[judged]
     off = np.log(values / expected)
-    distance = float(off @ np.linalg.solve(covariance, off))
-    count, freedom = len(judged), PLOTS - 1.0
+    variance, directions = np.linalg.eigh(covariance)
+    parts = (directions.T @ off)[::-1] ** 2 / variance[::-1]
+    # Where there are many bands, what few directions say is not to drown among the others.
+    few, rest_of_bands = parts[:DIRECTIONS], parts[DIRECTIONS:]
+    tests = [few, rest_of_bands] if rest_of_bands.size else [few]
     # Of a new draw, where mean and covariance are estimates.
-    chance = f_distribution.sf(distance / count / (1.0 + 1.0 / PLOTS), count, freedom)
+    chances = [f_distribution.sf(t.mean() / (1.0 + 1.0 / PLOTS), t.size, PLOTS - 1) for t in tests]
+    chance = float(min(1.0, len(tests) * min(chances)))
     names = [bands.names[i] for i in judged]
     left = tuple(name for i, name in enumerate(bands.names) if i not in judged)
     pairs = _pairs(names, values, np.log(expected), covariance)
-    return VegetationCheck(float(chance), distance, pairs, left)
+    return VegetationCheck(chance, float(parts.sum()), pairs, left)
 
 
 def _pairs(
