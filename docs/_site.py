@@ -14,7 +14,7 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
@@ -86,7 +86,16 @@ def commands() -> dict[str, Any]:
 
     from fynjax.cli import app
 
-    return dict(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+    found = {}
+    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
+        inner = {f"{name} {part}": one for part, one in getattr(command, "commands", {}).items()}
+        found |= inner or {name: command}
+    return found
+
+
+def page_of(name: str) -> str:
+    """File of a command's page."""
+    return f"{name.replace(' ', '-')}.md"
 
 
 def options(name: str) -> str:
@@ -96,13 +105,13 @@ def options(name: str) -> str:
         names = ", ".join(code(o) for o in item.opts)
         if item.param_type_name == "argument":
             names = code(item.metavar or item.name.upper())
-        default = getattr(item.default, "value", item.default)
+        default = item.default
         unset = default is None or default is False or default == ""
         shown = code(" ".join(map(str, default)) if isinstance(default, (list, tuple)) else default)
-        choices = getattr(item.type_descriptor.annotation, "__members__", {})
         words = item.help or ""
-        if choices:
-            words += f" One of {', '.join(code(c.value) for c in choices.values())}."
+        kind = item.type_descriptor.annotation
+        if get_origin(kind) is Literal:
+            words += f" One of {', '.join(map(code, get_args(kind)))}."
         rows.append((names, words, "required" if item.required else "" if unset else shown))
     return "## Arguments and options\n\n" + described(("name", "meaning", "default"), rows)
 
@@ -331,7 +340,7 @@ def _project_page(name: str) -> str:
 def on_config(config: Any) -> Any:
     """Complete the navigation with what is generated."""
     generated = {
-        "Commands": ["commands/index.md", *(f"commands/{name}.md" for name in commands())],
+        "Commands": ["commands/index.md", *(f"commands/{page_of(name)}" for name in commands())],
         "Notebooks": [f"notebooks/{p.stem}.md" for p in notebooks()],
         "Python": [{package: f"api/{package}.md"} for package in PACKAGES],
     }

@@ -29,8 +29,7 @@ from .inversion import ParameterSpace as ParameterSpace
 from .inversion import fit_canopy as fit_canopy
 from .inversion import whitened_residual as whitened_residual
 from .io.plot import read_plot as read_plot
-from .jobs import calibrate as calibrate
-from .jobs import posterior as posterior
+from .io.spectra import read_spectra as read_spectra
 from .leaf import Leaf as Leaf
 from .leaf import LeafParameters as LeafParameters
 from .leaf import fit_leaf as fit_leaf

@@ -60,7 +60,7 @@ FAST = os.environ.get("FYNJAX_FAST") == "1"  # shorter chains, a smaller plot
 #
 # A tough leaf whose chemistry we know, measured in reflectance with a little noise: once from 400
 # to 2500 nm, once by an instrument that ends at 1000 nm. Your own spectra come from
-# `fynjax.io.read_spectra`; where an instrument has no data there is NaN.
+# `fx.read_spectra`; where an instrument has no data there is NaN.
 
 # %%
 leaf = LeafParameters(structure=2.2, chlorophyll=30, carotenoids=8, water=0.016, dry_matter=0.02)
@@ -323,6 +323,6 @@ plt.show()
 # give `sample_posterior` the renderer itself and `method="nuts"`, which uses its gradients, or stay
 # with Laplace.
 #
-# **For your own data**: leaf spectra through `read_spectra`, or `fynjax fit-leaf leaf.asd
+# **For your own data**: leaf spectra through `fx.read_spectra`, or `fynjax fit-leaf leaf.asd
 # --posterior emcee`; a plot through `fynjax posterior plot.toml --target image.tif`, which goes on
 # where it was interrupted and writes the draws as NetCDF for arviz.

@@ -1,5 +1,5 @@
 """AVIRIS-NG over Pasadena on 8 November 2017: radiance of a lawn and a walk, and what is known of
-the air, for tests and for `tests.benchmarks.table_air`.
+the air.
 
 Of the walk there is no field spectrum: its reflectance is what its own radiance gives."""
 
@@ -43,25 +43,20 @@ class Flight(NamedTuple):
     """Standard deviation of the spectra [-]."""
     sun: tuple[float, float, float]
     """Zenith and azimuth [degrees], sunlight over that at one astronomical unit [-]."""
-    photometer: np.ndarray
-    """Optical depth of aerosol at wavelengths [nm]: two columns."""
-    ozone_depth: float
-    """Optical depth of ozone at 610 nm, by the photometer too [-]."""
 
     @property
     def centre(self) -> np.ndarray:
         """Centres of the bands [nm]."""
         return np.asarray(self.bands.centre)
 
-    def air(self, water: jax.Array | float, **changes: float) -> ClearAir:
+    def air(self, water: jax.Array | float) -> ClearAir:
         """The air with a column of water vapour [g cm-2]: aerosol and pressure of the sun
-        photometer of that day, heights of the file for MODTRAN; or with `changes`."""
+        photometer of that day, heights of the file for MODTRAN."""
         zenith, _, factor = self.sun
-        known = {
-            "sun_zenith": zenith, "aerosol_optical_depth": 0.035, "ozone": 0.3,
-            "pressure": 976.0, "sensor_height": 1950.0, "solar_factor": factor,
-        }  # fmt: skip
-        return ClearAir(water_vapour=water, **{**known, **changes})
+        return ClearAir(
+            sun_zenith=zenith, water_vapour=water, aerosol_optical_depth=0.035, ozone=0.3,
+            pressure=976.0, sensor_height=1950.0, solar_factor=factor,
+        )  # fmt: skip
 
     def in_bands(self, atmosphere: Atmosphere, surroundings: jax.Array | None) -> jax.Array:
         """Radiance of the lawn in the bands [W m-2 sr-1 um-1]; `surroundings` at `WAVELENGTH`,
@@ -87,9 +82,6 @@ def read_flight(shared_data: Path) -> Flight:
     time = pd.Timestamp("2017-11-08", tz="UTC") + pd.Timedelta(hours=place["GMTIME"])
     # The file counts longitude to the west.
     sun = sun_position(place["PARM1"], -place["PARM2"], time, altitude=350.0)
-    photometer = folder / "aod20171108_asr23.txt"
-    depths = np.loadtxt(photometer, skiprows=10, max_rows=10)
-    ozone = np.loadtxt(photometer, skiprows=21, max_rows=1)
     return Flight(
         BandSet(tuple(f"{c:.1f}" for c in centre), tuple(centre), tuple(width)),
         10.0 * lawn[keep],
@@ -97,8 +89,6 @@ def read_flight(shared_data: Path) -> Flight:
         np.interp(WAVELENGTH, field[0], field[1]),
         np.interp(WAVELENGTH, field[0], field[2]),
         tuple(sun),
-        depths[:, [1, 6]],
-        float(ozone[4]),
     )
 
 

@@ -20,15 +20,32 @@ def test_the_import_is_light():
     assert done.stdout.split("\n")[0] == "[] True"
 
 
+def test_leaves_and_light_do_without_what_reads_and_draws():
+    code = (
+        "import sys\n"
+        "for name in ('rasterio', 'rioxarray', 'matplotlib', 'numba', 'xarray', 'netCDF4',"
+        " 'trimesh', 'pyproj', 'PIL', 'spectral', 'dask'):\n"
+        "    sys.modules[name] = None  # as if it were not installed\n"
+        "import fynjax as fx, fynjax.leaf, fynjax.radiation, fynjax.canopy, fynjax.sensors\n"
+        "leaf = fx.prospect(fx.Leaf(), [550.0, 860.0])\n"
+        "canopy = fx.canopy_reflectance(*leaf, layers=2)\n"
+        "print(float(canopy.max()) > 0.3)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "True\n", done.stderr
+
+
 def test_every_name_is_there_and_described():
     assert {
-        *("read_plot", "fit", "calibrate", "posterior", "Leaf", "LeafParameters", "prospect"),
+        *("read_plot", "fit", "sample", "Leaf", "LeafParameters", "prospect"),
         *("fit_leaf", "sensor", "errors", "cite", "canopy_reflectance"),
         *("canopy_albedo", "fit_canopy"),
     } <= set(fx.__all__)
     for name in fx.__all__:
         assert inspect.getdoc(getattr(fx, name)), name
     assert fx.Leaf is fx.LeafParameters
+    # Commands, which write folders, are in `fx.jobs`.
+    assert not {"calibrate", "posterior"} & set(fx.__all__)
     with pytest.raises(AttributeError):
         _ = fx.nothing
 

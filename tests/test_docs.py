@@ -40,6 +40,8 @@ def check_call(line: str) -> None:
     assert program == "fynjax"
     if name.startswith("--"):
         return
+    if name not in SITE.commands():
+        name, arguments = f"{name} {arguments[0]}", arguments[1:]
     with SITE.commands()[name].make_context(name, arguments):
         pass
 
@@ -86,13 +88,16 @@ def test_a_first_hour_can_be_followed(
 
 def test_every_command_has_a_page_whose_examples_can_be_typed() -> None:
     commands = SITE.commands()
-    assert {p.stem for p in (DOCS / "commands").glob("*.md")} == {"index", *commands}
+    assert {p.stem for p in (DOCS / "commands").glob("*.md")} == {
+        "index",
+        *(SITE.page_of(name).removesuffix(".md") for name in commands),
+    }
     examples = 0
     for name in commands:
         for line in calls(SITE.usage(name)):
             check_call(line)
             examples += 1
-        page = (DOCS / "commands" / f"{name}.md").read_text("utf-8")
+        page = (DOCS / "commands" / SITE.page_of(name)).read_text("utf-8")
         assert f"{{{{ options {name} }}}}" in page
         assert f"{{{{ usage {name} }}}}" in page
     assert examples >= len(commands)

@@ -70,19 +70,21 @@ def test_radiation_example_closes_the_energy(tmp_path: Path) -> None:
 
 def test_commands_and_their_options_exist() -> None:
     shown = CliRunner().invoke(app, ["--help"]).output
-    named = set(re.findall(r"^\| \[`([a-z-]+)`\]", COMMANDS, re.MULTILINE))
-    commands = {c.name or c.callback.__name__ for c in app.registered_commands if c.callback}
+    named = set(re.findall(r"^\| \[`([a-z -]+)`\]", COMMANDS, re.MULTILINE))
+    (group,) = app.registered_groups
+    commands = {command.name for command in app.registered_commands}
+    commands |= {f"bioscape {c.name}" for c in group.typer_instance.registered_commands}
     assert named == commands >= {"demo", "render", "calibrate"}
-    assert all(name in shown for name in named)
+    assert all(name.split()[0] in shown for name in named)
     for name in named - {"sensors", "view"}:  # which write nothing
-        text = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "200"}).output
+        text = CliRunner().invoke(app, [*name.split(), "--help"], env={"COLUMNS": "200"}).output
         for option in ("--output", "--seed", "--json", "--quiet"):
             # In some of them nothing is drawn.
-            without = ("terrain", "bioscape", "reflectance", "convert", "map")
+            without = ("terrain", "bioscape plots", "reflectance", "convert", "map")
             if option != "--seed" or name not in without:
                 assert option in text, f"{name} {option}"
     used = {
-        line.split()[1]
+        " ".join(line.split()[1 : 3 if "bioscape" in line else 2])
         for text in blocks("sh", COMMANDS)
         for line in text.splitlines()
         if line[:6] == "fynjax"

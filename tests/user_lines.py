@@ -1,6 +1,8 @@
 """Lines as a user writes them, for the check of types: mypy has no error in them."""
 
 import jax
+import numpy as np
+import pandas as pd
 
 import fynjax as fx
 from fynjax.scene import PlotParameters
@@ -36,3 +38,14 @@ def leaves() -> None:
     leaf = fx.Leaf(chlorophyll=40.0)
     r, t = fx.prospect(chlorophyll=40.0)
     print(fx.prospect(leaf).reflectance, r + t, fx.prospect(chlorophyll=[20.0, 40.0]))
+
+
+def spectra(r: np.ndarray, table: pd.DataFrame) -> pd.DataFrame:
+    """Leaf spectra from files, arrays and tables, fitted."""
+    measured = fx.read_spectra("leaves")
+    fit = fx.fit_leaf(measured)
+    print(fit, fit.labels, fit.plot("protea"), fit.to_xarray()["water"].sel(leaf="protea"))
+    fx.fit_leaf(range(400, 2501), r, leaf_shape="needle")
+    fx.fit_leaf(measured["reflectance"], transmittance=measured["transmittance"])
+    fx.fit_leaf(table, transmittance=table, measurement=fx.leaf.LeafClip())
+    return fit.table(area="half_total")

@@ -98,7 +98,7 @@ def progress(console: Console | None = None) -> Iterator[None]:
 
     **Arguments:** `console`, of rich; standard error if left out.
 
-    Example: `with fx.progress(): fx.calibrate("plot.toml", "drone.tif", Path("results"))`.
+    Example: `with fx.progress(): fx.jobs.calibrate("plot.toml", "drone.tif", Path("results"))`.
     """
     if console is None:  # rich shows nothing in a notebook without ipywidgets
         console = Console(stderr=True, force_jupyter=None if find_spec("ipywidgets") else False)

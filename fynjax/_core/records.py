@@ -94,6 +94,8 @@ class Strict(BaseModel):
     """Field whose value no two rows of a table share."""
     if_twice: ClassVar[str] = ""
     """What to do about two rows that share it."""
+    must_have: ClassVar[tuple[str, ...]] = ()
+    """Columns that a table must have although their cells may be empty."""
 
     def replace(self, **changes: Any) -> Self:
         """The same record with other values, as `dataclasses.replace`. Ranges are not checked.

@@ -1,5 +1,6 @@
 """From a pydantic complaint to one sentence: what was expected, what came, the likely slip."""
 
+import re
 import types
 import typing
 from collections.abc import Iterable, Mapping, Sequence
@@ -71,10 +72,44 @@ def shown(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _text_slip(value: str) -> str:
-    text = value.strip()
+_SLIPS = tuple(
+    (re.compile(pattern, re.IGNORECASE), slip)
+    for pattern, slip in (
+        (r"[r+]|[1-5][abm]", "A cover class? Write the middle of the class in percent."),
+        (
+            r"[+-]?\d{1,3}([.,' \xa0\u202f\u2019]\d{3})+([.,]\d+)?",
+            "Marks between thousands? Leave them out.",
+        ),
+        (r"(<|>|=|≤|≥|~|≈|ca?\.?)+ *[\d.,]+ *%?", "A limit? Write the number to take for it."),
+        (r"tr(ace)?s?\.?|present|x", "Write the number to take for it."),
+        (r"[\d.,]+ *(-|–|—|\.\.+|to|bis) *[\d.,]+ *%?", "A range? Write one number, its middle."),
+        (r"[\d.,]+ *(±|\+/?-).*", "Write the number alone, without its error."),
+        (r"#[\w/]+[!?]?", "An error of the spreadsheet: mend its formula."),
+        (
+            r"n[./]?[ad]\.?|nan|none|null|-+|\?+|",
+            "Not measured? Leave the cell empty.",
+        ),
+        (r"[\[(]?([cmnµu]?m|%|°|deg|m2|g)[\])]?", "A row of units? Leave it out."),
+        (r"[−–—][\d.,]+", "Write the minus as a hyphen."),
+        (r"[\d.,]*[OlI][\d.,OlI]*", "A letter for a digit?"),
+    )
+)
+
+
+def number_slip(cell: str) -> str:
+    """What a text that stands for no number was probably meant to be; begins with a blank.
+
+    **Arguments:** `cell`, as the user wrote it.
+    """
+    text = cell.strip()
+    comma = ""
     if "," in text and _number(text.replace(",", ".")) is not None:
-        return f" A decimal comma? Write {text.replace(',', '.')}."
+        comma = f" A decimal comma? Write {text.replace(',', '.')}."
+        if not re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", text):
+            return comma
+    for pattern, slip in _SLIPS:
+        if pattern.fullmatch(text):
+            return f"{comma} {slip}"
     head = text.rstrip("%abcdefghijklmnopqrstuvwxyzµ²/ ")
     if head and head != text and _number(head) is not None:
         return f" Leave out the unit: write {head}."
@@ -103,7 +138,7 @@ def sentence(error: ErrorDetails, model: type[BaseModel], name: str) -> str:
         return f"{error['msg']}, but got {shown(value)}"
     hint = ""
     if isinstance(value, str):
-        hint = _text_slip(value)
+        hint = number_slip(value)
         options = expected(field)
         if options.startswith("one of"):
             hint = did_you_mean(value, [o.strip().strip("'") for o in options[7:].split(",")])
@@ -175,6 +210,8 @@ def checked_rows(
 def check_header(header: Sequence[str], model: type[BaseModel], **where: Any) -> None:
     """Raise `InputError` for a column that is missing, unknown or there twice.
 
+    A record that ignores what it does not name takes tables with further columns.
+
     **Arguments:**
 
     - `header`: names of a table's columns.
@@ -182,7 +219,9 @@ def check_header(header: Sequence[str], model: type[BaseModel], **where: Any) ->
     - `where`: file and row, as `InputError` takes them.
     """
     known = columns(model)
-    missing = [name for name, field in known.items() if field.is_required() and name not in header]
+    rules = model if issubclass(model, Strict) else Strict
+    needed = [name for name, f in known.items() if f.is_required() or name in rules.must_have]
+    missing = [name for name in needed if name not in header]
     strange = [name for name in header if name not in known]
     if missing:
         near = did_you_mean(missing[0], strange)
@@ -192,13 +231,18 @@ def check_header(header: Sequence[str], model: type[BaseModel], **where: Any) ->
             **where,
             column=missing[0],
         )
-    if strange:
+    if strange and model.model_config.get("extra") != "ignore":
         what = repr(strange[0]) if strange[0] else "a column without a name"
         raise InputError(
             f"unknown column {what}.{did_you_mean(strange[0], known)} Known: {', '.join(known)}.",
             **where,
             column=strange[0],
         )
-    twice = [name for k, name in enumerate(header) if name in header[:k]]
+    twice = [name for k, name in enumerate(header) if name in header[:k] and name in known]
     if twice:
         raise InputError("this column is there twice", **where, column=twice[0])
+
+
+def is_of_numbers(field: FieldInfo) -> bool:
+    """Whether a field of a record takes numbers."""
+    return not {int, float}.isdisjoint({field.annotation, *typing.get_args(field.annotation)})

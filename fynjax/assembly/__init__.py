@@ -11,7 +11,7 @@ from fynjax.assembly._forward import (
 )
 from fynjax.assembly._front import Emulated, PlotData, emulate, fit, free, prior, sample
 from fynjax.assembly._front import PlotData as Data
-from fynjax.assembly._memory import check_memory, stand_size
+from fynjax.assembly._memory import check_memory
 from fynjax.assembly._pixels import sample_pixel
 from fynjax.assembly._sensing import aim_at_plot, aim_without_air
 from fynjax.assembly._stands import (
@@ -58,5 +58,4 @@ __all__ = [
     "simulate_stands",
     "stand_forms",
     "stand_numbers",
-    "stand_size",
 ]

@@ -51,15 +51,6 @@ def check_memory(
         )
 
 
-def stand_size(plot: Plot) -> tuple[float, float]:
-    """Plants that a plot's covers ask for, and their area elements, both about.
-
-    **Arguments:** `plot`, as `read_plot` gives it.
-    """
-    plants, _, standing = _held_ready(plot, 1.0)
-    return plants, standing
-
-
 def _structured(plot: Plot) -> bool:
     return PlantingRules(structure=plot.structure_m).finer(plot.voxel_m) > 0
 

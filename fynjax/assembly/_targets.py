@@ -1,6 +1,5 @@
 """What a calibration is to reach, from files of any sensor: statistics, their errors, a view."""
 
-import io
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -31,7 +30,7 @@ from fynjax.inversion import (
 )
 from fynjax.io.plot import Plot, drone_sensor, read_statistics, read_structure, sensor_place
 from fynjax.io.raster import open_raster
-from fynjax.io.text import existing_file, read_text, split_line
+from fynjax.io.text import existing_file, open_table
 from fynjax.metrics import (
     BANDS,
     STRUCTURE_METRICS,
@@ -120,16 +119,14 @@ def _band_count(path: Path) -> int:
         return 0
 
 
-def _header(path: Path) -> list[str]:
-    """Cells of the first line that is none of remarks; none of a file that is no text."""
+def _header(path: Path) -> Sequence[str]:
+    """Cells of the first row of a table; none of a file that is none."""
     try:
-        for line in io.StringIO(read_text(path)):
-            if line.strip(" ,\n") and not line.lstrip().startswith("#"):
-                mark = next((m for m in (";", "\t") if m in line and "," not in line), ",")
-                return split_line(line, path, 1, mark)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # whoever reads it says so
+            return open_table(path, "a table").names
     except InputError:
-        pass
-    return []
+        return ()
 
 
 def _is_number(text: str) -> bool:

@@ -37,10 +37,11 @@ class LeafGeometry:
 class FormPrior:
     """What is assumed of a form's shoots before any spectrum: median and standard deviation.
 
-    The centre that `fynjax learn` starts from, and what a learned population that lacks the form
-    says of it. In the shipped forms leaf areas lie in the range of 0.5 to 4 that shrub crowns
-    commonly show, known to a half. Shares of dead tissue are near those with which the spectra of
-    18 BioSCape plots agree best when each form has one value and these leaf areas, or assumed,
+    The centre that `fynjax bioscape learn` starts from, and what a learned population that lacks
+    the form says of it. In the shipped forms leaf areas lie in the range of 0.5 to 4 that shrub
+    crowns commonly show, known to a half. Shares of dead tissue are near those with which the
+    spectra of 18 BioSCape plots agree best when each form has one value and these leaf areas, or
+    assumed,
     known to one unit of the logit. Clumping is that of a pine shoot, 0.44, for small leaves along a
     twig, and less for culms, threads and large leaves; nobody measured it on shoots of fynbos.
     """

@@ -205,7 +205,7 @@ def deposit(
             for x, x_part in zip(indices[0], shares[0], strict=True):
                 index.append(row + x)
                 part_of_area.append(row_part * x_part)
-    # One flat scatter with an element's eight shares side by side; see bench_canopy.py.
+    # One flat scatter with an element's eight shares side by side is faster than one a corner.
     density = jnp.zeros(n_classes * nx * ny * nz, dtype)
     density = density.at[jnp.stack(index, axis=-1).ravel()].add(
         jnp.stack(part_of_area, axis=-1).ravel(), mode="drop"

@@ -4,71 +4,59 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any
 
 import typer
 
 import fynjax
 from fynjax._core.errors import InputError, MissingExtraError
-from fynjax.cli._bioscape import bioscape
-from fynjax.cli._build import build
-from fynjax.cli._calibrate import calibrate
-from fynjax.cli._calibrate_plots import calibrate_plots
-from fynjax.cli._convert import convert
-from fynjax.cli._demo import demo
-from fynjax.cli._fit_leaf import fit_leaf
-from fynjax.cli._information import information
-from fynjax.cli._init import init
-from fynjax.cli._learn import learn
-from fynjax.cli._map import map_command
-from fynjax.cli._pattern import pattern
-from fynjax.cli._plant import plant
-from fynjax.cli._posterior import posterior
-from fynjax.cli._reflectance import reflectance
-from fynjax.cli._render import render
-from fynjax.cli._sensitivity import sensitivity
-from fynjax.cli._sensors import sensors
-from fynjax.cli._simulate import simulate
-from fynjax.cli._terrain import terrain
-from fynjax.cli._train import train
+from fynjax.cli._bioscape import calibrate_plots, learn, plots_of_tables, validate_plots
+from fynjax.cli._inversion import calibrate, information, posterior, sensitivity
+from fynjax.cli._leaf import convert, fit_leaf
+from fynjax.cli._maps import map_command, train
+from fynjax.cli._plot import build, demo, init, pattern, plant, render, terrain, view
+from fynjax.cli._sensors import reflectance, sensors, simulate
 from fynjax.cli._validate import validate
-from fynjax.cli._validate_plots import validate_plots
-from fynjax.cli._view import view
 
 __all__ = ["app", "main"]
 
-app = typer.Typer(
-    name="fynjax",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",
-    context_settings={"help_option_names": ["-h", "--help"]},
+_PANELS: dict[str, dict[str, Callable[..., None]]] = {
+    "Plot": {
+        **{"demo": demo, "init": init, "build": build, "render": render, "view": view},
+        **{"plant": plant, "terrain": terrain, "pattern": pattern},
+    },
+    "Leaf": {"fit-leaf": fit_leaf, "convert": convert},
+    "Sensors": {"sensors": sensors, "simulate": simulate, "reflectance": reflectance},
+    "Inversion": {
+        **{"calibrate": calibrate, "posterior": posterior},
+        **{"sensitivity": sensitivity, "information": information},
+    },
+    "Validation": {"validate": validate},
+    "Many plots": {"train": train, "map": map_command},
+}
+_BIOSCAPE = {
+    **{"plots": plots_of_tables, "learn": learn},
+    **{"validate": validate_plots, "calibrate": calibrate_plots},
+}
+_SETTINGS: Any = {
+    "no_args_is_help": True,
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": "markdown",
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
+app = typer.Typer(name="fynjax", **_SETTINGS)
+for _panel, _commands in _PANELS.items():
+    for _name, _function in _commands.items():
+        app.command(_name, rich_help_panel=_panel)(_function)
+_group = typer.Typer(
+    help="Field tables and spectra of BioSCape: plot files, what plots share, simulated beside "
+    "measured, and back.",
+    **_SETTINGS,
 )
-app.command()(demo)
-app.command()(render)
-app.command()(simulate)
-app.command()(sensors)
-app.command()(build)
-app.command()(calibrate)
-app.command("calibrate-plots")(calibrate_plots)
-app.command()(posterior)
-app.command()(sensitivity)
-app.command()(information)
-app.command("fit-leaf")(fit_leaf)
-app.command()(convert)
-app.command()(plant)
-app.command()(learn)
-app.command()(train)
-app.command("map")(map_command)
-app.command()(terrain)
-app.command()(reflectance)
-app.command()(bioscape)
-app.command()(pattern)
-app.command()(validate)
-app.command("validate-plots")(validate_plots)
-app.command()(init)
-app.command()(view)
+for _name, _function in _BIOSCAPE.items():
+    _group.command(_name)(_function)
+app.add_typer(_group, name="bioscape", rich_help_panel="Many plots")
 
 
 def _version(wanted: bool) -> None:

@@ -2,20 +2,23 @@
 
 import functools
 import hashlib
+import importlib
 import inspect
 import json
 import os
+import re
 import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fynjax._core.dry_run import DryRunEnd, dry_run
 from fynjax._core.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,13 +36,13 @@ Checkpoint = Annotated[
     ),
 ]
 WorkerCount = Annotated[
-    int | None,
+    int,
     typer.Option(
         "--workers",
         metavar="N",
-        min=1,
+        min=0,
         help="Do the parts in N processes of this machine, one core each; same results. Needs the "
-        "extra `cluster`.",
+        "extra `cluster`. 0 does them in this process.",
     ),
 ]
 SchedulerAddress = Annotated[
@@ -58,6 +61,22 @@ OwnSeed = Annotated[
 ]
 PlotPath = Annotated[
     Path, typer.Argument(metavar="PLOT.toml", help="Plot file; `fynjax init` writes one.")
+]
+PriorFile = Annotated[
+    str,
+    typer.Option(
+        metavar="FILE",
+        help="Population that the plots are of: a shipped one, a file that `fynjax bioscape learn` "
+        "wrote, or none.",
+    ),
+]
+SHIPPED = "fynbos_2023"
+BANDS = (
+    "where the file does not say: green, red, red_edge, nir, and any other name for bands that are "
+    "not used."
+)
+Align = Annotated[
+    bool, typer.Option("--align/--no-align", help="Align the bands of a capture's files.")
 ]
 Output = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
 Json = Annotated[
@@ -82,14 +101,11 @@ DryRun = Annotated[
     bool,
     typer.Option(
         "--dry-run",
-        help="Say what would be read and written, and about how long and how much memory it "
-        "takes; compute and write nothing.",
+        help="Read and check every input as the run would, and say what would be written; compute "
+        "and write nothing.",
     ),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars and no text.")]
-
-Job = Callable[[Path], "JobResult"]
-"""What a command runs: writes into a folder, returns its result."""
 
 DOUBTFUL = 3
 """Exit status with `--strict` where a result is to be doubted."""
@@ -114,52 +130,67 @@ def prepare_jax() -> None:
     keep_compiled()
 
 
-def _message(warning: warnings.WarningMessage) -> str:
-    return " ".join(str(warning.message).split())
+def _messages(caught: Sequence[warnings.WarningMessage]) -> list[str]:
+    return list(dict.fromkeys(" ".join(str(warning.message).split()) for warning in caught))
 
 
-def checkpoint_beside(output: Path, checkpoint: Path | None) -> Path:
-    """The folder of an unfinished run, the user's or one beside the output."""
-    return output.with_name(f"{output.name}.checkpoint") if checkpoint is None else checkpoint
+def listed(kind: Callable[[str], Any], form: str, metavar: str, help: str, *flags: str) -> Any:
+    """An option of values with commas between.
 
+    **Arguments:** `kind`, what makes a value of its text; `form`, what is expected, in words;
+    `metavar`, `help` and `flags` as of any option.
+    """
 
-Work = Callable[[Mapping[str, Any]], Mapping[str, Any]]
-"""What of a command's options tells its cost, as arguments of `fynjax.jobs.estimate`."""
+    def read(text: str | None, param: typer.CallbackParam) -> list[Any] | None:
+        try:
+            return None if text is None else [kind(part.strip()) for part in text.split(",")]
+        except ValueError:
+            raise InputError(f"`{param.opts[0]}` must be {form}, but is {text!r}") from None
+
+    return typer.Option(*flags, metavar=metavar, help=help, callback=read)
 
 
 def command(
     name: str,
+    job: str,
     *,
     forget: bool = False,
     further: Mapping[str, Any] | None = None,
-    work: Work | None = None,
-) -> Callable[[Callable[..., Job]], Callable[..., None]]:
-    """Make a command of a function that takes options and returns a job.
+    records: Mapping[str, tuple[str, Sequence[str]]] | None = None,
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Make a command of a job: a signature has the options, a docstring the help.
 
-    Adds the options that every command has: --output, --json, --quiet, --strict; and
-    --allow-outside to one that takes a plot file. A function with the option `checkpoint` is given
-    the folder of the unfinished run; with `forget` its journal goes when the run has succeeded.
-    `further`, annotations of options that the function takes as `**options`. With `work`, a command
-    that may take long gets --dry-run, and says beforehand how long it takes.
+    The job is given the options by their names, and the folder of the results as `output`; an
+    option that is left out has the job's default. Errors and warnings that name arguments of the
+    job name the options instead. All commands have --output, --json, --quiet, --strict, --dry-run,
+    those that take a plot file --allow-outside.
+
+    **Arguments:**
+
+    - `name`: of the command, for results and the folder.
+    - `job`: module and function, such as "fynjax.jobs:render"; imported when the command runs.
+    - `forget`: remove the unfinished run, which `checkpoint` names, when the run has succeeded.
+    - `further`: annotations of options that stand in no signature, by name.
+    - `records`: arguments of the job that are made of several options, by name: module and class,
+      and the options, named as its fields.
     """
     shared: dict[str, tuple[Any, Any]] = {
         **{key: (annotation, None) for key, annotation in (further or {}).items()},
-        "output": (Output, Path("output") / name),
+        "output": (Output, Path("output") / name.replace(" ", "-")),
         "json": (Json, False),
         "quiet": (Quiet, False),
         "strict": (Strict, False),
+        "dry_run": (DryRun, False),
     }
 
-    def decorate(function: Callable[..., Job]) -> Callable[..., None]:
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
         signature = inspect.signature(function)
-        options_of_all = dict(shared)
-        has_plot = "plot" in signature.parameters and (
-            signature.parameters["plot"].annotation is PlotPath
-        )
-        if has_plot:
+        options_of_all, packed = dict(shared), dict(records or {})
+        plot = signature.parameters.get("plot")
+        if plot is not None and plot.annotation is PlotPath:
             options_of_all["allow_outside"] = (AllowOutside, False)
-        if work is not None:
-            options_of_all["dry_run"] = (DryRun, False)
+        if "scheduler" in signature.parameters:
+            packed["workers"] = "fynjax.jobs:Workers", ("count", "scheduler")
 
         @functools.wraps(function)
         def run(
@@ -168,35 +199,50 @@ def command(
             json: bool,
             quiet: bool,
             strict: bool,
-            allow_outside: bool = False,
-            dry_run: bool = False,
+            dry_run: bool,
+            allow_outside: bool | None = None,
             **options: Any,
         ) -> None:
             checkpoint = None
             if "checkpoint" in options:
-                checkpoint = checkpoint_beside(output, options["checkpoint"])
-                options["checkpoint"] = checkpoint
-            ready = functools.partial(_ready, function, options, has_plot, allow_outside)
-            if dry_run and work is not None:
-                _show_estimate(name, output, ready, work, as_json=json)
+                beside = output.with_name(f"{output.name}.checkpoint")
+                checkpoint = options["checkpoint"] = options["checkpoint"] or beside
+
+            def work(folder: Path) -> "JobResult":
+                given = {key: value for key, value in options.items() if value not in (None, [])}
+                if allow_outside is not None:
+                    from fynjax.io.plot import read_plot
+
+                    given["plot"] = read_plot(given["plot"], allow_outside=allow_outside)
+                for key, (kind, fields) in packed.items():
+                    parts = {field: given.pop(field) for field in fields if field in given}
+                    given[key] = _imported(kind)(**parts)
+                try:
+                    result: JobResult = _imported(job)(output=folder, **given)
+                except InputError as error:
+                    error.args = (_naming_options(str(error), flags),)
+                    raise
+                named = [_naming_options(text, flags) for text in result.warnings]
+                return result.model_copy(update={"warnings": named})
+
+            start = functools.partial(
+                run_job, name, work, output, as_json=json, quiet=quiet,
+                checkpoint=checkpoint, forget=forget,
+            )  # fmt: skip
+            if dry_run:
+                _show_dry_run(start, output, as_json=json, quiet=quiet)
                 return
-            job = _announced(name, output, ready, work)
-            result = run_job(
-                name, job, output, as_json=json, quiet=quiet, checkpoint=checkpoint, forget=forget
-            )
+            result = start()
             if strict and result.status != "ok":
                 sys.exit(DOUBTFUL)
 
         keyword = inspect.Parameter.KEYWORD_ONLY
-        parameters = [
-            p.replace(kind=keyword)
-            for p in signature.parameters.values()
-            if p.kind is not inspect.Parameter.VAR_KEYWORD
-        ]
+        parameters = [p.replace(kind=keyword) for p in signature.parameters.values()]
         parameters += [
             inspect.Parameter(key, keyword, default=default, annotation=kind)
             for key, (kind, default) in options_of_all.items()
         ]
+        flags = {p.name: flag for p in parameters if (flag := _flag(p))}
         run.__signature__ = signature.replace(  # type: ignore[attr-defined]
             parameters=parameters, return_annotation=None
         )
@@ -206,77 +252,45 @@ def command(
     return decorate
 
 
-def _ready(
-    function: Callable[..., Job], options: Mapping[str, Any], has_plot: bool, allow_outside: bool
-) -> tuple[Job, Mapping[str, Any]]:
-    """The job of a command and its options, of which the plot file is read.
-
-    With `allow_outside` it may name files outside its folder.
-    """
-    if has_plot:
-        from fynjax.io.plot import read_plot
-
-        plot = read_plot(options["plot"], allow_outside=allow_outside)
-        options = {**options, "plot": plot}
-    return function(**options), options
+def _imported(name: str) -> Callable[..., Any]:
+    module, _, attribute = name.partition(":")
+    found: Callable[..., Any] = getattr(importlib.import_module(module), attribute)
+    return found
 
 
-def _announced(
-    name: str,
-    output: Path,
-    ready: Callable[[], tuple[Job, Mapping[str, Any]]],
-    work: Work | None,
-) -> Job:
-    """A job that says beforehand how long it takes, where that is long and progress is shown."""
-
-    def job(folder: Path) -> "JobResult":
-        task, options = ready()
-        from fynjax._core.progress import is_heard
-
-        if work is not None and is_heard():
-            from fynjax.jobs import estimate
-
-            expected = estimate(name, output, **work(options))
-            if expected.is_long():
-                print(f"fynjax: {expected.sentence()}", file=sys.stderr)
-        return task(folder)
-
-    return job
+def _flag(parameter: inspect.Parameter) -> str | None:
+    """How an option is typed, such as --largest-gap; None for an argument."""
+    (described,) = parameter.annotation.__metadata__
+    if isinstance(described, typer.models.ArgumentInfo):
+        return None
+    own = (described.default, *(described.param_decls or ()))  # typer has the first as a default
+    stated = [flag for flag in own if isinstance(flag, str) and flag.startswith("-")]
+    flag = stated[0] if stated else f"--{parameter.name.replace('_', '-')}"
+    return flag.partition("/")[0]
 
 
-def _show_estimate(
-    name: str,
-    output: Path,
-    ready: Callable[[], tuple[Job, Mapping[str, Any]]],
-    work: Work,
-    *,
-    as_json: bool,
+def _naming_options(text: str, flags: Mapping[str, str]) -> str:
+    """A message that names options instead of a job's arguments."""
+    return re.sub(r"`(\w+)`", lambda m: f"`{flags.get(m[1], m[1])}`", text)
+
+
+def _show_dry_run(
+    start: Callable[[], "JobResult"], output: Path, *, as_json: bool, quiet: bool
 ) -> None:
-    """What a command would do, on stdout."""
-    prepare_jax()
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("ignore")
-        warnings.simplefilter("always", UserWarning)
-        _, options = ready()
-        from fynjax.jobs import estimate
-
-        expected = estimate(name, output, **work(options))
-    for line in dict.fromkeys(map(_message, caught)):
-        print(f"fynjax: warning: {line}", file=sys.stderr)
-    if as_json:
-        print(expected.model_dump_json(indent=2))
-        return
-    rows = [("reads", path) for path in expected.reads]
-    rows += [("writes", f"{expected.writes}, whose {name} results would be replaced"
-              if _listed_files(output, name) else expected.writes)]  # fmt: skip
-    rows += list(expected.counts.items())
-    for what, text in rows:
-        print(f"{what:<7} {text}")
-    print(expected.sentence())
-    right = (
-        "" if expected.seconds is None else " Such estimates are right within a factor of 2 to 3."
-    )
-    print(f"Nothing was computed or written.{right}")
+    """What a command would write, on stdout, once its inputs are read and checked."""
+    try:
+        with dry_run():
+            start()
+    except DryRunEnd as end:
+        for line in end.warnings:
+            print(f"fynjax: warning: {line}", file=sys.stderr)
+        if as_json:
+            record = {"output": str(output), "files": end.files, "warnings": end.warnings}
+            print(json.dumps(record, indent=2))
+        elif not quiet:
+            print("Every input was read and checked; nothing was computed or written.")
+            print(f"The run would write to {output}, among others")
+            show_files(end.files)
 
 
 def _listed_files(output: Path, command: str) -> list[str]:
@@ -358,7 +372,7 @@ def _ended_by_kill() -> Iterator[Callable[[], None]]:
 
 def run_job(
     command: str,
-    job: Job,
+    job: Callable[[Path], "JobResult"],
     output: Path,
     *,
     as_json: bool,
@@ -405,7 +419,10 @@ def run_job(
                     file=sys.stderr,
                 )
                 sys.exit(130)
-            messages = list(dict.fromkeys(map(_message, caught)))
+            except DryRunEnd as end:
+                end.warnings = _messages(caught)
+                raise
+            messages = _messages(caught)
             result = result.model_copy(
                 update={"output": str(output), "warnings": [*result.warnings, *messages]}
             )
@@ -433,7 +450,12 @@ def show(result: "JobResult") -> None:
         print(f"Status: {result.status}")
     for line in result.headline:
         print(line)
-    width = max((len(name) for name in result.files), default=0)
     print(f"Written to {result.output}")
-    for name, what in result.files.items():
-        print(f"  {name:<{width}}  {what}")
+    show_files(result.files)
+
+
+def show_files(files: Mapping[str, str]) -> None:
+    """Files and what they are, a line each, on stdout."""
+    width = max(map(len, files), default=0)
+    for name, what in files.items():
+        print(f"  {name:<{width}}  {what}".rstrip())

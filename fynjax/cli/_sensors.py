@@ -1,8 +1,11 @@
-"""`fynjax sensors`."""
+"""Commands about sensors: which there are, what they measure of a plot, and raw pictures."""
 
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Literal
 
 import typer
+
+from fynjax.cli._runtime import Align, OwnSeed, PlotPath, command
 
 
 def sensors(
@@ -32,3 +35,118 @@ def sensors(
         cells = str(row["bands"]), " to ".join(ends), f"{row['pixel_m']:.2g}", height
         table.add_row(str(row["name"]), str(row["kind"]), *cells)
     Console().print(table)
+
+
+def _products(product: str) -> list[str]:
+    return ["reflectance", "radiance"] if product == "both" else [product]
+
+
+@command("simulate", "fynjax.jobs:simulate")
+def simulate(
+    plot: PlotPath,
+    sensor: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Shipped sensor (aviris_ng, emit, mavic_3m, flash_lidar_paper, ...) or a sensor "
+            "file; the plot file's if left out.",
+        ),
+    ] = None,
+    altitude: Annotated[
+        float | None, typer.Option(metavar="M", help="Height above the ground [m].")
+    ] = None,
+    pixel: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Side of a pixel; from the optics if left out."),
+    ] = None,
+    atmosphere: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="table (6S), clear-sky, none, or curves of your own (CSV, NetCDF).",
+        ),
+    ] = None,
+    noise: Annotated[
+        bool | None,
+        typer.Option("--noise/--no-noise", help="Draw noise; if the sensor has a model, yes."),
+    ] = None,
+    products: Annotated[
+        Literal["both", "reflectance", "radiance"],
+        typer.Option("--product", callback=_products, help="Images to write."),
+    ] = "both",
+    seed: OwnSeed = None,
+) -> None:
+    """Simulate what any sensor measures over a plot.
+
+    Writes radiance at the sensor and calibrated reflectance (GeoTIFF, ENVI, NetCDF), pictures and
+    a record of the run; of a LiDAR the point cloud.
+
+    Example:  fynjax simulate plot.toml --sensor aviris_ng --pixel 3 --output aviris
+    """
+
+
+@command("reflectance", "fynjax.jobs:reflectance")
+def reflectance(
+    images: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FOLDER_OR_FILES...",
+            help="Raw pictures of a MicaSense camera: a folder of captures, or NAME_1.tif, "
+            "NAME_2.tif, ...",
+        ),
+    ],
+    panels: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--panel",
+            metavar="NAME",
+            help="Capture that shows a panel: its name, such as IMG_0000, or one of its files. "
+            "Again for more panels, which make an empirical line.",
+        ),
+    ] = None,
+    reflectances: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--panel-reflectance",
+            metavar="R[,R...]",
+            help="Reflectance of the panel: a number, one for each band in order, or a CSV file "
+            "(band,reflectance or wavelength_nm,reflectance).",
+        ),
+    ] = None,
+    areas: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--panel-area",
+            metavar='"X,Y X,Y ..."',
+            help="Corners of its area, columns and rows of pixels; found in the picture if left "
+            "out.",
+        ),
+    ] = None,
+    light: Annotated[
+        str | None,
+        typer.Option(
+            help="panel: steady since the panel; sensor: pi L / E by the light sensor; both: the "
+            "panel, and the sensor for changes since.",
+        ),
+    ] = None,
+    panel_sd: Annotated[
+        float, typer.Option(help="Relative standard deviation of the panel's reflectance.")
+    ] = 0.02,
+    light_sd: Annotated[
+        float, typer.Option(help="Relative standard deviation of the light.")
+    ] = 0.05,
+    height: Annotated[
+        float | None, typer.Option(metavar="M", help="Height of flight above the ground [m].")
+    ] = None,
+    pixel: Annotated[
+        float | None, typer.Option(metavar="M", help="Or the side of a pixel on it [m].")
+    ] = None,
+    align: Align = True,
+) -> None:
+    """Turn raw pictures of a multispectral drone camera into reflectance.
+
+    Writes a GeoTIFF of each capture with all bands aligned, its uncertainty, pictures of captures
+    and panels, and a record of the calibration.
+
+    Example:  fynjax reflectance flight --panel IMG_0000 --panel-reflectance panel.csv --height 70
+    """

@@ -1,24 +1,50 @@
 """`fynjax validate`."""
 
-import math
 import re
+from collections.abc import Callable
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
 
 from fynjax._core.errors import InputError
-from fynjax.cli._runtime import Job, Seed, command
+from fynjax.cli._runtime import BANDS, Seed, command, listed
 
 _Bands = Annotated[
-    str | None,
-    typer.Option(
-        metavar="A,B,...",
-        help="What each band of the file is, in its order: green, red, red_edge, nir, or any other "
-        "name for one that is not used. Needed where the file does not say.",
-    ),
+    str | None, listed(str, "names", "A,B,...", f"What each band of the file is, {BANDS}")
 ]
 _Ground = Literal["auto", "labels", "smrf", "cloth", "none"]
+
+
+def _metres(counts: tuple[int, ...], form: str) -> Callable[..., tuple[float, ...] | None]:
+    """What reads an option of so many numbers with commas between."""
+
+    def read(text: str | None, param: typer.CallbackParam) -> tuple[float, ...] | None:
+        try:
+            numbers = () if text is None else tuple(map(float, text.split(",")))
+        except ValueError:
+            numbers = ()
+        if text is not None and (len(numbers) not in counts or not all(map(isfinite, numbers))):
+            raise InputError(f"`{param.opts[0]}` must be {form} in metres, but is {text!r}")
+        return numbers or None
+
+    return read
+
+
+def _windows(texts: list[str] | None) -> list[tuple[float, float]]:
+    """Wavelengths to leave out, with those of water."""
+    from fynjax.metrics import WATER_WINDOWS
+
+    windows = [*WATER_WINDOWS]
+    for text in texts or ():
+        match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*-\s*(\d+(?:\.\d+)?)\s*", text)
+        if not match:
+            raise InputError(
+                f"`--exclude` must be LOW-HIGH in nm, such as 930-960, but is {text!r}"
+            )
+        windows.append((float(match[1]), float(match[2])))
+    return windows
 
 
 class CloudOption(NamedTuple):
@@ -28,11 +54,16 @@ class CloudOption(NamedTuple):
     kind: Any
     help: str
     metavar: str | None = None
+    counts: tuple[int, ...] = ()
+    """How many numbers it takes."""
 
     @property
     def annotation(self) -> Any:
         """The option as typer takes it."""
-        option = typer.Option(metavar=self.metavar, rich_help_panel="Point clouds", help=self.help)
+        read = _metres(self.counts, str(self.metavar)) if self.counts else None
+        option = typer.Option(
+            metavar=self.metavar, callback=read, rich_help_panel="Point clouds", help=self.help
+        )
         return Annotated[self.kind | None, option]
 
 
@@ -51,6 +82,7 @@ CLOUD_OPTIONS = (
         str,
         "The plot, in the real cloud's coordinates [m]; what both cover if left out.",
         "XMIN,YMIN,XMAX,YMAX",
+        (4,),
     ),
     CloudOption(
         "shift",
@@ -58,6 +90,7 @@ CLOUD_OPTIONS = (
         "What to add to the simulated cloud's coordinates [m]. Write --shift=-3,4 where the first "
         "is negative.",
         "DX,DY[,DZ]",
+        (2, 3),
     ),
     CloudOption(
         "real_ground",
@@ -127,7 +160,19 @@ CLOUD_OPTIONS = (
 """Named as the settings of `fynjax.compare.structure.cloud_settings`."""
 
 
-@command("validate", further={o.name: o.annotation for o in CLOUD_OPTIONS})
+_KINDS = ("drone", "spectra", "cloud")
+FILES = [f"{side}_{kind}" for kind in _KINDS for side in ("real", "simulated")]
+
+
+@command(
+    "validate",
+    "fynjax.jobs:validate",
+    further={option.name: option.annotation for option in CLOUD_OPTIONS},
+    records={
+        "data": ("fynjax.jobs:ValidationData", FILES),
+        "cloud_options": ("builtins:dict", [option.name for option in CLOUD_OPTIONS]),
+    },
+)
 def validate(
     real_drone: Annotated[
         str | None,
@@ -163,10 +208,12 @@ def validate(
         float | None,
         typer.Option(min=0.0, help="Saturation threshold of a drone pixel [-]."),
     ] = None,
-    pixels: Annotated[
+    most_pixels: Annotated[
         int,
         typer.Option(
-            min=100, help="Largest number of pixels of an image; larger ones are thinned evenly."
+            "--pixels",
+            min=100,
+            help="Largest number of pixels of an image; larger ones are thinned evenly.",
         ),
     ] = 1_000_000,
     matching: Annotated[
@@ -176,9 +223,11 @@ def validate(
             "linear, response."
         ),
     ] = "auto",
-    exclude: Annotated[
+    windows: Annotated[
         list[str] | None,
         typer.Option(
+            "--exclude",
+            callback=_windows,
             metavar="LOW-HIGH",
             help="Wavelengths to leave out [nm], besides the water windows 1340-1460 and "
             "1790-2100. May be given several times.",
@@ -194,8 +243,7 @@ def validate(
         ),
     ] = None,
     seed: Seed = 0,
-    **cloud_options: Any,
-) -> Job:
+) -> None:
     """Compare simulated with real data: drone images, spectra, point clouds.
 
     Any of the three pairs may be left out. Writes report.html, a table of every number (CSV and
@@ -204,54 +252,3 @@ def validate(
 
     Example:  fynjax validate --real-drone plot.tif --simulated-drone image.tif --output validation
     """
-    from fynjax import jobs
-    from fynjax.metrics import WATER_WINDOWS
-
-    data = jobs.ValidationData(
-        real_drone=real_drone,
-        simulated_drone=simulated_drone,
-        real_spectra=real_spectra or (),
-        simulated_spectra=simulated_spectra or (),
-        real_cloud=real_cloud,
-        simulated_cloud=simulated_cloud,
-    )
-    for name, counts, form in (
-        ("bounds", (4,), "XMIN,YMIN,XMAX,YMAX"),
-        ("shift", (2, 3), "DX,DY or DX,DY,DZ"),
-    ):
-        cloud_options[name] = _numbers(name, cloud_options[name], counts, form)
-    windows = (*WATER_WINDOWS, *map(_window, exclude or ()))
-    return lambda folder: jobs.validate(
-        data,
-        folder,
-        real_bands=None if real_bands is None else real_bands.split(","),
-        simulated_bands=None if simulated_bands is None else simulated_bands.split(","),
-        saturation=saturation,
-        most_pixels=pixels,
-        matching=matching,  # type: ignore[arg-type]
-        windows=windows,
-        structure_preset=structure_preset,
-        cloud_options=cloud_options,
-        seed=seed,
-    )
-
-
-def _window(text: str) -> tuple[float, float]:
-    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*-\s*(\d+(?:\.\d+)?)\s*", text)
-    if not match:
-        raise InputError(f"`--exclude` must be LOW-HIGH in nm, such as 930-960, but is {text!r}")
-    return float(match[1]), float(match[2])
-
-
-def _numbers(
-    name: str, text: str | None, counts: tuple[int, ...], form: str
-) -> tuple[float, ...] | None:
-    if text is None:
-        return None
-    try:
-        numbers = tuple(map(float, text.split(",")))
-    except ValueError:
-        numbers = ()
-    if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
-        raise InputError(f"`--{name}` must be {form} in metres, but is {text!r}")
-    return numbers

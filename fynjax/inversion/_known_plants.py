@@ -37,8 +37,9 @@ from fynjax.scene import AimedSensor, PlotParameters, Scene, with_values
 
 PIXEL_SD = 0.05
 """What the model's pixel is off by, as a share of it [-]: against a path tracer 1 to 2 % where both
-have the same voxels of 10 cm, and where leaves are single ones the spread of pixels of 2.5 cm is 5
-to 8 % less (`python -m tests.benchmarks.table_radiation --only head-to-head plants`)."""
+have the same voxels of 10 cm (`tests/radiation/test_reference_scenes.py`), and where leaves are
+single ones the spread of pixels of 2.5 cm is 5 to 8 % less (`python -m
+tests.benchmarks.table_radiation --only plants`)."""
 MOST_VALUES = 40_000
 """Values of an image that are compared, at most, unless a block is asked for."""
 _DARKEST = 0.002

@@ -406,6 +406,11 @@ def derivative_measures(
 def _check(over: str, samples: int) -> None:
     if over not in ("prior", "bounds"):
         raise InputError(f"`over` must be 'prior' or 'bounds', but is {over!r}")
+    check_samples(samples)
+
+
+def check_samples(samples: int) -> None:
+    """Raise `InputError` unless `samples` over the priors is a power of two, 2 or more."""
     if samples < 2 or samples & (samples - 1):
         raise InputError(f"`samples` must be a power of two, such as 512, but is {samples}")
 

@@ -1,7 +1,7 @@
 """What sensors of other pixels, bands and noise could know about a plot."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -96,6 +96,7 @@ def sweep_sensors(
     draws: int = 4,
     coarse: Accuracy = COARSE,
     seed: int = 0,
+    checked: Callable[[], None] = lambda: None,
 ) -> list[tuple[SensorSetting, Information]]:
     """Bounds on the parameters of a plot, for each combination of sensor properties.
 
@@ -134,6 +135,7 @@ def sweep_sensors(
     - `draws`: realisations of the noise.
     - `coarse`: accuracy of the light.
     - `seed`: of the noise.
+    - `checked`: called when all settings are checked, before anything is rendered.
 
     **Returns:** each setting with its bounds, by sun, then pixel, number of bands and noise.
 
@@ -150,13 +152,18 @@ def sweep_sensors(
     centre = np.asarray(parameters.light.sun_zenith, float)
     suns = [float(centre)] if sun_zenith is None else [float(s) for s in sun_zenith]
     at = space.physical(jnp.zeros(len(space.names)))
+    lights = [
+        eqx.tree_at(lambda p: p.light.sun_zenith, parameters, jnp.asarray(sun)) for sun in suns
+    ]
+    cameras = [
+        aim(quick, lit, sensor, placement, accuracy=coarse, point_spread=False) for lit in lights
+    ]
+    checked()
     bounds = []
-    for sun in suns:
-        lit = eqx.tree_at(lambda p: p.light.sun_zenith, parameters, jnp.asarray(sun))
+    for sun, lit, camera in zip(suns, lights, cameras):
         # A free zenith starts from this sun too, not from its prior's.
         free = "light.sun_zenith" in space.names
         here = at.at[space.names.index("light.sun_zenith")].set(sun) if free else at
-        camera = aim(quick, lit, sensor, placement, accuracy=coarse, point_spread=False)
         camera = camera.sampled(1)  # one ray a pixel, or a voxel
         measured = []
         for planted in track(plantings, f"Render, sun at {sun:g} degrees"):

@@ -6,8 +6,6 @@ from ._calibrate import calibrate_to as calibrate_to
 from ._calibration_tables import ReferenceImage as ReferenceImage
 from ._convert import ConvertResult as ConvertResult
 from ._convert import convert as convert
-from ._estimate import Estimate as Estimate
-from ._estimate import estimate as estimate
 from ._fit_leaf import FitLeafResult as FitLeafResult
 from ._fit_leaf import fit_leaf as fit_leaf
 from ._information import InformationResult as InformationResult
@@ -30,8 +28,10 @@ from ._result import ParameterSummary as ParameterSummary
 from ._result import Record as Record
 from ._result import Rows as Rows
 from ._result import StatisticSummary as StatisticSummary
+from ._run import DryRunEnd as DryRunEnd
 from ._run import Run as Run
 from ._run import Workers as Workers
+from ._run import dry_run as dry_run
 from ._run import peak_memory_mib as peak_memory_mib
 from ._sensitivity import SensitivityResult as SensitivityResult
 from ._sensitivity import sensitivity as sensitivity

@@ -12,6 +12,7 @@ import pandas as pd
 import xarray as xr
 from pydantic import Field
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax.assembly import build_plot, check_memory
 from fynjax.canopy import PlantModel
@@ -139,6 +140,10 @@ def build(
             meshes, triangles = scene_meshes(
                 instances, hard, parameters, max_triangles=max_triangles, seed=chosen
             )
+    rows = f"{len(read.species)} species"
+    files = {"instances.csv": f"{len(instances)} plants", "cover.csv": rows, "stand.csv": rows}
+    files["voxels.nc"] = f"{' x '.join(map(str, hard.grid.shape))} voxels"
+    begin_work(files | ({"scene.obj": f"{triangles} triangles"} if mesh else {}))
     with run.stage("Fill the voxels", "voxels"):
         density = _area_density(hard, parameters)
         jax.block_until_ready(density)

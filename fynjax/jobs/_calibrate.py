@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax.assembly import Measured, prepare, read_targets
 from fynjax.inversion import Calibration, calibration, join_data, plot_search, search_starts
@@ -185,6 +186,12 @@ def calibrate_to(
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
     steps = ready.settings.max_steps
     evaluations = ready.settings.starts * (steps + (steps + 1) // 2)
+    images = any(sensor.kind == "image" for sensor in measured)
+    begin_work(
+        {"parameters.csv": f"{len(ready.space.names)} parameters", "statistics.csv": ""}
+        | (dict.fromkeys(["image_before.tif", "image_after.tif"], "") if images else {})
+        | {"run.nc": f"after at most {evaluations} steps of the search", "report.html": ""}
+    )
     with run.stage("Calibrate", "calibrate", total=evaluations):
         search = plot_search(
             ready.scene,

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax.assembly import aim_without_air, prepare
 from fynjax.compare import read_drone_image
@@ -66,6 +67,11 @@ def known_plants(
     order = [BANDS.index(name) for name in camera.sensor.bands.names]
     settings = plot.calibration
     block = _block(plot, len(order), camera.shape, pixel)
+    begin_work(
+        {"parameters.csv": f"{len(ready.space.names)} parameters", "statistics.csv": ""}
+        | dict.fromkeys(["image_before.tif", "image_after.tif"], "")
+        | {"report.html": f"after at most {settings.max_iterations} steps of the search"}
+    )
     with run.stage("Calibrate", "calibrate", total=settings.max_iterations):
         search = known_plants_search(
             ready.scene,

@@ -6,9 +6,12 @@ from typing import Literal
 
 import pandas as pd
 
+from fynjax._core.dry_run import begin_work
 from fynjax.io.spectra import (
     measured_dataset,
     measured_table,
+    usable_spectra,
+    warnings_of_reading,
     write_spectra_netcdf,
 )
 from fynjax.jobs._result import JobResult
@@ -18,8 +21,6 @@ from fynjax.jobs._spectra import (
     SpectrumRepair,
     refused_spectra,
     repairs,
-    usable_spectra,
-    warnings_of_reading,
 )
 
 
@@ -45,7 +46,7 @@ def convert(
 
     **Arguments:**
 
-    - `paths`: files of any format that `read_spectra` takes, and folders of them.
+    - `paths`: files of any format that `fynjax.read_spectra` takes, and folders of them.
     - `output`: folder, made if missing.
     - `panel`: table of the white panel's own reflectance, as of `fit_leaf`.
 
@@ -59,7 +60,9 @@ def convert(
     """
     run = Run(output)
     with run.stage("Read", "read"):
-        spectra, refused = usable_spectra(paths, panel)
+        spectra, refused = usable_spectra(paths, panel, detector_changes=())
+    size = f"{len(spectra)} spectra"
+    begin_work({"spectra.csv": size, "spectra.nc": size, "sources.csv": ""})
     dataset = measured_dataset(spectra, run.record([*(file for file, _ in spectra), panel]))
     what = "reflectance and transmittance over wavelength, one column a spectrum"
     with run.stage("Write", "write"):
@@ -91,5 +94,5 @@ def convert(
         spectra=len(spectra),
         bands=bands,
         refused=refused_spectra(refused),
-        repairs=repairs(spectra),
+        repairs=repairs(dataset),
     )

@@ -1,31 +1,28 @@
 """What `fynjax fit-leaf` does: files of spectra in, traits and spectra out."""
 
-import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 from jaxtyping import Float
+from pydantic import ConfigDict, Field
 
 from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
 from fynjax._core.progress import stage
 from fynjax.io.spectra import (
-    MeasuredSpectrum,
-    note,
-    posterior_dataset,
-    prior_decides,
+    measured_dataset,
     read_curve,
-    species_table,
-    spectra_dataset,
-    traits_table,
+    usable_spectra,
+    warnings_of_reading,
     write_spectra_netcdf,
-    write_traits_csv,
 )
-from fynjax.io.text import existing_file, read_text
+from fynjax.io.text import Strict, read_rows
 from fynjax.jobs._result import JobResult
 from fynjax.jobs._run import Run
 from fynjax.jobs._spectra import (
@@ -33,29 +30,25 @@ from fynjax.jobs._spectra import (
     SpectrumRepair,
     refused_spectra,
     repairs,
-    usable_spectra,
-    warnings_of_reading,
 )
 from fynjax.leaf import (
-    LARGEST_JUMP,
     AbstractMeasurement,
     FitDomain,
     IntegratingSphere,
     LeafArea,
     LeafChunks,
     LeafClip,
-    LeafFit,
     LeafShape,
     LeafStack,
     ProspectVersion,
     area_factors,
     bin_centres,
-    correct_detector_jumps,
     fit_leaf_groups,
     regress_water,
     resolved_by_two_readings,
     sample_leaf_posterior,
     to_bins,
+    to_nanometres,
     transmittance_from_two_readings,
     usual_measurement,
 )
@@ -73,8 +66,6 @@ Sampling = Literal["none", "emcee", "nuts"]
 _GRID = np.arange(350.0, 2501.0)
 _PART = 1024
 """Leaves that are fitted together, in memory of some 130 MB."""
-_NOTED_JUMP = 0.005
-"""Relative jump between detectors from which on a repair is noted [-]."""
 
 
 class FitLeafResult(JobResult):
@@ -126,33 +117,38 @@ def _background(given: str | Path | float, measurement: str) -> Float[np.ndarray
     return np.full(_GRID.shape, level)
 
 
-def _transmittances(
-    over_black: Float[np.ndarray, "leaf band"],
-    first: list[MeasuredSpectrum],
-    second: list[MeasuredSpectrum],
-    background: Float[np.ndarray, " band"],
-) -> Float[np.ndarray, "leaf band"]:
-    """T of each leaf from its readings over black and over the background, with a note; NaN where
-    the leaf is opaque to the method.
+def _in_nanometres(spectra: xr.Dataset) -> xr.Dataset:
+    """The spectra on the file's grid."""
+    fine = {
+        str(key): (part.dims, to_nanometres(spectra["wavelength"].values, part.values)[1])
+        for key, part in spectra.items() if "wavelength" in part.dims
+    }  # fmt: skip
+    return spectra.drop_dims("wavelength").assign(fine).assign_coords(wavelength=_GRID)
+
+
+def _with_transmittance(
+    first: xr.Dataset, second: xr.Dataset, background: Float[np.ndarray, " band"]
+) -> xr.Dataset:
+    """Readings over black with the transmittance that those over the background give, and a note;
+    NaN where the leaf is opaque to the method.
 
     Readings belong together by name, or by their order if the names differ.
     """
-    names = [spectrum.name for spectrum in first]
-    by_name = {spectrum.name: spectrum for spectrum in second}
-    if set(by_name) == set(names):
-        second = [by_name[name] for name in names]
-    if len(second) != len(first):
+    names = first["spectrum"].values.tolist()
+    if set(second["spectrum"].values) == set(names):
+        second = second.sel(spectrum=names)
+    if second.sizes["spectrum"] != len(names):
         raise InputError(
-            f"each leaf needs a reading over the background, but of {len(first)} leaves there are "
-            f"{len(second)}"
+            f"each leaf needs a reading over the background, but of {len(names)} leaves there are "
+            f"{second.sizes['spectrum']}"
         )
-    for spectrum in first:
-        if spectrum.transmittance is not None:
-            raise InputError(
-                f"the transmittance of {spectrum.name!r} was measured, so readings over the "
-                "background are one too many"
-            )
-    over = np.stack([_on_grid(spectrum, spectrum.reflectance) for spectrum in second])
+    if "transmittance" in first:
+        known = np.isfinite(first["transmittance"].values).any(1)
+        raise InputError(
+            f"the transmittance of {names[np.argmax(known)]!r} was measured, so readings over the "
+            "background are one too many"
+        )
+    over_black, over = first["reflectance"].values, second["reflectance"].values
     through = np.asarray(transmittance_from_two_readings(over_black, over, background))
     # By bins of the fit: the bands left of a bin would be its brighter ones.
     centres = bin_centres()
@@ -160,62 +156,37 @@ def _transmittances(
     binned = (to_bins(_GRID, values) for values in (over_black, through, background))
     known = resolved_by_two_readings(*binned)[:, nearest]
     inside = (_GRID >= 450.0) & (_GRID <= 2400.0) & np.isfinite(over_black + over + background)
-    for spectrum, row, resolved in zip(first, inside, known):
-        if not row.any():
-            raise InputError(f"the readings of {spectrum.name!r} have no bands in common")
-        opaque = (row & ~resolved).sum() / row.sum()
-        note(
-            spectrum.meta,
-            f"transmittance from two readings; too opaque for it at {100 * opaque:.0f} % of bands",
-        )
-    return np.where(known, through, np.nan)
+    if not inside.any(1).all():
+        name = names[np.argmin(inside.any(1))]
+        raise InputError(f"the readings of {name!r} have no bands in common")
+    opaque = (inside & ~known).sum(1) / inside.sum(1)
+    said = [
+        f"{before}{'; ' if before else ''}transmittance from two readings; too opaque for it at "
+        f"{100 * part:.0f} % of bands"
+        for before, part in zip(first["repairs"].values, opaque)
+    ]
+    through = np.where(known, through, np.nan)
+    return first.assign(
+        transmittance=(("spectrum", "wavelength"), through),
+        repairs=("spectrum", np.array(said, object)),
+    )
 
 
-def _without_jumps(spectrum: MeasuredSpectrum, changes: Sequence[float] | None) -> MeasuredSpectrum:
-    """The spectrum with the jumps of its detectors taken out at `changes` [nm], or, if None, where
-    the file says that they change."""
-    stated = changes is not None
-    changes = spectrum.meta.get("splices", []) if changes is None else changes
-    if not changes:
-        return spectrum
-    meta = {**spectrum.meta, "repairs": list(spectrum.meta["repairs"])}
-    parts = []
-    for values in (spectrum.reflectance, spectrum.transmittance):
-        if values is not None:
-            values, jumps = correct_detector_jumps(spectrum.wavelength, values, changes)
-            for at, jump in zip(changes, jumps):
-                if np.isfinite(jump) and abs(jump) > _NOTED_JUMP:
-                    what = "taken out" if abs(jump) <= LARGEST_JUMP else "too large, left alone"
-                    note(meta, f"detectors change at {at:g} nm: {100 * jump:+.1f} %, {what}")
-                if stated and not np.isfinite(jump):
-                    note(meta, f"detectors change at {at:g} nm: too few bands beside it to tell")
-        parts.append(values)
-    return MeasuredSpectrum(spectrum.name, spectrum.wavelength, parts[0], parts[1], meta)
+class GroupRow(Strict):
+    """The species of a spectrum; the table may have further columns."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+    unique: ClassVar[str] = "name"
+
+    name: str = Field(description="Name of the spectrum, as in traits.csv.", min_length=1)
+    species: str = Field(description="Its species.", min_length=1)
 
 
 def _read_groups(path: str | Path, names: Sequence[str]) -> list[str]:
     """The species of each spectrum from a table with the columns `name` and `species`."""
-    file = existing_file(path, "a table of names and species")
-    try:
-        table = pd.read_csv(io.StringIO(read_text(file)), dtype=str, keep_default_na=False)
-    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
-        raise InputError(f"expected a table of names and species: {error}", file=path) from error
-    for column in ("name", "species"):
-        if column not in table:
-            raise InputError(
-                f"expected the columns name and species, but found {', '.join(table.columns)}",
-                file=path,
-            )
-    twice = table["name"][table["name"].duplicated()]
-    if len(twice):
-        raise InputError(
-            f"the spectrum {twice.iloc[0]!r} is named twice",
-            file=path,
-            row=int(twice.index[0]) + 2,
-            column="name",
-        )
-    species = dict(zip(table["name"], table["species"]))
-    missing = [name for name in names if not species.get(name)]
+    rows = read_rows(path, GroupRow, "a table of names and species")
+    species = {row.name: row.species for _, row in rows}
+    missing = [name for name in names if name not in species]
     if missing:
         raise InputError(
             f"no species for {len(missing)} spectra, the first is {missing[0]!r}; "
@@ -223,30 +194,6 @@ def _read_groups(path: str | Path, names: Sequence[str]) -> list[str]:
             file=path, column="name",
         )  # fmt: skip
     return [species[name] for name in names]
-
-
-def _on_grid(spectrum: MeasuredSpectrum, values: np.ndarray | None) -> np.ndarray:
-    """The spectrum on 1 nm steps; a band wider than that is spread no further than 25 nm."""
-    if values is None:
-        return np.full(_GRID.shape, np.nan)
-    have = np.isfinite(values)
-    if have.sum() < 2:
-        return np.full(_GRID.shape, np.nan)
-    at = spectrum.wavelength[have]
-    result = np.interp(_GRID, at, values[have], left=np.nan, right=np.nan)
-    right = np.clip(np.searchsorted(at, _GRID), 1, at.size - 1)
-    gap = at[right] - at[right - 1]
-    return np.where(gap <= 25.0, result, np.nan)
-
-
-def _read(
-    paths: Sequence[str | Path],
-    panel: str | Path | None,
-    detector_changes: Sequence[float] | None,
-) -> tuple[list[tuple[str, MeasuredSpectrum]], list[tuple[str, str, InputError]]]:
-    """`usable_spectra` of files, without the jumps of their detectors."""
-    spectra, refused = usable_spectra(paths, panel)
-    return [(file, _without_jumps(s, detector_changes)) for file, s in spectra], refused
 
 
 def fit_leaf(
@@ -277,7 +224,7 @@ def fit_leaf(
 
     **Arguments:**
 
-    - `paths`: files of any format that `read_spectra` takes, and folders of them.
+    - `paths`: files of any format that `fynjax.read_spectra` takes, and folders of them.
     - `output`: folder, made if missing.
     - `version`: "5", "D" or "PRO".
     - `measurement`: "sphere", "leaf-clip", "probe" or "stack", see the classes of
@@ -328,32 +275,40 @@ def fit_leaf(
     if over_background and behind is None:
         raise InputError("readings over a background need its reflectance, `background`")
     instrument = _measurement(measurement, leaf_shape, None if over_background else behind)
-    factors = area_factors(area, leaf_shape)
-    spectra, refused = _read(paths, panel, detector_changes)
-    r = np.stack([_on_grid(s, s.reflectance) for _, s in spectra])
-    t = np.stack([_on_grid(s, s.transmittance) for _, s in spectra])
+    area_factors(area, leaf_shape)  # refuses an unknown area before anything is read
+    read, refused = usable_spectra(paths, panel, detector_changes)
+    spectra = measured_dataset(read, {})
     if over_background and behind is not None:
-        second, bad = _read(over_background, panel, detector_changes)
+        second, bad = usable_spectra(over_background, panel, detector_changes)
         if bad:
             raise bad[0][2]
-        t = _transmittances(r, [s for _, s in spectra], [s for _, s in second], behind)
+        others = _in_nanometres(measured_dataset(second, {}))
+        spectra = _with_transmittance(_in_nanometres(spectra), others, behind)
     elif behind is not None:
-        r = np.where(np.isfinite(behind), r, np.nan)
-    files, names = [f for f, _ in spectra], [s.name for _, s in spectra]
+        spectra = _in_nanometres(spectra)
+        spectra["reflectance"] = spectra["reflectance"].where(np.isfinite(behind))
+    names = spectra["spectrum"].values.tolist()
     run = Run(output, seed=seed)
+    species = None if groups is None else _read_groups(groups, names)
+    size = f"{len(names)} spectra"
+    begin_work(
+        {"traits.csv": f"{size}, {len(refused)} refused", "spectra.nc": size}
+        | ({} if species is None else {"species.csv": f"{len(set(species))} species"})
+        | ({} if posterior == "none" else {"posterior.nc": size})
+    )
     options: dict[str, Any] = {
         "version": version, "measurement": instrument, "leaf_shape": leaf_shape, "domain": domain
     }  # fmt: skip
     together = None
-    if groups is not None:
-        together = fit_leaf_groups(_GRID, r, t, groups=_read_groups(groups, names), **options)
+    if species is not None:
+        together = fit_leaf_groups(spectra, groups=species, **options)
         fit = together.leaves
     else:
         journal = None
-        if checkpoint is not None and len(r) > _PART:
-            journal = Journal(checkpoint, signature(r, t, options))
-        chunks = LeafChunks(_GRID, r, t, size=_PART, **options)
-        with stage("Fit leaves", len(r)), at_work(workers) as pool:
+        chunks = LeafChunks(spectra, size=_PART, **options)
+        if checkpoint is not None and len(names) > _PART:
+            journal = Journal(checkpoint, signature(chunks.parts, options))
+        with stage("Fit leaves", len(names)), at_work(workers) as pool:
             done = dict(
                 pool.each(
                     LeafChunks.fit, chunks.parts, chunks.setup,
@@ -374,62 +329,49 @@ def fit_leaf(
         "domain": domain,
         "seed": str(seed),
     }
-    table = traits_table(fit, files, names, area, factors)
-    table["repairs"] = ["; ".join(s.meta["repairs"]) for _, s in spectra]
+    table = fit.table(area)
     if refused:
         rows = [{"file": f, "name": n, "status": f"refused: {e}"} for f, n, e in refused]
         table = pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
     what = "parameters, deviations, 90 % intervals and status of each spectrum"
-    write_traits_csv(table, run.path("traits.csv", what))
+    run.table("traits.csv", table, what)
     what = "measured, fitted and predicted R and T on the fit's bins"
-    dataset = spectra_dataset(fit, files, names, settings, factors)
+    dataset = fit.to_xarray(area).assign_attrs(settings)
     write_spectra_netcdf(dataset, run.path("spectra.nc", what))
-    run.picture(Picture("spectra.png", leaf_fit_figure(fit, names), "measured and fitted spectra"))
+    run.picture(Picture("spectra.png", leaf_fit_figure(fit), "measured and fitted spectra"))
     if together is not None:
         what = "mean leaf and material variants of each species"
-        leaves = species_table(together, seed, area, factors)
-        write_traits_csv(leaves, run.path("species.csv", what))
+        run.table("species.csv", together.table(seed, area), what)
     if posterior != "none":
-        draws = sample_leaf_posterior(_GRID, r, t, sampler=posterior, seed=seed, **options)
+        draws = sample_leaf_posterior(spectra, sampler=posterior, seed=seed, **options)
         what = "draws of the parameters and of T from the posterior"
-        dataset = posterior_dataset(draws, fit, files, names, settings, factors)
+        dataset = draws.to_xarray(area).assign_attrs(settings)
         write_spectra_netcdf(dataset, run.path("posterior.nc", what))
-    return _result(run, fit, spectra, refused, regression)
-
-
-def _result(
-    run: Run,
-    fit: LeafFit,
-    spectra: list[tuple[str, MeasuredSpectrum]],
-    refused: list[tuple[str, str, InputError]],
-    regression: bool,
-) -> FitLeafResult:
     good = fit.status.count("converged")
-    headline = [f"{good} of {len(spectra)} spectra fitted without doubt."]
-    if good < len(spectra):
+    headline = [f"{good} of {len(names)} spectra fitted without doubt."]
+    if good < len(names):
         headline.append("The others say why in the column status of traits.csv.")
     if regression:
         headline.append("Water is corrected by regression, as of leaves of one campaign.")
-    repaired = sum(bool(s.meta["repairs"]) for _, s in spectra)
-    if repaired:
+    if repaired := np.count_nonzero(spectra["repairs"].values != ""):
         headline.append(f"{repaired} were repaired while reading, see the column repairs.")
-    decided = sum(bool(names) for names in prior_decides(fit))
-    if decided:
+    if decided := np.count_nonzero(table["prior_decides"].fillna("") != ""):
         headline.append(
             f"Of {decided} the prior says more than the spectrum about a trait, see the column "
             "prior_decides."
         )
+    doubtful = len(names) - good
     return run.result(
         FitLeafResult,
         headline=headline,
-        warnings=warnings_of_reading(spectra, refused, "traits.csv"),
-        converged=good == len(spectra),
+        warnings=warnings_of_reading(read, refused, "traits.csv"),
+        converged=doubtful == 0,
         status="ok"
-        if good == len(spectra) and not refused
-        else f"{len(spectra) - good} spectra in doubt, {len(refused)} refused: see traits.csv",
-        spectra=len(spectra),
+        if doubtful == 0 and not refused
+        else f"{doubtful} spectra in doubt, {len(refused)} refused: see traits.csv",
+        spectra=len(names),
         converged_spectra=good,
-        doubtful_spectra=len(spectra) - good,
+        doubtful_spectra=doubtful,
         refused=refused_spectra(refused),
         repairs=repairs(spectra),
     )

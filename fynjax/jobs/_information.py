@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
+from fynjax._core.dry_run import begin_work
 from fynjax.assembly import prepare, shown_unit
 from fynjax.inversion import Information, SensorSetting, even_bands, sweep_sensors
 from fynjax.io.plot import Plot, as_plot, plot_instrument, sensor_place
@@ -72,6 +73,8 @@ def information(
         ready = prepare(read, free, seed=run.seed)
     altitude, _ = sensor_place(read)
     swept = Sensor("sweep", even_bands(max(bands), *spectrum), plot_instrument(read).camera)
+    size = f"{len(ready.space.names)} parameters"
+    files = {"bounds.csv": size, "limits.csv": "", "report.html": ""}
     sweep = sweep_sensors(
         ready.scene,
         ready.parameters,
@@ -85,6 +88,7 @@ def information(
         error=error,
         stand_realisations=realisations,
         seed=run.seed,
+        checked=lambda: begin_work(files),
     )
     table = bound_table(sweep, np.asarray(ready.space.prior))
     first, best = sweep[0]

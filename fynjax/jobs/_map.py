@@ -13,6 +13,7 @@ from jaxtyping import Float
 from pydantic import Field
 
 from fynjax._core.checkpoint import forget_journal, signature
+from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError, listed
 from fynjax._core.parts import Workers, at_work
 from fynjax.assembly import STAND_QUANTITIES
@@ -129,6 +130,12 @@ def map_cube(
         pixels = list(dict.fromkeys(pixels))
         learned = prior_of(trained, prior) if pixels else None
         channels = pick_pixels(source, weights, scale, pixels)
+        size = image_size(source.shape, 4 * len(STAND_QUANTITIES) + 1)
+        begin_work(
+            {"maps.tif": size, "report.html": ""}
+            | ({"maps.zarr": size} if zarr else {})
+            | ({"pixels.csv": f"{len(pixels)} pixels", "pixels.nc": ""} if pixels else {})
+        )
         kept = Path(checkpoint) / "pixels"
         asked: dict[str, Any] = {"steps": pixel_steps, "seed": seed}
         journal = None

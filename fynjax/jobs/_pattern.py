@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax.canopy import (
     Greenness,
@@ -125,6 +126,8 @@ def pattern(
             )
     except InputError as error:
         raise InputError(str(error), file=paths[0]) from error
+    rows, columns = stack.mask.shape
+    begin_work({"map.tif": f"{rows} rows and {columns} columns of pixels"})
     masked = int((~stack.mask).sum())
     with run.stage("Write"):
         write_probability_map(

@@ -2,12 +2,15 @@
 
 import csv
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax.canopy import (
     FORMS,
@@ -147,7 +150,8 @@ def plant(
         if given[name] is not None and kind not in kinds:
             raise InputError(
                 f"`{name}` is for a {' or a '.join(kinds)}, but {source!r} is a {kind}: leave it "
-                "out"
+                "out",
+                file=None if kind == "taxon" else source,
             )
     if rotation_spread is not None and branches == 1:
         raise InputError("`rotation_spread` is the tilt of branches: give `branches` too")
@@ -155,7 +159,10 @@ def plant(
     limit = _MAXIMUM_EXTENT if maximum_extent is None else maximum_extent
     copies: dict[str, Any] = {"seed": seed, "rotation_spread": rotation_spread}
     made, mesh = None, None
-    with run.stage("Read the plant" if kind != "taxon" else "Grow the plant"):
+    with (
+        run.stage("Read the plant" if kind != "taxon" else "Grow the plant"),
+        _named(source, kind),
+    ):
         if kind == "scan":
             points, normals, organ = read_scan(source)
             model = plant_model_from_points(
@@ -187,6 +194,7 @@ def plant(
             model = plant_model_from_mesh(
                 mesh, n_elements, known, seed, solid_materials="closed", maximum_extent=limit
             )
+    begin_work({"elements.csv": f"{len(model.area)} area elements"})
     with run.stage("Write"):
         if mesh is not None and (made is not None or branches > 1):
             obj, mtl = mesh.obj("plant.mtl")
@@ -196,6 +204,19 @@ def plant(
         what = "the elements from the side and from above"
         run.picture(Picture("plant.png", plant_figure(model), what))
     return _result(run, model, made, mesh, axis, materials is not None)
+
+
+@contextmanager
+def _named(source: str, kind: str) -> Iterator[None]:
+    """Errors name the file of the source, and this job's argument instead of a function's."""
+    try:
+        yield
+    except InputError as error:
+        text = str(error).replace("`organ_of_material`", "`materials`")
+        if error.file is None and kind != "taxon":
+            raise InputError(text, file=source) from error
+        error.args = (text,)
+        raise
 
 
 def _kind(source: str) -> str:

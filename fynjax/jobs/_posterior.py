@@ -10,6 +10,7 @@ import pandas as pd
 from pydantic import Field
 
 from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.progress import track
@@ -158,6 +159,9 @@ def posterior(
         views = [sensor.view_of(ready.scene, ready.parameters) for sensor in measured]
     inputs = (*(p for p in ready.plot.inputs if p is not None), *paths)
     steps = ready.settings.max_steps
+    parameters = f"{len(ready.space.names)} parameters"
+    draws = f"{parameters}, {max_steps} steps of the sampler at most"
+    begin_work({"posterior.nc": draws, "parameters.csv": parameters, "report.html": ""})
     with run.stage("Calibrate", total=steps + (steps + 1) // 2):
         search = plot_search(
             ready.scene,

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.progress import track
 from fynjax.io.micasense import (
@@ -116,10 +117,15 @@ def reflectance(
     headline, warnings = panel_sentences(read, known, light), []
     converted: dict[str, CaptureSummary] = {}
     inputs = [path for panel in read for path in panel.capture.paths]
+
+    def read_one(name: str) -> tuple[Capture, EmpiricalLine, NDArray[np.float64] | None]:
+        capture = read_capture(name, wanted[name])
+        return capture, *_line_of(capture, line, read, light, light_sd)
+
+    begin_work({f"{name}_reflectance.tif": "" for name in wanted}, map(read_one, wanted))
     for name, paths in track([*wanted.items()], "Convert"):
-        capture = read_capture(name, paths)
+        capture, relit, change = read_one(name)
         inputs += paths
-        relit, change = _line_of(capture, line, read, light, light_sd)
         aligned = aligned_radiance(capture, align=align)
         side = _pixel(capture, height, pixel)
         cube, doubt = _cubes(capture, aligned, relit, side or 1.0)

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 import fynjax
 from fynjax._core.checkpoint import Journal, Keep, keep_nothing, signature
+from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError
 from fynjax.assembly import aim_without_air, build_plot
 from fynjax.io.plot import Plot, as_plot, plot_instrument, plot_place
@@ -91,6 +92,8 @@ def render(
     with run.stage("Build the plot", "build"):
         scene, parameters = build_plot(read, seed=run.seed)
         camera = aim_without_air(read, scene, parameters, instrument)
+    size = image_size(camera.shape, len(camera.sensor.bands))
+    begin_work({"image.tif": size, "run.nc": size, "report.html": ""})
     with run.stage("Render", "render"):
         if is_large(camera, scene):
             keep: Keep = keep_nothing

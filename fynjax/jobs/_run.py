@@ -8,6 +8,8 @@ from typing import Any, TypeVar
 
 import pandas as pd
 
+from fynjax._core.dry_run import DryRunEnd as DryRunEnd
+from fynjax._core.dry_run import dry_run as dry_run
 from fynjax._core.memory import peak_memory
 from fynjax._core.parts import Workers as Workers
 from fynjax._core.precision import enable_double_precision

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers
@@ -19,6 +20,7 @@ from fynjax.inversion import (
     ExpectedSensitivity,
     PlotForward,
     SobolIndices,
+    check_samples,
     coarser,
     derivative_measures,
     expected_sensitivity,
@@ -102,6 +104,8 @@ def sensitivity(
     check_statistics(names)
     if sobol_samples:
         require("SALib", "sensitivity")
+    for samples in filter(None, (derivative_samples, sobol_samples)):
+        check_samples(samples)
     read = as_plot(plot)
     run = Run(output, seed=read.seed if seed is None else seed)
     with run.stage("Build the plot"):
@@ -111,6 +115,9 @@ def sensitivity(
     quick, cheap = search_form(ready.scene, ready.parameters, views)
     predict = PlotForward(ready.parameters, space.names, cheap)
     at = np.asarray(space.prior)
+    size = f"{len(names)} metrics by {len(space.names)} parameters"
+    tables = ["slopes.csv", *(["variance.csv"] if derivative_samples or sobol_samples else [])]
+    begin_work(dict.fromkeys(tables, size) | {"report.html": ""})
     journal = None
     if checkpoint is not None:
         hashes = [file_hash(path) for path in read.inputs]

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
+from fynjax._core.dry_run import begin_work, image_size
 from fynjax._core.errors import InputError
 from fynjax.assembly import aim_at_plot, build_plot
 from fynjax.io.instruments import load_instrument
@@ -111,6 +112,9 @@ def simulate(
         aimed = aim_at_plot(
             read, scene, parameters, instrument, altitude=altitude, pixel=pixel, air=air
         )
+    size = image_size(aimed.shape, len(instrument.bands))
+    written = [name for name in products if name != "radiance" or air.source != "none"]
+    begin_work({f"{name}.tif": size for name in written} | {"product.nc": size, "report.html": ""})
     with run.stage("Measure"):
         # Plants that do not stand take time and memory only.
         stand = hard_scene(scene, parameters)

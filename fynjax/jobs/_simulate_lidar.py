@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax.assembly import build_plot, check_memory
@@ -63,6 +64,9 @@ def simulate_lidar(
     with run.stage("Build the plot", "build"):
         scene, parameters = build_plot(plot, seed=run.seed)
         scene = hard_scene(scene, parameters)
+        extent, level = scene.grid.extent, scene.ground_level
+        pulses = len(lidar.beams(extent[:2], top=extent[2], ground=level, seed=run.seed))
+    begin_work({"cloud.laz": "", "waveforms.nc": f"{pulses} pulses", "report.html": ""})
     with run.stage("Send the pulses", "observe"):
         observation = observe(scene, lidar, parameters=parameters, noise=noise, seed=run.seed)
     voxels, beams, returns = observation.voxels, observation.beams, observation.returns

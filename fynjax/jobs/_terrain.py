@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax.io.raster import write_geotiff
 from fynjax.jobs._result import JobResult, Record
@@ -35,7 +36,7 @@ from fynjax.terrain import (
     write_terrain,
 )
 
-_RASTERS = (".tif", ".tiff", ".img", ".vrt", ".asc")
+_RASTERS = (".tif", ".tiff", ".img", ".asc", ".vrt")  # of the last, that it names others
 # Points all through a layer as thick as the tolerance scatter by 0.29 of it about their mean.
 _ROUGH = 0.27
 _LARGEST_GAP = 10.0
@@ -101,7 +102,7 @@ def terrain(
 
     **Arguments:**
 
-    - `path`: a raster (.tif, .tiff, .img, .vrt, .asc), or a cloud as `read_cloud` takes it.
+    - `path`: a raster (.tif, .tiff, .img, .asc), or a cloud as `read_cloud` takes it.
     - `output`: folder of the results, made if missing.
     - `cell`: side of a cell [m]; by default 0.25 for a cloud and the cell of a raster.
     - `bounds`: west, south, east, north of the plot in the file's coordinates [m].
@@ -174,6 +175,8 @@ def terrain(
             "call their system unknown; state it if you know it: --crs EPSG:... (`crs`).",
             stacklevel=2,
         )
+    rows, columns = terrain.heights.shape
+    begin_work({"terrain.tif": f"{rows} rows and {columns} columns of cells", "terrain.obj": ""})
     with run.stage("Write"):
         write_terrain(run.path("terrain.tif", "height of the ground [m]"), terrain)
         write_mesh(run.path("terrain.obj", "the same as a mesh, in the plot's frame"), terrain)
@@ -243,6 +246,7 @@ def _from_cloud(
     labelled = labelled_ground(cloud)
     if "method" not in options:
         options["method"] = "smrf" if labelled is None or options else "labels"
+    begin_work({"terrain.tif": f"cells of {cell:g} m", "terrain.obj": "", "canopy_height.tif": ""})
     with run.stage("Find the ground"):
         ground = find_ground(cloud, **options)
     with run.stage("Fill the surface"):

@@ -13,6 +13,7 @@ import xarray as xr
 from pydantic import Field
 
 from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
 from fynjax._core.parts import Workers, at_work
@@ -134,6 +135,10 @@ def train(
     stands = -(-simulations // settings.together)
     parts = [tuple(range(start, min(start + _PART, stands))) for start in range(0, stands, _PART)]
     inputs = [learned.path, *([like] if like is not None else [])]
+    count = stands * settings.together
+    begin_work(
+        {"training.nc": f"{count} spectra in {len(channels.centre)} channels", "scores.csv": ""}
+    )
     journal = Journal(
         checkpoint, signature((settings, joined, seed, stands), [file_hash(learned.path)])
     )
@@ -154,7 +159,6 @@ def train(
             steps=steps,
             seed=seed,
         )
-    count = stands * settings.together
     record = {
         **run.record(inputs),
         "title": "Regression from spectra to covers and leaves",

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from pydantic import Field
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax.compare import (
     DroneComparison,
@@ -209,6 +210,8 @@ def validate(
             method=matching,
             windows=windows,
         )
+    files = {"report.html": ""}
+    files |= {} if drone is None and spectra is None else {"validation.nc": ""}
     structure: StructureComparison | None = None
     if data.real_cloud and data.simulated_cloud:
         structure = compare_clouds(
@@ -216,7 +219,9 @@ def validate(
             data.simulated_cloud,
             settings=cloud_settings(structure_preset, cloud_options or {}),
             seed=seed,
+            checked=lambda: begin_work(files | {"structure.nc": ""}),
         )
+    begin_work(files)
     headline: list[str] = []
     keys: dict[str, str] = {}
     sections: list[Section] = []

@@ -14,8 +14,9 @@ from fynjax.leaf._error_model import (
     estimate_error_model,
     independent_error_model,
     to_bins,
+    to_nanometres,
 )
-from fynjax.leaf._fit import LeafChunks, LeafFit, LeafStatus, fit_leaf
+from fynjax.leaf._fit import LeafChunks, fit_leaf
 from fynjax.leaf._groups import LeafGroups, fit_leaf_groups
 from fynjax.leaf._measurement import (
     MEASUREMENT_PARAMETERS,
@@ -44,6 +45,7 @@ from fynjax.leaf._prospect import (
     prospect,
 )
 from fynjax.leaf._regression import regress_water
+from fynjax.leaf._result import LeafFit, LeafStatus
 from fynjax.leaf._transmissivity import exponential_integral, layer_absorptance
 
 enable_double_precision()
@@ -91,6 +93,7 @@ __all__ = [
     "sample_leaf_posterior",
     "structure_from_dry_matter",
     "to_bins",
+    "to_nanometres",
     "transmittance_from_two_readings",
     "usual_measurement",
 ]

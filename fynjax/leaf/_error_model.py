@@ -75,6 +75,8 @@ class ErrorModel(eqx.Module):
 # 2019 (RSE 231, 110959), Spafford et al. 2021 (RSE 252, 112176).
 PUBLISHED_DOMAINS = ((520.0, 560.0), (700.0, 720.0), (1120.0, 1140.0), (1700.0, 2400.0))
 _DISTRUST = 0.03
+# Widest gap between bands that is filled [nm].
+_WIDEST = 25.0
 
 
 def inside(
@@ -232,6 +234,34 @@ def independent_error_model(standard_deviation: float = 0.01) -> ErrorModel:
     )
 
 
+def to_nanometres(
+    wavelength: Float[np.ndarray, " band"], spectra: Float[np.ndarray, "*leaf band"]
+) -> tuple[Float[np.ndarray, " nm"], Float[np.ndarray, "*leaf nm"]]:
+    """Spectra in steps of 1 nm, by straight lines between bands no more than 25 nm apart.
+
+    The mean of these in a bin is twice as near to that of a whole spectrum as the mean of bands 5
+    nm apart is, and nearer whatever their distance.
+
+    **Arguments:** `wavelength` [band], ascending [nm], `spectra` [..., band], NaN where missing.
+
+    **Returns:** 350 to 2500 nm, and the spectra there, NaN where nothing was measured. NumPy; not
+    differentiable.
+    """
+    fine = np.arange(350.0, 2501.0)
+    rows = np.asarray(spectra, float).reshape(-1, np.size(wavelength))
+    result = np.full((len(rows), fine.size), np.nan)
+    for row, into in zip(rows, result):
+        have = np.isfinite(row)
+        if have.sum() < 2:
+            continue
+        at = wavelength[have]
+        right = np.clip(np.searchsorted(at, fine), 1, at.size - 1)
+        below, above = fine - at[right - 1], at[right] - fine
+        near = (below + above <= _WIDEST) | (np.minimum(abs(below), abs(above)) <= 0.5)
+        into[near] = np.interp(fine[near], at, row[have], left=np.nan, right=np.nan)
+    return fine, result.reshape(*np.shape(spectra)[:-1], fine.size)
+
+
 def to_bins(wavelength: np.ndarray, spectra: np.ndarray) -> np.ndarray:
     """Mean of the finite bands in each bin; bins without a band are filled over gaps to 25 nm.
 
@@ -275,7 +305,7 @@ def to_bins(wavelength: np.ndarray, spectra: np.ndarray) -> np.ndarray:
         step = np.where(right > left, at[right] - at[left], 1.0)
         share = (centres - at[left]) / step
         between = (centres >= at[0]) & (centres <= at[-1])
-        close = between & ((at[right] - at[left] <= 25.0) | (patterns[number] > 0))
+        close = between & ((at[right] - at[left] <= _WIDEST) | (patterns[number] > 0))
         values = mean[np.ix_(rows, have)]
         filled = values[:, left] + share * (values[:, right] - values[:, left])
         out[rows] = np.where(close, filled, out[rows])

@@ -1,14 +1,14 @@
 """From spectra to leaf chemistry, transmittance and their uncertainty."""
 
-import enum
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from fynjax._core.precision import require_double_precision
@@ -40,8 +40,13 @@ from fynjax.leaf._residual import (
     spectra,
     to_physical,
 )
+from fynjax.leaf._result import NINETY_PERCENT, LeafFit, LeafStatus
+from fynjax.leaf._spectra import Source, as_spectra
 
-NINETY_PERCENT = 1.6448536269514722
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
 # One leaf in a hundred of ANGERS, LOPEX, NASA FFT is beyond it, and nine soils of ten.
 _POOR_FIT = 4.0
 # Usable bins of a leaf that is fitted.
@@ -54,87 +59,6 @@ _RARE = 0.99
 # Dry matter [g cm-2] at which the discrepancy of traits is stated, and how far from it, as a
 # logarithm, it is taken to change: from 2.4 to 27 mg cm-2, which is where leaves were measured.
 USUAL_DRY_MATTER, _THICKEST = 0.008, 1.2
-
-
-class LeafStatus(enum.IntEnum):
-    """Whether a leaf's fit converged, or the first reason to doubt it."""
-
-    converged = 0
-    poor_fit = 1
-    at_bound = 2
-    max_steps = 3
-    failed = 4
-    unusual = 5
-
-
-_SENTENCES = {
-    LeafStatus.converged: "converged",
-    LeafStatus.poor_fit: "converged, poor fit: unlike any leaf of the error model",
-    LeafStatus.unusual: "converged, unusual traits: like none of the leaves of the error model",
-    LeafStatus.at_bound: "at bound: ",
-    LeafStatus.max_steps: "not converged: iteration limit reached",
-    LeafStatus.failed: "failed: fewer than ten usable bands within 450-2400 nm",
-}
-
-
-class LeafFit(eqx.Module):
-    """Parameters, spectra and uncertainties that `fit_leaf` estimates for each leaf."""
-
-    parameters: LeafParameters
-    """Most probable parameters, each a vector [leaf]; dry matter see `fit_leaf`."""
-    names: tuple[str, ...] = eqx.field(static=True)
-    """Names of the fitted parameters, in the order of the arrays below."""
-    standard_deviation: Float[np.ndarray, "leaf parameter"]
-    """Standard deviation of each parameter, in its unit."""
-    covariance: Float[np.ndarray, "leaf parameter parameter"]
-    """Covariance of the parameters, in their units."""
-    lower: Float[np.ndarray, "leaf parameter"]
-    """Lower end of the 90 % interval."""
-    upper: Float[np.ndarray, "leaf parameter"]
-    """Upper end of the 90 % interval."""
-    wavelength: Float[np.ndarray, " bin"]
-    """Bins on which the fit stands [nm]."""
-    measured: Float[np.ndarray, "leaf 2 bin"]
-    """Recorded R and T on the bins; NaN where missing or left out of the fit [-]."""
-    fitted: Float[np.ndarray, "leaf 2 bin"]
-    """The model's R and T as the instrument would record them [-]."""
-    reflectance: Float[np.ndarray, "leaf bin"]
-    """R of the leaf: model plus the part of its error that the data show [-]."""
-    transmittance: Float[np.ndarray, "leaf bin"]
-    """T of the leaf, predicted where it was not measured [-]."""
-    transmittance_deviation: Float[np.ndarray, "leaf bin"]
-    """Standard deviation of `transmittance` [-]."""
-    rmse: Float[np.ndarray, " leaf"]
-    """Root mean square of measured minus fitted [-]."""
-    chi2: Float[np.ndarray, " leaf"]
-    """Squared misfit in units of the error model's covariance, per band; see `inflation` [-]."""
-    inflation: Float[np.ndarray, " leaf"]
-    """Factor on the error covariance because the leaf fits worse than those it stems from [-]."""
-    converged: Bool[np.ndarray, " leaf"]
-    """Whether the iteration reached its tolerance."""
-    reason: Int[np.ndarray, " leaf"]
-    """`LeafStatus` of each leaf."""
-    at_bound: Bool[np.ndarray, "leaf parameter"]
-    """Whether a parameter is within 1 % of its range from its upper bound."""
-    prior_share: Float[np.ndarray, "leaf parameter"]
-    """Variance of each parameter, as far as spectra explain it, over that in the population: near 0
-    the spectrum decides, near 1 the prior [-]."""
-    measurement: Float[np.ndarray, "leaf estimated"]
-    """What was estimated of the measurement, such as the gap fraction (see `estimated`); NaN where
-    there is no transmittance, which alone shows it."""
-    measurement_deviation: Float[np.ndarray, "leaf estimated"]
-    """Standard deviation of `measurement`."""
-    estimated: tuple[str, ...] = eqx.field(static=True)
-    """Names of what was estimated of the measurement."""
-
-    @property
-    def status(self) -> tuple[str, ...]:
-        """`converged`, or the reason to doubt the result, for each leaf."""
-        sentences = [_SENTENCES[LeafStatus(code)] for code in self.reason.tolist()]
-        for i in np.flatnonzero(self.reason == LeafStatus.at_bound):
-            bounded = [name for name, at in zip(self.names, self.at_bound[i]) if at]
-            sentences[i] += ", ".join(bounded)
-        return tuple(sentences)
 
 
 @eqx.filter_jit
@@ -263,9 +187,9 @@ def thickness(dry_matter: np.ndarray) -> np.ndarray:
 
 
 def fit_leaf(
-    wavelength: Float[np.ndarray, " band"],
-    reflectance: Float[np.ndarray, "leaf band"] | None = None,
-    transmittance: Float[np.ndarray, "leaf band"] | None = None,
+    wavelength: "ArrayLike | pd.DataFrame | xr.DataArray | xr.Dataset",
+    reflectance: ArrayLike | None = None,
+    transmittance: "ArrayLike | pd.DataFrame | xr.DataArray | None" = None,
     *,
     version: ProspectVersion = "D",
     measurement: AbstractMeasurement | None = None,
@@ -278,61 +202,37 @@ def fit_leaf(
 ) -> LeafFit:
     """Fit PROSPECT to measured reflectance, transmittance, or both, of any number of leaves.
 
-    The most probable parameters under a Gaussian error with covariance along the wavelength
-    (`ErrorModel`), the measurement's offset, and wide priors on leaves at large; if T is missing,
-    N also has the prior 1.745 R / (1 - R) + 0.133 at 1130 nm (after Spafford et al. 2021), with a
-    standard deviation of 0.2, and if R is missing a similar prior in (1 - T) / T. A leaf that
-    fits worse than the leaves of the error model has its covariance scaled up (one step of a
-    Student likelihood) and is fitted again. Where T was measured, and R from 1700 to 2400 nm, dry
-    matter is a weighted mean (of logits) with what R alone says (`ErrorModel.reflectance_share`):
-    on campaigns left out that is nearer to what laboratories measured. The spectra of the result
-    are those before it, so PROSPECT of `parameters` differs a little from `fitted`. Standard
-    deviations and intervals are those of the
-    trait a laboratory would measure: they include the part of its variance that spectra do not
-    explain (`ErrorModel.trait_discrepancy`).
+    What is estimated, and how, is said at `LeafFit`.
 
     **Arguments:**
 
-    - `wavelength`: band centres [nm], ascending; bands outside 450-2400 nm are left out of the fit
-      (PROSPECT has no data below 400 nm, and instruments are noisy at both ends).
-    - `reflectance`, `transmittance`: [leaf, band], fractions, NaN where missing; one of them may
-      be `None`.
+    - `wavelength`: band centres [nm], ascending; or in place of the arrays the dataset of
+      `fynjax.read_spectra`, a DataArray over `wavelength`, or a table of pandas: wavelengths are
+      its columns or its index, whichever is named so or alone holds numbers of 100 to 50 000.
+    - `reflectance`, `transmittance`: [leaf, band], fractions, NaN where missing; one may be `None`.
+      `transmittance=` may be a table with the labels of the first.
     - `version`: "5", "D" or "PRO".
     - `measurement`: what the instrument records; by default an integrating sphere, which of round
       leaves shows gaps, and of those side by side recollision (`LeafOverBackground`).
-    - `leaf_shape`: "broad", "needle", whose surface reflects more (see `prospect`), or "mat" or
-      "culm", which lie side by side.
-    - `domain`: "full", or "optimal" for the published sub-domains 520-560, 700-720, 1130 (for N)
-      and 1700-2400 nm.
+    - `leaf_shape`: "broad", "needle", or "mat" or "culm", which lie side by side.
+    - `domain`: "full", 450-2400 nm, or "optimal", the published 520-560, 700-720, 1130 (for N) and
+      1700-2400 nm.
     - `free`: parameters to fit; by default all of the version but `brown_pigments`.
-    - `outdoor`: whether to leave out the bands in which water vapour absorbs the sunlight; `None`
-      leaves them out if a spectrum has values there that are no reflectance.
-    - `detector_changes`: wavelengths where detectors change [nm]; jumps there are taken out, see
-      `correct_detector_jumps`. Of an ASD 1000 and 1830, of LOPEX 860.
+    - `outdoor`: leave out the bands in which water vapour absorbs sunlight; `None`: of a spectrum
+      with values there that are no reflectance.
+    - `detector_changes`: where detectors change [nm]; jumps there are taken out
+      (`correct_detector_jumps`). `read_spectra` does so where files state them.
     - `error_model`: covariance of the model's error, `default_error_model()` by default.
 
-    **Returns:** `LeafFit`, on bins of 5 and 10 nm. A leaf with fewer than ten usable bins has NaN,
-    and its `status` says so. Besides it memory takes some 300 MB, however many leaves there are. To
-    spread a long fit, keep what was done, or watch it, see `LeafChunks`.
+    **Returns:** `LeafFit` with the labels. NumPy, float64; not differentiable (see `prospect`).
 
-    **Raises:** `InputError` for arrays that do not match, an unknown version, shape, domain or
-    parameter, and where JAX is limited to 32 bits.
+    **Raises:** `InputError` for spectra or options that it does not take.
 
-    NumPy in and out, in float64; not differentiable. For gradients see `prospect`.
-
-    >>> import numpy as np
     >>> import fynjax as fx
-    >>> leaf = fx.LeafParameters(chlorophyll=45.0, water=0.012)
-    >>> optics = fx.prospect(leaf)
-    >>> fit = fx.fit_leaf(
-    ...     np.asarray(optics.wavelength),
-    ...     np.asarray(optics.reflectance)[None],
-    ...     np.asarray(optics.transmittance)[None],
-    ... )
-    >>> fit.status
-    ('converged',)
-    >>> round(float(fit.parameters.water[0]), 3)
-    0.012
+    >>> r, t = fx.prospect(water=[0.008, 0.015])
+    >>> fit = fx.fit_leaf(range(400, 2501), r, t)
+    >>> fit.table()["water"].round(3).tolist()
+    [0.008, 0.015]
     """
     chunks = LeafChunks(
         wavelength, reflectance, transmittance, version=version,
@@ -373,9 +273,9 @@ class LeafChunks:
 
     def __init__(
         self,
-        wavelength: Float[np.ndarray, " band"],
-        reflectance: Float[np.ndarray, "leaf band"] | None = None,
-        transmittance: Float[np.ndarray, "leaf band"] | None = None,
+        wavelength: Any,
+        reflectance: Any = None,
+        transmittance: Any = None,
         *,
         size: int = 1024,
         version: ProspectVersion = "D",
@@ -389,7 +289,8 @@ class LeafChunks:
     ) -> None:
         """Chunks of `size` leaves; other arguments and errors as `fit_leaf`."""
         require_double_precision("`fit_leaf`")
-        self._data = binned_data(wavelength, reflectance, transmittance, detector_changes)
+        spectra = as_spectra(wavelength, reflectance, transmittance)
+        self._source, self._data = spectra.source, binned_data(spectra, detector_changes)
         self._use = usable_bins(self._data, domain, outdoor)
         self.setup = make_setup(version, measurement, free, error_model, leaf_shape)
         mean, precision = leaf_priors(self.setup, self._data, self._use)
@@ -410,7 +311,7 @@ class LeafChunks:
     def join(self, fitted: Iterable[tuple[np.ndarray, ...]]) -> LeafFit:
         """The result, from what `fit` gave of each chunk, in their order."""
         parts = [dict(zip(map(str, names), arrays)) for names, *arrays in fitted]
-        return assemble(self.setup, parts, self._data, self._use)
+        return assemble(self.setup, parts, self._data, self._use, self._source)
 
 
 def describe_chunk(
@@ -440,7 +341,11 @@ def describe_chunk(
 
 
 def assemble(
-    setup: Setup, parts: list[dict[str, np.ndarray]], data: np.ndarray, use: np.ndarray
+    setup: Setup,
+    parts: list[dict[str, np.ndarray]],
+    data: np.ndarray,
+    use: np.ndarray,
+    source: Source,
 ) -> LeafFit:
     """The result in physical units, and a status for each leaf.
 
@@ -511,4 +416,7 @@ def assemble(
         measurement=np.where(shown[:, None], got["x"][:, own], np.nan),
         measurement_deviation=np.where(shown[:, None], spread[:, own], np.nan),
         estimated=estimated,
-    )  # fmt: skip
+        version=setup.version,
+        leaf_shape=setup.shape,
+        source=source,
+    )

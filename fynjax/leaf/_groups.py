@@ -7,14 +7,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
 from fynjax._core.precision import require_double_precision
-from fynjax.leaf._area import LeafShape
+from fynjax.leaf._area import LeafArea, LeafShape, area_factors
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel, default_error_model
-from fynjax.leaf._fit import LeafFit, assemble, describe_chunk, solve_leaves
+from fynjax.leaf._fit import assemble, describe_chunk, solve_leaves
 from fynjax.leaf._measurement import AbstractMeasurement
 from fynjax.leaf._parameters import LEAF_PARAMETERS, LeafParameters
 from fynjax.leaf._problem import (
@@ -26,11 +27,14 @@ from fynjax.leaf._problem import (
     make_setup,
     usable_bins,
 )
+from fynjax.leaf._result import LeafFit
+from fynjax.leaf._spectra import as_spectra
 
 # Prior standard deviation of leaves within a species in the logit of each parameter (about the
 # relative one), and the number of leaves that this prior counts as.
 _WITHIN, _GUESS_COUNTS = 0.2, 5.0
 _ROUNDS = 4
+_VARIANTS = 5
 
 
 class LeafGroups(eqx.Module):
@@ -58,6 +62,27 @@ class LeafGroups(eqx.Module):
         steps = np.random.default_rng(seed).normal(size=(count, len(self.names))) @ root.T
         return _parameters(self.logit_mean[:, None] + steps, self.names)
 
+    def table(self, seed: int = 0, area: LeafArea = "projected") -> pd.DataFrame:
+        """The mean leaf of each species (variant 0), and five material variants of it.
+
+        **Arguments:** `seed` of the variants; `area` that contents are stated per, as of
+        `LeafFit.table`.
+
+        **Returns:** species, variant, parameters in the units of `LeafParameters`, and the area.
+        """
+        drawn, factors = self.variants(_VARIANTS, seed), area_factors(area, self.leaves.leaf_shape)
+        names = [name for name in self.names if name in LEAF_PARAMETERS]
+        rows = [
+            {"species": species, "variant": variant}
+            | {n: factors[n] * float(np.asarray(getattr(leaf, n))[at]) for n in names}
+            | {"area": area}
+            for g, species in enumerate(self.groups)
+            for variant, leaf, at in [
+                (0, self.mean, (g,)), *((v + 1, drawn, (g, v)) for v in range(_VARIANTS))
+            ]
+        ]  # fmt: skip
+        return pd.DataFrame(rows)
+
 
 def _parameters(z: np.ndarray, names: Sequence[str]) -> LeafParameters:
     bounds = leaf_bounds(names)
@@ -71,9 +96,9 @@ def _parameters(z: np.ndarray, names: Sequence[str]) -> LeafParameters:
 
 
 def fit_leaf_groups(
-    wavelength: Float[np.ndarray, " band"],
-    reflectance: Float[np.ndarray, "leaf band"] | None = None,
-    transmittance: Float[np.ndarray, "leaf band"] | None = None,
+    wavelength: Any,
+    reflectance: Any = None,
+    transmittance: Any = None,
     *,
     groups: Sequence[str],
     version: ProspectVersion = "D",
@@ -128,7 +153,8 @@ def fit_leaf_groups(
     True
     """
     require_double_precision("`fit_leaf_groups`")
-    data = binned_data(wavelength, reflectance, transmittance, detector_changes)
+    spectra = as_spectra(wavelength, reflectance, transmittance)
+    data = binned_data(spectra, detector_changes)
     if len(groups) != len(data):
         raise InputError(f"`groups` must name {len(data)} leaves, but has {len(groups)} names")
     labels = tuple(dict.fromkeys(str(g) for g in groups))
@@ -166,7 +192,7 @@ def fit_leaf_groups(
         z[at], covariance[at] = group.leaves, group.covariance
     found = found._replace(z=z)
     parts = [describe_chunk(setup, found, problems, covariance, use)]
-    leaves = assemble(setup, parts, data, use)
+    leaves = assemble(setup, parts, data, use, spectra.source)
     return LeafGroups(labels, _parameters(means, setup.names), means, within, setup.names, leaves)
 
 

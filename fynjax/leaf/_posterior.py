@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from fynjax._core.errors import InputError
 from fynjax._core.precision import require_double_precision
 from fynjax._core.progress import track
 from fynjax._core.sampling import ensemble, hamiltonian
-from fynjax.leaf._area import LeafShape
+from fynjax.leaf._area import LeafArea, LeafShape, area_factors
 from fynjax.leaf._coefficients import ProspectVersion
 from fynjax.leaf._error_model import ErrorModel
 from fynjax.leaf._fit import describe, solve_leaves, towards_reflectance, trait_variance
@@ -23,6 +23,11 @@ from fynjax.leaf._measurement import AbstractMeasurement
 from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._problem import FitDomain, Setup, binned_data, leaf_priors, make_setup, usable_bins
 from fynjax.leaf._residual import Given, Problem, residual, to_physical, whitening
+from fynjax.leaf._result import cf_unit, leaf_dataset
+from fynjax.leaf._spectra import Source, as_spectra
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _WALKERS, _CHAINS = 32, 4
 
@@ -40,6 +45,36 @@ class LeafPosterior(eqx.Module):
     """Effective number of draws behind the least mixed parameter."""
     status: np.ndarray
     """Text [leaf]: `converged`, or why the draws may not be the posterior."""
+    leaf_shape: LeafShape = eqx.field(static=True)
+    """Shape that the leaves were taken to have."""
+    source: Source = eqx.field(static=True)
+    """Label of each leaf, and of spectra from files the file and what was repaired."""
+
+    def to_xarray(self, area: LeafArea = "projected") -> "xr.Dataset":
+        """The draws, after the CF conventions.
+
+        **Arguments:** `area` that contents are stated per, as of `LeafFit.table`.
+
+        **Returns:** parameters [leaf, draw] in the units of `LeafParameters`, transmittance [leaf,
+        draw, wavelength] as fractions [-], effective number of draws and status of each leaf.
+        """
+        factors = area_factors(area, self.leaf_shape)
+        variables: dict[str, Any] = {}
+        for i, name in enumerate(self.names):
+            attributes = {"units": cf_unit(name), "long_name": name.replace("_", " ")}
+            values = factors[name] * self.samples[:, :, i]
+            variables[name] = (("leaf", "draw"), values, attributes)
+        variables["transmittance"] = (
+            ("leaf", "draw", "wavelength"),
+            self.transmittance,
+            {"units": "1", "long_name": "leaf transmittance"},
+        )
+        variables["effective_size"] = ("leaf", self.effective_size, {"units": "1"})
+        return leaf_dataset(
+            variables, self.source, self.status,
+            "Posterior of leaf traits and transmittance under PROSPECT",
+            leaf_shape=self.leaf_shape, area=area,
+        )  # fmt: skip
 
 
 def _log_density(z: Array, free: Array, given: Given) -> Array:
@@ -67,9 +102,9 @@ def of_many(density: Callable[[Array], Array], z: Array) -> Array:
 
 
 def sample_leaf_posterior(
-    wavelength: Float[np.ndarray, " band"],
-    reflectance: Float[np.ndarray, "leaf band"] | None = None,
-    transmittance: Float[np.ndarray, "leaf band"] | None = None,
+    wavelength: Any,
+    reflectance: Any = None,
+    transmittance: Any = None,
     *,
     version: ProspectVersion = "D",
     measurement: AbstractMeasurement | None = None,
@@ -113,7 +148,8 @@ def sample_leaf_posterior(
     if sampler not in ("emcee", "nuts"):
         raise InputError(f'`sampler` must be "emcee" or "nuts", but is {sampler!r}')
     require_double_precision("`sample_leaf_posterior`")
-    data = binned_data(wavelength, reflectance, transmittance, detector_changes)
+    given = as_spectra(wavelength, reflectance, transmittance)
+    data = binned_data(given, detector_changes)
     use = usable_bins(data, domain, outdoor)
     random = np.random.default_rng(seed)
     setup = make_setup(version, measurement, free, error_model, leaf_shape)
@@ -146,7 +182,9 @@ def sample_leaf_posterior(
         samples[i], spectra[i] = _finish(setup, problems, i, columns, picked, moved[i], random)
     leaf = [i for i, name in enumerate(setup.free) if name in LEAF_PARAMETERS]
     names = tuple(setup.free[i] for i in leaf)
-    return LeafPosterior(names, samples[:, :, leaf], spectra, sizes, np.array(status))
+    return LeafPosterior(
+        names, samples[:, :, leaf], spectra, sizes, np.array(status), leaf_shape, given.source
+    )
 
 
 def _finish(

@@ -12,6 +12,7 @@ from fynjax._core.parameters import Parameter
 from fynjax.leaf._area import LeafShape
 from fynjax.leaf._coefficients import (
     CONSTITUENTS,
+    ProspectVersion,
     check_version,
     coefficients_at,
     native_wavelength,
@@ -25,6 +26,7 @@ from fynjax.leaf._error_model import (
     default_error_model,
     inside,
     to_bins,
+    to_nanometres,
 )
 from fynjax.leaf._measurement import (
     MEASUREMENT_PARAMETERS,
@@ -34,6 +36,7 @@ from fynjax.leaf._measurement import (
 from fynjax.leaf._parameters import LEAF_PARAMETERS
 from fynjax.leaf._prospect import interface_transmissivity, surface_transmissivity
 from fynjax.leaf._residual import Optics, Problem, to_unconstrained
+from fynjax.leaf._spectra import Spectra, check_fractions
 
 FitDomain = Literal["full", "optimal"]
 """Wavelengths that a fit uses: all of 450-2400 nm, or the published sub-domains."""
@@ -87,6 +90,8 @@ def _model_rows(names: Sequence[str]) -> list[int]:
 class Setup(NamedTuple):
     """What all leaves of a fit share."""
 
+    version: ProspectVersion
+    shape: LeafShape
     names: tuple[str, ...]
     free: tuple[str, ...]
     optics: Optics
@@ -103,7 +108,7 @@ class Setup(NamedTuple):
 
 
 def make_setup(
-    version: str,
+    version: ProspectVersion,
     measurement: AbstractMeasurement | None,
     free: Sequence[str] | None,
     model: ErrorModel | None,
@@ -148,6 +153,8 @@ def make_setup(
         if loose[i] and name in ASSUMED_DISCREPANCY:
             discrepancy[i] = np.log(ASSUMED_DISCREPANCY[name]), 0.0
     return Setup(
+        version,
+        shape,
         names,
         free,
         optics,
@@ -162,35 +169,30 @@ def make_setup(
 
 
 def binned_data(
-    wavelength: np.ndarray,
-    reflectance: np.ndarray | None,
-    transmittance: np.ndarray | None,
-    detector_changes: Sequence[float] = (),
+    spectra: Spectra, detector_changes: Sequence[float] = ()
 ) -> Float[np.ndarray, "leaf 2 bin"]:
     """R and T on the fit's bins; infinite where a bin holds a value that no leaf can have.
 
-    Raises `InputError` for arrays that do not match.
+    Raises `InputError` for a spectrum in percent.
     """
-    if reflectance is None and transmittance is None:
-        raise InputError("a fit needs reflectance, transmittance, or both")
-    grid = np.asarray(wavelength, float)
-    if grid.ndim != 1 or np.any(np.diff(grid) <= 0):
-        raise InputError("`wavelength` must be an ascending vector [nm]")
-    given = [np.atleast_2d(a) for a in (reflectance, transmittance) if a is not None]
-    for array in given:
-        if array.shape != (len(given[0]), grid.size):
-            raise InputError(f"spectra must have the shape (leaf, {grid.size}), but {array.shape}")
-    data = np.full((len(given[0]), 2, bin_centres().size), np.nan)
-    for number, part in enumerate((reflectance, transmittance)):
+    grid, labels = spectra.wavelength, spectra.source.labels
+    binned = np.array_equal(grid, bin_centres())
+
+    def bins(values: np.ndarray) -> np.ndarray:
+        return values if binned else to_bins(*to_nanometres(grid, values))
+
+    data = np.full((len(labels), 2, bin_centres().size), np.nan)
+    for number, part in enumerate((spectra.reflectance, spectra.transmittance)):
         for at in range(0, 0 if part is None else len(data), _BLOCK):
             rows = slice(at, at + _BLOCK)
-            values = np.atleast_2d(np.asarray(part))[rows].astype(np.float64)
+            values = np.asarray(part)[rows].astype(np.float64)
+            check_fractions(values, labels[rows])
             if detector_changes:
                 values, _ = correct_detector_jumps(grid, values, detector_changes)
             wrong = (values < _IMPOSSIBLE[0]) | (values > _IMPOSSIBLE[1])
-            data[rows, number] = to_bins(grid, np.where(wrong, np.nan, values))
+            data[rows, number] = bins(np.where(wrong, np.nan, values))
             if wrong.any():
-                data[rows, number][to_bins(grid, wrong.astype(float)) > 0] = np.inf
+                data[rows, number][bins(wrong.astype(float)) > 0] = np.inf
     return data
 
 

@@ -11,8 +11,8 @@ import pandas as pd
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax.leaf._fit import LeafFit
 from fynjax.leaf._problem import leaf_bounds
+from fynjax.leaf._result import LeafFit
 
 WINDOW = {
     "chlorophyll": (500.0, 780.0),
@@ -98,7 +98,7 @@ def regress_water(fit: LeafFit) -> LeafFit:
 
     **Raises:** `InputError` if water was not fitted.
 
-    NumPy; not differentiable. Measured: `python -m tests.benchmarks.leaf_hybrid`.
+    NumPy; not differentiable.
     """
     if "water" not in fit.names:
         raise InputError(f"a correction of water needs fitted water, but fitted: {fit.names}")

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from fynjax._core.errors import InputError, listed
-from fynjax._core.text_columns import name_and_unit, open_text_table, places_of
+from fynjax._core.tables import name_and_unit, open_points, places_of
 
 _NAMES = {
     "x": ("x", "easting", "east", "e"),
@@ -20,7 +20,7 @@ _DEGREES = ("lon", "longitude", "lat", "latitude", "long")
 def _columns(names: tuple[str, ...], path: Path, row: int, unit_stated: bool) -> dict[str, int]:
     """Where x, y, z (and the class) stand, by the header's names."""
     plain = [name_and_unit(name) for name in names]
-    places = places_of(names, _NAMES)
+    places = places_of(names, _NAMES, file=path, row=row)
     missing = [axis for axis in "xyz" if axis not in places]
     if missing:
         degrees = any(name in _DEGREES for name, _ in plain)
@@ -56,21 +56,14 @@ def _columns(names: tuple[str, ...], path: Path, row: int, unit_stated: bool) ->
 
 
 def read_text_cloud(path: Path, *, unit_stated: bool) -> tuple[Any, Any, Any, Any]:
-    """x, y, z and classes (or `None`) of a cloud written as text, as `open_text_table` takes it.
+    """x, y, z and classes (or `None`) of a cloud written as text, as `open_points` takes it.
 
     **Raises:** `InputError` with the row of a cell that is no number.
     """
-    table = open_text_table(path)
-    places = (
-        {"x": 0, "y": 1, "z": 2}
-        if table.names is None
-        else _columns(table.names, path, table.row, unit_stated)
-    )
-    columns = table.columns(places)
-    labels = columns.get("classification")
-    return (
-        columns["x"],
-        columns["y"],
-        columns["z"],
-        None if labels is None else labels.astype(np.uint8),
-    )
+    table = open_points(path, "a point cloud", "xyz")
+    if not table.headed:
+        table.names = (*"xyz", *table.names[3:])
+    places = _columns(table.names, path, table.row, unit_stated)
+    columns = table.columns(list(places.values())).to_numpy()
+    x, y, z, *classes = (columns[:, k] for k in range(len(places)))
+    return x, y, z, classes[0].astype(np.uint8) if classes else None

@@ -6,72 +6,56 @@ of compilation and of an image of all bands of AVIRIS-NG and of one band, and th
 how much the means and pixels (10 cm) of some bands differ where each is solved for. float32.
 """
 
-import argparse
-import time
+from collections.abc import Sequence
 
-import equinox as eqx
-import jax
 import numpy as np
 
 from fynjax.assembly import aim_at_plot, build_plot
 from fynjax.io.instruments import load_sensor
-from fynjax.io.plot import AtmosphereTable, example_folder, read_plot, visible_sensor
+from fynjax.io.plot import AtmosphereTable, visible_sensor
 from fynjax.scene import AimedSensor, PlotParameters, Scene
+from tests.benchmarks._measure import compiled, example_plot, options
 
 ONE_BAND = 860.0
 """Centre of the band that the time of all is compared with [nm]."""
-PIXEL, CHECKED = 0.1, 16
-"""Edge of a pixel [m], and bands whose light is solved for to be compared with."""
+PIXEL = 0.1
+"""Edge of a pixel [m]."""
 
 
-def image(
-    aimed: AimedSensor, scene: Scene, parameters: PlotParameters
-) -> tuple[np.ndarray, float, float]:
-    """The image, and CPU seconds of compilation and of the image."""
-    arrays, static = eqx.partition((aimed, scene, parameters), eqx.is_array)
-
-    @jax.jit
-    def observe(arrays: tuple[AimedSensor, Scene, PlotParameters]) -> jax.Array:
-        aimed, scene, parameters = eqx.combine(arrays, static)
-        return aimed.observe(scene, parameters).reflectance
-
-    start = time.process_time()
-    compiled = observe.lower(arrays).compile()
-    compiling = time.process_time() - start
-    made = np.asarray(compiled(arrays))
-    start = time.process_time()
-    jax.block_until_ready(compiled(arrays))
-    return made, compiling, time.process_time() - start
+def observe(aimed: AimedSensor, scene: Scene, parameters: PlotParameters):
+    """Reflectance factors [band, y, x]."""
+    return aimed.observe(scene, parameters).reflectance
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    parser = options(__doc__)
     parser.add_argument("--size", type=float, default=5.0, help="side of the plot [m]")
-    size = parser.parse_args().size
-    plot = read_plot(example_folder() / "plot.toml").replace(size_m=(size, size))
+    given = parser.parse_args(arguments)
+    plot = example_plot(1.0 if given.tiny else given.size, given.tiny)
     scene, parameters = build_plot(plot)
     every = visible_sensor(load_sensor("aviris_ng"))
+    if given.tiny:
+        every = every.select(range(0, len(every.bands), 12))
     nearest = min(range(len(every.bands)), key=lambda i: abs(every.bands.centre[i] - ONE_BAND))
-    some = np.linspace(0, len(every.bands) - 1, CHECKED).round().astype(int).tolist()
+    checked = 4 if given.tiny else 16
+    some = np.linspace(0, len(every.bands) - 1, checked).round().astype(int).tolist()
     none = AtmosphereTable(model="none")
-    whole, one, few = (
-        aim_at_plot(plot, scene, parameters, sensor, pixel=PIXEL, air=none, quiet=True)
-        for sensor in (every, every.select([nearest]), every.select(some))
-    )
+    images, times = [], []
     print("bands  compilation CPU s  image CPU s")
-    seconds, images = [], []
-    for aimed in (whole, one):
-        made, compiling, spent = image(aimed, scene, parameters)
-        images.append(made)
-        seconds.append(spent)
-        print(f"{len(aimed.sensor.bands):5d} {compiling:18.1f} {spent:12.2f}", flush=True)
-    print(f"ratio {seconds[0] / seconds[1]:.1f}")
-    want = image(few, scene, parameters)[0]
-    off = np.abs(images[0][some] - want) / want.mean(axis=(1, 2), keepdims=True)
-    mean = np.abs(images[0][some].mean(axis=(1, 2)) / want.mean(axis=(1, 2)) - 1)
+    for sensor in (every, every.select([nearest]), every.select(some)):
+        aimed = aim_at_plot(plot, scene, parameters, sensor, pixel=PIXEL, air=none, quiet=True)
+        image, compiling, spent, _ = compiled(observe, aimed, scene, parameters)
+        images.append(np.asarray(image))
+        times.append(spent)
+        print(f"{len(sensor.bands):5d} {compiling:18.1f} {spent:12.2f}", flush=True)
+    print(f"all over one: {times[0] / times[1]:.1f}")
+    ours, want = images[0][some], images[2]
+    pixel = np.abs(ours - want) / want.mean(axis=(1, 2), keepdims=True)
+    mean = np.abs(ours.mean(axis=(1, 2)) / want.mean(axis=(1, 2)) - 1)
     print(
-        f"{CHECKED} bands solved for: worst mean {100 * mean.max():.3f} %, worst pixel "
-        f"{100 * off.max():.2f} % of its band's mean"
+        f"{checked} bands solved for: worst mean {100 * mean.max():.3f} %, worst pixel "
+        f"{100 * pixel.max():.2f} % of its band's mean"
     )
 
 

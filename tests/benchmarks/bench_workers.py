@@ -1,18 +1,17 @@
-"""What a second worker gains: `python -m tests.benchmarks.bench_workers [PLOTS] [VOXEL]`.
+"""What a second worker gains: `python -m tests.benchmarks.bench_workers --plots 12`.
 
-Plots of the shared field tables are inferred as `fynjax calibrate-plots` does, by one worker and by
-two, after a first round in which both compile. Printed are wall and CPU time of each worker, and,
-apart from them, what dask takes: to start, and for a part that does nothing. The ratio of wall
+Plots of the shared field tables are inferred as `fynjax bioscape calibrate` does, by one worker and
+by two, after a first round in which both compile. Printed are wall and CPU time of each worker,
+and, apart from them, what dask takes: to start, and for a part that does nothing. The ratio of wall
 times means something where nothing else runs; that of the CPU times always: the work of one worker
 over that of the busier of two.
 """
 
 import os
-import resource
-import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ import numpy as np
 from fynjax._core.parts import Workers, at_work
 from fynjax.inversion import spectrum_view
 from fynjax.io.plot import DEFAULT_PRIOR, read_plot, read_prior
-from fynjax.studies.bioscape import read_bioscape
+from fynjax.studies.bioscape import run_bioscape
 from fynjax.studies.bioscape._calibrate import chosen_bands
 from fynjax.studies.bioscape._inversion import (
     ROOM,
@@ -32,28 +31,29 @@ from fynjax.studies.bioscape._inversion import (
     plot_data,
     prior_space,
 )
-from fynjax.studies.bioscape._plot_files import run_bioscape
 from fynjax.studies.bioscape._scenes import ACCURACY, Resolution, build_scenes, slots_of
-from fynjax.studies.bioscape._spectra import read_plot_spectra, read_spectrometer
+from fynjax.studies.bioscape._spectra import read_spectrometer
+from tests.benchmarks._measure import bioscape_plots, options
 
-TABLES = Path(os.environ.get("FYNJAX_SHARED_DATA", "data")) / "eco" / "bioscape"
+EMPTY = 100
+"""Parts that do nothing."""
 
 
-def cases(count: int, voxel: float) -> tuple[list[PlotCase], PlotSpectrumForward]:
-    """Plots to infer."""
-    spectra = read_plot_spectra(TABLES)
-    read = [p for p in read_bioscape(TABLES) if p.name in spectra and spectra[p.name].times][:count]
+def cases(count: int, size: float, voxel: float) -> tuple[list[PlotCase], PlotSpectrumForward]:
+    """Plots to infer, of `size` in voxels of `voxel` [m]."""
+    tables, read, spectra = bioscape_plots()
+    read = read[:count]
     learned = read_prior(DEFAULT_PRIOR)
     with tempfile.TemporaryDirectory() as work:
-        run_bioscape(TABLES, Path(work), plots=[p.name for p in read])
+        run_bioscape(tables, Path(work), plots=[p.name for p in read])
         files = [read_plot(Path(work) / p.name / "plot.toml") for p in read]
         each = [(file, seed) for file in files for seed in range(3)]
         scenes = build_scenes(
-            [f for f, _ in each], Resolution(5.0, voxel), [s for _, s in each],
+            [f for f, _ in each], Resolution(size, voxel), [s for _, s in each],
             room=ROOM, softness=SOFTNESS,
         )  # fmt: skip
     bands, flights = chosen_bands(
-        read_spectrometer(TABLES), [spectra[p.name] for p in read], TABLES
+        read_spectrometer(tables), [spectra[p.name] for p in read], tables
     )
     view = spectrum_view(bands, *scenes[0], ACCURACY)
     made = [
@@ -71,21 +71,22 @@ def cases(count: int, voxel: float) -> tuple[list[PlotCase], PlotSpectrumForward
 
 def inferred(case: PlotCase, predict: PlotSpectrumForward) -> tuple[Any, ...]:
     """The fit of a plot, then the process that did it and its CPU time [s]."""
-    before = resource.getrusage(resource.RUSAGE_SELF)
+    before = time.process_time()
     fit = infer_plot(case, predict)
-    after = resource.getrusage(resource.RUSAGE_SELF)
-    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return *fit, np.array([os.getpid(), spent])
+    return *fit, np.array([os.getpid(), time.process_time() - before])
 
 
 def nothing(number: int) -> tuple[np.ndarray]:
     return (np.array(number),)
 
 
-def main() -> None:
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 12
-    voxel = float(sys.argv[2]) if len(sys.argv) > 2 else 0.25
-    parts, predict = cases(count, voxel)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    parser = options(__doc__)
+    parser.add_argument("--plots", type=int, default=12)
+    parser.add_argument("--voxel", type=float, default=0.25, help="edge of a voxel [m]")
+    given = parser.parse_args(arguments)
+    parts, predict = cases(2, 2.0, 0.5) if given.tiny else cases(given.plots, 5.0, given.voxel)
     wall: dict[int, float] = {}
     busiest: dict[int, float] = {}
     fits = {}
@@ -94,8 +95,8 @@ def main() -> None:
         with at_work(Workers(workers)) as pool:
             opened = time.perf_counter() - began
             began = time.perf_counter()
-            pool.all(nothing, range(500))
-            each = (time.perf_counter() - began) / 500
+            pool.all(nothing, range(EMPTY))
+            each = (time.perf_counter() - began) / EMPTY
             began = time.perf_counter()
             pool.all(inferred, parts[:1] * workers, predict)
             compiled = time.perf_counter() - began

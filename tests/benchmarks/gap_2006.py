@@ -6,7 +6,7 @@ From leaves and wood at random over the whole plot to the plants as they are. Ea
 of the ground that is seen from straight above, and what it differs by from the row before.
 """
 
-import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 
 import equinox as eqx
@@ -15,18 +15,18 @@ import pandas as pd
 
 from fynjax.assembly import build_plot
 from fynjax.canopy import FORMS, leaf_angle
-from fynjax.io.plot import example_folder, read_plot
 from fynjax.scene import PlotParameters, Scene
+from tests.benchmarks._measure import example_plot, options
 
 STEP = 0.01  # m
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    parser = options(__doc__)
     parser.add_argument("--size", type=float, default=5.0, help="side of the plot [m]")
-    side = parser.parse_args().size
-    plot = read_plot(example_folder() / "plot.toml").replace(size_m=(side, side))
-    scene, parameters = build_plot(plot)
+    given = parser.parse_args(arguments)
+    scene, parameters = build_plot(example_plot(1.0 if given.tiny else given.size, given.tiny))
     clumping = parameters.species.shoot_clumping
     apart = replace(parameters, species=replace(parameters.species, shoot_clumping=0.0 * clumping))
     crowns, area = even_discs(scene, parameters)
@@ -42,7 +42,7 @@ def main() -> None:
     table = pd.DataFrame({"seen": pd.Series(gap, dtype=float)})
     table["more"] = table["seen"].diff()
     print(f"bare of crowns as discs: {(crowns == 0).mean():.3f}")
-    print(table.to_string(float_format=lambda v: f"{v:.3f}"))
+    print(table.to_string(float_format=lambda v: f"{v:.3f}", na_rep=""))
 
 
 def even_discs(scene: Scene, parameters: PlotParameters) -> tuple[np.ndarray, np.ndarray]:

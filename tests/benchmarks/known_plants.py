@@ -11,8 +11,6 @@ and leaf areas of all species free (`--structure`). Qi et al. (2026, Remote Sens
 333:115115) find 0.015 at worst, and images within 0.07 % at 5 cm and 1.4 % at 2.5 m.
 """
 
-import argparse
-import resource
 import time
 
 import jax.numpy as jnp
@@ -21,8 +19,9 @@ import numpy as np
 from fynjax.assembly import aim_without_air, build_plot, prepare
 from fynjax.inversion import calibrate_known_plants
 from fynjax.inversion._known_plants import PixelModel
-from fynjax.io.plot import drone_sensor, example_folder, read_plot
+from fynjax.io.plot import drone_sensor
 from fynjax.scene import Crowns, hard_instances
+from tests.benchmarks._measure import example_plot, options, peak_gib
 
 OPTICS = (
     *(f"species.*.leaf.{name}" for name in ("structure", "chlorophyll", "dry_matter")),
@@ -35,11 +34,10 @@ EXACT = 1e-4
 """Error of a pixel without noise that the search assumes: of float32, and a little more [-]."""
 
 
-def known_plot(size, free):
+def known_plot(size, free, tiny):
     """The example plot, smaller, its plants as a table of crowns has them."""
-    plot = read_plot(example_folder() / "plot.toml")
-    calibration = plot.calibration.replace(free=free, priors=PRIORS)
-    plot = plot.replace(size_m=(size, size), calibration=calibration)
+    plot = example_plot(size, tiny)
+    plot = plot.replace(calibration=plot.calibration.replace(free=free, priors=PRIORS))
     there = hard_instances(*build_plot(plot))
     foot = np.stack([there.x, there.y], axis=1)
     crowns = Crowns(there.species, foot, there.diameter, there.height)
@@ -56,15 +54,19 @@ def error(one, other):
     return float(np.sqrt(np.mean((np.asarray(one) - np.asarray(other)) ** 2)))
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__)
+def main(arguments=None):
+    """Print the table."""
+    parser = options(__doc__)
     parser.add_argument("--size", type=float, default=5.0)
     parser.add_argument("--pixels", type=float, nargs="+", default=[0.05, 0.5, 2.5])
     parser.add_argument("--noise", type=float, nargs="+", default=[0.0, 0.01])
     parser.add_argument("--structure", action="store_true")
     parser.add_argument("--seed", type=int, default=1)
-    chosen = parser.parse_args()
-    ready = prepare(known_plot(chosen.size, OPTICS + STRUCTURE * chosen.structure), None, seed=0)
+    chosen = parser.parse_args(arguments)
+    if chosen.tiny:
+        chosen.size, chosen.pixels, chosen.noise = 1.0, [0.1], [0.01]
+    free = OPTICS + STRUCTURE * chosen.structure
+    ready = prepare(known_plot(chosen.size, free, chosen.tiny), None, seed=0)
     space, scene = ready.space, ready.scene
     random = np.random.default_rng(chosen.seed)
     truth = space.physical(jnp.asarray(random.normal(size=len(space.names)).clip(-2.0, 2.0)))
@@ -104,8 +106,7 @@ def main():
                 f"{seconds:.0f} CPU s",
                 flush=True,
             )
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    print(f"peak memory {memory:.1f} GiB")
+    print(f"peak memory {peak_gib():.1f} GiB")
 
 
 if __name__ == "__main__":

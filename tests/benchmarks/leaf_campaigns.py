@@ -1,6 +1,6 @@
-"""Leaf traits of campaigns left out: `python -m tests.benchmarks.leaf_campaigns [FOLDER]`.
+"""Leaf traits of campaigns left out: `python -m tests.benchmarks.leaf_campaigns`.
 
-FOLDER holds the leaf data (default: `FYNJAX_SHARED_DATA`/leaf). Each campaign is left out in turn:
+Each campaign is left out in turn:
 error model, prior and discrepancy of traits are estimated from the others, PLSR is trained on the
 others (the number of components, and whether of the logarithm, by leaving out one of these in turn;
 by folds if only one is left). Beside them plain PROSPECT: least squares with independent errors in
@@ -10,11 +10,10 @@ of root mean square errors have 90 % intervals by bootstrap over species. Units:
 pigments, mg cm-2 of water and dry matter.
 """
 
-import os
-import sys
 import time
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,7 +22,8 @@ from sklearn.cross_decomposition import PLSRegression
 from sklearn.model_selection import KFold, cross_val_predict
 
 from fynjax.leaf import ErrorModel, LeafFit, fit_leaf, independent_error_model
-from fynjax.leaf._error_model import bin_centres
+from fynjax.leaf._error_model import bin_centres, default_error_model
+from tests.benchmarks._measure import data_folder, options
 from tools.estimate_error_model import CAMPAIGNS, CHEMISTRY, LeafSet, estimate, read
 
 UNIT = {"chlorophyll": 1.0, "carotenoids": 1.0, "water": 1e3, "dry_matter": 1e3}
@@ -166,39 +166,48 @@ def transmittance(leaves: LeafSet, fits: dict[str, LeafFit]) -> None:
         )
 
 
-def main(folder: Path) -> None:
+def some(leaves: LeafSet, count: int) -> LeafSet:
+    """The first leaves of a set."""
+    return replace(leaves, spectra=leaves.spectra[:count], chemistry=leaves.chemistry.iloc[:count])
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print every figure."""
+    tiny, folder = options(__doc__).parse_args(arguments).tiny, data_folder() / "leaf"
     start = time.process_time()
-    warnings.filterwarnings("ignore", category=RuntimeWarning)  # PLSR of more parts than there are
-    for campaign in CAMPAIGNS:
-        names = [name for name in CAMPAIGNS if name != campaign]
-        model = estimate(folder, names)
-        others = [leaves for name in names for leaves in read(folder, name)]
-        for leaves in read(folder, campaign):
-            both = np.isfinite(leaves.spectra[:, 1]).any()
-            for given in ("RT", "R") if both else ("R",):
-                through = given == "RT"
-                fits = {
-                    "fynjax": physics(leaves, through, model),
-                    "PROSPECT": physics(leaves, through, None),
-                }
-                if both and not through:
-                    transmittance(leaves, fits)
-                for trait in CHEMISTRY:
-                    if not np.isfinite(leaves.measured(trait)).any():
-                        continue
-                    methods = {name: of_fit(fit, trait) for name, fit in fits.items()}
-                    trained = regression(others, leaves, trait, through)
-                    if np.isfinite(trained.value).any():
-                        methods["PLSR"] = trained
-                    report(leaves, trait, given, methods)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # PLSR of more parts than there are
+        for campaign in CAMPAIGNS[:1] if tiny else CAMPAIGNS:
+            names = [name for name in CAMPAIGNS if name != campaign][: 2 if tiny else None]
+            judge(folder, campaign, names, tiny)
     print(f"{time.process_time() - start:.0f} CPU s")
 
 
-def leaf_folder() -> Path:
-    """Where the leaf data lie if nothing is said."""
-    return Path(os.environ.get("FYNJAX_SHARED_DATA", "../shared/data")) / "leaf"
+def judge(folder: Path, campaign: str, names: Sequence[str], tiny: bool) -> None:
+    """Print a campaign's figures by what the campaigns `names` say; of 30 leaves of each, with the
+    shipped error model, where `tiny`."""
+    model = default_error_model() if tiny else estimate(folder, names)
+    most = 30 if tiny else None
+    others = [some(leaves, most) for name in names for leaves in read(folder, name)]
+    for leaves in (some(leaves, most) for leaves in read(folder, campaign)):
+        both = np.isfinite(leaves.spectra[:, 1]).any()
+        for given in ("RT", "R") if both else ("R",):
+            through = given == "RT"
+            fits = {
+                "fynjax": physics(leaves, through, model),
+                "PROSPECT": physics(leaves, through, None),
+            }
+            if both and not through:
+                transmittance(leaves, fits)
+            for trait in CHEMISTRY:
+                if not np.isfinite(leaves.measured(trait)).any():
+                    continue
+                methods = {name: of_fit(fit, trait) for name, fit in fits.items()}
+                trained = regression(others, leaves, trait, through)
+                if np.isfinite(trained.value).any():
+                    methods["PLSR"] = trained
+                report(leaves, trait, given, methods)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else leaf_folder())
+    main()

@@ -7,7 +7,6 @@ by. The rank of the truth among the draws must be uniform. Printed: the p value 
 parameter, and coverage. `--save FILE.png` draws the histograms.
 """
 
-import argparse
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -23,6 +22,7 @@ from fynjax.leaf._error_model import bin_centres
 from fynjax.leaf._posterior import free_columns, leaf_density, of_many
 from fynjax.leaf._problem import Setup, leaf_problems, make_setup
 from fynjax.leaf._residual import Problem, observed, solve, to_physical
+from tests.benchmarks._measure import options
 
 DRAWS = 63
 BINS = 8
@@ -119,22 +119,23 @@ def draw(counts: np.ndarray, names: Sequence[str], path: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
+    parser = options(__doc__)
     parser.add_argument("--leaves", type=int, default=200)
     parser.add_argument("--sampler", choices=("emcee", "nuts"), default="emcee")
     parser.add_argument("--reflectance-only", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--save", type=Path)
-    options = parser.parse_args(arguments)
+    given = parser.parse_args(arguments)
+    given.leaves = 2 if given.tiny else given.leaves
     setup = make_setup("D", None, None, None)
-    truth, problems = simulate(setup, options.leaves, options.seed, options.reflectance_only)
+    truth, problems = simulate(setup, given.leaves, given.seed, given.reflectance_only)
     with progress():
-        found, short = ranks(setup, truth, problems, options.sampler, options.seed)
+        found, short = ranks(setup, truth, problems, given.sampler, given.seed)
     counts, chance = uniform(found)
     inside = [np.abs(found / DRAWS - 0.5) <= level / 2 for level in (0.68, 0.95)]
     score = gaussian_scores(setup, truth, problems)
     width = max(map(len, setup.free))
-    print(f"{options.leaves} leaves, {DRAWS} draws each, {short} chains short of convergence")
+    print(f"{given.leaves} leaves, {DRAWS} draws each, {short} chains short of convergence")
     print(f"{'':<{width}}  p uniform   68 %   95 %   of the Gaussian: 68 %   95 %   counts")
     for i, name in enumerate(setup.free):
         own = [np.mean(np.abs(score[:, i]) < limit) for limit in (1.0, 1.96)]
@@ -143,10 +144,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"{inside[1][:, i].mean():.3f}                   {own[0]:.3f}  {own[1]:.3f}   "
             f"{' '.join(map(str, counts[:, i]))}"
         )
-    error = np.sqrt(0.68 * 0.32 / options.leaves), np.sqrt(0.95 * 0.05 / options.leaves)
+    error = np.sqrt(0.68 * 0.32 / given.leaves), np.sqrt(0.95 * 0.05 / given.leaves)
     print(f"binomial error of a share: {error[0]:.3f} at 68 %, {error[1]:.3f} at 95 %")
-    if options.save is not None:
-        draw(counts, setup.free, options.save)
+    if given.save is not None:
+        draw(counts, setup.free, given.save)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ linear in the whitened parameters, by central differences over one standard devi
 the image itself. Nothing here is fitted to the plot.
 """
 
-import argparse
 from dataclasses import replace
 
 import equinox as eqx
@@ -23,12 +22,11 @@ from fynjax.compare import consistent_targets
 from fynjax.io.plot import (
     BY_FORM,
     DEFAULT_PRIOR,
-    example_folder,
     leaf_factors,
-    read_plot,
     read_prior,
 )
 from fynjax.metrics import BANDS, image_statistics
+from tests.benchmarks._measure import example_plot, options
 
 GAIN_SD = 0.075
 """Of a camera calibrated by its light sensor alone: 5 to 10 % a band, half of its variance common
@@ -40,11 +38,13 @@ STATISTICS = (
 GAP = "ground seen"  # straight down; the article's share of gaps counts LiDAR returns, or cells
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def main(arguments=None) -> None:
+    """Print the table."""
+    parser = options(__doc__)
     parser.add_argument("--draws", type=int, default=1000)
-    count = parser.parse_args().draws
-    plot, prior = read_plot(example_folder() / "plot.toml"), read_prior(DEFAULT_PRIOR)
+    given = parser.parse_args(arguments)
+    count = 20 if given.tiny else given.draws
+    plot, prior = example_plot(1.0 if given.tiny else 10.0, given.tiny), read_prior(DEFAULT_PRIOR)
     scene, parameters = build_plot(plot)
     view = image_view(plot, scene, parameters, STATISTICS)
     simulate = eqx.filter_jit(lambda v, s, p: (*v.observe(s, p), s.gap_fraction(p)))
@@ -81,9 +81,8 @@ def main() -> None:
         image, statistics, gap = simulate(view, scene, moved)
         return np.asarray(image), np.append(np.asarray(statistics), float(gap))
 
-    names = list(mean)
-    drawn = prior.draws(count)
-    draws = np.stack([drawn[name] for name in names], axis=1)
+    drawn = prior.draws(count)  # of forms in no plot that it was learned from there are no errors
+    names, draws = list(drawn), np.stack(list(drawn.values()), axis=1)
     image, base = at(mean)
     step = draws.std(axis=0)
     slope = []
@@ -108,12 +107,13 @@ def main() -> None:
         row = {"statistic": name, "real": real[name], "mean": base[j]}
         for what, values in columns.items():
             low, high = np.quantile(values[:, j], (0.05, 0.95))
-            row[f"{what}: 5 %"], row["95 %"] = low, high
+            row[f"{what}: 5 %"], row[f"{what}: 95 %"] = low, high
             row[f"width {what}"] = (high - low) / abs(real[name])
         low, high = np.quantile(values[:, j], (0.05, 0.95))
         row["inside"] = bool(low <= real[name] <= high) if name in STATISTICS else ""
         rows.append(row)
-    print(pd.DataFrame(rows).to_string(index=False, float_format=lambda v: f"{v:.4g}"))
+    form = lambda v: f"{v:.4g}"  # noqa: E731
+    print(pd.DataFrame(rows).to_string(index=False, float_format=form, na_rep=""))
 
 
 def _with_gains(image, base, statistics, gains):

@@ -10,9 +10,9 @@ conventions of each known tool and with gaps as canopy cells without a return ab
 since the paper does not state its own.
 """
 
-import argparse
 import shutil
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -38,6 +38,7 @@ from fynjax.metrics import (
     thinnings,
 )
 from fynjax.studies.fynbos_2006 import demo
+from tests.benchmarks._measure import options
 
 SEED = 0
 SWIR2_MEAN = {"real": 0.063, "dirsig": 0.008}  # the paper's section on the spectrometer
@@ -51,54 +52,65 @@ CONVENTIONS = {
 }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    parser = options(__doc__)
     parser.add_argument("--calibration", type=Path, help="output folder of `fynjax demo`")
     parser.add_argument("--output", type=Path, help="where the simulations and table.csv stay")
-    options = parser.parse_args()
+    given = parser.parse_args(arguments)
     with TemporaryDirectory() as scratch:
-        output = options.output or Path(scratch)
+        output = given.output or Path(scratch)
         output.mkdir(parents=True, exist_ok=True)
-        calibration = options.calibration
-        if calibration is None:
+        calibration, tiny = given.calibration, given.tiny
+        if calibration is None and not tiny:
             calibration = output / "demo"
             calibration.mkdir()
             demo(calibration, seed=SEED)
         columns = {}
-        for name, values in (("uncalibrated", None), ("calibrated", calibration)):
+        lidars = LIDARS[:1] if tiny else LIDARS
+        for name, values in (("uncalibrated", None), ("calibrated", calibration))[: 2 - tiny]:
             folder = output / name
-            plot = _plot(folder / "plot", values)
-            _simulate(plot, folder)
+            _simulate(_plot(folder / "plot", values, tiny), folder, lidars)
             columns[name] = pd.concat(
-                [_drone(folder), _spectrometer(folder), *(_lidar(folder, l) for l in LIDARS)]
+                [_drone(folder), _spectrometer(folder), *(_lidar(folder, l, tiny) for l in lidars)]
             )
-        table = columns["uncalibrated"].rename(columns={"simulated": "uncalibrated"})
-        table["calibrated"] = columns["calibrated"]["simulated"]
-        for name in ("dirsig", "uncalibrated", "calibrated"):
+        table = columns["uncalibrated"].drop(columns="simulated")
+        for name, column in columns.items():
+            table[name] = column["simulated"]
+        for name in ("dirsig", *columns):
             error = 100.0 * (table[name] - table["real"]) / table["real"].abs()
             table[f"{name}_error_percent"] = error
         table.to_csv(output / "table.csv", index=False, float_format="%.5g")
     print(table.to_string(index=False, float_format=lambda v: f"{v:.4g}", na_rep=""))
     drone = table[table["sensor"] == "drone"].dropna(subset=["dirsig_abs_error_percent"])
-    for name in ("uncalibrated", "calibrated"):
+    for name in columns:
         renamed = drone.assign(simulated_error_percent=drone[f"{name}_error_percent"])
         nearer, of = wins(renamed)
         print(f"drone, {name}: nearer to the real image than DIRSIG in {nearer} of {of} numbers")
 
 
-def _plot(folder: Path, calibration: Path | None) -> Path:
-    """The shipped plot file, with the estimates of a calibration."""
+def _plot(folder: Path, calibration: Path | None, tiny: bool) -> Path:
+    """The shipped plot file, with the estimates of a calibration; where `tiny`, of 2 m and two
+    species with usual leaves."""
     shutil.copytree(example_folder(), folder)
+    path = folder / "plot.toml"
+    text = path.read_text("utf-8")
     if calibration is not None:
         shutil.copy(calibration / "parameters.csv", folder)
-        path = folder / "plot.toml"
-        text = path.read_text("utf-8")
-        path.write_text(text.replace("[scene]\n", '[scene]\nparameters = "parameters.csv"\n'))
-    return folder / "plot.toml"
+        text = text.replace("[scene]\n", '[scene]\nparameters = "parameters.csv"\n')
+    if tiny:
+        text = text.replace("size_m = 10.0", "size_m = 2.0").replace(
+            "leaf_table =", "# leaf_table ="
+        )
+        lines = (folder / "species.csv").read_text("utf-8").splitlines()
+        head = sum(line.startswith("#") for line in lines)
+        (folder / "species.csv").write_text("\n".join(lines[: head + 3]))
+    path.write_text(text)
+    return path
 
 
-def _simulate(plot: Path, folder: Path) -> None:
-    for name in ("drone", "aviris_ng", *LIDARS):
+def _simulate(plot: Path, folder: Path, lidars: Sequence[str]) -> None:
+    for name in ("drone", "aviris_ng", *lidars):
         (folder / name).mkdir()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the paper's pixel against the optics
@@ -106,7 +118,7 @@ def _simulate(plot: Path, folder: Path) -> None:
         simulate(
             plot, folder / "aviris_ng", sensor="aviris_ng", pixel=3.0, products=["reflectance"]
         )
-    for name in LIDARS:
+    for name in lidars:
         simulate(plot, folder / name, sensor=name, seed=SEED)
 
 
@@ -145,14 +157,16 @@ def _spectrometer(folder: Path) -> pd.DataFrame:
     return pd.DataFrame(rows).assign(sensor="aviris_ng")
 
 
-def _lidar(folder: Path, sensor: str) -> pd.DataFrame:
+def _lidar(folder: Path, sensor: str, tiny: bool) -> pd.DataFrame:
     cloud = laspy.read(folder / sensor / "cloud.laz")
     x, y, z = (np.asarray(getattr(cloud, axis)) for axis in "xyz")
-    grid = cell_grid((0.0, 0.0, 10.0, 10.0), GRAIN)
+    side = 2.0 if tiny else 10.0
+    grid = cell_grid((0.0, 0.0, side, side), GRAIN)
+    kept, times = min(len(x), REAL_RETURNS), 2 if tiny else 100
     published, rows = structure_2006(), []
     for name, settings in CONVENTIONS.items():
         found: dict[str, list[float]] = {}
-        for chosen in thinnings(len(x), REAL_RETURNS, 100, np.random.default_rng(SEED)):
+        for chosen in thinnings(len(x), kept, times, np.random.default_rng(SEED)):
             cells = cell_structure(bin_returns(x[chosen], y[chosen], z[chosen], grid, settings))
             for metric, values in cells.metrics.items():
                 known = values[np.isfinite(values)]

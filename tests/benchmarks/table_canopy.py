@@ -6,13 +6,18 @@ streams, and 4SAIL from these, in red and near infrared. The peers' numbers are 
 `tests/radiation/test_canopy.py`.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from fynjax.canopy import VerhoefLeafAngle
+from tests.benchmarks._measure import options
 from tests.radiation.test_canopy import FLAT, PEERS, peer, reflectances
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    options(__doc__).parse_args(arguments)  # it is tiny as it is
     hot = reflectances(VerhoefLeafAngle(-0.35, -0.15), 0.05)
     points = reflectances("spherical", 0.0)
     rows = (

@@ -8,8 +8,7 @@ logarithm of the factor, as a difference of the means of whole plants of the sam
 mean and median of the slopes that are taken; then what an image and a gradient cost.
 """
 
-import argparse
-import time
+from collections.abc import Sequence
 from functools import partial
 
 import equinox as eqx
@@ -31,6 +30,7 @@ from fynjax.scene import (
     stand_realisation,
 )
 from fynjax.sensors import shipped_sensor
+from tests.benchmarks._measure import options, seconds
 
 KINDS = {"cover": 0.28, "diameter": 0.28, "leaf_area_index": 0.1, "height": 0.1}
 """Kinds of parameters, and half the step of their differences, of the logarithm."""
@@ -38,18 +38,21 @@ STATISTICS = ("red.mean", "nir.mean", "NDVI.mean", "NDVI.std")
 QUANTITIES = ("gap", *STATISTICS, "LiDAR height, 95 %")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    parser = options(__doc__)
     parser.add_argument("--size", type=float, default=2.0, help="side of the plot [m]")
     parser.add_argument("--plantings", type=int, default=48)
-    options = parser.parse_args()
-    scene = Scene.from_table(table1_2006().iloc[:7], size=options.size, seed=1)
+    given = parser.parse_args(arguments)
+    size, plantings, species = (1.0, 2, 2) if given.tiny else (given.size, given.plantings, 7)
+    scene = Scene.from_table(table1_2006().iloc[:species], size=size, seed=1)
     parameters = scene.parameters
     camera = aim(scene, parameters, shipped_sensor("mavic_3m"), Placement(pixel=0.05))
-    table = pd.DataFrame(slopes(scene, parameters, camera, options.plantings))
-    print(f"{options.size:g} m, {options.plantings} plantings")
+    table = pd.DataFrame(slopes(scene, parameters, camera, plantings))
+    print(f"{size:g} m, {plantings} plantings")
     print(table.to_string(index=False, float_format=lambda v: f"{v:+.4f}"))
-    print(costs(scene, parameters, camera))
+    if not given.tiny:
+        print(costs(scene, parameters, camera))
 
 
 def scaled(parameters: PlotParameters, log_factor: Float[Array, " kind"]) -> PlotParameters:
@@ -135,16 +138,10 @@ def costs(scene: Scene, parameters: PlotParameters, camera: AimedSensor) -> str:
         (mean, scene), (jax.grad(mean), scene), (jax.grad(alone), scene.faded()),
     ):  # fmt: skip
         run = eqx.filter_jit(function)
-        jax.block_until_ready(run(parameters, stand))
-        seconds = []
-        for _ in range(5):
-            began = time.perf_counter()
-            jax.block_until_ready(run(parameters, stand))
-            seconds.append(time.perf_counter() - began)
-        times.append(min(seconds))
+        times.append(seconds(lambda run=run, stand=stand: run(parameters, stand), 5)[2])
     image, gradient, faded = times
     return (
-        f"image {image:.2f} s; gradient {gradient / image:.1f} images, without the image of whole "
+        f"image {image:.2f} CPU s; gradient {gradient / image:.1f} images, without that of whole "
         f"plants {faded / image:.1f}"
     )
 

@@ -21,8 +21,6 @@ images left out: how much a diagnosis by these statistics may hope for.
 `--sensors image spectrum lidar` calibrates to what several sensors measured of the same truth.
 """
 
-import argparse
-import os
 import tempfile
 import time
 from pathlib import Path
@@ -66,10 +64,10 @@ from fynjax.inversion import (
     weigh_structure,
     weigh_targets,
 )
-from fynjax.io.plot import example_folder, read_plot
 from fynjax.metrics import image_statistics, spectral_mask
 from fynjax.scene import stand_realisation, with_values
 from fynjax.sensors import BandSet, shipped_sensor
+from tests.benchmarks._measure import data_folder, example_plot, options
 
 FREE = (
     *(f"species.*.{kind}" for kind in ("cover", "diameter", "leaf_area_index", "dead_fraction")),
@@ -93,8 +91,7 @@ def wrong_plot(plot, what):
         species[i] = species[i].replace(growth_form="tussock")
         return plot.replace(species=tuple(species))
     if what == "soil":
-        folder = Path(os.environ.get("FYNJAX_SHARED_DATA", "../shared/data"))
-        soils = np.load(folder / "leaf" / "soil_spectra.npz")
+        soils = np.load(data_folder() / "leaf" / "soil_spectra.npz")
         of = list(soils["name"]).index("ossl_soil_28")  # reddish: 0.11 at 560, 0.24 at 660 nm
         path = Path(tempfile.mkdtemp()) / "soil.csv"
         columns = {"wavelength_nm": soils["wl"], "reflectance": soils["refl"][of]}
@@ -104,12 +101,11 @@ def wrong_plot(plot, what):
     return plot
 
 
-def plot_of(size):
+def plot_of(size, tiny):
     """The example plot, smaller, with covers free by a half and the rest by 30 %."""
-    plot = read_plot(example_folder() / "plot.toml")
+    plot = example_plot(size, tiny)
     priors = {"*.cover": 0.5, "*": 0.3}
-    calibration = plot.calibration.replace(free=FREE, priors=priors)
-    return plot.replace(size_m=(size, size), calibration=calibration)
+    return plot.replace(calibration=plot.calibration.replace(free=FREE, priors=priors))
 
 
 def measure(ready, views, u, number, random):
@@ -164,7 +160,8 @@ def simulations(ready, view, count, random, first=0):
     quick, (cheap,) = search_form(ready.scene, ready.parameters, [view])
     stands = [quick]
     stands += [
-        search_form(ready.replant(first + i), ready.parameters, [view])[0] for i in range(1, 8)
+        search_form(ready.replant(first + i), ready.parameters, [view])[0]
+        for i in range(1, min(8, count // 4))
     ]
     none = jnp.zeros(len(view.names))
     forward = PlotForward(ready.parameters, ready.space.names, (cheap,))
@@ -181,7 +178,8 @@ def simulations(ready, view, count, random, first=0):
 def line(chosen, ready, truths, view):
     """Estimates by the line over the prior that a search starts from."""
     space, free = ready.space, len(ready.space.names)
-    settings = CalibrationSettings(stand_realisations=16, scatter_draws=200)
+    realisations, scatter = (2, 8) if chosen.tiny else (16, 200)
+    settings = CalibrationSettings(stand_realisations=realisations, scatter_draws=scatter)
     centre = np.asarray(look((view,), ready.scene, ready.parameters)[0])
     data = weigh_targets(view.names, centre, ready.plot.calibration.target_sd)
     search = plot_search(
@@ -221,9 +219,9 @@ def explained(truth, estimate):
     return 1.0 - np.mean((truth - estimate) ** 2) / np.mean(truth**2)
 
 
-def experiment(size, wrong, sensors):
+def experiment(size, wrong, sensors, tiny):
     """The plot as the search has it, that of which truths are planted, and the sensors' views."""
-    ready = prepare(plot_of(size), None, seed=0)
+    ready = prepare(plot_of(size, tiny), None, seed=0)
     truths = ready
     if wrong is not None:
         truths = prepare(wrong_plot(ready.plot, wrong), None, seed=0)
@@ -232,7 +230,7 @@ def experiment(size, wrong, sensors):
 
 def twin(number, size, wrong, sensors):
     """A whole calibration of one truth: the arrays of `FOUND`."""
-    ready, truths, views = experiment(size, wrong, sensors)
+    ready, truths, views = experiment(size, wrong, sensors, False)
     random = np.random.default_rng([number, 17])
     truth = random.normal(size=len(ready.space.names)).clip(-2.2, 2.2)
     data = measure(truths, views, truth, number, random)
@@ -272,22 +270,25 @@ def apart(count, ready, truths, view):
         print(f"{name}: area under the curve {area:.2f}, known with 5 % false alarms {power:.2f}")
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__)
+def main(arguments=None):
+    """Print the table."""
+    parser = options(__doc__)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--size", type=float, default=5.0)
     parser.add_argument("--train", type=int, default=400)
-    parser.add_argument("--keep", type=Path, required=True)
+    parser.add_argument("--keep", type=Path, default=Path("twins"))
     parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=("image",))
-    parser.add_argument("--workers", type=int)
+    parser.add_argument("--workers", type=int, default=0)
     parser.add_argument("--line", action="store_true")
     parser.add_argument("--apart", type=int)
     parser.add_argument("--wrong", choices=("form", "soil"))
-    chosen = parser.parse_args()
+    chosen = parser.parse_args(arguments)
+    if chosen.tiny:
+        chosen.line, chosen.seeds, chosen.size, chosen.train = True, 2, 2.0, 6
     if (chosen.line or chosen.apart) and tuple(chosen.sensors) != ("image",):
         parser.error("--line and --apart are of the image alone")
     chosen.keep.mkdir(parents=True, exist_ok=True)
-    ready, truths, views = experiment(chosen.size, chosen.wrong, chosen.sensors)
+    ready, truths, views = experiment(chosen.size, chosen.wrong, chosen.sensors, chosen.tiny)
     if chosen.apart:
         return apart(chosen.apart, ready, truths, views[0])
     if chosen.line:

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import FORMS
-from fynjax.cli._build import build
+from fynjax.cli._plot import build
 from fynjax.scene import USUAL_LEAF
 from tests.helpers import assert_valid_summary
 

@@ -5,7 +5,6 @@ The jobs themselves are stood in for: what is tested is the door, not the house.
 
 import json
 import os
-import re
 import subprocess
 import sys
 import time
@@ -48,11 +47,10 @@ def calls(monkeypatch):
     made = []
 
     def job(name):
-        def run(*positional, **keywords):
-            made.append((name, positional, keywords))
+        def run(*, output, **keywords):
+            made.append((name, keywords))
             if name in ("render", "calibrate"):  # a job reads its plot before anything else
-                as_plot(positional[0])
-            output = next(p for p in reversed(positional) if hasattr(p, "is_dir") and p.is_dir())
+                as_plot(keywords["plot"])
             (output / "image.tif").write_text(name)
             return Fake(
                 output=str(output),
@@ -109,19 +107,12 @@ def test_demo_writes_moves_and_prints(capsys, calls, tmp_path):
     output = tmp_path / "a" / "b"
     status, out, err = call(capsys, "demo", "--output", output, "--seed", 5)
     assert (status, err) == (0, "")
-    assert calls[0][2] == {"seed": 5}
+    assert calls[0][1] == {"seed": 5}
     assert sorted(p.name for p in output.iterdir()) == ["image.tif", "summary.json"]
     assert [p.name for p in output.parent.iterdir()] == ["b"]
     assert "demo is done." in out
     assert str(output) in out
     assert "image.tif  the image" in out
-
-
-def test_long_work_is_announced_where_progress_is_shown(capsys, calls, tmp_path, monkeypatch):
-    monkeypatch.setattr("rich.console.Console.is_terminal", True)
-    _, _, err = call(capsys, "demo", "--output", tmp_path / "o")
-    assert re.search(r"fynjax: Roughly \d+ min of one core.* GiB of memory \(.* are free\)", err)
-    assert "Roughly" not in call(capsys, "demo", "--quiet", "--output", tmp_path / "o")[2]
 
 
 def test_json_is_all_that_stdout_has(capsys, calls, tmp_path):
@@ -172,20 +163,23 @@ def test_calibrate_and_fit_leaf_pass_their_files(capsys, calls, plot, tmp_path):
     done = call(capsys, "calibrate", plot, "--target", target, "--output", tmp_path / "o")
     assert done[0] == 0
     assert calls[0][0] == "calibrate"
-    assert (calls[0][1][0].file, calls[0][1][1]) == (plot, [target])
+    given = calls[0][1]
+    assert (given["plot"].file, given["targets"]) == (plot, [target])
     spectra = [tmp_path / "a.csv", tmp_path / "b.asd"]
     for path in spectra:
         path.write_text("x")
     arguments = ["fit-leaf", *spectra, "--output", tmp_path / "t", "--version", "PRO"]
     assert call(capsys, *arguments)[0] == 0
-    assert calls[1][1][0] == spectra
-    assert calls[1][2] == {
+    assert calls[1][1] == {
+        "paths": spectra,
         "version": "PRO",
         "workers": jobs.Workers(),
         "measurement": "sphere",
         "leaf_shape": "broad",
+        "area": "projected",
         "domain": "full",
-        "panel": None,
+        "regression": False,
+        "posterior": "none",
         "seed": 0,
         "checkpoint": tmp_path / "t.checkpoint",
     }
@@ -210,7 +204,6 @@ def one_line(status, out, err):
         (["demo", "--seed", "-1"], "--seed"),
         (["demo", "--frob"], "--frob"),
         (["fit-leaf"], "SPECTRUM"),
-        (["fit-leaf", "nothing.asd"], "nothing.asd"),
         (["calibrate", "plot.toml"], "--target"),
     ],
 )

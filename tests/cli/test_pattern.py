@@ -9,7 +9,7 @@ import typer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.cli._pattern import pattern
+from fynjax.cli._plot import pattern
 from fynjax.io.raster import read_probability_map, write_geotiff
 from tests.canopy.test_pattern import BANDS, drawn
 from tests.helpers import assert_valid_summary

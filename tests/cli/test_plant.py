@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
 from fynjax.canopy import FORMS
-from fynjax.cli._plant import plant
+from fynjax.cli._plot import plant
 from tests.helpers import assert_valid_summary
 
 app = typer.Typer()

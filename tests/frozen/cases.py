@@ -151,10 +151,10 @@ def _calibrate(folder: Path) -> Runs:
     }
 
 
-@_case("calibrate-plots", loose={"": 3e-2})
+@_case("bioscape-calibrate", loose={"": 3e-2})
 def _calibrate_plots(folder: Path) -> Runs:
     write_tables(folder / "tables")
-    return {"plots": ["calibrate-plots", folder / "tables", "--size", 2]}
+    return {"plots": ["bioscape", "calibrate", folder / "tables", "--size", 2]}
 
 
 @_case("posterior", loose={"^emcee": 5e-4, "^laplace": 2e-4})
@@ -208,11 +208,11 @@ def _plant(folder: Path) -> Runs:
     return {"taxon": line, "branches": mesh}
 
 
-@_case("learn")
+@_case("bioscape-learn")
 def _learn(folder: Path) -> Runs:
     write_population(folder / "tables")
     plots = [part for i in range(4) for part in ("--plot", f"P{i}")]
-    line = ["learn", folder / "tables", *plots, "--size", 2, "--voxel", 0.25]
+    line = ["bioscape", "learn", folder / "tables", *plots, "--size", 2, "--voxel", 0.25]
     return {"learn": line}
 
 
@@ -258,10 +258,10 @@ def _reflectance(folder: Path) -> Runs:
     return {"reflectance": ["reflectance", folder / "flight", *PANEL, "--height", 60]}
 
 
-@_case("bioscape")
+@_case("bioscape-plots")
 def _bioscape(folder: Path) -> Runs:
     write_tables(folder / "tables")
-    return {"bioscape": ["bioscape", folder / "tables"]}
+    return {"bioscape": ["bioscape", "plots", folder / "tables"]}
 
 
 @_case("pattern")
@@ -287,10 +287,10 @@ def _validate(folder: Path) -> Runs:
                          "--repetitions", 3, "--bounds", "0,0,10,10"]}  # fmt: skip
 
 
-@_case("validate-plots", loose={RESIDUAL: 1e-3})
+@_case("bioscape-validate", loose={RESIDUAL: 1e-3})
 def _validate_plots(folder: Path) -> Runs:
     write_tables(folder / "tables")
-    return {"plots": ["validate-plots", folder / "tables", "--size", 2, "--voxel", 0.25]}
+    return {"plots": ["bioscape", "validate", folder / "tables", "--size", 2, "--voxel", 0.25]}
 
 
 @_case("init")

@@ -44,7 +44,7 @@ from fynjax.io.raster import (
     write_geotiff,
 )
 from fynjax.io.raster._cubes import Cube, write_cube_envi, write_cube_geotiff, write_cubes_netcdf
-from fynjax.io.spectra import read_spectra
+from fynjax.io.spectra import read_spectra_file
 from fynjax.jobs import Training, read_training, write_training
 from fynjax.scene import COVERS
 from fynjax.sensors import BandSet, group_bands, lidar_folder
@@ -362,21 +362,21 @@ def _training(folder: Path) -> None:
 READERS: dict[str, Reader] = {
     "asd": Reader(
         lambda folder: (folder / "leaf.asd").write_bytes(asd(count=300, start=400.0)),
-        _one("leaf.asd", read_spectra), missing=True,
+        _one("leaf.asd", read_spectra_file), missing=True,
     ),
     "spectra-columns": Reader(
-        _text("leaf.csv", _COLUMNS), _one("leaf.csv", read_spectra), missing=True
+        _text("leaf.csv", _COLUMNS), _one("leaf.csv", read_spectra_file), missing=True
     ),
-    "spectra-rows": Reader(_text("leaf.csv", _wide()), _one("leaf.csv", read_spectra), True),
-    "spectra-export": Reader(_text("leaf.txt", _EXPORT), _one("leaf.txt", read_spectra), True),
+    "spectra-rows": Reader(_text("leaf.csv", _wide()), _one("leaf.csv", read_spectra_file), True),
+    "spectra-export": Reader(_text("leaf.txt", _EXPORT), _one("leaf.txt", read_spectra_file), True),
     "spectra-ecostress": Reader(
-        _text("leaf.txt", _LIBRARY_TEXT), _one("leaf.txt", read_spectra), True
+        _text("leaf.txt", _LIBRARY_TEXT), _one("leaf.txt", read_spectra_file), True
     ),
     "spectra-gzip": Reader(
         lambda folder: (folder / "leaf.csv.gz").write_bytes(gzip.compress(_COLUMNS.encode())),
-        _one("leaf.csv.gz", read_spectra), True,
+        _one("leaf.csv.gz", read_spectra_file), True,
     ),
-    "envi-library": Reader(_library, _one("lib.hdr", read_spectra), True),
+    "envi-library": Reader(_library, _one("lib.hdr", read_spectra_file), True),
     "cube-envi": Reader(
         lambda folder: write_cube_envi(folder / "cube.hdr", _cube(), {"source": "fuzz"}),
         _one("cube.hdr", read_cube), True,

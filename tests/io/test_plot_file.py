@@ -164,12 +164,12 @@ def test_decimal_comma_without_quotes_is_named(folder):
     assert caught.value.row == row_of(folder / "species.csv", "Chironia")
 
 
-def test_wrong_delimiter_is_named(folder):
+@pytest.mark.parametrize("separator", [";", "\t", "|"])
+def test_any_separator_is_read(folder, separator):
+    plain = read_plot(folder / "plot.toml").species
     text = (folder / "species.csv").read_text(encoding="utf-8")
-    (folder / "species.csv").write_text(text.replace(",", ";"), encoding="utf-8")
-    with pytest.raises(InputError, match="semicolons") as caught:
-        read_plot(folder / "plot.toml")
-    assert caught.value.row == row_of(folder / "species.csv", "taxon")
+    (folder / "species.csv").write_text(text.replace(",", separator), encoding="utf-8")
+    assert read_plot(folder / "plot.toml").species == plain
 
 
 def test_missing_and_misspelt_columns_are_named_with_the_nearest(folder):
@@ -354,7 +354,7 @@ def test_sky_table_rises_in_nm(folder):
         (b"PK\x03\x04abc", "Excel"),
         (b"", "empty"),
         (b"statistic,value,sd\n", "only a header"),
-        (b"statistic,value\nnir.mean,\xe9\n", "UTF-8"),
+        (b"statistic,value\nnir.mean,\xc3\xa9\nnir.mean,\xe9\n", "row 3: .*UTF-8"),
         (b"statistic,value\nnir.mean,22.6\n", "Percent\\? This is 0.226"),
         (b"statistic,value\nnir,0.226\n", "nir.mean"),
         (b"statistic,value\nnir.mean,0.2\nnir.mean,0.2\n", "first in row 2"),

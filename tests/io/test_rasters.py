@@ -1,8 +1,12 @@
 """GeoTIFFs, checked by rasterio alone; what comes back is what went in."""
 
+import shutil
+import socket
 import subprocess
 import sys
+from collections.abc import Iterator
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -215,36 +219,107 @@ VRT = """<VRTDataset rasterXSize="20" rasterYSize="30"><VRTRasterBand dataType="
 </SimpleSource></VRTRasterBand></VRTDataset>"""
 
 
-def test_a_virtual_raster_reads_its_own_folder_only_and_no_network(tmp_path, image):
-    folder = tmp_path / "plot"
-    for place in (folder, tmp_path):
-        write(place / "image.tif", image)
-    virtual = folder / "map.vrt"
-    (folder / "inner.vrt").write_text(VRT.format(1, "image.tif"))
-    for name in ("image.tif", "inner.vrt"):
-        virtual.write_text(VRT.format(1, name))
-        with open_raster(virtual, "a map") as raster:
-            np.testing.assert_array_equal(raster.dataset.read(1)[::-1], image[0])
-    (folder / "link.tif").symlink_to(tmp_path / "image.tif")
-    (folder / "inner.vrt").write_text(VRT.format(0, tmp_path / "image.tif"))
-    secret = tmp_path / "image.tif"
-    for relative, name in [
-        (1, "../image.tif"), (0, secret), (1, "link.tif"), (1, "inner.vrt"), (1, "map.vrt"),
-        (0, "/vsicurl/http://127.0.0.1:9/image.tif"), (0, f"/vsizip/{secret}"), (0, "NONE:x"),
-    ]:  # fmt: skip
-        for disguised in (virtual, folder / "map.tif"):
-            disguised.write_text(VRT.format(relative, name))
-            with (
-                pytest.raises(InputError, match=r"own folder or below.*gdal_translate"),
-                open_raster(disguised, "a map"),
-            ):
-                pass
-    service = folder / "service.tif"
-    service.write_text("<GDAL_WMS><Service name='TMS'><ServerUrl>http://127.0.0.1:9/</ServerUrl>"
-                       "</Service></GDAL_WMS>")  # fmt: skip
-    for other in (service, "/vsicurl/http://127.0.0.1:9/image.tif"):
-        with pytest.raises(InputError), open_raster(other, "a map"):
-            pass
+REFUSED = r"holds its own values, but .* names other files.*gdal_translate"
+
+
+def pam(key: str) -> str:
+    """A file of GDAL beside a raster, with where its overviews are."""
+    item = f'<MDI key="{key}">{{}}</MDI>'
+    return f'<PAMDataset><Metadata domain="overviews">{item}</Metadata></PAMDataset>'
+
+
+def without_word(path: Path, network: socket.socket) -> None:
+    """That a raster is refused in one line, and nobody was asked on the network."""
+    with pytest.raises(InputError, match=REFUSED) as caught, open_raster(path, "a map") as file:
+        file.read()
+    assert "\n" not in str(caught.value)
+    with pytest.raises(BlockingIOError):
+        network.accept()
+
+
+@pytest.fixture
+def network() -> Iterator[socket.socket]:
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen()
+        listening.setblocking(False)
+        yield listening
+
+
+def test_a_raster_of_other_files_is_refused_and_asks_no_network(tmp_path, image, network):
+    write(tmp_path / "image.tif", image)
+    write(tmp_path / "secret.tif", image)
+    secret = tmp_path / "secret.tif"
+    port = network.getsockname()[1]
+    places = [str(secret), f"/vsicurl/http://127.0.0.1:{port}/a.tif", f"/vsizip/{secret}",
+              f"http://127.0.0.1:{port}/a.tif", f'NETCDF:"{secret}":x']  # fmt: skip
+    for place in places:
+        virtual = VRT.format(0, place)
+        for name in ("map.vrt", "map.tif", "map"):
+            for before in ("", "II ", "MM", "<?xml version='1.0'?>\n<!-- -->"):
+                (tmp_path / name).write_text(before + virtual.replace("VRTDataset", "vrtdataset"))
+                without_word(tmp_path / name, network)
+                (tmp_path / name).write_text(before + virtual)
+                without_word(tmp_path / name, network)
+        for name in ("map.vrt", "map.tif", "map"):
+            (tmp_path / name).unlink()
+        key = "OVERVIEW&#95;FILE"
+        for name, text in [
+            ("image.tif.msk", virtual), ("image.tif.OVR", virtual), ("image.aux", virtual),
+            ("image.tif.ovr", "EHFA_HEADER_TAG" + virtual), ("image.rrd", virtual),
+            ("image.tif.aux.xml", pam("OVERVIEW_FILE").format(place)),
+            ("image.tif.aux.xml", pam(key).format(place)),
+        ]:  # fmt: skip
+            (tmp_path / name).write_text(text)
+            without_word(tmp_path / "image.tif", network)
+            (tmp_path / name).unlink()
+        # A mask that is a TIFF, whose overviews are elsewhere by its own or another file.
+        shutil.copy(secret, tmp_path / "image.tif.msk")
+        (tmp_path / "image.tif.msk.aux.xml").write_text(pam(key).format(place))
+        without_word(tmp_path / "image.tif", network)
+        (tmp_path / "image.tif.msk.aux.xml").unlink()
+        (tmp_path / "image.tif.msk").unlink()
+        inside = tmp_path / "inside.tif"
+        shutil.copy(secret, inside)
+        with rasterio.open(inside, "r+") as file:
+            file.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=place)
+        without_word(inside, network)
+    service = tmp_path / "service.tif"
+    service.write_text(f"<GDAL_WMS><Service name='TMS'><ServerUrl>http://127.0.0.1:{port}/"
+                       "</ServerUrl></Service></GDAL_WMS>")  # fmt: skip
+    without_word(service, network)
+    with pytest.raises(InputError), open_raster(places[1], "a map"):
+        pass
+    with pytest.raises(BlockingIOError):
+        network.accept()
+
+
+def test_a_file_of_a_name_like_an_address_is_read_as_a_file(tmp_path, image, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("http:/127.0.0.1:9/image.tif", "GTIFF_DIR:1:secret.tif", 'NETCDF:"image.tif"'):
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        write(tmp_path / "secret.tif", 2 * image)
+        write(tmp_path / name, image)
+        with open_raster(name, "a map") as file:
+            np.testing.assert_array_equal(file.dataset.read(1)[::-1], image[0])
+
+
+def test_overviews_and_masks_beside_a_raster_are_used(tmp_path, image):
+    path = tmp_path / "image.tif"
+    write(path, image)
+    with rasterio.Env(TIFF_USE_OVR=True), rasterio.open(path, "r+") as file:
+        file.build_overviews([2])
+    there = np.zeros(image.shape[1:], np.uint8)
+    there[:5] = 255
+    with (
+        rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False),
+        rasterio.open(path, "r+") as file,
+    ):
+        file.write_mask(there)
+    assert {p.name for p in tmp_path.iterdir()} >= {"image.tif.ovr", "image.tif.msk"}
+    with open_raster(path, "a map") as file:
+        assert file.dataset.overviews(1) == [2]
+        np.testing.assert_array_equal(file.read().mask[::-1], there > 0)
 
 
 def test_the_first_raster_of_a_process_is_read(tmp_path, image):

@@ -12,8 +12,7 @@ import xarray as xr
 from fynjax import leaf
 from fynjax._core.errors import InputError
 from fynjax.cli import main
-from fynjax.io.spectra import spectra_dataset, traits_table
-from fynjax.io.spectra._read import read_spectra
+from fynjax.io.spectra import read_spectra_file
 from fynjax.jobs._convert import convert
 from fynjax.jobs._fit_leaf import fit_leaf
 from fynjax.leaf import LeafParameters, area_factors, prospect
@@ -46,8 +45,8 @@ def test_binary_asd_equals_the_makers_own_export(shared_data):
     assert len(exports) >= 8
     for export in exports:
         binary, text = (
-            read_spectra(export.with_suffix("").with_suffix(""))[0],
-            read_spectra(export)[0],
+            read_spectra_file(export.with_suffix("").with_suffix(""))[0],
+            read_spectra_file(export)[0],
         )
         np.testing.assert_array_equal(binary.wavelength, text.wavelength)
         np.testing.assert_allclose(binary.reflectance, text.reflectance, rtol=1e-11, atol=1e-9)
@@ -59,7 +58,7 @@ def test_every_real_asd_file_with_a_white_reference_gives_reflectance(shared_dat
     refused = []
     for file in files:
         try:
-            (spectrum,) = read_spectra(file)
+            (spectrum,) = read_spectra_file(file)
             assert spectrum.reflectance.size in (751, 2151)
         except InputError as error:
             refused.append((file.name, str(error)))
@@ -75,7 +74,7 @@ def test_a_panel_calibration_in_an_asd_file_makes_reflectance_absolute(shared_da
         data = file.read_bytes()
         if data[186] == 2:  # radiance
             continue
-        (spectrum,) = read_spectra(file)
+        (spectrum,) = read_spectra_file(file)
         if spectrum.meta["panel"] == "unknown":
             continue
         body = 8 * 2151
@@ -118,7 +117,7 @@ def calibrated(kind=1, series=(0,), panel=0.98, end=None):
 )
 def test_the_panel_is_found_behind_reports_and_variables(tmp_path, content, factor):
     (tmp_path / "leaf.asd").write_bytes(content)
-    (spectrum,) = read_spectra(tmp_path / "leaf.asd")
+    (spectrum,) = read_spectra_file(tmp_path / "leaf.asd")
     values = spectrum.transmittance if spectrum.reflectance is None else spectrum.reflectance
     np.testing.assert_allclose(values, factor * np.linspace(0.1, 0.5, 2151), rtol=1e-12)
 
@@ -141,14 +140,14 @@ def test_bad_asd_files_say_what_is_wrong(tmp_path, content, message):
     path = tmp_path / "leaf.asd"
     path.write_bytes(content)
     with pytest.raises(InputError, match=message) as caught:
-        read_spectra(path)
+        read_spectra_file(path)
     assert str(path) in str(caught.value)
 
 
 def test_a_short_detector_and_raw_counts(tmp_path):
     path = tmp_path / "hand.asd"
     path.write_bytes(asd(count=751, kind=0, version=b"as8", start=325.0))
-    (spectrum,) = read_spectra(path)
+    (spectrum,) = read_spectra_file(path)
     np.testing.assert_allclose(spectrum.reflectance, np.linspace(0.1, 0.5, 751))
     assert spectrum.wavelength[[0, -1]].tolist() == [325.0, 1075.0]
     assert "raw" in spectrum.meta["repairs"][0]
@@ -157,7 +156,7 @@ def test_a_short_detector_and_raw_counts(tmp_path):
 @pytest.mark.parametrize("sep", [",", "\t", ";"])
 def test_columns_pair_reflectance_with_transmittance(tmp_path, sep):
     columns = {"wavelength_nm": WAVELENGTH, "oak_R": R, "oak_T": T, "pine": R / 2}
-    oak, pine = read_spectra(table(tmp_path / "a.csv", columns, sep))
+    oak, pine = read_spectra_file(table(tmp_path / "a.csv", columns, sep))
     assert (oak.name, pine.name) == ("oak", "pine")
     np.testing.assert_allclose(oak.reflectance, R)
     np.testing.assert_allclose(oak.transmittance, T)
@@ -166,7 +165,7 @@ def test_columns_pair_reflectance_with_transmittance(tmp_path, sep):
 
 def test_micrometres_percent_and_descending_order_are_repaired_and_said(tmp_path):
     columns = {"wavelength_um": WAVELENGTH[::-1] / 1000, "leaf reflectance (%)": 100 * R[::-1]}
-    (spectrum,) = read_spectra(table(tmp_path / "a.csv", columns))
+    (spectrum,) = read_spectra_file(table(tmp_path / "a.csv", columns))
     np.testing.assert_allclose(spectrum.wavelength, WAVELENGTH)
     np.testing.assert_allclose(spectrum.reflectance, R)
     said = " ".join(spectrum.meta["repairs"])
@@ -180,7 +179,7 @@ def test_wide_table_with_wavelengths_as_names(tmp_path):
     wide.insert(0, "Sample_ID", ["a", "b"])
     wide.insert(1, "species", ["x", "y"])
     wide.to_csv(tmp_path / "wide.csv", index=False)
-    first, second = read_spectra(tmp_path / "wide.csv")
+    first, second = read_spectra_file(tmp_path / "wide.csv")
     assert (first.name, second.name) == ("a", "b")
     np.testing.assert_allclose(second.reflectance, R / 2)
     assert first.meta["columns"]["species"] == "x"
@@ -192,15 +191,15 @@ def test_ecostress_text(tmp_path):
     body = "\n".join(f"{w / 1000:.4f}\t{100 * r:.6f}" for w, r in zip(WAVELENGTH[::-1], R[::-1]))
     path = tmp_path / "oak.spectrum.txt"
     path.write_text(head + body)
-    (spectrum,) = read_spectra(path)
+    (spectrum,) = read_spectra_file(path)
     assert spectrum.name == "Oak"
     np.testing.assert_allclose(spectrum.reflectance, R, atol=1e-7)
     path.write_text(head + body[: len(body) // 2].rsplit("\n", 1)[0])
     with pytest.raises(InputError, match="cut short"):
-        read_spectra(path)
+        read_spectra_file(path)
     path.write_text(head.replace(f"Values: {WAVELENGTH.size}", "Values: " + "9" * 4301) + body)
     with pytest.raises(InputError, match=r"expected 9{20} values as the header says"):
-        read_spectra(path)
+        read_spectra_file(path)
 
 
 def test_envi_library(tmp_path):
@@ -213,13 +212,13 @@ def test_envi_library(tmp_path):
     )
     (tmp_path / "lib.hdr").write_text(header)
     for name in ("lib.sli", "lib.hdr"):
-        oak, pine = read_spectra(tmp_path / name)
+        oak, pine = read_spectra_file(tmp_path / name)
         assert pine.name == "pine"
         np.testing.assert_allclose(oak.wavelength, WAVELENGTH)
         np.testing.assert_allclose(pine.reflectance, R / 2, rtol=1e-6)
     (tmp_path / "lib.sli").write_bytes(b"1234")
     with pytest.raises(InputError, match="cut short"):
-        read_spectra(tmp_path / "lib.sli")
+        read_spectra_file(tmp_path / "lib.sli")
 
 
 @pytest.mark.parametrize(
@@ -237,7 +236,7 @@ def test_envi_library(tmp_path):
 def test_impossible_tables_are_refused_with_the_files_name(tmp_path, columns, message):
     path = table(tmp_path / "bad.csv", columns)
     with pytest.raises(InputError, match=message) as caught:
-        read_spectra(path)
+        read_spectra_file(path)
     assert "bad.csv" in str(caught.value)
 
 
@@ -247,11 +246,11 @@ def test_missing_values_among_plain_numbers_of_a_row(tmp_path):
     path, last = tmp_path / "rows.csv", ",0.5" * 8
     text = f"id,500,600,700,800,{more}\na,0.1,-999,0.2,3e-1{last}\nb,0.1,,.2,1E-1{last}\n"
     path.write_text(text)
-    values = [s.reflectance[:4] for s in read_spectra(path)]
+    values = [s.reflectance[:4] for s in read_spectra_file(path)]
     np.testing.assert_array_equal(values, [[0.1, np.nan, 0.2, 0.3], [0.1, np.nan, 0.2, 0.1]])
     path.write_text(text.replace("b,0.1,", "b,0.1,0.2.1"))
     with pytest.raises(InputError, match="row 3") as caught:
-        read_spectra(path)
+        read_spectra_file(path)
     assert "0.2.1" in str(caught.value)
 
 
@@ -260,7 +259,7 @@ def test_slightly_negative_transmittance_is_masked_with_a_note(tmp_path):
     visible = WAVELENGTH < 700
     through = np.where(visible, -0.04, 0.4)
     path = table(tmp_path / "t.csv", {"wavelength": WAVELENGTH, "a_R": R, "a_T": through})
-    (needle,) = read_spectra(path)
+    (needle,) = read_spectra_file(path)
     assert np.isnan(needle.transmittance[visible]).all()
     np.testing.assert_array_equal(needle.transmittance[~visible], 0.4)
     np.testing.assert_array_equal(needle.reflectance, R)
@@ -271,18 +270,18 @@ def test_slightly_negative_transmittance_is_masked_with_a_note(tmp_path):
     ):
         table(path, {"wavelength": WAVELENGTH, "a_R": R, "a_T": wrong})
         with pytest.raises(InputError, match=message):
-            read_spectra(path)
+            read_spectra_file(path)
 
 
 def test_unknown_and_missing_files(tmp_path):
     (tmp_path / "a.bin").write_bytes(bytes(range(32)) * 10)
     with pytest.raises(InputError, match="unknown format"):
-        read_spectra(tmp_path / "a.bin")
+        read_spectra_file(tmp_path / "a.bin")
     (tmp_path / "a.txt").write_text("hello world\nnothing here\n")
     with pytest.raises(InputError, match="unknown format"):
-        read_spectra(tmp_path / "a.txt")
+        read_spectra_file(tmp_path / "a.txt")
     with pytest.raises(InputError, match="no such file"):
-        read_spectra(tmp_path / "gone.csv")
+        read_spectra_file(tmp_path / "gone.csv")
 
 
 def test_one_bad_spectrum_does_not_stop_its_file(tmp_path):
@@ -293,7 +292,7 @@ def test_one_bad_spectrum_does_not_stop_its_file(tmp_path):
     wide.insert(0, "id", ["fine", "void", "percent", "spike"])
     wide.to_csv(tmp_path / "wide.csv", index=False)
     with pytest.raises(InputError, match="only NaN"):
-        read_spectra(tmp_path / "wide.csv")
+        read_spectra_file(tmp_path / "wide.csv")
     summary = fit_leaf([tmp_path / "wide.csv"], tmp_path / "out")
     assert (summary.spectra, summary.converged_spectra) == (2, 2)
     assert [r.name for r in summary.refused] == ["void", "percent"]
@@ -311,7 +310,7 @@ def test_one_bad_spectrum_does_not_stop_its_file(tmp_path):
 def test_decimal_commas(tmp_path, sep):
     lines = "\n".join(f"{w:.1f}{sep}{r:.9f}".replace(".", ",") for w, r in zip(WAVELENGTH, R))
     (tmp_path / "a.csv").write_text(f"Wellenlänge nm{sep}Blatt\n" + lines, encoding="utf-8")
-    (spectrum,) = read_spectra(tmp_path / "a.csv")
+    (spectrum,) = read_spectra_file(tmp_path / "a.csv")
     np.testing.assert_allclose(spectrum.wavelength, WAVELENGTH)
     np.testing.assert_allclose(spectrum.reflectance, R, atol=1e-8)
 
@@ -319,7 +318,7 @@ def test_decimal_commas(tmp_path, sep):
 def test_text_as_a_spreadsheet_saves_it(tmp_path):
     lines = "\n".join(f"{w:.0f}\t{r:.9f}" for w, r in zip(WAVELENGTH, R))
     (tmp_path / "a.txt").write_text("wavelength\tleaf\n" + lines, encoding="utf-16")
-    (spectrum,) = read_spectra(tmp_path / "a.txt")
+    (spectrum,) = read_spectra_file(tmp_path / "a.txt")
     assert spectrum.name == "leaf"
     np.testing.assert_allclose(spectrum.reflectance, R, atol=1e-8)
 
@@ -400,8 +399,8 @@ def test_water_of_one_campaign_is_corrected(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("name,kind\na,x\n", "columns name and species"),
-        ("name,species\na,x\na,y\n", "named twice"),
+        ("name,kind\na,x\n", "expected a column 'species'"),
+        ("name,species\na,x\na,y\n", "'a' is there twice"),
         ("name,species\nother,x\n", "no species for 1 spectra"),
         ("", "table of names and species"),
     ],
@@ -544,18 +543,14 @@ def test_options_that_do_not_go_together(tmp_path, monkeypatch, options, message
 def test_every_table_states_its_area(tmp_path):
     """Contents of round leaves per half of the surface are 2 / pi of those per projected area."""
     assert area_factors("half_total", "broad") == area_factors("projected", "needle")
-    factors = area_factors("half_total", "culm")
-    fit = leaf.fit_leaf(WAVELENGTH, np.stack([R, 0.9 * R]))
-    names = ["a", "b"]
-    flat, round_ = (
-        traits_table(fit, names, names, *state) for state in ((), ("half_total", factors))
-    )
+    fit = leaf.fit_leaf(WAVELENGTH, np.stack([R, 0.9 * R]), leaf_shape="culm")
+    flat, round_ = fit.table(), fit.table("half_total")
     assert set(flat["area"]) == {"projected"}
     assert set(round_["area"]) == {"half_total"}
     for name in ("chlorophyll", "dry_matter_sd", "water_lower90"):
         np.testing.assert_allclose(round_[name], 2 / np.pi * flat[name])
     np.testing.assert_array_equal(round_["structure_sd"], flat["structure_sd"])
-    data = spectra_dataset(fit, names, names, {"area": "half_total"}, factors)
+    data = fit.to_xarray("half_total")
     np.testing.assert_allclose(data["carotenoids_sd"], round_["carotenoids_sd"])
     assert data.attrs["area"] == "half_total"
 
@@ -602,7 +597,7 @@ Wvl\tNorm. DN (Ref.)\tNorm. DN (Target)\tReflect. %
 
 def test_overlapping_detectors_of_svc_are_cut_in_the_middle(tmp_path):
     (tmp_path / "leaf.sig").write_text(SIG)
-    (spectrum,) = read_spectra(tmp_path / "leaf.sig")
+    (spectrum,) = read_spectra_file(tmp_path / "leaf.sig")
     np.testing.assert_allclose(spectrum.wavelength, [980.0, 990.0, 994.0, 1004.0])
     np.testing.assert_allclose(spectrum.reflectance, [0.40, 0.41, 0.42, 0.43])
     assert spectrum.meta["splices"] == [992.0]
@@ -611,14 +606,14 @@ def test_overlapping_detectors_of_svc_are_cut_in_the_middle(tmp_path):
 
 def test_spectral_evolution_gives_its_reflectance(tmp_path):
     (tmp_path / "leaf.sed").write_text(SED)
-    (spectrum,) = read_spectra(tmp_path / "leaf.sed")
+    (spectrum,) = read_spectra_file(tmp_path / "leaf.sed")
     np.testing.assert_allclose(spectrum.reflectance, [0.04, 0.05])
     (tmp_path / "leaf.sed").write_text(SED.replace("Reflect. %", "Rad. (Other)"))
     with pytest.raises(InputError, match="no column of reflectance"):
-        read_spectra(tmp_path / "leaf.sed")
+        read_spectra_file(tmp_path / "leaf.sed")
     (tmp_path / "short.sig").write_text(SIG.replace("  43.00", ""))
-    with pytest.raises(InputError, match=r"short\.sig, row 11: expected 4 columns"):
-        read_spectra(tmp_path / "short.sig")
+    with pytest.raises(InputError, match=r"short\.sig, row 11: expected 4 cells"):
+        read_spectra_file(tmp_path / "short.sig")
 
 
 def test_conversion_keeps_every_value_and_says_what_was_refused(tmp_path):
@@ -637,7 +632,7 @@ def test_conversion_keeps_every_value_and_says_what_was_refused(tmp_path):
     assert nc.reflectance.attrs["units"] == "1"
     assert nc.wavelength.attrs["standard_name"] == "radiation_wavelength"
     assert "HR-1024i" in nc.header.values[1]
-    again = read_spectra(tmp_path / "out" / "spectra.csv")
+    again = read_spectra_file(tmp_path / "out" / "spectra.csv")
     assert [s.name for s in again] == ["50pct shade", "leaf", "leaf_2", "oak R 3"]
     for spectrum, reflectance in zip(again, nc.reflectance.values, strict=True):
         np.testing.assert_allclose(spectrum.reflectance, reflectance, rtol=1e-6)

@@ -10,9 +10,8 @@ import pytest
 from fynjax import jobs
 from fynjax._core import parts
 from fynjax.cli import main
-from fynjax.io.spectra import _leaf_results
 from fynjax.jobs import _fit_leaf as job
-from fynjax.leaf import LeafChunks, LeafParameters, prospect
+from fynjax.leaf import LeafChunks, LeafParameters, _result, prospect
 
 LEAVES, PART = 10, 4
 
@@ -46,7 +45,7 @@ class Noon(datetime):
 def small_parts(monkeypatch):
     """Few leaves are a part."""
     monkeypatch.setattr(job, "_PART", PART)
-    monkeypatch.setattr(_leaf_results, "datetime", Noon)
+    monkeypatch.setattr(_result, "datetime", Noon)
 
 
 def contents(folder):

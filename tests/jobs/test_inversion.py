@@ -11,7 +11,6 @@ import xarray as xr
 from fynjax._core.errors import InputError
 from fynjax.assembly import build_plot, image_view, prepare
 from fynjax.inversion import PlotForward, local_sensitivity, search_form
-from fynjax.inversion import _sensitivity as samples
 from fynjax.io.plot import read_plot
 from fynjax.jobs._information import _limit_sentences, information, limit_table
 from fynjax.jobs._posterior import _headline, posterior
@@ -24,6 +23,7 @@ from fynjax.report.figures._posterior import (
     predictive_plot,
     tornado_plot,
 )
+from tests.heard import hearing
 from tests.small import write_plot
 
 MORE = """
@@ -125,13 +125,20 @@ def test_slopes_are_those_of_the_expectation_over_plantings(plot, tmp_path):
     assert "After 8 plantings" in result.status
 
 
-def test_slopes_are_the_same_for_a_seed(plot, tmp_path):
-    runs = [
-        sensitivity(plot, tmp_path, metrics=["nir.mean"], plantings=2, seed=seed)
-        for seed in (0, 0, 1)
-    ]
-    assert runs[0].slopes == runs[1].slopes
-    assert runs[0].slopes != runs[2].slopes
+def test_slopes_are_the_same_for_a_seed_also_after_an_interruption(plot, tmp_path):
+    kept = tmp_path / "kept"
+
+    def run(seed, checkpoint=None):
+        options = {"plantings": 3, "seed": seed, "checkpoint": checkpoint}
+        return sensitivity(plot, tmp_path, metrics=["nir.mean"], **options).slopes
+
+    with pytest.raises(KeyboardInterrupt), hearing(2):
+        run(0, kept)
+    with pytest.raises(InputError, match="of another run"):
+        run(1, kept)
+    whole = run(0)
+    assert run(0, kept) == whole
+    assert run(1) != whole
 
 
 def test_what_is_not_distinguished_from_zero_is_neither_named_nor_drawn_as_if():
@@ -165,31 +172,6 @@ def test_a_plot_tells_what_moves_its_metrics(plot, tmp_path):
     assert all(row["bound"] >= 0 for row in result.variance)
     with pytest.raises(InputError, match="a statistic must be"):
         sensitivity(plot, tmp_path, metrics=["nir.middle"], seed=0)
-
-
-@pytest.mark.slow
-def test_interrupted_samples_go_on_and_give_what_one_run_does(plot, tmp_path, monkeypatch):
-    options = {"metrics": ["nir.mean"], "derivative_samples": 16, "seed": 0}
-    kept, runs, real = tmp_path / "kept", [], samples._values
-
-    def interrupted(points, *shared):
-        runs.append(len(points))
-        if len(runs) == 2:
-            raise KeyboardInterrupt
-        return real(points, *shared)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(samples, "_values", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            sensitivity(plot, tmp_path / "again", checkpoint=kept, **options)
-        again = sensitivity(plot, tmp_path / "again", checkpoint=kept, **options)
-    assert runs == [8, 8, 8]
-    whole = sensitivity(plot, tmp_path / "whole", **options)
-    assert again.variance == whole.variance
-    for name in ("slopes.csv", "variance.csv"):
-        assert (tmp_path / "again" / name).read_text() == (tmp_path / "whole" / name).read_text()
-    with pytest.raises(InputError, match="of another run"):
-        sensitivity(plot, tmp_path / "other", checkpoint=kept, **options | {"seed": 1})
 
 
 @pytest.mark.study

@@ -185,34 +185,6 @@ def test_maps_lie_where_the_cube_lies_and_mask_what_is_unlike(trained, known, tm
         assert np.isfinite(file.read(1)).sum() == 11
 
 
-def test_an_interrupted_map_goes_on_and_is_that_of_one_run(trained, known, tmp_path, monkeypatch):
-    path = cube_of(tmp_path, known)
-    training = trained[0] / "out" / "training.nc"
-    monkeypatch.setattr(CubeBlocks, "rows_at_once", 1)
-    began, real = [], job._mapped
-
-    def mapped(part, *shared):
-        began.append(part)
-        if len(began) == 3:
-            raise KeyboardInterrupt
-        return real(part, *shared)
-
-    whole = jobs.map_cube(path, training, tmp_path / "whole", checkpoint=tmp_path / "other")
-    monkeypatch.setattr(job, "_mapped", mapped)
-    with pytest.raises(KeyboardInterrupt):
-        jobs.map_cube(path, training, tmp_path / "out", checkpoint=tmp_path / "work")
-    assert not (tmp_path / "out" / "maps.tif").exists()
-    again = jobs.map_cube(path, training, tmp_path / "out", checkpoint=tmp_path / "work")
-    assert began == [(0, 1), (1, 1), (2, 1), (2, 1)]
-    assert again.maps == whole.maps
-    with (
-        rasterio.open(tmp_path / "out" / "maps.tif") as one,
-        rasterio.open(tmp_path / "whole" / "maps.tif") as other,
-    ):
-        np.testing.assert_array_equal(one.read(), other.read())
-    assert not (tmp_path / "work").exists()
-
-
 def emit_of(folder, known, name, **changes):
     channels, bands, _ = known
     made = simulate_stands((7, 8, 9), bands, known[2], SETTINGS, 5)
@@ -257,6 +229,7 @@ def test_maps_of_emit_lie_on_the_grid_of_its_file(trained, known, tmp_path, monk
     given = {"checkpoint": tmp_path / "work", "keep_unlike": True, "zarr": True}
     with pytest.raises(KeyboardInterrupt):
         jobs.map_cube(path, training, tmp_path / "out", **given)
+    assert not (tmp_path / "out" / "maps.tif").exists()
     result = jobs.map_cube(path, training, tmp_path / "out", **given)
     assert began == [(0, 2), (2, 2), (2, 2), (4, 2)]
     maps, transform, crs, tags = maps_of(tmp_path / "out")
@@ -391,13 +364,29 @@ def quick_chains(monkeypatch):
 
 
 def test_full_posteriors_of_chosen_pixels_stand_beside_the_map(
-    trained, known, tmp_path, quick_chains
+    trained, known, tmp_path, quick_chains, monkeypatch
 ):
+    """Of a run that was interrupted in the second of four chains; draws of a pixel are its own,
+    whatever others are asked for."""
     path, training = cube_of(tmp_path, known), trained[0] / "out" / "training.nc"
-    result = jobs.map_cube(
-        path, training, tmp_path / "out", pixels=[(3, 2), (1, 1)], pixel_steps=120,
-        checkpoint=tmp_path / "work",
-    )  # fmt: skip
+    real = _map_pixels.sample_pixel
+
+    def interrupted(*given, **how):
+        if len(quick_chains) == 1:
+            raise KeyboardInterrupt
+        return real(*given, **how)
+
+    def run(output, pixels):
+        return jobs.map_cube(
+            path, training, tmp_path / output, pixels=pixels, pixel_steps=120,
+            checkpoint=tmp_path / "work",
+        )  # fmt: skip
+
+    with monkeypatch.context() as patch:
+        patch.setattr(_map_pixels, "sample_pixel", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run("out", [(3, 2), (1, 1)])
+    result = run("out", [(3, 2), (1, 1)])
     with rasterio.open(path.with_suffix(".dat")) as file:
         cube = file.read()
     assert len(quick_chains) == 4  # two ensembles of each
@@ -434,43 +423,8 @@ def test_full_posteriors_of_chosen_pixels_stand_beside_the_map(
     assert len((tmp_path / "out" / "pixels.csv").read_text().splitlines()) == 1 + 2 * 8
     assert "row 3, column 2" in (tmp_path / "out" / "report.html").read_text()
     assert not (tmp_path / "work").exists()
-
-
-def test_an_interrupted_posterior_of_a_pixel_goes_on(
-    trained, known, tmp_path, quick_chains, monkeypatch
-):
-    path, training = cube_of(tmp_path, known), trained[0] / "out" / "training.nc"
-    real = _map_pixels.sample_pixel
-
-    def interrupted(*given, **how):
-        if len(quick_chains) == 1:
-            raise KeyboardInterrupt
-        return real(*given, **how)
-
-    def run(output, checkpoint):
-        return jobs.map_cube(
-            path, training, tmp_path / output, pixels=[(3, 2)], checkpoint=tmp_path / checkpoint
-        )
-
-    whole = run("whole", "other")
-    quick_chains.clear()
-    monkeypatch.setattr(_map_pixels, "sample_pixel", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        run("out", "work")
-    monkeypatch.setattr(_map_pixels, "sample_pixel", real)
-    again = run("out", "work")
-    assert len(quick_chains) == 2
-    assert again.posteriors == whole.posteriors
-    # Draws of a pixel are its own, whatever others are asked for.
-    both = jobs.map_cube(
-        path, training, tmp_path / "both", pixels=[(1, 1), (3, 2), (1, 1)],
-        checkpoint=tmp_path / "work",
-    )  # fmt: skip
-    assert [(one.row, one.column) for one in both.posteriors] == [(1, 1), (3, 2)]
-    for one, other in zip(
-        both.posteriors[1].quantities, whole.posteriors[0].quantities, strict=True
-    ):
-        assert (one.mean, one.q05, one.q95) == (other.mean, other.q05, other.q95)
+    (alone,) = run("alone", [(3, 2), (3, 2)]).posteriors
+    assert alone == first
 
 
 def test_a_pixel_that_did_not_converge_is_said_first(trained, known, tmp_path, monkeypatch):

@@ -11,7 +11,7 @@ import typer
 from typer.testing import CliRunner
 
 from fynjax._core.errors import InputError
-from fynjax.cli._reflectance import reflectance
+from fynjax.cli._sensors import reflectance
 from fynjax.io.raster import read_cube
 from tests.helpers import assert_valid_summary
 from tests.io.rededge_files import BANDS, IRRADIANCE, lit, panel_scene, write_rededge
@@ -135,8 +135,8 @@ def test_what_is_refused(flight: Path, tmp_path: Path) -> None:
         ((*PANEL, "--panel-area", "1,2 3"), "corners"),
         ((*PANEL, "--panel", "IMG_0001", "--panel-area", "1,2 3,4 5,1"), "--panel-area"),
         ((*PANEL, "--height", "50", "--pixel", "0.1"), "both"),
-        ((*PANEL, "--pixel", "0"), "`pixel`"),
-        ((*PANEL, "--panel-sd", "5"), "`panel_sd`"),
+        ((*PANEL, "--pixel", "0"), "`--pixel`"),
+        ((*PANEL, "--panel-sd", "5"), "`--panel-sd`"),
         (("--panel", "IMG_0009"), r"'IMG_0009'\. Did you mean 'IMG_000"),
         (("--light", "panel"), "--panel IMG_0000"),
         (("--panel", "IMG_0000"), "pictures do not state it"),

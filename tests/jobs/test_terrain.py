@@ -10,7 +10,7 @@ from rasterio import Affine
 from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
-from fynjax.cli._terrain import terrain as command
+from fynjax.cli._plot import terrain as command
 from fynjax.jobs import terrain
 from fynjax.report.figures._terrain import hillshade
 from fynjax.terrain import Terrain, read_terrain, write_terrain

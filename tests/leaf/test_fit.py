@@ -11,7 +11,6 @@ from scipy.optimize import least_squares
 from scipy.stats import multivariate_normal, multivariate_t
 
 from fynjax import jobs
-from fynjax.io.spectra import prior_decides
 from fynjax.leaf import (
     IntegratingSphere,
     LeafClip,
@@ -378,9 +377,9 @@ def test_it_is_said_where_the_prior_decides_and_where_traits_are_unusual():
     """An instrument that ends at 1000 nm says little of water and dry matter."""
     _, r, t = leaves(8, seed=6)
     fit = fit_leaf(GRID, r, t)
-    assert prior_decides(fit) == [""] * 8
+    assert fit.table()["prior_decides"].tolist() == [""] * 8
     cut = fit_leaf(GRID, np.where(GRID < 1000, r, np.nan))
-    assert prior_decides(cut) == ["water, dry_matter"] * 8
+    assert cut.table()["prior_decides"].tolist() == ["water, dry_matter"] * 8
     odd = prospect(LeafParameters(water=0.19, dry_matter=0.002, chlorophyll=3.0, structure=1.2))
     many = [np.tile(np.asarray(part), (8, 1)) for part in (odd.reflectance, odd.transmittance)]
     assert set(fit_leaf(GRID, *many).reason.tolist()) == {LeafStatus.unusual}

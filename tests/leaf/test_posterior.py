@@ -46,15 +46,15 @@ def test_the_two_samplers_agree():
     """Ensemble and Hamiltonian draws share nothing but the density."""
     pytest.importorskip("blackjax", reason="the extra `nuts` is not installed")
     posteriors = [
-        sample_leaf_posterior(GRID, R, T, draws=20_000, target=5000.0, sampler=name)
+        sample_leaf_posterior(GRID, R, T, draws=6000, target=1500.0, sampler=name)
         for name in ("emcee", "nuts")
     ]
     assert [p.status.tolist() for p in posteriors] == [["converged"]] * 2
     for i in range(len(posteriors[0].names)):
         emcee, nuts = (f.samples[0, :, i] for f in posteriors)
-        # Two means of 5000 effective draws differ by 0.02 sd.
-        assert abs(emcee.mean() - nuts.mean()) < 0.1 * emcee.std()
-        assert 0.93 < nuts.std() / emcee.std() < 1.07
+        # Two means of 1500 effective draws differ by 0.04 sd.
+        assert abs(emcee.mean() - nuts.mean()) < 0.14 * emcee.std()
+        assert 0.9 < nuts.std() / emcee.std() < 1.1
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.legend import Legend
 
 from fynjax.canopy import Organ
+from fynjax.leaf import LeafOverBackground, fit_leaf, prospect
 from fynjax.report.figures import (
     composites,
     constraint_plot,
@@ -225,18 +226,19 @@ def test_one_false_return_high_above_does_not_leave_a_cloud_s_figure_empty():
 @pytest.mark.parametrize("leaves", [1, 2, 5])
 @pytest.mark.parametrize("estimated", [(), ("gap_fraction",)])
 def test_the_legend_of_leaves_is_whole(leaves, estimated):
-    grid = np.arange(400.0, 2500.0, 10.0)
-    spectra = np.full((leaves, 2, grid.size), 0.3)
-    fit = SimpleNamespace(
-        status=["converged"] * leaves,
-        estimated=estimated,
-        wavelength=grid,
-        transmittance=spectra[:, 1],
-        transmittance_deviation=0.1 * spectra[:, 1],
-        fitted=spectra,
-        measured=spectra,
-    )
-    assert_titles_and_legends_lie_inside(leaf_fit_figure(fit, [f"leaf_{i}" for i in range(leaves)]))
+    gap = None if estimated else 0.0
+    measurement = LeafOverBackground(gap_fraction=gap)
+    r, t = prospect(chlorophyll=np.linspace(20.0, 60.0, leaves))
+    fit = fit_leaf(range(400, 2501), r, t, measurement=measurement)
+    assert fit.estimated == estimated
+    figure = leaf_fit_figure(fit)
+    assert_titles_and_legends_lie_inside(figure)
+    assert ("1 - T of model, with gaps" in shown_labels(figure)) == bool(estimated)
+
+
+def shown_labels(figure):
+    """Texts of a figure's legends."""
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
 def test_numbers_below_a_slender_plant_do_not_overlap():

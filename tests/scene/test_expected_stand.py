@@ -102,17 +102,26 @@ def test_every_sensor_sees_the_same_whole_plants(plot) -> None:
     np.testing.assert_allclose(*waves, rtol=1e-6, atol=1e-12)
 
 
-def test_the_slope_is_that_of_plants_that_fade(plot) -> None:
+@pytest.fixture(scope="module")
+def image(plot):
+    """A camera, and a function of its image with its derivatives: the mean of weighted pixels, and
+    a share of the mean NDVI."""
+    camera = drone(plot, dataclasses.replace(EXACT, tolerance=1e-3), pixel=0.05)
+
+    def figure(x: jax.Array, scene, weight: jax.Array, share: float) -> jax.Array:
+        seen = camera.observe(scene, scaled(x)).reflectance
+        _, red, _, nir = seen
+        return (weight * seen).mean() + share * ((nir - red) / (nir + red)).mean()
+
+    return camera, eqx.filter_jit(jax.value_and_grad(figure))
+
+
+def test_the_slope_is_that_of_plants_that_fade(plot, image) -> None:
     """Of each pixel relative to the mean of both images; and the value is that of whole plants."""
-    parameters, camera = small_parameters(), drone(plot)
-
-    def mean(x: jax.Array, scene, weight: jax.Array) -> jax.Array:
-        return (weight * camera.observe(scene, scaled(x)).reflectance).mean()
-
-    none, both = jnp.zeros(len(KINDS)), eqx.filter_jit(jax.value_and_grad(mean))
+    (camera, figure), parameters, none = image, small_parameters(), jnp.zeros(len(KINDS))
     whole, fades = (reflectance(camera, s, parameters) for s in (plot, plot.faded()))
-    value, slope = both(none, plot, jnp.ones_like(whole))
-    _, same = both(none, plot.faded(), 2.0 * whole / (whole + fades))
+    value, slope = figure(none, plot, jnp.ones_like(whole), jnp.zeros(()))
+    _, same = figure(none, plot.faded(), 2.0 * whole / (whole + fades), jnp.zeros(()))
     assert float(value) == pytest.approx(float(whole.mean()), rel=1e-9)
     assert np.abs(whole / fades - 1.0).max() > 0.05
     np.testing.assert_allclose(slope, same, rtol=1e-9)
@@ -170,9 +179,8 @@ def test_without_a_slope_the_scene_is_seen_once(plot) -> None:
     assert len(seen) == 3
 
 
-def over_plantings(plot, function, plantings=PLANTINGS):
+def over_plantings(plot, value, slope, plantings=PLANTINGS):
     """Over plantings: a function's values, derivatives by differences, and the slopes taken."""
-    value, slope = eqx.filter_jit(function), eqx.filter_jit(jax.grad(function))
     steps = np.array([0.28, 0.28, 0.1, 0.1])
     values, differences, slopes = [], [], []
     for seed in range(plantings):
@@ -186,7 +194,8 @@ def over_plantings(plot, function, plantings=PLANTINGS):
 
 @pytest.fixture(scope="module")
 def expectation(plot):
-    return over_plantings(plot, lambda x, scene: scene.gap_fraction(scaled(x)))
+    gap = lambda x, scene: scene.gap_fraction(scaled(x))  # noqa: E731
+    return over_plantings(plot, eqx.filter_jit(gap), eqx.filter_jit(jax.grad(gap)))
 
 
 @pytest.mark.parametrize("power", [1.0, 2.5])
@@ -203,16 +212,20 @@ def test_ratios_within_a_pixel_have_the_slope_of_their_mean(power: float) -> Non
 
 
 @pytest.mark.slow
-def test_an_index_has_the_slope_of_its_mean_over_plantings(plot) -> None:
+def test_an_index_has_the_slope_of_its_mean_over_plantings(plot, image) -> None:
     """The mean NDVI of the drone's pixels: a ratio within each pixel, so that bright and dark ones
     count as they are."""
-    camera = drone(plot, dataclasses.replace(EXACT, tolerance=1e-3), pixel=0.05)
+    camera, figure = image
+    none = jnp.zeros_like(reflectance(camera, plot, small_parameters()))
 
+    @eqx.filter_jit
     def ndvi(x: jax.Array, scene) -> jax.Array:
         _, red, _, nir = camera.observe(scene, scaled(x)).reflectance
         return ((nir - red) / (nir + red)).mean()
 
-    _, differences, slopes = over_plantings(plot, ndvi, 48)
+    _, differences, slopes = over_plantings(
+        plot, ndvi, lambda x, scene: figure(x, scene, none, jnp.ones(()))[1], 48
+    )
     for i, kind in enumerate(KINDS):
         error = np.hypot(*(x[:, i].std() / np.sqrt(48) for x in (slopes, differences)))
         off = slopes[:, i].mean() - differences[:, i].mean()

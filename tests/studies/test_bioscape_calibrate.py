@@ -1,4 +1,4 @@
-"""`fynjax calibrate-plots`: estimates of a plot, by hand; and a plot that comes back."""
+"""`fynjax bioscape calibrate`: estimates of a plot, by hand; and a plot that comes back."""
 
 from dataclasses import replace
 from pathlib import Path

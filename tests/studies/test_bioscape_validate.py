@@ -1,4 +1,4 @@
-"""`fynjax validate-plots` from tables to a report, and plots that share one shape."""
+"""`fynjax bioscape validate` from tables to a report, and plots that share one shape."""
 
 import json
 from dataclasses import replace
@@ -133,7 +133,7 @@ def test_without_measured_spectra_plots_are_simulated_and_it_is_said(
 ) -> None:
     write_tables(tmp_path / "tables", measured=False)
     with pytest.raises(SystemExit) as ended:
-        main(["validate-plots", str(tmp_path / "tables"), "--output", str(tmp_path / "out"),
+        main(["bioscape", "validate", str(tmp_path / "tables"), "--output", str(tmp_path / "out"),
               "--size", "2", "--voxel", "0.25", "--plot", "B2", "--json"])  # fmt: skip
     assert ended.value.code == 0
     summary = json.loads(capsys.readouterr().out)
@@ -151,7 +151,7 @@ def test_missing_tables_and_bad_options_end_with_one_line(
         ([str(tmp_path), "--voxel", "0.3"], "--voxel"),
     ):
         with pytest.raises(SystemExit) as ended:
-            main(["validate-plots", *arguments, "--output", str(tmp_path / "out")])
+            main(["bioscape", "validate", *arguments, "--output", str(tmp_path / "out")])
         assert ended.value.code == 2
         error = capsys.readouterr().err
         assert told in error

@@ -1,4 +1,4 @@
-"""`fynjax learn`: a population comes back from the spectra of its plots, by a linear model."""
+"""`fynjax bioscape learn`: a population comes back from the spectra of its plots."""
 
 import json
 from pathlib import Path

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from fynjax._core.errors import InputError
-from fynjax._core.text_columns import TextTable, name_and_unit, open_text_table, places_of
+from fynjax._core.tables import TextTable, name_and_unit, open_points, places_of
 from fynjax.canopy._elements import split_elements
 from fynjax.canopy._plant import Organ
 from fynjax.canopy.mesh._facets import draw_evenly
@@ -241,29 +241,31 @@ def _ply_columns(file: str) -> dict[str, np.ndarray]:
 
 
 def _text_columns(file: str) -> dict[str, np.ndarray]:
-    table = open_text_table(file, "a scanned plant")
-    names = table.names
-    if names is None:
+    table = open_points(file, "a scanned plant", _COLUMNS[:3])
+    if not table.headed:
         if table.width > len(_COLUMNS) + 1:
             raise InputError(
                 f"a scanned plant of {table.width} columns must name them in a header (x, y, z, "
                 "nx, ny, nz and, if wanted, organ), but has none",
                 file=file,
             )
-        names = (*_COLUMNS, "organ")[: table.width]
-    places = places_of(names, _ALIASES)
+        table.names = (*_COLUMNS, "organ")[: table.width]
+    places = places_of(table.names, _ALIASES, file=file, row=table.row)
     for axis in set(_COLUMNS[:3]) & set(places):
-        unit = name_and_unit(names[places[axis]])[1]
+        name = table.names[places[axis]]
+        unit = name_and_unit(name)[1]
         if unit not in ("", "m", "metre", "metres", "meter", "meters"):
             raise InputError(
                 f"expected metres, but the header says {unit!r}. Convert the coordinates.",
                 file=file,
                 row=table.row,
-                column=names[places[axis]],
+                column=name,
             )
-    columns = table.columns(places, words=("organ",))
-    if "organ" in columns:
-        columns["organ"] = _organ_column(table, columns["organ"])
+    organ = places.pop("organ", None)
+    frame = table.columns(list(places.values()), () if organ is None else (organ,))
+    columns = {name: frame[place].to_numpy() for name, place in places.items()}
+    if organ is not None:
+        columns["organ"] = _organ_column(table, frame[organ].to_numpy(str))
     return columns
 
 

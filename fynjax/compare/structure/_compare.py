@@ -1,7 +1,7 @@
 """Two clouds in, their structure compared at one density of returns."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,6 +40,7 @@ def compare_clouds(
     *,
     settings: ComparisonSettings | None = None,
     seed: int = 0,
+    checked: Callable[[], None] = lambda: None,
 ) -> StructureComparison:
     """Compare the structure of a real and a simulated cloud as the paper does in figure 13.
 
@@ -56,6 +57,8 @@ def compare_clouds(
       filtered, and returns far below its ground are left out as noise and counted.
     - `settings`: of reading, cells, thinning and bootstrap; those of the paper if not given.
     - `seed`: of thinnings and bootstrap.
+    - `checked`: called when both clouds are read and have a ground and a grain, before the denser
+      is thinned.
 
     **Returns:** a `StructureComparison`.
 
@@ -85,6 +88,7 @@ def compare_clouds(
     with stage("Choose the grain"):
         grid, grains = choose_cells(heights[sparser], bounds, slack, settings)
         binned = [binned_returns(part, grid, settings.structure) for part in heights]
+    checked()
     target = min(len(part) for part in binned)
     denser = int(len(binned[1]) > len(binned[0]))
     thinned = "neither" if len(binned[0]) == len(binned[1]) else ("real", "simulated")[denser]

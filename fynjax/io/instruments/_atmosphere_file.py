@@ -10,7 +10,7 @@ import xarray as xr
 from fynjax._core.errors import InputError, listed
 from fynjax._core.spectral import check_wavelength
 from fynjax.io.raster import check_netcdf
-from fynjax.io.text import did_you_mean, existing_file, split_lines
+from fynjax.io.text import did_you_mean, existing_file, open_table
 from fynjax.sensors.air import Atmosphere
 
 _KINDS = {
@@ -88,7 +88,7 @@ def read_atmosphere(path: str | Path) -> Atmosphere:
     if suffix in (".nc", ".nc4", ".cdf"):
         columns, rows = _from_netcdf(path)
     else:
-        columns, rows = _from_csv(path)
+        columns, rows = _from_table(path)
     parts = [name for name in _APART if name in columns]
     if parts and _TOTAL in columns:
         raise InputError(
@@ -124,43 +124,18 @@ def read_atmosphere(path: str | Path) -> Atmosphere:
     return Atmosphere(tuple(wavelength), **{k: jnp.asarray(v) for k, v in curves.items()})
 
 
-def _from_csv(path: Path) -> tuple[dict[str, tuple[str | None, np.ndarray]], list[int]]:
-    header: list[str] | None = None
-    rows: list[int] = []
-    cells: list[list[float]] = []
-    for number, row in split_lines(path):
-        if header is None:
-            header = row
-            continue
-        if len(row) != len(header):
-            raise InputError(
-                f"expected {len(header)} cells as in the header, but this row has {len(row)}",
-                file=path,
-                row=number,
-            )
-        cells.append([_number(c, path, number, name) for c, name in zip(row, header, strict=True)])
-        rows.append(number)
-    if header is None or not cells:
-        raise InputError("expected a header and rows of curves, but there are none", file=path)
-    values = np.array(cells)
+def _from_table(path: Path) -> tuple[dict[str, tuple[str | None, np.ndarray]], list[int]]:
+    table = open_table(path, "an atmosphere")
+    values = table.columns(range(table.width)).to_numpy()
     columns: dict[str, tuple[str | None, np.ndarray]] = {}
-    for index, label in enumerate(header):
+    for index, label in enumerate(table.names):
         match = _HEADER.match(label)
         name, unit = (match[1], match[2]) if match else (label, None)
         name = name.lower().replace(" ", "_")
         if name in columns:
-            raise InputError("this column is there twice", file=path, row=1, column=label)
+            raise InputError("this column is there twice", file=path, row=table.row, column=label)
         columns[name] = (unit, values[:, index])
-    return columns, rows
-
-
-def _number(cell: str, path: Path, row: int, column: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        raise InputError(
-            f"expected a number, but found {cell!r}", file=path, row=row, column=column
-        ) from None
+    return columns, [row for row, _ in table.rows()]
 
 
 def _from_netcdf(path: Path) -> tuple[dict[str, tuple[str | None, np.ndarray]], list[int]]:

@@ -1,4 +1,4 @@
-"""Prior files: what plots share, and how they vary, learned from many plots (`fynjax learn`)."""
+"""Prior files: what plots share, and how they vary, as `fynjax bioscape learn` finds it."""
 
 import math
 import warnings
@@ -408,7 +408,7 @@ def write_prior(path: Path, file: PriorFile) -> None:
         return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
     lines = [
-        "# Population of plots, as `fynjax learn` writes it and `--prior` takes it.",
+        "# Population of plots, as `fynjax bioscape learn` writes it and `--prior` takes it.",
         f"title = {text(file.title)}",
         f"licence = {text(file.licence)}",
         "sources = [", *(f"    {text(s)}," for s in file.sources), "]",

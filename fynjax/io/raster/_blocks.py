@@ -3,9 +3,7 @@
 import json
 import math
 import os
-import re
 import shutil
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -20,15 +18,15 @@ import xarray as xr
 from jaxtyping import Bool, Float
 from rasterio import Affine
 from rasterio.crs import CRS
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from fynjax._core.errors import InputError, listed
 from fynjax._core.extras import require
-from fynjax.io.raster._crs import parse_crs
+from fynjax.io.raster._crs import geotransform, parse_crs
 from fynjax.io.raster._lookup import lookup_table
 from fynjax.io.raster._netcdf import CONVENTIONS, check_netcdf, with_history
-from fynjax.io.raster._reader import RasterFile, open_raster
+from fynjax.io.raster._reader import RasterFile, open_raster, wherever
 from fynjax.io.raster._writer import LOCAL_FRAME
 from fynjax.io.spectra import in_nanometres
 from fynjax.io.text import atomic_path
@@ -259,44 +257,40 @@ def _place(path: Path, data: xr.Dataset, values: xr.DataArray) -> tuple[str | No
     if wkt is None:
         return wkt, Affine.identity()
     if x not in values.coords or y not in values.coords:
-        return wkt, _geotransform(data[mapping].attrs.get("GeoTransform"), path)
+        return wkt, geotransform(data[mapping].attrs.get("GeoTransform"), "GeoTransform", path)
     xs, ys = np.asarray(values[x], float), np.asarray(values[y], float)
     pixel = float(values.attrs.get("pixel_m", abs(xs[1] - xs[0]) if len(xs) > 1 else 1.0))
     return wkt, Affine(pixel, 0.0, xs.min() - pixel / 2, 0.0, -pixel, ys.max() + pixel / 2)
 
 
-def _geotransform(numbers: Any, path: Path) -> Affine:
-    """The affine transform of GDAL's six numbers, as text or an array; the identity of none."""
-    if numbers is None or (isinstance(numbers, str) and not numbers.strip()):
-        return Affine.identity()
-    text = re.split(r"[\s,]+", numbers.strip()) if isinstance(numbers, str) else np.ravel(numbers)
-    try:
-        transform = Affine.from_gdal(*(float(number) for number in text))
-        sound = np.isfinite(transform.to_gdal()).all() and transform.determinant != 0.0
-    except (TypeError, ValueError):
-        sound = False
-    if not sound:
-        raise InputError(
-            "expected as GeoTransform six numbers that place a grid, but got "
-            f"{listed(str(number) for number in text)}",
-            file=path,
-        )
-    return transform
-
-
-def grid_axes(transform: Affine, crs: str | None) -> dict[str, dict[str, str]]:
-    """CF attributes of the coordinates `y` and `x` of the middles of pixels."""
+def grid_coordinates(
+    transform: Affine, crs: str | None, shape: tuple[int, int], rows: int
+) -> tuple[tuple[str, str], dict[str, Any]]:
+    """Dimensions of a grid, and its coordinates `y` and `x` of the middles of pixels with their CF
+    attributes. A grid that is turned has two numbers a pixel, over row and column: dask makes them
+    by blocks of `rows` when they are asked for.
+    """
     if transform.is_identity:
         axes = {"y": ("", "1"), "x": ("", "1")}
     elif crs and CRS.from_user_input(crs).is_geographic:
         axes = {"y": ("latitude", "degrees_north"), "x": ("longitude", "degrees_east")}
     else:
         axes = {a: (f"projection_{a}_coordinate", "m") for a in "yx"}
-    return {
-        axis: {"units": unit, "long_name": f"{axis} of the middles of pixels"}
-        | ({"standard_name": standard} if standard else {})
-        for axis, (standard, unit) in axes.items()
-    }
+    row, column = (np.arange(count) + 0.5 for count in shape)
+    y, x = transform.e * row + transform.f, transform.a * column + transform.c
+    turned = transform.b != 0.0 or transform.d != 0.0
+    if turned:
+        array: Any = require("dask.array", "map", "dask")
+        y = transform.d * column[None, :] + array.from_array(y[:, None], chunks=rows)
+        x = x[None, :] + transform.b * array.from_array(row[:, None], chunks=rows)
+    dims = ("row", "column") if turned else ("y", "x")
+    coordinates = {}
+    for axis, values in (("y", y), ("x", x)):
+        standard, unit = axes[axis]
+        named = {"standard_name": standard} if standard else {}
+        attributes = {"units": unit, "long_name": f"{axis} of the middles of pixels", **named}
+        coordinates[axis] = (dims if turned else axis, values, attributes)
+    return dims, coordinates
 
 
 class MapWriter:
@@ -365,10 +359,8 @@ class MapWriter:
             "interleave": "band",
             "bigtiff": "if_safer",
         }
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path, "w", **profile):
-                pass
+        with wherever(), rasterio.open(path, "w", **profile):
+            pass
 
     def _keep(self, signature: str) -> None:
         state = {
@@ -391,10 +383,8 @@ class MapWriter:
         """Write a block whose first row is `start`; `damaged` where the cube has no data there
         because it could not be read."""
         _, rows, columns = values.shape
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(self._file, "r+") as file:
-                file.write(values.astype(np.float32), window=Window(0, start, columns, rows))
+        with wherever(), rasterio.open(self._file, "r+") as file:
+            file.write(values.astype(np.float32), window=Window(0, start, columns, rows))
         self.done[block] = True
         if damaged:
             self.damaged.add(block)
@@ -406,18 +396,19 @@ class MapWriter:
         if self._table is None:
             return self._file
         self._begin(self._on_map, self._table.shape, self._table.transform, self._table.crs)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)  # a swath is not
-            with rasterio.open(self._file) as swath, rasterio.open(self._on_map, "r+") as onto:
-                self._table.place(swath, onto)
+        with (
+            wherever(),
+            rasterio.open(self._file) as swath,
+            rasterio.open(self._on_map, "r+") as onto,
+        ):
+            self._table.place(swath, onto)
         return self._on_map
 
     def finish(self, path: Path, tags: Mapping[str, Any]) -> None:
         """Write all of it as a cloud-optimised GeoTIFF, whole or not at all. Raises `InputError`
         where the lookup table of a swath cannot be read."""
         placed = self._placed
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with wherever():
             with rasterio.open(placed, "r+") as file:
                 file.descriptions = tuple(name for name, _ in self._bands)
                 file.units = tuple(unit for _, unit in self._bands)
@@ -430,69 +421,42 @@ class MapWriter:
 
     def finish_zarr(self, path: Path, tags: Mapping[str, Any], names: Mapping[str, str]) -> None:
         """Write all of it as a zarr group of one array a map, whole or not at all. `names` are the
-        long names of the maps. Raises `MissingExtraError` without zarr, and as `finish`."""
-        zarr: Any = require("zarr", "map")
-        partial = path.with_name(f"{path.name}.partial")
-        shutil.rmtree(partial, ignore_errors=True)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            file = rasterio.open(self._placed)
-        with file:
-            rows, columns = file.shape
-            there = file.transform
-            crs = self._like.crs if self._table is None else self._table.crs
-            axes = grid_axes(there, crs)
-            group = zarr.open_group(partial, mode="w")
-            group.attrs.update({"Conventions": CONVENTIONS, **with_history(tags)})
-            reference = group.create_array("crs", shape=(), dtype="int32")
-            reference.attrs.update(
-                {"long_name": "coordinate reference system", "crs_wkt": crs or LOCAL_FRAME}
-            )
-            turned = there.b != 0.0 or there.d != 0.0
-            # No number belongs to a row or a column of a turned grid: each pixel has its own two.
-            dims = ("row", "column") if turned else ("y", "x")
-            chunks = (min(_INNER, rows), min(_INNER, columns))
-            if turned:
-                reference.attrs["GeoTransform"] = " ".join(map(repr, there.to_gdal()))
-            for axis, number in (("y", 1), ("x", 0)):
-                along = dims if turned else (axis,)
-                sizes = dict(zip(dims, file.shape, strict=True))
-                coordinate = group.create_array(
-                    axis, shape=tuple(sizes[d] for d in along), dtype="float64",
-                    dimension_names=along, chunks=chunks if turned else "auto",
-                )  # fmt: skip
-                coordinate.attrs.update(axes[axis])
-                if not turned:
-                    middle = np.arange(sizes[axis]) + 0.5
-                    coordinate[:] = (there @ (middle, middle))[number]
-                    continue
-                for row in range(0, rows, _INNER):
-                    part = np.arange(row, min(row + _INNER, rows))[:, None] + 0.5
-                    place = there @ (np.arange(columns)[None] + 0.5, part)
-                    coordinate[row : row + len(part)] = place[number]
-            for i, (name, unit) in enumerate(self._bands, start=1):
-                values = group.create_array(
-                    name, shape=(rows, columns), dtype="float32", dimension_names=dims,
-                    chunks=chunks, fill_value=float("nan"),
-                )  # fmt: skip
-                values.attrs.update(
-                    {"units": unit, "long_name": names[name], "grid_mapping": "crs"}
-                )
-                if turned:
-                    values.attrs["coordinates"] = "y x"
-                for row in range(0, rows, _INNER):
-                    some = min(_INNER, rows - row)
-                    values[row : row + some] = file.read(i, window=Window(0, row, columns, some))
+        long names of the maps. Raises `MissingExtraError` without zarr, dask or rioxarray, and as
+        `finish`."""
+        require("zarr", "map")
+        require("dask", "map")
+        rioxarray: Any = require("rioxarray", "map")
+        grid: Any = self._like if self._table is None else self._table
+        blocks = {"band": 1, "y": _INNER, "x": _INNER}
+        with (
+            wherever(),
+            rioxarray.open_rasterio(self._placed, chunks=blocks, parse_coordinates=False) as maps,
+        ):
+            shape = maps.shape[1:]
+            dims, coordinates = grid_coordinates(grid.transform, grid.crs, shape, _INNER)
+            reference = {"crs_wkt": grid.crs or LOCAL_FRAME}
+            if dims == ("row", "column"):
+                reference["GeoTransform"] = " ".join(map(repr, grid.transform.to_gdal()))
+            data = xr.Dataset(coords=coordinates, attrs={"Conventions": CONVENTIONS})
+            data = data.assign_attrs(with_history(tags))
+            data["crs"] = (), np.int32(0), {"long_name": "coordinate reference system", **reference}
+            for values, (name, unit) in zip(maps.data, self._bands, strict=True):
+                described = {"units": unit, "long_name": names[name], "grid_mapping": "crs"}
+                data[name] = dims, values, described
+            chunks = tuple(min(_INNER, count) for count in shape)
+            encoding: dict[Any, Any] = {axis: {"_FillValue": None} for axis in ("y", "x")}
+            encoding |= {name: {"chunks": chunks} for name, _ in self._bands}
+            partial = path.with_name(f"{path.name}.partial")
+            shutil.rmtree(partial, ignore_errors=True)
+            data.to_zarr(partial, mode="w", consolidated=False, encoding=encoding)
         shutil.rmtree(path, ignore_errors=True)
         os.replace(partial, path)
 
     def read(self, step: int = 1) -> Float[np.ndarray, "band row column"]:
         """All bands, every `step`-th row and column; of a swath on the swath."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(self._file) as file:
-                size = (math.ceil(file.height / step), math.ceil(file.width / step))
-                return np.asarray(file.read(out_shape=(file.count, *size)))
+        with wherever(), rasterio.open(self._file) as file:
+            size = (math.ceil(file.height / step), math.ceil(file.width / step))
+            return np.asarray(file.read(out_shape=(file.count, *size)))
 
     def forget(self) -> None:
         """Remove what was in the making."""

@@ -2,13 +2,16 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pyproj
 import rasterio
+from rasterio import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, listed
 
 UNITS: dict[str, float] = {
     "metre": 1.0,
@@ -112,3 +115,26 @@ def check_metric(
             f"{_unit_name(factor)}. State the height unit ({_unit_name(factor)}).",
             file=file,
         )
+
+
+def geotransform(numbers: Any, name: str, file: Path) -> Affine:
+    """The affine transform of GDAL's six numbers, as text or an array; the identity of none.
+
+    **Raises:** `InputError` for other than six finite numbers, and a grid that has no area; `name`
+    is what the file calls them.
+    """
+    if numbers is None or (isinstance(numbers, str) and not numbers.strip()):
+        return Affine.identity()
+    text = re.split(r"[\s,]+", numbers.strip()) if isinstance(numbers, str) else np.ravel(numbers)
+    try:
+        transform = Affine.from_gdal(*(float(number) for number in text))
+        sound = np.isfinite(transform.to_gdal()).all() and transform.determinant != 0.0
+    except (TypeError, ValueError):
+        sound = False
+    if not sound:
+        raise InputError(
+            f"expected as {name} six numbers that place a grid, but got "
+            f"{listed(str(number) for number in text)}",
+            file=file,
+        )
+    return transform

@@ -9,7 +9,7 @@ import xarray as xr
 
 from fynjax._core.errors import InputError
 from fynjax._core.extras import require
-from fynjax.io.raster._blocks import grid_axes, open_blocks
+from fynjax.io.raster._blocks import grid_coordinates, open_blocks
 
 
 def open_cube(path: str | Path, *, rows: int | None = None) -> xr.DataArray:
@@ -23,16 +23,18 @@ def open_cube(path: str | Path, *, rows: int | None = None) -> xr.DataArray:
 
     **Returns:** reflectance [-], NaN without data, over (y, x, wavelength), or over (row, column,
     wavelength) where the grid is turned or has no place; coordinates `wavelength` and `fwhm` [nm],
-    `good` (bands that are to be used), and `x` and `y` of the middles of pixels. Attributes hold
-    the coordinate reference system as WKT (`crs_wkt`). Rows begin in the north.
+    `good` (bands that are to be used), `x` and `y` of the middles of pixels, and `crs`. Rows begin
+    in the north. rioxarray knows its place: `.rio.clip`, `.rio.reproject_match` and
+    `.rio.to_raster` of a band, or of all as `.transpose("wavelength", ...)`.
 
     **Raises:** `InputError` for what is no such image, also where a block turns out to be damaged
-    when it is computed; `MissingExtraError` without dask.
+    when it is computed; `MissingExtraError` without dask or rioxarray.
 
     >>> open_cube("flight.hdr").sel(wavelength=860, method="nearest").plot()  # doctest: +SKIP
     """
-    array: Any = require("dask.array", "cluster", "dask")
-    delayed: Any = require("dask", "cluster").delayed
+    array: Any = require("dask.array", "map", "dask")
+    delayed: Any = require("dask", "map").delayed
+    require("rioxarray", "map")
     if rows is not None and rows < 1:
         raise InputError(f"expected blocks of 1 row or more, but got {rows}")
     path = Path(path)
@@ -55,24 +57,14 @@ def open_cube(path: str | Path, *, rows: int | None = None) -> xr.DataArray:
         )
         for start in range(0, high, step)
     ]
-    placed = not there.is_identity
-    turned = there.b != 0.0 or there.d != 0.0
-    dims = ("y", "x") if placed and not turned else ("row", "column")
-    if placed:
-        column, row = np.arange(wide) + 0.5, np.arange(high) + 0.5
-        x, y = there.a * column + there.c, there.e * row + there.f
-        if turned:  # two numbers a pixel, made when they are asked for
-            x = x[None, :] + there.b * array.from_array(row[:, None], chunks=step)
-            y = there.d * column[None, :] + array.from_array(y[:, None], chunks=step)
-        axes = grid_axes(there, crs)
-        coords["x"] = (dims if turned else "x", x, axes["x"])
-        coords["y"] = (dims if turned else "y", y, axes["y"])
+    dims, placed = grid_coordinates(there, crs, (high, wide), step)
+    if there.is_identity:
+        dims, placed = ("row", "column"), {}
     attributes = {"units": "1", "long_name": "reflectance", "source": path.name}
-    if crs:
-        attributes["crs_wkt"] = crs
-    return xr.DataArray(
-        array.concatenate(blocks), coords, (*dims, "wavelength"), "reflectance", attributes
+    cube_array = xr.DataArray(
+        array.concatenate(blocks), coords | placed, (*dims, "wavelength"), "reflectance", attributes
     )
+    return cube_array.rio.write_crs(crs, grid_mapping_name="crs") if crs else cube_array
 
 
 _ONE = threading.Lock()

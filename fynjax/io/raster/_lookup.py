@@ -12,7 +12,7 @@ from rasterio import Affine
 from rasterio.windows import Window
 
 from fynjax._core.errors import LARGEST, InputError, listed
-from fynjax.io.raster._crs import parse_crs
+from fynjax.io.raster._crs import geotransform, parse_crs
 
 _AT_ONCE = 2**20
 """Pixels of the map of a block, about."""
@@ -136,7 +136,9 @@ def lookup_table(path: Path, location: xr.Dataset, swath: tuple[int, int]) -> Lo
             file=path,
         )
     system = parse_crs(str(location.attrs["spatial_ref"]), path)
-    transform = _transform(path, location.attrs["geotransform"])
+    transform = geotransform(
+        location.attrs["geotransform"], "geotransform of its lookup table", path
+    )
     x, y = zip(transform @ (0, 0), transform @ columns.shape[::-1], strict=True)
     most = (360.0, 90.0) if system.is_geographic else (LARGEST, LARGEST)
     if max(map(abs, x)) > most[0] or max(map(abs, y)) > most[1]:
@@ -150,24 +152,3 @@ def lookup_table(path: Path, location: xr.Dataset, swath: tuple[int, int]) -> Lo
     if not sum(int((row >= 0).sum()) for _, row, _ in table.blocks()):
         raise InputError("its lookup table names no pixel of the swath", file=path)
     return table
-
-
-def _transform(path: Path, given: Any) -> Affine:
-    """That of a grid along x and y."""
-    try:
-        numbers = np.asarray(given, float)
-    except (TypeError, ValueError):
-        numbers = np.full(0, np.nan)
-    # A grid that is turned would need coordinates of two dimensions in zarr. EMIT has none.
-    if (
-        numbers.shape != (6,)
-        or not np.isfinite(numbers).all()
-        or numbers[[2, 4]].any()
-        or not numbers[[1, 5]].all()
-    ):
-        raise InputError(
-            "expected a geotransform of its lookup table of six numbers, the third and fifth 0, "
-            f"the second and last not, but got {str(given)[:80]}",
-            file=path,
-        )
-    return Affine.from_gdal(*numbers.tolist())

@@ -5,6 +5,7 @@ fynjax. The flip happens here and nowhere else.
 """
 
 import math
+import os
 import sys
 import warnings
 import xml.etree.ElementTree as ElementTree
@@ -31,7 +32,7 @@ from fynjax._core.memory import total_memory
 from fynjax._core.progress import track
 from fynjax.io.raster._crs import check_metric, is_local
 from fynjax.io.spectra import header_numbers, in_nanometres, open_envi
-from fynjax.io.text import check_stated_size, existing_file, read_bytes
+from fynjax.io.text import check_stated_size, existing_file
 
 METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its heights."""
@@ -344,62 +345,53 @@ class RasterFile:
             )
 
 
-_FORMATS = ("GTiff", "ENVI", "HFA", "AAIGrid", "SRTMHGT", "EHdr", "PNG", "JPEG", "VRT")
+_FORMATS = ("GTiff", "ENVI", "HFA", "AAIGrid", "SRTMHGT", "EHdr", "PNG", "JPEG")
 """Drivers of GDAL that read the file they are given, and open no other place that it names."""
-_DEEPEST = 8
-"""Virtual rasters within each other, at most."""
+_WHOLE = (b"II*\0", b"II+\0", b"MM\0*", b"MM\0+", b"EHFA_HEADER_TAG\0")
+"""How files of TIFF and ERDAS begin, which hold their values themselves."""
 
 
-def check_sources(path: Path, within: Path | None = None, depth: int = 0) -> None:
-    """Refuse a virtual raster that reads files outside its folder, or from a network.
-
-    Who wrote it would else choose what of this machine is read.
-
-    **Arguments:**
-
-    - `path`: any file; only a virtual raster (VRT) is looked into.
-    - `within`: where its sources must lie, its own folder by default.
-    - `depth`: how many virtual rasters led to it.
-
-    **Raises:** `InputError`.
-    """
-    with path.open("rb") as file:
-        head = file.read(1 << 16)
-    if b"<VRTDataset" not in head or head[:2] in (b"II", b"MM"):  # the latter are TIFF
-        return
-    within = path.parent.resolve() if within is None else within
-    text = read_bytes(path)
-    try:
-        if b"<!" in text.replace(b"<!--", b""):
-            raise InputError("a virtual raster must not define entities, but does", file=path)
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise InputError(f"cannot be read as a virtual raster ({error})", file=path) from error
-    if root.get("subClass") or depth > _DEEPEST:  # warped and processed ones name more than sources
-        raise _elsewhere(path, root.get("subClass") or "too many within each other")
-    for element in root.iter():
-        if element.tag in ("PixelFunctionCode", "OpenOptions"):  # a script; an address, perhaps
-            raise _elsewhere(path, element.tag)
-        if element.tag not in ("SourceFilename", "SourceDataset"):
-            continue
-        name = (element.text or "").strip()
-        relative = element.get("relativeToVRT") == "1"
-        try:
-            source = (path.parent / name if relative else Path(name)).resolve()
-            inside = source.is_relative_to(within) and source.is_file()
-        except (OSError, RuntimeError, ValueError):
-            inside = False
-        if not inside:
-            raise _elsewhere(path, name)
-        check_sources(source, within, depth + 1)
-
-
-def _elsewhere(path: Path, name: str) -> InputError:
+def _names_others(path: Path, name: str) -> InputError:
     return InputError(
-        f"expected a virtual raster of files in its own folder or below, but it names {name!r}. "
-        f"If you trust it, make it a GeoTIFF: gdal_translate {path.name} {path.stem}.tif",
+        f"expected a raster that holds its own values, but {name} names other files, as a virtual "
+        "raster (VRT) does, and those are not followed. If you trust it, make it a "
+        f"GeoTIFF: gdal_translate {path.name} {path.stem}_own.tif",
         file=path,
     )
+
+
+def _check_beside(path: Path) -> None:
+    """Refuse a raster beside which lies an overview or a mask that has values of other files: GDAL
+    opens those by whatever driver, and who made them would choose what of this machine, or of a
+    network, is read."""
+    own = tuple(f"{name}.".lower() for name in (path.name, path.stem))
+    for name in os.listdir(path.parent):
+        beside = path.with_name(name)
+        known = name.lower().startswith(own) and name.lower().endswith((".ovr", ".msk"))
+        if known or name.lower() in [f"{one}{kind}" for one in own for kind in ("aux", "rrd")]:
+            with beside.open("rb") as file:
+                if not file.read(16).startswith(_WHOLE):
+                    raise _names_others(path, name)
+            _open(beside).close()
+
+
+def _open(path: Path) -> Any:
+    """A raster as rasterio has it, if it names no others."""
+    # The environment registers GDAL's drivers; `rasterio.open` takes one name only. A whole path is
+    # never taken for an address, or an option of a driver.
+    with _without_words(), rasterio.Env():
+        dataset = rasterio.io.DatasetReader(path.absolute(), driver=list(_FORMATS))
+    if any(key.upper() == "OVERVIEW_FILE" for key in dataset.tags(ns="OVERVIEWS")):
+        raise _names_others(path, "its metadata")
+    return dataset
+
+
+@contextmanager
+def wherever() -> Iterator[None]:
+    """Without rasterio's warning of rasters that have no place: whoever needs one asks for it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        yield
 
 
 @contextmanager
@@ -418,8 +410,9 @@ def _without_words() -> Iterator[None]:
 def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
     """A raster open for reading: GeoTIFF, ENVI (data or header), IMG, ASC, HGT, BIL, PNG or JPEG.
 
-    A virtual raster (VRT) is read where all its sources lie in its own folder or below. No address
-    of a network is followed: formats of GDAL that hold one are not read.
+    Nothing else is read but what GDAL has beside a raster (overviews, a mask, a world file): a
+    virtual raster (VRT) and other formats that name files or addresses are refused, also as such a
+    file beside.
 
     **Arguments:**
 
@@ -428,12 +421,10 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
 
     **Returns:** a context manager that gives a `RasterFile`.
 
-    **Raises:** `InputError` for a file that is missing, cut short, damaged or no raster, an ENVI
-    header that lacks a field, and a VRT with sources elsewhere; also where GDAL fails
-    inside the block.
+    **Raises:** `InputError` for a file that is missing, cut short, damaged, no raster, or one that
+    names others, and an ENVI header that lacks a field; also where GDAL fails inside the block.
     """
     path = existing_file(path, what)
-    check_sources(path)
     header_path = path
     beside = (path.with_suffix(".hdr"), path.with_name(path.name + ".hdr"))
     tiff = path.suffix.lower() in (".tif", ".tiff")
@@ -441,12 +432,10 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
     if path.suffix.lower() == ".hdr" or (not tiff and any(p.is_file() for p in beside)):
         header, header_path, path = open_envi(path, ENVI_DATA, "image")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with wherever():
             warnings.simplefilter("ignore", RuntimeWarning)  # no-data values beyond the data's type
-            # The environment registers GDAL's drivers; `rasterio.open` takes one name only.
-            with _without_words(), rasterio.Env():
-                dataset = rasterio.io.DatasetReader(path, driver=list(_FORMATS))
+            _check_beside(path)
+            dataset = _open(path)
         with dataset:
             if not dataset.count:
                 raise InputError(f"expected {what}, but GDAL sees no bands in it", file=path)
@@ -485,6 +474,10 @@ def open_raster(path: str | Path, what: str) -> Iterator[RasterFile]:
             file=path,
         ) from error
     except (RasterioError, CRSError, CPLE_BaseError) as error:
+        with path.open("rb") as file:
+            head = file.read(1 << 12).lower()
+        if head.lstrip().startswith(b"<") or b"<vrtdataset" in head:
+            raise _names_others(path, "it") from error
         reason = " ".join(str(error.__cause__ or error).split())
         raise InputError(
             f"cannot be read as {what} ({reason}). Is it cut short, or not a GeoTIFF? "

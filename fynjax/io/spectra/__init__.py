@@ -1,47 +1,36 @@
-"""Spectra from files of field spectrometers, text and ENVI libraries; results of leaf fits."""
+"""Spectra from files of field spectrometers, text and ENVI libraries."""
 
 from fynjax.io.spectra._asd import read_asd
-from fynjax.io.spectra._envi import header_numbers, in_nanometres, open_envi, read_header
-from fynjax.io.spectra._export import measured_dataset, measured_table
-from fynjax.io.spectra._leaf_results import (
-    posterior_dataset,
-    prior_decides,
-    species_table,
-    spectra_dataset,
-    traits_table,
-    write_spectra_netcdf,
-    write_traits_csv,
-)
-from fynjax.io.spectra._panel import read_curve, with_panel
-from fynjax.io.spectra._read import (
+from fynjax.io.spectra._dataset import (
+    Refused,
+    measured_dataset,
+    measured_table,
     read_spectra,
-    read_spectra_files,
-    read_usable_spectra,
-    reflectances,
+    usable_spectra,
+    warnings_of_reading,
+    write_spectra_netcdf,
 )
-from fynjax.io.spectra._record import MeasuredSpectrum, note
+from fynjax.io.spectra._envi import header_numbers, in_nanometres, open_envi, read_header
+from fynjax.io.spectra._panel import read_curve
+from fynjax.io.spectra._read import read_spectra_file, read_usable_spectra, reflectances
+from fynjax.io.spectra._record import MeasuredSpectrum
 
 __all__ = [
     "MeasuredSpectrum",
+    "Refused",
     "header_numbers",
     "in_nanometres",
     "measured_dataset",
     "measured_table",
-    "note",
     "open_envi",
-    "posterior_dataset",
-    "prior_decides",
     "read_asd",
     "read_curve",
     "read_header",
     "read_spectra",
-    "read_spectra_files",
+    "read_spectra_file",
     "read_usable_spectra",
     "reflectances",
-    "species_table",
-    "spectra_dataset",
-    "traits_table",
-    "with_panel",
+    "usable_spectra",
+    "warnings_of_reading",
     "write_spectra_netcdf",
-    "write_traits_csv",
 ]

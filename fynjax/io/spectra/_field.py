@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 
 from fynjax._core.errors import InputError
+from fynjax._core.tables import open_table
 from fynjax.io.spectra._record import MeasuredSpectrum, note
-from fynjax.io.spectra._text import cell_value
+from fynjax.io.spectra._text import MISSING
 
 _SVC = "/*** Spectra Vista"
 _SED = "data:"
+_LONGEST_HEAD = 1 << 16
 _KEPT = ("instrument", "integration", "time", "units", "date", "measurement")
 
 
@@ -30,13 +32,20 @@ def _without_overlap(wavelength: np.ndarray) -> tuple[np.ndarray, list[float]]:
     return kept, cuts
 
 
-def read_field_spectrum(text: str, file: Path) -> MeasuredSpectrum | None:
-    """The spectrum of a text of SVC or Spectral Evolution; `None` where it is neither.
+def read_field_spectrum(data: bytes, file: Path) -> MeasuredSpectrum | None:
+    """The spectrum of a file of SVC or Spectral Evolution; `None` where it is neither.
 
     Where the ranges of two detectors overlap, both are cut in the middle of the overlap.
+
+    **Arguments:**
+
+    - `data`: content of the file.
+    - `file`: for errors, and the name of the spectrum.
+
+    **Raises:** `InputError` for a file without reflectance, and as `open_table`.
     """
-    lines = text.splitlines()
-    svc = text.startswith(_SVC)
+    lines = data[:_LONGEST_HEAD].decode(errors="replace").splitlines()
+    svc = lines[0].startswith(_SVC)
     marks = [i for i, line in enumerate(lines[:120]) if line.strip().lower() in ("data=", _SED)]
     if not marks or not (svc or lines[marks[0]].strip().lower() == _SED):
         return None
@@ -50,19 +59,20 @@ def read_field_spectrum(text: str, file: Path) -> MeasuredSpectrum | None:
     column = 3 if svc else next((i for i, n in enumerate(names) if "refl" in n.lower()), -1)
     if column < 0:
         raise InputError("the file has no column of reflectance", file=file)
-    rows = []
-    for number, line in enumerate(lines[start:], start + 1):
-        if cells := line.split():
-            if len(cells) <= column:
-                raise InputError(
-                    f"expected {column + 1} columns, but found {len(cells)}; is the file cut "
-                    "short, or saved without reflectance?",
-                    file=file, row=number,
-                )  # fmt: skip
-            rows.append([cell_value(cells[i], file, number, str(i + 1)) for i in (0, column)])
-    if not rows:
+    table = open_table(file, "a spectrum", data=data)
+    table.separator, table.skip, table.headed = " ", start, False
+    row, cells = next(table.rows(), (0, []))
+    if not cells:
         raise InputError("the file has a header but no values; is it cut short?", file=file)
-    wavelength, values = np.array(rows).T
+    if len(cells) <= column:
+        raise InputError(
+            f"expected {column + 1} columns, but found {len(cells)}; is the file cut short, or "
+            "saved without reflectance?",
+            file=file,
+            row=row,
+        )
+    table.names = tuple(str(i + 1) for i in range(len(cells)))
+    wavelength, values = table.columns([0, column], (), MISSING).to_numpy().T
     meta: dict[str, Any] = {"format": "SVC" if svc else "Spectral Evolution"}
     for line in lines[: marks[0]]:
         key, _, value = line.partition("=" if svc else ":")

@@ -15,12 +15,12 @@ def read_curve(path: str | Path, what: str) -> tuple[np.ndarray, np.ndarray]:
 
     **Arguments:**
 
-    - `path`: the file, of any format that `read_spectra` takes.
+    - `path`: the file, of any format that `read_spectra_file` takes.
     - `what`: what it is of, for the error.
 
     **Returns:** wavelength [nm] and reflectance [-], both of shape (band,), without missing bands.
 
-    **Raises:** `InputError` as `read_spectra`, and if the file has none or several.
+    **Raises:** `InputError` as `read_spectra_file`, and if the file has none or several.
     """
     curves = reflectances(Path(path))
     if len(curves) > 1:

@@ -1,8 +1,6 @@
-"""Spectra from files: `read_spectra` recognises the format by the content."""
+"""Spectra from a file: `read_spectra_file` recognises the format by the content."""
 
 import codecs
-import csv
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +11,18 @@ from fynjax.io.spectra._envi import read_envi_library
 from fynjax.io.spectra._field import read_field_spectrum
 from fynjax.io.spectra._record import MeasuredSpectrum, check_spectrum
 from fynjax.io.spectra._text import read_text_spectra
-from fynjax.io.text import broken_row, existing_file, read_bytes
+from fynjax.io.text import existing_file, read_bytes
 
 
-def read_spectra(path: str | Path) -> list[MeasuredSpectrum]:
+def read_spectra_file(path: str | Path) -> list[MeasuredSpectrum]:
     r"""Read every spectrum of a file.
 
     Recognised by content, not by name: ASD binary (versions 6, 7, 8); ASD's ASCII export;
     reflectance of SVC (`.sig`) and Spectral Evolution (`.sed`); ECOSTRESS and older ASTER library
-    text; CSV and TSV with a wavelength column and one column a spectrum, or wide with one row a
-    spectrum and wavelengths as column names (EcoSIS, SPECCHIO); ENVI spectral libraries (give the
-    `.sli` or its `.hdr`). A `.gz` ending is unpacked.
+    text; tables as `open_table` takes them (CSV, TSV, Excel) with a wavelength column and one
+    column a spectrum, or wide with one row a spectrum and wavelengths as column names (EcoSIS,
+    SPECCHIO);
+    ENVI spectral libraries (give the `.sli` or its `.hdr`). A `.gz` ending is unpacked.
 
     **Arguments:**
 
@@ -38,11 +37,11 @@ def read_spectra(path: str | Path) -> list[MeasuredSpectrum]:
     negative or above 1, wavelengths in µm under a nm header, or a spectrum of NaN only.
 
     >>> import pathlib, tempfile
-    >>> from fynjax.io.spectra import read_spectra
+    >>> from fynjax.io.spectra import read_spectra_file
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = pathlib.Path(folder) / "leaves.csv"
     ...     _ = path.write_text("wavelength,protea,restio\n500,0.05,0.08\n800,0.48,0.40\n")
-    ...     protea, restio = read_spectra(path)
+    ...     protea, restio = read_spectra_file(path)
     >>> restio.name, restio.reflectance
     ('restio', array([0.08, 0.4 ]))
     """
@@ -57,7 +56,7 @@ def read_usable_spectra(
 ) -> tuple[list[MeasuredSpectrum], list[tuple[str, InputError]]]:
     """The spectra of a file that can be used, and name and reason of those that cannot.
 
-    As `read_spectra`, but one bad spectrum among many does not stop the others.
+    As `read_spectra_file`, but one bad spectrum among many does not stop the others.
 
     **Arguments:**
 
@@ -84,14 +83,9 @@ def read_usable_spectra(
         )
     elif suffixes[-1:] in ([".hdr"], [".sli"], [".slb"]):
         spectra = read_envi_library(path)
-    elif _is_text(data):
-        wide = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-        text = data.decode("utf-16" if wide else "utf-8-sig", errors="replace")
-        try:
-            field = read_field_spectrum(text, path)
-            spectra = read_text_spectra(text, path) if field is None else [field]
-        except csv.Error as error:
-            raise broken_row(path) from error
+    elif _is_text(data) or data[:4] == b"PK\3\4":  # an Excel workbook
+        field = read_field_spectrum(data, path)
+        spectra = read_text_spectra(data, path) if field is None else [field]
     else:
         raise InputError(
             "unknown format: neither ASD binary (as6, as7, as8), ENVI spectral library, nor text",
@@ -106,51 +100,6 @@ def read_usable_spectra(
     return usable, refused
 
 
-def read_spectra_files(
-    paths: Sequence[str | Path],
-) -> tuple[list[tuple[str, MeasuredSpectrum]], list[tuple[str, str, InputError]]]:
-    """The usable spectra of files and folders, and what could not be used.
-
-    **Arguments:**
-
-    - `paths`: files of any format that `read_spectra` takes, and folders: of them every file in
-      them and below is read, but hidden ones and ENVI headers, which belong to a data file.
-
-    **Returns:** file and spectrum of each that can be used; file, name and error of the others,
-    the name empty where the whole file cannot be read.
-
-    **Raises:** `InputError` where no spectrum can be used, with the first reason.
-    """
-    spectra: list[tuple[str, MeasuredSpectrum]] = []
-    refused: list[tuple[str, str, InputError]] = []
-    for file in _files(paths):
-        try:
-            usable, bad = read_usable_spectra(file)
-        except InputError as error:
-            usable, bad = [], [("", error)]
-        spectra += [(str(file), spectrum) for spectrum in usable]
-        refused += [(str(file), name, error) for name, error in bad]
-    if not spectra:
-        raise refused[0][2] if refused else InputError("no file of spectra was given")
-    return spectra, refused
-
-
-def _files(paths: Sequence[str | Path]) -> list[Path]:
-    """Files, and those in folders and below them."""
-    files = []
-    for path in map(Path, paths):
-        if not path.is_dir():
-            files.append(path)
-            continue
-        inside = sorted(p for p in path.rglob("*") if p.is_file())
-        inside = [p for p in inside if p.suffix.lower() != ".hdr"]
-        shown = [p for p in inside if not any(s[0] == "." for s in p.relative_to(path).parts)]
-        if not shown:
-            raise InputError("expected files of spectra, but the folder has none", file=path)
-        files += shown
-    return files
-
-
 def _is_text(data: bytes) -> bool:
     if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):  # spreadsheets' "Unicode text"
         return True
@@ -163,14 +112,14 @@ def reflectances(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
 
     **Arguments:**
 
-    - `path`: the file, as `read_spectra` reads it.
+    - `path`: the file, as `read_spectra_file` reads it.
 
     **Returns:** for each spectrum wavelengths [nm] and reflectance [-], both of shape (band,).
 
-    **Raises:** `InputError` as `read_spectra`, and where the file has no reflectance.
+    **Raises:** `InputError` as `read_spectra_file`, and where the file has no reflectance.
     """
     spectra = [
-        (s.wavelength, s.reflectance) for s in read_spectra(path) if s.reflectance is not None
+        (s.wavelength, s.reflectance) for s in read_spectra_file(path) if s.reflectance is not None
     ]
     if not spectra:
         raise InputError("a reflectance spectrum was expected, but the file has none", file=path)

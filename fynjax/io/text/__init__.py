@@ -1,7 +1,9 @@
 """Text files of a user: strict tables and TOML with errors that point at the cell; safe writing."""
 
 from fynjax._core.errors import did_you_mean
+from fynjax._core.files import existing_file, read_bytes
 from fynjax._core.records import Slip, Strict, number, optional_quantity, quantity
+from fynjax._core.tables import TextTable, open_table
 from fynjax._core.validation import first_error, sentence
 from fynjax.io.text._atomic import (
     atomic_path,
@@ -10,38 +12,25 @@ from fynjax.io.text._atomic import (
     staged_folder,
     write_text,
 )
-from fynjax.io.text._files import (
-    NamedFile,
-    check_stated_size,
-    existing_file,
-    named_file,
-    read_bytes,
-)
+from fynjax.io.text._files import NamedFile, check_stated_size, named_file
 from fynjax.io.text._named import shipped_or_own
-from fynjax.io.text._tables import (
-    broken_row,
-    foreign_rows,
-    read_rows,
-    read_text,
-    split_line,
-    split_lines,
-)
+from fynjax.io.text._tables import read_rows, read_text
 from fynjax.io.text._toml import line_of, read_toml
 
 __all__ = [
     "NamedFile",
     "Slip",
     "Strict",
+    "TextTable",
     "atomic_path",
-    "broken_row",
     "check_stated_size",
     "did_you_mean",
     "existing_file",
     "first_error",
-    "foreign_rows",
     "line_of",
     "named_file",
     "number",
+    "open_table",
     "optional_quantity",
     "quantity",
     "read_bytes",
@@ -52,8 +41,6 @@ __all__ = [
     "remove_replaced",
     "sentence",
     "shipped_or_own",
-    "split_line",
-    "split_lines",
     "staged_folder",
     "write_text",
 ]

@@ -1,62 +1,19 @@
-"""What a user names must be a file, and hold no more than memory can take."""
+"""Files that other files name, and how much a compressed file may unfold to."""
 
-import stat
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pydantic_core import CoreSchema, core_schema
 
-from fynjax._core.errors import InputError, did_you_mean
+from fynjax._core.errors import InputError
+from fynjax._core.files import existing_file, why_not
 
-LARGEST_TEXT = 1 << 29
-"""Bytes of a text file, or of what a compressed one unfolds to: spectra of a thousand plots are a
-tenth of it."""
 _TIGHTEST = 3000
 """Bytes for each byte of a compressed file above which it cannot hold them: deflate packs no
 tighter than 1 in 1032, and few measurements tighter than 1 in 10."""
 _FREELY = 1 << 28
 """Bytes that a file may state whatever its size."""
-
-
-def existing_file(path: str | Path, what: str) -> Path:
-    """The path of a file that must exist.
-
-    **Arguments:**
-
-    - `path`: the file.
-    - `what`: names the file in errors, such as "a species table".
-
-    **Returns:** `path`.
-
-    **Raises:** `InputError` for a folder, a pipe or a device, a link that leads nowhere or back to
-    itself, a name that is too long, and where there is no file, with the nearest name beside it.
-    """
-    path = Path(path)
-    try:
-        mode = path.stat().st_mode
-    except (OSError, RuntimeError, ValueError) as error:  # a null character is a ValueError
-        raise InputError(f"expected {what}, but {_why_not(path, error)}", file=path) from error
-    if stat.S_ISREG(mode):
-        return path
-    came = "this is a folder" if stat.S_ISDIR(mode) else "this is a pipe or a device, not a file"
-    raise InputError(f"expected {what}, but {came}", file=path)
-
-
-def _why_not(path: Path, error: Exception) -> str:
-    """Why a path is none of a file."""
-    try:
-        if path.is_symlink() and isinstance(error, FileNotFoundError):
-            return f"this is a link to {str(path.readlink())[:100]!r}, which is not there"
-        if path.is_symlink() and not isinstance(error, PermissionError):
-            return "this is a link that leads back to itself"
-        if isinstance(error, FileNotFoundError | NotADirectoryError):
-            beside = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
-            return f"there is no such file.{did_you_mean(path.name, beside)}"
-    except (OSError, ValueError):
-        pass
-    return f"it cannot be opened ({getattr(error, 'strerror', None) or error})"
 
 
 def named_file(
@@ -102,7 +59,7 @@ def _file_beside(owner: Path, name: str, what: str, within: Path | None) -> Path
     except ValueError:  # a null character
         text = f"expected {what}, but no file can have this name"
     except (OSError, RuntimeError) as error:  # a link in a loop
-        text = f"expected {what}, but {_why_not(place, error)}"
+        text = f"expected {what}, but {why_not(place, error)}"
     raise ValueError(f"{name!r}: {text}")
 
 
@@ -131,42 +88,6 @@ class NamedFile:
         if info.context is None:
             return Path(name)
         return _file_beside(info.context["owner"], name, self.what, info.context["within"])
-
-
-def read_bytes(path: Path) -> bytes:
-    """Content of a text file, unfolded if it is compressed (gzip), of at most `LARGEST_TEXT` bytes.
-
-    **Arguments:**
-
-    - `path`: a file that exists.
-
-    **Raises:** `InputError` for a file that is larger or unfolds to more, cannot be opened, or is
-    cut short or damaged.
-    """
-    try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST_TEXT + 1)
-    except OSError as error:
-        raise InputError(f"it cannot be opened ({error.strerror})", file=path) from error
-    what = "it has"
-    if data[:2] == b"\x1f\x8b":
-        what = "it unfolds to"
-        unfolded = b""
-        try:
-            while data and len(unfolded) <= LARGEST_TEXT:  # a file may hold several parts
-                part = zlib.decompressobj(wbits=31)
-                unfolded += part.decompress(data, LARGEST_TEXT + 1 - len(unfolded))
-                if not part.eof and len(unfolded) <= LARGEST_TEXT:
-                    raise InputError("the compressed file is cut short", file=path)
-                data = part.unused_data.lstrip(b"\0")
-        except zlib.error as error:
-            raise InputError("the compressed file is damaged", file=path) from error
-        data = unfolded
-    if len(data) > LARGEST_TEXT:
-        raise InputError(
-            f"expected text of at most {LARGEST_TEXT >> 20} MiB, but {what} more", file=path
-        )
-    return data
 
 
 def check_stated_size(path: Path, stated: int, what: str, *, packed: bool) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fynjax._core.errors import InputError, did_you_mean
-from fynjax.io.text._files import existing_file
+from fynjax._core.files import existing_file
 
 
 def shipped_or_own(

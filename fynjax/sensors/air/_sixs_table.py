@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import xarray as xr
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
@@ -100,6 +99,8 @@ def _load(path: Path | None) -> _Table:
 
 def _read(path: Path) -> _Table:
     try:
+        import xarray as xr  # takes a quarter of a second
+
         with xr.open_dataset(path, engine="netcdf4") as data:
             table = {str(k): np.asarray(v.values, np.float64) for k, v in data.variables.items()}
     except (OSError, ValueError) as error:

@@ -87,7 +87,8 @@ ASSUMED_POPULATION = {
     **dict.fromkeys(FACTORS, 1.0),
 }
 """What plots share (`PRIOR_PARAMETERS`) before any population is learned: the centre of the prior
-of `fynjax learn`. By growth form it is what the form itself assumes (`GrowthForm.prior`)."""
+of `fynjax bioscape learn`. By growth form it is what the form itself assumes
+(`GrowthForm.prior`)."""
 
 MOST_WATER = 0.05
 """Water of a leaf is at most this [cm]: that of the thickest leaves that PROSPECT was made with

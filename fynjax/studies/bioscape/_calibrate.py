@@ -1,7 +1,6 @@
-"""`fynjax calibrate-plots`: field tables and spectra in, covers, stand and leaf traits out."""
+"""`fynjax bioscape calibrate`: field tables and spectra in, covers, stand and leaf traits out."""
 
 import tempfile
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
 from fynjax.inversion import Data, spectrum_view
@@ -48,7 +48,7 @@ from fynjax.studies.bioscape._inversion_compare import (
     simple_table,
 )
 from fynjax.studies.bioscape._inversion_files import CalibratePlotsResult, Findings, write_findings
-from fynjax.studies.bioscape._plot_files import run_bioscape, write_plot_files
+from fynjax.studies.bioscape._plot_files import check_names, write_plot_files, write_plots
 from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
 from fynjax.studies.bioscape._plsr import read_leaf_mass_model
 from fynjax.studies.bioscape._scenes import (
@@ -129,11 +129,9 @@ def calibrate_plots(
     if not read:
         raise InputError("none of the plots has a measured spectrum to learn from", file=folder)
     bands, flights = chosen_bands(spectrometer, [measured[p.name] for p in read], folder)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they were given once, above
-        written = run_bioscape(
-            folder, run.folder / "plots", plots=[p.name for p in read], traits=traits, prior=prior
-        )
+    check_names(read, folder)
+    begin_work({"estimates.csv": f"{len(read)} plots", "report.html": ""})
+    written = write_plots(Run(run.folder / "plots"), folder, read, learned)
     files = [read_plot(run.folder / "plots" / p.name / "plot.toml") for p in read]
     field = field_values(read)
     slots = slots_of(files)

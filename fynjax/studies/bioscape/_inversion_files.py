@@ -1,4 +1,4 @@
-"""What `fynjax calibrate-plots` writes: tables, figures, a page."""
+"""What `fynjax bioscape calibrate` writes: tables, figures, a page."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -64,7 +64,7 @@ class Findings:
 class CalibratePlotsResult(JobResult):
     """Result of `calibrate_plots`: agreement with the field, and shifts of the parameters."""
 
-    command: Literal["calibrate-plots"] = "calibrate-plots"
+    command: Literal["bioscape calibrate"] = "bioscape calibrate"
     plots: list[str]
     bands: int
     size_m: float

@@ -1,11 +1,10 @@
-"""`fynjax learn`: tables and spectra of many plots in, what the plots share out.
+"""`fynjax bioscape learn`: tables and spectra of many plots in, what the plots share out.
 
 Each plot has a forward model in the parameters of `PER_PLOT`, linearised about its current
 estimate; the linear mixed model of all plots gives the next (`fit_population`). Derivatives may be
 of coarser voxels than values: the estimate ends where the values of the fine ones are explained.
 """
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
 from fynjax.inversion import (
@@ -24,7 +24,7 @@ from fynjax.inversion import (
     fit_population,
     spectrum_view,
 )
-from fynjax.io.plot import NO_PRIOR, Plot, read_plot
+from fynjax.io.plot import Plot, read_plot
 from fynjax.io.raster import file_hash
 from fynjax.jobs import Run
 from fynjax.scene import PlotParameters, Scene
@@ -37,7 +37,7 @@ from fynjax.studies.bioscape._learn_files import (
     Lesson,
     write_lesson,
 )
-from fynjax.studies.bioscape._plot_files import run_bioscape
+from fynjax.studies.bioscape._plot_files import check_names, write_plots
 from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
 from fynjax.studies.bioscape._population import (
     PER_PLOT,
@@ -102,12 +102,13 @@ def learn(
     """
     run = Run(output, seed=seed)
     resolution = Resolution() if resolution is None else resolution
+    wide = Resolution(resolution.size_m, max(slope_voxel_m, resolution.voxel_m))
     read, bands, measured, files, remarks = _read(folders, run, plots, traits)
+    begin_work({"prior.toml": f"learned from {len(read)} plots", "report.html": ""})
     with run.stage("Plant the plots"):
         # Each plot rounds its numbers of plants by a chance of its own.
         seeds = [seed + i for i in range(len(files))]
         fine = build_scenes(files, resolution, seeds)
-        wide = Resolution(resolution.size_m, max(slope_voxel_m, resolution.voxel_m))
         coarse = fine if wide == resolution else build_scenes(files, wide, seeds)
     inputs = sorted(p for folder in folders for p in Path(folder).glob("*.csv"))
     inputs += [] if traits is None else [Path(traits)]
@@ -233,15 +234,8 @@ def _read(
             raise InputError("expected the bands of the first folder, but got others", file=folder)
         read += known
         spectra += [flown[p.name] for p in known]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # they were given once, above
-            written = run_bioscape(
-                folder,
-                run.folder / "plots",
-                plots=[p.name for p in known],
-                traits=traits,
-                prior=NO_PRIOR,
-            )
+        check_names(known, folder)
+        written = write_plots(Run(run.folder / "plots"), folder, known, None)
         remarks += written.warnings
     if len(read) < _FEWEST:
         raise InputError(

@@ -1,4 +1,4 @@
-"""What `fynjax learn` writes: a prior file, tables, figures, a page."""
+"""What `fynjax bioscape learn` writes: a prior file, tables, figures, a page."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -147,7 +147,7 @@ class Lesson:
 class LearnResult(JobResult):
     """Result of `learn`: the population and its scores."""
 
-    command: Literal["learn"] = "learn"
+    command: Literal["bioscape learn"] = "bioscape learn"
     plots: list[str]
     bands: int
     size_m: float

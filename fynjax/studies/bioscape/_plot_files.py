@@ -1,4 +1,4 @@
-"""Plot files from the field tables of BioSCape: what `fynjax bioscape` writes."""
+"""Plot files from the field tables of BioSCape: what `fynjax bioscape plots` writes."""
 
 import csv
 import io
@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax.canopy import instance_area, soft_count, target_area
 from fynjax.io.plot import DEFAULT_PRIOR, LearnedPrior, leaf_factors, read_prior
@@ -503,7 +504,7 @@ def _median_ratio(counts: Sequence[tuple[Any, ...]]) -> float | None:
 class BioscapeResult(JobResult):
     """Result of `bioscape`: the plots that were written."""
 
-    command: Literal["bioscape"] = "bioscape"
+    command: Literal["bioscape plots"] = "bioscape plots"
     plots: list[str]
     counted_over_from_cover: float | None = None
     """Plants counted over those that cover and diameter ask for, eq. (10): median of the species
@@ -543,6 +544,14 @@ def run_bioscape(
     learned = read_prior(prior)
     with run.stage("Read the tables"):
         read = read_bioscape(folder, plots, traits=traits)
+    check_names(read, folder)
+    begin_work({"plots.csv": f"{len(read)} plots"} | {f"{p.name}/plot.toml": "" for p in read})
+    with run.stage("Write the plots"):
+        return write_plots(run, folder, read, learned)
+
+
+def check_names(read: Sequence[BioscapePlot], folder: str | Path) -> None:
+    """Raise `InputError` for a plot whose name cannot be that of a folder."""
     for plot in read:
         if not plot.name.replace("-", "").replace("_", "").isalnum():
             raise InputError(
@@ -551,24 +560,29 @@ def run_bioscape(
                 file=folder,
                 column="Plot",
             )
-    with run.stage("Write the plots"):
-        index = _table([tuple(INDEX_COLUMNS), *map(_index_row, read)])
-        write_text(run.path("plots.csv", "all plots, one a row"), index)
-        counts = [row for plot in read for row in _count_rows(plot)]
-        remarks = [r for plot in read for r in plot.remarks]
-        if is_published(Path(folder)):
-            for name, about, header, rows in (
-                ("counts.csv", "plants counted and from cover", _COUNTS, counts),
-                ("intercepts.csv", "line intercepts, the view from above", _INTERCEPTS,
-                 [row for plot in read for row in _intercept_rows(plot)]),
-                ("remarks.csv", "oddities of the tables, and how they were read",
-                 ("plot", "file", "row", "what"),
-                 [(r.plot, r.file, "" if r.row is None else r.row, r.what) for r in remarks]),
-            ):  # fmt: skip
-                write_text(run.path(name, about), _table([header, *rows]))
-        for plot in read:
-            write_plot_files(plot, run.folder / plot.name, learned)
-            run.path(f"{plot.name}/plot.toml", f"{len(plot.species)} species")
+
+
+def write_plots(
+    run: Run, folder: str | Path, read: Sequence[BioscapePlot], learned: LearnedPrior | None
+) -> BioscapeResult:
+    """Write what `run_bioscape` does of plots that are read."""
+    index = _table([tuple(INDEX_COLUMNS), *map(_index_row, read)])
+    write_text(run.path("plots.csv", "all plots, one a row"), index)
+    counts = [row for plot in read for row in _count_rows(plot)]
+    remarks = [r for plot in read for r in plot.remarks]
+    if is_published(Path(folder)):
+        for name, about, header, rows in (
+            ("counts.csv", "plants counted and from cover", _COUNTS, counts),
+            ("intercepts.csv", "line intercepts, the view from above", _INTERCEPTS,
+             [row for plot in read for row in _intercept_rows(plot)]),
+            ("remarks.csv", "oddities of the tables, and how they were read",
+             ("plot", "file", "row", "what"),
+             [(r.plot, r.file, "" if r.row is None else r.row, r.what) for r in remarks]),
+        ):  # fmt: skip
+            write_text(run.path(name, about), _table([header, *rows]))
+    for plot in read:
+        write_plot_files(plot, run.folder / plot.name, learned)
+        run.path(f"{plot.name}/plot.toml", f"{len(plot.species)} species")
     total = sum(plot.listed_cover for plot in read)
     shares = {
         source: sum(p.trait_shares().get(source, 0.0) * p.listed_cover for p in read) / total

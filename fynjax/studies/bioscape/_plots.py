@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 
 from fynjax._core.errors import InputError
-from fynjax.io.text import did_you_mean, existing_file
+from fynjax.io.text import did_you_mean, existing_file, read_rows
 from fynjax.studies.bioscape._assumed import (
     DOME,
     OPEN_GROUND_LITTER,
@@ -37,7 +37,6 @@ from fynjax.studies.bioscape._tables import (
     VisitRow,
     find_table,
     needed_table,
-    read_foreign,
 )
 from fynjax.studies.bioscape._traits import Sourced, TraitLibrary, split_name
 
@@ -245,7 +244,7 @@ def read_bioscape(
     trait_path = (
         needed_table(folder, TRAITS) if traits is None else existing_file(traits, TRAITS[1])
     )
-    library = TraitLibrary(read_foreign(trait_path, TraitRow, TRAITS[1]), trait_path)
+    library = TraitLibrary(read_rows(trait_path, TraitRow, TRAITS[1]), trait_path)
     visit_path = find_table(folder, VISITS)
     visits = {} if visit_path is None else _visits(visit_path)
     for name, place in tables.place.items():
@@ -295,8 +294,8 @@ def read_bioscape(
 
 def _read_extract(folder: Path) -> FieldTables:
     cover_path, species_path = needed_table(folder, COVER), needed_table(folder, SPECIES)
-    cover = _unique(read_foreign(cover_path, CoverRow, COVER[1]), cover_path)
-    rows = read_foreign(species_path, SpeciesCoverRow, SPECIES[1])
+    cover = _unique(read_rows(cover_path, CoverRow, COVER[1]), cover_path)
+    rows = read_rows(species_path, SpeciesCoverRow, SPECIES[1])
     listed = _species_by_plot(rows, species_path)
     return FieldTables(cover_path, species_path, cover, listed, set(cover))
 
@@ -425,7 +424,7 @@ def _species_by_plot(
 
 def _visits(path: Path) -> dict[str, Visit]:
     grouped: dict[str, list[VisitRow]] = {}
-    for where, row in read_foreign(path, VisitRow, VISITS[1]):
+    for where, row in read_rows(path, VisitRow, VISITS[1]):
         try:
             datetime.fromisoformat(row.start_time)
         except ValueError as error:

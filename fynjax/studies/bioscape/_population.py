@@ -1,4 +1,4 @@
-"""What plots of fynbos share, and how they vary: parameters that `fynjax learn` estimates.
+"""What plots of fynbos share, and how they vary: parameters that `fynjax bioscape learn` estimates.
 
 By growth form: dead tissue and clumping of live shoots, and leaf area index. Shared: leaf chemistry
 as factors on what tables and traits say, brightness of soil and of dead tissue. All but clumping

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from fynjax._core.errors import InputError
-from fynjax.io.text import number
+from fynjax.io.text import number, read_rows
 from fynjax.studies.bioscape._tables import (
     CoverRow,
     OptionalText,
@@ -22,7 +22,6 @@ from fynjax.studies.bioscape._tables import (
     needed_table,
     not_available,
     percent,
-    read_foreign,
 )
 
 SUMMARY = "bioscape_veg_plot_summary_v*.csv", "a table of cover by plot"
@@ -58,7 +57,7 @@ Amount = Annotated[float | None, BeforeValidator(_missing)]
 class SummaryRow(TableRow):
     """Cover and height of a plot."""
 
-    columns = (
+    must_have = (
         "percent_bare_soil",
         "percent_bare_rock",
         "percent_dead_vegetation",
@@ -76,7 +75,7 @@ class SummaryRow(TableRow):
 class PlotSpeciesRow(TableRow):
     """A species of a plot."""
 
-    columns = (
+    must_have = (
         "accepted_genus",
         "accepted_species",
         "percent_cover_alive",
@@ -99,7 +98,7 @@ class PlotSpeciesRow(TableRow):
 class QuadratRow(TableRow):
     """Cover and age of a quadrant."""
 
-    columns = ("total_cover_check", "post_fire_age_years")
+    must_have = ("total_cover_check", "post_fire_age_years")
     plot: str = Field(description="Name of the plot.", min_length=1)
     quadrant: str = Field(description="NE, NW, SE or SW.", min_length=1)
     total_cover_check: Amount = _amount("Sum of the covers", "%")
@@ -109,7 +108,7 @@ class QuadratRow(TableRow):
 class QuadratSpeciesRow(TableRow):
     """A species of a quadrant, as far as it is compared."""
 
-    columns = ("accepted_genus", "accepted_species")
+    must_have = ("accepted_genus", "accepted_species")
     plot: str = Field(description="Name of the plot.", min_length=1)
     quadrant: str = Field(description="NE, NW, SE or SW.", min_length=1)
     accepted_genus: OptionalText = Field(default=None, description="Genus.")
@@ -120,7 +119,7 @@ class QuadratSpeciesRow(TableRow):
 class InterceptRow(TableRow):
     """What a point on a line across a plot shows from above."""
 
-    columns = ("accepted_genus", "accepted_species", "other_cover_type")
+    must_have = ("accepted_genus", "accepted_species", "other_cover_type")
     plot: str = Field(description="Name of the plot.", min_length=1)
     line_transect: str = Field(description="NS or WE.", min_length=1)
     metres_along_line: str = Field(description="0L to 10R.", min_length=1)
@@ -255,7 +254,7 @@ def read_published(folder: Path) -> FieldTables:
 
 def _read_summary(tables: FieldTables) -> None:
     path, first = tables.summary, dict[str, int]()
-    for where, row in read_foreign(path, SummaryRow, SUMMARY[1]):
+    for where, row in read_rows(path, SummaryRow, SUMMARY[1]):
         if row.plot in first:
             raise InputError(
                 f"plot {row.plot!r} is there twice, first in row {first[row.plot]}",
@@ -278,7 +277,7 @@ def _read_summary(tables: FieldTables) -> None:
 def _read_species(tables: FieldTables) -> None:
     path = tables.species
     rows: dict[tuple[str, str], list[tuple[int, PlotSpeciesRow]]] = {}
-    for where, row in read_foreign(path, PlotSpeciesRow, SPECIES[1]):
+    for where, row in read_rows(path, PlotSpeciesRow, SPECIES[1]):
         taxon = _taxon(row)
         if taxon is None:
             raise InputError(
@@ -351,7 +350,7 @@ def _taxon(row: Any) -> str | None:
 
 def _read_quadrats(tables: FieldTables, path: Path) -> None:
     ages: dict[str, list[float]] = {}
-    for where, row in read_foreign(path, QuadratRow, QUADRATS[1]):
+    for where, row in read_rows(path, QuadratRow, QUADRATS[1]):
         total = row.total_cover_check
         if total is not None and abs(total - 100.0) > 1.0:
             tables.remark(
@@ -377,7 +376,7 @@ def _compare_quadrat_species(tables: FieldTables, path: Path) -> None:
     """The plot's table holds the sums over the quadrants: a row that is there twice may count
     twice in them."""
     first: dict[tuple[str, str, str], int] = {}
-    for where, row in read_foreign(path, QuadratSpeciesRow, QUADRAT_SPECIES[1]):
+    for where, row in read_rows(path, QuadratSpeciesRow, QUADRAT_SPECIES[1]):
         taxon = _taxon(row)
         key = row.plot, row.quadrant, taxon or ""
         if taxon is not None and key in first:
@@ -393,7 +392,7 @@ def _compare_quadrat_species(tables: FieldTables, path: Path) -> None:
 
 def _read_intercepts(tables: FieldTables, path: Path) -> None:
     points: dict[str, list[tuple[int, InterceptRow]]] = {}
-    for where, row in read_foreign(path, InterceptRow, INTERCEPTS[1]):
+    for where, row in read_rows(path, InterceptRow, INTERCEPTS[1]):
         points.setdefault(row.plot, []).append((where, row))
     for plot, rows in points.items():
         first: set[tuple[str, str]] = set()

@@ -49,12 +49,19 @@ _LARGEST_EVEN = 0.125
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely plots are simulated."""
+    """How finely plots are simulated. Raises `InputError` where voxels do not fill a plot."""
 
     size_m: float = 5.0
     """Side of the square that stands for a plot [m]; it repeats itself."""
     voxel_m: float = 0.1
     """Edge of a voxel [m]."""
+
+    def __post_init__(self) -> None:
+        if abs(round(self.size_m / self.voxel_m) * self.voxel_m - self.size_m) > 1e-6 * self.size_m:
+            raise InputError(
+                f"`voxel_m` must divide `size_m`, but {self.voxel_m:g} does not divide "
+                f"{self.size_m:g}"
+            )
 
     @property
     def structure(self) -> float | Literal["even"]:

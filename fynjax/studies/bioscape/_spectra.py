@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fynjax._core.errors import InputError
-from fynjax.io.text import foreign_rows, read_text
+from fynjax.io.text import TextTable, open_table
 from fynjax.sensors import shipped_sensor
 from fynjax.studies.bioscape._tables import VISITS, find_table
 
@@ -54,18 +54,8 @@ def read_spectrometer(folder: str | Path) -> Spectrometer:
     path = find_table(Path(folder), WAVES)
     if path is None:
         return Spectrometer(known, width)
-    centres = []
-    for row, line in enumerate(read_text(path).splitlines(), start=1):
-        text = line.split(",")[-1].strip().strip('"')
-        if row == 1 or not text:
-            continue
-        try:
-            centres.append(float(text))
-        except ValueError as error:
-            raise InputError(
-                f"expected a band centre in nm, but got {text!r}", file=path, row=row
-            ) from error
-    centre = np.asarray(centres)
+    table = open_table(path, WAVES[1])
+    centre = table.columns([table.width - 1])[table.width - 1].to_numpy()
     if centre.size < 2 or not np.all(np.diff(centre) > 0) or not 200 < centre[0] < 3000:
         raise InputError(
             "expected two or more increasing band centres in nm, but got "
@@ -88,31 +78,25 @@ def read_plot_spectra(folder: str | Path) -> dict[str, PlotSpectra]:
     if path is None:
         return {}
     bands = read_spectrometer(folder).centre.size
-    rows = foreign_rows(path)
-    header = [name.strip() for name in next(rows, (1, []))[1]]
+    table = open_table(path, VISITS[1])
+    header = table.names
     columns = [i for i, name in enumerate(header) if re.fullmatch(r"Band_\d+", name)]
     if len(columns) != bands:
         raise InputError(
             f"expected a column Band_1, Band_2, ... for each of {bands} wavelengths, but there are "
             f"{len(columns)}. Do spectra and {WAVES[0]} belong together?",
             file=path,
-            row=1,
+            row=table.row,
         )
     for name in ("BScpPID", "start_time"):
         if name not in header:
             raise InputError("expected this column, but there is none", file=path, column=name)
     plot, start = header.index("BScpPID"), header.index("start_time")
     names, times, values = [], [], []
-    for where, cells in rows:
-        if len(cells) != len(header):
-            raise InputError(
-                f"expected {len(header)} cells as in the header, but this row has {len(cells)}",
-                file=path,
-                row=where,
-            )
-        names.append(cells[plot].strip())
-        times.append(_time(cells[start].strip(), path, where))
-        values.append([_number(cells[i], path, where, header[i]) for i in columns])
+    for where, cells in table.records():
+        names.append(cells[plot])
+        times.append(_time(cells[start], path, where))
+        values.append([_reflectance(table, cells[i], where, header[i]) for i in columns])
     if not values:
         return {}
     reflectance = np.asarray(values)
@@ -143,20 +127,15 @@ def _time(text: str, path: Path, row: int) -> str:
     return text
 
 
-def _number(text: str, path: Path, row: int, column: str) -> float:
-    if text.strip().lower() in ("", "na", "nan"):
-        return np.nan
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.inf
+def _reflectance(table: TextTable, text: str, row: int, column: str) -> float:
+    value = table.number(text, row, column, ("", "na", "nan"))
     if value <= -1.0 or abs(value - _MASKED) < 1e-6:
         return np.nan
-    if not value <= _LARGEST:
+    if value > _LARGEST:
         raise InputError(
-            f"expected a reflectance as a fraction, but got {text.strip()!r}. "
+            f"expected a reflectance as a fraction, but got {text!r}. "
             "Percent, or 10 000 times the fraction?",
-            file=path,
+            file=table.path,
             row=row,
             column=column,
         )

@@ -1,15 +1,12 @@
 """Rows of the BioSCape tables, checked cell by cell."""
 
-import re
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BeforeValidator, ConfigDict, Field
 
-from fynjax._core.errors import InputError, listed
-from fynjax.io.text import Slip, Strict, did_you_mean, first_error, foreign_rows, number, sentence
-
-Row = TypeVar("Row", bound=BaseModel)
+from fynjax._core.errors import InputError
+from fynjax.io.text import Slip, Strict, did_you_mean, number
 
 
 def not_available(value: Any) -> Any:
@@ -34,8 +31,6 @@ class TableRow(Strict):
     """A row of a table made elsewhere: other columns may stand beside those used here."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
-    columns: ClassVar[tuple[str, ...]] = ()
-    """Columns that must be there although their cells may be empty."""
 
 
 class CoverRow(TableRow):
@@ -138,50 +133,3 @@ def needed_table(folder: Path, kind: tuple[str, str]) -> Path:
             file=folder,
         )
     return path
-
-
-_COVER_CLASS = re.compile(r"r|\+|[1-5][abm]?", re.IGNORECASE)
-
-
-def read_foreign(path: Path, model: type[Row], what: str) -> list[tuple[int, Row]]:
-    """Rows of a table as `model`, each with its number; columns that it does not name are skipped.
-
-    **Raises:** `InputError` with file, row, column, value and what was expected.
-    """
-    lines = foreign_rows(path)
-    header = [name.strip() for name in next(lines, (1, []))[1]]
-    known = model.model_fields
-    for name, field in known.items():
-        needed = field.is_required() or name in getattr(model, "columns", ())
-        if needed and name not in header:
-            near = did_you_mean(name, [h for h in header if h not in known])
-            near = near.replace("Did you mean", "Is it").replace("?", " in this file?")
-            raise InputError(
-                f"expected a column {name!r}, but the header has "
-                f"{listed(header) or 'nothing'}.{near}",
-                file=path,
-                row=1,
-                column=name,
-            )
-    rows = []
-    for row, cells in lines:
-        if len(cells) != len(header):
-            raise InputError(
-                f"expected {len(header)} cells as in the header, but this row has {len(cells)}. "
-                "A comma inside a name or number?",
-                file=path,
-                row=row,
-            )
-        given = {n: c.strip() for n, c in zip(header, cells) if n in known and c.strip()}
-        try:
-            rows.append((row, model.model_validate(given)))
-        except ValidationError as error:
-            first = first_error(error)
-            name = str(first["loc"][0]) if first["loc"] else ""
-            text = sentence(first, model, name)
-            if name.startswith("Percent") and _COVER_CLASS.fullmatch(given.get(name, "")):
-                text += " A cover class? Write the middle of the class in percent."
-            raise InputError(text, file=path, row=row, column=name or None) from error
-    if not rows:
-        raise InputError(f"expected {what}, but there is only a header", file=path)
-    return rows

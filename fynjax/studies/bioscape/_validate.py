@@ -1,6 +1,5 @@
-"""`fynjax validate-plots`: field tables in, simulated against measured spectra out."""
+"""`fynjax bioscape validate`: field tables in, simulated against measured spectra out."""
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from fynjax._core.checkpoint import Journal, signature
+from fynjax._core.dry_run import begin_work
 from fynjax._core.errors import InputError
 from fynjax._core.parts import Workers, at_work
 from fynjax.compare import PlotSpectraPair
@@ -17,7 +17,7 @@ from fynjax.io.raster import file_hash
 from fynjax.jobs import Run
 from fynjax.metrics import spectral_mask
 from fynjax.sensors import BandSet
-from fynjax.studies.bioscape._plot_files import flights, run_bioscape
+from fynjax.studies.bioscape._plot_files import check_names, flights, write_plots
 from fynjax.studies.bioscape._plots import BioscapePlot, read_bioscape
 from fynjax.studies.bioscape._scenes import (
     ACCURACY,
@@ -82,11 +82,9 @@ def validate_plots(
         tuple(spectrometer.centre[keep]),
         tuple(spectrometer.fwhm[keep]),
     )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they were given once, above
-        written = run_bioscape(
-            folder, run.folder / "plots", plots=[p.name for p in read], traits=traits, prior=prior
-        )
+    check_names(read, folder)
+    begin_work({"plots.csv": f"{len(read)} plots", "report.html": ""})
+    written = write_plots(Run(run.folder / "plots"), folder, read, learned)
     files = [read_plot(run.folder / "plots" / p.name / "plot.toml") for p in read]
     with run.stage("Plant the plots"):
         scenes = build_scenes(files, resolution, [seed + i for i in range(len(files))])

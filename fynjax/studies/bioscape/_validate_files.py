@@ -1,4 +1,4 @@
-"""What `fynjax validate-plots` writes: tables, NetCDF, figures, a page."""
+"""What `fynjax bioscape validate` writes: tables, NetCDF, figures, a page."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -73,7 +73,7 @@ _ASSUMED = (
 class ValidatePlotsResult(JobResult):
     """Result of `validate_plots`: agreement of the model with the measured spectra."""
 
-    command: Literal["validate-plots"] = "validate-plots"
+    command: Literal["bioscape validate"] = "bioscape validate"
     plots: list[str]
     measured: list[str]
     """Plots with a measured spectrum."""

@@ -1,0 +1,200 @@
+"""Commands from measurements of a plot to its parameters, and about what measurements can say."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from fynjax._core.errors import InputError
+from fynjax.cli._runtime import (
+    BANDS,
+    Checkpoint,
+    OwnSeed,
+    PlotPath,
+    PriorFile,
+    SchedulerAddress,
+    WorkerCount,
+    command,
+    listed,
+)
+
+Targets = Annotated[
+    list[Path],
+    typer.Option(
+        "--target",
+        metavar="FILE",
+        help="What was measured; may be given once for each kind. Drone image (GeoTIFF, "
+        "reflectance) or a table with statistic, value, sd. Spectrum (CSV, ASD, ENVI library) or "
+        "image of many bands (ENVI, NetCDF, GeoTIFF), of which the mean counts. Point cloud (LAS, "
+        "LAZ) or a table with metric, value, sd, grain_m, returns_m2.",
+    ),
+]
+Bands = Annotated[
+    str | None, listed(str, "names", "A,B,...", f"What each band of the drone image is, {BANDS}")
+]
+Free = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="PATTERN",
+        help="Parameters to free, such as species.*.cover; may be repeated. The plot file's if "
+        "left out.",
+    ),
+]
+_NUMBERS = "numbers with commas between"
+
+
+@command("calibrate", "fynjax.jobs:calibrate", forget=True)
+def calibrate(
+    plot: PlotPath,
+    targets: Targets,
+    bands: Bands = None,
+    prior: PriorFile = "none",
+    checkpoint: Checkpoint = None,
+    seed: OwnSeed = None,
+) -> None:
+    """Find the parameters of a plot that explain what was measured of it.
+
+    By one sensor or several at once. Writes every parameter with prior, estimate and standard
+    deviation, the statistics before and after, images, figures and a report page. An interrupted
+    run goes on when the same command is given again.
+
+    Example:  fynjax calibrate plot.toml --target statistics.csv --target cloud.laz
+    """
+
+
+@command("posterior", "fynjax.jobs:posterior")
+def posterior(
+    plot: PlotPath,
+    targets: Targets,
+    bands: Bands = None,
+    method: Annotated[
+        Literal["emcee", "nuts", "laplace"],
+        typer.Option(
+            help="An ensemble of walkers, Hamiltonian sampling, or the Gaussian about the fit."
+        ),
+    ] = "emcee",
+    free: Free = None,
+    target_size: Annotated[
+        int, typer.Option("--draws", min=1, help="Effective draws to reach.")
+    ] = 400,
+    max_steps: Annotated[
+        int, typer.Option("--steps", min=1, help="Most steps of the chain.")
+    ] = 5000,
+    simulations: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="Simulations of the prior, for a regression that checks the posterior; 0: none.",
+        ),
+    ] = 300,
+    prior: PriorFile = "none",
+    checkpoint: Checkpoint = None,
+    seed: OwnSeed = None,
+) -> None:
+    """Sample which parameters of a plot real measurements leave possible.
+
+    By one sensor or several at once. Writes every draw (NetCDF), the parameters with their
+    intervals, figures and a report page. An interrupted run goes on when the same command is given
+    again.
+
+    Example:  fynjax posterior plot.toml --target statistics.csv --method laplace
+    """
+
+
+@command("sensitivity", "fynjax.jobs:sensitivity", forget=True)
+def sensitivity(
+    plot: PlotPath,
+    metrics: Annotated[
+        str, listed(str, "names", "NAME,...", "Statistics of the image.")
+    ] = "red.mean,nir.mean,NDVI.mean,NDVI.std",
+    free: Free = None,
+    plantings: Annotated[
+        int,
+        typer.Option(
+            min=2,
+            metavar="N",
+            help="Plantings over which slopes are taken, at most; fewer where the errors of each "
+            "metric's three largest elasticities are below 10 %.",
+        ),
+    ] = 64,
+    derivative_samples: Annotated[
+        int,
+        typer.Option(
+            "--derivatives",
+            min=0,
+            metavar="N",
+            help="Samples for derivative-based global sensitivity (DGSM), a power of two; 0: none.",
+        ),
+    ] = 0,
+    sobol_samples: Annotated[
+        int,
+        typer.Option(
+            "--sobol",
+            min=0,
+            metavar="N",
+            help="Points of the Sobol design, a power of two; takes N (parameters + 2) renders.",
+        ),
+    ] = 0,
+    checkpoint: Checkpoint = None,
+    count: WorkerCount = 0,
+    scheduler: SchedulerAddress = None,
+    seed: OwnSeed = None,
+) -> None:
+    """Find which parameters of a plot change which statistics of its image.
+
+    Writes slopes and elasticities at the plot's parameters, means over plantings with their
+    errors, shares of variance over the priors if asked for, figures and a report page.
+
+    Example:  fynjax sensitivity plot.toml --metrics NDVI.mean,nir.mean --derivatives 64
+    """
+
+
+def _range(text: str) -> tuple[float, float]:
+    try:
+        low, high = map(float, text.split(","))
+    except ValueError:
+        raise InputError(
+            f"`--spectrum` must be two wavelengths, such as 450,900, but is {text}"
+        ) from None
+    return low, high
+
+
+@command("information", "fynjax.jobs:information")
+def information(
+    plot: PlotPath,
+    gsd: Annotated[
+        str, listed(float, _NUMBERS, "M,...", "Sides of a pixel [m], multiples of the smallest.")
+    ] = "0.1,0.2,0.5,1,2,5",
+    bands: Annotated[
+        str, listed(int, _NUMBERS, "N,...", "Numbers of bands, divisors of the largest.")
+    ] = "2,4,8",
+    spectrum: Annotated[
+        str,
+        typer.Option(metavar="LOW,HIGH", callback=_range, help="Range that the bands share [nm]."),
+    ] = "450,900",
+    noise: Annotated[
+        str, listed(float, _NUMBERS, "SHARE,...", "Noise of a pixel over its reflectance.")
+    ] = "0.01",
+    sun_zenith: Annotated[
+        str | None,
+        listed(
+            float,
+            _NUMBERS,
+            "DEG,...",
+            "Zenith angles of the sun; the plot's if left out.",
+            "--sun",
+        ),
+    ] = None,
+    free: Free = None,
+    realisations: Annotated[
+        int, typer.Option(min=2, help="Stand realisations used to estimate sampling variance.")
+    ] = 15,
+    seed: OwnSeed = None,
+) -> None:
+    """Bound how well sensors of any pixel, bands and noise can constrain a plot.
+
+    Writes the Cramér-Rao bound on every parameter, the pixel at which each species' cover is
+    lost, figures and a report page.
+
+    Example:  fynjax information plot.toml --free 'species.*.cover' --gsd 0.1,0.5,1,5 --bands 2,4,8
+    """

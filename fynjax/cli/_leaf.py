@@ -1,0 +1,113 @@
+"""Commands about spectra of leaves."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from fynjax.cli._runtime import Checkpoint, SchedulerAddress, Seed, WorkerCount, command, listed
+
+Spectra = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="SPECTRUM...",
+        help="Files of spectra, or folders of them: ASD, SVC, Spectral Evolution, CSV, text, ENVI.",
+    ),
+]
+PanelTable = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="Table of the white panel's own reflectance, where files lack it."
+    ),
+]
+
+
+@command("convert", "fynjax.jobs:convert")
+def convert(paths: Spectra, panel: PanelTable = None) -> None:
+    """Write spectra of any format as one CSV and one NetCDF.
+
+    Reads ASD, SVC, Spectral Evolution, CSV, text, ECOSTRESS and ENVI libraries, one file or whole
+    folders. Writes spectra.csv (wavelengths in nm, a column a spectrum, fractions of 0 to 1),
+    spectra.nc (the same with units, file and header of each) and sources.csv.
+
+    Example:  fynjax convert campaign leaf_1.asd --output spectra
+    """
+
+
+@command("fit-leaf", "fynjax.jobs:fit_leaf", forget=True)
+def fit_leaf(
+    paths: Spectra,
+    version: Annotated[Literal["D", "PRO"], typer.Option(help="PROSPECT version.")] = "D",
+    measurement: Annotated[
+        str,
+        typer.Option(
+            help="How it was measured: sphere, leaf-clip, probe, or stack (piles, optically thick)."
+        ),
+    ] = "sphere",
+    background: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|NUMBER",
+            help="Reflectance behind the leaf of a clip or probe; black by default.",
+        ),
+    ] = None,
+    over_background: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Second readings of the same leaves over --background (repeat for files); the "
+            "first are then over black, and transmittance follows."
+        ),
+    ] = None,
+    leaf_shape: Annotated[
+        Literal["broad", "needle", "mat", "culm"],
+        typer.Option(
+            help="needle: single or apart; mat: needles side by side; culm: culms side by side. "
+            "Gaps, and light between those side by side, are estimated where transmittance is."
+        ),
+    ] = "broad",
+    area: Annotated[
+        Literal["projected", "half_total"],
+        typer.Option(help="Contents per projected area, or per half of the surface of the leaf."),
+    ] = "projected",
+    domain: Annotated[
+        Literal["full", "optimal"],
+        typer.Option(help="Wavelengths to fit: all, or the published sub-domains."),
+    ] = "full",
+    panel: PanelTable = None,
+    detector_changes: Annotated[
+        str | None,
+        listed(
+            float,
+            "wavelengths in nm such as 1000,1830",
+            "NM,...",
+            "Where detectors change, such as 1000,1830; ASD files state it themselves.",
+        ),
+    ] = None,
+    groups: Annotated[
+        Path | None,
+        typer.Option(help="CSV with columns name and species: fit leaves of a species together."),
+    ] = None,
+    regression: Annotated[
+        bool,
+        typer.Option(
+            "--regression",
+            help="Correct water by what fits leave in the spectra, all of one campaign.",
+        ),
+    ] = False,
+    posterior: Annotated[
+        Literal["none", "emcee", "nuts"],
+        typer.Option(help="Sample the posterior of each leaf as well."),
+    ] = "none",
+    checkpoint: Checkpoint = None,
+    count: WorkerCount = 0,
+    scheduler: SchedulerAddress = None,
+    seed: Seed = 0,
+) -> None:
+    """Fit PROSPECT to measured leaf spectra.
+
+    Writes traits.csv (one row for each spectrum: parameters, standard deviations, fit error,
+    status), spectra.nc (measured, fitted reflectance, predicted transmittance) and a figure.
+    A table with reflectance and transmittance has a column of each, such as oak_R and oak_T.
+
+    Example:  fynjax fit-leaf leaf_1.asd leaf_2.asd --output traits
+    """

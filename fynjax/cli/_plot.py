@@ -1,0 +1,342 @@
+"""Commands about one plot: its files, its plants, its ground, its image, its page."""
+
+import webbrowser
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from fynjax._core.errors import InputError
+from fynjax.cli._runtime import (
+    SHIPPED,
+    Align,
+    Checkpoint,
+    Json,
+    OwnSeed,
+    PlotPath,
+    PriorFile,
+    Quiet,
+    Seed,
+    command,
+    listed,
+    show,
+)
+
+_PAGE = "report.html"
+
+
+@command("demo", "fynjax.studies.fynbos_2006:demo")
+def demo(seed: Seed = 0) -> None:
+    """Calibrate the 2006 burn plot to its real drone image, from shipped input.
+
+    Builds the 10 m x 10 m plot from the paper's species table, renders the drone image, calibrates
+    cover, crown diameter, leaves and ground against the real image's statistics, and writes image,
+    tables, figures and a report page.
+
+    Example:  fynjax demo --output my_demo
+    """
+
+
+def init(
+    folder: Annotated[Path | None, typer.Argument(metavar="DIR", help="Folder to make.")] = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="The same as the argument DIR.")
+    ] = None,
+    burnt: Annotated[
+        int,
+        typer.Option(
+            metavar="YEAR",
+            help="Year of the plot's last fire. 2006 is the published plot; 2016, 2019 and others "
+            "are built on assumptions about recovery, which their files state.",
+        ),
+    ] = 2006,
+    prior: PriorFile = SHIPPED,
+    seed: Seed = 0,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a commented example plot that runs as it is.
+
+    Never overwrites a file.
+
+    Example:  fynjax init my_plot && fynjax render my_plot/plot.toml
+    """
+    from fynjax.studies import fynbos_2006
+
+    if folder is not None and output is not None and folder != output:
+        raise InputError(f"expected one folder, but got {str(folder)!r} and {str(output)!r}")
+    target = folder or output or Path("fynjax_plot")
+    result = fynbos_2006.init(target, burnt=burnt, prior=prior, seed=seed)
+    if json:
+        print(result.model_dump_json(indent=2))
+    elif not quiet:
+        show(result)
+        print(f"Next: fynjax render {target / 'plot.toml'}")
+
+
+@command("render", "fynjax.jobs:render", forget=True)
+def render(plot: PlotPath, checkpoint: Checkpoint = None, seed: OwnSeed = None) -> None:
+    """Render what the drone sees of a plot.
+
+    Writes the reflectance image (GeoTIFF), the run (NetCDF) and a report page. A large image is
+    rendered in tiles; an interrupted run goes on with the same command.
+
+    Example:  fynjax render plot.toml --output render
+    """
+
+
+@command("build", "fynjax.jobs:build")
+def build(
+    plot: PlotPath,
+    seed: OwnSeed = None,
+    size: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Side of the plot [m]; the plot file's if left out."),
+    ] = None,
+    cell: Annotated[
+        float, typer.Option(metavar="M", help="Cells that cover is measured on [m].")
+    ] = 0.01,
+    mesh: Annotated[
+        bool, typer.Option("--mesh", help="Also write the scene as a mesh (OBJ, MTL).")
+    ] = False,
+    max_triangles: Annotated[
+        int, typer.Option("--triangles", min=2000, help="Most triangles of that mesh.")
+    ] = 5_000_000,
+    view: Annotated[
+        Literal["points", "meshes"],
+        typer.Option(help="Oblique picture of points, or of meshes (the extra `view`)."),
+    ] = "points",
+) -> None:
+    """Plant a plot: whole plants, as many as its covers ask for.
+
+    Writes the plants and their cover (CSV), the voxels (NetCDF), pictures and a report page.
+
+    Example:  fynjax build plot.toml --size 20 --output scene
+    """
+
+
+@command("plant", "fynjax.jobs:plant")
+def plant(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="MESH|SCAN|TAXON",
+            help="Mesh (OBJ, PLY, STL, GLB; metres), scan with normals (XYZ, CSV, TXT, PLY without "
+            "faces), or a taxon of table 1 or growth form to generate.",
+        ),
+    ],
+    n_elements: Annotated[
+        int, typer.Option("--elements", min=1, max=5_000_000, help="Number of area elements.")
+    ] = 2000,
+    materials: Annotated[
+        Path | None,
+        typer.Option(help="CSV with columns material, organ and, if wanted, optics and solid."),
+    ] = None,
+    up: Annotated[
+        str | None,
+        typer.Option(
+            metavar="z|y",
+            help="Vertical axis of the file: y for .glb and .gltf if left out, as their standard "
+            "says, else z. GLB that trimesh made of a mesh with z up needs z.",
+        ),
+    ] = None,
+    maximum_extent: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M", help="A larger mesh or scan [m] is taken to be in other units.  [4]"
+        ),
+    ] = None,
+    branches: Annotated[
+        int, typer.Option(min=1, help="The source is one branch: make a plant of so many copies.")
+    ] = 1,
+    rotation_spread: Annotated[
+        float | None,
+        typer.Option(help="Spread of the branches' tilt [degrees]; grows with them if left out."),
+    ] = None,
+    diameter: Annotated[
+        float | None, typer.Option(metavar="M", help="Crown of a taxon [m]; that of table 1.")
+    ] = None,
+    height: Annotated[
+        float | None, typer.Option(metavar="M", help="Height of a taxon [m]; that of table 1.")
+    ] = None,
+    flowering: Annotated[
+        float | None, typer.Option(help="Part of full bloom of a taxon, 0 to 1.  [0]")
+    ] = None,
+    max_triangles: Annotated[
+        int | None,
+        typer.Option(
+            help="About the most triangles of a taxon; fewer make larger leaves.  [200000]"
+        ),
+    ] = None,
+    seed: Seed = 0,
+) -> None:
+    """Turn a plant mesh or a scan into area elements, or generate the mesh of a taxon or
+    growth form.
+
+    Writes elements.csv (position, normal, one-sided area, organ, optics of each element), a
+    picture and, of what is generated or made of branches, plant.obj with plant.mtl. Closed
+    surfaces count half.
+
+    Example:  fynjax plant "Metalasia muricata" --elements 5000 --output metalasia
+    """
+
+
+_Unit = Literal["metre", "centimetre", "millimetre", "foot", "us_survey_foot"]
+
+
+@command("terrain", "fynjax.jobs:terrain")
+def terrain(
+    path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="Point cloud (LAS, LAZ, PLY, XYZ, CSV) or height raster (GeoTIFF).",
+        ),
+    ],
+    cell: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Side of a cell [m]; 0.25 for a cloud, a raster's own."),
+    ] = None,
+    size: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Side of a square plot in the middle of the file [m]."),
+    ] = None,
+    bounds: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(metavar="W S E N", help="Edges of the plot, in the file's coordinates [m]."),
+    ] = None,
+    method: Annotated[
+        Literal["smrf", "cloth", "labels"] | None,
+        typer.Option(
+            help="Ground by the file's labels (the usual, where it has them) or by a filter."
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M", help="Largest distance of ground from the lowest points [m]; 0.3."
+        ),
+    ] = None,
+    slope: Annotated[
+        float | None,
+        typer.Option(help="SMRF slope threshold [m/m]; 0.15."),
+    ] = None,
+    window: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Radius of the widest closed stand [m] (smrf); 5, or half of a smaller cloud.",
+        ),
+    ] = None,
+    largest_gap: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M", help="Largest distance of a cell from the nearest ground point [m]; 10."
+        ),
+    ] = None,
+    unit: Annotated[
+        _Unit | None, typer.Option(help="Unit of a cloud's coordinates, if not metres.")
+    ] = None,
+    height_unit: Annotated[_Unit | None, typer.Option(help="Unit of heights, if another.")] = None,
+    crs: Annotated[
+        str | None,
+        typer.Option(metavar="EPSG:N", help="Reference system of a file that states none."),
+    ] = None,
+    fill_gaps: Annotated[
+        bool, typer.Option("--fill-gaps", help="Interpolate cells of a raster without height.")
+    ] = False,
+    band: Annotated[
+        int | None, typer.Option(metavar="N", help="Band of a raster that has the heights, from 1.")
+    ] = None,
+) -> None:
+    """Make the ground of a plot from a point cloud or a height raster.
+
+    Writes the ground as GeoTIFF and OBJ, a picture and, from a cloud, the height of the canopy.
+
+    Example:  fynjax terrain plot.laz --size 66 --output terrain
+    """
+
+
+@command("pattern", "fynjax.jobs:pattern")
+def pattern(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="IMAGE...",
+            help="Image of several bands (GeoTIFF), or the single-band files of one capture in "
+            "order.",
+        ),
+    ],
+    clusters: Annotated[int, typer.Option(min=2, max=255, help="Number of clusters.")] = 3,
+    bands: Annotated[
+        str | None,
+        listed(
+            str,
+            "names",
+            "A,B,...",
+            "Names of the bands or their wavelengths [nm], in order, where files lack them.",
+        ),
+    ] = None,
+    greenness: Annotated[
+        str,
+        typer.Option(
+            help="What orders the clusters: auto, ndvi, excess_green, or a band that is brighter "
+            "where plants are (-BAND: darker)."
+        ),
+    ] = "auto",
+    greenness_weight: Annotated[
+        float,
+        typer.Option(min=0.0, help="How much greenness counts in clustering; 0: the bands alone."),
+    ] = 1.0,
+    levels: Annotated[
+        str | None,
+        listed(
+            int,
+            "whole numbers from 0 to 255 with commas, such as 0,128,255",
+            "N,N,...",
+            "Grey of each cluster, least green first; evenly up to 255 if left out. 0 keeps "
+            "a cluster free of plants.",
+        ),
+    ] = None,
+    pixel: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Side of a pixel [m], for an image without a place."),
+    ] = None,
+    align: Align = True,
+    seed: Seed = 0,
+) -> None:
+    """Make a probability map from an image: where plants are likely to stand.
+
+    Writes map.tif for `probability_map` of a plot file, and a picture. Pixels are clustered by
+    K-means and the clusters ordered by greenness.
+
+    Example:  fynjax pattern orthophoto.tif --levels 0,128,255 --output pattern
+    """
+
+
+def view(
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Folder of a finished run, or its page.")
+    ],
+    print_path: Annotated[
+        bool, typer.Option("--print", help="Print the path of the page and open nothing.")
+    ] = False,
+) -> None:
+    """Open the report page of a run in the browser.
+
+    Where there is no browser its path is printed.
+
+    Example:  fynjax view output/demo
+    """
+    from fynjax.io.text import existing_file
+
+    if run.is_dir() and not (run / _PAGE).is_file():
+        written = sorted(p.name for p in run.iterdir() if p.is_file())
+        raise InputError(
+            f"expected the folder of a run with {_PAGE}, but this has "
+            + (f"{', '.join(written[:8])}" if written else "no files"),
+            file=run,
+        )
+    page = existing_file(run / _PAGE if run.is_dir() else run, "a report page").resolve()
+    if print_path or not webbrowser.open(page.as_uri()):
+        print(page)

@@ -1,0 +1,259 @@
+"""Spectra of many files, as one dataset and one table."""
+
+import json
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from fynjax._core.errors import InputError
+from fynjax.io.spectra._panel import read_curve, with_panel
+from fynjax.io.spectra._read import read_usable_spectra
+from fynjax.io.spectra._record import MeasuredSpectrum, note
+from fynjax.io.text import atomic_path
+from fynjax.leaf import LARGEST_JUMP, correct_detector_jumps
+
+_DIGITS = 3
+"""Decimals of a wavelength [nm]: bands nearer to each other are the same."""
+_NOTED_JUMP = 0.005
+"""Relative jump between detectors from which on a repair is noted [-]."""
+_NAMED_REFUSALS = 5
+"""Refused spectra that the warnings name."""
+
+Read = list[tuple[str, MeasuredSpectrum]]
+"""File and spectrum of each that can be used."""
+Refused = list[tuple[str, str, InputError]]
+"""File, name and error of each that cannot; the name is empty where the whole file is none."""
+
+
+def read_spectra(
+    paths: str | Path | Sequence[str | Path],
+    *,
+    panel: str | Path | None = None,
+    detector_changes: Sequence[float] | None = None,
+) -> xr.Dataset:
+    """Read every spectrum of files or folders, of any format that `fynjax fit-leaf` takes.
+
+    **Arguments:**
+
+    - `paths`: a file, a folder, or several: ASD, SVC, Spectral Evolution, CSV, TSV, text, ENVI
+      libraries (see `fynjax.io.spectra.read_spectra_file`). Of folders every file in them and below
+      is read, but hidden ones and ENVI headers.
+    - `panel`: file of the white panel's own reflectance, for spectra relative to it; those of ASD
+      files that hold it are absolute already.
+    - `detector_changes`: wavelengths where detectors change [nm], at which jumps are taken out of
+      all spectra (`correct_detector_jumps`); `None` for those that files state, `()` for none.
+
+    **Returns:** reflectance and, where any was measured, transmittance [spectrum, wavelength] as
+    fractions, NaN where a spectrum has no such band; wavelength [nm]; of each spectrum its name
+    (numbered where it occurs twice), file, format, repairs made while reading, and what else the
+    file says, as JSON. CF conventions, and the files' hashes. `fynjax.fit_leaf` takes it whole.
+
+    **Raises:** `InputError` where no spectrum can be used, with the first reason. Warns of others
+    that cannot, and of a white panel that is unknown.
+
+    >>> import pathlib, tempfile
+    >>> import fynjax as fx
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "leaves.csv"
+    ...     _ = path.write_text("wavelength,protea,restio\\n500,0.05,0.08\\n800,0.48,0.40\\n")
+    ...     spectra = fx.read_spectra(folder)
+    >>> spectra["reflectance"].sel(spectrum="restio").values
+    array([0.08, 0.4 ])
+    """
+    from fynjax.io.raster import provenance  # late: it imports this package
+
+    read, refused = usable_spectra(paths, panel, detector_changes)
+    for sentence in warnings_of_reading(read, refused):
+        warnings.warn(sentence, stacklevel=2)
+    inputs = dict.fromkeys([*(file for file, _ in read), *([] if panel is None else [panel])])
+    return measured_dataset(read, provenance(inputs=inputs))
+
+
+def usable_spectra(
+    paths: str | Path | Sequence[str | Path],
+    panel: str | Path | None = None,
+    detector_changes: Sequence[float] | None = None,
+) -> tuple[Read, Refused]:
+    """The spectra of files and folders that can be used, and what could not be.
+
+    **Arguments:** `paths`, `panel` and `detector_changes` as of `read_spectra`.
+
+    **Returns:** file and spectrum of each that can be used; file, name and error of the others,
+    the name empty where the whole file cannot be read.
+
+    **Raises:** `InputError` where no spectrum can be used, with the first reason.
+    """
+    curve = None if panel is None else read_curve(panel, "the panel")
+    read: Read = []
+    refused: Refused = []
+    for file in _files([paths] if isinstance(paths, str | Path) else paths):
+        try:
+            usable, bad = read_usable_spectra(file)
+        except InputError as error:
+            usable, bad = [], [("", error)]
+        for spectrum in usable:
+            try:
+                absolute = spectrum if curve is None else with_panel(spectrum, *curve)
+            except InputError as error:
+                bad.append((spectrum.name, error))
+                continue
+            read.append((str(file), _without_jumps(absolute, detector_changes)))
+        refused += [(str(file), name, error) for name, error in bad]
+    if not read:
+        raise refused[0][2] if refused else InputError("no file of spectra was given")
+    return read, refused
+
+
+def _files(paths: Sequence[str | Path]) -> list[Path]:
+    """Files, and those in folders and below them."""
+    files = []
+    for path in map(Path, paths):
+        if not path.is_dir():
+            files.append(path)
+            continue
+        inside = sorted(p for p in path.rglob("*") if p.is_file())
+        inside = [p for p in inside if p.suffix.lower() != ".hdr"]
+        shown = [p for p in inside if not any(s[0] == "." for s in p.relative_to(path).parts)]
+        if not shown:
+            raise InputError("expected files of spectra, but the folder has none", file=path)
+        files += shown
+    return files
+
+
+def _without_jumps(spectrum: MeasuredSpectrum, changes: Sequence[float] | None) -> MeasuredSpectrum:
+    """The spectrum with the jumps of its detectors taken out at `changes` [nm], or, if None, where
+    the file says that they change."""
+    stated = changes is not None
+    changes = spectrum.meta.get("splices", []) if changes is None else changes
+    if not changes:
+        return spectrum
+    meta = {**spectrum.meta, "repairs": list(spectrum.meta["repairs"])}
+    parts = []
+    for values in (spectrum.reflectance, spectrum.transmittance):
+        if values is not None:
+            values, jumps = correct_detector_jumps(spectrum.wavelength, values, changes)
+            for at, jump in zip(changes, jumps):
+                if np.isfinite(jump) and abs(jump) > _NOTED_JUMP:
+                    what = "taken out" if abs(jump) <= LARGEST_JUMP else "too large, left alone"
+                    note(meta, f"detectors change at {at:g} nm: {100 * jump:+.1f} %, {what}")
+                if stated and not np.isfinite(jump):
+                    note(meta, f"detectors change at {at:g} nm: too few bands beside it to tell")
+        parts.append(values)
+    return MeasuredSpectrum(spectrum.name, spectrum.wavelength, parts[0], parts[1], meta)
+
+
+def warnings_of_reading(read: Read, refused: Refused, table: str = "") -> list[str]:
+    """What to warn of after reading spectra.
+
+    **Arguments:** `read` and `refused`, as of `usable_spectra`; `table`, the file that lists all.
+
+    **Returns:** sentences: the first spectra that were refused, and panels that are unknown.
+    """
+    said = [f"Refused: {error}" for _, _, error in refused[:_NAMED_REFUSALS]]
+    if len(refused) > _NAMED_REFUSALS:
+        see = f", see {table}" if table else ""
+        said.append(f"{len(refused) - _NAMED_REFUSALS} more were refused{see}.")
+    relative = sum(s.meta.get("panel") == "unknown" for _, s in read)
+    if relative:
+        said.append(
+            f"The reflectance of {relative} ASD spectra is relative to a white panel whose own "
+            "reflectance is not in the file: 1 to 2 % too high with a usual panel, 6 % at 2500 nm. "
+            f"Give its table by {'--panel' if table else '`panel`'}."
+        )
+    return said
+
+
+def measured_dataset(spectra: Read, attributes: Mapping[str, str | int]) -> xr.Dataset:
+    """Spectra of files over all their wavelengths, NaN where one has no such band.
+
+    **Arguments:**
+
+    - `spectra`: file and spectrum of each.
+    - `attributes`: of the dataset, such as where it comes from.
+
+    **Returns:** as `read_spectra`.
+    """
+    names = _numbered([s.name for _, s in spectra])
+    grids = [np.round(s.wavelength, _DIGITS) for _, s in spectra]
+    wavelength = np.unique(np.concatenate(grids))
+    variables: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
+    for quantity in ("reflectance", "transmittance"):
+        rows = [getattr(s, quantity) for _, s in spectra]
+        if all(row is None for row in rows):
+            continue
+        values = np.full((len(rows), wavelength.size), np.nan)
+        for row, grid, into in zip(rows, grids, values):
+            if row is not None:
+                into[np.searchsorted(wavelength, grid)] = row
+        long_name = f"measured {quantity}, as a fraction"
+        variables[quantity] = (
+            ("spectrum", "wavelength"), values, {"units": "1", "long_name": long_name}
+        )  # fmt: skip
+    texts = {
+        "file": ([file for file, _ in spectra], "file of the spectrum"),
+        "format": ([str(s.meta.get("format", "")) for _, s in spectra], "format of the file"),
+        "repairs": (["; ".join(s.meta["repairs"]) for _, s in spectra], "repairs while reading"),
+        "header": ([_header(s) for _, s in spectra], "what else the file says, as JSON"),
+    }
+    for name, (cells, long_name) in texts.items():
+        variables[name] = (("spectrum",), np.array(cells, object), {"long_name": long_name})
+    about = {"units": "nm", "standard_name": "radiation_wavelength", "long_name": "band centre"}
+    return xr.Dataset(
+        variables,
+        coords={
+            "wavelength": ("wavelength", wavelength, about),
+            "spectrum": ("spectrum", np.array(names, object), {"long_name": "name of spectrum"}),
+        },
+        attrs={"Conventions": "CF-1.11", "title": "Measured spectra", **attributes},
+    )
+
+
+def _header(spectrum: MeasuredSpectrum) -> str:
+    rest = {k: v for k, v in spectrum.meta.items() if k not in ("format", "repairs")}
+    return json.dumps(rest, default=str, ensure_ascii=False)
+
+
+def _numbered(names: Sequence[str]) -> list[str]:
+    """Names, those that occur before with a number that no other has."""
+    unique: dict[str, None] = {}
+    for name in names:
+        count, free = 1, name
+        while free in unique:
+            count += 1
+            free = f"{name}_{count}"
+        unique[free] = None
+    return list(unique)
+
+
+def measured_table(dataset: xr.Dataset) -> pd.DataFrame:
+    """A column of wavelengths and one of each spectrum, which `read_spectra` reads again.
+
+    **Arguments:** `dataset`, as `read_spectra` makes it.
+
+    **Returns:** `wavelength_nm`, and of each spectrum its name with `_R` (reflectance) or `_T`.
+    """
+    columns: dict[str, np.ndarray] = {"wavelength_nm": dataset["wavelength"].values}
+    for quantity, mark in (("reflectance", "R"), ("transmittance", "T")):
+        if quantity not in dataset:
+            continue
+        for name, row in zip(dataset["spectrum"].values, dataset[quantity].values):
+            if np.isfinite(row).any():
+                # The word would be read as the unit.
+                columns[f"{re.sub('%|percent', 'pct', name, flags=re.I)}_{mark}"] = row
+    return pd.DataFrame(columns)
+
+
+def write_spectra_netcdf(dataset: xr.Dataset, path: str | Path) -> None:
+    """Write a `dataset` of spectra to the file `path`, as compressed NetCDF-4; spectra as 32 bit
+    numbers."""
+    encoding = {
+        key: {"zlib": True} | ({"dtype": "float32"} if "wavelength" in values.dims else {})
+        for key, values in dataset.data_vars.items() if values.dtype.kind == "f"
+    }  # fmt: skip
+    with atomic_path(path) as partial:
+        dataset.to_netcdf(partial, engine="netcdf4", encoding=encoding)

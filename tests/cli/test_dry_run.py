@@ -1,0 +1,123 @@
+"""A dry run reads and checks what the run would, ends as it would, and writes nothing."""
+
+import json
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+
+from fynjax import jobs
+from fynjax.cli import main
+from tests.frozen.cases import CASES
+
+FROZEN = Path(__file__).parents[1] / "frozen"
+COMMANDS = [name for name in CASES if name not in ("init", "sensors", "view")]
+
+
+def call(capsys, line):
+    """Exit status, stdout, stderr of `fynjax ...`."""
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as caught:
+        main([str(part) for part in line])
+    return caught.value.code, *capsys.readouterr()
+
+
+def listed(folder):
+    return sorted(folder.rglob("*"))
+
+
+MARKED = [pytest.param(c, marks=pytest.mark.slow) if c == "map" else c for c in COMMANDS]
+
+
+@pytest.mark.parametrize("command", MARKED)
+def test_a_dry_run_names_files_that_the_run_writes_and_writes_none(command, capsys, tmp_path):
+    frozen = json.loads((FROZEN / f"{command}.json").read_text("utf-8"))
+    written = {name.partition(": ")[0] for name in frozen}
+    out = tmp_path / "out"
+    lines = CASES[command].runs(tmp_path)
+    for name, line in lines.items():
+        line = [*line, "--output", out / name]
+        before = listed(tmp_path)
+        status, shown, err = call(capsys, [*line, "--dry-run", "--json"])
+        assert status == 0, err
+        assert listed(tmp_path) == before
+        files = json.loads(shown)["files"]
+        assert files
+        missing = {f for f in files if f"{name}/{f}" not in written and "html" not in f}
+        assert not missing
+        if any(str(out / name) in str(part) for parts in lines.values() for part in parts):
+            with patch.dict(jobs.train.__kwdefaults__, steps=30):
+                assert call(capsys, [*line, "--quiet"])[0] == 0
+
+
+DAMAGED = {
+    "render": "species.csv",
+    "simulate": "camera/plot.toml",
+    "build": "species.csv",
+    "calibrate": "target.csv",
+    "bioscape-calibrate": "tables/*waves.csv",
+    "posterior": "target.csv",
+    "sensitivity": "species.csv",
+    "information": "plot.toml",
+    "fit-leaf": "leaves.csv",
+    "convert": "leaves.csv",
+    "bioscape-learn": "tables/*VegCenters.csv",
+    "map": "out/train/training.nc",
+    "terrain": "plot.csv",
+    "reflectance": "flight/IMG_0001_3.tif",  # the last file of the last capture
+    "bioscape-plots": "tables/*CoverData.csv",
+    "pattern": "a.tif",
+    "validate": "simulated.las",
+    "bioscape-validate": "tables/*waves.csv",
+}
+WRONG = {
+    "plant": ["--diameter", "40"],
+    "train": ["--simulations", "2"],
+    "sensitivity": ["--sobol", "3"],
+    "information": ["--bands", "3,8"],
+    "bioscape-learn": ["--plot", "none_of_these"],
+    "fit-leaf": ["--background", "0.5"],
+}
+
+
+def check_ends_as_the_run_does(capsys, line, folder):
+    before = listed(folder)
+    dry, real = call(capsys, [*line, "--dry-run"]), call(capsys, line)
+    assert dry == real
+    assert real[0] == 2
+    assert real[2].startswith("fynjax: error: ")
+    assert listed(folder) == before
+
+
+@pytest.mark.parametrize("command", DAMAGED)
+def test_a_damaged_file_ends_a_dry_run_as_it_ends_the_run(command, capsys, tmp_path):
+    lines = CASES[command].runs(tmp_path)
+    line = lines["map" if command == "map" else next(iter(lines))]
+    (tmp_path / "out" / "train").mkdir(parents=True)
+    (tmp_path / "out" / "train" / "training.nc").touch()
+    (file,) = tmp_path.glob(DAMAGED[command])
+    file.write_bytes(b"no such thing\n")
+    line = [*line, "--output", tmp_path / "results"]
+    check_ends_as_the_run_does(capsys, line, tmp_path)
+
+
+@pytest.mark.parametrize("command", WRONG)
+def test_a_wrong_setting_ends_a_dry_run_as_it_ends_the_run(command, capsys, tmp_path):
+    line = next(iter(CASES[command].runs(tmp_path).values()))
+    line = [*line, *WRONG[command], "--output", tmp_path / "results"]
+    check_ends_as_the_run_does(capsys, line, tmp_path)
+
+
+def test_a_dry_run_says_what_would_be_written_where(capsys, tmp_path):
+    line = next(iter(CASES["render"].runs(tmp_path).values()))
+    (tmp_path / "mine").write_text("mine")
+    status, _, err = call(capsys, [*line, "--dry-run", "--output", tmp_path / "mine"])
+    assert (status, "this is a file" in err) == (2, True)
+    output = tmp_path / "a" / "b"
+    status, out, err = call(capsys, [*line, "--dry-run", "--output", output])
+    assert (status, err) == (0, "")
+    assert f"would write to {output}" in out
+    assert "image.tif    " in out
+    assert "20 rows and 20 columns of pixels, 4 bands" in out
+    assert not (tmp_path / "a").exists()
+    assert call(capsys, [*line, "--dry-run", "--quiet", "--output", output]) == (0, "", "")
