@@ -10,7 +10,7 @@ import rasterio
 import fynjax as fx
 from fynjax.errors import InputError
 from fynjax.inversion import CalibrationSettings
-from fynjax.sensors import shipped_lidars
+from fynjax.sensors import Gains, shipped_lidars
 
 COLUMNS = "taxon", "growth_form", "mean_diameter_cm", "cover_percent", "height_max_m"
 TABLE = [
@@ -149,7 +149,7 @@ def drone(scene, tmp_path_factory):
 
 def test_a_scene_is_fitted_to_an_image_and_sampled(scene, drone):
     free = fx.free(scene, "species.*.cover", "species.*.leaf.chlorophyll")
-    data = fx.Data.from_image(drone, "mavic_3m", statistics=("*.mean",), gain_sd=0.01)
+    data = fx.Data.from_image(drone, "mavic_3m", statistics=("*.mean",), gains=Gains(0.01))
     found = fx.fit(scene, data, free, solver=fx.BroydenLM(), settings=QUICK)
     text = str(found)
     assert "The stand: green leaf area " in text

@@ -41,7 +41,7 @@ from fynjax.io.instruments import load_instrument
 from fynjax.io.plot import BY_FORM, LearnedPrior, read_prior
 from fynjax.metrics import BANDS
 from fynjax.scene import Placement, PlotParameters, Scene, aim, named_values
-from fynjax.sensors import Lidar, Sensor
+from fynjax.sensors import Gains, Lidar, Sensor
 
 View = Callable[[Scene, PlotParameters], AbstractView]
 """Makes a sensor's view of a scene."""
@@ -69,7 +69,7 @@ class PlotData(Data):
         bands: Sequence[str] | None = None,
         statistics: Sequence[str] = ("*",),
         relative_sd: float = 0.01,
-        gain_sd: float = 0.05,
+        gains: Gains | str | None = None,
     ) -> "PlotData":
         """Statistics of a drone's image of the plot.
 
@@ -83,13 +83,14 @@ class PlotData(Data):
         - `bands`: names of the image's bands in their order, where the file does not name them.
         - `statistics`: patterns of those that count, such as "*.mean".
         - `relative_sd`: error of a mean or quantile as a share of it [-].
-        - `gain_sd`: what a band's calibration to reflectance may be off by, as a factor [-].
+        - `gains`: what the calibration of its bands to reflectance may be off by, or how they were
+          calibrated, such as "panels" (`Sensor.gains`); the usual of the camera by default.
 
         **Raises:** `InputError` for an image or camera that cannot be used.
         """
-        rules = TargetRules(relative_sd, tuple(statistics), gain_sd)
+        rules = TargetRules(relative_sd, tuple(statistics))
         data, _, found = image_data(Path(path), rules, pixel=pixel, bands=bands)
-        return cls._seen(data, _camera(camera), Placement(altitude, found), gain_sd)
+        return cls._seen(data, _camera(camera), Placement(altitude, found), gains)
 
     @classmethod
     def from_table(
@@ -100,7 +101,7 @@ class PlotData(Data):
         pixel: float | None = None,
         altitude: float | None = None,
         relative_sd: float = 0.01,
-        gain_sd: float = 0.05,
+        gains: Gains | str | None = None,
     ) -> "PlotData":
         """Statistics of a drone's image from a table.
 
@@ -108,12 +109,12 @@ class PlotData(Data):
 
         - `table`: path of a CSV, a pandas frame, or a mapping of names to values; with columns
           statistic, value and, where they are known, sd. Names such as `NDVI.mean`.
-        - `camera`, `pixel`, `altitude`, `relative_sd`, `gain_sd`: as of `from_image`.
+        - `camera`, `pixel`, `altitude`, `relative_sd`, `gains`: as of `from_image`.
 
         **Raises:** `InputError` for a table or camera that cannot be used.
         """
         if isinstance(table, str | Path):
-            rules = TargetRules(relative_sd, ("*",), gain_sd)
+            rules = TargetRules(relative_sd)
             data, _, _ = image_data(Path(table), rules)
         else:
             if isinstance(table, Mapping) and "statistic" not in table:
@@ -127,7 +128,7 @@ class PlotData(Data):
             sd = frame["sd"].to_numpy(float) if "sd" in frame else None
             names = [str(name) for name in frame["statistic"]]
             data = weigh_targets(names, frame["value"].to_numpy(float), relative_sd, sd=sd)
-        return cls._seen(data, _camera(camera), Placement(altitude, pixel), gain_sd)
+        return cls._seen(data, _camera(camera), Placement(altitude, pixel), gains)
 
     @classmethod
     def from_spectrum(
@@ -194,10 +195,14 @@ class PlotData(Data):
         return cls(data.names, data.value, data.sd, data.whitener, sensors)
 
     @classmethod
-    def _seen(cls, data: Data, camera: Sensor, placement: Placement, gain_sd: float) -> "PlotData":
+    def _seen(
+        cls, data: Data, camera: Sensor, placement: Placement, gains: Gains | str | None
+    ) -> "PlotData":
+        found = gains if isinstance(gains, Gains) else camera.gains(gains)
+
         def view(scene: Scene, parameters: PlotParameters) -> AbstractView:
             aimed = aim(scene, parameters, camera, placement)
-            return ImageView(data.names, aimed, gain_sd)
+            return ImageView(data.names, aimed, found)
 
         return cls._of(data, (view,))
 

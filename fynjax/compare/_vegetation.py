@@ -14,7 +14,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import norm
 
 from fynjax._core.errors import InputError
-from fynjax.sensors import BandSet
+from fynjax.sensors import ASSUMED, BandSet, Gains
 
 PLOTS = 26.0
 """Plots that the shipped spectra count as: 21 of fynbos, and a tile of dry shrubland as five."""
@@ -64,8 +64,7 @@ def check_vegetation(
     reflectance: Mapping[str, float] | ArrayLike,
     bands: BandSet,
     *,
-    gain_sd: float | ArrayLike = 0.05,
-    gain_shared: float = 0.5,
+    gains: Gains = ASSUMED,
 ) -> VegetationCheck:
     """Compare the mean of an image, or a spectrum, with measured shrubland.
 
@@ -80,8 +79,7 @@ def check_vegetation(
     - `reflectance`: of each band [-], positive, in the order of `bands`; or by the bands' names, of
       any of them.
     - `bands`: of the sensor. Those outside 420 to 2430 nm, or in water bands, are not judged.
-    - `gain_sd`: what the calibration of a band may be off by, as a factor [-]; one, or one a band.
-    - `gain_shared`: share of its variance that all bands have in common [-].
+    - `gains`: what the calibration of the bands may be off by.
 
     **Returns:** a `VegetationCheck`, which prints as a sentence.
 
@@ -119,10 +117,9 @@ def check_vegetation(
     # The logarithm of a band is linear in those of the spectrum, nearly: slopes at the mean.
     expected = weights @ np.exp(mean)
     slopes = weights * np.exp(mean) / expected[:, None]
-    sd = np.broadcast_to(np.asarray(gain_sd, dtype=float), (len(bands),))[judged]
-    gains = sd[:, None] * sd * gain_shared + np.diag(sd**2 * (1.0 - gain_shared))
     loadings = slopes @ factors.T
-    covariance = loadings @ loadings.T + (slopes * rest**2) @ slopes.T + gains
+    covariance = loadings @ loadings.T + (slopes * rest**2) @ slopes.T
+    covariance += gains.covariance(len(bands))[np.ix_(judged, judged)]
     values = given[judged]
     off = np.log(values / expected)
     variance, directions = np.linalg.eigh(covariance)

@@ -81,7 +81,6 @@ def known_plants(
             camera,
             block=block,
             pixel_sd=settings.pixel_sd,
-            gain_sd=max(settings.gain_sd, 1e-6),
             max_steps=settings.max_iterations,
         )
         result = search.result(follow(search, [None], run, checkpoint)[0])

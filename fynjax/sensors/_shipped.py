@@ -19,6 +19,7 @@ from fynjax.sensors._camera import (
     OrthographicCamera,
     check_ground_sample_distance,
 )
+from fynjax.sensors._gains import Gains
 from fynjax.sensors._noise import AbstractNoise, CameraNoise, radiometric_noise
 from fynjax.sensors._psf import PointSpread
 from fynjax.sensors._pushbroom import PushbroomCamera
@@ -99,8 +100,14 @@ def build_sensor(description: Mapping[str, Any], read_table: Callable[[str], Tab
         noise=None if noise is None else _noise(noise, bands, read_table),
         band_pixel=pixel,
         pixel_factor=1.0 if stated is None else stated / float(camera.ground_sample_distance),
+        calibrations=_calibrations(description.get("calibration", {})),
         source=description["source"],
     )
+
+
+def _calibrations(table: Mapping[str, Any]) -> tuple[Gains, ...]:
+    ways = sorted((way for way in table if way != "usual"), key=lambda way: way != table["usual"])
+    return tuple(Gains(table[way]["gain_sd"], table[way]["gain_shared"], way) for way in ways)
 
 
 def _bands(

@@ -7,6 +7,7 @@ import fynjax as fx
 from fynjax.compare import _vegetation as module
 from fynjax.compare import bands_2006, check_vegetation
 from fynjax.errors import InputError
+from fynjax.sensors import Gains
 from tools.make_vegetation_spectra import dry_shrubland, estimate, fynbos, grid
 
 MAVIC = fx.sensor("mavic_3m").bands
@@ -75,19 +76,19 @@ def test_the_chance_is_that_of_draws():
     common, own = rng.normal(size=(2000, 1)), rng.normal(size=(2000, 4))
     gain = np.exp(0.1 * (np.sqrt(0.5) * common + np.sqrt(0.5) * own))
     images = spectra @ MAVIC.weights(wavelength).T * gain
-    few = [check_vegetation(image, MAVIC, gain_sd=0.1).distance for image in images]
+    few = [check_vegetation(image, MAVIC, gains=Gains(0.1)).distance for image in images]
     # Draws have the covariance itself: chi-square of four.
     assert np.mean(few) == pytest.approx(4.0, rel=0.08)
-    large = [check_vegetation(image, MAVIC, gain_sd=0.02).distance for image in images[:300]]
+    large = [check_vegetation(image, MAVIC, gains=Gains(0.02)).distance for image in images[:300]]
     assert np.mean(large) > 6.0
 
 
 @pytest.mark.parametrize("name", ["mavic_3m", "rededge_3", "sentinel_2a", "aviris_ng"])
 def test_what_is_no_shrubland_is_found(name):
     """A red edge of two thirds, bands in the wrong order, counts taken for reflectance, a leaf."""
-    gain_sd = 0.02 if name == "aviris_ng" else 0.05
     wavelength, mean, _, _ = module._spectra()
     sensor = fx.sensor(name).bands
+    gains = Gains(0.02 if name == "aviris_ng" else 0.05)
     sensor = sensor.select(sensor.covered(wavelength, max_loss=0.02))
     weights, centre = sensor.weights(wavelength, max_loss=0.02), np.asarray(sensor.centre)
     usual = weights @ np.exp(mean)
@@ -95,15 +96,15 @@ def test_what_is_no_shrubland_is_found(name):
     edge = np.where((centre > 700.0) & (centre < 745.0), 0.65, 1.0)
     leaf, _ = fx.prospect(chlorophyll=50.0, wavelength=wavelength)
     for wrong in (usual * edge, usual[::-1], usual * 10_000.0 / 65_535.0, weights @ leaf):
-        assert check_vegetation(wrong, sensor, gain_sd=gain_sd).unlike
+        assert check_vegetation(wrong, sensor, gains=gains).unlike
 
 
 def test_uncertain_gains_forgive():
     real = {name: row.real_mean for name, row in bands_2006().items()}
-    sharp, loose = (check_vegetation(real, MAVIC, gain_sd=sd).probability for sd in (0.05, 0.2))
+    sharp, loose = (check_vegetation(real, MAVIC, gains=Gains(s)).probability for s in (0.05, 0.2))
     assert sharp < module.UNLIKE < loose
     # A gain that all bands share forgives brightness, and no ratio.
-    shared = check_vegetation(real, MAVIC, gain_sd=0.2, gain_shared=0.99)
+    shared = check_vegetation(real, MAVIC, gains=Gains(0.2, 0.99))
     assert shared.unlike
 
 
