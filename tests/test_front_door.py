@@ -161,7 +161,7 @@ def test_a_scene_is_fitted_to_an_image_and_sampled(scene, drone):
     assert drawn.values.shape[-1] == len(free.names)
 
 
-def test_data_of_several_sensors_add(drone):
+def test_data_of_several_sensors_add(scene, drone):
     image = fx.Data.from_image(drone, statistics=("*.mean",))
     table = fx.Data.from_table({"nir.std": 0.03})
     framed = fx.Data.from_table(pd.DataFrame({"statistic": ["nir.std"], "value": [0.03]}))
@@ -169,6 +169,9 @@ def test_data_of_several_sensors_add(drone):
     both = image + table
     assert both.names == (*image.names, "nir.std")
     assert len(both.sensors) == 2
+    camera, panels = fx.sensor("mavic_3m"), fx.Data.from_table({"nir.std": 0.03}, gains="panels")
+    ways = [one.sensors[0](scene, scene.parameters).gains for one in (table, panels)]
+    assert ways == [camera.gains("light_sensor"), camera.gains("panels")]
     with pytest.raises(InputError, match=r"'nir.std' is in both"):
         both + table
     with pytest.raises(InputError, match="value is missing"):
